@@ -1,0 +1,128 @@
+"""A kind of vehicle: what `models/<name>.py` must say so that everything after it works unchanged."""
+
+import importlib
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from models.errors import InputError, known
+from models.linear_model import LinearModel
+from models.signals import Signal
+
+HERE = Path(__file__).parent
+GRAVITY = 9.81  # m/s2, written into every MJCF
+
+Parameters = Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of a vehicle file.
+
+    Attributes:
+        name: key under `[parameters]`.
+        unit: SI unit.
+        meaning: one line.
+        positive: whether zero is refused too. Negative, infinite and NaN values always are.
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    positive: bool = True
+
+    def check(self, value: Any) -> float:
+        """The value as a float.
+
+        Raises:
+            InputError: not a finite number of the allowed sign.
+        """
+        allowed = f"a number {'above' if self.positive else 'of at least'} 0 {self.unit}"
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise InputError(f"{self.name} = {value!r} is not a number; give {allowed}")
+        if not math.isfinite(value) or value < 0 or (self.positive and value == 0):
+            raise InputError(f"{self.name} = {value} is not allowed; give {allowed}")
+        return float(value)
+
+
+@dataclass(frozen=True)
+class Wheel:
+    """A point where a road acts on the vehicle.
+
+    Attributes:
+        road_body: MJCF mocap body that carries the road under this wheel.
+        road_displacement: signal of the road's height under it.
+        road_velocity: signal of the road's vertical velocity under it, a disturbance of the linear model.
+        tyre_deflection: signal of its tyre.
+    """
+
+    road_body: str
+    road_displacement: str
+    road_velocity: str
+    tyre_deflection: str
+
+
+@dataclass(frozen=True)
+class VehicleKind:
+    """The equations of a kind of vehicle. Every function takes the parameters as a mapping from name to SI value.
+
+    Attributes:
+        name: `type` in a vehicle file, and the stem of the `.py`, `.xml` and `.toml` files.
+        parameters: what a vehicle file must give.
+        signals: every signal: outputs of the linear model and, by the same names, sensors of the MJCF.
+        wheels: in the order of the linear model's disturbances.
+        linear_model: parameters -> LinearModel.
+        static_tyre_deflection: parameters -> how far each tyre is squeezed at rest [m], by tyre deflection signal. A tyre
+            deflection above it means that the wheel is off the road.
+        write_mjcf: writes the parameters into an `MjSpec` of the kind's `.xml`. It edits what it is given: no import of MuJoCo.
+    """
+
+    name: str
+    parameters: tuple[Parameter, ...]
+    signals: tuple[Signal, ...]
+    wheels: tuple[Wheel, ...]
+    linear_model: Callable[[Parameters], LinearModel]
+    static_tyre_deflection: Callable[[Parameters], Mapping[str, float]]
+    write_mjcf: Callable[[Any, Parameters], None]
+
+    @property
+    def mjcf(self) -> Path:
+        """Path of the kind's MJCF."""
+        return HERE / f"{self.name}.xml"
+
+    def check(self, parameters: Mapping[str, Any]) -> dict[str, float]:
+        """All parameters, checked, in the kind's order.
+
+        Raises:
+            InputError: one is missing, unknown or not allowed.
+        """
+        names = [parameter.name for parameter in self.parameters]
+        for name in parameters:
+            if name not in names:
+                raise InputError(f"unknown parameter {name!r}; a {self.name} has {known(names)}")
+        for parameter in self.parameters:
+            if parameter.name not in parameters:
+                raise InputError(f"parameter {parameter.name!r} [{parameter.unit}] is missing: {parameter.meaning}")
+        return {parameter.name: parameter.check(parameters[parameter.name]) for parameter in self.parameters}
+
+    def signal(self, name: str) -> Signal:
+        """The signal of that name, which this kind has."""
+        return next(signal for signal in self.signals if signal.name == name)
+
+
+def kinds() -> list[str]:
+    """The kinds of vehicle that exist: those with equations and an MJCF in this folder."""
+    return sorted(path.stem for path in HERE.glob("*.xml") if path.with_suffix(".py").exists())
+
+
+def kind(name: str) -> VehicleKind:
+    """The kind of vehicle of that name.
+
+    Raises:
+        InputError: there is none.
+    """
+    if name not in kinds():
+        raise InputError(f"unknown vehicle type {name!r}; known: {known(kinds())}")
+    return importlib.import_module(f"models.{name}").KIND

@@ -1,0 +1,60 @@
+"""A vehicle as a linear system with names: x' = A x + B u + Bw w, and every signal as a row of C x + D u."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.arrays import Array
+from models.errors import InputError, known
+
+
+@dataclass(frozen=True, eq=False)
+class LinearModel:
+    """Linear vehicle model, measured from static equilibrium.
+
+    Attributes:
+        A: state matrix, shape (n, n).
+        B: input matrix, shape (n, m).
+        Bw: disturbance matrix, shape (n, r). The disturbance is the road's vertical *velocity* under each wheel [m/s].
+        C: read-out of every output signal from the state, shape (p, n).
+        D: read-out of every output signal from the input, shape (p, m).
+        states: names of the states, n of them.
+        inputs: names of the inputs, m of them [N].
+        disturbances: names of the disturbances, r of them [m/s].
+        outputs: names of the output signals, p of them.
+
+    Raises:
+        ValueError: a matrix does not fit the names.
+    """
+
+    A: Array
+    B: Array
+    Bw: Array
+    C: Array
+    D: Array
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    disturbances: tuple[str, ...]
+    outputs: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        n, m, r, p = len(self.states), len(self.inputs), len(self.disturbances), len(self.outputs)
+        for name, shape in {"A": (n, n), "B": (n, m), "Bw": (n, r), "C": (p, n), "D": (p, m)}.items():
+            matrix = np.array(getattr(self, name), dtype=float)
+            if matrix.shape != shape:
+                raise ValueError(f"{name} has shape {matrix.shape}; its names say {shape}")
+            matrix.flags.writeable = False
+            object.__setattr__(self, name, matrix)
+
+    def rows(self, signals: Sequence[str]) -> tuple[Array, Array]:
+        """The rows of C and D of some output signals, shapes (k, n) and (k, m).
+
+        Raises:
+            InputError: a signal this vehicle has not.
+        """
+        for signal in signals:
+            if signal not in self.outputs:
+                raise InputError(f"unknown signal {signal!r}; this vehicle has {known(self.outputs)}")
+        index = [self.outputs.index(signal) for signal in signals]
+        return self.C[index], self.D[index]

@@ -1,0 +1,115 @@
+"""The quarter-car of the paper, section 3.1: a sprung and an unsprung mass, a spring, a damper, a motor and a tyre.
+
+Equations (28)-(32). All displacements are measured from static equilibrium, so gravity does not appear here; it does in the
+MJCF, where preloads hold the masses up and the tyre can leave the road.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from models import signals
+from models.kind import GRAVITY, Parameter, Parameters, VehicleKind, Wheel
+from models.linear_model import LinearModel
+
+PARAMETERS = (
+    Parameter("sprung_mass", "kg", "m_s, the share of the body that one wheel carries"),
+    Parameter("unsprung_mass", "kg", "m_u, wheel, hub and brake"),
+    Parameter("suspension_stiffness", "N/m", "k_s"),
+    Parameter("suspension_damping", "N s/m", "c_s", positive=False),
+    Parameter("tyre_stiffness", "N/m", "k_u"),
+)
+
+STATES = (
+    signals.SUSPENSION_DEFLECTION,
+    signals.TYRE_DEFLECTION,
+    signals.SPRUNG_VELOCITY,
+    signals.UNSPRUNG_VELOCITY,
+)
+OUTPUTS = (*STATES, signals.SPRUNG_ACCELERATION, signals.CONTROL_FORCE)
+
+
+def linear_model(p: Parameters) -> LinearModel:
+    """The linear model (29)-(32).
+
+    Args:
+        p: parameters by name [SI].
+
+    Returns:
+        The model: 4 states (30), 1 input [N], 1 disturbance (road velocity) [m/s], 6 output signals.
+    """
+    m_s, m_u = p["sprung_mass"], p["unsprung_mass"]
+    k_s, c_s = p["suspension_stiffness"], p["suspension_damping"]
+    k_u = p["tyre_stiffness"]
+
+    A = np.array(
+        [
+            [0, 0, 1, -1],
+            [0, 0, 0, 1],
+            [-k_s / m_s, 0, -c_s / m_s, c_s / m_s],
+            [k_s / m_u, -k_u / m_u, c_s / m_u, -c_s / m_u],
+        ]
+    )  # (31)
+    B = np.array([[0], [0], [1 / m_s], [-1 / m_u]])  # (32)
+    Bw = np.array([[0], [-1], [0], [0]])  # (32)
+
+    # Signals: the four states, then z_s'' by the first line of (28), then u itself.
+    C = np.vstack([np.eye(4), A[2], np.zeros(4)])
+    D = np.vstack([np.zeros((4, 1)), B[2], [[1]]])
+
+    return LinearModel(
+        A=A,
+        B=B,
+        Bw=Bw,
+        C=C,
+        D=D,
+        states=tuple(signal.name for signal in STATES),
+        inputs=(signals.CONTROL_FORCE.name,),
+        disturbances=(signals.ROAD_VELOCITY.name,),
+        outputs=tuple(signal.name for signal in OUTPUTS),
+    )
+
+
+def static_tyre_deflection(p: Parameters) -> dict[str, float]:
+    """How far the tyre is squeezed at rest [m]: the weight of both masses over k_u."""
+    weight = (p["sprung_mass"] + p["unsprung_mass"]) * GRAVITY
+    return {signals.TYRE_DEFLECTION.name: weight / p["tyre_stiffness"]}
+
+
+def write_mjcf(spec: Any, p: Parameters) -> None:
+    """Writes the parameters into the MjSpec of `quarter_car.xml`.
+
+    The two preloads make qpos = 0 the static equilibrium: the suspension spring carries m_s g, the tyre (m_s + m_u) g. The tyre's
+    rest length is its length in the drawing plus its preload; above that it is slack (dead band), so the wheel can lift.
+    """
+    spec.body("sprung").mass = p["sprung_mass"]
+    spec.body("unsprung").mass = p["unsprung_mass"]
+
+    suspension = spec.tendon("suspension")
+    suspension.stiffness[0] = p["suspension_stiffness"]
+    suspension.damping[0] = p["suspension_damping"]
+    preload = p["sprung_mass"] * GRAVITY / p["suspension_stiffness"]
+    suspension.springlength = [preload, preload]
+
+    tyre = spec.tendon("tyre")
+    tyre.stiffness[0] = p["tyre_stiffness"]
+    radius = spec.body("unsprung").pos[2] - spec.body("road").pos[2]
+    tyre.springlength[0] = radius + static_tyre_deflection(p)[signals.TYRE_DEFLECTION.name]
+
+
+KIND = VehicleKind(
+    name="quarter_car",
+    parameters=PARAMETERS,
+    signals=(signals.ROAD_DISPLACEMENT, signals.ROAD_VELOCITY, *OUTPUTS),
+    wheels=(
+        Wheel(
+            road_body="road",
+            road_displacement=signals.ROAD_DISPLACEMENT.name,
+            road_velocity=signals.ROAD_VELOCITY.name,
+            tyre_deflection=signals.TYRE_DEFLECTION.name,
+        ),
+    ),
+    linear_model=linear_model,
+    static_tyre_deflection=static_tyre_deflection,
+    write_mjcf=write_mjcf,
+)

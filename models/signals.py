@@ -1,0 +1,39 @@
+"""The one table of names. A signal is called the same in the linear model, the MJCF, a vehicle file, a log and a plot."""
+
+from dataclasses import dataclass, replace
+
+
+@dataclass(frozen=True)
+class Signal:
+    """A named quantity, measured from static equilibrium.
+
+    Attributes:
+        name: the name that joins everything.
+        symbol: what the paper, or the field, writes for it.
+        unit: SI unit.
+        meaning: one line, with the sign convention.
+    """
+
+    name: str
+    symbol: str
+    unit: str
+    meaning: str
+
+    def at(self, corner: str) -> "Signal":
+        """The same signal at one corner of a vehicle that has several, e.g. `tyre_deflection_front`."""
+        return replace(
+            self,
+            name=f"{self.name}_{corner}",
+            symbol=f"{self.symbol} {corner.replace('_', ' ')}",
+            meaning=f"{self.meaning}, {corner.replace('_', ' ')}",
+        )
+
+
+ROAD_DISPLACEMENT = Signal("road_displacement", "z_r", "m", "road height under the wheel, up")
+ROAD_VELOCITY = Signal("road_velocity", "w", "m/s", "vertical velocity of the road under the wheel, up")
+SUSPENSION_DEFLECTION = Signal("suspension_deflection", "z_s - z_u", "m", "suspension extension")
+TYRE_DEFLECTION = Signal("tyre_deflection", "z_u - z_r", "m", "tyre extension, negative when squeezed")
+SPRUNG_VELOCITY = Signal("sprung_velocity", "z_s'", "m/s", "vertical velocity of the sprung mass, up")
+UNSPRUNG_VELOCITY = Signal("unsprung_velocity", "z_u'", "m/s", "vertical velocity of the unsprung mass, up")
+SPRUNG_ACCELERATION = Signal("sprung_acceleration", "z_s''", "m/s2", "vertical acceleration of the sprung mass, up")
+CONTROL_FORCE = Signal("control_force", "u", "N", "actuator force, positive lifts the body and presses the wheel down")

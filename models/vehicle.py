@@ -1,0 +1,184 @@
+"""A vehicle file (TOML): the kind of vehicle, its parameters, the performance weights and the controllers. All a user writes."""
+
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from models.arrays import Array
+from models.errors import InputError, known
+from models.kind import HERE, VehicleKind, kind, kinds
+from models.linear_model import LinearModel
+
+SECTIONS = ("type", "parameters", "performance", "controllers")
+RESERVED = ("passive", "state")  # these two always exist: u = 0, and full state feedback
+
+
+@dataclass(frozen=True, eq=False)
+class ControllerEntry:
+    """One `[controllers.NAME]` of a vehicle file.
+
+    Attributes:
+        name: its name.
+        measured: signals it measures, q of them.
+        gain: shape (m, q) if the file gives it, else None: it is to be designed.
+    """
+
+    name: str
+    measured: tuple[str, ...]
+    gain: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Vehicle:
+    """A vehicle, as its file says.
+
+    Attributes:
+        kind: equations and MJCF.
+        parameters: SI values by name.
+        performance: weight of each signal in the controlled output z (34).
+        controllers: by name, without `passive` and `state`, which always exist.
+        text: the vehicle file, as read; it goes into the logs.
+        source: where it came from, for messages.
+    """
+
+    kind: VehicleKind
+    parameters: Mapping[str, float]
+    performance: Mapping[str, float]
+    controllers: Mapping[str, ControllerEntry]
+    text: str = ""
+    source: str = ""
+
+    @cached_property
+    def linear_model(self) -> LinearModel:
+        """The linear model of these parameters."""
+        return self.kind.linear_model(self.parameters)
+
+    @property
+    def controller_names(self) -> tuple[str, ...]:
+        """Every controller that can be asked for."""
+        return (*RESERVED, *self.controllers)
+
+
+def read_vehicle(file: str | Path) -> Vehicle:
+    """Reads a vehicle file, or a vehicle that ships, by name (`quarter_car`).
+
+    Raises:
+        InputError: the file is not there, not TOML, or something in it is missing, unknown or not allowed. The message names
+            the file, the key, what is allowed.
+    """
+    path = Path(file)
+    if str(file) in kinds() and not path.is_file():
+        path = HERE / f"{file}.toml"
+    try:
+        text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise InputError(f"vehicle file {path}: not a text file in UTF-8 ({error.reason})") from error
+    except OSError as error:
+        shipped = f"give a TOML file or one of: {known(kinds())}"
+        raise InputError(f"vehicle file {path}: cannot be read ({error.strerror}); {shipped}") from error
+    try:
+        return parse_vehicle(text, source=str(path))
+    except InputError as error:
+        raise InputError(f"vehicle file {path}: {error}") from error
+
+
+def parse_vehicle(text: str, source: str = "") -> Vehicle:
+    """A vehicle from the text of its file.
+
+    Raises:
+        InputError: see `read_vehicle`.
+    """
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"not TOML: {error}") from error
+    for section in data:
+        if section not in SECTIONS:
+            raise InputError(f"unknown section {section!r}; known: {known(SECTIONS)}")
+    for section in SECTIONS[:3]:
+        if section not in data:
+            raise InputError(f"section {section!r} is missing; a vehicle file has {known(SECTIONS)}")
+    for section in ("parameters", "performance", "controllers"):
+        if not isinstance(data.get(section, {}), dict):
+            raise InputError(f"{section!r} is not a section; write it as [{section}]")
+    if not isinstance(data["type"], str):
+        raise InputError(f"type = {data['type']!r} is not a name in quotes; known: {known(kinds())}")
+
+    vehicle_kind = kind(data["type"])
+    parameters = vehicle_kind.check(data["parameters"])
+    model = vehicle_kind.linear_model(parameters)
+    return Vehicle(
+        kind=vehicle_kind,
+        parameters=parameters,
+        performance=_performance(data["performance"], model),
+        controllers={name: _controller(name, entry, model) for name, entry in data.get("controllers", {}).items()},
+        text=text,
+        source=source,
+    )
+
+
+def _performance(section: Mapping[str, Any], model: LinearModel) -> dict[str, float]:
+    weights = {}
+    for signal, weight in section.items():
+        if signal not in model.outputs:
+            raise InputError(f"[performance] unknown signal {signal!r}; this vehicle has {known(model.outputs)}")
+        if not _is_number(weight) or weight < 0:
+            raise InputError(f"[performance] {signal} = {weight!r} is not allowed; give a finite weight of at least 0")
+        weights[signal] = float(weight)
+    if not any(weights.values()):
+        raise InputError(f"[performance] weighs nothing; give at least one weight above 0 to: {known(model.outputs)}")
+    return weights
+
+
+def _controller(name: str, entry: Any, model: LinearModel) -> ControllerEntry:
+    where = f"[controllers.{name}]"
+    if name in RESERVED or name == "all":
+        raise InputError(f"{where} the name {name!r} is taken: passive, state and all always exist; rename it")
+    if not name.replace("_", "").replace("-", "").isalnum():
+        raise InputError(f"{where} a controller's name has letters, digits, '_' and '-' only")
+    if not isinstance(entry, dict):
+        raise InputError(f"{where} is not a section with measured = [signals]")
+    for key in entry:
+        if key not in ("measured", "gain"):
+            raise InputError(f"{where} unknown key {key!r}; known: gain, measured")
+
+    measured = entry.get("measured")
+    if not isinstance(measured, list) or not measured or not all(isinstance(signal, str) for signal in measured):
+        raise InputError(f"{where} measured is missing or empty; give a list of signals out of: {known(model.outputs)}")
+    for signal in measured:
+        if signal not in model.outputs:
+            raise InputError(f"{where} unknown signal {signal!r}; this vehicle has {known(model.outputs)}")
+        if measured.count(signal) > 1:
+            raise InputError(f"{where} measures {signal!r} twice; name it once")
+        _, D = model.rows([signal])
+        if np.any(D):
+            states = [output for output in model.outputs if not np.any(model.rows([output])[1])]
+            raise InputError(
+                f"{where} {signal!r} contains the control force itself, so a static controller cannot measure it; "
+                f"give signals out of: {known(states)}"
+            )
+    return ControllerEntry(name, tuple(measured), _gain(where, entry["gain"], model, measured) if "gain" in entry else None)
+
+
+def _gain(where: str, gain: Any, model: LinearModel, measured: list[str]) -> Array:
+    m, q = len(model.inputs), len(measured)
+    allowed = f"give {m} row(s) (one per actuator) of {q} finite number(s) (one per measured signal), as in gain = [[1.0, 2.0]]"
+    rows = gain if isinstance(gain, list) else [gain]
+    if not all(isinstance(row, list) and all(_is_number(entry) for entry in row) for row in rows):
+        raise InputError(f"{where} gain = {gain!r} is not a matrix of numbers; {allowed}")
+    if len(rows) != m or any(len(row) != q for row in rows):
+        found = f"{len(rows)} row(s) of {sorted({len(row) for row in rows})} entries"
+        raise InputError(f"{where} gain has {found}; {allowed}")
+    matrix = np.array(rows, dtype=float)
+    matrix.flags.writeable = False
+    return matrix
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)

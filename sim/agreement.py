@@ -1,0 +1,96 @@
+"""Physics against analysis, signal by signal, and no further than the analysis applies.
+
+The yardstick is the exact response of the sampled loop. MuJoCo's RK4 differs from it by the integrator's own error, and that is
+known: on a linear system RK4 is the Taylor polynomial of degree 4, so its response can be computed without MuJoCo. Physics and
+analysis agree where they differ by no more than that.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.vehicle import Vehicle
+from sim.response import Response
+
+ROUNDING = 1e-9  # of a peak, over thousands of steps; a vehicle at rest to 1e-16 of its spring forces stays below 1e-12
+SLACK = 1.5  # on the predicted integrator error: it is a maximum over time of one of two nearly equal curves
+
+
+@dataclass(frozen=True)
+class SignalAgreement:
+    """How one signal of the physics compares, over the time in which the linear analysis applies.
+
+    Attributes:
+        sampled: largest difference from the exact sampled response, over that response's peak.
+        continuous: the same against the continuous closed loop; it contains the effect of holding the force over a step.
+        allowed: what `sampled` may be: the integrator's own error.
+    """
+
+    sampled: float
+    continuous: float
+    allowed: float
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """The verdict on one run.
+
+    Attributes:
+        signals: by name.
+        lift_off: intervals [s] in which a tyre is off the road.
+        until: the linear comparison applies before this time [s]; infinite where it always does.
+        agrees: whether every signal agrees, for as long as the comparison applies.
+    """
+
+    signals: Mapping[str, SignalAgreement]
+    lift_off: tuple[tuple[float, float], ...]
+    until: float
+    agrees: bool
+
+
+def compare(
+    vehicle: Vehicle, physics: Response, sampled: Response, integrated: Response, continuous: Response, diverged: float
+) -> Agreement:
+    """Compares one run with its three predictions.
+
+    Args:
+        vehicle: the vehicle.
+        physics: what MuJoCo did.
+        sampled: exact response of the sampled loop.
+        integrated: the same as RK4 makes it.
+        continuous: response of the continuous closed loop.
+        diverged: when the run diverged [s]; infinite where it did not.
+    """
+    lift_off = lift_off_intervals(vehicle, physics)
+    until = min([start for start, _ in lift_off] + [diverged])
+    physics, sampled, integrated, continuous = (r.until(until) for r in (physics, sampled, integrated, continuous))
+    signals = {
+        name: SignalAgreement(
+            sampled=_difference(physics, sampled, name),
+            continuous=_difference(physics, continuous, name),
+            allowed=SLACK * _difference(integrated, sampled, name) + ROUNDING,
+        )
+        for name in vehicle.linear_model.outputs
+    }
+    agrees = all(signal.sampled <= signal.allowed for signal in signals.values())
+    return Agreement(signals=signals, lift_off=lift_off, until=until, agrees=agrees)
+
+
+def lift_off_intervals(vehicle: Vehicle, physics: Response) -> tuple[tuple[float, float], ...]:
+    """When any tyre is off the road: first and last sample of every interval [s], in order of their start."""
+    intervals = []
+    for name, static in vehicle.kind.static_tyre_deflection(vehicle.parameters).items():
+        off = np.concatenate([[False], physics[name] >= static, [False]])
+        starts, ends = np.flatnonzero(off[1:] & ~off[:-1]), np.flatnonzero(off[:-1] & ~off[1:]) - 1
+        intervals += [(float(physics.time[a]), float(physics.time[b])) for a, b in zip(starts, ends, strict=True)]
+    return tuple(sorted(intervals))
+
+
+def _difference(response: Response, reference: Response, signal: str) -> float:
+    """Largest difference over time, over the reference's peak; 0 where neither ever moves."""
+    if len(response.time) == 0:
+        return 0.0
+    difference = float(np.max(np.abs(response[signal] - reference[signal])))
+    peak = float(reference.peak(signal))
+    return difference / peak if peak > 0 else difference

@@ -1,0 +1,133 @@
+"""`python -m sim.bump`: controllers over a bump, in MuJoCo and in linear analysis, compared and logged."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+from models.errors import InputError
+from models.vehicle import Vehicle, read_vehicle
+from sim.command import Parser, run_command
+from sim.road import Bump
+from sim.run import Run, run_all, sample_times
+from sim.verdict import controller_lines, run_lines, run_object, verdict_lines
+from synth.controller import Designer
+
+EPILOG = """
+exit code: 0 physics and analysis agree for every controller, 1 they do not, 2 bad input
+
+examples:
+  python -m sim.bump --controller I
+  python -m sim.bump --controller I --controller II --height 0.05
+  python -m sim.bump --controller mine --vehicle my_car.toml --json
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command; returns its exit code.
+
+    Raises:
+        InputError: bad options, vehicle file or logs folder.
+    """
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    vehicle = read_vehicle(options.vehicle)
+    names = _chosen(vehicle, options.controller)
+    road = Bump(options.height, options.length, options.speed)
+    time = sample_times(vehicle, options.duration, options.timestep)
+    if options.logs is not None:
+        from sim.recording import check_folder  # before the work, not after it
+
+        check_folder(options.logs)
+
+    designer = Designer(vehicle)
+    with_passive = [*names, *(["passive"] if "passive" not in names else [])]  # the reference of the last column
+    everything = run_all(vehicle, [designer.design(name) for name in with_passive], road, time)
+    runs, passive = everything[: len(names)], everything[with_passive.index("passive")]
+
+    logs = {"mcap": None, "rerun": None}
+    if options.logs is not None:
+        logs = _record(options.logs, vehicle, road, runs, options.timestep)
+    if options.json:
+        result = {
+            "runs": [run_object(vehicle, run) for run in runs],
+            "road": road.describe(),
+            "timestep": options.timestep,
+            "logs": logs,
+        }
+        print(json.dumps(result, allow_nan=False))
+    else:
+        print("\n".join(_text(vehicle, road, runs, passive, options, logs)))
+    return 0 if all(run.agreement.agrees for run in runs) else 1
+
+
+def _parser() -> Parser:
+    parser = Parser(
+        "sim.bump", "Drives controllers over a bump, in MuJoCo and in linear analysis, compares and logs them.", EPILOG
+    )
+    parser.add_argument(
+        "--controller",
+        action="append",
+        metavar="NAME",
+        help="passive, state, one of the vehicle file's, or all; may be repeated. Required",
+    )
+    parser.add_argument(
+        "--vehicle", default="quarter_car", metavar="FILE", help="vehicle file, or one that ships (default: quarter_car)"
+    )
+    parser.add_number("--height", Bump.height, "m", "bump height")
+    parser.add_number("--length", Bump.length, "m", "bump length")
+    parser.add_number("--speed", Bump.speed, "m/s", "forward speed of the vehicle")
+    parser.add_number("--duration", 3.0, "s", "how long to run")
+    parser.add_number("--timestep", 1e-3, "s", "integration step and sample period of the controller")
+    parser.add_argument("--logs", type=Path, default=Path("logs"), metavar="DIR", help="folder for the log files (default: logs)")
+    parser.add_argument("--no-logs", dest="logs", action="store_const", const=None, help="write no log files")
+    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    return parser
+
+
+def _chosen(vehicle: Vehicle, asked: Sequence[str] | None) -> list[str]:
+    """The controllers to run, each once, in the order asked for."""
+    if not asked:
+        raise InputError(
+            f"no controller was asked for; give --controller with one of: all, {', '.join(vehicle.controller_names)}"
+        )
+    names = [name for choice in asked for name in (vehicle.controller_names if choice == "all" else [choice])]
+    return list(dict.fromkeys(names))
+
+
+def _record(folder: Path, vehicle: Vehicle, road: Bump, runs: Sequence[Run], timestep: float) -> dict[str, str | None]:
+    from sim.provenance import attachments, common_metadata, run_log, stem
+    from sim.recording import record
+
+    paths = record(
+        folder,
+        stem("bump", vehicle, [run.controller.name for run in runs]),
+        [run_log(vehicle, road, run) for run in runs],
+        common_metadata(vehicle, road, timestep),
+        attachments(vehicle, timestep),
+    )
+    return {name: str(path) for name, path in paths.items()}
+
+
+def _text(vehicle: Vehicle, road: Bump, runs: Sequence[Run], passive: Run, options, logs: dict) -> list[str]:
+    lines = [
+        f"{vehicle.kind.name} ({vehicle.source}) over a bump of {road.height:g} m height and {road.length:g} m length at "
+        f"{road.speed:g} m/s; {options.duration:g} s at {options.timestep:g} s"
+    ]
+    for run in runs:
+        lines += [
+            "",
+            *controller_lines(run.controller),
+            "",
+            *run_lines(vehicle, run, passive if run is not passive else None),
+            "",
+        ]
+        lines += [f"  {line}" for line in verdict_lines(run)]
+    if logs["rerun"]:
+        from sim.recording import opening_lines
+
+        lines += ["", "logs", *(f"  {line}" for line in opening_lines({name: Path(path) for name, path in logs.items()}))]
+    return lines
+
+
+if __name__ == "__main__":
+    run_command(main)

@@ -1,0 +1,145 @@
+"""The linear response, exact in two ways: of the sampled loop that MuJoCo runs, and of the paper's continuous closed loop.
+
+Sampled. The controller is held over a step, and so is the road: at its midpoint height, where `physics.py` puts it. With
+xi = x - Bw z_r, the state that does not jump when the road does, (29) becomes xi' = A xi + B u + A Bw z_r, and over a step
+everything on the right but xi is constant:
+
+    xi[k+1] = Phi xi[k] + Gamma [u[k]; z_r(t_k + h/2)],    x[k] = xi[k] + Bw z_r(t_k),    u[k] = K C_y x[k].
+
+Continuous. x' = (A + B K C_y) x + Bw z_r'(t). Over a step,
+
+    x[k+1] = exp(A_G h) x[k] + integral of exp(A_G (h - s)) Bw z_r'(t_k + s) ds,
+
+by Gauss-Legendre quadrature with 8 nodes: exact to rounding for a smooth road. A step that holds a kink of the road is cut there.
+"""
+
+import itertools
+import math
+from collections.abc import Callable
+
+import numpy as np
+from scipy import linalg
+
+from models.arrays import Array
+from models.vehicle import Vehicle
+from sim.response import Response
+from sim.road import Road, under_wheels
+from synth.controller import Controller
+
+
+def taylor4(M: Array) -> Array:
+    """What RK4 makes of the matrix exponential: its Taylor polynomial of degree 4. For a linear system RK4 is exactly that."""
+    identity = np.eye(len(M))
+    return identity + M @ (identity + M / 2 @ (identity + M / 3 @ (identity + M / 4)))
+
+
+def sampled_response(
+    vehicle: Vehicle,
+    controller: Controller,
+    road: Road,
+    time: Array,
+    exponential: Callable[[Array], Array] = linalg.expm,
+) -> Response:
+    """The response of the sampled loop, from rest.
+
+    Args:
+        vehicle: the vehicle.
+        controller: its controller.
+        road: the road.
+        time: equidistant sample times [s], shape (T,).
+        exponential: the matrix exponential; `taylor4` to predict an RK4 integrator to rounding.
+    """
+    model, h = vehicle.linear_model, float(time[1] - time[0])
+    G = controller.state_gain(vehicle)
+    Phi, Gamma_u, Gamma_r = _held_inputs(model.A, h, exponential, model.B, model.A @ model.Bw)
+    now = under_wheels(road.displacement, vehicle, time)
+    midway = under_wheels(road.displacement, vehicle, time + h / 2)
+
+    jump = now @ model.Bw.T  # x - xi
+    xi = _recursion(Phi + Gamma_u @ G, midway @ Gamma_r.T + jump @ (Gamma_u @ G).T)
+    return _response(vehicle, road, G, time, xi + jump)
+
+
+def continuous_response(vehicle: Vehicle, controller: Controller, road: Road, time: Array) -> Response:
+    """The response of the continuous closed loop (16), from rest. Arguments as for `sampled_response`."""
+    model, h = vehicle.linear_model, float(time[1] - time[0])
+    G = controller.state_gain(vehicle)
+    A = model.A + model.B @ G
+
+    forcing = _convolution(A, model.Bw, road, vehicle, time, h)
+    kinks = np.array(road.kinks)
+    for k in np.unique(np.floor((kinks - time[0]) / h).astype(int)):
+        if 0 <= k < len(time):
+            start, end = time[k], time[k] + h
+            edges = [start, *sorted(kinks[(kinks > start) & (kinks < end)]), end]
+            forcing[k] = 0.0
+            for left, right in itertools.pairwise(edges):
+                piece = _convolution(A, model.Bw, road, vehicle, np.array([left]), right - left)[0]
+                forcing[k] += linalg.expm(A * (end - right)) @ piece
+    return _response(vehicle, road, G, time, _recursion(linalg.expm(A * h), forcing))
+
+
+def _held_inputs(A: Array, h: float, exponential: Callable[[Array], Array], *inputs: Array) -> list[Array]:
+    """Phi and one Gamma per input matrix: the step of x' = A x + sum B_i u_i with every u_i held."""
+    n = len(A)
+    columns = np.cumsum([n, *(B.shape[1] for B in inputs)])
+    augmented = np.zeros((columns[-1], columns[-1]))
+    augmented[:n] = np.hstack([A, *inputs])
+    step = exponential(augmented * h)
+    return [step[:n, :n], *(step[:n, a:b] for a, b in itertools.pairwise(columns))]
+
+
+def _convolution(A: Array, Bw: Array, road: Road, vehicle: Vehicle, start: Array, h: float) -> Array:
+    """Integral of exp(A (h - s)) Bw z_r'(start + s) ds over 0..h, shape (T, n), for start times of shape (T,)."""
+    nodes, weights = np.polynomial.legendre.leggauss(8)
+    total = np.zeros((len(start), len(A)))
+    for s, weight in zip(h * (nodes + 1) / 2, h * weights / 2, strict=True):
+        total += weight * under_wheels(road.velocity, vehicle, start + s) @ (linalg.expm(A * (h - s)) @ Bw).T
+    return total
+
+
+def _recursion(Phi: Array, forcing: Array) -> Array:
+    """x[k+1] = Phi x[k] + forcing[k] from x[0] = 0, shape (T, n) like the forcing."""
+    states = np.zeros_like(forcing)
+    x = states[0]
+    with np.errstate(over="ignore", invalid="ignore"):  # an unstable loop may overflow; the run says so
+        for k in range(len(forcing) - 1):
+            x = states[k + 1] = Phi @ x + forcing[k]
+    return states
+
+
+def _response(vehicle: Vehicle, road: Road, G: Array, time: Array, states: Array) -> Response:
+    """Every signal of the vehicle from its states over time, shape (T, n)."""
+    model = vehicle.linear_model
+    values = {
+        name: column
+        for wheel, z_r, w in zip(
+            vehicle.kind.wheels,
+            under_wheels(road.displacement, vehicle, time).T,
+            under_wheels(road.velocity, vehicle, time).T,
+            strict=True,
+        )
+        for name, column in ((wheel.road_displacement, z_r), (wheel.road_velocity, w))
+    }
+    outputs = states @ (model.C + model.D @ G).T
+    values |= dict(zip(model.outputs, outputs.T, strict=True))
+    signals = vehicle.kind.signals
+    return Response(time, signals, np.stack([values[signal.name] for signal in signals], axis=-1))
+
+
+def sampled_radius(vehicle: Vehicle, controller: Controller, timestep: float) -> float:
+    """Spectral radius of the sampled closed loop; above 1 it is unstable, whatever the continuous one is."""
+    model = vehicle.linear_model
+    Phi, Gamma = _held_inputs(model.A, timestep, linalg.expm, model.B)
+    return float(np.abs(np.linalg.eigvals(Phi + Gamma @ controller.state_gain(vehicle))).max())
+
+
+def largest_timestep(vehicle: Vehicle) -> float:
+    """The step [s] above which RK4 itself is unstable on the vehicle without control, to 1 %."""
+    A = vehicle.linear_model.A
+    rate = float(np.abs(np.linalg.eigvals(A)).max())
+    steps = np.arange(3.0, 0.0, -0.01) / rate  # RK4 is unstable for every |lambda h| above 2.83
+    for h in steps:
+        if np.abs(np.linalg.eigvals(taylor4(A * h))).max() <= 1:
+            return float(h)
+    return math.nan

@@ -1,0 +1,79 @@
+"""Where a log comes from: versions, command line, vehicle file, MJCF."""
+
+import datetime
+import json
+import platform
+import shlex
+import sys
+from collections.abc import Sequence
+from importlib import metadata
+
+from models.mjcf import mjcf_text
+from models.vehicle import Vehicle
+from sim.physics import draw
+from sim.road import Road
+from sim.run import Run
+from sim.run_log import RunLog
+from sim.verdict import controller_object, events, summary
+
+PACKAGES = ("roadproof", "mujoco", "numpy", "scipy", "mcap", "rerun-sdk")
+
+
+def versions() -> dict[str, str]:
+    """Version of everything that the numbers depend on."""
+    found = {"python": platform.python_version()}
+    for package in PACKAGES:
+        try:
+            found[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:  # run from a checkout that was never installed
+            found[package] = "not installed"
+    return found
+
+
+def stem(command: str, vehicle: Vehicle, controllers: Sequence[str]) -> str:
+    """Name of a log: what was run, and when (UTC)."""
+    now = datetime.datetime.now(datetime.UTC).strftime("%Y%m%dT%H%M%SZ")
+    which = "_".join(controllers) if len(controllers) <= 3 else f"{len(controllers)}_controllers"
+    return f"{command}-{vehicle.kind.name}-{which}-{now}"
+
+
+def common_metadata(vehicle: Vehicle, road: Road, timestep: float) -> dict[str, str]:
+    """What all runs of a log share."""
+    return {
+        "command_line": shlex.join(["python", *sys.orig_argv[1:]]),
+        "vehicle": vehicle.source,
+        "vehicle_type": vehicle.kind.name,
+        "road": json.dumps(road.describe()),
+        "timestep": repr(timestep),
+        "versions": json.dumps(versions()),
+    }
+
+
+def attachments(vehicle: Vehicle, timestep: float) -> dict[str, tuple[str, bytes]]:
+    """The vehicle file and the exact MJCF."""
+    return {
+        "vehicle.toml": ("application/toml", vehicle.text.encode()),
+        "model.xml": ("application/xml", mjcf_text(vehicle, timestep).encode()),
+    }
+
+
+def run_log(vehicle: Vehicle, road: Road, run: Run) -> RunLog:
+    """One run as it is written down."""
+    certificate, agreement = run.controller.certificate, run.agreement
+    claims = {
+        **controller_object(run.controller),
+        "designed": run.controller.designed,
+        "stable": certificate.stable,
+        "poles": [[float(pole.real), float(pole.imag)] for pole in certificate.poles],
+        "agrees": agreement.agrees,
+        "lift_off": [list(interval) for interval in agreement.lift_off],
+        "errors": {name: signal.sampled for name, signal in agreement.signals.items()},
+    }
+    return RunLog(
+        name=run.controller.name,
+        responses={"mujoco": run.physics, "linear": run.sampled, "continuous": run.continuous},
+        metadata={key: value if isinstance(value, str) else json.dumps(value) for key, value in claims.items()},
+        events=events(run),
+        summary=summary(vehicle, run),
+        scene=draw(vehicle, road, run.physics.time, run.qpos),
+    )

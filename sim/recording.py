@@ -1,0 +1,106 @@
+"""Recordings on disk: an MCAP and a Rerun file side by side, complete or absent, never over somebody's older one."""
+
+import itertools
+import shlex
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from models.errors import InputError
+from sim.recording_mcap import write_mcap
+from sim.recording_rerun import write_rrd
+from sim.run_log import RunLog
+
+
+def check_folder(folder: Path) -> None:
+    """Makes the folder and proves that files can be written there: ask before a long run, not after it.
+
+    Raises:
+        InputError: the folder cannot be made, or not written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        # Permission bits do not tell (root, read-only mounts, quotas): writing does.
+        with tempfile.NamedTemporaryFile(dir=folder, prefix=".") as probe:
+            probe.write(b"roadproof")
+            probe.flush()
+    except OSError as error:
+        raise _not_writable(folder, error) from error
+
+
+def record(
+    folder: Path,
+    stem: str,
+    runs: Sequence[RunLog],
+    metadata: Mapping[str, str],
+    attachments: Mapping[str, tuple[str, bytes]],
+) -> dict[str, Path]:
+    """Writes runs as `<stem>.mcap` and `<stem>.rrd`, or `<stem>-2`, `-3`, ... where one of the two exists already.
+
+    Both are written in full under another name first. An error or an interruption leaves nothing behind.
+
+    Args:
+        folder: where the files go; made if it is not there.
+        stem: the files' common name, without suffix.
+        runs: what to write, by distinct names.
+        metadata: what all runs share.
+        attachments: (media type, content) by name; in the MCAP file only, as Rerun has no place for them.
+
+    Returns:
+        The files' paths: `mcap` and `rerun`.
+
+    Raises:
+        InputError: the folder cannot be made, or not written.
+        ValueError: two runs have the same name.
+    """
+    names = [run.name for run in runs]
+    if len(set(names)) < len(names):
+        raise ValueError(f"runs are told apart by their names, and these are not distinct: {', '.join(names)}")
+    check_folder(folder)
+    try:
+        # Within the folder, so that giving the final name moves no data, and fails or succeeds at once.
+        with tempfile.TemporaryDirectory(dir=folder, prefix=f".{stem}-") as temporary:
+            mcap, rerun = Path(temporary, "run.mcap"), Path(temporary, "run.rrd")
+            write_mcap(mcap, runs, metadata, attachments)
+            write_rrd(rerun, runs, metadata)
+            return _published({"mcap": mcap, "rerun": rerun}, folder, stem)
+    except OSError as error:
+        raise _not_writable(folder, error) from error
+
+
+def opening_lines(paths: Mapping[str, Path]) -> list[str]:
+    """What to type to look at each file of a recording."""
+    return [
+        f"rerun {shlex.quote(str(paths['rerun']))}",
+        f"rerun {shlex.quote(str(paths['mcap']))}   (or open it in Foxglove)",
+    ]
+
+
+def _published(written: Mapping[str, Path], folder: Path, stem: str) -> dict[str, Path]:
+    """Gives finished files the first name that is free for all of them; returns their final paths."""
+    for number in itertools.count(1):
+        name = stem if number == 1 else f"{stem}-{number}"
+        final = {kind: folder / f"{name}{path.suffix}" for kind, path in written.items()}
+        ours: list[Path] = []
+        try:
+            # A rename would overwrite silently. An empty file, made only where there is none, reserves the name
+            # even against another process that records at the same time.
+            for path in final.values():
+                path.touch(exist_ok=False)
+                ours.append(path)
+            for kind, path in written.items():
+                path.replace(final[kind])
+            return final
+        except BaseException as error:
+            for path in ours:
+                path.unlink()
+            if not isinstance(error, FileExistsError):
+                raise
+    raise AssertionError("unreachable: the numbers do not end")
+
+
+def _not_writable(folder: Path, error: OSError) -> InputError:
+    return InputError(
+        f"cannot write recordings in {folder}: {error.strerror or error}. It must be a folder with free space in "
+        "which files can be made: name another one, or mend this one"
+    )

@@ -1,0 +1,64 @@
+"""A response: named signals over time, for one run or many. The linear analysis and the physics both make this."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.arrays import Array
+from models.errors import known
+from models.signals import Signal
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """Signals over time, measured from static equilibrium.
+
+    Attributes:
+        time: sample times [s], shape (T,).
+        signals: what the last axis of `values` holds, S of them, each with its unit.
+        values: shape (..., T, S); leading axes are runs.
+
+    Raises:
+        ValueError: the shapes do not fit.
+    """
+
+    time: Array
+    signals: tuple[Signal, ...]
+    values: Array
+
+    def __post_init__(self) -> None:
+        expected = (len(self.time), len(self.signals))
+        if self.values.shape[-2:] != expected:
+            raise ValueError(f"values end in shape {self.values.shape[-2:]}; time and signals say {expected}")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the signals."""
+        return tuple(signal.name for signal in self.signals)
+
+    def __getitem__(self, signal: str) -> Array:
+        """One signal over time, shape (..., T).
+
+        Raises:
+            KeyError: there is no such signal; the message lists those there are.
+        """
+        if signal not in self.names:
+            raise KeyError(f"no signal {signal!r}; this response has {known(self.names)}")
+        return self.values[..., self.names.index(signal)]
+
+    def run(self, index: int) -> "Response":
+        """One run of many."""
+        return Response(self.time, self.signals, self.values[index])
+
+    def until(self, time: float) -> "Response":
+        """The samples before a time [s]."""
+        count = int(np.searchsorted(self.time, time))
+        return Response(self.time[:count], self.signals, self.values[..., :count, :])
+
+    def peak(self, signal: str) -> Array:
+        """Largest magnitude of a signal, shape (...,), NaN where a run broke off (see `sim.physics`)."""
+        return np.max(np.abs(self[signal]), axis=-1)
+
+    def rms(self, signal: str) -> Array:
+        """Root mean square of a signal over the whole response, shape (...,)."""
+        return np.sqrt(np.mean(self[signal] ** 2, axis=-1))

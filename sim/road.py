@@ -1,0 +1,90 @@
+"""Roads: the height under a wheel as a function of time, and its exact derivative."""
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from models.arrays import Array
+from models.errors import InputError
+from models.vehicle import Vehicle
+
+
+class Road(ABC):
+    """A road driven at constant speed. Time 0 is when the first wheel reaches its start."""
+
+    speed: float
+    """Forward velocity of the vehicle [m/s]."""
+
+    @abstractmethod
+    def displacement(self, t: Array) -> Array:
+        """Height under the first wheel [m] at times t [s], same shape."""
+
+    @abstractmethod
+    def velocity(self, t: Array) -> Array:
+        """Time derivative of `displacement` [m/s] at times t [s], same shape."""
+
+    @property
+    @abstractmethod
+    def kinks(self) -> tuple[float, ...]:
+        """Times [s] at which `velocity` or one of its derivatives jumps; a quadrature must not step across one."""
+
+    @abstractmethod
+    def describe(self) -> dict[str, float | str]:
+        """What it is: its kind under `type`, then its numbers in SI."""
+
+
+@dataclass(frozen=True)
+class Bump(Road):
+    """The isolated bump (61): one period of a cosine. Defaults are the paper's (62).
+
+    Attributes:
+        height: A [m].
+        length: L [m].
+        speed: V [m/s].
+
+    Raises:
+        InputError: not a finite height, or a length or speed that is not above zero.
+    """
+
+    height: float = 0.1
+    length: float = 5.0
+    speed: float = 12.5
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not math.isfinite(value) or (field.name != "height" and value <= 0):
+                allowed = "a finite number" if field.name == "height" else "a number above 0"
+                raise InputError(f"bump {field.name} = {value} is not allowed; give {allowed}")
+
+    @property
+    def duration(self) -> float:
+        """How long a wheel is on it, L / V [s]."""
+        return self.length / self.speed
+
+    def displacement(self, t: Array) -> Array:
+        """Equation (61)."""
+        on = (t >= 0) & (t <= self.duration)
+        return np.where(on, self.height / 2 * (1 - np.cos(2 * np.pi * t / self.duration)), 0.0)
+
+    def velocity(self, t: Array) -> Array:
+        """Derivative of (61)."""
+        on = (t >= 0) & (t <= self.duration)
+        return np.where(on, self.height * np.pi / self.duration * np.sin(2 * np.pi * t / self.duration), 0.0)
+
+    @property
+    def kinks(self) -> tuple[float, ...]:
+        """Its two ends."""
+        return (0.0, self.duration)
+
+    def describe(self) -> dict[str, float | str]:
+        """Height, length, speed."""
+        return {"type": "bump", "height": self.height, "length": self.length, "speed": self.speed}
+
+
+def under_wheels(function: Callable[[Array], Array], vehicle: Vehicle, t: Array) -> Array:
+    """A road's `displacement` or `velocity` under every wheel of a vehicle, shape (T, r), at times t [s] of shape (T,)."""
+    return np.stack([function(t) for _ in vehicle.kind.wheels], axis=-1)

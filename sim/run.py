@@ -1,0 +1,97 @@
+"""One vehicle, one road, some controllers: physics, its linear predictions, and the verdict on each."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.arrays import Array
+from models.errors import InputError
+from models.vehicle import Vehicle
+from sim.agreement import Agreement, compare
+from sim.linear import continuous_response, largest_timestep, sampled_radius, sampled_response, taylor4
+from sim.physics import simulate
+from sim.response import Response
+from sim.road import Road
+from synth.controller import Controller
+
+MOST_SAMPLES = 5_000_000  # a run of these takes a gigabyte
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One controller over one road.
+
+    Attributes:
+        controller: the controller.
+        physics: what MuJoCo did.
+        sampled: exact linear response of the sampled loop.
+        continuous: exact linear response of the continuous closed loop.
+        qpos: generalized positions of the physics, shape (T, nq).
+        diverged: when the physics diverged [s]; infinite where it did not.
+        sampled_radius: spectral radius of the sampled loop; above 1 it is unstable.
+        agreement: physics against analysis.
+    """
+
+    controller: Controller
+    physics: Response
+    sampled: Response
+    continuous: Response
+    qpos: Array
+    diverged: float
+    sampled_radius: float
+    agreement: Agreement
+
+
+def sample_times(vehicle: Vehicle, duration: float, timestep: float) -> Array:
+    """Sample times 0, h, 2 h, ... up to the duration [s].
+
+    Raises:
+        InputError: a timestep or duration that is not positive, too large for RK4 on this vehicle, or far too many samples.
+    """
+    for name, value in {"timestep": timestep, "duration": duration}.items():
+        if not math.isfinite(value) or value <= 0:
+            raise InputError(f"{name} = {value} s is not allowed; give a number above 0")
+    largest = largest_timestep(vehicle)
+    if timestep > largest:
+        raise InputError(
+            f"timestep = {timestep} s is too large: RK4 is unstable on this vehicle above {largest:.3g} s; 0.001 is usual"
+        )
+    if duration < 2 * timestep:
+        raise InputError(f"duration = {duration} s is shorter than two timesteps of {timestep} s; give a longer one")
+    if duration / timestep > MOST_SAMPLES:
+        raise InputError(f"{duration / timestep:.2g} samples are too many; at most {MOST_SAMPLES} (duration / timestep)")
+    return np.arange(round(duration / timestep) + 1) * timestep
+
+
+def run_all(vehicle: Vehicle, controllers: Sequence[Controller], road: Road, time: Array) -> list[Run]:
+    """Runs every controller over the road, from rest, and compares.
+
+    Args:
+        vehicle: the vehicle.
+        controllers: its controllers.
+        road: the road.
+        time: equidistant sample times from 0 [s], see `sample_times`.
+    """
+    count, timestep = len(controllers), float(time[1] - time[0])
+    physics = simulate([vehicle] * count, controllers, [road] * count, time)
+    runs = []
+    for i, controller in enumerate(controllers):
+        measured, diverged = physics.response.run(i), float(physics.diverged[i])
+        sampled = sampled_response(vehicle, controller, road, time)
+        integrated = sampled_response(vehicle, controller, road, time, exponential=taylor4)
+        continuous = continuous_response(vehicle, controller, road, time)
+        runs.append(
+            Run(
+                controller=controller,
+                physics=measured,
+                sampled=sampled,
+                continuous=continuous,
+                qpos=physics.qpos[i],
+                diverged=diverged,
+                sampled_radius=sampled_radius(vehicle, controller, timestep),
+                agreement=compare(vehicle, measured, sampled, integrated, continuous, diverged),
+            )
+        )
+    return runs

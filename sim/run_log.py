@@ -1,0 +1,28 @@
+"""What is recorded of one run: everything a log needs, in plain data, so that the writers know no MuJoCo and no LMI."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from sim.response import Response
+from sim.scene import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class RunLog:
+    """One run, as it is written down.
+
+    Attributes:
+        name: the controller's name.
+        responses: by topic: `mujoco` (physics), `linear` (its exact sampled counterpart), `continuous` (the paper's closed loop).
+        metadata: what is claimed of the run, as text by key; JSON where a value has structure.
+        events: (time [s], text): lift-off and landing, divergence.
+        summary: design and verdict as Markdown.
+        scene: what it looks like.
+    """
+
+    name: str
+    responses: Mapping[str, Response]
+    metadata: Mapping[str, str]
+    events: tuple[tuple[float, str], ...]
+    summary: str
+    scene: Scene

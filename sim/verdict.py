@@ -1,0 +1,143 @@
+"""Runs in words and numbers: the table on the terminal, the object for `--json`, the text and events in the logs."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from models.arrays import Array
+from models.vehicle import Vehicle
+from sim.run import Run
+from synth.controller import Controller
+
+
+def run_object(vehicle: Vehicle, run: Run) -> dict[str, Any]:
+    """One run as JSON has it: SI units, None for what is infinite or does not exist."""
+    responses = {"mujoco": run.physics, "sampled": run.sampled, "continuous": run.continuous}
+    agreement = run.agreement
+    return {
+        "controller": controller_object(run.controller),
+        "signals": {
+            name: {
+                "unit": vehicle.kind.signal(name).unit,
+                "peak": {key: _finite(response.peak(name)) for key, response in responses.items()},
+                "rms": {key: _finite(response.rms(name)) for key, response in responses.items()},
+                "error": {"sampled": _finite(signal.sampled), "continuous": _finite(signal.continuous)},
+            }
+            for name, signal in agreement.signals.items()
+        },
+        "lift_off": [list(interval) for interval in agreement.lift_off],
+        "agrees": agreement.agrees,
+    }
+
+
+def controller_object(controller: Controller) -> dict[str, Any]:
+    """A controller as JSON has it."""
+    certificate = controller.certificate
+    return {
+        "name": controller.name,
+        "measured": list(controller.measured),
+        "gain": controller.gain.tolist(),
+        "bound": certificate.bound,
+        "norm": _finite(certificate.norm.value),
+        "peak_frequency": _finite(certificate.norm.peak_frequency),
+    }
+
+
+def controller_lines(controller: Controller) -> list[str]:
+    """A controller and what is known of it."""
+    certificate = controller.certificate
+    norm = certificate.norm
+    measured = ", ".join(controller.measured) or "nothing"
+    slowest = float(np.real(certificate.poles).max())
+    proof = f"bound {certificate.bound:.7g}   " if certificate.bound is not None else ""
+    lines = [
+        f"controller {controller.name}: measures {measured}",
+        f"  gain {gain_text(controller.gain)}" if controller.measured else "  no control force",
+    ]
+    if certificate.stable:
+        where = f" at {norm.peak_frequency:.5g} rad/s" if math.isfinite(norm.peak_frequency) else ""
+        lines.append(f"  {proof}norm {norm.value:.7g}{where}   stable, slowest pole {slowest:.4g} rad/s")
+    for failure in certificate.failures:
+        lines.append(f"  {failure}")
+    return lines
+
+
+def verdict_lines(run: Run) -> list[str]:
+    """What the comparison of physics and analysis came to, in sentences."""
+    agreement, lines = run.agreement, []
+    if run.sampled_radius > 1:
+        lines.append(f"unstable: the sampled loop grows by a factor of {run.sampled_radius:.6g} every step")
+    if math.isfinite(run.diverged):
+        lines.append(f"diverged: MuJoCo was stopped at {run.diverged:.4g} s; there is no vehicle any more")
+    for start, end in agreement.lift_off:
+        lines.append(f"lift-off: a tyre is off the road from {start:.4g} s to {end:.4g} s ({end - start:.3g} s)")
+    when = "throughout"
+    if math.isfinite(agreement.until):
+        lines.append(f"the linear comparison does not apply from {agreement.until:.4g} s on")
+        when = f"until {agreement.until:.4g} s"
+    worst = max(agreement.signals, key=lambda name: agreement.signals[name].sampled / agreement.signals[name].allowed)
+    error = agreement.signals[worst]
+    numbers = f"{worst}: {error.sampled:.1e} of its peak, {error.allowed:.1e} allowed"
+    if agreement.agrees:
+        lines.append(f"agrees: MuJoCo is the exact sampled response to within RK4's own error, {when} ({numbers})")
+    else:
+        lines.append(f"DOES NOT AGREE with the exact sampled response, {when} ({numbers})")
+    return lines
+
+
+def run_lines(vehicle: Vehicle, run: Run, passive: Run | None) -> list[str]:
+    """The table of one run: peak and rms of every signal, physics and linear, their errors, the change against passive."""
+    headings = ("signal", "unit", "", "MuJoCo", "sampled", "continuous", "error", "to cont.", "vs passive")
+    rows: list[tuple[str, ...]] = [headings]
+    for name, signal in run.agreement.signals.items():
+        unit = vehicle.kind.signal(name).unit
+        for kind in ("peak", "rms"):
+            values = [float(getattr(response, kind)(name)) for response in (run.physics, run.sampled, run.continuous)]
+            reference = float(getattr(passive.physics, kind)(name)) if passive else 0.0
+            change = f"{100 * (values[0] / reference - 1):+.1f} %" if reference else "-"
+            errors = (f"{signal.sampled:.1e}", f"{signal.continuous:.1e}") if kind == "peak" else ("", "")
+            rows.append((name if kind == "peak" else "", unit, kind, *(f"{value:.6g}" for value in values), *errors, change))
+    return [f"  {line}" for line in _table(rows)]
+
+
+def events(run: Run) -> tuple[tuple[float, str], ...]:
+    """Lift-offs, landings and divergence, in the order of their times [s]."""
+    happened = [(start, "lift-off") for start, _ in run.agreement.lift_off]
+    happened += [(end, "landing") for _, end in run.agreement.lift_off]
+    if math.isfinite(run.diverged):
+        happened.append((run.diverged, "diverged"))
+    return tuple(sorted(happened))
+
+
+def summary(vehicle: Vehicle, run: Run) -> str:
+    """Design and verdict as Markdown."""
+    lines = [f"# {run.controller.name}", ""]
+    lines += [f"- {line.strip()}" for line in controller_lines(run.controller)[1:]]
+    lines += [f"- measures {', '.join(run.controller.measured) or 'nothing'}", "", "## Verdict", ""]
+    lines += [f"- {line}" for line in verdict_lines(run)]
+    lines += ["", "| signal | peak MuJoCo | peak linear | error |", "|---|---|---|---|"]
+    for name, signal in run.agreement.signals.items():
+        unit = vehicle.kind.signal(name).unit
+        physics, linear = float(run.physics.peak(name)), float(run.sampled.peak(name))
+        lines.append(f"| {name} [{unit}] | {physics:.6g} | {linear:.6g} | {signal.sampled:.1e} |")
+    return "\n".join(lines) + "\n"
+
+
+def gain_text(gain: Array) -> str:
+    """A gain matrix on one line, as a vehicle file has it."""
+    return "[" + ", ".join("[" + ", ".join(f"{entry:.6g}" for entry in row) + "]" for row in gain) + "]"
+
+
+def _table(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Rows in aligned columns: the first three to the left, numbers to the right."""
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    return [
+        "  ".join(cell.ljust(w) if i < 3 else cell.rjust(w) for i, (cell, w) in enumerate(zip(row, widths, strict=True))).rstrip()
+        for row in rows
+    ]
+
+
+def _finite(value: Any) -> float | None:
+    return float(value) if math.isfinite(value) else None

@@ -1,0 +1,336 @@
+"""The central path of the design problem, followed to its limit: the one optimal solution that is unique.
+
+The optimum of (22) or (25) is attained on a whole face of pairs (X, Y): gamma is well defined, the gain is not, and an
+interior-point solver returns whichever point of the face its scaling and tolerance lead to. The limit of
+
+    maximise   eta / mu + log det X_Q + log det X_R + log det(-F(X_Q, X_R, Y_R, eta)),     mu -> 0,
+
+is unique, and depends on no solver and no choice of state coordinates, input units or time unit: changing them only adds
+constants to the logarithms. It is what the paper printed.
+
+It is followed by Newton's method (Boyd, Vandenberghe, Convex Optimization, chapter 11) with a predictor along its tangent in
+mu. Two changes of coordinates keep every number of order one. In the state coordinates T = [Q R], equation (12) reads
+X = diag(X_Q, X_R) and Y = [0 Y_R]; state feedback is the case of an empty Q and R = I. And at every stage the coordinates are
+moved to the current point, where X = I and, with the current gain absorbed in the plant, Y = 0.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import linalg
+
+from models.arrays import Array
+from synth.bounded_real import bounded_real_matrix
+from synth.errors import DesignError, InfeasibleError
+from synth.plant import GeneralizedPlant
+
+Block = tuple[Array, Array]  # an affine matrix F0 + sum_i p_i F_i that must stay positive definite: F0 (k, k), F (N, k, k)
+
+LIMIT = 1e-9
+"""Distance mu / eta at which the path counts as having arrived: gains are within 3e-6 of the limit for the paper's problem."""
+
+
+@dataclass(frozen=True, eq=False)
+class CentralPoint:
+    """A strictly feasible point on the central path.
+
+    Attributes:
+        X: shape (n, n), by (12).
+        K: gain Y_R X_R^-1, shape (m, q), by (13). It acts on the q coordinates that R spans.
+        eta: gamma^-2 of the point; the optimum lies above it, by at most (2 n + d) mu.
+        mu: the parameter of the path, relative to eta.
+    """
+
+    X: Array
+    K: Array
+    eta: float
+    mu: float
+
+    @property
+    def gamma(self) -> float:
+        """The bound eta^-1/2 that this point proves, (23) and (26)."""
+        return self.eta**-0.5
+
+
+def central_point(plant: GeneralizedPlant, Q: Array, R: Array, mu: float = LIMIT) -> CentralPoint:
+    """The point of the central path of (25) at mu; of (22) with an empty Q and R = I.
+
+    Args:
+        plant: n states, m inputs.
+        Q: shape (n, n - q).
+        R: shape (n, q); [Q R] is regular.
+        mu: where on the path, relative to eta. The default is its limit; a larger one stays short of the optimum.
+
+    Raises:
+        InfeasibleError: there is no feasible point with eta > 0.
+        DesignError: Newton's method broke down short of mu.
+    """
+    path = _Path(plant, Q, R)
+    path.find_feasible_point()
+    path.follow(mu)
+    return path.point()
+
+
+class _Path:
+    """A point that walks along the path. The only mutable thing in this package; it lives inside `central_point`."""
+
+    def __init__(self, plant: GeneralizedPlant, Q: Array, R: Array) -> None:
+        self.free = Q.shape[1]  # a = n - q
+        T = np.hstack([Q, R])
+        plant = plant.in_coordinates(T)
+        # Only numerics from here on: a diagonal scaling of the states, and units in which A, B, Bw and C have size one.
+        _, (diagonal, _) = linalg.matrix_balance(plant.A, permute=False, separate=True)
+        plant = plant.in_coordinates(np.diag(diagonal))
+        self.rate = _size(plant.A)
+        self.input_unit = self.rate / _size(plant.B)
+        self.disturbance_unit = self.rate / _size(plant.Bw)
+        self.output_unit = 1 / _size(plant.C)
+        self.plant = GeneralizedPlant(
+            A=plant.A / self.rate,
+            B=plant.B * self.input_unit / self.rate,
+            Bw=plant.Bw * self.disturbance_unit / self.rate,
+            C=plant.C * self.output_unit,
+            D=plant.D * self.output_unit * self.input_unit,
+            Dw=plant.Dw * self.output_unit * self.disturbance_unit,
+        )
+        self.start = T @ np.diag(diagonal)  # from the scaled coordinates of the beginning to the user's
+        self.block_start = np.diag(diagonal[self.free :])
+        self.V = np.eye(len(T))  # from the current coordinates to those of the beginning
+        self.K = np.zeros((plant.B.shape[1], R.shape[1]))  # the gain absorbed so far, in those of the beginning
+        self.eta = 0.0
+        self.mu = np.inf
+        self.basis = _Basis(self.plant, self.free)
+
+    def find_feasible_point(self) -> None:
+        """A strictly feasible point, or the proof that there is none.
+
+        Feasible points exist if and only if He(A X + B Y) < 0 has a solution of the structure (12): scaled down far enough, any
+        such pair satisfies (24) with some eta > 0. So: minimise s over He(A X + B Y) < s I, 0 < X < I, |Y| < 10, until s < 0.
+        """
+        basis, n, m = self.basis, len(self.plant.A), self.plant.B.shape[1]
+        lyapunov = basis.F[:, :n, :n].copy()
+        lyapunov[-1] = -np.eye(n)  # the last unknown is s here, eta later
+        box = np.zeros((basis.size, m + n, m + n))
+        box[:, :m, m:], box[:, m:, :m] = basis.Y, basis.Y.transpose(0, 2, 1)
+        blocks = [
+            (np.zeros((n, n)), -lyapunov),
+            (np.zeros((n, n)), basis.X),
+            (np.eye(n), -basis.X),
+            (10 * np.eye(m + n), box),
+        ]
+        p = basis.pack(np.eye(n) / 2, np.zeros((m, n)), 0.0)
+        s = np.linalg.eigvalsh(np.tensordot(p, lyapunov, 1))[-1]
+        p[-1] = s + max(abs(s), 1e-3)
+        mu = p[-1]
+        while True:
+            p, _ = _newton(blocks, p, _direction(basis.size, 1 / mu), tolerance=0.3)
+            if p[-1] < 0:
+                break
+            mu /= 10
+            if mu < 1e-10:
+                # On the path s exceeds its infimum by no more than (number of rows) mu, so the infimum is 0 to rounding.
+                raise InfeasibleError(
+                    f"the LMI problem is infeasible: no X > 0 of the required structure makes A X + B Y + (A X + B Y)' negative "
+                    f"definite (smallest largest eigenvalue found: {p[-1]:.0e}, in units of |A||X|). The measured signals may "
+                    f"not suffice, or L does not fit the problem; measure more signals, or use the L of equation (14)"
+                )
+
+        p[-1] = 0.0
+        X, Y, _ = basis.unpack(p)
+        F = bounded_real_matrix(self.plant, X, Y, 0.0)
+        low = F[n:, :n]
+        shrink = 0.5 / max(linalg.eigh(low.T @ low, -F[:n, :n], eigvals_only=True)[-1], 1e-12)
+        X, Y = shrink * X, shrink * Y
+        disturbance = basis.F[-1]
+        F = bounded_real_matrix(self.plant, X, Y, 0.0)
+        self.eta = 0.5 / linalg.eigh(disturbance, -F, eigvals_only=True)[-1]
+        self._move_to(X, Y)
+
+    def follow(self, mu_end: float) -> None:
+        """Walks along the path until mu = mu_end eta."""
+        n, m = len(self.plant.A), self.plant.B.shape[1]
+        self.mu = 30 * self.eta
+        while True:
+            arrived = self.eta > 0 and self.mu <= mu_end * self.eta * 1.001
+            basis = self.basis
+            blocks: list[Block] = [(-basis.F0, -basis.F), (np.zeros((n, n)), basis.X)]
+            p = basis.pack(np.eye(n), np.zeros((m, n)), self.eta)
+            p, decrement = _newton(blocks, p, _direction(basis.size, -1 / self.mu), tolerance=1e-5 if arrived else 0.1)
+            if decrement > 0.5:
+                raise DesignError(
+                    f"the central path could not be followed below mu = {self.mu / abs(p[-1]):.1e} (Newton decrement "
+                    f"{decrement:.1e}): the optimum is probably reached only by an infinite gain; weigh the control force more"
+                )
+            if not arrived:
+                eta = p[-1]
+                ratio = 0.1 if self.mu > 1e-2 * abs(eta) else 1e-2
+                # Arrive exactly, and without a last step that is hardly one.
+                if eta > 0 and self.mu * ratio < 3 * mu_end * eta:
+                    ratio = min(mu_end * eta / self.mu, 0.5)
+                p = _predict(blocks, p, self.mu, ratio)
+                self.mu *= ratio
+            X, Y, self.eta = basis.unpack(p)
+            self._move_to(X, Y)
+            if arrived:
+                return
+
+    def point(self) -> CentralPoint:
+        """Where it stands, in the user's coordinates and units."""
+        T = self.start @ self.V
+        K = self.K @ np.linalg.inv(self.block_start) * self.input_unit
+        return CentralPoint(
+            X=T @ T.T * (self.rate * self.output_unit**2),  # X = I here, X = V V' at the beginning; the units follow from (21)
+            K=K,
+            eta=self.eta * (self.disturbance_unit * self.output_unit) ** 2,
+            mu=self.mu / self.eta,
+        )
+
+    def _move_to(self, X: Array, Y: Array) -> None:
+        """Changes the coordinates so that X becomes I and Y becomes 0."""
+        a = self.free
+        gain = Y @ np.linalg.inv(X)
+        self.K = self.K + gain[:, a:] @ np.linalg.inv(self.V[a:, a:])
+        S: Any = linalg.block_diag(np.linalg.cholesky(X[:a, :a]), np.linalg.cholesky(X[a:, a:]))
+        self.plant = self.plant.closed_loop(gain).in_coordinates(S)
+        self.V = self.V @ S
+        self.basis = _Basis(self.plant, a)
+
+
+class _Basis:
+    """The N unknowns p = (X_Q, X_R, Y_R, eta), and the matrices they multiply, in coordinates where (12) is block diagonal.
+
+    Attributes:
+        X: shape (N, n, n).    Y: shape (N, m, n).    F0, F: the matrix (24) is F0 + sum_i p_i F_i, shapes (k, k), (N, k, k).
+    """
+
+    def __init__(self, plant: GeneralizedPlant, free: int) -> None:
+        n, m = plant.B.shape
+        d = len(plant.C)
+        rows, columns = np.triu_indices(n)
+        inside = (rows >= free) | (columns < free)  # no unknown couples the two blocks
+        self.rows, self.columns = rows[inside], columns[inside]
+        k = len(self.rows)
+        self.free = free
+        self.size = k + m * (n - free) + 1
+
+        self.X = np.zeros((self.size, n, n))
+        self.X[np.arange(k), self.rows, self.columns] = 1
+        self.X[np.arange(k), self.columns, self.rows] = 1
+        self.Y = np.zeros((self.size, m, n))
+        index = np.arange(m * (n - free))
+        self.Y[k + index, index // (n - free), free + index % (n - free)] = 1
+
+        top = plant.A @ self.X + plant.B @ self.Y
+        low = plant.C @ self.X + plant.D @ self.Y
+        self.F = np.zeros((self.size, n + d, n + d))
+        self.F[:, :n, :n] = top + top.transpose(0, 2, 1)
+        self.F[:, n:, :n] = low
+        self.F[:, :n, n:] = low.transpose(0, 2, 1)
+        disturbance = np.vstack([plant.Bw, plant.Dw])
+        self.F[-1] = disturbance @ disturbance.T
+        self.F0 = np.zeros((n + d, n + d))
+        self.F0[n:, n:] = -np.eye(d)
+
+    def pack(self, X: Array, Y: Array, last: float) -> Array:
+        return np.concatenate([X[self.rows, self.columns], Y[:, self.free :].ravel(), [last]])
+
+    def unpack(self, p: Array) -> tuple[Array, Array, float]:
+        return np.tensordot(p, self.X, 1), np.tensordot(p, self.Y, 1), float(p[-1])
+
+
+def _newton(blocks: Sequence[Block], p: Array, c: Array, tolerance: float) -> tuple[Array, float]:
+    """Minimises c'p - sum log det(F0 + sum_i p_i F_i) from a feasible p until the Newton decrement is below the tolerance.
+
+    Returns:
+        The minimiser and its Newton decrement. It stops where rounding stops it; the caller looks at the decrement.
+    """
+    factors = _factor(blocks, p)
+    assert factors is not None, "the starting point is feasible"
+    previous = np.inf
+    decrement = np.inf
+    for _ in range(200):
+        trace, scale, triangle = _derivatives(blocks, factors)
+        half = linalg.solve_triangular(triangle, (c - trace) * scale, trans=1, check_finite=False)
+        decrement = float(np.linalg.norm(half))
+        if decrement < tolerance or (decrement < 1e-2 and decrement >= 0.5 * previous):
+            break
+        previous = decrement
+        step = -scale * linalg.solve_triangular(triangle, half, check_finite=False)
+
+        value = _value(c, p, factors)
+        length = 1.0
+        while True:
+            moved = _factor(blocks, p + length * step)
+            # The last term is the rounding of the value itself, which is all that is left close to the limit.
+            allowed = value - 0.1 * length * decrement**2 + 1e-12 * abs(value)
+            if moved is not None and _value(c, p + length * step, moved) <= allowed:
+                break
+            length /= 2
+            if length < 1e-10:
+                return p, decrement
+        # Far away a Newton step of a barrier only doubles a distance: go on while it gets better.
+        while length >= 1 and decrement > 1:
+            further = _factor(blocks, p + 2 * length * step)
+            if further is None or _value(c, p + 2 * length * step, further) >= _value(c, p + length * step, moved):
+                break
+            length, moved = 2 * length, further
+        p, factors = p + length * step, moved
+    return p, decrement
+
+
+def _predict(blocks: Sequence[Block], p: Array, mu: float, ratio: float) -> Array:
+    """A step along the tangent of the path in mu, from mu to ratio * mu, kept inside."""
+    factors = _factor(blocks, p)
+    assert factors is not None, "the path stays feasible"
+    _, scale, triangle = _derivatives(blocks, factors)
+    half = linalg.solve_triangular(triangle, _direction(len(p), 1 / mu) * scale, trans=1, check_finite=False)
+    step = scale * linalg.solve_triangular(triangle, half, check_finite=False)
+    length = 1 - ratio
+    while _factor(blocks, p + length / 0.98 * step) is None:
+        length *= 0.7
+    return p + length * step
+
+
+def _factor(blocks: Sequence[Block], p: Array) -> list[Array] | None:
+    """Cholesky factors of all blocks, or None outside the feasible set."""
+    try:
+        return [np.linalg.cholesky(F0 + np.tensordot(p, F, 1)) for F0, F in blocks]
+    except np.linalg.LinAlgError:
+        return None
+
+
+def _value(c: Array, p: Array, factors: Sequence[Array]) -> float:
+    return float(c @ p) - 2 * sum(float(np.log(np.diagonal(factor)).sum()) for factor in factors)
+
+
+def _derivatives(blocks: Sequence[Block], factors: Sequence[Array]) -> tuple[Array, Array, Array]:
+    """Gradient of sum log det, and the Hessian as a triangle: H = S^-1 R'R S^-1.
+
+    The Hessian is G G' with rows G_i = vec(L^-1 F_i L^-T), so a QR of G' gives its factor with half the digits lost.
+
+    Returns:
+        trace (N,), scale S (N,), R (N, N).
+    """
+    rows = []
+    trace = np.zeros(len(blocks[0][1]))
+    for (_, F), factor in zip(blocks, factors, strict=True):
+        inverse = np.linalg.inv(factor)
+        W = inverse @ F @ inverse.T
+        rows.append(W.reshape(len(F), -1))
+        trace += np.trace(W, axis1=1, axis2=2)
+    G = np.concatenate(rows, axis=1)
+    scale = 1 / np.sqrt(np.einsum("ij,ij->i", G, G))
+    triangle: Any = np.linalg.qr((G * scale[:, None]).T, mode="r")
+    return trace, scale, triangle
+
+
+def _direction(size: int, value: float) -> Array:
+    c = np.zeros(size)
+    c[-1] = value
+    return c
+
+
+def _size(matrix: Array) -> float:
+    return float(np.linalg.norm(matrix, 2)) or 1.0

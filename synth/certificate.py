@@ -1,0 +1,98 @@
+"""What is true of a gain, checked with numpy alone and without the solver that found it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.arrays import Array
+from synth.bounded_real import bounded_real_matrix
+from synth.norm import Norm, hinf_norm
+from synth.plant import GeneralizedPlant
+
+ROUTES_AGREE = 1e-6  # relative; the two norms of a well-conditioned plant agree to 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Certificate:
+    """Everything claimed of a closed loop.
+
+    Attributes:
+        poles: eigenvalues of A + B K C_y [rad/s], complex, shape (n,).
+        norm: the H-infinity norm by two routes, and where it peaks.
+        bound: gamma = eta^-1/2 of the LMI; None for a gain that came without one.
+        X: the matrix that proves the bound, shape (n, n); None without one.
+        X_smallest: smallest eigenvalue of X, balanced to a unit diagonal.
+        lmi_largest: largest eigenvalue of (20), balanced likewise. Negative proves stability and norm < bound.
+        lmi_rounding: what rounding can add to it.
+    """
+
+    poles: Array
+    norm: Norm
+    bound: float | None
+    X: Array | None
+    X_smallest: float
+    lmi_largest: float
+    lmi_rounding: float
+
+    @property
+    def stable(self) -> bool:
+        """Whether all poles lie left of the imaginary axis."""
+        return bool(np.all(np.real(self.poles) < 0))
+
+    @property
+    def failures(self) -> tuple[str, ...]:
+        """The claims that do not hold, in words; empty where all do."""
+        failures = []
+        if not self.stable:
+            failures.append(f"unstable: a pole at {_pole(self.poles[np.argmax(np.real(self.poles))])} rad/s")
+        elif self.norm.gap > ROUTES_AGREE:
+            failures.append(f"the two routes to the norm differ by {self.norm.gap:.0e}")
+        if self.bound is not None:
+            if self.X_smallest <= 0:
+                failures.append(f"X is not positive definite: balanced, its smallest eigenvalue is {self.X_smallest:.1e}")
+            if self.lmi_largest > self.lmi_rounding:
+                failures.append(
+                    f"LMI (20) is violated: its largest eigenvalue is {self.lmi_largest:.1e}, rounding is {self.lmi_rounding:.0e}"
+                )
+            if self.norm.value > self.bound:
+                failures.append(f"the norm {self.norm.value:.7g} exceeds the bound {self.bound:.7g}")
+        return tuple(failures)
+
+
+def certify(plant: GeneralizedPlant, G: Array, X: Array | None = None, eta: float | None = None) -> Certificate:
+    """Checks a gain, and its proof if it has one.
+
+    Args:
+        plant: n states, m inputs.
+        G: state gain K C_y (6), shape (m, n).
+        X: the matrix of (20), shape (n, n).
+        eta: gamma^-2 of (20); given with X.
+    """
+    loop = plant.closed_loop(G)
+    X_smallest = lmi_largest = lmi_rounding = float("nan")
+    bound = None
+    if X is not None and eta is not None:
+        bound = float(eta**-0.5)
+        # A congruence changes no sign of an eigenvalue: balanced to a unit diagonal of X, sizes mean something.
+        scale = np.sqrt(np.diagonal(X))
+        balanced = loop.in_coordinates(np.diag(scale))
+        unit = X / np.outer(scale, scale)
+        X_smallest = float(np.linalg.eigvalsh(unit)[0])
+        nothing = np.zeros_like(G)
+        F = bounded_real_matrix(balanced, unit, nothing, eta)
+        lmi_largest = float(np.linalg.eigvalsh(F)[-1])
+        terms = np.linalg.norm(balanced.A, 2) * np.linalg.norm(unit, 2) + np.linalg.norm(F, 2)
+        lmi_rounding = float(len(F) * np.finfo(float).eps * terms)
+    return Certificate(
+        poles=np.sort_complex(np.linalg.eigvals(loop.A)),
+        norm=hinf_norm(loop),
+        bound=bound,
+        X=X,
+        X_smallest=X_smallest,
+        lmi_largest=lmi_largest,
+        lmi_rounding=lmi_rounding,
+    )
+
+
+def _pole(pole: complex) -> str:
+    return f"{pole.real:.4g}" if pole.imag == 0 else f"{pole.real:.4g}{abs(pole.imag):+.4g}j"

@@ -1,0 +1,50 @@
+"""Static output feedback u = K y, y = C_y x, in two steps: L (14) and R (9) from the state-feedback X, then (25) for K (13)."""
+
+import numpy as np
+from scipy import linalg
+
+from models.arrays import Array
+from synth.central import CentralPoint, central_point
+from synth.errors import InfeasibleError
+from synth.plant import GeneralizedPlant
+
+
+def nullspace(Cy: Array) -> Array:
+    """Q: an orthonormal basis of the nullspace of C_y, shape (n, n - q). Its signs and order are arbitrary; K is not affected."""
+    return linalg.null_space(Cy)
+
+
+def l_matrix(X: Array, Cy: Array, Q: Array) -> Array:
+    """L = Q^+ X C_y' (C_y X C_y')^-1, shape (n - q, q), equation (14).
+
+    Args:
+        X: the state-feedback X, shape (n, n).
+        Cy: shape (q, n), full row rank.
+        Q: shape (n, n - q).
+    """
+    return np.linalg.pinv(Q) @ X @ Cy.T @ np.linalg.inv(Cy @ X @ Cy.T)
+
+
+def r_matrix(Cy: Array, Q: Array, L: Array) -> Array:
+    """R = C_y^+ + Q L, shape (n, q), equation (9)."""
+    return np.linalg.pinv(Cy) + Q @ L
+
+
+def output_feedback(plant: GeneralizedPlant, Cy: Array, L: Array, Q: Array) -> CentralPoint:
+    """The controller u = K y for a given L: the central-path limit of (25), with K = Y_R X_R^-1 (13).
+
+    Args:
+        plant: n states, m inputs.
+        Cy: observed output y = C_y x, shape (q, n), full row rank.
+        L: shape (n - q, q): (14), or zero for the one-step design that remark 4 speaks of.
+        Q: basis of the nullspace of C_y, shape (n, n - q).
+
+    Raises:
+        InfeasibleError: (25) has no solution with eta > 0 for this L.
+        DesignError: see `central_point`.
+    """
+    try:
+        return central_point(plant, Q, r_matrix(Cy, Q, L))
+    except InfeasibleError as error:
+        which = "L = 0" if not np.any(L) else "this L"
+        raise InfeasibleError(f"problem (25) has no solution with eta > 0 for {which}: {error}") from error

@@ -1,0 +1,70 @@
+"""The generalized plant (15): x' = A x + B u + Bw w, z = C x + D u + Dw w."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.arrays import Array
+
+
+@dataclass(frozen=True, eq=False)
+class GeneralizedPlant:
+    """A linear plant with a disturbance and a controlled output.
+
+    Attributes:
+        A: shape (n, n).
+        B: shape (n, m).
+        Bw: shape (n, r).
+        C: shape (d, n).
+        D: shape (d, m).
+        Dw: shape (d, r). Zero in the paper.
+
+    Raises:
+        ValueError: a matrix has the wrong shape or an entry that is not finite; the message names it.
+    """
+
+    A: Array
+    B: Array
+    Bw: Array
+    C: Array
+    D: Array
+    Dw: Array
+
+    def __post_init__(self) -> None:
+        n, m, r, d = self.A.shape[0], self.B.shape[-1], self.Bw.shape[-1], self.C.shape[0]
+        shapes = {"A": (n, n), "B": (n, m), "Bw": (n, r), "C": (d, n), "D": (d, m), "Dw": (d, r)}
+        for name, shape in shapes.items():
+            matrix = np.array(getattr(self, name), dtype=float)
+            if matrix.shape != shape:
+                raise ValueError(f"{name} has shape {matrix.shape}; expected {shape}")
+            if not np.all(np.isfinite(matrix)):
+                raise ValueError(f"{name} has an entry that is not finite")
+            matrix.flags.writeable = False
+            object.__setattr__(self, name, matrix)
+
+    def closed_loop(self, G: Array) -> "GeneralizedPlant":
+        """The plant under u = G x + (a new u), equations (16)-(17).
+
+        Args:
+            G: state gain, shape (m, n).
+        """
+        return GeneralizedPlant(self.A + self.B @ G, self.B, self.Bw, self.C + self.D @ G, self.D, self.Dw)
+
+    def in_coordinates(self, T: Array) -> "GeneralizedPlant":
+        """The same plant with state T^-1 x.
+
+        Args:
+            T: shape (n, n), regular.
+        """
+        inverse = np.linalg.inv(T)
+        return GeneralizedPlant(inverse @ self.A @ T, inverse @ self.B, inverse @ self.Bw, self.C @ T, self.D, self.Dw)
+
+    def frequency_response(self, omega: Array) -> Array:
+        """T(j omega) from w to z without control, complex, shape (F, d, r), by (19).
+
+        Args:
+            omega: angular frequencies [rad/s], shape (F,).
+        """
+        s = 1j * np.asarray(omega, dtype=float)[:, None, None]
+        resolvent = np.linalg.solve(s * np.eye(len(self.A)) - self.A, self.Bw.astype(complex)[None])
+        return self.C @ resolvent + self.Dw

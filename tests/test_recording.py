@@ -1,0 +1,313 @@
+"""Recordings: what was written is read back by the formats' own readers, and an unfinished one leaves no trace."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+
+from models.errors import InputError
+from models.signals import CONTROL_FORCE, ROAD_DISPLACEMENT, SPRUNG_ACCELERATION, SUSPENSION_DEFLECTION
+from sim import recording
+from sim.recording import check_folder, opening_lines, record
+from sim.recording_mcap import write_mcap
+from sim.recording_rerun import write_rrd
+from sim.response import Response
+from sim.run_log import RunLog
+from sim.scene import Motion, Scene, Shape
+
+SIGNALS = (ROAD_DISPLACEMENT, SUSPENSION_DEFLECTION, SPRUNG_ACCELERATION, CONTROL_FORCE)
+METADATA = {"command": "sim.bump", "road": json.dumps({"type": "bump", "height_m": 0.1}), "vehicle_file": "a\nb | c"}
+ATTACHMENTS = {"model.xml": ("application/xml", b"<mujoco/>"), "empty": ("text/plain", b"")}
+
+
+def make_scene() -> Scene:
+    """One solid of every form, turned and moving; the last frame is not finite, as in a run that broke off."""
+    time = np.linspace(0.0, 0.3, 7)
+    height = 0.1 * np.sin(20 * time)
+    height[-1] = np.nan
+    moving = np.stack([0 * time, 0 * time, height], axis=1)
+    half_turn = np.sqrt(0.5)
+    quaternions = np.tile([half_turn, 0.0, 0.0, half_turn], (7, 1))
+    upright, lying = np.array([1.0, 0, 0, 0]), np.array([half_turn, half_turn, 0, 0])
+    grey = np.array([0.5, 0.5, 0.5, 1.0])
+    shapes = (
+        Shape("body", "sprung", "box", np.array([0.5, 0.3, 0.1]), np.array([0, 0, 0.5]), upright, grey),
+        Shape("rod", "sprung", "capsule", np.array([0.02, 0.2, 0]), np.array([0, 0, 0.3]), upright, grey),
+        Shape("tyre", "unsprung", "cylinder", np.array([0.3, 0.1, 0]), np.zeros(3), lying, grey),
+        Shape("hub", "unsprung", "sphere", np.array([0.05, 0, 0]), np.zeros(3), upright, grey),
+    )
+    bodies = {"sprung": Motion(moving + [0, 0, 0.5], quaternions), "unsprung": Motion(moving, quaternions)}
+    springs = {"suspension": np.stack([moving, moving + [0, 0, 0.4]], axis=1)}
+    return Scene(time, shapes, bodies, springs)
+
+
+def make_run(name: str) -> RunLog:
+    """Responses with zeros, negative zeros, tiny and huge numbers, NaN and infinity, on different times and signals."""
+    random = np.random.default_rng(len(name))
+    values = random.standard_normal((300, 4)) * 10.0 ** random.integers(-300, 300, (300, 4))
+    values[:10] = 0.0
+    values[10:20] = -0.0
+    values[-3:] = np.nan, np.inf, -np.inf, 1.0
+    time = np.linspace(0.0, 0.299, 300)
+    responses = {
+        "mujoco": Response(time, SIGNALS, values),
+        "linear": Response(time, SIGNALS, values * 1.01),
+        "continuous": Response(time[::3], SIGNALS[1:], values[::3, 1:]),
+    }
+    events = ((0.05, "tyre leaves the road"), (0.08, "tyre lands"))
+    return RunLog(name, responses, {"bound": "6.3", "gain": "[[1, 2]]"}, events, f"# {name}\n\nproved", make_scene())
+
+
+@pytest.fixture(scope="module")
+def run() -> RunLog:
+    return make_run("I")
+
+
+@pytest.fixture(scope="module")
+def paths(run: RunLog, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    return record(tmp_path_factory.mktemp("logs"), "bump", [run], METADATA, ATTACHMENTS)
+
+
+def rerun_command(*arguments: object) -> None:
+    subprocess.run([sys.executable, "-m", "rerun", *map(str, arguments)], check=True, capture_output=True, timeout=60)
+
+
+def rerun_columns(path: Path, entity: str) -> dict[str, list]:
+    """Every column of an entity's rows over time, in the order of time; a component's value is its first instance."""
+    from rerun.chunk import RrdReader
+
+    columns: dict[str, list] = {}
+    for chunk in RrdReader(path).stream().to_chunks():
+        if chunk.entity_path == entity and not chunk.is_static:
+            batch = chunk.to_record_batch()
+            for name, column in zip(batch.schema.names, batch.columns, strict=True):
+                # Durations as integers: Python's own have no nanoseconds.
+                values = column.cast("int64") if str(column.type).startswith("duration") else column
+                columns.setdefault(name, []).extend(
+                    value[0] if isinstance(value, list) else value for value in values.to_pylist()
+                )
+    return columns
+
+
+def nanoseconds(time: np.ndarray) -> list[int]:
+    return [round(t * 1e9) for t in time]
+
+
+def messages(path: Path) -> dict[str, list]:
+    """(schema, channel, record, decoded) of every message, by topic."""
+    found: dict[str, list] = {}
+    with path.open("rb") as stream:
+        for message in make_reader(stream, decoder_factories=[DecoderFactory()]).iter_decoded_messages():
+            found.setdefault(message[1].topic, []).append(message)
+    return found
+
+
+def test_mcap_gives_back_every_number(run: RunLog, paths: dict[str, Path]) -> None:
+    """Times to the nanosecond and values to the bit, NaN, infinities and signed zeros included."""
+    found = messages(paths["mcap"])
+    assert set(found) == {"/mujoco", "/linear", "/continuous", "/events"}
+    for name, response in run.responses.items():
+        rows = found[f"/{name}"]
+        values = np.array([[getattr(decoded, signal) for signal in response.names] for *_, decoded in rows])
+        # No tolerance: protobuf doubles are IEEE doubles.
+        assert values.tobytes() == np.ascontiguousarray(response.values).tobytes()
+        assert [message.log_time for _, _, message, _ in rows] == nanoseconds(response.time)
+        assert all(message.publish_time == message.log_time for _, _, message, _ in rows)
+
+
+def test_mcap_says_what_a_signal_is(run: RunLog, paths: dict[str, Path]) -> None:
+    """Unit, symbol and meaning of every signal are in the channel's metadata."""
+    _, channel, _, _ = messages(paths["mcap"])["/mujoco"][0]
+    described = {name: json.loads(text) for name, text in channel.metadata.items()}
+    assert described == {s.name: {"unit": s.unit, "symbol": s.symbol, "meaning": s.meaning} for s in SIGNALS}
+
+
+def test_mcap_events_are_foxglove_logs(run: RunLog, paths: dict[str, Path]) -> None:
+    """An event has its time, its text and the run's name, in the published schema."""
+    rows = messages(paths["mcap"])["/events"]
+    assert {schema.name for schema, *_ in rows} == {"foxglove.Log"}
+    found = [(log.timestamp.ToNanoseconds() / 1e9, log.message, log.name, log.level) for *_, log in rows]
+    assert found == [(time, text, "I", 2) for time, text in run.events]  # 2 is INFO
+
+
+def test_mcap_carries_metadata_and_attachments(run: RunLog, paths: dict[str, Path]) -> None:
+    """Common and per-run metadata, and attached files, come back as they were given."""
+    with paths["mcap"].open("rb") as stream:
+        reader = make_reader(stream)
+        assert {item.name: item.metadata for item in reader.iter_metadata()} == {
+            "roadproof": METADATA,
+            "run/I": run.metadata,
+        }
+        assert {item.name: (item.media_type, item.data) for item in reader.iter_attachments()} == ATTACHMENTS
+
+
+def test_mcap_topics_of_several_runs(tmp_path: Path) -> None:
+    """Several runs are told apart by their names, and come in the order of time."""
+    write_mcap(tmp_path / "runs.mcap", [make_run("I"), make_run("II")], {}, {})
+    found = messages(tmp_path / "runs.mcap")
+    assert set(found) == {f"/{run}/{topic}" for run in ("I", "II") for topic in ("mujoco", "linear", "continuous", "events")}
+    with (tmp_path / "runs.mcap").open("rb") as stream:
+        times = [message.log_time for *_, message in make_reader(stream).iter_messages(log_time_order=False)]
+    assert times == sorted(times)
+
+
+def test_mcap_fields_beyond_fifteen(tmp_path: Path) -> None:
+    """A vehicle with many signals decodes too: from field 16 on, a tag is two bytes."""
+    signals = tuple(SUSPENSION_DEFLECTION.at(f"corner_{index}") for index in range(40))
+    values = np.random.default_rng(0).standard_normal((5, 40))
+    run = RunLog("I", {"mujoco": Response(np.linspace(0.0, 1.0, 5), signals, values)}, {}, (), "", make_scene())
+    write_mcap(tmp_path / "many.mcap", [run], {}, {})
+    rows = messages(tmp_path / "many.mcap")["/mujoco"]
+    assert [[getattr(row[3], signal.name) for signal in signals] for row in rows] == values.tolist()
+
+
+def test_rerun_opens_the_mcap(run: RunLog, paths: dict[str, Path], tmp_path: Path) -> None:
+    """Rerun decodes the messages into fields named as the signals, with the numbers that went in."""
+    converted = tmp_path / "converted.rrd"
+    rerun_command("mcap", "convert", paths["mcap"], "-o", converted, "--timeline-type", "duration")
+    columns = rerun_columns(converted, "/mujoco")
+    (messages_,) = (column for name, column in columns.items() if name.endswith(":message"))
+    response = run.responses["mujoco"]
+    assert columns["message_log_time"] == nanoseconds(response.time)
+    for name in response.names:
+        np.testing.assert_array_equal([message[name] for message in messages_], response[name])
+
+
+def test_rerun_file_is_valid(paths: dict[str, Path], tmp_path: Path) -> None:
+    """Rerun's own check passes, for one run and for several, with names and metadata of any kind."""
+    odd = make_run("my/own: é #1")
+    write_rrd(tmp_path / "odd.rrd", [odd, make_run("II")], {})
+    rerun_command("rrd", "verify", paths["rerun"], tmp_path / "odd.rrd")
+
+
+def test_rerun_gives_back_every_number(run: RunLog, paths: dict[str, Path]) -> None:
+    """Every signal of every response is at `/<run>/signals/<signal>/<response>`, to the bit."""
+    for name, response in run.responses.items():
+        for signal in response.names:
+            columns = rerun_columns(paths["rerun"], f"/I/signals/{signal}/{name}")
+            assert columns["time"] == nanoseconds(response.time)
+            # No tolerance: Rerun keeps scalars as doubles.
+            assert np.array(columns["Scalars:scalars"]).tobytes() == response[signal].tobytes()
+
+
+def test_rerun_file_moves_the_car(run: RunLog, paths: dict[str, Path]) -> None:
+    """Bodies and springs move with the scene; frames that are not finite are left out."""
+    for body, motion in run.scene.bodies.items():
+        columns = rerun_columns(paths["rerun"], f"/I/world/{body}")
+        assert columns["time"] == nanoseconds(run.scene.time[:-1])
+        # Rerun's 3D is single precision: 6e-8 relative, on coordinates below 1 m.
+        np.testing.assert_allclose(columns["Transform3D:translation"], motion.positions[:-1], atol=1e-7)
+        x, y, z, w = np.transpose(columns["Transform3D:quaternion"])
+        np.testing.assert_allclose(np.stack([w, x, y, z], axis=1), motion.quaternions[:-1], atol=1e-7)
+    strips = np.array(rerun_columns(paths["rerun"], "/I/world/springs/suspension")["LineStrips3D:strips"])
+    np.testing.assert_allclose(strips[:, [0, -1]], run.scene.springs["suspension"][:-1], atol=1e-7)
+
+
+def test_rerun_file_draws_every_form(paths: dict[str, Path]) -> None:
+    """Each shape is there, as the solid of its form."""
+    from rerun.chunk import RrdReader
+
+    static = {
+        chunk.entity_path: set(chunk.to_record_batch().schema.names)
+        for chunk in RrdReader(paths["rerun"]).stream().to_chunks()
+        if chunk.is_static
+    }
+    assert "Boxes3D:half_sizes" in static["/I/world/sprung/body"]
+    assert "Capsules3D:lengths" in static["/I/world/sprung/rod"]
+    assert "Cylinders3D:lengths" in static["/I/world/unsprung/tyre"]
+    assert "Ellipsoids3D:half_sizes" in static["/I/world/unsprung/hub"]
+
+
+def test_rerun_file_has_its_layout_and_a_fixed_id(run: RunLog, paths: dict[str, Path], tmp_path: Path) -> None:
+    """The file opens on a layout of its own; the same content has the same recording id, other content another."""
+    from rerun.chunk import RrdReader
+
+    assert len(RrdReader(paths["rerun"]).blueprints()) == 1
+    write_rrd(tmp_path / "again.rrd", [run], METADATA)
+    write_rrd(tmp_path / "other.rrd", [run], {**METADATA, "command": "sim.sine"})
+    ids = [
+        RrdReader(path).recordings()[0].recording_id for path in (paths["rerun"], tmp_path / "again.rrd", tmp_path / "other.rrd")
+    ]
+    assert ids[0] == ids[1] != ids[2]
+
+
+def test_nothing_is_overwritten(run: RunLog, tmp_path: Path) -> None:
+    """Where one of the two names is taken, both files get the next free one."""
+    (tmp_path / "bump.rrd").write_text("somebody's")
+    second = record(tmp_path, "bump", [run], METADATA, ATTACHMENTS)
+    third = record(tmp_path, "bump", [run], METADATA, ATTACHMENTS)
+    assert second == {"mcap": tmp_path / "bump-2.mcap", "rerun": tmp_path / "bump-2.rrd"}
+    assert third == {"mcap": tmp_path / "bump-3.mcap", "rerun": tmp_path / "bump-3.rrd"}
+    assert (tmp_path / "bump.rrd").read_text() == "somebody's"
+    assert sorted(tmp_path.iterdir()) == sorted([tmp_path / "bump.rrd", *second.values(), *third.values()])
+
+
+@pytest.mark.parametrize("error", [ValueError("no"), KeyboardInterrupt()])
+@pytest.mark.parametrize("moment", ["write_rrd", "replace"])
+def test_an_unfinished_recording_leaves_nothing(
+    run: RunLog, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException, moment: str
+) -> None:
+    """An error or Ctrl-C leaves no file, whether it comes while writing or between the two final names."""
+    replace = Path.replace
+
+    def fail(path: Path, *_: object) -> Path:
+        if moment == "replace" and path.suffix == ".mcap":
+            return replace(path, *_)  # type: ignore[arg-type]
+        path.write_text("half a file")
+        raise error
+
+    monkeypatch.setattr(*((recording, "write_rrd") if moment == "write_rrd" else (Path, "replace")), fail)
+    with pytest.raises(type(error)):
+        record(tmp_path, "bump", [run], METADATA, ATTACHMENTS)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_cut_rerun_file_is_refused(run: RunLog, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rerun raises nothing when the disk is full; the file is read back, and a cut one is an error of one line."""
+    import rerun as rr
+
+    disconnect = rr.RecordingStream.disconnect
+
+    def cut(stream: rr.RecordingStream) -> None:
+        disconnect(stream)
+        for path in tmp_path.rglob("*.rrd"):
+            path.write_bytes(path.read_bytes()[:-100])
+
+    monkeypatch.setattr(rr.RecordingStream, "disconnect", cut)
+    with pytest.raises(InputError, match="disk full"):
+        record(tmp_path, "bump", [run], METADATA, ATTACHMENTS)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_cannot_be_written_is_named(run: RunLog, tmp_path: Path) -> None:
+    """A file in the folder's place, or above it, is an error of one line, before a run and after."""
+    (tmp_path / "file").touch()
+    for folder in (tmp_path / "file", tmp_path / "file" / "below"):
+        with pytest.raises(InputError, match=f"cannot write recordings in {folder}") as caught:
+            check_folder(folder)
+        assert "\n" not in str(caught.value)
+        with pytest.raises(InputError):
+            record(folder, "bump", [run], {}, {})
+
+
+def test_a_folder_is_made(tmp_path: Path) -> None:
+    """A folder that is missing is made, parents too, and the trial file is gone."""
+    check_folder(tmp_path / "deep" / "logs")
+    assert list((tmp_path / "deep" / "logs").iterdir()) == []
+
+
+def test_runs_of_one_name_are_refused(run: RunLog, tmp_path: Path) -> None:
+    """Two runs of one name would be one in the files."""
+    with pytest.raises(ValueError, match="I, I"):
+        record(tmp_path, "bump", [run, run], {}, {})
+
+
+def test_opening_lines_can_be_pasted() -> None:
+    """The lines name both files, quoted where a shell needs it."""
+    lines = opening_lines({"mcap": Path("my logs/x.mcap"), "rerun": Path("logs/x.rrd")})
+    assert lines == ["rerun logs/x.rrd", "rerun 'my logs/x.mcap'   (or open it in Foxglove)"]
