@@ -36,5 +36,5 @@ def build_model(vehicle: Vehicle, timestep: float) -> mujoco.MjModel:
 def mjcf_text(vehicle: Vehicle, timestep: float) -> str:
     """The exact MJCF that `build_model` compiles, for the logs."""
     spec = build_spec(vehicle, timestep)
-    spec.compile()
+    spec.compiler.savecompiled = False  # every number exactly, not with the six digits of compiled values
     return spec.to_xml()

@@ -80,9 +80,9 @@ class _Path:
         self.free = Q.shape[1]  # a = n - q
         T = np.hstack([Q, R])
         plant = plant.in_coordinates(T)
-        # Only numerics from here on: a diagonal scaling of the states, and units in which A, B, Bw and C have size one.
-        _, (diagonal, _) = linalg.matrix_balance(plant.A, permute=False, separate=True)
-        plant = plant.in_coordinates(np.diag(diagonal))
+        # Only numerics from here on: states scaled by what the inputs can reach, and units in which A, B, Bw, C have size one.
+        scaling = _reachable(plant, self.free)
+        plant = plant.in_coordinates(scaling)
         self.rate = _size(plant.A)
         self.input_unit = self.rate / _size(plant.B)
         self.disturbance_unit = self.rate / _size(plant.Bw)
@@ -95,8 +95,8 @@ class _Path:
             D=plant.D * self.output_unit * self.input_unit,
             Dw=plant.Dw * self.output_unit * self.disturbance_unit,
         )
-        self.start = T @ np.diag(diagonal)  # from the scaled coordinates of the beginning to the user's
-        self.block_start = np.diag(diagonal[self.free :])
+        self.start = T @ scaling  # from the scaled coordinates of the beginning to the user's
+        self.block_start = scaling[self.free :, self.free :]
         self.V = np.eye(len(T))  # from the current coordinates to those of the beginning
         self.K = np.zeros((plant.B.shape[1], R.shape[1]))  # the gain absorbed so far, in those of the beginning
         self.eta = 0.0
@@ -330,6 +330,24 @@ def _direction(size: int, value: float) -> Array:
     c = np.zeros(size)
     c[-1] = value
     return c
+
+
+def _reachable(plant: GeneralizedPlant, free: int) -> Array:
+    """Coordinates of (12)'s block structure in which the inputs and the disturbance reach all states alike.
+
+    The square root of a controllability Gramian, block by block. A is shifted until it decays, by rates that do not depend on the
+    coordinates, so that the result does not either.
+    """
+    n = len(plant.A)
+    _, (diagonal, _) = linalg.matrix_balance(plant.A, permute=False, separate=True)
+    balanced = plant.in_coordinates(np.diag(diagonal))
+    poles = np.linalg.eigvals(balanced.A)
+    shift = poles.real.max() + (np.abs(poles).max() or 1.0)
+    inputs = np.hstack([balanced.B / _size(balanced.B), balanced.Bw / _size(balanced.Bw)])
+    gramian = linalg.solve_continuous_lyapunov(balanced.A - shift * np.eye(n), -inputs @ inputs.T)
+    gramian += 1e-12 * np.trace(gramian) * np.eye(n)  # a state that nothing reaches keeps a scale
+    blocks = [np.linalg.cholesky(block) for block in (gramian[:free, :free], gramian[free:, free:])]
+    return np.diag(diagonal) @ linalg.block_diag(*blocks)
 
 
 def _size(matrix: Array) -> float:

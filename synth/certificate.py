@@ -74,7 +74,8 @@ def certify(plant: GeneralizedPlant, G: Array, X: Array | None = None, eta: floa
     if X is not None and eta is not None:
         bound = float(eta**-0.5)
         # A congruence changes no sign of an eigenvalue: balanced to a unit diagonal of X, sizes mean something.
-        scale = np.sqrt(np.diagonal(X))
+        diagonal = np.diagonal(X)
+        scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
         balanced = loop.in_coordinates(np.diag(scale))
         unit = X / np.outer(scale, scale)
         X_smallest = float(np.linalg.eigvalsh(unit)[0])

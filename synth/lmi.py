@@ -3,6 +3,7 @@
 An independent route to every bound: the designs come from the central path (`central.py`), which needs no solver.
 """
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,7 +66,9 @@ def solve_lmi(plant: GeneralizedPlant, Q: Array, R: Array) -> LmiSolution:
     F = cp.bmat([[top + top.T, low.T], [low, -np.eye(d)]]) + eta * (disturbance @ disturbance.T)
     problem = cp.Problem(cp.Maximize(eta), [F << 0, *positive])
     try:
-        problem.solve(solver=cp.CLARABEL)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # "may be inaccurate": the status says so too, and eta is looked at below
+            problem.solve(solver=cp.CLARABEL)
     except cp.SolverError as error:
         raise DesignError(f"Clarabel gave up on the LMI problem: {error}; rescale the plant or use the central path") from error
     if problem.status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE):

@@ -1,0 +1,86 @@
+"""Speed, as ratios of commands and calls that alternate in one process: this machine's mood cancels out.
+
+    python -m pytest tests/benchmarks/bench_speed.py
+
+Each benchmark prints its ratio, and fails where it exceeds the claim.
+"""
+
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+import pytest
+
+from models.mjcf import build_model
+from models.vehicle import read_vehicle
+from sim.physics import simulate
+from sim.road import Bump
+from synth.controller import Designer, generalized_plant
+from synth.lmi import solve_lmi
+
+
+def seconds(call: Callable[[], object]) -> float:
+    start = time.perf_counter()
+    call()
+    return time.perf_counter() - start
+
+
+def paired_ratio(benchmark, call: Callable[[], object], reference: Callable[[], object], rounds: int) -> float:
+    """Median over rounds of call / reference, run in turn; `benchmark` records the calls."""
+    call(), reference()
+    ratios = []
+
+    def turn():
+        ratios.append(seconds(call) / seconds(reference))
+
+    benchmark.pedantic(turn, rounds=rounds, iterations=1)
+    ratio = statistics.median(ratios)
+    benchmark.extra_info["ratio"] = ratio
+    print(f"\n{benchmark.name}: {ratio:.2f} (median of {rounds}; {min(ratios):.2f} to {max(ratios):.2f})")
+    return ratio
+
+
+def test_whole_command(benchmark, tmp_path):
+    """The whole command takes at most 1.5 times as long as importing cvxpy, mujoco, rerun and mcap."""
+    command = [sys.executable, "-m", "sim.bump", "--controller", "I", "--logs", str(tmp_path)]
+    imports = [sys.executable, "-c", "import cvxpy, mujoco, rerun, mcap"]
+
+    def run(arguments):
+        subprocess.run(arguments, check=True, capture_output=True)
+
+    assert paired_ratio(benchmark, lambda: run(command), lambda: run(imports), 7) <= 1.5
+
+
+@pytest.mark.parametrize(("runs", "samples", "claim"), [(1, 3001, 2.0), (1024, 201, 1.25)])
+def test_closed_loop(benchmark, runs, samples, claim):
+    """A closed-loop run-step, every signal recorded, against native stepping of the same model on as many threads: one."""
+    vehicle = read_vehicle("quarter_car")
+    controller = Designer(vehicle).design("I")
+    model = build_model(vehicle, 1e-3)
+    data = mujoco.MjData(model)
+    sample_times = np.arange(samples) * 1e-3
+    vehicles, controllers, roads = [vehicle] * runs, [controller] * runs, [Bump()] * runs
+    ratio = paired_ratio(
+        benchmark,
+        lambda: simulate(vehicles, controllers, roads, sample_times),
+        lambda: mujoco.mj_step(model, data, runs * samples),
+        7,
+    )
+    assert ratio <= claim
+
+
+def test_design(benchmark):
+    """Both steps and the certificate of controller I take at most 5 times one plain cvxpy solve of (22)."""
+    vehicle = read_vehicle("quarter_car")
+    plant = generalized_plant(vehicle)
+    ratio = paired_ratio(
+        benchmark,
+        lambda: Designer(vehicle).design("I"),
+        lambda: solve_lmi(plant, np.zeros((4, 0)), np.eye(4)),
+        21,
+    )
+    assert ratio <= 5

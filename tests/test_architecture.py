@@ -1,0 +1,43 @@
+"""The house: imports point one way, and each heavy package is known to one file."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+FLOORS = ["models", "synth", "sim"]  # each may import those before it
+FILES = [path for floor in FLOORS for path in sorted((ROOT / floor).glob("*.py"))]
+
+# Who may import what is heavy, or replaceable.
+OWNERS = {
+    "cvxpy": {"synth/lmi.py"},
+    "mujoco": {"models/mjcf.py", "sim/physics.py"},
+    "mcap": {"sim/recording_mcap.py"},
+    "mcap_protobuf": {"sim/recording_mcap.py"},
+    "google": {"sim/recording_mcap.py"},
+    "rerun": {"sim/recording_rerun.py"},
+    "control": set(),
+    "matplotlib": set(),
+}
+
+
+def imports(path: Path) -> set[str]:
+    """Every package that a file imports, anywhere in it."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            found |= {alias.name.split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            found.add(node.module.split(".")[0])
+    return found
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_imports(path):
+    """A file imports no floor above its own, and no package that belongs to another file."""
+    own = path.relative_to(ROOT).as_posix()
+    above = FLOORS[FLOORS.index(path.parent.name) + 1 :]
+    for package in imports(path):
+        assert package not in above
+        assert own in OWNERS.get(package, {own})
