@@ -15,7 +15,7 @@ import numpy as np
 from models.arrays import Array
 from models.signals import Signal
 from sim.run_log import RunLog
-from sim.scene import Scene, Shape
+from sim.scene import Shape
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -153,7 +153,7 @@ def _log_run(recording: "rr.RecordingStream", run: RunLog, offset: Array, colour
         recording.send_columns(_path(run.name, "events"), index, columns)
 
     recording.log(_path(run.name), rr.Transform3D(translation=offset), static=True)
-    low, high = _extent(run.scene)
+    low, high = run.scene.extent()
     above = np.array([*(low + high)[:2] / 2, high[2] + 0.2])
     label = rr.Points3D([above], radii=0.001, colors=[colour], labels=[run.name])
     recording.log(_path(run.name, "name"), label, static=True)
@@ -221,7 +221,7 @@ def _solid(shape: Shape) -> "rr.AsComponents":
             return rr.Cylinders3D(radii=[radius], lengths=[2 * half_length], centers=[shape.position], **looks)
         case "capsule":
             # Rerun's runs from its origin along z, ours is centred.
-            start = shape.position - half_length * _rotation(shape.quaternion)[:, 2]
+            start = shape.position - half_length * shape.rotation[:, 2]
             return rr.Capsules3D(radii=[radius], lengths=[2 * half_length], translations=[start], **looks)
         case "sphere":
             return rr.Ellipsoids3D(radii=[radius], centers=[shape.position], **looks)
@@ -286,7 +286,7 @@ def _page(run: RunLog) -> "rrb.Container":
     if run.events:
         texts.append(rrb.TextLogView(origin=_path(run.name, "events"), name="events"))
     texts.append(rrb.TextDocumentView(origin="/metadata", name="metadata"))
-    car = _scene_view(_path(run.name, "world"), ["$origin/**"], f"{run.name}: MuJoCo", _extent(run.scene), _SIGHT, 1.5)
+    car = _scene_view(_path(run.name, "world"), ["$origin/**"], f"{run.name}: MuJoCo", run.scene.extent(), _SIGHT, 1.5)
     plots = [
         _plot(signal, [_path(run.name, "signals", signal.name, name) for name in run.responses], {}) for signal in _signals([run])
     ]
@@ -302,7 +302,7 @@ def _comparison(runs: Sequence[RunLog]) -> "rrb.Container":
     """All cars side by side, and every signal of all of them in one plot."""
     import rerun.blueprint as rrb
 
-    extents = [np.array(_extent(run.scene)) + offset for run, offset in zip(runs, _offsets(runs), strict=True)]
+    extents = [np.array(run.scene.extent()) + offset for run, offset in zip(runs, _offsets(runs), strict=True)]
     low, high = np.min(extents, axis=(0, 1)), np.max(extents, axis=(0, 1))
     contents = [f"+ {_path(run.name, part)}/**" for run in runs for part in ("world", "name")]
     cars = _scene_view("/", contents, "MuJoCo", (low, high + [0.0, 0.0, 0.3]), _SIGHT_OF_ROW, 5.0)
@@ -375,51 +375,8 @@ def _scene_view(
     )
 
 
-# --- where things are ------------------------------------------------------------------------------------------------
-
-
 def _offsets(runs: Sequence[RunLog]) -> Iterator[Array]:
     """Where each run's car stands [m] when all are shown: in a row, in the order of the runs."""
-    widths = [high[0] - low[0] for low, high in (_extent(run.scene) for run in runs)]
+    widths = [high[0] - low[0] for low, high in (run.scene.extent() for run in runs)]
     step = 1.15 * max(widths)
     return (np.array([index * step, 0.0, 0.0]) for index in range(len(runs)))
-
-
-def _extent(scene: Scene) -> tuple[Array, Array]:
-    """Lowest and highest corner of everything solid over all frames [m]; orientations are those of the first frame."""
-    corners = []
-    for shape in scene.shapes:
-        motion = scene.bodies[shape.body]
-        positions = motion.positions[np.isfinite(motion.positions).all(1)]
-        body = _rotation(motion.quaternions[0])
-        centre = body @ shape.position
-        reach = np.abs(body @ _rotation(shape.quaternion)) @ _half_edges(shape)
-        corners += [positions.min(0) + centre - reach, positions.max(0) + centre + reach]
-    if not corners:
-        return np.full(3, -1.0), np.full(3, 1.0)
-    return np.min(corners, axis=0), np.max(corners, axis=0)
-
-
-def _half_edges(shape: Shape) -> Array:
-    """Half edges [m] of the box around a shape, along the shape's own axes, shape (3,)."""
-    radius, half_length, _ = shape.half_size
-    match shape.form:
-        case "box":
-            return shape.half_size
-        case "sphere":
-            return np.full(3, radius)
-        case "capsule":
-            half_length = half_length + radius
-    return np.array([radius, radius, half_length])
-
-
-def _rotation(quaternion: Array) -> Array:
-    """The rotation matrix, shape (3, 3), of a unit quaternion (w, x, y, z)."""
-    w, x, y, z = quaternion
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )

@@ -347,7 +347,7 @@ def _reachable(plant: GeneralizedPlant, free: int) -> Array:
     gramian = linalg.solve_continuous_lyapunov(balanced.A - shift * np.eye(n), -inputs @ inputs.T)
     gramian += 1e-12 * np.trace(gramian) * np.eye(n)  # a state that nothing reaches keeps a scale
     blocks = [np.linalg.cholesky(block) for block in (gramian[:free, :free], gramian[free:, free:])]
-    return np.diag(diagonal) @ linalg.block_diag(*blocks)
+    return diagonal[:, None] * np.asarray(linalg.block_diag(*blocks))
 
 
 def _size(matrix: Array) -> float:

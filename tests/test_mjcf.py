@@ -1,5 +1,8 @@
 """The MJCF is the vehicle of the equations, at rest, in motion and off the road."""
 
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's bindings carry no type stubs.
+
 import mujoco
 import numpy as np
 import pytest

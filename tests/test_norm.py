@@ -48,7 +48,7 @@ def test_routes_agree_on_random_systems(seed):
     norm = hinf_norm(plant)
     assert norm.gap < 1e-8
     space = control.ss(plant.A, plant.Bw, plant.C, plant.Dw)
-    assert norm.value == pytest.approx(control.system_norm(space, p="inf", tol=1e-8), rel=1e-7)  # its tolerance
+    assert norm.value == pytest.approx(control.system_norm(space, "inf", tol=1e-8), rel=1e-7)  # its tolerance  # pyright: ignore[reportArgumentType]
     if control.slycot_check():
         assert norm.value == pytest.approx(control.linfnorm(space, tol=1e-10)[0], rel=1e-8)
 
