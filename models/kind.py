@@ -1,7 +1,7 @@
 """A kind of vehicle: what `models/<name>.py` must say so that everything after it works unchanged."""
 
 import importlib
-import math
+import reprlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +13,8 @@ from models.signals import Signal
 
 HERE = Path(__file__).parent
 GRAVITY = 9.81  # m/s2, written into every MJCF
+SMALLEST, LARGEST = 1e-6, 1e12  # SI; beyond these a parameter is a slip of the pen, and rounding decides
+MOST_SQUEEZE = 0.25  # m; every MJCF keeps its hubs further than this above the road, and no tyre survives it
 
 Parameters = Mapping[str, float]
 
@@ -25,7 +27,7 @@ class Parameter:
         name: key under `[parameters]`.
         unit: SI unit.
         meaning: one line.
-        positive: whether zero is refused too. Negative, infinite and NaN values always are.
+        positive: whether zero is refused too. Negative, infinite, NaN and absurdly large values always are.
     """
 
     name: str
@@ -37,13 +39,14 @@ class Parameter:
         """The value as a float.
 
         Raises:
-            InputError: not a finite number of the allowed sign.
+            InputError: not a number of the allowed range.
         """
-        allowed = f"a number {'above' if self.positive else 'of at least'} 0 {self.unit}"
+        smallest = SMALLEST if self.positive else 0.0
+        allowed = f"a number from {smallest:g} to {LARGEST:g} {self.unit}"
         if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise InputError(f"{self.name} = {value!r} is not a number; give {allowed}")
-        if not math.isfinite(value) or value < 0 or (self.positive and value == 0):
-            raise InputError(f"{self.name} = {value} is not allowed; give {allowed}")
+            raise InputError(f"{self.name} = {reprlib.repr(value)} is not a number; give {allowed}")
+        if not smallest <= value <= LARGEST:  # NaN is in no range
+            raise InputError(f"{self.name} = {reprlib.repr(value)} is not allowed; give {allowed}")
         return float(value)
 
 
@@ -96,7 +99,7 @@ class VehicleKind:
         """All parameters, checked, in the kind's order.
 
         Raises:
-            InputError: one is missing, unknown or not allowed.
+            InputError: one is missing, unknown or not allowed, or together they squeeze a tyre flat at rest.
         """
         names = [parameter.name for parameter in self.parameters]
         for name in parameters:
@@ -105,7 +108,14 @@ class VehicleKind:
         for parameter in self.parameters:
             if parameter.name not in parameters:
                 raise InputError(f"parameter {parameter.name!r} [{parameter.unit}] is missing: {parameter.meaning}")
-        return {parameter.name: parameter.check(parameters[parameter.name]) for parameter in self.parameters}
+        checked = {parameter.name: parameter.check(parameters[parameter.name]) for parameter in self.parameters}
+        for tyre, squeeze in self.static_tyre_deflection(checked).items():
+            if squeeze > MOST_SQUEEZE:
+                raise InputError(
+                    f"{tyre} at rest is {squeeze:.3g} m, the masses' weight over the tyre's stiffness; at most {MOST_SQUEEZE} m "
+                    "is allowed: lower the masses or raise the stiffness"
+                )
+        return checked
 
     def signal(self, name: str) -> Signal:
         """The signal of that name, which this kind has."""

@@ -1,4 +1,10 @@
-"""A vehicle as a linear system with names: x' = A x + B u + Bw w, and every signal as a row of C x + D u."""
+"""A vehicle as a linear system with names.
+
+    x' = A x + B u + Bw w + Br z_r,     signals = C x + D u + Cr z_r,
+
+with the road's heights z_r under the wheels and their velocities w = z_r'. In the paper, and wherever the wheels' motions are all
+motions of the body too, Br and Cr are zero: only the road's velocity acts. Under four wheels its twist acts as a displacement.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,6 +29,9 @@ class LinearModel:
         inputs: names of the inputs, m of them [N].
         disturbances: names of the disturbances, r of them [m/s].
         outputs: names of the output signals, p of them.
+        Br: what the road's heights add to x', shape (n, r).
+        Cr: what they add to the output signals, shape (p, r).
+        twist_rate: as what velocity [m/s] a metre of Br and Cr counts in a design [rad/s].
 
     Raises:
         ValueError: a matrix does not fit the names.
@@ -37,10 +46,14 @@ class LinearModel:
     inputs: tuple[str, ...]
     disturbances: tuple[str, ...]
     outputs: tuple[str, ...]
+    Br: Array
+    Cr: Array
+    twist_rate: float = 1.0
 
     def __post_init__(self) -> None:
         n, m, r, p = len(self.states), len(self.inputs), len(self.disturbances), len(self.outputs)
-        for name, shape in {"A": (n, n), "B": (n, m), "Bw": (n, r), "C": (p, n), "D": (p, m)}.items():
+        shapes = {"A": (n, n), "B": (n, m), "Bw": (n, r), "C": (p, n), "D": (p, m), "Br": (n, r), "Cr": (p, r)}
+        for name, shape in shapes.items():
             matrix = np.array(getattr(self, name), dtype=float)
             if matrix.shape != shape:
                 raise ValueError(f"{name} has shape {matrix.shape}; its names say {shape}")

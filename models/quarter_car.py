@@ -67,6 +67,8 @@ def linear_model(p: Parameters) -> LinearModel:
         inputs=(signals.CONTROL_FORCE.name,),
         disturbances=(signals.ROAD_VELOCITY.name,),
         outputs=tuple(signal.name for signal in OUTPUTS),
+        Br=np.zeros((4, 1)),
+        Cr=np.zeros((6, 1)),
     )
 
 

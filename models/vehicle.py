@@ -1,6 +1,6 @@
 """A vehicle file (TOML): the kind of vehicle, its parameters, the performance weights and the controllers. All a user writes."""
 
-import math
+import reprlib
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,11 +12,13 @@ import numpy as np
 
 from models.arrays import Array
 from models.errors import InputError, known
-from models.kind import HERE, VehicleKind, kind, kinds
+from models.kind import HERE, LARGEST, VehicleKind, kind, kinds
 from models.linear_model import LinearModel
 
 SECTIONS = ("type", "parameters", "performance", "controllers")
 RESERVED = ("passive", "state")  # these two always exist: u = 0, and full state feedback
+LONGEST_NAME = 60  # bytes; the names of three controllers go into a file name
+SMALLEST_WEIGHT, LARGEST_WEIGHT = 1e-12, 1e12  # relative to one another; beyond these rounding decides
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +78,7 @@ def read_vehicle(file: str | Path) -> Vehicle:
     if str(file) in kinds() and not path.is_file():
         path = HERE / f"{file}.toml"
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")  # some editors begin a file with a byte order mark
     except UnicodeDecodeError as error:
         raise InputError(f"vehicle file {path}: not a text file in UTF-8 ({error.reason})") from error
     except OSError as error:
@@ -96,19 +98,19 @@ def parse_vehicle(text: str, source: str = "") -> Vehicle:
     """
     try:
         data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # not TOML; a number of 5000 digits; brackets in brackets in ...
         raise InputError(f"not TOML: {error}") from error
     for section in data:
         if section not in SECTIONS:
             raise InputError(f"unknown section {section!r}; known: {known(SECTIONS)}")
     for section in SECTIONS[:3]:
         if section not in data:
-            raise InputError(f"section {section!r} is missing; a vehicle file has {known(SECTIONS)}")
+            raise InputError(f"{section!r} is missing; a vehicle file has {known(SECTIONS)}")
     for section in ("parameters", "performance", "controllers"):
         if not isinstance(data.get(section, {}), dict):
             raise InputError(f"{section!r} is not a section; write it as [{section}]")
     if not isinstance(data["type"], str):
-        raise InputError(f"type = {data['type']!r} is not a name in quotes; known: {known(kinds())}")
+        raise InputError(f"type = {reprlib.repr(data['type'])} is not a name in quotes; known: {known(kinds())}")
 
     vehicle_kind = kind(data["type"])
     parameters = vehicle_kind.check(data["parameters"])
@@ -128,8 +130,11 @@ def _performance(section: Mapping[str, Any], model: LinearModel) -> dict[str, fl
     for signal, weight in section.items():
         if signal not in model.outputs:
             raise InputError(f"[performance] unknown signal {signal!r}; this vehicle has {known(model.outputs)}")
-        if not _is_number(weight) or weight < 0:
-            raise InputError(f"[performance] {signal} = {weight!r} is not allowed; give a finite weight of at least 0")
+        if not _is_number(weight) or not (weight == 0 or SMALLEST_WEIGHT <= weight <= LARGEST_WEIGHT):
+            raise InputError(
+                f"[performance] {signal} = {reprlib.repr(weight)} is not allowed; give 0 or a weight from {SMALLEST_WEIGHT:g} "
+                f"to {LARGEST_WEIGHT:g}"
+            )
         weights[signal] = float(weight)
     if not any(weights.values()):
         raise InputError(f"[performance] weighs nothing; give at least one weight above 0 to: {known(model.outputs)}")
@@ -140,8 +145,8 @@ def _controller(name: str, entry: Any, model: LinearModel) -> ControllerEntry:
     where = f"[controllers.{name}]"
     if name in RESERVED or name == "all":
         raise InputError(f"{where} the name {name!r} is taken: passive, state and all always exist; rename it")
-    if not name.replace("_", "").replace("-", "").isalnum():
-        raise InputError(f"{where} a controller's name has letters, digits, '_' and '-' only")
+    if not name.replace("_", "").replace("-", "").isalnum() or len(name.encode()) > LONGEST_NAME:
+        raise InputError(f"{where} a controller's name has letters, digits, '_' and '-' only, at most {LONGEST_NAME} of them")
     if not isinstance(entry, dict):
         raise InputError(f"{where} is not a section with measured = [signals]")
     for key in entry:
@@ -149,36 +154,40 @@ def _controller(name: str, entry: Any, model: LinearModel) -> ControllerEntry:
             raise InputError(f"{where} unknown key {key!r}; known: gain, measured")
 
     measured = entry.get("measured")
+    measurable = known(output for output in model.outputs if not np.any(model.rows([output])[1]))
     if not isinstance(measured, list) or not measured or not all(isinstance(signal, str) for signal in measured):
-        raise InputError(f"{where} measured is missing or empty; give a list of signals out of: {known(model.outputs)}")
+        found = f"measured = {reprlib.repr(measured)} is no list of signals" if "measured" in entry else "measured is missing"
+        raise InputError(f"{where} {found}; give a list of signals out of: {measurable}")
     for signal in measured:
         if signal not in model.outputs:
-            raise InputError(f"{where} unknown signal {signal!r}; this vehicle has {known(model.outputs)}")
+            raise InputError(f"{where} unknown signal {reprlib.repr(signal)}; it can measure {measurable}")
         if measured.count(signal) > 1:
             raise InputError(f"{where} measures {signal!r} twice; name it once")
-        _, D = model.rows([signal])
-        if np.any(D):
-            states = [output for output in model.outputs if not np.any(model.rows([output])[1])]
+        if np.any(model.rows([signal])[1]):
             raise InputError(
                 f"{where} {signal!r} contains the control force itself, so a static controller cannot measure it; "
-                f"give signals out of: {known(states)}"
+                f"give signals out of: {measurable}"
             )
     return ControllerEntry(name, tuple(measured), _gain(where, entry["gain"], model, measured) if "gain" in entry else None)
 
 
 def _gain(where: str, gain: Any, model: LinearModel, measured: list[str]) -> Array:
     m, q = len(model.inputs), len(measured)
-    allowed = f"give {m} row(s) (one per actuator) of {q} finite number(s) (one per measured signal), as in gain = [[1.0, 2.0]]"
+    example = [[1.0] * q] * m
+    allowed = (
+        f"give {m} row(s) (one per actuator) of {q} number(s) (one per measured signal) of at most {LARGEST:g}, as in "
+        f"gain = {example}"
+    )
     rows = gain if isinstance(gain, list) else [gain]
     if not all(isinstance(row, list) and all(_is_number(entry) for entry in row) for row in rows):
-        raise InputError(f"{where} gain = {gain!r} is not a matrix of numbers; {allowed}")
+        raise InputError(f"{where} gain = {reprlib.repr(gain)} is not a matrix of numbers; {allowed}")
     if len(rows) != m or any(len(row) != q for row in rows):
-        found = f"{len(rows)} row(s) of {sorted({len(row) for row in rows})} entries"
-        raise InputError(f"{where} gain has {found}; {allowed}")
+        lengths = " or ".join(str(length) for length in sorted({len(row) for row in rows})) or "no"
+        raise InputError(f"{where} gain has {len(rows)} row(s) of {lengths} number(s); {allowed}")
     matrix = np.array(rows, dtype=float)
     matrix.flags.writeable = False
     return matrix
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and -LARGEST <= value <= LARGEST

@@ -10,10 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from models.kind import MOST_SQUEEZE
 from models.vehicle import Vehicle
 from sim.response import Response
 
 ROUNDING = 1e-9  # of a peak, over thousands of steps; a vehicle at rest to 1e-16 of its spring forces stays below 1e-12
+COARSEST = 1e-2  # of a peak; physics that is further off confirms nothing, even if the integrator has to be
 SLACK = 1.5  # on the predicted integrator error: it is a maximum over time of one of two nearly equal curves
 
 
@@ -24,7 +26,7 @@ class SignalAgreement:
     Attributes:
         sampled: largest difference from the exact sampled response, over that response's peak.
         continuous: the same against the continuous closed loop; it contains the effect of holding the force over a step.
-        allowed: what `sampled` may be: the integrator's own error.
+        allowed: what `sampled` may be: the integrator's own error, and no more than `COARSEST`.
     """
 
     sampled: float
@@ -39,12 +41,14 @@ class Agreement:
     Attributes:
         signals: by name.
         lift_off: intervals [s] in which a tyre is off the road.
+        flat: when a tyre is first squeezed further than a tyre can be [s]; infinite where none is. No model holds from there.
         until: the linear comparison applies before this time [s]; infinite where it always does.
         agrees: whether every signal agrees, for as long as the comparison applies.
     """
 
     signals: Mapping[str, SignalAgreement]
     lift_off: tuple[tuple[float, float], ...]
+    flat: float
     until: float
     agrees: bool
 
@@ -63,18 +67,20 @@ def compare(
         diverged: when the run diverged [s]; infinite where it did not.
     """
     lift_off = lift_off_intervals(vehicle, physics)
-    until = min([start for start, _ in lift_off] + [diverged])
+    # A hub that goes through the road within a step escapes the physics' own samples, but not the prediction's.
+    flat = min(_first_flat(vehicle, response) for response in (physics, sampled))
+    until = min([start for start, _ in lift_off] + [_first_loose(vehicle, physics), flat, diverged])
     physics, sampled, integrated, continuous = (r.until(until) for r in (physics, sampled, integrated, continuous))
     signals = {
         name: SignalAgreement(
             sampled=_difference(physics, sampled, name),
             continuous=_difference(physics, continuous, name),
-            allowed=SLACK * _difference(integrated, sampled, name) + ROUNDING,
+            allowed=min(SLACK * _difference(integrated, sampled, name) + ROUNDING, COARSEST),
         )
         for name in vehicle.linear_model.outputs
     }
     agrees = all(signal.sampled <= signal.allowed for signal in signals.values())
-    return Agreement(signals=signals, lift_off=lift_off, until=until, agrees=agrees)
+    return Agreement(signals=signals, lift_off=lift_off, flat=flat, until=until, agrees=agrees)
 
 
 def lift_off_intervals(vehicle: Vehicle, physics: Response) -> tuple[tuple[float, float], ...]:
@@ -85,6 +91,32 @@ def lift_off_intervals(vehicle: Vehicle, physics: Response) -> tuple[tuple[float
         starts, ends = np.flatnonzero(off[1:] & ~off[:-1]), np.flatnonzero(off[:-1] & ~off[1:]) - 1
         intervals += [(float(physics.time[a]), float(physics.time[b])) for a, b in zip(starts, ends, strict=True)]
     return tuple(sorted(intervals))
+
+
+def _first_loose(vehicle: Vehicle, physics: Response) -> float:
+    """First sample [s] before which a tyre may have been off the road within a step; infinite where none may have been.
+
+    MuJoCo holds the road at its middle over a step, so there a tyre is shorter or longer than at the samples. What paths bend
+    within a step, and RK4's stages probe of it, is within their second differences.
+    """
+    static, first = vehicle.kind.static_tyre_deflection(vehicle.parameters), np.inf
+    for wheel in vehicle.kind.wheels:
+        road = physics[wheel.road_displacement]
+        hub = physics[wheel.tyre_deflection] + road
+        held = (road[:-1] + road[1:]) / 2
+        hub_bend, road_bend = (np.abs(np.diff(path, n=2, prepend=path[0])) for path in (hub, road))
+        longest = np.maximum(hub[:-1], hub[1:]) - held + hub_bend + road_bend / 8
+        loose = longest >= static[wheel.tyre_deflection]
+        if loose.any():
+            first = min(first, float(physics.time[1 + loose.argmax()]))
+    return first
+
+
+def _first_flat(vehicle: Vehicle, response: Response) -> float:
+    """First sample [s] at which a tyre is squeezed further than a tyre can be."""
+    tyres = [wheel.tyre_deflection for wheel in vehicle.kind.wheels]
+    flat = np.any([response[tyre] < -MOST_SQUEEZE for tyre in tyres], axis=0)
+    return float(response.time[flat.argmax()]) if flat.any() else np.inf
 
 
 def _difference(response: Response, reference: Response, signal: str) -> float:

@@ -8,7 +8,7 @@ from models.errors import InputError
 from models.vehicle import Vehicle, read_vehicle
 from sim.command import Parser, run_command
 from sim.road import Bump
-from sim.run import Run, run_all, sample_times
+from sim.run import Run, check_road, run_all, sample_times
 from sim.verdict import controller_lines, run_lines, run_object, verdict_lines
 from synth.controller import Designer
 
@@ -34,14 +34,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     names = _chosen(vehicle, options.controller)
     road = Bump(options.height, options.length, options.speed)
     time = sample_times(vehicle, options.duration, options.timestep)
-    if options.logs is not None:
-        from sim.recording import check_folder  # before the work, not after it
-
-        check_folder(options.logs)
+    if road.duration < 2 * options.timestep:
+        raise InputError(
+            f"the bump is over in {road.duration:.3g} s, less than two timesteps of {options.timestep:g} s, so physics would not "
+            "see it; give a longer one, less speed, or a smaller timestep"
+        )
+    check_road(vehicle, road, time)
 
     designer = Designer(vehicle)
     with_passive = [*names, *(["passive"] if "passive" not in names else [])]  # the reference of the last column
-    everything = run_all(vehicle, [designer.design(name) for name in with_passive], road, time)
+    controllers = [designer.design(name) for name in with_passive]
+    if options.logs is not None:  # after the last bad input, so that nothing is written; before the long work
+        from sim.recording import check_folder
+
+        check_folder(options.logs)
+
+    everything = run_all(vehicle, controllers, road, time)
     runs, passive = everything[: len(names)], everything[with_passive.index("passive")]
 
     logs = {"mcap": None, "rerun": None}

@@ -1,10 +1,12 @@
 """What all commands share: one line per mistake, exit codes, a clean Ctrl-C."""
 
 import argparse
+import io
 import math
 import os
+import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
 from models.errors import InputError
@@ -23,6 +25,8 @@ class Parser(argparse.ArgumentParser):
             formatter_class=argparse.RawDescriptionHelpFormatter,
             allow_abbrev=False,
         )
+        # What tells -1e-3 from an option; argparse itself knows no exponent before Python 3.14.
+        self._negative_number_matcher = re.compile(r"-\.?\d")
 
     def error(self, message: str) -> NoReturn:
         """Bad options: one line, exit code 2."""
@@ -35,19 +39,47 @@ class Parser(argparse.ArgumentParser):
 
 def run_command(main: Callable[[], int]) -> NoReturn:
     """Runs a command and exits as every command does: its own code, 2 on bad input, 130 on Ctrl-C."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # a vehicle file's name may have what the terminal has not
     try:
+        _check_encoding(sys.argv[1:])
         code = main()
-        sys.stdout.flush()
+        if sys.stdout:  # closed, as in `>&-`, it is None
+            sys.stdout.flush()
     except InputError as error:
-        print(f"roadproof: {error}", file=sys.stderr)
+        _complain(str(error))
         code = BAD_INPUT
     except KeyboardInterrupt:
-        print("roadproof: interrupted", file=sys.stderr)
+        _complain("interrupted")
         code = 130
     except BrokenPipeError:  # the reader has gone, as in `| head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _forget_output()
         code = 0
+    except OSError as error:  # a full disk
+        _complain(f"cannot write the output: {error.strerror or error}; mend that or write it elsewhere")
+        _forget_output()
+        code = BAD_INPUT
     sys.exit(code)
+
+
+def _complain(message: str) -> None:
+    """One line on stderr, whatever names and values the message quotes."""
+    if sys.stderr:  # closed, as in `2>&-`, it is None
+        print(f"roadproof: {' '.join(message.splitlines())}", file=sys.stderr)
+
+
+def _forget_output() -> None:
+    """Lets Python's own flush at exit succeed."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _check_encoding(arguments: Sequence[str]) -> None:
+    """Logs hold the command line, and they are UTF-8."""
+    for argument in arguments:
+        try:
+            argument.encode()
+        except UnicodeEncodeError:
+            raise InputError(f"argument {argument!r} is not text in UTF-8; rename the file") from None
 
 
 def _number(text: str) -> Any:

@@ -1,14 +1,14 @@
 """The linear response, exact in two ways: of the sampled loop that MuJoCo runs, and of the paper's continuous closed loop.
 
 Sampled. The controller is held over a step, and so is the road: at its midpoint height, where `physics.py` puts it. With
-xi = x - Bw z_r, the state that does not jump when the road does, (29) becomes xi' = A xi + B u + A Bw z_r, and over a step
+xi = x - Bw z_r, the state that does not jump when the road does, (29) becomes xi' = A xi + B u + (A Bw + Br) z_r, and over a step
 everything on the right but xi is constant:
 
     xi[k+1] = Phi xi[k] + Gamma [u[k]; z_r(t_k + h/2)],    x[k] = xi[k] + Bw z_r(t_k),    u[k] = K C_y x[k].
 
-Continuous. x' = (A + B K C_y) x + Bw z_r'(t). Over a step,
+Continuous. x' = A_G x + Bw z_r'(t) + Br z_r(t) with A_G = A + B K C_y. Over a step,
 
-    x[k+1] = exp(A_G h) x[k] + integral of exp(A_G (h - s)) Bw z_r'(t_k + s) ds,
+    x[k+1] = exp(A_G h) x[k] + integral of exp(A_G (h - s)) (Bw z_r' + Br z_r)(t_k + s) ds,
 
 by Gauss-Legendre quadrature with 8 nodes: exact to rounding for a smooth road. A step that holds a kink of the road is cut there.
 """
@@ -51,7 +51,7 @@ def sampled_response(
     """
     model, h = vehicle.linear_model, float(time[1] - time[0])
     G = controller.state_gain(vehicle)
-    Phi, Gamma_u, Gamma_r = _held_inputs(model.A, h, exponential, model.B, model.A @ model.Bw)
+    Phi, Gamma_u, Gamma_r = _held_inputs(model.A, h, exponential, model.B, model.A @ model.Bw + model.Br)
     now = under_wheels(road.displacement, vehicle, time)
     midway = under_wheels(road.displacement, vehicle, time + h / 2)
 
@@ -66,7 +66,7 @@ def continuous_response(vehicle: Vehicle, controller: Controller, road: Road, ti
     G = controller.state_gain(vehicle)
     A = model.A + model.B @ G
 
-    forcing = _convolution(A, model.Bw, road, vehicle, time, h)
+    forcing = _convolution(A, road, vehicle, time, h)
     kinks = np.array(road.kinks)
     for k in np.unique(np.floor((kinks - time[0]) / h).astype(int)):
         if 0 <= k < len(time):
@@ -74,7 +74,7 @@ def continuous_response(vehicle: Vehicle, controller: Controller, road: Road, ti
             edges = [start, *sorted(kinks[(kinks > start) & (kinks < end)]), end]
             forcing[k] = 0.0
             for left, right in itertools.pairwise(edges):
-                piece = _convolution(A, model.Bw, road, vehicle, np.array([left]), right - left)[0]
+                piece = _convolution(A, road, vehicle, np.array([left]), right - left)[0]
                 forcing[k] += linalg.expm(A * (end - right)) @ piece
     return _response(vehicle, road, G, time, _recursion(linalg.expm(A * h), forcing))
 
@@ -89,12 +89,15 @@ def _held_inputs(A: Array, h: float, exponential: Callable[[Array], Array], *inp
     return [step[:n, :n], *(step[:n, a:b] for a, b in itertools.pairwise(columns))]
 
 
-def _convolution(A: Array, Bw: Array, road: Road, vehicle: Vehicle, start: Array, h: float) -> Array:
-    """Integral of exp(A (h - s)) Bw z_r'(start + s) ds over 0..h, shape (T, n), for start times of shape (T,)."""
+def _convolution(A: Array, road: Road, vehicle: Vehicle, start: Array, h: float) -> Array:
+    """Integral of exp(A (h - s)) (Bw z_r' + Br z_r)(start + s) ds over 0..h, shape (T, n), for start times of shape (T,)."""
+    model = vehicle.linear_model
     nodes, weights = np.polynomial.legendre.leggauss(8)
     total = np.zeros((len(start), len(A)))
     for s, weight in zip(h * (nodes + 1) / 2, h * weights / 2, strict=True):
-        total += weight * under_wheels(road.velocity, vehicle, start + s) @ (linalg.expm(A * (h - s)) @ Bw).T
+        forcing = under_wheels(road.velocity, vehicle, start + s) @ model.Bw.T
+        forcing += under_wheels(road.displacement, vehicle, start + s) @ model.Br.T
+        total += weight * forcing @ linalg.expm(A * (h - s)).T
     return total
 
 
@@ -111,17 +114,11 @@ def _recursion(Phi: Array, forcing: Array) -> Array:
 def _response(vehicle: Vehicle, road: Road, G: Array, time: Array, states: Array) -> Response:
     """Every signal of the vehicle from its states over time, shape (T, n)."""
     model = vehicle.linear_model
-    values = {
-        name: column
-        for wheel, z_r, w in zip(
-            vehicle.kind.wheels,
-            under_wheels(road.displacement, vehicle, time).T,
-            under_wheels(road.velocity, vehicle, time).T,
-            strict=True,
-        )
-        for name, column in ((wheel.road_displacement, z_r), (wheel.road_velocity, w))
-    }
-    outputs = states @ (model.C + model.D @ G).T
+    z_r, w = (under_wheels(function, vehicle, time) for function in (road.displacement, road.velocity))
+    values = {}
+    for i, wheel in enumerate(vehicle.kind.wheels):
+        values |= {wheel.road_displacement: z_r[:, i], wheel.road_velocity: w[:, i]}
+    outputs = states @ (model.C + model.D @ G).T + z_r @ model.Cr.T
     values |= dict(zip(model.outputs, outputs.T, strict=True))
     signals = vehicle.kind.signals
     return Response(time, signals, np.stack([values[signal.name] for signal in signals], axis=-1))

@@ -206,31 +206,42 @@ def _step(batch: Batch, readout: _Readout, gain: Array, offset: Array, midway: A
     Returns:
         The readings (T, N, reading), `sensordata` inside the steps (T, N, nsensordata) and qpos (T, N, nq).
     """
-    samples, count = len(offset), batch.nsim
+    samples, count, m = offset.shape
     # The motors, in the order of the linear model's inputs, are all there is in ctrl.
     ctrl, heights, sensors = batch.bind("ctrl"), batch.bind("mocap_pos")[:, :, 2], batch.bind("sensordata")
-    roads = np.zeros((samples, *heights.shape))
-    roads[:, :, readout.mocap] = midway
-    qpos, qvel = batch.bind("qpos"), batch.bind("qvel")
-    nq = qpos.shape[1]
+    qpos, motion = batch.bind("qpos"), _motion(batch)
     stage = int(mujoco.mjtStage.mjSTAGE_NONE if readout.from_state else mujoco.mjtStage.mjSTAGE_VEL)
     batch.forward(stage=stage)
+    reading = motion if readout.from_state else sensors
+    width = reading.shape[1]
 
-    readings = np.empty((samples, count, gain.shape[2]))
+    # A numpy call costs a tenth of a step, so there are few: the forces' known part lies beside the reading, with unit gain.
+    gain = np.concatenate([gain, np.broadcast_to(np.eye(m), (count, m, m))], axis=-1)
+    seen = np.empty((samples, count, width + m))
+    seen[..., width:] = offset
+    roads = np.zeros((samples, *heights.shape))
+    roads[..., readout.mocap] = midway
     late = np.empty((samples, *sensors.shape))
-    positions = readings[..., :nq] if readout.from_state else np.empty((samples, *qpos.shape))
+    positions = seen[..., : qpos.shape[1]] if readout.from_state else np.empty((samples, *qpos.shape))
     for k in range(samples):
-        positions[k] = qpos
-        if readout.from_state:
-            readings[k, :, nq:] = qvel
-        else:
-            readings[k] = sensors
-        np.einsum("nmk,nk->nm", gain, readings[k], out=ctrl)
-        ctrl += offset[k]
+        now = seen[k]
+        now[:, :width] = reading
+        if not readout.from_state:
+            positions[k] = qpos
+        np.matvec(gain, now, out=ctrl)
         heights[:] = roads[k]
         batch.step(stage=stage)
         late[k] = sensors
-    return readings, late, positions
+    return seen[..., :width], late, positions
+
+
+def _motion(batch: Batch) -> Array:
+    """(qpos, qvel) of every run as one view, shape (N, nq + nv): they lie side by side in a state row."""
+    qpos, qvel = batch.bind("qpos"), batch.bind("qvel")
+    start = (qpos.ctypes.data - batch.state.ctypes.data) // batch.state.itemsize
+    motion = batch.state[:, start : start + qpos.shape[1] + qvel.shape[1]]
+    assert motion[0, qpos.shape[1] :].ctypes.data == qvel.ctypes.data, "mjSTATE_QVEL follows mjSTATE_QPOS"
+    return motion
 
 
 def draw(vehicle: Vehicle, road: Road, time: Array, qpos: Array) -> Scene:

@@ -1,9 +1,8 @@
 """Roads: the height under a wheel as a function of time, and its exact derivative."""
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -36,6 +35,9 @@ class Road(ABC):
         """What it is: its kind under `type`, then its numbers in SI."""
 
 
+LIMITS = {"height": (-100.0, 100.0), "length": (1e-3, 1e4), "speed": (1e-3, 1e3)}  # SI; no road vehicle is beyond them
+
+
 @dataclass(frozen=True)
 class Bump(Road):
     """The isolated bump (61): one period of a cosine. Defaults are the paper's (62).
@@ -46,7 +48,7 @@ class Bump(Road):
         speed: V [m/s].
 
     Raises:
-        InputError: not a finite height, or a length or speed that is not above zero.
+        InputError: a number beyond `LIMITS`: a bump of no length, a vehicle that stands still.
     """
 
     height: float = 0.1
@@ -54,11 +56,10 @@ class Bump(Road):
     speed: float = 12.5
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if not math.isfinite(value) or (field.name != "height" and value <= 0):
-                allowed = "a finite number" if field.name == "height" else "a number above 0"
-                raise InputError(f"bump {field.name} = {value} is not allowed; give {allowed}")
+        for name, (smallest, largest) in LIMITS.items():
+            value = getattr(self, name)
+            if not smallest <= value <= largest:  # NaN is in no range
+                raise InputError(f"bump {name} = {value:g} is not allowed; give a number from {smallest:g} to {largest:g}")
 
     @property
     def duration(self) -> float:

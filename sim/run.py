@@ -13,10 +13,11 @@ from sim.agreement import Agreement, compare
 from sim.linear import continuous_response, largest_timestep, sampled_radius, sampled_response, taylor4
 from sim.physics import simulate
 from sim.response import Response
-from sim.road import Road
+from sim.road import Road, under_wheels
 from synth.controller import Controller
 
 MOST_SAMPLES = 5_000_000  # a run of these takes a gigabyte
+LOWEST = 1e-5  # m; what a lower road does to a vehicle is lost in the rounding of its weight
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +66,21 @@ def sample_times(vehicle: Vehicle, duration: float, timestep: float) -> Array:
     return np.arange(round(duration / timestep) + 1) * timestep
 
 
+def check_road(vehicle: Vehicle, road: Road, time: Array) -> None:
+    """Whether a vehicle feels a road at these sample times. A flat one is fine.
+
+    Raises:
+        InputError: the road hardly moves during the run.
+    """
+    highest = float(np.abs(under_wheels(road.displacement, vehicle, time)).max())
+    if 0 < highest < LOWEST:
+        raise InputError(
+            f"the road moves by only {highest:.2g} m in the {time[-1]:.4g} s of the run, and less than {LOWEST:g} m is lost in "
+            "rounding; give a higher or shorter one, more speed, a longer duration, or 0 height"
+        )
+
+
+@np.errstate(over="ignore", invalid="ignore")  # an unstable loop overflows; its run says so
 def run_all(vehicle: Vehicle, controllers: Sequence[Controller], road: Road, time: Array) -> list[Run]:
     """Runs every controller over the road, from rest, and compares.
 

@@ -7,11 +7,14 @@ from typing import Any
 import numpy as np
 
 from models.arrays import Array
+from models.kind import MOST_SQUEEZE
 from models.vehicle import Vehicle
+from sim.agreement import COARSEST
 from sim.run import Run
 from synth.controller import Controller
 
 
+@np.errstate(over="ignore")  # an unstable loop's squares overflow; what is infinite is None
 def run_object(vehicle: Vehicle, run: Run) -> dict[str, Any]:
     """One run as JSON has it: SI units, None for what is infinite or does not exist."""
     responses = {"mujoco": run.physics, "sampled": run.sampled, "continuous": run.continuous}
@@ -74,8 +77,15 @@ def verdict_lines(run: Run) -> list[str]:
     for start, end in agreement.lift_off:
         lines.append(f"lift-off: a tyre is off the road from {start:.4g} s to {end:.4g} s ({end - start:.3g} s)")
     when = "throughout"
+    ended = agreement.until in (agreement.flat, run.diverged)
+    if agreement.flat == agreement.until < math.inf:
+        lines.append(
+            f"flat: a tyre is squeezed by more than {MOST_SQUEEZE} m at {agreement.flat:.4g} s, its hub is in the road; "
+            "no model of it holds from there"
+        )
     if math.isfinite(agreement.until):
-        lines.append(f"the linear comparison does not apply from {agreement.until:.4g} s on")
+        why = "" if agreement.lift_off or ended else ": within a step, a tyre may leave the road there"
+        lines.append(f"the linear comparison does not apply from {agreement.until:.4g} s on{why}")
         when = f"until {agreement.until:.4g} s"
     worst = max(agreement.signals, key=lambda name: agreement.signals[name].sampled / agreement.signals[name].allowed)
     error = agreement.signals[worst]
@@ -83,10 +93,12 @@ def verdict_lines(run: Run) -> list[str]:
     if agreement.agrees:
         lines.append(f"agrees: MuJoCo is the exact sampled response to within RK4's own error, {when} ({numbers})")
     else:
-        lines.append(f"DOES NOT AGREE with the exact sampled response, {when} ({numbers})")
+        why = "; the timestep is too coarse, give a smaller one" if error.allowed == COARSEST else ""
+        lines.append(f"DOES NOT AGREE with the exact sampled response, {when} ({numbers}{why})")
     return lines
 
 
+@np.errstate(over="ignore")
 def run_lines(vehicle: Vehicle, run: Run, passive: Run | None) -> list[str]:
     """The table of one run: peak and rms of every signal, physics and linear, their errors, the change against passive."""
     headings = ("signal", "unit", "", "MuJoCo", "sampled", "continuous", "error", "to cont.", "vs passive")
@@ -96,9 +108,10 @@ def run_lines(vehicle: Vehicle, run: Run, passive: Run | None) -> list[str]:
         for kind in ("peak", "rms"):
             values = [float(getattr(response, kind)(name)) for response in (run.physics, run.sampled, run.continuous)]
             reference = float(getattr(passive.physics, kind)(name)) if passive else 0.0
-            change = f"{100 * (values[0] / reference - 1):+.1f} %" if reference else "-"
-            errors = (f"{signal.sampled:.1e}", f"{signal.continuous:.1e}") if kind == "peak" else ("", "")
-            rows.append((name if kind == "peak" else "", unit, kind, *(f"{value:.6g}" for value in values), *errors, change))
+            change = _cell(100 * (values[0] / reference - 1), "+.1f", " %") if reference else "-"
+            errors = (_cell(signal.sampled, ".1e"), _cell(signal.continuous, ".1e")) if kind == "peak" else ("", "")
+            numbers = (_cell(value, ".6g") for value in values)
+            rows.append((name if kind == "peak" else "", unit, kind, *numbers, *errors, change))
     return [f"  {line}" for line in _table(rows)]
 
 
@@ -137,6 +150,11 @@ def _table(rows: Sequence[Sequence[str]]) -> list[str]:
         "  ".join(cell.ljust(w) if i < 3 else cell.rjust(w) for i, (cell, w) in enumerate(zip(row, widths, strict=True))).rstrip()
         for row in rows
     ]
+
+
+def _cell(value: float, form: str, unit: str = "") -> str:
+    """A number as a table has it, "-" for one that does not exist."""
+    return f"{value:{form}}{unit}" if math.isfinite(value) else "-"
 
 
 def _finite(value: Any) -> float | None:
