@@ -1,0 +1,396 @@
+"""`python -m sim.bump`: its numbers, its JSON, its exit codes, and what it says when something is wrong."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+
+from models.errors import InputError
+from sim.agreement import ROUNDING, compare
+from sim.bump import main
+from sim.linear import sampled_response, taylor4
+from sim.road import Bump
+from sim.run import run_all, sample_times
+
+ROOT = Path(__file__).parent.parent
+VEHICLE = (ROOT / "models" / "quarter_car.toml").read_text()
+CONTROLLERS = ["passive", "state", "I", "II", "state_printed", "I_printed", "II_printed"]
+
+# The paper's bump (61)-(62) and its printed gains: DOP853 at rtol 1e-12 on the continuous closed loop, 3 s, 1 kHz; Drake's
+# multibody plant agrees for I. In m/s2, mm, mm, N, with the unit of the last digit that was written down.
+PEAKS = [
+    ("passive", "sprung_acceleration", 2.324, 1e-3),
+    ("passive", "suspension_deflection", 83.08e-3, 1e-5),
+    ("passive", "tyre_deflection", 6.420e-3, 1e-6),
+    ("passive", "control_force", 0.0, 0.1),
+    ("state_printed", "sprung_acceleration", 0.918, 1e-3),
+    ("state_printed", "suspension_deflection", 95.37e-3, 1e-5),
+    ("state_printed", "tyre_deflection", 6.059e-3, 1e-6),
+    ("state_printed", "control_force", 1223.4, 0.1),
+    ("I_printed", "sprung_acceleration", 0.763, 1e-3),
+    ("I_printed", "suspension_deflection", 96.97e-3, 1e-5),
+    ("I_printed", "tyre_deflection", 5.996e-3, 1e-6),
+    ("I_printed", "control_force", 1227.8, 0.1),
+    ("II_printed", "sprung_acceleration", 1.152, 1e-3),
+    ("II_printed", "suspension_deflection", 94.03e-3, 1e-5),
+    ("II_printed", "tyre_deflection", 6.044e-3, 1e-6),
+    ("II_printed", "control_force", 1106.7, 0.1),
+]
+
+RESPONSES = {"mujoco", "sampled", "continuous"}
+UNITS = {
+    "suspension_deflection": "m",
+    "tyre_deflection": "m",
+    "sprung_velocity": "m/s",
+    "unsprung_velocity": "m/s",
+    "sprung_acceleration": "m/s2",
+    "control_force": "N",
+}
+
+# (options, what the one line says: what was found, what is allowed or known)
+BAD_OPTIONS = [
+    ([], ["no controller", "all, passive, state, I, II"]),
+    (["--controller", "III"], ["'III'", "I, II, II_printed, I_printed, passive, state, state_printed"]),
+    (["--controller", ""], ["''", "passive"]),
+    (["--controller", "I", "--controller", "a\nb"], [r"'a\nb'"]),
+    (["--controller", "I", "--colour"], ["--colour", "--help"]),
+    (["--controller", "I", "--vehicle", "mine.toml"], ["mine.toml", "No such file", "quarter_car"]),
+    (["--controller", "I", "--height", "high"], ["--height", "'high' is not a number"]),
+    (["--controller", "I", "--height", "nan"], ["--height", "'nan' is not a finite number"]),
+    (["--controller", "I", "--height", "-1e3"], ["height = -1000", "from -100 to 100"]),
+    (["--controller", "I", "--height", "1e-300"], ["1e-300 m", "less than 1e-05 m"]),
+    (["--controller", "I", "--length", "0"], ["length = 0", "from 0.001 to 10000"]),
+    (["--controller", "I", "--length", "-5"], ["length = -5", "from 0.001 to 10000"]),
+    (["--controller", "I", "--length", "0.02"], ["0.0016 s", "two timesteps of 0.001 s"]),
+    (["--controller", "I", "--speed", "0"], ["speed = 0", "from 0.001 to 1000"]),
+    (["--controller", "I", "--timestep", "0"], ["timestep = 0.0", "above 0"]),
+    (["--controller", "I", "--timestep", "-1e-3"], ["timestep = -0.001", "above 0"]),
+    (["--controller", "I", "--timestep", "0.05"], ["timestep = 0.05", "above 0.0444 s"]),
+    (["--controller", "I", "--timestep", "1e-300"], ["samples are too many", "1000000"]),
+    (["--controller", "I", "--duration", "0"], ["duration = 0.0", "above 0"]),
+    (["--controller", "I", "--duration", "1e300"], ["samples are too many", "1000000"]),
+    (["--controller", "I", "--duration", "0.0015"], ["duration = 0.0015", "two timesteps"]),
+    (["--controller", "I", "--logs", "/dev/null"], ["/dev/null", "folder"]),
+    (["--controller", "I", "--logs", "/dev/null/logs"], ["/dev/null/logs", "folder"]),
+]
+
+
+def run_json(capsys, *arguments):
+    code = main([*arguments, "--json"])
+    printed = capsys.readouterr()
+    assert printed.err == ""
+    return code, json.loads(printed.out, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
+
+
+def command(*arguments, cwd, **options):
+    """The command as a user starts it."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    return subprocess.Popen(
+        [sys.executable, "-m", "sim.bump", *arguments],
+        cwd=cwd,
+        env=environment,
+        stdout=options.get("stdout", subprocess.PIPE),
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def vehicle_with(folder, gain, measured="sprung_velocity"):
+    """A vehicle file with one more controller, `mine`."""
+    path = folder / "mine.toml"
+    path.write_text(f'{VEHICLE}\n[controllers.mine]\nmeasured = ["{measured}"]\ngain = [[{gain}]]\n')
+    return str(path)
+
+
+@pytest.fixture(scope="module")
+def everything(tmp_path_factory):
+    """What `--controller all --json` prints, from a process of its own."""
+    folder = tmp_path_factory.mktemp("everything")
+    process = command("--controller", "all", "--json", "--no-logs", cwd=folder)
+    out, err = process.communicate()
+    assert (process.returncode, err, list(folder.iterdir())) == (0, "", [])
+    return json.loads(out)
+
+
+@pytest.mark.parametrize(("controller", "signal_name", "peak", "digit"), PEAKS, ids=[f"{row[0]}-{row[1]}" for row in PEAKS])
+def test_peaks_of_an_independent_solver(everything, controller, signal_name, peak, digit):
+    """The continuous peaks are those that two other simulators gave, to every digit that they were written down with."""
+    run = next(run for run in everything["runs"] if run["controller"]["name"] == controller)
+    assert run["signals"][signal_name]["peak"]["continuous"] == pytest.approx(peak, abs=0.5 * digit + 1e-12)  # half a digit
+
+
+def test_json_has_this_shape(everything):
+    """`--json` is one object of exactly these keys; units are those of the signals; `all` is every controller, once, in order."""
+    assert set(everything) == {"runs", "road", "timestep", "logs"}
+    assert everything["road"] == {"type": "bump", "height": 0.1, "length": 5.0, "speed": 12.5}  # (62)
+    assert everything["timestep"] == 1e-3
+    assert everything["logs"] == {"mcap": None, "rerun": None}
+    assert [run["controller"]["name"] for run in everything["runs"]] == CONTROLLERS
+    for run in everything["runs"]:
+        assert set(run) == {"controller", "signals", "lift_off", "agrees"}
+        assert set(run["controller"]) == {"name", "measured", "gain", "bound", "norm", "peak_frequency"}
+        assert {name: entry["unit"] for name, entry in run["signals"].items()} == UNITS
+        for entry in run["signals"].values():
+            assert set(entry) == {"unit", "peak", "rms", "error"}
+            assert set(entry["peak"]) == set(entry["rms"]) == RESPONSES
+            assert set(entry["error"]) == {"sampled", "continuous"}
+        assert run["lift_off"] == []
+        assert run["agrees"] is True
+
+
+def test_json_says_what_was_proved(everything):
+    """A designed controller comes with a bound above its norm, a given gain with its norm alone and as the file has it."""
+    by_name = {run["controller"]["name"]: run["controller"] for run in everything["runs"]}
+    for name in ("state", "I", "II"):
+        assert by_name[name]["norm"] <= by_name[name]["bound"]
+    for name in ("passive", "state_printed", "I_printed", "II_printed"):
+        assert by_name[name]["bound"] is None
+    assert by_name["I_printed"]["gain"] == [[10824.0, -2071.0]]
+    assert by_name["I_printed"]["measured"] == ["suspension_deflection", "sprung_velocity"]
+    assert by_name["passive"]["gain"] == [[]]
+    assert by_name["II_printed"]["norm"] == pytest.approx(7.906789, abs=5e-7)  # SLICOT, written down with 7 digits
+    assert by_name["II_printed"]["peak_frequency"] == pytest.approx(64.221, abs=1e-3)  # a flat top; SLICOT's to 5 digits
+
+
+def test_table_says_what_json_says(capsys, everything):
+    """The table shows the gain, bound, norm, every signal with its unit, the change against passive, and the verdict."""
+    assert main(["--controller", "I", "--no-logs"]) == 0
+    printed = capsys.readouterr()
+    run = next(run for run in everything["runs"] if run["controller"]["name"] == "I")
+    for name, entry in run["signals"].items():
+        row = next(line.split() for line in printed.out.splitlines() if line.strip().startswith(name) and "peak" in line)
+        assert row[1:3] == [entry["unit"], "peak"]
+        assert row[3:6] == [f"{entry['peak'][key]:.6g}" for key in ("mujoco", "sampled", "continuous")]
+    assert "gain [[10825.2, -2069.5]]" in printed.out
+    assert "bound 7.871486" in printed.out
+    assert "norm 7.843188 at 63.629 rad/s" in printed.out
+    assert "-67.3 %" in printed.out  # 0.760 against 2.324 m/s2
+    assert "agrees: " in printed.out
+    assert printed.err == ""
+
+
+def test_logs_are_written_and_named(capsys, tmp_path, monkeypatch):
+    """Without `--no-logs` an MCAP and a Rerun file are in `logs`, readable, and the last lines say how to open them."""
+    monkeypatch.chdir(tmp_path)
+    assert main(["--controller", "passive", "--controller", "II", "--duration", "0.1"]) == 0
+    last = capsys.readouterr().out.splitlines()[-2:]
+    mcap, rrd = sorted(Path("logs").iterdir())
+    assert last[0].split() == ["rerun", str(rrd)]
+    assert last[1].split()[:2] == ["rerun", str(mcap)]
+    with mcap.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    assert summary.statistics.message_count == 2 * 3 * 101  # runs, responses, samples; nothing happened but these
+    assert rrd.read_bytes()[:3] == b"RRF"
+
+
+def test_json_names_the_logs(capsys, tmp_path):
+    """`--logs DIR` makes the folder, and `--json` says what it wrote there and nothing else."""
+    folder = tmp_path / "deep" / "down"
+    code, result = run_json(capsys, "--controller", "passive", "--duration", "0.1", "--logs", str(folder))
+    assert code == 0
+    assert sorted(result["logs"].values()) == sorted(str(path) for path in folder.iterdir())
+
+
+@pytest.mark.parametrize(("arguments", "said"), BAD_OPTIONS, ids=[" ".join(row[0]) or "nothing" for row in BAD_OPTIONS])
+def test_bad_options(tmp_path, monkeypatch, capsys, arguments, said):
+    """A bad option is refused in one line that says what was found and what is allowed; nothing is printed or written."""
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError) as error:
+        main(arguments)
+    for part in said:
+        assert part in str(error.value)
+    assert len(str(error.value).splitlines()) == 1
+    assert capsys.readouterr().out == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_design_that_fails_writes_nothing(tmp_path, monkeypatch):
+    """A controller that cannot be designed is bad input too: no logs folder is left behind."""
+    monkeypatch.chdir(tmp_path)
+    # Without a damper, forces from a deflection alone conserve energy: no gain stabilises that.
+    undamped = VEHICLE.replace("suspension_damping = 400.0", "suspension_damping = 0.0")
+    Path("mine.toml").write_text(undamped + '[controllers.mine]\nmeasured = ["suspension_deflection"]\n')
+    with pytest.raises(InputError, match="infeasible"):
+        main(["--controller", "mine", "--vehicle", "mine.toml"])
+    assert list(tmp_path.iterdir()) == [tmp_path / "mine.toml"]
+
+
+def test_exit_code_2_and_one_line(tmp_path):
+    """A mistake ends the command with exit code 2 and one line on stderr, even if what it quotes has two."""
+    process = command("--controller", "I", "--vehicle", "no\nfile", "--json", cwd=tmp_path)
+    out, err = process.communicate()
+    assert process.returncode == 2
+    assert out == ""
+    assert err.startswith("roadproof: vehicle file no file: cannot be read")
+    assert err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_exit_code_1_when_the_step_is_too_coarse(capsys):
+    """At 20 ms RK4 is a tenth of the peak off: that is no agreement, the exit code is 1, and the line says what to do."""
+    assert main(["--controller", "I", "--no-logs", "--timestep", "0.02"]) == 1
+    assert "DOES NOT AGREE" in (out := capsys.readouterr().out)
+    assert "give a smaller one" in out
+
+
+def test_another_vehicles_prediction_does_not_agree(paper, designer):
+    """The verdict notices a prediction whose height is off by a millionth."""
+    passive, moment = designer.design("passive"), sample_times(paper, 0.5, 2e-4)
+    physics = run_all(paper, [passive], Bump(), moment)[0].physics
+    predictions = [
+        [
+            sampled_response(paper, passive, Bump(height), moment),
+            sampled_response(paper, passive, Bump(height), moment, exponential=taylor4),
+        ]
+        for height in (0.1, 0.1 * (1 + 1e-6))
+    ]
+    # RK4's own error at this step is 1e-9 of a peak, as the rounding that is allowed.
+    right, wrong = (compare(paper, physics, sampled, integrated, sampled, float("inf")) for sampled, integrated in predictions)
+    assert right.agrees
+    assert not wrong.agrees
+    assert max(entry.allowed for entry in right.signals.values()) < 10 * ROUNDING
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["--height", "0.12", "--length", "1.5"],
+        ["--height", "1.0"],  # within a step the held road falls away before the samples say so
+        ["--height", "-0.3", "--length", "1.5", "--timestep", "2e-3"],
+    ],
+    ids=" ".join,
+)
+def test_lift_off_is_reported_and_no_disagreement(capsys, options):
+    """A wheel that leaves the road is reported with when and for how long; until then physics and analysis agree."""
+    code, result = run_json(capsys, "--controller", "I", "--no-logs", *options)
+    (run,) = result["runs"]
+    assert code == 0
+    assert run["agrees"] is True
+    assert run["lift_off"]
+    for start, end in run["lift_off"]:
+        assert 0 < start <= end <= 3.0
+    for entry in run["signals"].values():
+        assert entry["error"]["sampled"] < 1e-5  # RK4's own: 5e-7 at 1 ms, 6.2e-6 at 2 ms
+    # Over the whole run they are far apart: it was the comparison that stopped, not the physics.
+    tyre = run["signals"]["tyre_deflection"]["peak"]
+    assert abs(tyre["mujoco"] - tyre["sampled"]) > 0.1 * tyre["sampled"]
+
+    start, end = run["lift_off"][0]
+    main(["--controller", "I", "--no-logs", *options])
+    out = capsys.readouterr().out
+    assert f"lift-off: a tyre is off the road from {start:.4g} s to {end:.4g} s ({end - start:.3g} s)" in out
+    assert "the linear comparison does not apply from" in out
+
+
+def test_a_tyre_squeezed_flat_is_reported(capsys):
+    """A ten-metre bump at 12.5 m/s puts the hub into the road: the run says so, and compares no further."""
+    assert main(["--controller", "passive", "--no-logs", "--height", "10"]) == 0
+    out = capsys.readouterr().out
+    assert "flat: a tyre is squeezed by more than 0.25 m at 0.022 s" in out
+    assert "does not apply from 0.022 s on" in out
+
+
+def test_a_mildly_unstable_gain_is_run_and_called_unstable(capsys, tmp_path):
+    """Positive feedback of the body's velocity that just outweighs the damper: no norm, both loops called unstable, and run."""
+    vehicle = vehicle_with(tmp_path, 450.0)
+    code, result = run_json(capsys, "--controller", "mine", "--no-logs", "--vehicle", vehicle)
+    (run,) = result["runs"]
+    assert code == 0
+    assert run["controller"]["norm"] is None
+    assert run["controller"]["peak_frequency"] is None
+    assert run["agrees"] is True
+    main(["--controller", "mine", "--no-logs", "--vehicle", vehicle])
+    out = capsys.readouterr().out
+    assert "unstable: a pole at" in out
+    assert "unstable: the sampled loop grows by a factor of 1.000" in out
+
+
+@pytest.mark.parametrize(("gain", "continuous_is_stable"), [("1e6", False), ("-1e7", True), ("1e12", False)])
+def test_a_diverging_run_stops_cleanly(tmp_path, gain, continuous_is_stable):
+    """A wildly unstable gain: physics diverges, JSON has nulls for it, nothing is on stderr, and no file of MuJoCo's is left."""
+    vehicle = vehicle_with(tmp_path, gain)
+    process = command("--controller", "mine", "--vehicle", vehicle, "--no-logs", "--json", cwd=tmp_path)
+    out, err = process.communicate()
+    assert process.returncode == 0  # until it diverged, MuJoCo did what the analysis says
+    (run,) = json.loads(out, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))["runs"]
+    assert (run["controller"]["norm"] is not None) == continuous_is_stable  # -1e7 is too fast for the sampling only
+    assert {entry["peak"]["mujoco"] for entry in run["signals"].values()} == {None}
+    assert err == ""
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.toml"]
+
+
+def test_a_diverging_run_is_logged(capsys, tmp_path, monkeypatch):
+    """A run that broke off is written to the logs like any other, and the table has no "nan" in it."""
+    monkeypatch.chdir(tmp_path)
+    vehicle = vehicle_with(tmp_path, "1e5")
+    assert main(["--controller", "mine", "--vehicle", vehicle, "--logs", str(tmp_path / "logs")]) == 0
+    out = capsys.readouterr().out
+    assert "diverged: MuJoCo was stopped at" in out
+    assert "nan" not in out
+    assert len(list((tmp_path / "logs").iterdir())) == 2
+
+
+@pytest.mark.parametrize("when", ["during the run", "while writing"])
+def test_an_interruption_leaves_nothing(tmp_path, when):
+    """Ctrl-C ends the command with exit code 130 and one line, and leaves an empty logs folder."""
+    logs = tmp_path / "logs"
+    process = command("--controller", "passive", "--duration", "30", cwd=tmp_path)
+    deadline = time.monotonic() + 30
+    while time.monotonic() < deadline and process.poll() is None:
+        # The folder is made when the run begins; a folder within it, when the writing does.
+        if logs.is_dir() and (when == "during the run" or any(path.is_dir() for path in logs.iterdir())):
+            break
+        time.sleep(0.002)
+    time.sleep(0.05)  # well into it
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate()
+    assert (process.returncode, out, err) == (130, "", "roadproof: interrupted\n")
+    assert list(logs.iterdir()) == []
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_output_that_cannot_be_written(tmp_path):
+    """A full disk behind stdout is one line on stderr and exit code 2; a reader that has gone, as `head`, is no error."""
+    with open("/dev/full", "w") as full:
+        process = command("--controller", "passive", "--no-logs", "--duration", "0.1", cwd=tmp_path, stdout=full)
+        _, err = process.communicate()
+    assert process.returncode == 2
+    assert err.startswith("roadproof: cannot write the output: No space left on device")
+    assert err.count("\n") == 1
+
+    read, write = os.pipe()
+    os.close(read)
+    process = command("--controller", "passive", "--no-logs", "--duration", "0.1", cwd=tmp_path, stdout=write)
+    os.close(write)
+    _, err = process.communicate()
+    assert (process.returncode, err) == (0, "")
+
+
+def test_help_shows_units_and_defaults(capsys):
+    """`--help` names every option with its unit and default, and the exit codes."""
+    with pytest.raises(SystemExit) as stop:
+        main(["--help"])
+    assert stop.value.code == 0
+    out = " ".join(capsys.readouterr().out.split())
+    for option in ("--controller", "--vehicle", "--logs", "--no-logs", "--json"):
+        assert option in out
+    for line in ("[m] (default: 0.1)", "[m] (default: 5)", "[m/s] (default: 12.5)", "[s] (default: 3)", "[s] (default: 0.001)"):
+        assert line in out
+    assert "exit code: 0" in out
+
+
+def test_negative_numbers_are_no_options(capsys):
+    """A hole is a bump of negative height, with or without an exponent, and the linear response is its mirror image."""
+    results = [run_json(capsys, "--controller", "passive", "--no-logs", "--height", height) for height in ("-2e-2", "0.02")]
+    hole, bump = (result["runs"][0]["signals"] for _, result in results)
+    assert results[0][1]["road"]["height"] == -0.02
+    for name in UNITS:
+        assert hole[name]["peak"]["continuous"] == bump[name]["peak"]["continuous"]

@@ -1,0 +1,183 @@
+"""Vehicle files: the one that ships is the paper's, and every mistake in one is named in one line."""
+
+import numpy as np
+import pytest
+
+from models.errors import InputError
+from models.kind import MOST_SQUEEZE
+from models.vehicle import parse_vehicle, read_vehicle
+
+MEASURABLE = "sprung_velocity, suspension_deflection, tyre_deflection, unsprung_velocity"
+MASS = "sprung_mass = 504.5"
+WEIGHT = "sprung_acceleration = 1.0"
+MINE = 'measured = ["suspension_deflection", "sprung_velocity"]'
+
+# (what is wrong, replaced in the file that ships, by this, what the message says: the key, what is allowed)
+CHANGES = [
+    ("not TOML", MASS, "sprung_mass is 504.5", ["not TOML", "line 5"]),
+    ("a number of 5000 digits", MASS, f"sprung_mass = {'9' * 5000}", ["not TOML", "digits"]),
+    ("brackets without end", MASS, f"sprung_mass = {'[' * 5000}", ["not TOML"]),
+    ("a key twice", MASS, f"{MASS}\n{MASS}", ["not TOML", "line 6"]),
+    ("unknown section", "[performance]", "[comfort]", ["'comfort'", "controllers, parameters, performance, type"]),
+    ("no type", 'type = "quarter_car"', "", ["'type'", "missing"]),
+    ("unknown type", '"quarter_car"', '"bicycle"', ["'bicycle'", "known: ", "quarter_car"]),
+    ("type is a path", '"quarter_car"', '"../models/quarter_car"', ["unknown vehicle type"]),
+    ("type is a number", '"quarter_car"', "4", ["type = 4", "known: "]),
+    ("unknown parameter", MASS, f"{MASS}\nwheelbase = 2.5", ["'wheelbase'", "sprung_mass, suspension_damping"]),
+    ("missing parameter", MASS, "", ["'sprung_mass' [kg]", "missing"]),
+    ("negative mass", MASS, "sprung_mass = -504.5", ["sprung_mass = -504.5", "from 1e-06 to 1e+12 kg"]),
+    ("no mass", MASS, "sprung_mass = 0", ["sprung_mass = 0", "from 1e-06 to 1e+12 kg"]),
+    ("negative damping", "= 400.0", "= -400.0", ["suspension_damping = -400.0", "from 0 to 1e+12 N s/m"]),
+    ("NaN", MASS, "sprung_mass = nan", ["sprung_mass = nan", "from 1e-06 to 1e+12 kg"]),
+    ("infinite", MASS, "sprung_mass = inf", ["sprung_mass = inf", "from 1e-06 to 1e+12 kg"]),
+    ("absurdly large", MASS, "sprung_mass = 1e300", ["sprung_mass = 1e+300", "from 1e-06 to 1e+12 kg"]),
+    ("absurdly small", MASS, "sprung_mass = 1e-300", ["sprung_mass = 1e-300", "from 1e-06 to 1e+12 kg"]),
+    ("too large for a float", MASS, f"sprung_mass = {'9' * 400}", ["sprung_mass = 999", "...", "from 1e-06 to 1e+12 kg"]),
+    ("text for a number", MASS, 'sprung_mass = "heavy"', ["sprung_mass = 'heavy'", "a number"]),
+    ("text of two lines", MASS, 'sprung_mass = "a\\nb"', [r"sprung_mass = 'a\nb'", "a number"]),
+    ("true for a number", MASS, "sprung_mass = true", ["sprung_mass = True", "a number"]),
+    ("list for a number", MASS, "sprung_mass = [504.5]", ["sprung_mass = [504.5]", "a number"]),
+    ("a tyre that is flat at rest", "= 252000.0", "= 1e3", ["tyre_deflection", "5.56 m", f"at most {MOST_SQUEEZE} m"]),
+    ("unknown weight", WEIGHT, f"{WEIGHT}\njerk = 1.0", ["[performance]", "'jerk'", "sprung_acceleration"]),
+    ("weight of the road", WEIGHT, f"{WEIGHT}\nroad_velocity = 1.0", ["[performance]", "'road_velocity'"]),
+    ("negative weight", WEIGHT, "sprung_acceleration = -1.0", ["[performance] sprung_acceleration = -1.0", "1e-12 to 1e+12"]),
+    ("weight that rounds away", WEIGHT, "sprung_acceleration = 1e-300", ["sprung_acceleration = 1e-300", "1e-12 to 1e+12"]),
+    ("weight NaN", WEIGHT, "sprung_acceleration = nan", ["sprung_acceleration = nan", "1e-12 to 1e+12"]),
+    ("weight in words", WEIGHT, 'sprung_acceleration = "much"', ["sprung_acceleration = 'much'", "1e-12 to 1e+12"]),
+    ("unknown controller key", MINE, f"{MINE}\ngains = [[1.0, 2.0]]", ["[controllers.I]", "'gains'", "gain, measured"]),
+    ("nothing measured", MINE, "", ["[controllers.I] measured is missing", MEASURABLE]),
+    ("empty measurement", MINE, "measured = []", ["[controllers.I] measured = []", MEASURABLE]),
+    ("measured as text", MINE, 'measured = "sprung_velocity"', ["[controllers.I] measured = 'sprung_velocity'", MEASURABLE]),
+    ("unknown signal", MINE, 'measured = ["jerk"]', ["[controllers.I]", "'jerk'", MEASURABLE]),
+    ("the road is not measured", MINE, 'measured = ["road_velocity"]', ["'road_velocity'", MEASURABLE]),
+    ("algebraic loop", MINE, 'measured = ["sprung_acceleration"]', ["'sprung_acceleration'", "force itself", MEASURABLE]),
+    ("measured twice", MINE, 'measured = ["sprung_velocity", "sprung_velocity"]', ["'sprung_velocity' twice"]),
+    ("gain is a number", MINE, f"{MINE}\ngain = 1.0", ["[controllers.I] gain = 1.0", "1 row(s)", "of 2 number(s)"]),
+    ("gain is a list", MINE, f"{MINE}\ngain = [1.0, 2.0]", ["gain = [1.0, 2.0]", "gain = [[1.0, 1.0]]"]),
+    ("gain too short", MINE, f"{MINE}\ngain = [[1.0]]", ["1 row(s) of 1 number(s)", "1 row(s) (one per actuator) of 2"]),
+    ("gain too long", MINE, f"{MINE}\ngain = [[1.0, 2.0, 3.0]]", ["1 row(s) of 3 number(s)", "of 2"]),
+    ("gain of two rows", MINE, f"{MINE}\ngain = [[1.0, 2.0], [3.0]]", ["2 row(s) of 1 or 2 number(s)", "1 row(s)"]),
+    ("empty gain", MINE, f"{MINE}\ngain = []", ["0 row(s)", "1 row(s)"]),
+    ("gain NaN", MINE, f"{MINE}\ngain = [[nan, 1.0]]", ["gain = [[nan, 1.0]]", "number(s)"]),
+    ("gain in words", MINE, f'{MINE}\ngain = [["a", "b"]]', ["gain = [['a', 'b']]", "number(s)"]),
+    ("gain that overflows", MINE, f"{MINE}\ngain = [[1e300, 1.0]]", ["gain = [[1e+300, 1.0]]", "at most 1e+12"]),
+    ("a taken name", "[controllers.I]", "[controllers.passive]", ["[controllers.passive]", "rename"]),
+    ("all is no name", "[controllers.I]", "[controllers.all]", ["[controllers.all]", "rename"]),
+    ("no name", "[controllers.I]", '[controllers.""]', ["name", "letters, digits"]),
+    ("a name that is a path", "[controllers.I]", '[controllers."../I"]', ["[controllers.../I]", "letters, digits"]),
+    ("a name too long for a file", "[controllers.I]", f"[controllers.{'I' * 300}]", ["at most 60"]),
+]
+
+
+@pytest.fixture(scope="module")
+def text(paper):
+    return paper.text
+
+
+def test_the_file_that_ships_is_the_papers(paper):
+    """`quarter_car` has the parameters (33), the weights (38), what I and II measure, and the printed gains."""
+    assert paper.parameters == {
+        "sprung_mass": 504.5,
+        "unsprung_mass": 62.0,
+        "suspension_stiffness": 13100.0,
+        "suspension_damping": 400.0,
+        "tyre_stiffness": 252000.0,
+    }
+    assert paper.performance == {
+        "sprung_acceleration": 1.0,
+        "suspension_deflection": 0.1,
+        "tyre_deflection": 0.2,
+        "control_force": 1e-4,
+    }
+    measured = {name: entry.measured for name, entry in paper.controllers.items()}
+    assert measured["I"] == measured["I_printed"] == ("suspension_deflection", "sprung_velocity")  # (45)
+    assert measured["II"] == measured["II_printed"] == ("sprung_velocity",)  # (54)
+    gains = {name: entry.gain for name, entry in paper.controllers.items()}
+    assert gains["I"] is None
+    assert gains["II"] is None
+    np.testing.assert_array_equal(gains["I_printed"], [[1.0824e4, -0.2071e4]])  # (50)
+    np.testing.assert_array_equal(gains["II_printed"], [[-8970.3]])  # (58)
+    np.testing.assert_array_equal(gains["state_printed"], [[1.1810e4, 0.2333e4, -0.1096e4, 0.0109e4]])  # (40)
+
+
+def test_passive_and_state_always_exist(text):
+    """A vehicle file without controllers still has two: no force, and full state feedback."""
+    assert parse_vehicle(text.split("[controllers.I]")[0]).controller_names == ("passive", "state")
+
+
+@pytest.mark.parametrize(("old", "new", "said"), [row[1:] for row in CHANGES], ids=[row[0] for row in CHANGES])
+def test_a_mistake_is_named(text, old, new, said):
+    """One wrong entry is refused in one line that names the key and what is allowed."""
+    assert text.count(old) >= 1
+    with pytest.raises(InputError) as error:
+        parse_vehicle(text.replace(old, new, 1))
+    message = str(error.value)
+    for part in said:
+        assert part in message
+    assert len(message.splitlines()) == 1
+    assert len(message) < 400  # a line, not a page: values are shortened
+
+
+@pytest.mark.parametrize(
+    ("section", "said"),
+    [
+        ("[performance]\n", "weighs nothing"),
+        ("[performance]\nsprung_acceleration = 0.0\n", "weighs nothing"),
+        ("performance = 1.0\n", "write it as [performance]"),
+        ("", "'performance' is missing"),
+    ],
+)
+def test_a_design_needs_weights(text, section, said):
+    """A `[performance]` that is empty, all zero, no section or not there is refused."""
+    head = text.split("# Weights")[0]
+    if not section.startswith("["):
+        head, section = section + head, ""
+    with pytest.raises(InputError, match=said.replace("[", r"\[")):
+        parse_vehicle(head + section)
+
+
+def test_controllers_are_sections(text):
+    """A controller that is no section is refused, and so is a list of them."""
+    head = text.split("[controllers.I]")[0]
+    with pytest.raises(InputError, match=r"\[controllers.mine\] is not a section"):
+        parse_vehicle(f"{head}[controllers]\nmine = 3\n")
+    with pytest.raises(InputError, match=r"write it as \[controllers\]"):
+        parse_vehicle(f'{head}[[controllers]]\nname = "mine"\n')
+
+
+def test_zero_damping_and_integers_are_allowed(text):
+    """An undamped suspension is a vehicle, and 500 is a number as good as 500.0."""
+    vehicle = parse_vehicle(text.replace("= 400.0", "= 0").replace("= 504.5", "= 500"))
+    assert vehicle.parameters["suspension_damping"] == 0.0
+    assert vehicle.parameters["sprung_mass"] == 500.0
+
+
+def test_a_file_is_read_by_path_and_by_name(paper, tmp_path, monkeypatch):
+    """A vehicle that ships is found by name, but a file of that name comes first; a byte order mark is no mistake."""
+    monkeypatch.chdir(tmp_path)
+    assert read_vehicle("quarter_car").source == paper.source
+    (tmp_path / "quarter_car").write_text(paper.text.replace("504.5", "600.0"), encoding="utf-8-sig")
+    assert read_vehicle("quarter_car").parameters["sprung_mass"] == 600.0
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (None, "No such file"),
+        ("folder", "Is a directory"),
+        (bytes(range(256)), "not a text file in UTF-8"),
+        (b"", "'type' is missing"),
+    ],
+)
+def test_a_file_that_cannot_be_read(tmp_path, content, said):
+    """A file that is not there, a folder, a binary and an empty file are refused by name in one line."""
+    path = tmp_path / "mine.toml"
+    if content == "folder":
+        path.mkdir()
+    elif content is not None:
+        path.write_bytes(content)
+    with pytest.raises(InputError) as error:
+        read_vehicle(path)
+    assert str(path) in str(error.value)
+    assert said in str(error.value)
+    assert len(str(error.value).splitlines()) == 1
