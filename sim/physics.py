@@ -10,8 +10,10 @@ What makes it agree with the analysis to the integrator's own error (RK4's, to t
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo's bindings carry no type stubs.
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -66,12 +68,10 @@ def simulate(
         threads: how many threads share the runs; results do not depend on it. 0 takes every core.
     """
     vehicle, timestep = vehicles[0], float(time[1] - time[0])
-    same = all(other is vehicle for other in vehicles)
-    models = [build_model(other, timestep) for other in (vehicles[:1] if same else vehicles)]
-    batch = Batch(models[0], len(vehicles), threads)
-    if not same:
-        batch.set_models(models)
-    readout = _readout(vehicle, models[0])
+    model, readout = _prepared(vehicle, timestep)
+    batch = Batch(model, len(vehicles), threads)
+    if any(other is not vehicle for other in vehicles):
+        batch.set_models([build_model(other, timestep) for other in vehicles])
 
     # Road heights, shape (T, N, r): at the samples, and midway through the steps, where MuJoCo holds them.
     now = np.stack([under_wheels(road.displacement, vehicle, time) for road in roads], axis=1)
@@ -134,6 +134,13 @@ class _Readout:
     late_signals: Array
     late_rest: Array
     mocap: list[int]
+
+
+@functools.lru_cache(maxsize=4)
+def _prepared(vehicle: Vehicle, timestep: float) -> tuple[mujoco.MjModel, _Readout]:
+    """Model and readout of a vehicle. A search runs one vehicle hundreds of times; `Batch` copies the model."""
+    model = build_model(vehicle, timestep)
+    return model, _readout(vehicle, model)
 
 
 def _readout(vehicle: Vehicle, model: mujoco.MjModel) -> _Readout:
@@ -229,15 +236,16 @@ def _step(batch: Batch, readout: _Readout, gain: Array, offset: Array, midway: A
     roads[..., readout.mocap] = midway
     late = np.empty((samples, *sensors.shape))
     positions = seen[..., : qpos.shape[1]] if readout.from_state else np.empty((samples, *qpos.shape))
-    for k in range(samples):
-        now = seen[k]
-        now[:, :width] = reading
+    rows: Any = zip(seen, seen[..., :width], positions, roads, late, strict=True)
+    step = batch.step if readout.from_state else functools.partial(batch.step, stage=stage)
+    for all_seen, read, position, road, sensed in rows:
+        read[...] = reading
         if not readout.from_state:
-            positions[k] = qpos
-        np.matvec(gain, now, out=ctrl)
-        heights[:] = roads[k]
-        batch.step(stage=stage)
-        late[k] = sensors
+            position[...] = qpos
+        np.matvec(gain, all_seen, ctrl)
+        heights[...] = road
+        step()
+        sensed[...] = sensors
     return seen[..., :width], late, positions
 
 
@@ -260,7 +268,7 @@ def draw(vehicle: Vehicle, road: Road, time: Array, qpos: Array) -> Scene:
         qpos: generalized positions, shape (T, nq).
     """
     timestep = float(time[1] - time[0])
-    model = build_model(vehicle, timestep)
+    model, _ = _prepared(vehicle, timestep)
     data = mujoco.MjData(model)
     frames = np.unique(np.round(np.arange(0, time[-1], 1 / 60) / timestep).astype(int))
     frames = frames[np.all(np.abs(qpos[frames]) < DIVERGED, axis=-1)]
