@@ -1,9 +1,9 @@
 """A kind of vehicle: what `models/<name>.py` must say so that everything after it works unchanged."""
 
-import importlib
+import importlib.util
 import reprlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -59,12 +59,16 @@ class Wheel:
         road_displacement: signal of the road's height under it.
         road_velocity: signal of the road's vertical velocity under it, a disturbance of the linear model.
         tyre_deflection: signal of its tyre.
+        behind: parameters -> how far it runs behind the first wheel [m].
+        side: the track it runs in, "left" or "right"; empty where the vehicle has only one.
     """
 
     road_body: str
     road_displacement: str
     road_velocity: str
     tyre_deflection: str
+    behind: Callable[[Parameters], float] = lambda p: 0.0
+    side: str = ""
 
 
 @dataclass(frozen=True)
@@ -80,6 +84,9 @@ class VehicleKind:
         static_tyre_deflection: parameters -> how far each tyre is squeezed at rest [m], by tyre deflection signal. A tyre
             deflection above it means that the wheel is off the road.
         write_mjcf: writes the parameters into an `MjSpec` of the kind's `.xml`. It edits what it is given: no import of MuJoCo.
+        folder: where its `.xml` lies.
+        check_together: raises InputError where parameters, each fine by itself, make no vehicle together.
+        combined: signals that are no sensor but a sum of others, as {name: {other signal: factor}}.
     """
 
     name: str
@@ -89,11 +96,14 @@ class VehicleKind:
     linear_model: Callable[[Parameters], LinearModel]
     static_tyre_deflection: Callable[[Parameters], Mapping[str, float]]
     write_mjcf: Callable[[Any, Parameters], None]
+    folder: Path = HERE
+    check_together: Callable[[Parameters], None] = lambda p: None
+    combined: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     @property
     def mjcf(self) -> Path:
         """Path of the kind's MJCF."""
-        return HERE / f"{self.name}.xml"
+        return self.folder / f"{self.name}.xml"
 
     def check(self, parameters: Mapping[str, Any]) -> dict[str, float]:
         """All parameters, checked, in the kind's order.
@@ -109,6 +119,7 @@ class VehicleKind:
             if parameter.name not in parameters:
                 raise InputError(f"parameter {parameter.name!r} [{parameter.unit}] is missing: {parameter.meaning}")
         checked = {parameter.name: parameter.check(parameters[parameter.name]) for parameter in self.parameters}
+        self.check_together(checked)
         for tyre, squeeze in self.static_tyre_deflection(checked).items():
             if squeeze > MOST_SQUEEZE:
                 raise InputError(
@@ -122,17 +133,26 @@ class VehicleKind:
         return next(signal for signal in self.signals if signal.name == name)
 
 
-def kinds() -> list[str]:
-    """The kinds of vehicle that exist: those with equations and an MJCF in this folder."""
-    return sorted(path.stem for path in HERE.glob("*.xml") if path.with_suffix(".py").exists())
+def kinds(folder: Path = HERE) -> list[str]:
+    """The kinds of vehicle in a folder: those with equations and an MJCF. By default, those that ship."""
+    return sorted(path.stem for path in folder.glob("*.xml") if path.with_suffix(".py").exists())
 
 
-def kind(name: str) -> VehicleKind:
-    """The kind of vehicle of that name.
+def kind(name: str, folder: Path | None = None) -> VehicleKind:
+    """The kind of vehicle of that name: one that ships, or one whose `.py` and `.xml` lie in a folder of the user's.
 
     Raises:
         InputError: there is none.
     """
-    if name not in kinds():
-        raise InputError(f"unknown vehicle type {name!r}; known: {known(kinds())}")
-    return importlib.import_module(f"models.{name}").KIND
+    if name in kinds():
+        return importlib.import_module(f"models.{name}").KIND
+    own = kinds(folder) if folder else []
+    if folder is None or name not in own:
+        beside = f", or beside the vehicle file: {name}.py and {name}.xml" if folder else ""
+        raise InputError(f"unknown vehicle type {name!r}; known: {known([*kinds(), *own])}{beside}")
+    spec = importlib.util.spec_from_file_location(f"roadproof_{name}", folder / f"{name}.py")
+    assert spec is not None, "the file exists"
+    assert spec.loader is not None, "it is Python"
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return replace(module.KIND, folder=folder)

@@ -60,6 +60,12 @@ class LinearModel:
             matrix.flags.writeable = False
             object.__setattr__(self, name, matrix)
 
+    @property
+    def measurable(self) -> tuple[str, ...]:
+        """The output signals that are a function of the state alone: what a static controller can measure."""
+        direct = np.any(self.D, axis=1) | np.any(self.Cr, axis=1)
+        return tuple(name for name, is_direct in zip(self.outputs, direct, strict=True) if not is_direct)
+
     def rows(self, signals: Sequence[str]) -> tuple[Array, Array]:
         """The rows of C and D of some output signals, shapes (k, n) and (k, m).
 

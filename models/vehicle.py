@@ -85,13 +85,18 @@ def read_vehicle(file: str | Path) -> Vehicle:
         shipped = f"give a TOML file or one of: {known(kinds())}"
         raise InputError(f"vehicle file {path}: cannot be read ({error.strerror}); {shipped}") from error
     try:
-        return parse_vehicle(text, source=str(path))
+        return parse_vehicle(text, source=str(path), folder=path.parent)
     except InputError as error:
         raise InputError(f"vehicle file {path}: {error}") from error
 
 
-def parse_vehicle(text: str, source: str = "") -> Vehicle:
+def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Vehicle:
     """A vehicle from the text of its file.
+
+    Args:
+        text: TOML.
+        source: where it came from, for messages.
+        folder: where a kind of vehicle of the user's own may lie; without one, only those that ship are known.
 
     Raises:
         InputError: see `read_vehicle`.
@@ -112,7 +117,7 @@ def parse_vehicle(text: str, source: str = "") -> Vehicle:
     if not isinstance(data["type"], str):
         raise InputError(f"type = {reprlib.repr(data['type'])} is not a name in quotes; known: {known(kinds())}")
 
-    vehicle_kind = kind(data["type"])
+    vehicle_kind = kind(data["type"], folder)
     parameters = vehicle_kind.check(data["parameters"])
     model = vehicle_kind.linear_model(parameters)
     return Vehicle(
@@ -154,7 +159,7 @@ def _controller(name: str, entry: Any, model: LinearModel) -> ControllerEntry:
             raise InputError(f"{where} unknown key {key!r}; known: gain, measured")
 
     measured = entry.get("measured")
-    measurable = known(output for output in model.outputs if not np.any(model.rows([output])[1]))
+    measurable = known(model.measurable)
     if not isinstance(measured, list) or not measured or not all(isinstance(signal, str) for signal in measured):
         found = f"measured = {reprlib.repr(measured)} is no list of signals" if "measured" in entry else "measured is missing"
         raise InputError(f"{where} {found}; give a list of signals out of: {measurable}")
@@ -163,9 +168,9 @@ def _controller(name: str, entry: Any, model: LinearModel) -> ControllerEntry:
             raise InputError(f"{where} unknown signal {reprlib.repr(signal)}; it can measure {measurable}")
         if measured.count(signal) > 1:
             raise InputError(f"{where} measures {signal!r} twice; name it once")
-        if np.any(model.rows([signal])[1]):
+        if signal not in model.measurable:
             raise InputError(
-                f"{where} {signal!r} contains the control force itself, so a static controller cannot measure it; "
+                f"{where} {signal!r} contains the control force or the road itself, so a static controller cannot measure it; "
                 f"give signals out of: {measurable}"
             )
     return ControllerEntry(name, tuple(measured), _gain(where, entry["gain"], model, measured) if "gain" in entry else None)

@@ -32,7 +32,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     vehicle = read_vehicle(options.vehicle)
     names = _chosen(vehicle, options.controller)
-    road = Bump(options.height, options.length, options.speed)
+    road = Bump(options.height, options.length, options.speed, options.track)
+    if road.track != "both" and not any(wheel.side for wheel in vehicle.kind.wheels):
+        raise InputError(f"--track {road.track}: a {vehicle.kind.name} has only one track; leave the option out")
     time = sample_times(vehicle, options.duration, options.timestep)
     if road.duration < 2 * options.timestep:
         raise InputError(
@@ -84,6 +86,9 @@ def _parser() -> Parser:
     parser.add_number("--height", Bump.height, "m", "bump height")
     parser.add_number("--length", Bump.length, "m", "bump length")
     parser.add_number("--speed", Bump.speed, "m/s", "forward speed of the vehicle")
+    parser.add_argument(
+        "--track", choices=("left", "right", "both"), default="both", help="the wheels that the bump lies under (default: both)"
+    )
     parser.add_number("--duration", 3.0, "s", "how long to run")
     parser.add_number("--timestep", 1e-3, "s", "integration step and sample period of the controller")
     parser.add_argument("--logs", type=Path, default=Path("logs"), metavar="DIR", help="folder for the log files (default: logs)")
@@ -119,7 +124,8 @@ def _record(folder: Path, vehicle: Vehicle, road: Bump, runs: Sequence[Run], tim
 def _text(vehicle: Vehicle, road: Bump, runs: Sequence[Run], passive: Run, options, logs: dict) -> list[str]:
     lines = [
         f"{vehicle.kind.name} ({vehicle.source}) over a bump of {road.height:g} m height and {road.length:g} m length at "
-        f"{road.speed:g} m/s; {options.duration:g} s at {options.timestep:g} s"
+        f"{road.speed:g} m/s{'' if road.track == 'both' else f', {road.track} wheels only'}; "
+        f"{options.duration:g} s at {options.timestep:g} s"
     ]
     for run in runs:
         lines += [

@@ -23,7 +23,7 @@ from scipy import linalg
 from models.arrays import Array
 from models.vehicle import Vehicle
 from sim.response import Response
-from sim.road import Road, under_wheels
+from sim.road import Road, delays, under_wheels
 from synth.controller import Controller
 
 
@@ -52,8 +52,8 @@ def sampled_response(
     model, h = vehicle.linear_model, float(time[1] - time[0])
     G = controller.state_gain(vehicle)
     Phi, Gamma_u, Gamma_r = _held_inputs(model.A, h, exponential, model.B, model.A @ model.Bw + model.Br)
-    now = under_wheels(road.displacement, vehicle, time)
-    midway = under_wheels(road.displacement, vehicle, time + h / 2)
+    now = under_wheels(road.displacement, road, vehicle, time)
+    midway = under_wheels(road.displacement, road, vehicle, time + h / 2)
 
     jump = now @ model.Bw.T  # x - xi
     xi = _recursion(Phi + Gamma_u @ G, midway @ Gamma_r.T + jump @ (Gamma_u @ G).T)
@@ -67,11 +67,11 @@ def continuous_response(vehicle: Vehicle, controller: Controller, road: Road, ti
     A = model.A + model.B @ G
 
     forcing = _convolution(A, road, vehicle, time, h)
-    kinks = np.array(road.kinks)
+    kinks = np.array([kink + delay for kink in road.kinks for delay in delays(road, vehicle)])
     for k in np.unique(np.floor((kinks - time[0]) / h).astype(int)):
         if 0 <= k < len(time):
             start, end = time[k], time[k] + h
-            edges = [start, *sorted(kinks[(kinks > start) & (kinks < end)]), end]
+            edges = [start, *np.unique(kinks[(kinks > start) & (kinks < end)]), end]
             forcing[k] = 0.0
             for left, right in itertools.pairwise(edges):
                 piece = _convolution(A, road, vehicle, np.array([left]), right - left)[0]
@@ -95,8 +95,8 @@ def _convolution(A: Array, road: Road, vehicle: Vehicle, start: Array, h: float)
     nodes, weights = np.polynomial.legendre.leggauss(8)
     total = np.zeros((len(start), len(A)))
     for s, weight in zip(h * (nodes + 1) / 2, h * weights / 2, strict=True):
-        forcing = under_wheels(road.velocity, vehicle, start + s) @ model.Bw.T
-        forcing += under_wheels(road.displacement, vehicle, start + s) @ model.Br.T
+        forcing = under_wheels(road.velocity, road, vehicle, start + s) @ model.Bw.T
+        forcing += under_wheels(road.displacement, road, vehicle, start + s) @ model.Br.T
         total += weight * forcing @ linalg.expm(A * (h - s)).T
     return total
 
@@ -114,7 +114,7 @@ def _recursion(Phi: Array, forcing: Array) -> Array:
 def _response(vehicle: Vehicle, road: Road, G: Array, time: Array, states: Array) -> Response:
     """Every signal of the vehicle from its states over time, shape (T, n)."""
     model = vehicle.linear_model
-    z_r, w = (under_wheels(function, vehicle, time) for function in (road.displacement, road.velocity))
+    z_r, w = (under_wheels(function, road, vehicle, time) for function in (road.displacement, road.velocity))
     values = {}
     for i, wheel in enumerate(vehicle.kind.wheels):
         values |= {wheel.road_displacement: z_r[:, i], wheel.road_velocity: w[:, i]}

@@ -74,8 +74,8 @@ def simulate(
         batch.set_models([build_model(other, timestep) for other in vehicles])
 
     # Road heights, shape (T, N, r): at the samples, and midway through the steps, where MuJoCo holds them.
-    now = np.stack([under_wheels(road.displacement, vehicle, time) for road in roads], axis=1)
-    midway = np.stack([under_wheels(road.displacement, vehicle, time + timestep / 2) for road in roads], axis=1)
+    now = np.stack([under_wheels(road.displacement, road, vehicle, time) for road in roads], axis=1)
+    midway = np.stack([under_wheels(road.displacement, road, vehicle, time + timestep / 2) for road in roads], axis=1)
     # What MuJoCo's reading has not seen of the road, as signals: all of it, or its move since the middle of the last step.
     seen = np.zeros_like(now) if readout.from_state else np.concatenate([np.zeros_like(now[:1]), midway[:-1]])
     unseen = (now - seen) @ readout.road.T - readout.rest
@@ -94,7 +94,7 @@ def simulate(
     values |= dict(zip(readout.late, np.moveaxis(late, -1, 0), strict=True))
     for i, wheel in enumerate(vehicle.kind.wheels):
         values[wheel.road_displacement] = now[..., i]
-        values[wheel.road_velocity] = np.stack([under_wheels(road.velocity, vehicle, time)[:, i] for road in roads], axis=1)
+        values[wheel.road_velocity] = np.stack([under_wheels(road.velocity, road, vehicle, time)[:, i] for road in roads], axis=1)
     stacked = np.stack([values[signal.name] for signal in vehicle.kind.signals], axis=-1).swapaxes(0, 1)
 
     # A force beyond 1e10 MuJoCo replaces by none at all, and runs on: what was asked for counts, not only what came of it.
@@ -147,12 +147,14 @@ def _readout(vehicle: Vehicle, model: mujoco.MjModel) -> _Readout:
     data = mujoco.MjData(model)
     mocap = _mocap(vehicle, model)
     names = vehicle.linear_model.outputs
-    stage = np.array([int(model.sensor(name).needstage[0]) for name in names])
+    stage = np.zeros(len(names), dtype=int)
     rows = np.zeros((len(names), model.nsensordata))
-    for row, name in zip(rows, names, strict=True):
-        sensor = model.sensor(name)
-        start, dim = int(sensor.adr[0]), int(sensor.dim[0])
-        row[start : start + dim] = sensor.user[:dim]
+    for i, name in enumerate(names):
+        for part, factor in vehicle.kind.combined.get(name, {name: 1.0}).items():
+            sensor = model.sensor(part)
+            start, dim = int(sensor.adr[0]), int(sensor.dim[0])
+            rows[i, start : start + dim] = factor * sensor.user[:dim]
+            stage[i] = max(stage[i], int(sensor.needstage[0]))
 
     def read(qpos: Array, qvel: Array, heights: Array) -> Array:
         mujoco.mj_resetData(model, data)
@@ -272,7 +274,7 @@ def draw(vehicle: Vehicle, road: Road, time: Array, qpos: Array) -> Scene:
     data = mujoco.MjData(model)
     frames = np.unique(np.round(np.arange(0, time[-1], 1 / 60) / timestep).astype(int))
     frames = frames[np.all(np.abs(qpos[frames]) < DIVERGED, axis=-1)]
-    heights = under_wheels(road.displacement, vehicle, time[frames])
+    heights = under_wheels(road.displacement, road, vehicle, time[frames])
     mocap = _mocap(vehicle, model)
     sites = [model.site(i).name for i in range(model.nsite)]
     springs = [name.removesuffix("_bottom") for name in sites if name.endswith("_bottom")]

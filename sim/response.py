@@ -8,6 +8,8 @@ from models.arrays import Array
 from models.errors import known
 from models.signals import Signal
 
+SILENT = 1e-3
+
 
 @dataclass(frozen=True, eq=False)
 class Response:
@@ -58,6 +60,16 @@ class Response:
     def peak(self, signal: str) -> Array:
         """Largest magnitude of a signal, shape (...,), NaN where a run broke off (see `sim.physics`)."""
         return np.max(np.abs(self[signal]), axis=-1)
+
+    def scale(self, signal: str) -> float:
+        """What a single run's differences in a signal are measured against: its peak.
+
+        A signal that symmetry keeps silent, such as roll over a bump under both tracks, has no peak of its own: it counts a
+        thousandth of the loudest signal of its unit.
+        """
+        unit = self.signals[self.names.index(signal)].unit
+        loudest = max(float(self.peak(other.name)) for other in self.signals if other.unit == unit)
+        return max(float(self.peak(signal)), SILENT * loudest)
 
     def rms(self, signal: str) -> Array:
         """Root mean square of a signal over the whole response, shape (...,)."""

@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
@@ -18,12 +18,16 @@ class Road(ABC):
     """Forward velocity of the vehicle [m/s]."""
 
     @abstractmethod
-    def displacement(self, t: Array) -> Array:
-        """Height under the first wheel [m] at times t [s], same shape."""
+    def displacement(self, t: Array, side: str = "") -> Array:
+        """Height under the first wheel of a side [m] at times t [s], same shape. See `Wheel.side`."""
 
     @abstractmethod
-    def velocity(self, t: Array) -> Array:
+    def velocity(self, t: Array, side: str = "") -> Array:
         """Time derivative of `displacement` [m/s] at times t [s], same shape."""
+
+    @abstractmethod
+    def scaled(self, factor: float) -> "Road":
+        """The same road with its heights multiplied."""
 
     @property
     @abstractmethod
@@ -46,6 +50,7 @@ class Bump(Road):
         height: A [m].
         length: L [m].
         speed: V [m/s].
+        track: the side that it lies under: "left", "right" or "both".
 
     Raises:
         InputError: a number beyond `LIMITS`: a bump of no length, a vehicle that stands still.
@@ -54,6 +59,7 @@ class Bump(Road):
     height: float = 0.1
     length: float = 5.0
     speed: float = 12.5
+    track: str = "both"
 
     def __post_init__(self) -> None:
         for name, (smallest, largest) in LIMITS.items():
@@ -66,14 +72,14 @@ class Bump(Road):
         """How long a wheel is on it, L / V [s]."""
         return self.length / self.speed
 
-    def displacement(self, t: Array) -> Array:
+    def displacement(self, t: Array, side: str = "") -> Array:
         """Equation (61)."""
-        on = (t >= 0) & (t <= self.duration)
+        on = self._on(t, side)
         return np.where(on, self.height / 2 * (1 - np.cos(2 * np.pi * t / self.duration)), 0.0)
 
-    def velocity(self, t: Array) -> Array:
+    def velocity(self, t: Array, side: str = "") -> Array:
         """Derivative of (61)."""
-        on = (t >= 0) & (t <= self.duration)
+        on = self._on(t, side)
         return np.where(on, self.height * np.pi / self.duration * np.sin(2 * np.pi * t / self.duration), 0.0)
 
     @property
@@ -82,10 +88,30 @@ class Bump(Road):
         return (0.0, self.duration)
 
     def describe(self) -> dict[str, float | str]:
-        """Height, length, speed."""
-        return {"type": "bump", "height": self.height, "length": self.length, "speed": self.speed}
+        """Height, length, speed, track."""
+        return {"type": "bump", **asdict(self)}
+
+    def scaled(self, factor: float) -> "Bump":
+        """The same bump, higher or lower."""
+        return replace(self, height=self.height * factor)
+
+    def _on(self, t: Array, side: str) -> Array:
+        return (t >= 0) & (t <= self.duration) & (not side or self.track in ("both", side))
 
 
-def under_wheels(function: Callable[[Array], Array], vehicle: Vehicle, t: Array) -> Array:
-    """A road's `displacement` or `velocity` under every wheel of a vehicle, shape (T, r), at times t [s] of shape (T,)."""
-    return np.stack([function(t) for _ in vehicle.kind.wheels], axis=-1)
+def delays(road: Road, vehicle: Vehicle) -> list[float]:
+    """How much later than the first wheel each wheel meets the road [s]."""
+    return [wheel.behind(vehicle.parameters) / road.speed for wheel in vehicle.kind.wheels]
+
+
+def under_wheels(function: Callable[[Array, str], Array], road: Road, vehicle: Vehicle, t: Array) -> Array:
+    """A road's `displacement` or `velocity` under every wheel of a vehicle, shape (T, r), at times t [s] of shape (T,).
+
+    Args:
+        function: `road.displacement` or `road.velocity`.
+        road: the road.
+        vehicle: r wheels.
+        t: times [s].
+    """
+    later = delays(road, vehicle)
+    return np.stack([function(t - delay, wheel.side) for wheel, delay in zip(vehicle.kind.wheels, later, strict=True)], axis=-1)

@@ -9,9 +9,11 @@ import numpy as np
 from models.arrays import Array
 from models.kind import MOST_SQUEEZE
 from models.vehicle import Vehicle
-from sim.agreement import COARSEST
+from sim.agreement import COARSEST, SLACK, SMALL
 from sim.run import Run
 from synth.controller import Controller
+
+SHORT = 1e-6  # relative in gamma; less is the path's own end
 
 
 @np.errstate(over="ignore")  # an unstable loop's squares overflow; what is infinite is None
@@ -62,6 +64,14 @@ def controller_lines(controller: Controller) -> list[str]:
     if certificate.stable:
         where = f" at {norm.peak_frequency:.5g} rad/s" if math.isfinite(norm.peak_frequency) else ""
         lines.append(f"  {proof}norm {norm.value:.7g}{where}   stable, slowest pole {slowest:.4g} rad/s")
+    if controller.short > SHORT:
+        lines.append(
+            f"  from an X {100 * controller.short:.2g} % short of the best state feedback; from the best there is no design"
+        )
+    if controller.stopped > SHORT:
+        lines.append(
+            f"  bound {100 * controller.stopped:.2g} % short of the optimum, which only a gain beyond any actuator reaches"
+        )
     for failure in certificate.failures:
         lines.append(f"  {failure}")
     return lines
@@ -90,7 +100,14 @@ def verdict_lines(run: Run) -> list[str]:
     worst = max(agreement.signals, key=lambda name: agreement.signals[name].sampled / agreement.signals[name].allowed)
     error = agreement.signals[worst]
     numbers = f"{worst}: {error.sampled:.1e} of its peak, {error.allowed:.1e} allowed"
-    if agreement.agrees:
+    if agreement.agrees and error.small is not None:
+        worst = max(agreement.signals, key=lambda name: agreement.signals[name].sampled)
+        error = agreement.signals[worst]
+        lines.append(
+            f"agrees to first order: geometry makes up to {error.sampled - error.allowed / SLACK:.1e} of a peak ({worst}), "
+            f"{when}; at {SMALL:g} of this road's height MuJoCo is the exact sampled response to {error.small:.1e} of it"
+        )
+    elif agreement.agrees:
         lines.append(f"agrees: MuJoCo is the exact sampled response to within RK4's own error, {when} ({numbers})")
     else:
         why = "; the timestep is too coarse, give a smaller one" if error.allowed == COARSEST else ""
@@ -105,10 +122,11 @@ def run_lines(vehicle: Vehicle, run: Run, passive: Run | None) -> list[str]:
     rows: list[tuple[str, ...]] = [headings]
     for name, signal in run.agreement.signals.items():
         unit = vehicle.kind.signal(name).unit
+        silent = passive is not None and float(passive.physics.peak(name)) < passive.physics.scale(name)
         for kind in ("peak", "rms"):
             values = [float(getattr(response, kind)(name)) for response in (run.physics, run.sampled, run.continuous)]
             reference = float(getattr(passive.physics, kind)(name)) if passive else 0.0
-            change = _cell(100 * (values[0] / reference - 1), "+.1f", " %") if reference else "-"
+            change = _cell(100 * (values[0] / reference - 1), "+.1f", " %") if reference and not silent else "-"
             errors = (_cell(signal.sampled, ".1e"), _cell(signal.continuous, ".1e")) if kind == "peak" else ("", "")
             numbers = (_cell(value, ".6g") for value in values)
             rows.append((name if kind == "peak" else "", unit, kind, *numbers, *errors, change))

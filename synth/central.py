@@ -14,12 +14,14 @@ X = diag(X_Q, X_R) and Y = [0 Y_R]; state feedback is the case of an empty Q and
 moved to the current point, where X = I and, with the current gain absorbed in the plant, Y = 0.
 """
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from scipy import linalg
+from threadpoolctl import ThreadpoolController
 
 from models.arrays import Array
 from synth.bounded_real import bounded_real_matrix
@@ -54,27 +56,37 @@ class CentralPoint:
         return self.eta**-0.5
 
 
-def central_point(plant: GeneralizedPlant, Q: Array, R: Array, mu: float = LIMIT) -> CentralPoint:
-    """The point of the central path of (25) at mu; of (22) with an empty Q and R = I.
+def central_path(plant: GeneralizedPlant, Q: Array, R: Array, mu: float = LIMIT) -> list[CentralPoint]:
+    """Points along the central path of (25), or of (22) with an empty Q and R = I. The last, at mu, is the design.
 
     Args:
         plant: n states, m inputs.
         Q: shape (n, n - q).
         R: shape (n, q); [Q R] is regular.
-        mu: where on the path, relative to eta. The default is its limit; a larger one stays short of the optimum.
+        mu: where the path ends, relative to eta. The default is its limit; a larger one stays short of the optimum.
+
+    Returns:
+        Points with eta > 0, in the order of falling mu, each a tenth to a hundredth of the one before.
 
     Raises:
         InfeasibleError: there is no feasible point with eta > 0.
         DesignError: Newton's method broke down short of mu.
     """
-    path = _Path(plant, Q, R)
-    path.find_feasible_point()
-    path.follow(mu)
-    return path.point()
+    # One thread: the matrices are small, threads that wait for each other cost a hundredfold on a busy machine, and the rounding
+    # must not depend on how many there are.
+    with _blas().limit(limits=1, user_api="blas"):
+        path = _Path(plant, Q, R)
+        path.find_feasible_point()
+        return path.follow(mu)
+
+
+@functools.cache
+def _blas() -> ThreadpoolController:
+    return ThreadpoolController()
 
 
 class _Path:
-    """A point that walks along the path. The only mutable thing in this package; it lives inside `central_point`."""
+    """A point that walks along the path. The only mutable thing in this package; it lives inside `central_path`."""
 
     def __init__(self, plant: GeneralizedPlant, Q: Array, R: Array) -> None:
         self.free = Q.shape[1]  # a = n - q
@@ -148,10 +160,11 @@ class _Path:
         self.eta = 0.5 / linalg.eigh(disturbance, -F, eigvals_only=True)[-1]
         self._move_to(X, Y)
 
-    def follow(self, mu_end: float) -> None:
-        """Walks along the path until mu = mu_end eta."""
+    def follow(self, mu_end: float) -> list[CentralPoint]:
+        """Walks along the path until mu = mu_end eta; returns the points it rested at."""
         n, m = len(self.plant.A), self.plant.B.shape[1]
         self.mu = 30 * self.eta
+        points: list[CentralPoint] = []
         while True:
             arrived = self.eta > 0 and self.mu <= mu_end * self.eta * 1.001
             basis = self.basis
@@ -163,26 +176,26 @@ class _Path:
                     f"the central path could not be followed below mu = {self.mu / abs(p[-1]):.1e} (Newton decrement "
                     f"{decrement:.1e}): the optimum is probably reached only by an infinite gain; weigh the control force more"
                 )
-            if not arrived:
-                eta = p[-1]
-                ratio = 0.1 if self.mu > 1e-2 * abs(eta) else 1e-2
-                # Arrive exactly, and without a last step that is hardly one.
-                if eta > 0 and self.mu * ratio < 3 * mu_end * eta:
-                    ratio = min(mu_end * eta / self.mu, 0.5)
-                p = _predict(blocks, p, self.mu, ratio)
-                self.mu *= ratio
+            X, Y, self.eta = basis.unpack(p)
+            if self.eta > 0:
+                points.append(self.point(X, Y))
+            if arrived:
+                return points
+            ratio = 0.1 if self.mu > 1e-2 * abs(self.eta) else 1e-2
+            # Arrive exactly, and without a last step that is hardly one.
+            if self.eta > 0 and self.mu * ratio < 3 * mu_end * self.eta:
+                ratio = min(mu_end * self.eta / self.mu, 0.5)
+            p = _predict(blocks, p, self.mu, ratio)
+            self.mu *= ratio
             X, Y, self.eta = basis.unpack(p)
             self._move_to(X, Y)
-            if arrived:
-                return
 
-    def point(self) -> CentralPoint:
-        """Where it stands, in the user's coordinates and units."""
+    def point(self, X: Array, Y: Array) -> CentralPoint:
+        """A pair of the current coordinates as a point in the user's coordinates and units."""
         T = self.start @ self.V
-        K = self.K @ np.linalg.inv(self.block_start) * self.input_unit
         return CentralPoint(
-            X=T @ T.T * (self.rate * self.output_unit**2),  # X = I here, X = V V' at the beginning; the units follow from (21)
-            K=K,
+            X=T @ X @ T.T * (self.rate * self.output_unit**2),  # the units follow from (21)
+            K=self._gain(X, Y) @ np.linalg.inv(self.block_start) * self.input_unit,
             eta=self.eta * (self.disturbance_unit * self.output_unit) ** 2,
             mu=self.mu / self.eta,
         )
@@ -190,12 +203,17 @@ class _Path:
     def _move_to(self, X: Array, Y: Array) -> None:
         """Changes the coordinates so that X becomes I and Y becomes 0."""
         a = self.free
+        self.K = self._gain(X, Y)
         gain = Y @ np.linalg.inv(X)
-        self.K = self.K + gain[:, a:] @ np.linalg.inv(self.V[a:, a:])
         S: Any = linalg.block_diag(np.linalg.cholesky(X[:a, :a]), np.linalg.cholesky(X[a:, a:]))
         self.plant = self.plant.closed_loop(gain).in_coordinates(S)
         self.V = self.V @ S
         self.basis = _Basis(self.plant, a)
+
+    def _gain(self, X: Array, Y: Array) -> Array:
+        """Y_R X_R^-1 with all the gain absorbed before, in the coordinates of the beginning."""
+        a = self.free
+        return self.K + Y[:, a:] @ np.linalg.inv(X[a:, a:]) @ np.linalg.inv(self.V[a:, a:])
 
 
 class _Basis:

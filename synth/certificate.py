@@ -9,6 +9,7 @@ from synth.bounded_real import bounded_real_matrix
 from synth.norm import Norm, hinf_norm
 from synth.plant import GeneralizedPlant
 
+FASTEST = 100.0  # an actuator that has to be as much faster than the plant does not exist
 ROUTES_AGREE = 1e-6  # relative; the two norms of a well-conditioned plant agree to 1e-12
 
 
@@ -24,6 +25,7 @@ class Certificate:
         X_smallest: smallest eigenvalue of X, balanced to a unit diagonal.
         lmi_largest: largest eigenvalue of (20), balanced likewise. Negative proves stability and norm < bound.
         lmi_rounding: what rounding can add to it.
+        speed_up: magnitude of the fastest pole, over that of the plant's fastest pole without control.
     """
 
     poles: Array
@@ -33,6 +35,7 @@ class Certificate:
     X_smallest: float
     lmi_largest: float
     lmi_rounding: float
+    speed_up: float
 
     @property
     def stable(self) -> bool:
@@ -48,6 +51,11 @@ class Certificate:
         elif self.norm.gap > ROUTES_AGREE:
             failures.append(f"the two routes to the norm differ by {self.norm.gap:.0e}")
         if self.bound is not None:
+            if self.speed_up > FASTEST:
+                failures.append(
+                    f"the gain is beyond any actuator: it makes a pole {self.speed_up:.2g} times as fast as the plant's fastest, "
+                    f"{FASTEST:g} times is allowed"
+                )
             if self.X_smallest <= 0:
                 failures.append(f"X is not positive definite: balanced, its smallest eigenvalue is {self.X_smallest:.1e}")
             if self.lmi_largest > self.lmi_rounding:
@@ -84,14 +92,16 @@ def certify(plant: GeneralizedPlant, G: Array, X: Array | None = None, eta: floa
         lmi_largest = float(np.linalg.eigvalsh(F)[-1])
         terms = np.linalg.norm(balanced.A, 2) * np.linalg.norm(unit, 2) + np.linalg.norm(F, 2)
         lmi_rounding = float(len(F) * np.finfo(float).eps * terms)
+    poles = np.sort_complex(np.linalg.eigvals(loop.A))
     return Certificate(
-        poles=np.sort_complex(np.linalg.eigvals(loop.A)),
+        poles=poles,
         norm=hinf_norm(loop),
         bound=bound,
         X=X,
         X_smallest=X_smallest,
         lmi_largest=lmi_largest,
         lmi_rounding=lmi_rounding,
+        speed_up=float(np.abs(poles).max() / (np.abs(np.linalg.eigvals(plant.A)).max() or 1.0)),
     )
 
 

@@ -1,13 +1,14 @@
 """The one door through which a vehicle's named signals come in: from a vehicle and a controller's name to a certified gain."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from models.arrays import Array
 from models.errors import InputError, known
+from models.linear_model import LinearModel
 from models.vehicle import ControllerEntry, Vehicle
 from synth.central import CentralPoint
 from synth.certificate import Certificate, certify
@@ -26,6 +27,10 @@ class Controller:
         measured: the signals y, q of them. Empty for `passive`.
         gain: K, shape (m, q) [N per measured unit].
         designed: whether it was designed here; otherwise the gain was given (or is zero, for `passive`).
+        short: how far from the optimum of (22) the X was taken that L (14) comes from, relative in gamma: 0 at the limit of the
+            central path, more where the second problem is infeasible from there.
+        stopped: how far from the optimum of its own problem the gain was taken, relative in gamma: 0 at the limit, more where the
+            optimum is reached only by gains beyond any actuator.
         certificate: what is true of it.
     """
 
@@ -34,6 +39,8 @@ class Controller:
     gain: Array
     designed: bool
     certificate: Certificate
+    short: float = 0.0
+    stopped: float = 0.0
 
     def state_gain(self, vehicle: Vehicle) -> Array:
         """G = K C_y (6) for a vehicle that has these signals, shape (m, n)."""
@@ -47,9 +54,27 @@ def generalized_plant(vehicle: Vehicle) -> GeneralizedPlant:
     weighted = [signal for signal, weight in vehicle.performance.items() if weight > 0]
     C, D = model.rows(weighted)
     weights = np.array([vehicle.performance[signal] for signal in weighted])[:, None]
+    Br, Cr = _twist(model, weighted)
     return GeneralizedPlant(
-        A=model.A, B=model.B, Bw=model.Bw, C=weights * C, D=weights * D, Dw=np.zeros((len(C), model.Bw.shape[1]))
+        A=model.A,
+        B=model.B,
+        Bw=np.hstack([model.Bw, Br]),
+        C=weights * C,
+        D=weights * D,
+        Dw=np.hstack([np.zeros((len(C), model.Bw.shape[1])), weights * Cr]),
     )
+
+
+def _twist(model: LinearModel, signals: Sequence[str]) -> tuple[Array, Array]:
+    """What the road's heights do where they act as such, as disturbances of their own, shapes (n, k) and (len(signals), k).
+
+    From the road's velocity a lasting twist is an integral, which no controller bounds. As a disturbance beside the velocities it
+    is bounded, and counts at the rate of wheel hop (`LinearModel.twist_rate`): a bound that holds for both together.
+    """
+    Cr = model.Cr[[model.outputs.index(signal) for signal in signals]]
+    _, sizes, directions = np.linalg.svd(np.vstack([model.Br, model.Cr]))
+    directions = directions[: int(np.sum(sizes > 1e-12 * sizes.max(initial=0.0)))] if np.any(sizes) else directions[:0]
+    return model.Br @ directions.T / model.twist_rate, Cr @ directions.T / model.twist_rate
 
 
 class Designer:
@@ -60,9 +85,14 @@ class Designer:
         self.plant = generalized_plant(vehicle)
 
     @cached_property
+    def state_path(self) -> list[CentralPoint]:
+        """The central path of (22)."""
+        return state_feedback(self.plant)
+
+    @property
     def state_feedback(self) -> CentralPoint:
         """The optimum of (22)."""
-        return state_feedback(self.plant)
+        return self.state_path[-1]
 
     def design(self, name: str) -> Controller:
         """The controller of that name: `passive`, `state`, or one of the vehicle file, designed unless the file gives its gain.
@@ -75,7 +105,7 @@ class Designer:
         if name == "passive":
             return self._given(ControllerEntry(name, (), np.zeros((len(model.inputs), 0))))
         if name == "state":
-            return self._certified(name, model.states, self.state_feedback)
+            return self._certified(name, model.states, self.state_path)
         if name not in vehicle.controllers:
             raise InputError(f"unknown controller {name!r}; this vehicle has {known(vehicle.controller_names)}")
         entry = vehicle.controllers[name]
@@ -88,11 +118,17 @@ class Designer:
                 f"controller {name!r} measures signals that depend on each other: {', '.join(entry.measured)}; drop one"
             )
         Q = nullspace(Cy)
-        L = l_matrix(self.state_feedback.X, Cy, Q)  # (14)
-        try:
-            return self._certified(name, entry.measured, output_feedback(self.plant, Cy, L, Q))
-        except DesignError as error:
-            raise type(error)(f"controller {name!r}: {error}") from error
+        failures: list[DesignError] = []
+        # From the optimal X the second problem can be infeasible where from a point a little short of it it is not: back off.
+        for start in reversed(self.state_path):
+            L = l_matrix(start.X, Cy, Q)  # (14)
+            try:
+                controller = self._certified(name, entry.measured, output_feedback(self.plant, Cy, L, Q))
+            except DesignError as error:
+                failures.append(error)
+                continue
+            return replace(controller, short=start.gamma / self.state_feedback.gamma - 1)
+        raise type(failures[0])(f"controller {name!r}: {failures[0]} (from {len(failures)} points of the central path)")
 
     def _given(self, entry: ControllerEntry) -> Controller:
         assert entry.gain is not None
@@ -100,12 +136,16 @@ class Designer:
         certificate = certify(self.plant, entry.gain @ Cy)
         return Controller(entry.name, entry.measured, entry.gain, designed=False, certificate=certificate)
 
-    def _certified(self, name: str, measured: Sequence[str], point: CentralPoint) -> Controller:
+    def _certified(self, name: str, measured: Sequence[str], path: Sequence[CentralPoint]) -> Controller:
+        """The controller furthest along a central path whose certificate holds."""
         Cy, _ = self.vehicle.linear_model.rows(measured)
-        certificate = certify(self.plant, point.K @ Cy, point.X, point.eta)
-        if certificate.failures:
-            raise DesignError(f"the certificate of controller {name!r} fails: {'; '.join(certificate.failures)}")
-        return Controller(name, tuple(measured), point.K, designed=True, certificate=certificate)
+        certificates = []
+        for point in reversed(path):
+            certificates.append(certify(self.plant, point.K @ Cy, point.X, point.eta))
+            if not certificates[-1].failures:
+                stopped = point.gamma / path[-1].gamma - 1
+                return Controller(name, tuple(measured), point.K, designed=True, certificate=certificates[-1], stopped=stopped)
+        raise DesignError(f"the certificate of controller {name!r} fails: {'; '.join(certificates[0].failures)}")
 
 
 def design(vehicle: Vehicle, name: str) -> Controller:

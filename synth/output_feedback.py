@@ -4,7 +4,7 @@ import numpy as np
 from scipy import linalg
 
 from models.arrays import Array
-from synth.central import CentralPoint, central_point
+from synth.central import CentralPoint, central_path
 from synth.errors import InfeasibleError
 from synth.plant import GeneralizedPlant
 
@@ -30,8 +30,8 @@ def r_matrix(Cy: Array, Q: Array, L: Array) -> Array:
     return np.linalg.pinv(Cy) + Q @ L
 
 
-def output_feedback(plant: GeneralizedPlant, Cy: Array, L: Array, Q: Array) -> CentralPoint:
-    """The controller u = K y for a given L: the central-path limit of (25), with K = Y_R X_R^-1 (13).
+def output_feedback(plant: GeneralizedPlant, Cy: Array, L: Array, Q: Array) -> list[CentralPoint]:
+    """The central path of (25) for a given L. Its last point is the controller u = K y, with K = Y_R X_R^-1 (13).
 
     Args:
         plant: n states, m inputs.
@@ -41,10 +41,10 @@ def output_feedback(plant: GeneralizedPlant, Cy: Array, L: Array, Q: Array) -> C
 
     Raises:
         InfeasibleError: (25) has no solution with eta > 0 for this L.
-        DesignError: see `central_point`.
+        DesignError: see `central_path`.
     """
     try:
-        return central_point(plant, Q, r_matrix(Cy, Q, L))
+        return central_path(plant, Q, r_matrix(Cy, Q, L))
     except InfeasibleError as error:
         which = "L = 0" if not np.any(L) else "this L"
         raise InfeasibleError(f"problem (25) has no solution with eta > 0 for {which}: {error}") from error

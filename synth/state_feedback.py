@@ -2,20 +2,20 @@
 
 import numpy as np
 
-from synth.central import LIMIT, CentralPoint, central_point
+from synth.central import LIMIT, CentralPoint, central_path
 from synth.plant import GeneralizedPlant
 
 
-def state_feedback(plant: GeneralizedPlant, mu: float = LIMIT) -> CentralPoint:
-    """The optimal state-feedback controller u = G_s x: the central-path limit of (22), with G_s = Y X^-1 (3) as its K.
+def state_feedback(plant: GeneralizedPlant, mu: float = LIMIT) -> list[CentralPoint]:
+    """The central path of (22). Its last point is the optimal state-feedback controller u = G_s x, with G_s = Y X^-1 (3) as K.
 
     Args:
         plant: n states, m inputs.
-        mu: see `central_point`.
+        mu: see `central_path`.
 
     Raises:
         InfeasibleError: the plant cannot be stabilised.
-        DesignError: see `central_point`.
+        DesignError: see `central_path`.
     """
     n = len(plant.A)
-    return central_point(plant, Q=np.zeros((n, 0)), R=np.eye(n), mu=mu)
+    return central_path(plant, Q=np.zeros((n, 0)), R=np.eye(n), mu=mu)

@@ -128,7 +128,7 @@ def test_peaks_of_an_independent_solver(everything, controller, signal_name, pea
 def test_json_has_this_shape(everything):
     """`--json` is one object of exactly these keys; units are those of the signals; `all` is every controller, once, in order."""
     assert set(everything) == {"runs", "road", "timestep", "logs"}
-    assert everything["road"] == {"type": "bump", "height": 0.1, "length": 5.0, "speed": 12.5}  # (62)
+    assert everything["road"] == {"type": "bump", "height": 0.1, "length": 5.0, "speed": 12.5, "track": "both"}  # (62)
     assert everything["timestep"] == 1e-3
     assert everything["logs"] == {"mcap": None, "rerun": None}
     assert [run["controller"]["name"] for run in everything["runs"]] == CONTROLLERS

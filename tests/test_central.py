@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from synth.central import central_point
+from synth.central import central_path
 from synth.errors import InfeasibleError
 from synth.lmi import solve_lmi
 from synth.output_feedback import l_matrix, nullspace, output_feedback, r_matrix
@@ -16,9 +16,9 @@ CY = {"I": np.eye(4)[[0, 2]], "II": np.eye(4)[[2]]}
 
 
 def two_steps(plant, Cy):
-    X = state_feedback(plant).X
+    X = state_feedback(plant)[-1].X
     Q = nullspace(Cy)
-    return output_feedback(plant, Cy, l_matrix(X, Cy, Q), Q)
+    return output_feedback(plant, Cy, l_matrix(X, Cy, Q), Q)[-1]
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -39,8 +39,8 @@ def test_gains_do_not_depend_on_coordinates_or_units(designer, name, seed):
         Dw=moved.Dw * output * road,
     )
     if name == "state":
-        gain = state_feedback(scaled).K * force @ np.linalg.inv(T)
-        expected = state_feedback(plant).K
+        gain = state_feedback(scaled)[-1].K * force @ np.linalg.inv(T)
+        expected = state_feedback(plant)[-1].K
     else:
         gain = two_steps(scaled, CY[name] @ T).K * force
         expected = two_steps(plant, CY[name]).K
@@ -56,7 +56,7 @@ def test_bound_is_the_solvers(designer, name):
     else:
         Q = nullspace(CY[name])
         R = r_matrix(CY[name], Q, l_matrix(designer.state_feedback.X, CY[name], Q))
-    solved, central = solve_lmi(plant, Q, R), central_point(plant, Q, R)
+    solved, central = solve_lmi(plant, Q, R), central_path(plant, Q, R)[-1]
     assert central.gamma == pytest.approx(solved.gamma, rel=3e-5)  # Clarabel's tolerance of 1e-8 in badly scaled units
     assert central.gamma < solved.gamma * (1 + 1e-8)  # and ours is no worse
 
@@ -71,8 +71,8 @@ def test_norm_is_the_optimum_of_problem_27(designer):
 
 def test_gain_converges_along_the_path(designer):
     """The gain converges linearly in mu: a tenth of mu leaves a tenth of the error, and the default leaves 3e-6."""
-    limit = state_feedback(designer.plant, mu=1e-10).K
-    errors = [np.abs(state_feedback(designer.plant, mu=mu).K / limit - 1).max() for mu in (1e-6, 1e-7, 1e-9)]
+    limit = state_feedback(designer.plant, mu=1e-10)[-1].K
+    errors = [np.abs(state_feedback(designer.plant, mu=mu)[-1].K / limit - 1).max() for mu in (1e-6, 1e-7, 1e-9)]
     assert errors[0] / errors[1] == pytest.approx(10, rel=0.15)  # the next order in mu, and the limit itself stops at 1e-10
     assert errors[2] < 3e-6
 
@@ -115,6 +115,6 @@ def test_random_plants_with_feedthrough(seed):
         D=np.vstack([np.zeros((2, m)), np.eye(m)]),
         Dw=0.3 * rng.standard_normal((d, r)),
     )
-    central, solved = state_feedback(plant), solve_lmi(plant, np.zeros((n, 0)), np.eye(n))
+    central, solved = state_feedback(plant)[-1], solve_lmi(plant, np.zeros((n, 0)), np.eye(n))
     assert central.gamma == pytest.approx(solved.gamma, rel=2e-5)  # where Clarabel stops; it is up to 6e-6 above
     assert central.gamma < solved.gamma * (1 + 1e-6)  # Clarabel's point violates (24) by its tolerance, ours does not

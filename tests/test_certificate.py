@@ -41,7 +41,7 @@ def test_design_that_cannot_be_certified_is_an_error(designer):
     """If the solution of the LMI does not prove the gain, `design` raises instead of returning it."""
     broken = dataclasses.replace(designer.state_feedback, eta=2 * designer.state_feedback.eta)
     with pytest.raises(DesignError, match="certificate of controller 'state' fails"):
-        designer._certified("state", designer.vehicle.linear_model.states, broken)
+        designer._certified("state", designer.vehicle.linear_model.states, [broken])
 
 
 def test_given_gain_is_reported_as_it_is(designer):

@@ -73,7 +73,7 @@ def ours(designer):
     found["gamma_Gs"] = designer.state_feedback.gamma
     for name in ("I", "II"):
         L = l_matrix(designer.state_feedback.X, CY[name], Q[name])
-        point = output_feedback(designer.plant, CY[name], L, Q[name])
+        point = output_feedback(designer.plant, CY[name], L, Q[name])[-1]
         found |= {f"L_{name}": L, f"R_{name}": r_matrix(CY[name], Q[name], L), f"K_{name}": point.K}
         found[f"G_{name}"] = point.K @ CY[name]
         found[f"gamma_G{name}"] = certify(designer.plant, point.K @ CY[name]).norm.value

@@ -1,0 +1,159 @@
+"""The full car: heave, pitch and roll of a body on four wheels. Its equations are in `rigid_body.py`.
+
+Its fourteen states hold the tyre deflections as three modes, which a rigid body can follow, and not as four wheels: the fourth
+mode, the twist, is fixed by the suspension deflections and the twist of the road.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from models import rigid_body, signals
+from models.kind import Parameter, Parameters, VehicleKind, Wheel
+from models.linear_model import LinearModel
+from models.rigid_body import Corner, RigidBody
+
+AXLES = ("front", "rear")
+SIDES = ("left", "right")
+CORNERS = tuple(f"{axle}_{side}" for axle in AXLES for side in SIDES)
+
+# Modes of four wheels, front left, front right, rear left, rear right, signed as the body's: nose down, right side down.
+MODES = {
+    "heave": np.array([1.0, 1.0, 1.0, 1.0]) / 4,
+    "pitch": np.array([-1.0, -1.0, 1.0, 1.0]) / 4,
+    "roll": np.array([1.0, -1.0, 1.0, -1.0]) / 4,
+}
+TWIST = np.array([1.0, -1.0, -1.0, 1.0])
+
+
+def _per_axle(name: str, unit: str, meaning: str, positive: bool = True) -> tuple[Parameter, ...]:
+    return tuple(Parameter(f"{name}_{axle}", unit, f"{meaning}, {axle}", positive) for axle in AXLES)
+
+
+PARAMETERS = (
+    Parameter("sprung_mass", "kg", "m_s, the body"),
+    Parameter("pitch_inertia", "kg m2", "I_y of the body about its centre of mass"),
+    Parameter("roll_inertia", "kg m2", "I_x of the body about its centre of mass"),
+    Parameter("track", "m", "from a left wheel to the right one"),
+    *_per_axle("axle_distance", "m", "from the centre of mass to the axle"),
+    *_per_axle("unsprung_mass", "kg", "m_u of one wheel with hub and brake"),
+    *_per_axle("suspension_stiffness", "N/m", "k_s at one wheel"),
+    *_per_axle("suspension_damping", "N s/m", "c_s at one wheel", positive=False),
+    *_per_axle("tyre_stiffness", "N/m", "k_u of one tyre"),
+)
+
+
+def _at_corners(signal: signals.Signal) -> tuple[signals.Signal, ...]:
+    return tuple(signal.at(corner) for corner in CORNERS)
+
+
+TYRE_MODES = tuple(signals.TYRE_DEFLECTION.at(mode) for mode in MODES)
+STATES = (
+    *_at_corners(signals.SUSPENSION_DEFLECTION),
+    *TYRE_MODES,
+    signals.HEAVE_VELOCITY,
+    signals.PITCH_RATE,
+    signals.ROLL_RATE,
+    *_at_corners(signals.UNSPRUNG_VELOCITY),
+)
+FORCES = _at_corners(signals.CONTROL_FORCE)
+OUTPUTS = (
+    *STATES,
+    *_at_corners(signals.TYRE_DEFLECTION),
+    signals.HEAVE_ACCELERATION,
+    signals.PITCH_ACCELERATION,
+    signals.ROLL_ACCELERATION,
+    *_at_corners(signals.SPRUNG_VELOCITY),
+    *_at_corners(signals.SPRUNG_ACCELERATION),
+    *FORCES,
+)
+ROAD_VELOCITIES = _at_corners(signals.ROAD_VELOCITY)
+
+
+def _body(p: Parameters) -> RigidBody:
+    corners = tuple(
+        Corner(
+            name=f"{axle}_{side}",
+            x=p["axle_distance_front"] if axle == "front" else -p["axle_distance_rear"],
+            y=_side(side, p),
+            unsprung_mass=p[f"unsprung_mass_{axle}"],
+            suspension_stiffness=p[f"suspension_stiffness_{axle}"],
+            suspension_damping=p[f"suspension_damping_{axle}"],
+            tyre_stiffness=p[f"tyre_stiffness_{axle}"],
+        )
+        for axle in AXLES
+        for side in SIDES
+    )
+    modes = np.stack(list(MODES.values()))
+    return RigidBody(corners, p["sprung_mass"], p["pitch_inertia"], p["roll_inertia"], tyre_modes=modes, twist=TWIST)
+
+
+def _side(side: str, p: Parameters) -> float:
+    return p["track"] / 2 if side == "left" else -p["track"] / 2
+
+
+def linear_model(p: Parameters) -> LinearModel:
+    """The linear model: 14 states, 4 inputs [N], 4 disturbances (road velocities) [m/s], 33 output signals.
+
+    Args:
+        p: parameters by name [SI].
+    """
+    return rigid_body.linear_model(
+        _body(p),
+        states=[signal.name for signal in STATES],
+        inputs=[signal.name for signal in FORCES],
+        disturbances=[signal.name for signal in ROAD_VELOCITIES],
+        outputs=[signal.name for signal in OUTPUTS],
+    )
+
+
+def static_tyre_deflection(p: Parameters) -> dict[str, float]:
+    """How far each tyre is squeezed at rest [m]."""
+    squeezes = _body(p).static_tyre_deflections()
+    return {f"tyre_deflection_{corner}": float(squeeze) for corner, squeeze in zip(CORNERS, squeezes, strict=True)}
+
+
+def wheelbase(p: Parameters) -> float:
+    """From the front axle to the rear one [m]."""
+    return p["axle_distance_front"] + p["axle_distance_rear"]
+
+
+def check(p: Parameters) -> None:
+    """Refuses a body that cannot be.
+
+    Raises:
+        InputError: see `rigid_body.check_inertia`.
+    """
+    rigid_body.check_inertia("pitch_inertia", p["pitch_inertia"], p["sprung_mass"], wheelbase(p), "wheelbase")
+    rigid_body.check_inertia("roll_inertia", p["roll_inertia"], p["sprung_mass"], p["track"], "track")
+
+
+def write_mjcf(spec: Any, p: Parameters) -> None:
+    """Writes the parameters into the MjSpec of `full_car.xml`."""
+    rigid_body.write_mjcf(spec, _body(p))
+
+
+KIND = VehicleKind(
+    name="full_car",
+    parameters=PARAMETERS,
+    signals=(*_at_corners(signals.ROAD_DISPLACEMENT), *ROAD_VELOCITIES, *OUTPUTS),
+    wheels=tuple(
+        Wheel(
+            road_body=f"road_{corner}",
+            road_displacement=f"road_displacement_{corner}",
+            road_velocity=f"road_velocity_{corner}",
+            tyre_deflection=f"tyre_deflection_{corner}",
+            behind=wheelbase if corner.startswith("rear") else lambda p: 0.0,
+            side=corner.split("_")[1],
+        )
+        for corner in CORNERS
+    ),
+    linear_model=linear_model,
+    static_tyre_deflection=static_tyre_deflection,
+    write_mjcf=write_mjcf,
+    check_together=check,
+    combined={
+        mode.name: {f"tyre_deflection_{corner}": float(share) for corner, share in zip(CORNERS, pattern, strict=True)}
+        for mode, pattern in zip(TYRE_MODES, MODES.values(), strict=True)
+    },
+)

@@ -1,0 +1,128 @@
+"""The half-car: heave and pitch of a body on two axles, one side of a symmetric car. Its equations are in `rigid_body.py`."""
+
+from typing import Any
+
+import numpy as np
+
+from models import rigid_body, signals
+from models.kind import Parameter, Parameters, VehicleKind, Wheel
+from models.linear_model import LinearModel
+from models.rigid_body import Corner, RigidBody
+
+CORNERS = ("front", "rear")
+
+
+def _per_corner(name: str, unit: str, meaning: str, positive: bool = True) -> tuple[Parameter, ...]:
+    return tuple(Parameter(f"{name}_{corner}", unit, f"{meaning}, {corner}", positive) for corner in CORNERS)
+
+
+PARAMETERS = (
+    Parameter("sprung_mass", "kg", "m_s, half of the body"),
+    Parameter("pitch_inertia", "kg m2", "I_y of that half about its centre of mass"),
+    *_per_corner("axle_distance", "m", "from the centre of mass to the axle"),
+    *_per_corner("unsprung_mass", "kg", "m_u, wheel, hub and brake"),
+    *_per_corner("suspension_stiffness", "N/m", "k_s"),
+    *_per_corner("suspension_damping", "N s/m", "c_s", positive=False),
+    *_per_corner("tyre_stiffness", "N/m", "k_u"),
+)
+
+
+def _at_corners(signal: signals.Signal) -> tuple[signals.Signal, ...]:
+    return tuple(signal.at(corner) for corner in CORNERS)
+
+
+STATES = (
+    *_at_corners(signals.SUSPENSION_DEFLECTION),
+    *_at_corners(signals.TYRE_DEFLECTION),
+    signals.HEAVE_VELOCITY,
+    signals.PITCH_RATE,
+    *_at_corners(signals.UNSPRUNG_VELOCITY),
+)
+FORCES = _at_corners(signals.CONTROL_FORCE)
+OUTPUTS = (
+    *STATES,
+    signals.HEAVE_ACCELERATION,
+    signals.PITCH_ACCELERATION,
+    *_at_corners(signals.SPRUNG_VELOCITY),
+    *_at_corners(signals.SPRUNG_ACCELERATION),
+    *FORCES,
+)
+ROAD_VELOCITIES = _at_corners(signals.ROAD_VELOCITY)
+
+
+def _body(p: Parameters) -> RigidBody:
+    sides = {"front": 1.0, "rear": -1.0}
+    corners = tuple(
+        Corner(
+            name=name,
+            x=side * p[f"axle_distance_{name}"],
+            y=0.0,
+            unsprung_mass=p[f"unsprung_mass_{name}"],
+            suspension_stiffness=p[f"suspension_stiffness_{name}"],
+            suspension_damping=p[f"suspension_damping_{name}"],
+            tyre_stiffness=p[f"tyre_stiffness_{name}"],
+        )
+        for name, side in sides.items()
+    )
+    return RigidBody(corners, p["sprung_mass"], p["pitch_inertia"], None, tyre_modes=np.eye(2), twist=np.zeros(2))
+
+
+def linear_model(p: Parameters) -> LinearModel:
+    """The linear model: 8 states, 2 inputs [N], 2 disturbances (road velocities) [m/s], 16 output signals.
+
+    Args:
+        p: parameters by name [SI].
+    """
+    return rigid_body.linear_model(
+        _body(p),
+        states=[signal.name for signal in STATES],
+        inputs=[signal.name for signal in FORCES],
+        disturbances=[signal.name for signal in ROAD_VELOCITIES],
+        outputs=[signal.name for signal in OUTPUTS],
+    )
+
+
+def static_tyre_deflection(p: Parameters) -> dict[str, float]:
+    """How far each tyre is squeezed at rest [m]."""
+    squeezes = _body(p).static_tyre_deflections()
+    return {f"tyre_deflection_{corner}": float(squeeze) for corner, squeeze in zip(CORNERS, squeezes, strict=True)}
+
+
+def wheelbase(p: Parameters) -> float:
+    """From the front axle to the rear one [m]."""
+    return p["axle_distance_front"] + p["axle_distance_rear"]
+
+
+def check(p: Parameters) -> None:
+    """Refuses a body that cannot be.
+
+    Raises:
+        InputError: see `rigid_body.check_inertia`.
+    """
+    rigid_body.check_inertia("pitch_inertia", p["pitch_inertia"], p["sprung_mass"], wheelbase(p), "wheelbase")
+
+
+def write_mjcf(spec: Any, p: Parameters) -> None:
+    """Writes the parameters into the MjSpec of `half_car.xml`."""
+    rigid_body.write_mjcf(spec, _body(p))
+
+
+KIND = VehicleKind(
+    name="half_car",
+    parameters=PARAMETERS,
+    signals=(*_at_corners(signals.ROAD_DISPLACEMENT), *ROAD_VELOCITIES, *OUTPUTS),
+    wheels=tuple(
+        Wheel(
+            road_body=f"road_{corner}",
+            road_displacement=f"road_displacement_{corner}",
+            road_velocity=f"road_velocity_{corner}",
+            tyre_deflection=f"tyre_deflection_{corner}",
+            behind=wheelbase if corner == "rear" else lambda p: 0.0,
+        )
+        for corner in CORNERS
+    ),
+    linear_model=linear_model,
+    static_tyre_deflection=static_tyre_deflection,
+    write_mjcf=write_mjcf,
+    check_together=check,
+)
