@@ -38,3 +38,8 @@ def mjcf_text(vehicle: Vehicle, timestep: float) -> str:
     spec = build_spec(vehicle, timestep)
     spec.compiler.savecompiled = False  # every number exactly, not with the six digits of compiled values
     return spec.to_xml()
+
+
+def mocap_indices(vehicle: Vehicle, model: mujoco.MjModel) -> list[int]:
+    """Mocap index of every wheel's road."""
+    return [int(model.body(wheel.road_body).mocapid[0]) for wheel in vehicle.kind.wheels]

@@ -1,4 +1,4 @@
-"""The MuJoCo response: one function for one run or ten thousand. The only file of `sim/` that knows MuJoCo.
+"""The MuJoCo response: one function for one run or ten thousand.
 
 What makes it agree with the analysis to the integrator's own error (RK4's, to the fourth power of the step):
 
@@ -20,20 +20,13 @@ import numpy as np
 from mujoco.batch import Batch
 
 from models.arrays import Array
-from models.mjcf import build_model
+from models.mjcf import build_model, mocap_indices
 from models.vehicle import Vehicle
 from sim.response import Response
 from sim.road import Road, under_wheels
-from sim.scene import Motion, Scene, Shape
 from synth.controller import Controller
 
 DIVERGED = 1e8  # a signal beyond this, in SI units, is no vehicle any more
-FORMS = {
-    int(mujoco.mjtGeom.mjGEOM_BOX): "box",
-    int(mujoco.mjtGeom.mjGEOM_CYLINDER): "cylinder",
-    int(mujoco.mjtGeom.mjGEOM_CAPSULE): "capsule",
-    int(mujoco.mjtGeom.mjGEOM_SPHERE): "sphere",
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,65 +67,78 @@ def simulate(
         batch.set_models([build_model(other, timestep) for other in vehicles])
 
     # Road heights, shape (T, N, r): at the samples, and midway through the steps, where MuJoCo holds them.
-    now = np.stack([under_wheels(road.displacement, road, vehicle, time) for road in roads], axis=1)
-    midway = np.stack([under_wheels(road.displacement, road, vehicle, time + timestep / 2) for road in roads], axis=1)
-    # What MuJoCo's reading has not seen of the road, as signals: all of it, or its move since the middle of the last step.
-    seen = np.zeros_like(now) if readout.from_state else np.concatenate([np.zeros_like(now[:1]), midway[:-1]])
-    unseen = (now - seen) @ readout.road.T - readout.rest
+    pairs = list(zip(vehicles, roads, strict=True))
+    now = np.stack([under_wheels(road.displacement, road, vehicle, time) for vehicle, road in pairs], axis=1)
+    middle = time + timestep / 2
+    midway = np.stack([under_wheels(road.displacement, road, vehicle, middle) for vehicle, road in pairs], axis=1)
+    before = np.concatenate([np.zeros_like(now[:1]), midway[:-1]])  # where the last step has left the road
 
-    K = np.stack([_gain_on(readout.early, vehicle, controller) for controller in controllers])  # (N, m, early signals)
-    gain, offset = K @ readout.early_signals, np.einsum("nms,tns->tnm", K, unseen)
+    # What a controller measures is read before a step: from the state where it is linear in it, else from its sensor. To it comes
+    # what that reading has not seen of the road.
+    K = np.stack(
+        [_gain_on(readout.names, vehicle, controller) for vehicle, controller in zip(vehicles, controllers, strict=True)]
+    )
+    of_state, of_sensors = np.where(readout.linear, K, 0), np.where(readout.linear, 0, K)
+    offset = _known(of_state, now, readout) + _known(of_sensors, now - before, readout)
+    stage = int(max(readout.stage[np.any(of_sensors, axis=(0, 1))], default=0))
+    gain = of_state @ readout.of_state
+    if stage:
+        gain = np.concatenate([gain, of_sensors @ readout.of_sensors], axis=-1)
 
     mujoco.set_mju_user_warning(lambda text: None)  # else it writes MUJOCO_LOG.TXT; `diverged` says the same
     try:
-        readings, late, qpos = _step(batch, readout, gain, offset, midway)
+        sensed, qpos, asked = _step(batch, readout.mocap, gain, offset, midway, now if readout.felt else None, stage)
     finally:
         mujoco.set_mju_user_warning(None)
 
-    early, late = readings @ readout.early_signals.T + unseen, late @ readout.late_signals.T - readout.late_rest
-    values = dict(zip(readout.early, np.moveaxis(early, -1, 0), strict=True))
-    values |= dict(zip(readout.late, np.moveaxis(late, -1, 0), strict=True))
-    for i, wheel in enumerate(vehicle.kind.wheels):
-        values[wheel.road_displacement] = now[..., i]
-        values[wheel.road_velocity] = np.stack([under_wheels(road.velocity, road, vehicle, time)[:, i] for road in roads], axis=1)
-    stacked = np.stack([values[signal.name] for signal in vehicle.kind.signals], axis=-1).swapaxes(0, 1)
+    # What is recorded was sensed inside the step, where the road was midway, or before it, where the last step had left it.
+    signals, wheels = vehicle.kind.signals, vehicle.kind.wheels
+    place = np.array([[signal.name == name for name in readout.names] for signal in signals], dtype=float)
+    inside = readout.stage > stage
+    recorded = sensed @ (place @ readout.of_sensors).T
+    recorded -= place @ readout.rest
+    if not readout.felt:
+        recorded += (now - midway) @ (place[:, inside] @ readout.of_road[inside]).T
+    if stage and not readout.felt:
+        recorded += (now - before) @ (place[:, ~inside] @ readout.of_road[~inside]).T
+    names = [signal.name for signal in signals]
+    recorded[..., [names.index(wheel.road_displacement) for wheel in wheels]] = now
+    velocity = np.stack([under_wheels(road.velocity, road, vehicle, time) for vehicle, road in pairs], axis=1)
+    recorded[..., [names.index(wheel.road_velocity) for wheel in wheels]] = velocity
 
     # A force beyond 1e10 MuJoCo replaces by none at all, and runs on: what was asked for counts, not only what came of it.
-    asked = np.einsum("nms,tns->ntm", K, early)
-    wild = ~(np.all(np.abs(stacked) < DIVERGED, axis=-1) & np.all(np.abs(asked) < DIVERGED, axis=-1))  # NaN compares as wild
-    diverged = np.where(wild.any(axis=1), time[wild.argmax(axis=1)], np.inf)
-    stacked[time >= diverged[:, None]] = np.nan
-    return PhysicsRuns(Response(time, vehicle.kind.signals, stacked), qpos.swapaxes(0, 1), diverged)
+    largest = [np.maximum(values.max(axis=-1), -values.min(axis=-1)) for values in (recorded, asked)]
+    wild = ~(np.maximum(*largest) < DIVERGED)  # NaN compares as wild
+    diverged = np.where(wild.any(axis=0), time[wild.argmax(axis=0)], np.inf)
+    recorded[time[:, None] >= diverged] = np.nan
+    return PhysicsRuns(Response(time, signals, recorded.swapaxes(0, 1)), qpos.swapaxes(0, 1), diverged)
 
 
 @dataclass(frozen=True, eq=False)
 class _Readout:
     """How signals come out of MuJoCo. A signal is its sensor, read along its `user` direction, from its value at rest.
 
-    Signals of position and velocity (`early`) are needed before a step, for the controller. Evaluating their sensors there costs
-    a fifth of a step. Where all of them are linear in qpos and qvel, as in a vehicle that only heaves, they are read from the
-    state.
-
     Attributes:
-        early: names of the signals of position and velocity.
-        late: names of those of acceleration and force, which are read inside the step.
-        from_state: whether `early` is read from (qpos, qvel), else from `sensordata`.
-        early_signals: early signals from the reading, shape (e, nq + nv) or (e, nsensordata).
-        road: their derivative in the road heights, shape (e, r).
-        rest: the reading's part of them at rest, shape (e,).
-        late_signals: late signals from `sensordata`, shape (l, nsensordata).
-        late_rest: shape (l,).
+        names: of the S signals.
+        stage: mjtStage that the sensor of each needs, shape (S,).
+        linear: whether it is linear in (qpos, qvel), shape (S,). Such a signal can be read from the state before a step, where
+            evaluating its sensor would cost a seventh of the step.
+        of_state: signals from (qpos, qvel) where they are linear, shape (S, nq + nv).
+        of_sensors: signals from `sensordata`, shape (S, nsensordata).
+        of_road: their derivative in the road heights, shape (S, r). They are linear in those.
+        rest: what `of_sensors` gives at rest, shape (S,).
+        felt: whether an acceleration feels the road at once; then sensing it inside the step, road midway, is not enough.
         mocap: mocap index of every wheel's road.
     """
 
-    early: tuple[str, ...]
-    late: tuple[str, ...]
-    from_state: bool
-    early_signals: Array
-    road: Array
+    names: tuple[str, ...]
+    stage: Array
+    linear: Array
+    of_state: Array
+    of_sensors: Array
+    of_road: Array
     rest: Array
-    late_signals: Array
-    late_rest: Array
+    felt: bool
     mocap: list[int]
 
 
@@ -145,110 +151,111 @@ def _prepared(vehicle: Vehicle, timestep: float) -> tuple[mujoco.MjModel, _Reado
 
 def _readout(vehicle: Vehicle, model: mujoco.MjModel) -> _Readout:
     data = mujoco.MjData(model)
-    mocap = _mocap(vehicle, model)
+    mocap = mocap_indices(vehicle, model)
     names = vehicle.linear_model.outputs
     stage = np.zeros(len(names), dtype=int)
-    rows = np.zeros((len(names), model.nsensordata))
+    of_sensors = np.zeros((len(names), model.nsensordata))
     for i, name in enumerate(names):
         for part, factor in vehicle.kind.combined.get(name, {name: 1.0}).items():
             sensor = model.sensor(part)
             start, dim = int(sensor.adr[0]), int(sensor.dim[0])
-            rows[i, start : start + dim] = factor * sensor.user[:dim]
+            of_sensors[i, start : start + dim] = factor * sensor.user[:dim]
             stage[i] = max(stage[i], int(sensor.needstage[0]))
 
-    def read(qpos: Array, qvel: Array, heights: Array) -> Array:
+    def read(motion: Array, heights: Array) -> Array:
         mujoco.mj_resetData(model, data)
-        data.qpos[:], data.qvel[:] = qpos, qvel
+        data.qpos[:], data.qvel[:] = motion[: model.nq], motion[model.nq :]
         data.mocap_pos[mocap, 2] = heights
         mujoco.mj_forward(model, data)
-        return rows @ data.sensordata
+        return of_sensors @ data.sensordata
 
-    nq, nv, r = model.nq, model.nv, len(mocap)
-    qpos, qvel, flat = model.qpos0.copy(), np.zeros(nv), np.zeros(r)
-    rest = read(qpos, qvel, flat)
-    early = stage <= int(mujoco.mjtStage.mjSTAGE_VEL)
+    # qpos = 0 is the static equilibrium of every MJCF here.
+    still, flat = np.zeros(model.nq + model.nv), np.zeros(len(mocap))
+    rest = read(still, flat)
     small = 0.1  # of a metre, a radian: a tyre's length is linear only while its road stays below the hub
-    road = np.stack([read(qpos, qvel, height) - rest for height in small * np.eye(r)], axis=-1) / small
-    if np.any(np.abs(road[~early]) > 1e-9 * (1 + np.abs(rest[~early, None]))):
-        raise ValueError(
-            f"{vehicle.kind.mjcf.name}: an acceleration sensor feels the road within a step, so it cannot be read there"
-        )
+    of_road = np.stack([read(still, height) - rest for height in small * np.eye(len(flat))], axis=-1) / small
+    of_state = np.stack([read(move, flat) - rest for move in small * np.eye(len(still))], axis=-1) / small
 
-    derivative = (
-        np.stack(
-            [read(qpos + dq, qvel, flat) - rest for dq in small * np.eye(nq)]
-            + [read(qpos, qvel + dv, flat) - rest for dv in small * np.eye(nv)],
-            axis=-1,
-        )
-        / small
-    )
+    late = stage > int(mujoco.mjtStage.mjSTAGE_VEL)
+    felt = bool(np.any(np.abs(of_road[late]) > 1e-9 * (1 + np.abs(rest[late, None]))))
+    linear = ~late
     rng = np.random.default_rng(0)
-    from_state = True
     for _ in range(3):  # linear, if a few states far from the axes say so
-        dq, dv, height = rng.uniform(-0.1, 0.1, nq), rng.uniform(-1, 1, nv), rng.uniform(-0.1, 0.1, r)
-        predicted = derivative @ np.concatenate([dq, dv]) + road @ height
-        error = read(qpos + dq, qvel + dv, height) - rest - predicted
-        from_state &= bool(np.all(np.abs(error[early]) < 1e-12))
-
-    return _Readout(
-        early=tuple(name for name, is_early in zip(names, early, strict=True) if is_early),
-        late=tuple(name for name, is_early in zip(names, early, strict=True) if not is_early),
-        from_state=from_state,
-        early_signals=derivative[early] if from_state else rows[early],
-        road=road[early],
-        rest=derivative[early] @ np.concatenate([qpos, qvel]) if from_state else rest[early],
-        late_signals=rows[~early],
-        late_rest=rest[~early],
-        mocap=mocap,
-    )
+        move, height = rng.uniform(-0.1, 0.1, len(still)), rng.uniform(-0.1, 0.1, len(flat))
+        linear &= np.abs(read(move, height) - rest - of_state @ move - of_road @ height) < 1e-12
+    return _Readout(names, stage, linear, of_state, of_sensors, np.where(late[:, None], 0.0, of_road), rest, felt, mocap)
 
 
 def _gain_on(signals: Sequence[str], vehicle: Vehicle, controller: Controller) -> Array:
-    """The controller's gain on all of these signals, shape (m, signals): zero on what it does not measure."""
+    """The controller's gain on all of these signals, shape (m, S): zero on what it does not measure."""
     gain = np.zeros((len(vehicle.linear_model.inputs), len(signals)))
     gain[:, [signals.index(name) for name in controller.measured]] = controller.gain
     return gain
 
 
-def _step(batch: Batch, readout: _Readout, gain: Array, offset: Array, midway: Array) -> tuple[Array, Array, Array]:
+def _known(gain: Array, unseen: Array, readout: _Readout) -> Array:
+    """What is known beforehand of the forces, shape (T, N, m): the gain (N, m, S) on what a reading has not seen of the road.
+
+    A sensor's reading has its value at rest in it besides; that of the state has none.
+    """
+    road = unseen @ readout.of_road.T - np.where(readout.linear, 0.0, readout.rest)
+    return np.einsum("nms,tns->tnm", gain, road)
+
+
+def _step(
+    batch: Batch, mocap: list[int], gain: Array, offset: Array, midway: Array, at_samples: Array | None, stage: int
+) -> tuple[Array, Array, Array]:
     """The loop: read, control, move the road, step.
 
     Args:
-        gain: from the reading to the forces, shape (N, m, reading).
+        batch: N runs.
+        mocap: mocap index of every wheel's road.
+        gain: from the reading to the forces, shape (N, m, k). The reading is (qpos, qvel), and `sensordata` if there is a stage.
         offset: the forces' other part, shape (T, N, m).
         midway: road heights during the steps, shape (T, N, r).
+        at_samples: road heights at the samples, shape (T, N, r), if sensors are to be evaluated there on top; else None.
+        stage: mjtStage up to which sensors are evaluated before a step.
 
     Returns:
-        The readings (T, N, reading), `sensordata` inside the steps (T, N, nsensordata) and qpos (T, N, nq).
+        `sensordata`, shape (T, N, nsensordata): that of the samples; else up to the stage from before the step, the rest from
+        inside it.
+        Then qpos, shape (T, N, nq), and the forces asked for, (T, N, m).
     """
     samples, count, m = offset.shape
     # The motors, in the order of the linear model's inputs, are all there is in ctrl.
     ctrl, heights, sensors = batch.bind("ctrl"), batch.bind("mocap_pos")[:, :, 2], batch.bind("sensordata")
-    qpos, motion = batch.bind("qpos"), _motion(batch)
-    stage = int(mujoco.mjtStage.mjSTAGE_NONE if readout.from_state else mujoco.mjtStage.mjSTAGE_VEL)
+    motion, width = _motion(batch), gain.shape[2]
     batch.forward(stage=stage)
-    reading = motion if readout.from_state else sensors
-    width = reading.shape[1]
 
     # A numpy call costs a tenth of a step, so there are few: the forces' known part lies beside the reading, with unit gain.
     gain = np.concatenate([gain, np.broadcast_to(np.eye(m), (count, m, m))], axis=-1)
     seen = np.empty((samples, count, width + m))
     seen[..., width:] = offset
     roads = np.zeros((samples, *heights.shape))
-    roads[..., readout.mocap] = midway
-    late = np.empty((samples, *sensors.shape))
-    positions = seen[..., : qpos.shape[1]] if readout.from_state else np.empty((samples, *qpos.shape))
-    rows: Any = zip(seen, seen[..., :width], positions, roads, late, strict=True)
-    step = batch.step if readout.from_state else functools.partial(batch.step, stage=stage)
-    for all_seen, read, position, road, sensed in rows:
-        read[...] = reading
-        if not readout.from_state:
-            position[...] = qpos
+    roads[..., mocap] = midway
+    sensed = np.empty((samples, *sensors.shape))
+    moved = motion.shape[1]
+    rows: Any = zip(seen, seen[..., :moved], seen[..., moved:width], roads, sensed, strict=True)
+    step = functools.partial(batch.step, stage=stage) if stage else batch.step
+    roads_at_samples = iter(at_samples if at_samples is not None else ())
+    for all_seen, moving, sensing, road, result in rows:
+        moving[...] = motion
+        if stage:
+            sensing[...] = sensors
         np.matvec(gain, all_seen, ctrl)
+        if at_samples is not None:
+            heights[:, mocap] = next(roads_at_samples)
+            batch.forward()
+            result[...] = sensors
         heights[...] = road
         step()
-        sensed[...] = sensors
-    return seen[..., :width], late, positions
+        if at_samples is None:
+            result[...] = sensors
+    if stage and at_samples is None:
+        # The evaluation after a step has overwritten what the step itself had sensed.
+        early = np.repeat(batch.model.sensor_needstage, batch.model.sensor_dim) <= stage
+        sensed[..., early] = seen[..., moved:width][..., early]
+    return sensed, seen[..., : batch.bind("qpos").shape[1]], np.matvec(gain, seen)
 
 
 def _motion(batch: Batch) -> Array:
@@ -258,58 +265,3 @@ def _motion(batch: Batch) -> Array:
     motion = batch.state[:, start : start + qpos.shape[1] + qvel.shape[1]]
     assert motion[0, qpos.shape[1] :].ctypes.data == qvel.ctypes.data, "mjSTATE_QVEL follows mjSTATE_QPOS"
     return motion
-
-
-def draw(vehicle: Vehicle, road: Road, time: Array, qpos: Array) -> Scene:
-    """One run as a scene of 60 frames a second. Springs are drawn from every site `NAME_bottom` to its `NAME_top`.
-
-    Args:
-        vehicle: the vehicle.
-        road: its road.
-        time: equidistant sample times [s], shape (T,), from 0.
-        qpos: generalized positions, shape (T, nq).
-    """
-    timestep = float(time[1] - time[0])
-    model, _ = _prepared(vehicle, timestep)
-    data = mujoco.MjData(model)
-    frames = np.unique(np.round(np.arange(0, time[-1], 1 / 60) / timestep).astype(int))
-    frames = frames[np.all(np.abs(qpos[frames]) < DIVERGED, axis=-1)]
-    heights = under_wheels(road.displacement, road, vehicle, time[frames])
-    mocap = _mocap(vehicle, model)
-    sites = [model.site(i).name for i in range(model.nsite)]
-    springs = [name.removesuffix("_bottom") for name in sites if name.endswith("_bottom")]
-    ends = [[model.site(f"{name}_{end}").id for end in ("bottom", "top")] for name in springs]
-
-    positions, quaternions = np.empty((len(frames), model.nbody, 3)), np.empty((len(frames), model.nbody, 4))
-    coils = np.empty((len(frames), len(springs), 2, 3))
-    for f, frame in enumerate(frames):
-        data.qpos[:] = qpos[frame]
-        data.mocap_pos[mocap, 2] = heights[f]
-        mujoco.mj_kinematics(model, data)
-        positions[f], quaternions[f], coils[f] = data.xpos, data.xquat, data.site_xpos[ends]
-    return Scene(
-        time=time[frames],
-        shapes=tuple(_shape(model, i) for i in range(model.ngeom) if int(model.geom_type[i]) in FORMS),
-        bodies={model.body(i).name: Motion(positions[:, i], quaternions[:, i]) for i in range(1, model.nbody)},
-        springs={name: coils[:, i] for i, name in enumerate(springs)},
-    )
-
-
-def _mocap(vehicle: Vehicle, model: mujoco.MjModel) -> list[int]:
-    """Mocap index of every wheel's road."""
-    return [int(model.body(wheel.road_body).mocapid[0]) for wheel in vehicle.kind.wheels]
-
-
-def _shape(model: mujoco.MjModel, i: int) -> Shape:
-    geom = model.geom(i)
-    form = FORMS[int(model.geom_type[i])]
-    material = int(model.geom_matid[i])
-    return Shape(
-        name=geom.name,
-        body=model.body(int(geom.bodyid[0])).name,
-        form=form,
-        half_size=geom.size.copy(),
-        position=geom.pos.copy(),
-        quaternion=geom.quat.copy(),
-        rgba=(model.mat_rgba[material] if material >= 0 else geom.rgba).copy(),
-    )

@@ -10,7 +10,7 @@ from importlib import metadata
 
 from models.mjcf import mjcf_text
 from models.vehicle import Vehicle
-from sim.physics import draw
+from sim.drawing import draw
 from sim.road import Road
 from sim.run import Run
 from sim.run_log import RunLog

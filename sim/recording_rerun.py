@@ -287,12 +287,13 @@ def _page(run: RunLog) -> "rrb.Container":
         texts.append(rrb.TextLogView(origin=_path(run.name, "events"), name="events"))
     texts.append(rrb.TextDocumentView(origin="/metadata", name="metadata"))
     car = _scene_view(_path(run.name, "world"), ["$origin/**"], f"{run.name}: MuJoCo", run.scene.extent(), _SIGHT, 1.5)
-    plots = [
-        _plot(signal, [_path(run.name, "signals", signal.name, name) for name in run.responses], {}) for signal in _signals([run])
-    ]
+    plots = {
+        signal.name: _plot(signal, [_path(run.name, "signals", signal.name, name) for name in run.responses], {})
+        for signal in _signals([run])
+    }
     return rrb.Horizontal(
         rrb.Vertical(car, rrb.Tabs(*texts, active_tab=0)),
-        rrb.Grid(*plots, grid_columns=2 if len(plots) <= 8 else 3),
+        _grids(plots, columns=2),
         column_shares=[2, 3],
         name=run.name,
     )
@@ -308,14 +309,32 @@ def _comparison(runs: Sequence[RunLog]) -> "rrb.Container":
     cars = _scene_view("/", contents, "MuJoCo", (low, high + [0.0, 0.0, 0.3]), _SIGHT_OF_ROW, 5.0)
 
     shown = {run.name: "mujoco" if "mujoco" in run.responses else next(iter(run.responses)) for run in runs}
-    plots = []
+    plots = {}
     for signal in _signals(runs):
         paths = {_path(run.name, "signals", signal.name, shown[run.name]): run.name for run in runs}
         colours = dict(zip(paths, _colours(runs), strict=True))
         # In the order in which the viewer draws, thinner and thinner, so that one curve behind another is still seen.
         lines = {path: _line(paths[path], colours[path], min(1.5 + rank, 5.0)) for rank, path in enumerate(sorted(paths)[::-1])}
-        plots.append(_plot(signal, list(paths), lines))
-    return rrb.Vertical(cars, rrb.Grid(*plots, grid_columns=4), row_shares=[2, 3], name="all")
+        plots[signal.name] = _plot(signal, list(paths), lines)
+    return rrb.Vertical(cars, _grids(plots, columns=4), row_shares=[2, 3], name="all")
+
+
+def _grids(plots: "Mapping[str, rrb.View]", columns: int) -> "rrb.Container":
+    """One grid of plots by signal, or, where they are more than a screen holds, a tab for each kind of signal."""
+    import rerun.blueprint as rrb
+
+    if len(plots) <= 8:
+        return rrb.Grid(*plots.values(), grid_columns=columns)
+    kinds: dict[str, list[rrb.View]] = {}
+    for name, plot in plots.items():
+        kinds.setdefault(name.split("_")[0], []).append(plot)
+    # What comes once or twice, as heave and pitch do, shares a tab, which is seen first.
+    tabs = {"car": [plot for kind in kinds.values() if len(kind) <= 2 for plot in kind]}
+    tabs |= {name: kind for name, kind in kinds.items() if len(kind) > 2}
+    grids = [
+        rrb.Grid(*kind, grid_columns=max(columns, 3 if len(kind) > 8 else 2), name=name) for name, kind in tabs.items() if kind
+    ]
+    return rrb.Tabs(*grids, active_tab=0)
 
 
 def _plot(signal: Signal, paths: Sequence[str], lines: Mapping[Any, "rr.SeriesLines"]) -> "rrb.View":

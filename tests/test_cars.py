@@ -62,7 +62,7 @@ def derivative(vehicle, model, which, count, h=1e-4):
 
 @pytest.mark.parametrize("index", range(4))
 def test_linearisation_is_the_hand_derived_one(car, index):
-    """Found by differences in MuJoCo's coordinates, motion is x' = A x + B u + Bw w + Br z_r and signals are C x + D u + Cr z_r."""
+    """Found by differences in MuJoCo's coordinates, motion obeys A, B, Bw and Br, and signals C, D and Cr."""
     vehicle = [car, *random_vehicles(car, 3, 0.3)][index]
     model, linear = build_model(vehicle, 1e-3), vehicle.linear_model
     of = {which: derivative(vehicle, model, which, count) for which, count in
@@ -121,7 +121,7 @@ def test_the_file_alone_is_the_vehicle_that_ships(car):
 
 @pytest.mark.parametrize("track", ["both", "left"])
 def test_error_vanishes_with_the_amplitude(car, car_designer, track):
-    """The difference from the sampled response falls with the square of the bump's height; at 1 mm it is below 1e-4 of the peak."""
+    """The difference from the sampled response falls with the square of the height; at 1 mm it is below 1e-4 of the peak."""
     if track == "left" and car.kind.name == "half_car":
         track = "both"
     controller, time = car_designer.design("I"), sample_times(car, 1.0, 1e-3)
@@ -178,7 +178,7 @@ def test_half_car_norms_are_the_prototypes():
 
 
 def test_gains_beyond_any_actuator_are_refused():
-    """With the paper's weight of the force, I of the half-car tends to an infinite gain: the design stops short and says how far."""
+    """With the paper's weight of the force, I of the half-car tends to an infinite gain: it stops short, and says how far."""
     half = read_vehicle("half_car")
     text = half.text.replace("= 2e-4", "= 1e-4")
     controller = Designer(parse_vehicle(text)).design("I")
@@ -195,7 +195,7 @@ def quarter_of(half, corner, mass):
 
 
 def test_decoupled_half_car_is_two_quarter_cars():
-    """Where a b m_s = I_y each axle of a half-car is its own quarter-car: in linear analysis to rounding, in MuJoCo to geometry."""
+    """Where a b m_s = I_y each axle of a half-car is its own quarter-car: in analysis to rounding, in MuJoCo to geometry."""
     half = read_vehicle("half_car")
     p = dict(half.parameters)
     a, b, m = p["axle_distance_front"], p["axle_distance_rear"], p["sprung_mass"]
@@ -234,7 +234,7 @@ class DelayedBump(Bump):
 
 
 def test_full_car_on_equal_tracks_is_a_half_car():
-    """Over a bump under both tracks a full car is twice its half-car: in linear analysis to rounding, in MuJoCo to rounding too."""
+    """Over a bump under both tracks a full car is twice its half-car: to rounding, in analysis and in MuJoCo."""
     full = read_vehicle("full_car")
     p = full.parameters
     shared = {name: p[name] for name in read_vehicle("half_car").parameters if name in p}
@@ -255,7 +255,7 @@ def test_full_car_on_equal_tracks_is_a_half_car():
 
 
 def test_rear_wheels_follow_the_front_ones(car):
-    """The rear wheels meet the same road later, by wheelbase over speed, and a bump under the left track leaves the right one flat."""
+    """The rear wheels meet the road later, by wheelbase over speed, and a bump under the left ones leaves the right flat."""
     time, p = sample_times(car, 1.0, 1e-3), car.parameters
     road = Bump(speed=10.0)
     delay = (p["axle_distance_front"] + p["axle_distance_rear"]) / road.speed

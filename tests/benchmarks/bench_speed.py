@@ -59,10 +59,11 @@ def test_whole_command(benchmark, tmp_path):
     assert paired_ratio(benchmark, lambda: run(command), lambda: run(imports), 7) <= 1.5
 
 
-@pytest.mark.parametrize(("runs", "samples", "claim"), [(1, 3001, 2.0), (1024, 201, 1.25)])
-def test_closed_loop(benchmark, runs, samples, claim):
+@pytest.mark.parametrize("name", ["quarter_car", "half_car", "full_car"])
+@pytest.mark.parametrize(("runs", "samples", "claim"), [(1, 3001, 2.0), (1024, 101, 1.25)])
+def test_closed_loop(benchmark, name, runs, samples, claim):
     """A closed-loop run-step, every signal recorded, against native stepping of the same model on as many threads: one."""
-    vehicle = read_vehicle("quarter_car")
+    vehicle = read_vehicle(name)
     controller = Designer(vehicle).design("I")
     model = build_model(vehicle, 1e-3)
     data = mujoco.MjData(model)
@@ -75,6 +76,14 @@ def test_closed_loop(benchmark, runs, samples, claim):
         7,
     )
     assert ratio <= claim
+
+
+def test_design_of_the_full_car(benchmark):
+    """The full car's controller I, both steps and the certificate, takes at most 3 s."""
+    vehicle = read_vehicle("full_car")
+    benchmark.pedantic(lambda: Designer(vehicle).design("I"), rounds=3, iterations=1)
+    print(f"\n{benchmark.name}: {benchmark.stats['median']:.2f} s")
+    assert benchmark.stats["median"] <= 3
 
 
 def test_design(benchmark):

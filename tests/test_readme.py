@@ -1,0 +1,53 @@
+"""The README's recipes work as they stand there."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from models.vehicle import read_vehicle
+from sim.bump import main
+from sim.linear import sampled_response, taylor4
+from sim.physics import simulate
+from sim.road import Bump
+from sim.run import sample_times
+from synth.controller import Designer
+
+README = (Path(__file__).parent.parent / "README.md").read_text(encoding="utf-8")
+
+
+@pytest.fixture
+def hopper(tmp_path):
+    """The vehicle of "Add your own kind of vehicle", its three files written to a folder of its own."""
+    recipe = README.split("## Add your own kind of vehicle")[1].split("\n## ")[0]
+    for suffix, language in (("py", "python"), ("xml", "xml"), ("toml", "toml")):
+        (block,) = re.findall(rf"^```{language}\n(.*?)^```", recipe, re.M | re.S)
+        (tmp_path / f"hopper.{suffix}").write_text(block)
+    return tmp_path / "hopper.toml"
+
+
+def test_own_kind_of_vehicle(hopper, tmp_path, capsys):
+    """Three files make a new kind of vehicle: designed, driven, found to agree, logged, by the command of the recipe."""
+    assert main(["--vehicle", str(hopper), "--controller", "I", "--logs", str(tmp_path / "logs")]) == 0
+    assert "agrees: MuJoCo is the exact sampled response" in capsys.readouterr().out
+    assert {path.suffix for path in (tmp_path / "logs").iterdir()} == {".mcap", ".rrd"}
+
+
+def test_own_kind_of_vehicle_is_exact(hopper):
+    """Its physics is RK4 on its linear model to rounding, as for those that ship."""
+    vehicle = read_vehicle(hopper)
+    controller, road = Designer(vehicle).design("I"), Bump(height=0.02)
+    time = sample_times(vehicle, 1.0, 1e-3)
+    physics = simulate([vehicle], [controller], [road], time).response.run(0)
+    predicted = sampled_response(vehicle, controller, road, time, exponential=taylor4)
+    for name in vehicle.linear_model.outputs:
+        assert abs(physics[name] - predicted[name]).max() < 1e-11 * predicted.scale(name)  # rounding of 1000 steps
+
+
+def test_unknown_kind_is_named(hopper):
+    """A vehicle file whose kind lies nowhere says what is known, and where another would be looked for."""
+    hopper.write_text(hopper.read_text().replace('"hopper"', '"hoper"'))
+    with pytest.raises(
+        ValueError, match=r"unknown vehicle type 'hoper'; known: full_car, half_car, hopper, quarter_car.*hoper\.py"
+    ):
+        read_vehicle(hopper)
