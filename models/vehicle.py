@@ -3,7 +3,7 @@
 import reprlib
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -14,8 +14,9 @@ from models.arrays import Array
 from models.errors import InputError, known
 from models.kind import HERE, LARGEST, VehicleKind, kind, kinds
 from models.linear_model import LinearModel
+from models.reality import Implementation, Limits, read_implementation, read_limits
 
-SECTIONS = ("type", "parameters", "performance", "controllers")
+SECTIONS = ("type", "parameters", "performance", "controllers", "limits", "implementation")
 RESERVED = ("passive", "state")  # these two always exist: u = 0, and full state feedback
 LONGEST_NAME = 60  # bytes; the names of three controllers go into a file name
 SMALLEST_WEIGHT, LARGEST_WEIGHT = 1e-12, 1e12  # relative to one another; beyond these rounding decides
@@ -47,6 +48,8 @@ class Vehicle:
         controllers: by name, without `passive` and `state`, which always exist.
         text: the vehicle file, as read; it goes into the logs.
         source: where it came from, for messages.
+        limits: where the hardware ends.
+        implementation: the controller as it would be built.
     """
 
     kind: VehicleKind
@@ -55,6 +58,8 @@ class Vehicle:
     controllers: Mapping[str, ControllerEntry]
     text: str = ""
     source: str = ""
+    limits: Limits = field(default_factory=Limits)
+    implementation: Implementation = field(default_factory=Implementation)
 
     @cached_property
     def linear_model(self) -> LinearModel:
@@ -111,7 +116,7 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
     for section in SECTIONS[:3]:
         if section not in data:
             raise InputError(f"{section!r} is missing; a vehicle file has {known(SECTIONS)}")
-    for section in ("parameters", "performance", "controllers"):
+    for section in SECTIONS[1:]:
         if not isinstance(data.get(section, {}), dict):
             raise InputError(f"{section!r} is not a section; write it as [{section}]")
     if not isinstance(data["type"], str):
@@ -127,6 +132,8 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
         controllers={name: _controller(name, entry, model) for name, entry in data.get("controllers", {}).items()},
         text=text,
         source=source,
+        limits=read_limits(data.get("limits", {})),
+        implementation=read_implementation(data.get("implementation", {}), model.measurable),
     )
 
 

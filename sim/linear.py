@@ -16,14 +16,17 @@ by Gauss-Legendre quadrature with 8 nodes: exact to rounding for a smooth road. 
 import itertools
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from scipy import linalg
 
 from models.arrays import Array
+from models.linear_model import LinearModel
 from models.vehicle import Vehicle
 from sim.response import Response
 from sim.road import Road, delays, under_wheels
+from sim.sampler import steps_per_sample
 from synth.controller import Controller
 
 
@@ -49,24 +52,60 @@ def sampled_response(
         time: equidistant sample times [s], shape (T,).
         exponential: the matrix exponential; `taylor4` to predict an RK4 integrator to rounding.
     """
-    model, h = vehicle.linear_model, float(time[1] - time[0])
-    G = controller.state_gain(vehicle)
+    h = float(time[1] - time[0])
+    model, G = driven(vehicle, controller)
     Phi, Gamma_u, Gamma_r = _held_inputs(model.A, h, exponential, model.B, model.A @ model.Bw + model.Br)
     now = under_wheels(road.displacement, road, vehicle, time)
     midway = under_wheels(road.displacement, road, vehicle, time + h / 2)
 
-    jump = now @ model.Bw.T  # x - xi
-    xi = _recursion(Phi + Gamma_u @ G, midway @ Gamma_r.T + jump @ (Gamma_u @ G).T)
-    return _response(vehicle, road, G, time, xi + jump)
+    jump, push = now @ model.Bw.T, midway @ Gamma_r.T  # x - xi, and what the road does to xi
+    how = vehicle.implementation
+    if how.sample_period is None and how.delay == 0:
+        states = _recursion(Phi + Gamma_u @ G, push + jump @ (Gamma_u @ G).T) + jump
+        return _response(vehicle, model, road, time, states, states @ G.T)
+
+    period = steps_per_sample(how, h)
+    states, forces = np.zeros_like(jump), np.zeros((len(time), model.B.shape[1]))
+    computed = np.zeros((len(time) // period + 1 + how.delay, model.B.shape[1]))  # by the sample at which they act
+    xi = np.zeros(len(model.A))
+    for k in range(len(time)):
+        states[k] = xi + jump[k]
+        if k % period == 0:
+            computed[k // period + how.delay] = G @ states[k]
+        forces[k] = computed[k // period]
+        xi = Phi @ xi + Gamma_u @ forces[k] + push[k]
+    return _response(vehicle, model, road, time, states, forces)
+
+
+def driven(vehicle: Vehicle, controller: Controller) -> tuple[LinearModel, Array]:
+    """The linear model with its actuators' lag, if they have one, and the gain from its states to the forces asked for.
+
+    With a lag the forces are states: f' = bandwidth (u - f), and what the control forces did in every signal, f does.
+    """
+    model, G, bandwidth = vehicle.linear_model, controller.state_gain(vehicle), vehicle.limits.actuator_bandwidth
+    if bandwidth is None:
+        return model, G
+    (n, m), r = model.B.shape, model.Bw.shape[1]
+    lagged = replace(
+        model,
+        A=np.block([[model.A, model.B], [np.zeros((m, n)), -bandwidth * np.eye(m)]]),
+        B=np.vstack([np.zeros((n, m)), bandwidth * np.eye(m)]),
+        Bw=np.vstack([model.Bw, np.zeros((m, r))]),
+        Br=np.vstack([model.Br, np.zeros((m, r))]),
+        C=np.hstack([model.C, model.D]),
+        D=np.zeros_like(model.D),
+        states=(*model.states, *(f"lagged_{name}" for name in model.inputs)),
+    )
+    return lagged, np.hstack([G, np.zeros((m, m))])
 
 
 def continuous_response(vehicle: Vehicle, controller: Controller, road: Road, time: Array) -> Response:
     """The response of the continuous closed loop (16), from rest. Arguments as for `sampled_response`."""
-    model, h = vehicle.linear_model, float(time[1] - time[0])
-    G = controller.state_gain(vehicle)
+    h = float(time[1] - time[0])
+    model, G = driven(vehicle, controller)
     A = model.A + model.B @ G
 
-    forcing = _convolution(A, road, vehicle, time, h)
+    forcing = _convolution(A, model, road, vehicle, time, h)
     kinks = np.array([kink + delay for kink in road.kinks for delay in delays(road, vehicle)])
     for k in np.unique(np.floor((kinks - time[0]) / h).astype(int)):
         if 0 <= k < len(time):
@@ -74,9 +113,10 @@ def continuous_response(vehicle: Vehicle, controller: Controller, road: Road, ti
             edges = [start, *np.unique(kinks[(kinks > start) & (kinks < end)]), end]
             forcing[k] = 0.0
             for left, right in itertools.pairwise(edges):
-                piece = _convolution(A, road, vehicle, np.array([left]), right - left)[0]
+                piece = _convolution(A, model, road, vehicle, np.array([left]), right - left)[0]
                 forcing[k] += linalg.expm(A * (end - right)) @ piece
-    return _response(vehicle, road, G, time, _recursion(linalg.expm(A * h), forcing))
+    states = _recursion(linalg.expm(A * h), forcing)
+    return _response(vehicle, model, road, time, states, states @ G.T)
 
 
 def _held_inputs(A: Array, h: float, exponential: Callable[[Array], Array], *inputs: Array) -> list[Array]:
@@ -89,9 +129,8 @@ def _held_inputs(A: Array, h: float, exponential: Callable[[Array], Array], *inp
     return [step[:n, :n], *(step[:n, a:b] for a, b in itertools.pairwise(columns))]
 
 
-def _convolution(A: Array, road: Road, vehicle: Vehicle, start: Array, h: float) -> Array:
+def _convolution(A: Array, model: LinearModel, road: Road, vehicle: Vehicle, start: Array, h: float) -> Array:
     """Integral of exp(A (h - s)) (Bw z_r' + Br z_r)(start + s) ds over 0..h, shape (T, n), for start times of shape (T,)."""
-    model = vehicle.linear_model
     nodes, weights = np.polynomial.legendre.leggauss(8)
     total = np.zeros((len(start), len(A)))
     for s, weight in zip(h * (nodes + 1) / 2, h * weights / 2, strict=True):
@@ -111,24 +150,32 @@ def _recursion(Phi: Array, forcing: Array) -> Array:
     return states
 
 
-def _response(vehicle: Vehicle, road: Road, G: Array, time: Array, states: Array) -> Response:
-    """Every signal of the vehicle from its states over time, shape (T, n)."""
-    model = vehicle.linear_model
+def _response(vehicle: Vehicle, model: LinearModel, road: Road, time: Array, states: Array, forces: Array) -> Response:
+    """Every signal of the vehicle from its states and forces over time, shapes (T, n) and (T, m)."""
     z_r, w = (under_wheels(function, road, vehicle, time) for function in (road.displacement, road.velocity))
     values = {}
     for i, wheel in enumerate(vehicle.kind.wheels):
         values |= {wheel.road_displacement: z_r[:, i], wheel.road_velocity: w[:, i]}
-    outputs = states @ (model.C + model.D @ G).T + z_r @ model.Cr.T
+    outputs = states @ model.C.T + forces @ model.D.T + z_r @ model.Cr.T
     values |= dict(zip(model.outputs, outputs.T, strict=True))
     signals = vehicle.kind.signals
     return Response(time, signals, np.stack([values[signal.name] for signal in signals], axis=-1))
 
 
 def sampled_radius(vehicle: Vehicle, controller: Controller, timestep: float) -> float:
-    """Spectral radius of the sampled closed loop; above 1 it is unstable, whatever the continuous one is."""
-    model = vehicle.linear_model
-    Phi, Gamma = _held_inputs(model.A, timestep, linalg.expm, model.B)
-    return float(np.abs(np.linalg.eigvals(Phi + Gamma @ controller.state_gain(vehicle))).max())
+    """Growth per timestep of the sampled closed loop, as it is implemented; above 1 it is unstable."""
+    model, G = driven(vehicle, controller)
+    period, delay = steps_per_sample(vehicle.implementation, timestep), vehicle.implementation.delay
+    Phi, Gamma = _held_inputs(model.A, period * timestep, linalg.expm, model.B)
+    n, m = Gamma.shape
+    if delay == 0:
+        loop = Phi + Gamma @ G
+    else:  # the forces on their way are states: the oldest acts, the newest is computed
+        loop = np.zeros((n + delay * m, n + delay * m))
+        loop[:n, :n], loop[:n, n : n + m] = Phi, Gamma
+        loop[n : n + (delay - 1) * m, n + m :] = np.eye((delay - 1) * m)
+        loop[n + (delay - 1) * m :, :n] = G
+    return float(np.abs(np.linalg.eigvals(loop)).max() ** (1 / period))
 
 
 def largest_timestep(vehicle: Vehicle) -> float:

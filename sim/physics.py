@@ -11,7 +11,7 @@ What makes it agree with the analysis to the integrator's own error (RK4's, to t
 # MuJoCo's bindings carry no type stubs.
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,6 +24,7 @@ from models.mjcf import build_model, mocap_indices
 from models.vehicle import Vehicle
 from sim.response import Response
 from sim.road import Road, under_wheels
+from sim.sampler import Sampler
 from synth.controller import Controller
 
 DIVERGED = 1e8  # a signal beyond this, in SI units, is no vehicle any more
@@ -84,10 +85,14 @@ def simulate(
     gain = of_state @ readout.of_state
     if stage:
         gain = np.concatenate([gain, of_sensors @ readout.of_sensors], axis=-1)
+    law = None
+    if not all(other.implementation.ideal for other in vehicles):
+        sampler = Sampler(vehicles, K, readout.names, timestep, len(time))
+        law = _law(sampler, readout, _unseen(now, readout, True) + _unseen(now - before, readout, False), stage)
 
     mujoco.set_mju_user_warning(lambda text: None)  # else it writes MUJOCO_LOG.TXT; `diverged` says the same
     try:
-        sensed, qpos, asked = _step(batch, readout.mocap, gain, offset, midway, now if readout.felt else None, stage)
+        sensed, qpos, asked = _step(batch, readout.mocap, gain, offset, midway, now if readout.felt else None, stage, law)
     finally:
         mujoco.set_mju_user_warning(None)
 
@@ -193,17 +198,41 @@ def _gain_on(signals: Sequence[str], vehicle: Vehicle, controller: Controller) -
     return gain
 
 
-def _known(gain: Array, unseen: Array, readout: _Readout) -> Array:
+def _known(gain: Array, road: Array, readout: _Readout) -> Array:
     """What is known beforehand of the forces, shape (T, N, m): the gain (N, m, S) on what a reading has not seen of the road.
 
     A sensor's reading has its value at rest in it besides; that of the state has none.
     """
-    road = unseen @ readout.of_road.T - np.where(readout.linear, 0.0, readout.rest)
-    return np.einsum("nms,tns->tnm", gain, road)
+    return np.einsum("nms,tns->tnm", gain, road @ readout.of_road.T - np.where(readout.linear, 0.0, readout.rest))
+
+
+def _unseen(road: Array, readout: _Readout, linear: bool) -> Array:
+    """The same for the signals themselves, shape (T, N, S): of those that are read from the state, or those from sensors."""
+    mine = readout.linear == linear
+    return np.where(mine, road @ readout.of_road.T - np.where(linear, 0.0, readout.rest), 0.0)
+
+
+def _law(sampler: Sampler, readout: _Readout, known: Array, stage: int) -> Callable[[int, Array], Array]:
+    """The forces of step k from the reading, for controllers that are more than a gain."""
+    of_reading = np.where(readout.linear[:, None], readout.of_state, 0.0)
+    if stage:
+        of_reading = np.concatenate([of_reading, np.where(readout.linear[:, None], 0.0, readout.of_sensors)], axis=-1)
+
+    def forces(k: int, reading: Array) -> Array:
+        return sampler(k, reading @ of_reading.T + known[k])
+
+    return forces
 
 
 def _step(
-    batch: Batch, mocap: list[int], gain: Array, offset: Array, midway: Array, at_samples: Array | None, stage: int
+    batch: Batch,
+    mocap: list[int],
+    gain: Array,
+    offset: Array,
+    midway: Array,
+    at_samples: Array | None,
+    stage: int,
+    law: Callable[[int, Array], Array] | None,
 ) -> tuple[Array, Array, Array]:
     """The loop: read, control, move the road, step.
 
@@ -215,6 +244,7 @@ def _step(
         midway: road heights during the steps, shape (T, N, r).
         at_samples: road heights at the samples, shape (T, N, r), if sensors are to be evaluated there on top; else None.
         stage: mjtStage up to which sensors are evaluated before a step.
+        law: forces (N, m) of step k from the reading (N, k), instead of the gain; None for controllers that are a gain.
 
     Returns:
         `sensordata`, shape (T, N, nsensordata): that of the samples; else up to the stage from before the step, the rest from
@@ -235,14 +265,19 @@ def _step(
     roads[..., mocap] = midway
     sensed = np.empty((samples, *sensors.shape))
     moved = motion.shape[1]
-    rows: Any = zip(seen, seen[..., :moved], seen[..., moved:width], roads, sensed, strict=True)
+    asked = np.empty((samples, count, m)) if law else None
+    rows: Any = zip(range(samples), seen, seen[..., :moved], seen[..., moved:width], roads, sensed, strict=True)
     step = functools.partial(batch.step, stage=stage) if stage else batch.step
     roads_at_samples = iter(at_samples if at_samples is not None else ())
-    for all_seen, moving, sensing, road, result in rows:
+    for k, all_seen, moving, sensing, road, result in rows:
         moving[...] = motion
         if stage:
             sensing[...] = sensors
-        np.matvec(gain, all_seen, ctrl)
+        if law is None or asked is None:
+            np.matvec(gain, all_seen, ctrl)
+        else:
+            asked[k] = law(k, all_seen[:, :width])
+            ctrl[...] = asked[k]
         if at_samples is not None:
             heights[:, mocap] = next(roads_at_samples)
             batch.forward()
@@ -255,7 +290,7 @@ def _step(
         # The evaluation after a step has overwritten what the step itself had sensed.
         early = np.repeat(batch.model.sensor_needstage, batch.model.sensor_dim) <= stage
         sensed[..., early] = seen[..., moved:width][..., early]
-    return sensed, seen[..., : batch.bind("qpos").shape[1]], np.matvec(gain, seen)
+    return sensed, seen[..., : batch.bind("qpos").shape[1]], np.matvec(gain, seen) if asked is None else asked
 
 
 def _motion(batch: Batch) -> Array:

@@ -18,7 +18,12 @@ CHANGES = [
     ("a number of 5000 digits", MASS, f"sprung_mass = {'9' * 5000}", ["not TOML", "digits"]),
     ("brackets without end", MASS, f"sprung_mass = {'[' * 5000}", ["not TOML"]),
     ("a key twice", MASS, f"{MASS}\n{MASS}", ["not TOML", "line 6"]),
-    ("unknown section", "[performance]", "[comfort]", ["'comfort'", "controllers, parameters, performance, type"]),
+    (
+        "unknown section",
+        "[performance]",
+        "[comfort]",
+        ["'comfort'", "controllers, implementation, limits, parameters, performance, type"],
+    ),
     ("no type", 'type = "quarter_car"', "", ["'type'", "missing"]),
     ("unknown type", '"quarter_car"', '"bicycle"', ["'bicycle'", "known: ", "quarter_car"]),
     ("type is a path", '"quarter_car"', '"../models/quarter_car"', ["unknown vehicle type"]),

@@ -1,0 +1,111 @@
+"""What a real car has and the analysis has not: `[limits]` and `[implementation]` of a vehicle file, each off where absent."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from models.errors import InputError, known
+from models.kind import Parameter
+
+LIMITS = (
+    Parameter("suspension_stroke", "m", "how far every suspension moves either way before its bump stop"),
+    Parameter("stop_stiffness", "N/m", "of the bump stops; needs suspension_stroke"),
+    Parameter("actuator_force", "N", "largest force of every actuator, either way"),
+    Parameter("actuator_bandwidth", "rad/s", "corner frequency of every actuator, a first-order lag"),
+)
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Where the hardware ends. None means: no such limit.
+
+    Attributes:
+        suspension_stroke: travel either way before the bump stop [m].
+        stop_stiffness: stiffness of the bump stop [N/m].
+        actuator_force: largest force [N].
+        actuator_bandwidth: corner frequency of the first-order lag from the force asked for to the force [rad/s].
+    """
+
+    suspension_stroke: float | None = None
+    stop_stiffness: float | None = None
+    actuator_force: float | None = None
+    actuator_bandwidth: float | None = None
+
+
+@dataclass(frozen=True)
+class Implementation:
+    """The controller as it would be built.
+
+    Attributes:
+        sample_period: of the controller [s], a multiple of the timestep; None: the timestep itself.
+        delay: from a measurement to the force computed from it, in samples of the controller.
+        noise: rms of the white noise on a measured signal, by signal, in its unit.
+        quantisation: resolution of a measured signal, by signal, in its unit.
+        seed: of the noise.
+    """
+
+    sample_period: float | None = None
+    delay: int = 0
+    noise: Mapping[str, float] = field(default_factory=dict)
+    quantisation: Mapping[str, float] = field(default_factory=dict)
+    seed: int = 0
+
+    @property
+    def ideal(self) -> bool:
+        """Whether the controller acts at every timestep, at once, on what is."""
+        noise = any(self.noise.values()) or any(self.quantisation.values())
+        return self.sample_period is None and self.delay == 0 and not noise
+
+
+def read_limits(section: Mapping[str, Any]) -> Limits:
+    """`[limits]`, checked.
+
+    Raises:
+        InputError: a key that is unknown, a value that is not allowed, a stroke without a stiffness or the other way round.
+    """
+    allowed = {parameter.name: parameter for parameter in LIMITS}
+    for name in section:
+        if name not in allowed:
+            raise InputError(f"[limits] unknown key {name!r}; known: {known(allowed)}")
+    limits = Limits(**{name: allowed[name].check(value) for name, value in section.items()})
+    if (limits.suspension_stroke is None) != (limits.stop_stiffness is None):
+        raise InputError(
+            "[limits] suspension_stroke [m] and stop_stiffness [N/m] make a bump stop together; give both or neither"
+        )
+    return limits
+
+
+def read_implementation(section: Mapping[str, Any], measurable: tuple[str, ...]) -> Implementation:
+    """`[implementation]`, checked.
+
+    Args:
+        section: as read.
+        measurable: the signals that a controller of this vehicle can measure.
+
+    Raises:
+        InputError: a key or signal that is unknown, a value that is not allowed.
+    """
+    keys = ("sample_period", "delay", "noise", "quantisation", "seed")
+    for name in section:
+        if name not in keys:
+            raise InputError(f"[implementation] unknown key {name!r}; known: {known(keys)}")
+    found: dict[str, Any] = {}
+    if "sample_period" in section:
+        found["sample_period"] = Parameter("sample_period", "s", "of the controller").check(section["sample_period"])
+    for name in ("delay", "seed"):
+        value = section.get(name, 0)
+        if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= 100_000:
+            raise InputError(f"[implementation] {name} = {value!r} is not allowed; give a whole number from 0 to 100000")
+        found[name] = value
+    for name in ("noise", "quantisation"):
+        values = section.get(name, {})
+        if not isinstance(values, dict):
+            raise InputError(f"[implementation] {name} is not a table; write {name} = {{ signal = value }}")
+        for signal in values:
+            if signal not in measurable:
+                raise InputError(f"[implementation] {name} of unknown signal {signal!r}; it can be measured: {known(measurable)}")
+        found[name] = {
+            signal: Parameter(f"{name} of {signal}", "of its unit", "", positive=False).check(value)
+            for signal, value in values.items()
+        }
+    return Implementation(**found)

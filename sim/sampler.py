@@ -1,0 +1,65 @@
+"""The controller as it would be built: its own sample period, a computation delay, noisy and quantised measurements."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from models.arrays import Array
+from models.errors import InputError
+from models.reality import Implementation
+from models.vehicle import Vehicle
+
+
+def steps_per_sample(implementation: Implementation, timestep: float) -> int:
+    """How many timesteps the controller holds its force.
+
+    Raises:
+        InputError: the sample period is no multiple of the timestep.
+    """
+    if implementation.sample_period is None:
+        return 1
+    steps = round(implementation.sample_period / timestep)
+    if steps < 1 or abs(steps * timestep / implementation.sample_period - 1) > 1e-9:
+        raise InputError(
+            f"sample_period = {implementation.sample_period:g} s is no multiple of the timestep, {timestep:g} s; give such a one"
+        )
+    return steps
+
+
+class Sampler:
+    """N controllers that each sample, compute and hold as the `[implementation]` of their vehicle says.
+
+    A measurement is read as quantisation * round((signal + noise) / quantisation), and the force computed from it acts `delay`
+    samples later. Before the first one arrives the force is zero.
+    """
+
+    def __init__(self, vehicles: Sequence[Vehicle], gain: Array, names: Sequence[str], timestep: float, samples: int) -> None:
+        """For gains of shape (N, m, S) on the signals of these names."""
+        how = [vehicle.implementation for vehicle in vehicles]
+        self.gain = gain
+        self.period = np.array([steps_per_sample(one, timestep) for one in how])
+        self.delay = np.array([one.delay for one in how])
+        self.resolution = np.array([[one.quantisation.get(name, 0.0) for name in names] for one in how])
+        rms = np.array([[one.noise.get(name, 0.0) for name in names] for one in how])
+        self.noise = np.zeros((samples if np.any(rms) else 1, *rms.shape))
+        for i, one in enumerate(how):
+            if np.any(rms[i]):
+                self.noise[:, i] = rms[i] * np.random.default_rng(one.seed).standard_normal((samples, len(names)))
+        self.queue = np.zeros((int(self.delay.max()) + 1, *gain.shape[:2]))  # forces by sample, in a ring
+        self.force = np.zeros(gain.shape[:2])
+
+    def __call__(self, k: int, signals: Array) -> Array:
+        """The forces of step k, shape (N, m), from the signals at its start, shape (N, S)."""
+        due = np.flatnonzero(k % self.period == 0)
+        if len(due):
+            seen = signals[due] + self.noise[k if len(self.noise) > 1 else 0, due]
+            resolution = self.resolution[due]
+            coarse = resolution > 0
+            if np.any(coarse):
+                steps = np.where(coarse, resolution, 1.0)
+                seen = np.where(coarse, steps * np.round(seen / steps), seen)
+            sample = k // self.period[due]
+            self.queue[sample % len(self.queue), due] = np.matvec(self.gain[due], seen)
+            ripe = sample - self.delay[due]
+            self.force[due] = np.where(ripe[:, None] >= 0, self.queue[ripe % len(self.queue), due], 0.0)
+        return self.force

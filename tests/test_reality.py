@@ -1,0 +1,165 @@
+"""Limits and implementation: exact in the MJCF, and with an exact linear counterpart for all that is linear."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from models.errors import InputError
+from models.kind import GRAVITY
+from models.reality import Implementation, Limits
+from models.vehicle import parse_vehicle, read_vehicle
+from sim.linear import continuous_response, sampled_radius, sampled_response, taylor4
+from sim.physics import simulate
+from sim.road import Bump
+from sim.run import sample_times
+from synth.controller import Designer
+
+
+def with_reality(vehicle, limits=None, implementation=None):
+    return dataclasses.replace(vehicle, limits=limits or Limits(), implementation=implementation or Implementation())
+
+
+def worst(vehicle, controller, road, time):
+    """Largest difference of any signal between MuJoCo and the RK4-sampled linear response, over the signal's scale."""
+    physics = simulate([vehicle], [controller], [road], time).response.run(0)
+    predicted = sampled_response(vehicle, controller, road, time, exponential=taylor4)
+    return max(np.abs(physics[name] - predicted[name]).max() / predicted.scale(name) for name in vehicle.linear_model.outputs)
+
+
+LINEAR = {
+    "delay": (None, Implementation(delay=7)),
+    "sample period": (None, Implementation(sample_period=5e-3)),
+    "sample period and delay": (None, Implementation(sample_period=4e-3, delay=3)),
+    "lag": (Limits(actuator_bandwidth=60.0), None),
+    "all": (Limits(actuator_bandwidth=60.0), Implementation(sample_period=4e-3, delay=3)),
+}
+
+
+@pytest.mark.parametrize("name", ["state", "I", "II"])
+@pytest.mark.parametrize("case", LINEAR)
+def test_what_is_linear_agrees_to_rounding(paper, designer, case, name):
+    """A sampled, delayed, lagged controller in MuJoCo is its linear counterpart, to rounding."""
+    vehicle = with_reality(paper, *LINEAR[case])
+    assert worst(vehicle, designer.design(name), Bump(), sample_times(paper, 1.5, 1e-3)) < 1e-11  # 1500 steps of rounding
+
+
+def test_half_car_agrees_too():
+    """A delayed, lagged half-car, whose deflections are read from sensors, is its linear counterpart at small amplitude."""
+    half = read_vehicle("half_car")
+    controller = Designer(half).design("I")
+    vehicle = with_reality(half, *LINEAR["all"])
+    assert worst(vehicle, controller, Bump(height=1e-3), sample_times(half, 1.0, 1e-3)) < 1e-5  # geometry at 1 mm
+
+
+def test_lag_tends_to_the_continuous_loop(paper, designer):
+    """With a lagged actuator the sampled loop tends to the continuous one, at first order in the step."""
+    vehicle, controller, errors = with_reality(paper, Limits(actuator_bandwidth=60.0)), designer.design("I"), []
+    for step in (2e-3, 1e-3, 5e-4):
+        time = sample_times(paper, 1.0, step)
+        sampled, continuous = (f(vehicle, controller, Bump(), time) for f in (sampled_response, continuous_response))
+        errors.append(np.abs(sampled["suspension_deflection"] - continuous["suspension_deflection"]).max())
+    np.testing.assert_allclose(np.diff(np.log2(errors)), -1.0, atol=0.05)  # the next order
+
+
+def test_force_saturates(paper, designer):
+    """No actuator gives more than its largest force, and gives it while more is asked for."""
+    vehicle, time = with_reality(paper, Limits(actuator_force=500.0)), sample_times(paper, 1.0, 1e-3)
+    force = simulate([vehicle], [designer.design("I")], [Bump()], time).response.run(0)["control_force"]
+    assert np.abs(force).max() == 500.0
+    assert np.sum(np.abs(force) == 500.0) > 50
+
+
+@pytest.mark.parametrize("kind", ["quarter_car", "half_car"])
+def test_bump_stop_pushes_back_beyond_its_stroke(kind):
+    """A long push squeezes the suspension through its stroke: at rest there, spring and stop carry the push together."""
+    vehicle = read_vehicle(kind)
+    stroke, stiffness = 0.05, 1e5
+    limited = with_reality(vehicle, Limits(suspension_stroke=stroke, stop_stiffness=stiffness))
+    time, road = sample_times(vehicle, 1.0, 1e-3), Bump(height=0.12, length=1.5)
+    passive = Designer(vehicle).design("passive")
+    free, stopped = (simulate([one], [passive], [road], time).response.run(0) for one in (vehicle, limited))
+    name = next(name for name in vehicle.linear_model.outputs if name.startswith("suspension_deflection"))
+    touched = np.flatnonzero(np.abs(stopped[name]) > stroke)
+    assert float(free.peak(name)) > stroke
+    assert stroke < float(stopped.peak(name)) < float(free.peak(name))
+    # Bit for bit the same until the stop is touched, within the step before the first sample beyond it.
+    before = touched[0] - 1
+    np.testing.assert_array_equal(free.values[:before], stopped.values[:before])
+    if kind == "quarter_car":  # the body's acceleration is spring, damper and stop over its mass, at every sample
+        p = vehicle.parameters
+        d, rate = stopped[name], stopped["sprung_velocity"] - stopped["unsprung_velocity"]
+        beyond = d - np.clip(d, -stroke, stroke)
+        force = -p["suspension_stiffness"] * d - p["suspension_damping"] * rate - stiffness * beyond
+        np.testing.assert_allclose(stopped["sprung_acceleration"], force / p["sprung_mass"], atol=1e-11 * GRAVITY)
+
+
+def test_quantisation_is_exact(paper, designer):
+    """The force is the gain on measurements rounded to their resolution."""
+    vehicle = with_reality(paper, None, Implementation(quantisation={"sprung_velocity": 0.01}))
+    controller, time = designer.design("II"), sample_times(paper, 1.0, 1e-3)
+    response = simulate([vehicle], [controller], [Bump()], time).response.run(0)
+    expected = controller.gain[0, 0] * 0.01 * np.round(response["sprung_velocity"] / 0.01)
+    np.testing.assert_allclose(response["control_force"], expected, atol=1e-9)
+
+
+def test_noise_has_its_predicted_variance(paper, designer):
+    """On a flat road, measurement noise moves the car with the variance that the discrete Lyapunov equation predicts."""
+    controller, rms, step = designer.design("II"), 0.01, 2e-3
+    time, runs = sample_times(paper, 6.0, step), 64
+    vehicles = [with_reality(paper, None, Implementation(noise={"sprung_velocity": rms}, seed=seed)) for seed in range(runs)]
+    response = simulate(vehicles, [controller] * runs, [Bump(height=0.0)] * runs, time).response
+    predicted = noise_rms(paper, controller, step, {"sprung_velocity": rms})["suspension_deflection"]
+    measured = np.sqrt(np.mean(response["suspension_deflection"][:, len(time) // 2 :] ** 2))
+    assert measured == pytest.approx(predicted, rel=0.1)  # 64 runs of a slow mode, a dozen independent values each: 4 %
+    again = simulate(vehicles[:1], [controller], [Bump(height=0.0)], time).response
+    np.testing.assert_array_equal(again.values[0], response.values[0])  # the seed fixes it
+
+
+def noise_rms(vehicle, controller, step, noise):
+    """Stationary rms of every output under white measurement noise, by the discrete Lyapunov equation."""
+    from scipy import linalg
+
+    model = vehicle.linear_model
+    augmented = np.zeros((5, 5))
+    augmented[:4] = np.hstack([model.A, model.B])
+    held = linalg.expm(augmented * step)
+    Phi, Gamma = held[:4, :4], held[:4, 4:]
+    drive = Gamma @ controller.gain @ np.diag([noise[name] for name in controller.measured])
+    P = linalg.solve_discrete_lyapunov(Phi + Gamma @ controller.state_gain(vehicle), drive @ drive.T)
+    return {name: float(np.sqrt(row @ P @ row)) for name, row in zip(model.outputs, model.C, strict=True)}
+
+
+def test_delay_margin_of_ii(paper, designer):
+    """At a 0.5 ms sample II is stable with 173 samples of delay and unstable with 174: theory's 87.097 ms, to one sample."""
+    radius = {
+        delay: sampled_radius(with_reality(paper, None, Implementation(delay=delay)), designer.design("II"), 5e-4)
+        for delay in (173, 174)
+    }
+    assert radius[173] < 1 < radius[174]
+
+
+@pytest.mark.parametrize(
+    ("section", "words"),
+    [
+        ("[limits]\nsuspension_stroke = -0.1\nstop_stiffness = 1e5", ["suspension_stroke = -0.1", "from 1e-06"]),
+        ("[limits]\nsuspension_stroke = 0.1", ["suspension_stroke", "stop_stiffness", "both"]),
+        ("[limits]\nstroke = 0.1", ["unknown key 'stroke'", "suspension_stroke"]),
+        ("[implementation]\ndelay = 1.5", ["delay = 1.5", "whole number"]),
+        ("[implementation]\nnoise = { speed = 1.0 }", ["unknown signal 'speed'", "sprung_velocity"]),
+        ("[implementation]\nnoise = 1.0", ["noise is not a table"]),
+    ],
+)
+def test_bad_reality_is_refused(paper, section, words):
+    """A mistake in `[limits]` or `[implementation]` is named, with what is allowed."""
+    with pytest.raises(InputError) as refusal:
+        parse_vehicle(f"{paper.text}\n{section}\n")
+    for word in words:
+        assert word in str(refusal.value)
+
+
+def test_sample_period_fits_the_timestep(paper, designer):
+    """A sample period that is no multiple of the timestep is refused."""
+    vehicle = with_reality(paper, None, Implementation(sample_period=1.5e-3))
+    with pytest.raises(InputError, match="no multiple of the timestep"):
+        simulate([vehicle], [designer.design("I")], [Bump()], sample_times(paper, 1.0, 1e-3))
