@@ -20,6 +20,7 @@ from sim.response import Response
 ROUNDING = 1e-9  # of a peak, over thousands of steps; a vehicle at rest to 1e-16 of its spring forces stays below 1e-12
 COARSEST = 1e-2  # of a peak; physics that is further off confirms nothing, even if the integrator has to be
 SMALL = 1e-2  # the share of the road's height at which geometry has to have gone
+SIGMAS = 6.0  # of noise: thousands of samples stay within it
 SLACK = 1.5  # on the predicted integrator error: it is a maximum over time of one of two nearly equal curves
 
 
@@ -56,12 +57,18 @@ class Agreement:
         lift_off: intervals [s] in which a tyre is off the road.
         flat: when a tyre is first squeezed further than a tyre can be [s]; infinite where none is. No model holds from there.
         until: the linear comparison applies before this time [s]; infinite where it always does.
+        stopped: when a suspension first touches a bump stop [s]; infinite where none does.
+        saturated: when an actuator first gives all it can [s]; infinite where none does.
+        blurred: whether measurements are noisy or quantised: then the comparison is with their predicted spread.
     """
 
     signals: Mapping[str, SignalAgreement]
     lift_off: tuple[tuple[float, float], ...]
     flat: float
     until: float
+    stopped: float = np.inf
+    saturated: float = np.inf
+    blurred: bool = False
 
     @property
     def agrees(self) -> bool:
@@ -70,7 +77,13 @@ class Agreement:
 
 
 def compare(
-    vehicle: Vehicle, physics: Response, sampled: Response, integrated: Response, continuous: Response, diverged: float
+    vehicle: Vehicle,
+    physics: Response,
+    sampled: Response,
+    integrated: Response,
+    continuous: Response,
+    diverged: float,
+    spread: Mapping[str, float],
 ) -> Agreement:
     """Compares one run with its three predictions.
 
@@ -81,21 +94,25 @@ def compare(
         integrated: the same as RK4 makes it.
         continuous: response of the continuous closed loop.
         diverged: when the run diverged [s]; infinite where it did not.
+        spread: rms that noise and quantisation of the measurements give each signal; empty without them.
     """
     lift_off = lift_off_intervals(vehicle, physics)
     # A hub that goes through the road within a step escapes the physics' own samples, but not the prediction's.
     flat = min(_first_flat(vehicle, response) for response in (physics, sampled))
-    until = min([start for start, _ in lift_off] + [_first_loose(vehicle, physics), flat, diverged])
+    stopped = _first_beyond(physics, "suspension_deflection", vehicle.limits.suspension_stroke)
+    saturated = _first_beyond(physics, "control_force", vehicle.limits.actuator_force)
+    until = min([start for start, _ in lift_off] + [_first_loose(vehicle, physics), flat, stopped, saturated, diverged])
     physics, sampled, integrated, continuous = (r.until(until) for r in (physics, sampled, integrated, continuous))
     signals = {
         name: SignalAgreement(
             sampled=_difference(physics, sampled, name),
             continuous=_difference(physics, continuous, name),
-            allowed=min(SLACK * _difference(integrated, sampled, name) + ROUNDING, COARSEST),
+            allowed=min(SLACK * _difference(integrated, sampled, name) + ROUNDING, COARSEST)
+            + SIGMAS * spread.get(name, 0.0) / (sampled.scale(name) or 1.0),
         )
         for name in vehicle.linear_model.outputs
     }
-    return Agreement(signals=signals, lift_off=lift_off, flat=flat, until=until)
+    return Agreement(signals, lift_off, flat, until, stopped, saturated, blurred=bool(spread))
 
 
 def look_closer(agreement: Agreement, physics: Response, sampled: Response) -> Agreement:
@@ -138,6 +155,14 @@ def _first_loose(vehicle: Vehicle, physics: Response) -> float:
         if loose.any():
             first = min(first, float(physics.time[1 + loose.argmax()]))
     return first
+
+
+def _first_beyond(physics: Response, kind: str, limit: float | None) -> float:
+    """First sample [s] at which a signal whose name begins so reaches a limit; infinite where none does, or there is none."""
+    if limit is None:
+        return np.inf
+    beyond = np.any([np.abs(physics[name]) >= limit for name in physics.names if name.startswith(kind)], axis=0)
+    return float(physics.time[beyond.argmax()]) if np.any(beyond) else np.inf
 
 
 def _first_flat(vehicle: Vehicle, response: Response) -> float:

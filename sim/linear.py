@@ -164,18 +164,33 @@ def _response(vehicle: Vehicle, model: LinearModel, road: Road, time: Array, sta
 
 def sampled_radius(vehicle: Vehicle, controller: Controller, timestep: float) -> float:
     """Growth per timestep of the sampled closed loop, as it is implemented; above 1 it is unstable."""
+    loop, _, _ = _implemented_loop(vehicle, controller, timestep)
+    return float(np.abs(np.linalg.eigvals(loop)).max() ** (1 / steps_per_sample(vehicle.implementation, timestep)))
+
+
+def _implemented_loop(vehicle: Vehicle, controller: Controller, timestep: float) -> tuple[Array, Array, Array]:
+    """The loop from one sample of the controller to the next.
+
+    The forces on their way are states beside those of `driven`, the next to act first.
+
+    Returns:
+        The transition, shape (s, s); what a force that is added to those computed does to the next state, shape (s, m); and the
+        forces that act, from the state, shape (m, s).
+    """
     model, G = driven(vehicle, controller)
-    period, delay = steps_per_sample(vehicle.implementation, timestep), vehicle.implementation.delay
-    Phi, Gamma = _held_inputs(model.A, period * timestep, linalg.expm, model.B)
+    how = vehicle.implementation
+    Phi, Gamma = _held_inputs(model.A, steps_per_sample(how, timestep) * timestep, linalg.expm, model.B)
     n, m = Gamma.shape
-    if delay == 0:
-        loop = Phi + Gamma @ G
-    else:  # the forces on their way are states: the oldest acts, the newest is computed
-        loop = np.zeros((n + delay * m, n + delay * m))
-        loop[:n, :n], loop[:n, n : n + m] = Phi, Gamma
-        loop[n : n + (delay - 1) * m, n + m :] = np.eye((delay - 1) * m)
-        loop[n + (delay - 1) * m :, :n] = G
-    return float(np.abs(np.linalg.eigvals(loop)).max() ** (1 / period))
+    if how.delay == 0:
+        return Phi + Gamma @ G, Gamma, G
+    size = n + how.delay * m
+    loop, added, acting = np.zeros((size, size)), np.zeros((size, m)), np.zeros((m, size))
+    loop[:n, :n], loop[:n, n : n + m] = Phi, Gamma
+    loop[n : size - m, n + m :] = np.eye(size - n - m)
+    loop[size - m :, :n] = G
+    added[size - m :] = np.eye(m)
+    acting[:, n : n + m] = np.eye(m)
+    return loop, added, acting
 
 
 def largest_timestep(vehicle: Vehicle) -> float:
@@ -187,3 +202,23 @@ def largest_timestep(vehicle: Vehicle) -> float:
         if np.abs(np.linalg.eigvals(taylor4(A * h))).max() <= 1:
             return float(h)
     return math.nan
+
+
+def noise_spread(vehicle: Vehicle, controller: Controller, timestep: float) -> dict[str, float]:
+    """Stationary rms of every output signal under noise and quantisation of the measurements, by the discrete Lyapunov equation.
+
+    Quantisation counts as white noise of a twelfth of its resolution squared. Empty where there is none, or the loop is unstable.
+    """
+    how, gain = vehicle.implementation, controller.gain
+    rms = [np.hypot(how.noise.get(name, 0.0), how.quantisation.get(name, 0.0) / math.sqrt(12)) for name in controller.measured]
+    if not np.any(rms) or sampled_radius(vehicle, controller, timestep) >= 1:
+        return {}
+    model, _ = driven(vehicle, controller)
+    loop, added, acting = _implemented_loop(vehicle, controller, timestep)
+    forces = gain * np.array(rms)
+    P = linalg.solve_discrete_lyapunov(loop, added @ forces @ forces.T @ added.T, method="bilinear")
+    rows = np.hstack([model.C, np.zeros((len(model.C), len(loop) - model.C.shape[1]))]) + model.D @ acting
+    # Without a delay the force of a sample has the noise of that sample in it, beside the state.
+    direct = model.D @ forces if how.delay == 0 else np.zeros((1, 1))
+    variance = np.einsum("si,ij,sj->s", rows, P, rows) + np.sum(direct**2, axis=1)
+    return dict(zip(model.outputs, np.sqrt(np.maximum(variance, 0.0)).tolist(), strict=True))

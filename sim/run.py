@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from models.arrays import Array
-from models.errors import InputError
+from models.errors import InputError, known
 from models.vehicle import Vehicle
 from sim.agreement import SMALL, Agreement, compare, look_closer
-from sim.linear import continuous_response, largest_timestep, sampled_radius, sampled_response, taylor4
+from sim.linear import continuous_response, largest_timestep, noise_spread, sampled_radius, sampled_response, taylor4
 from sim.physics import simulate
 from sim.response import Response
 from sim.road import Road, under_wheels
@@ -80,6 +80,20 @@ def check_road(vehicle: Vehicle, road: Road, time: Array) -> None:
         )
 
 
+def _check_noise(vehicle: Vehicle, controllers: Sequence[Controller]) -> None:
+    """Refuses noise or quantisation of a signal that none of the controllers measures.
+
+    Raises:
+        InputError: it names the signal, and those that are measured.
+    """
+    measured = {name for controller in controllers for name in controller.measured}
+    how = vehicle.implementation
+    for kind, values in {"noise": how.noise, "quantisation": how.quantisation}.items():
+        for name in values:
+            if measured and name not in measured:
+                raise InputError(f"[implementation] {kind} of {name!r}, which is not measured; measured are: {known(measured)}")
+
+
 @np.errstate(over="ignore", invalid="ignore")  # an unstable loop overflows; its run says so
 def run_all(vehicle: Vehicle, controllers: Sequence[Controller], road: Road, time: Array) -> list[Run]:
     """Runs every controller over the road, from rest, and compares.
@@ -91,6 +105,7 @@ def run_all(vehicle: Vehicle, controllers: Sequence[Controller], road: Road, tim
         time: equidistant sample times from 0 [s], see `sample_times`.
     """
     count, timestep = len(controllers), float(time[1] - time[0])
+    _check_noise(vehicle, controllers)
     physics = simulate([vehicle] * count, controllers, [road] * count, time)
     runs = []
     for i, controller in enumerate(controllers):
@@ -107,10 +122,12 @@ def run_all(vehicle: Vehicle, controllers: Sequence[Controller], road: Road, tim
                 qpos=physics.qpos[i],
                 diverged=diverged,
                 sampled_radius=sampled_radius(vehicle, controller, timestep),
-                agreement=compare(vehicle, measured, sampled, integrated, continuous, diverged),
+                agreement=compare(
+                    vehicle, measured, sampled, integrated, continuous, diverged, noise_spread(vehicle, controller, timestep)
+                ),
             )
         )
-    doubtful = [i for i, run in enumerate(runs) if not run.agreement.agrees]
+    doubtful = [i for i, run in enumerate(runs) if not run.agreement.agrees and not run.agreement.blurred]
     if doubtful:
         again = [controllers[i] for i in doubtful]
         small = simulate([vehicle] * len(again), again, [road.scaled(SMALL)] * len(again), time).response

@@ -86,8 +86,12 @@ def verdict_lines(run: Run) -> list[str]:
         lines.append(f"diverged: MuJoCo was stopped at {run.diverged:.4g} s; there is no vehicle any more")
     for start, end in agreement.lift_off:
         lines.append(f"lift-off: a tyre is off the road from {start:.4g} s to {end:.4g} s ({end - start:.3g} s)")
+    if math.isfinite(agreement.stopped):
+        lines.append(f"bump stop: a suspension is at the end of its stroke first at {agreement.stopped:.4g} s")
+    if math.isfinite(agreement.saturated):
+        lines.append(f"saturation: an actuator gives all its force first at {agreement.saturated:.4g} s")
     when = "throughout"
-    ended = agreement.until in (agreement.flat, run.diverged)
+    ended = agreement.until in (agreement.flat, run.diverged, agreement.stopped, agreement.saturated)
     if agreement.flat == agreement.until < math.inf:
         lines.append(
             f"flat: a tyre is squeezed by more than {MOST_SQUEEZE} m at {agreement.flat:.4g} s, its hub is in the road; "
@@ -107,6 +111,8 @@ def verdict_lines(run: Run) -> list[str]:
             f"agrees to first order: geometry makes up to {error.sampled - error.allowed / SLACK:.1e} of a peak ({worst}), "
             f"{when}; at {SMALL:g} of this road's height MuJoCo is the exact sampled response to {error.small:.1e} of it"
         )
+    elif agreement.agrees and agreement.blurred:
+        lines.append(f"agrees: MuJoCo stays within the predicted spread of the noise on its measurements, {when} ({numbers})")
     elif agreement.agrees:
         lines.append(f"agrees: MuJoCo is the exact sampled response to within RK4's own error, {when} ({numbers})")
     else:
@@ -134,11 +140,15 @@ def run_lines(vehicle: Vehicle, run: Run, passive: Run | None) -> list[str]:
 
 
 def events(run: Run) -> tuple[tuple[float, str], ...]:
-    """Lift-offs, landings and divergence, in the order of their times [s]."""
+    """Lift-offs, landings, the first bump stop and saturation, and divergence, in the order of their times [s]."""
     happened = [(start, "lift-off") for start, _ in run.agreement.lift_off]
     happened += [(end, "landing") for _, end in run.agreement.lift_off]
     if math.isfinite(run.diverged):
         happened.append((run.diverged, "diverged"))
+    if math.isfinite(run.agreement.stopped):
+        happened.append((run.agreement.stopped, "bump stop"))
+    if math.isfinite(run.agreement.saturated):
+        happened.append((run.agreement.saturated, "actuator saturated"))
     return tuple(sorted(happened))
 
 
