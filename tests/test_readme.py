@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from models.vehicle import read_vehicle
+from models.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main
 from sim.linear import sampled_response, taylor4
 from sim.physics import simulate
@@ -51,3 +51,13 @@ def test_unknown_kind_is_named(hopper):
         ValueError, match=r"unknown vehicle type 'hoper'; known: full_car, half_car, hopper, quarter_car.*hoper\.py"
     ):
         read_vehicle(hopper)
+
+
+def test_vehicle_file_snippets():
+    """The README's controllers, limits and implementation are accepted in a vehicle file."""
+    snippets = re.findall(r"^```toml\n(\[.*?)^```", README, re.M | re.S)
+    assert len(snippets) == 2
+    vehicle = parse_vehicle(read_vehicle("quarter_car").text + "\n".join(snippets))
+    assert {"soft", "mine"} < set(vehicle.controllers)
+    assert vehicle.limits.actuator_force == 2000.0
+    assert vehicle.implementation.delay == 1
