@@ -4,8 +4,6 @@ Its fourteen states hold the tyre deflections as three modes, which a rigid body
 mode, the twist, is fixed by the suspension deflections and the twist of the road.
 """
 
-from typing import Any
-
 import numpy as np
 
 from models import rigid_body, signals
@@ -98,24 +96,7 @@ def linear_model(p: Parameters) -> LinearModel:
     Args:
         p: parameters by name [SI].
     """
-    return rigid_body.linear_model(
-        _body(p),
-        states=[signal.name for signal in STATES],
-        inputs=[signal.name for signal in FORCES],
-        disturbances=[signal.name for signal in ROAD_VELOCITIES],
-        outputs=[signal.name for signal in OUTPUTS],
-    )
-
-
-def static_tyre_deflection(p: Parameters) -> dict[str, float]:
-    """How far each tyre is squeezed at rest [m]."""
-    squeezes = _body(p).static_tyre_deflections()
-    return {f"tyre_deflection_{corner}": float(squeeze) for corner, squeeze in zip(CORNERS, squeezes, strict=True)}
-
-
-def wheelbase(p: Parameters) -> float:
-    """From the front axle to the rear one [m]."""
-    return p["axle_distance_front"] + p["axle_distance_rear"]
+    return rigid_body.linear_model(_body(p), STATES, FORCES, ROAD_VELOCITIES, OUTPUTS)
 
 
 def check(p: Parameters) -> None:
@@ -124,13 +105,8 @@ def check(p: Parameters) -> None:
     Raises:
         InputError: see `rigid_body.check_inertia`.
     """
-    rigid_body.check_inertia("pitch_inertia", p["pitch_inertia"], p["sprung_mass"], wheelbase(p), "wheelbase")
+    rigid_body.check_inertia("pitch_inertia", p["pitch_inertia"], p["sprung_mass"], rigid_body.wheelbase(p), "wheelbase")
     rigid_body.check_inertia("roll_inertia", p["roll_inertia"], p["sprung_mass"], p["track"], "track")
-
-
-def write_mjcf(spec: Any, p: Parameters) -> None:
-    """Writes the parameters into the MjSpec of `full_car.xml`."""
-    rigid_body.write_mjcf(spec, _body(p))
 
 
 KIND = VehicleKind(
@@ -143,14 +119,14 @@ KIND = VehicleKind(
             road_displacement=f"road_displacement_{corner}",
             road_velocity=f"road_velocity_{corner}",
             tyre_deflection=f"tyre_deflection_{corner}",
-            behind=wheelbase if corner.startswith("rear") else lambda p: 0.0,
+            behind=rigid_body.wheelbase if corner.startswith("rear") else lambda p: 0.0,
             side=corner.split("_")[1],
         )
         for corner in CORNERS
     ),
     linear_model=linear_model,
-    static_tyre_deflection=static_tyre_deflection,
-    write_mjcf=write_mjcf,
+    static_tyre_deflection=lambda p: _body(p).static_tyre_deflection(),
+    write_mjcf=lambda spec, p: rigid_body.write_mjcf(spec, _body(p)),
     check_together=check,
     combined={
         mode.name: {f"tyre_deflection_{corner}": float(share) for corner, share in zip(CORNERS, pattern, strict=True)}

@@ -1,7 +1,5 @@
 """The half-car: heave and pitch of a body on two axles, one side of a symmetric car. Its equations are in `rigid_body.py`."""
 
-from typing import Any
-
 import numpy as np
 
 from models import rigid_body, signals
@@ -73,24 +71,7 @@ def linear_model(p: Parameters) -> LinearModel:
     Args:
         p: parameters by name [SI].
     """
-    return rigid_body.linear_model(
-        _body(p),
-        states=[signal.name for signal in STATES],
-        inputs=[signal.name for signal in FORCES],
-        disturbances=[signal.name for signal in ROAD_VELOCITIES],
-        outputs=[signal.name for signal in OUTPUTS],
-    )
-
-
-def static_tyre_deflection(p: Parameters) -> dict[str, float]:
-    """How far each tyre is squeezed at rest [m]."""
-    squeezes = _body(p).static_tyre_deflections()
-    return {f"tyre_deflection_{corner}": float(squeeze) for corner, squeeze in zip(CORNERS, squeezes, strict=True)}
-
-
-def wheelbase(p: Parameters) -> float:
-    """From the front axle to the rear one [m]."""
-    return p["axle_distance_front"] + p["axle_distance_rear"]
+    return rigid_body.linear_model(_body(p), STATES, FORCES, ROAD_VELOCITIES, OUTPUTS)
 
 
 def check(p: Parameters) -> None:
@@ -99,12 +80,7 @@ def check(p: Parameters) -> None:
     Raises:
         InputError: see `rigid_body.check_inertia`.
     """
-    rigid_body.check_inertia("pitch_inertia", p["pitch_inertia"], p["sprung_mass"], wheelbase(p), "wheelbase")
-
-
-def write_mjcf(spec: Any, p: Parameters) -> None:
-    """Writes the parameters into the MjSpec of `half_car.xml`."""
-    rigid_body.write_mjcf(spec, _body(p))
+    rigid_body.check_inertia("pitch_inertia", p["pitch_inertia"], p["sprung_mass"], rigid_body.wheelbase(p), "wheelbase")
 
 
 KIND = VehicleKind(
@@ -117,12 +93,12 @@ KIND = VehicleKind(
             road_displacement=f"road_displacement_{corner}",
             road_velocity=f"road_velocity_{corner}",
             tyre_deflection=f"tyre_deflection_{corner}",
-            behind=wheelbase if corner == "rear" else lambda p: 0.0,
+            behind=rigid_body.wheelbase if corner == "rear" else lambda p: 0.0,
         )
         for corner in CORNERS
     ),
     linear_model=linear_model,
-    static_tyre_deflection=static_tyre_deflection,
-    write_mjcf=write_mjcf,
+    static_tyre_deflection=lambda p: _body(p).static_tyre_deflection(),
+    write_mjcf=lambda spec, p: rigid_body.write_mjcf(spec, _body(p)),
     check_together=check,
 )

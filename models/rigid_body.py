@@ -27,8 +27,9 @@ import numpy as np
 
 from models.arrays import Array
 from models.errors import InputError
-from models.kind import GRAVITY
+from models.kind import GRAVITY, Parameters
 from models.linear_model import LinearModel
+from models.signals import Signal
 
 
 @dataclass(frozen=True)
@@ -88,23 +89,30 @@ class RigidBody:
         weight[0] = self.mass * GRAVITY
         return np.linalg.pinv(self.shape.T) @ weight
 
-    def static_tyre_deflections(self) -> Array:
-        """How far each tyre is squeezed at rest [m], shape (c,)."""
-        loads = self.static_loads() + np.array([corner.unsprung_mass * GRAVITY for corner in self.corners])
-        return loads / np.array([corner.tyre_stiffness for corner in self.corners])
+    def static_tyre_deflection(self) -> dict[str, float]:
+        """How far each tyre is squeezed at rest [m], by its signal."""
+        loads = zip(self.corners, self.static_loads(), strict=True)
+        return {
+            f"tyre_deflection_{corner.name}": float(load + corner.unsprung_mass * GRAVITY) / corner.tyre_stiffness
+            for corner, load in loads
+        }
 
 
 def linear_model(
-    body: RigidBody, states: Sequence[str], inputs: Sequence[str], disturbances: Sequence[str], outputs: Sequence[str]
+    body: RigidBody,
+    states: Sequence[Signal],
+    inputs: Sequence[Signal],
+    disturbances: Sequence[Signal],
+    outputs: Sequence[Signal],
 ) -> LinearModel:
     """The linear model of a body on corners.
 
     Args:
         body: c corners, k body modes, p tyre modes.
-        states: names of (d, P t, q', z_u'), c + p + k + c of them.
-        inputs: names of the control forces, c of them.
-        disturbances: names of the road velocities, c of them.
-        outputs: names of, in this order: the states, the tyre deflections where they are no states, q'', the body's velocity and
+        states: (d, P t, q', z_u'), c + p + k + c of them.
+        inputs: the control forces, c of them.
+        disturbances: the road velocities, c of them.
+        outputs: in this order: the states, the tyre deflections where they are no states, q'', the body's velocity and
             acceleration above each corner, the control forces.
     """
     S, M, P = body.shape, body.inertia, body.tyre_modes
@@ -142,14 +150,19 @@ def linear_model(
         Bw=Bw,
         C=C,
         D=D,
-        states=tuple(states),
-        inputs=tuple(inputs),
-        disturbances=tuple(disturbances),
-        outputs=tuple(outputs),
+        states=tuple(signal.name for signal in states),
+        inputs=tuple(signal.name for signal in inputs),
+        disturbances=tuple(signal.name for signal in disturbances),
+        outputs=tuple(signal.name for signal in outputs),
         Br=Br,
         Cr=Cr,
         twist_rate=float(rate),
     )
+
+
+def wheelbase(p: Parameters) -> float:
+    """From the front axle to the rear one [m]."""
+    return p["axle_distance_front"] + p["axle_distance_rear"]
 
 
 def check_inertia(name: str, inertia: float, mass: float, size: float, of: str) -> None:
@@ -177,7 +190,8 @@ def write_mjcf(spec: Any, body: RigidBody) -> None:
     roll = body.pitch_inertia if body.roll_inertia is None else body.roll_inertia
     sprung.inertia = [roll, body.pitch_inertia, max(roll, body.pitch_inertia)]  # nothing yaws: any third inertia would do
 
-    for corner, load, squeeze in zip(body.corners, body.static_loads(), body.static_tyre_deflections(), strict=True):
+    squeezes = body.static_tyre_deflection().values()
+    for corner, load, squeeze in zip(body.corners, body.static_loads(), squeezes, strict=True):
         unsprung, road = spec.body(f"unsprung_{corner.name}"), spec.body(f"road_{corner.name}")
         unsprung.mass = corner.unsprung_mass
         unsprung.pos[:2] = road.pos[:2] = [corner.x, corner.y]
