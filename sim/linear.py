@@ -54,7 +54,7 @@ def sampled_response(
     """
     h = float(time[1] - time[0])
     model, G = driven(vehicle, controller)
-    Phi, Gamma_u, Gamma_r = _held_inputs(model.A, h, exponential, model.B, model.A @ model.Bw + model.Br)
+    Phi, Gamma_u, Gamma_r = held_inputs(model.A, h, exponential, model.B, model.A @ model.Bw + model.Br)
     now = under_wheels(road.displacement, road, vehicle, time)
     midway = under_wheels(road.displacement, road, vehicle, time + h / 2)
 
@@ -119,7 +119,7 @@ def continuous_response(vehicle: Vehicle, controller: Controller, road: Road, ti
     return _response(vehicle, model, road, time, states, states @ G.T)
 
 
-def _held_inputs(A: Array, h: float, exponential: Callable[[Array], Array], *inputs: Array) -> list[Array]:
+def held_inputs(A: Array, h: float, exponential: Callable[[Array], Array], *inputs: Array) -> list[Array]:
     """Phi and one Gamma per input matrix: the step of x' = A x + sum B_i u_i with every u_i held."""
     n = len(A)
     columns = np.cumsum([n, *(B.shape[1] for B in inputs)])
@@ -164,11 +164,11 @@ def _response(vehicle: Vehicle, model: LinearModel, road: Road, time: Array, sta
 
 def sampled_radius(vehicle: Vehicle, controller: Controller, timestep: float) -> float:
     """Growth per timestep of the sampled closed loop, as it is implemented; above 1 it is unstable."""
-    loop, _, _ = _implemented_loop(vehicle, controller, timestep)
+    loop, _, _ = implemented_loop(vehicle, controller, timestep)
     return float(np.abs(np.linalg.eigvals(loop)).max() ** (1 / steps_per_sample(vehicle.implementation, timestep)))
 
 
-def _implemented_loop(vehicle: Vehicle, controller: Controller, timestep: float) -> tuple[Array, Array, Array]:
+def implemented_loop(vehicle: Vehicle, controller: Controller, timestep: float) -> tuple[Array, Array, Array]:
     """The loop from one sample of the controller to the next.
 
     The forces on their way are states beside those of `driven`, the next to act first.
@@ -179,7 +179,7 @@ def _implemented_loop(vehicle: Vehicle, controller: Controller, timestep: float)
     """
     model, G = driven(vehicle, controller)
     how = vehicle.implementation
-    Phi, Gamma = _held_inputs(model.A, steps_per_sample(how, timestep) * timestep, linalg.expm, model.B)
+    Phi, Gamma = held_inputs(model.A, steps_per_sample(how, timestep) * timestep, linalg.expm, model.B)
     n, m = Gamma.shape
     if how.delay == 0:
         return Phi + Gamma @ G, Gamma, G
@@ -214,7 +214,7 @@ def noise_spread(vehicle: Vehicle, controller: Controller, timestep: float) -> d
     if not np.any(rms) or sampled_radius(vehicle, controller, timestep) >= 1:
         return {}
     model, _ = driven(vehicle, controller)
-    loop, added, acting = _implemented_loop(vehicle, controller, timestep)
+    loop, added, acting = implemented_loop(vehicle, controller, timestep)
     forces = gain * np.array(rms)
     P = linalg.solve_discrete_lyapunov(loop, added @ forces @ forces.T @ added.T, method="bilinear")
     rows = np.hstack([model.C, np.zeros((len(model.C), len(loop) - model.C.shape[1]))]) + model.D @ acting

@@ -253,7 +253,8 @@ def test_another_vehicles_prediction_does_not_agree(paper, designer):
         for height in (0.1, 0.1 * (1 + 1e-6))
     ]
     # RK4's own error at this step is 1e-9 of a peak, as the rounding that is allowed.
-    right, wrong = (compare(paper, physics, sampled, integrated, sampled, float("inf"), {}) for sampled, integrated in predictions)
+    verdicts = (compare(paper, physics, sampled, integrated, sampled, float("inf"), {}) for sampled, integrated in predictions)
+    right, wrong = verdicts
     assert right.agrees
     assert not wrong.agrees
     assert max(entry.allowed for entry in right.signals.values()) < 10 * ROUNDING

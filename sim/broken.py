@@ -1,0 +1,71 @@
+"""What ends the linear regime, and when: a tyre off the road, a suspension at its bump stop, an actuator at its limit."""
+
+import numpy as np
+
+from models.arrays import Array
+from models.kind import MOST_SQUEEZE
+from models.vehicle import Vehicle
+from sim.response import Response
+
+ENDS = ("lift-off", "bump stop", "force saturation", "flat tyre")
+
+
+def thresholds(vehicle: Vehicle) -> list[list[tuple[str, float, float]]]:
+    """For each of `ENDS`, where the linear regime of a vehicle ends: (signal, sign, value), reached by sign * signal >= value.
+
+    A sign of 0 is either way. A limit that the vehicle has not, has no thresholds.
+    """
+    names, limits = vehicle.linear_model.outputs, vehicle.limits
+    lift = [(name, 1.0, static) for name, static in vehicle.kind.static_tyre_deflection(vehicle.parameters).items()]
+    found = [lift]
+    for kind, limit in (("suspension_deflection", limits.suspension_stroke), ("control_force", limits.actuator_force)):
+        found.append([(name, 0.0, limit) for name in names if name.startswith(kind)] if limit is not None else [])
+    found.append([(name, -1.0, MOST_SQUEEZE) for name in vehicle.kind.static_tyre_deflection(vehicle.parameters)])
+    return found
+
+
+def utilisation(vehicle: Vehicle, response: Response) -> Array:
+    """How much of the way to each of `ENDS` a response goes, shape (..., 4): 1 reaches it, 0 where there is no such limit."""
+    columns = []
+    for signals in thresholds(vehicle):
+        share = np.zeros(response.values.shape[:-2])
+        for name, sign, value in signals:
+            signal = response[name]
+            share = np.maximum(share, (sign * signal if sign else np.abs(signal)).max(axis=-1) / value)
+        columns.append(share)
+    return np.stack(columns, axis=-1)
+
+
+def reached(vehicle: Vehicle, response: Response, factor: Array | float = 1.0) -> Array:
+    """When each of `ENDS` is first reached [s], infinite where it is not, shape (..., 4).
+
+    Args:
+        vehicle: the vehicle.
+        response: of the physics, where a force stops at its limit, or of the linear model, where it would go on. Leading axes are
+            runs.
+        factor: multiplies the response; shape (N,) adds a leading axis to that of a single run.
+    """
+    factor = np.asarray(factor)[..., None]
+    columns = []
+    for signals in thresholds(vehicle):
+        first = np.full(np.broadcast_shapes(factor.shape[:-1], response.values.shape[:-2]), np.inf)
+        for name, sign, value in signals:
+            signal = response[name]
+            beyond = factor * (sign * signal if sign else np.abs(signal)) >= value * (1 - 1e-12)  # a force at its limit is equal
+            first = np.minimum(first, np.where(beyond.any(axis=-1), response.time[beyond.argmax(axis=-1)], np.inf))
+        columns.append(first)
+    return np.stack(columns, axis=-1)
+
+
+def first_end(times: Array) -> Array:
+    """Which of `ENDS` comes first, as its index, and -1 where none does; from `reached`, shape (..., 4) to (...,).
+
+    Of two at one sample, the one that is named first.
+    """
+    return np.where(np.isfinite(times).any(axis=-1), times.argmin(axis=-1), -1)
+
+
+def ended_by(vehicle: Vehicle, response: Response) -> tuple[str, ...]:
+    """What of `ENDS`, or "divergence", happens in the physics of one run."""
+    ended = [name for name, when in zip(ENDS, reached(vehicle, response), strict=True) if np.isfinite(when)]
+    return (*ended, *(() if np.all(np.isfinite(response.values)) else ("divergence",)))

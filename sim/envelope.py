@@ -1,0 +1,251 @@
+"""`python -m sim.envelope`: the map of validity, over any two of a bump's height, length and the speed."""
+
+import csv
+import itertools
+import json
+import math
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from models.arrays import Array
+from models.errors import InputError, known
+from models.vehicle import read_vehicle
+from sim.broken import ENDS
+from sim.command import Parser, run_command
+from sim.road import LIMITS, Bump
+from sim.run import LOWEST, sample_times
+from sim.validity import Cells, validity
+from synth.controller import design
+
+UNITS = {"height": "m", "length": "m", "speed": "m/s"}
+MOST_CELLS = 100_000
+ENOUGH = 0.99  # of the cells have to break as predicted; the others lie at a boundary
+
+EPILOG = """
+exit code: 0 physics breaks first what linear analysis predicts, 1 it does not, 2 bad input, 130 interrupted: what is done is kept
+
+examples:
+  python -m sim.envelope --controller I --vary height:0.02:0.3:20 --vary speed:3:30:20 --picture envelope.png
+  python -m sim.envelope --controller II --vary length:1:10:30 --vary speed:4:30:30 --height 0.08 --csv envelope.csv
+"""
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One quantity of a bump, varied evenly.
+
+    Attributes:
+        name: height, length or speed.
+        values: ascending, in SI.
+    """
+
+    name: str
+    values: tuple[float, ...]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command; returns its exit code.
+
+    Raises:
+        InputError: bad options, vehicle file or output file.
+    """
+    options = _parser().parse_args(arguments)
+    if options.controller is None:
+        raise InputError("no controller was asked for; give --controller NAME")
+    vehicle = read_vehicle(options.vehicle)
+    axes = read_axes(options.vary or [])
+    bumps = grid(axes, {name: getattr(options, name) for name in UNITS})
+    time = sample_times(vehicle, options.duration, options.timestep)
+    _check(bumps, options.duration, options.timestep, options.threshold)
+    if options.csv is not None and not options.csv.parent.is_dir():
+        raise InputError(f"csv {options.csv}: there is no folder {options.csv.parent}; make it or give another")
+    if options.picture is not None:
+        from sim.sweep_picture import check_picture
+
+        check_picture(options.picture)
+    controller = design(vehicle, options.controller)
+
+    cells, complete = validity(vehicle, controller, bumps, time, _progress(len(bumps)))
+    if not cells.done.any():
+        raise KeyboardInterrupt
+    if options.csv is not None:
+        write_csv(options.csv, cells, options.threshold)
+    if options.picture is not None:
+        from sim.envelope_picture import draw_envelope
+
+        fixed = {name: getattr(options, name) for name in UNITS if name not in {axis.name for axis in axes}}
+        draw_envelope(options.picture, vehicle, controller, cells, axes, fixed, options.threshold)
+    if options.json:
+        print(json.dumps(envelope_object(cells, axes, options), allow_nan=False))
+    else:
+        print("\n".join([f"{vehicle.kind.name} ({vehicle.source}), controller {controller.name}", *_text(cells, options)]))
+    if not complete:
+        print(f"roadproof: interrupted after {int(cells.done.sum())} of {len(bumps)} cells; they are kept", file=sys.stderr)
+        return 130
+    return 0 if cells.agreement >= ENOUGH and not cells.unexplained else 1
+
+
+def read_axes(texts: Sequence[str]) -> tuple[Axis, Axis]:
+    """Two axes from `name:low:high:count` each.
+
+    Raises:
+        InputError: not two, not different, an unknown quantity, no numbers, a grid of one point.
+    """
+    example = "as in --vary height:0.02:0.3:20 --vary speed:3:30:20"
+    if len(texts) != 2:
+        raise InputError(f"a map has two axes, {len(texts)} given; vary two of {known(UNITS)}, {example}")
+    axes = []
+    for text in texts:
+        name, *numbers = text.split(":")
+        if name not in UNITS:
+            raise InputError(f"--vary {text}: unknown quantity {name!r}; vary two of {known(UNITS)}, {example}")
+        try:
+            low, high, count = float(numbers[0]), float(numbers[1]), int(numbers[2])
+            wrong = len(numbers) != 3
+        except (ValueError, IndexError):
+            wrong, low, high, count = True, 0.0, 0.0, 0
+        if wrong:
+            raise InputError(f"--vary {text} is not name:low:high:count, {example}")
+        smallest, largest = LOWEST if name == "height" else LIMITS[name][0], LIMITS[name][1]
+        if not smallest <= low < high <= largest:
+            raise InputError(f"--vary {text}: give low < high, from {smallest:g} to {largest:g} {UNITS[name]}")
+        if not 2 <= count <= MOST_CELLS:
+            raise InputError(f"--vary {text}: {count} point(s) make no axis; give 2 or more")
+        axes.append(Axis(name, tuple(np.linspace(low, high, count).tolist())))
+    if axes[0].name == axes[1].name:
+        raise InputError(f"--vary {axes[0].name} twice; vary two different ones of {known(UNITS)}")
+    if len(axes[0].values) * len(axes[1].values) > MOST_CELLS:
+        raise InputError(f"{len(axes[0].values) * len(axes[1].values)} cells are too many; at most {MOST_CELLS}")
+    return axes[0], axes[1]
+
+
+def grid(axes: tuple[Axis, Axis], fixed: dict[str, float]) -> list[Bump]:
+    """The bump of every cell, the second axis running faster."""
+    pairs = itertools.product(axes[0].values, axes[1].values)
+    cells = [fixed | {axes[0].name: first, axes[1].name: second} for first, second in pairs]
+    return [Bump(cell["height"], cell["length"], cell["speed"]) for cell in cells]
+
+
+def write_csv(path: Path, cells: Cells, threshold: float) -> None:
+    """One line per cell that was run, SI units; what never happens is left empty."""
+    names = [end.replace(" ", "_").replace("-", "_") for end in ENDS]
+    try:
+        with path.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            columns = ("error", "holds", "broke_first", "at", "predicted", "predicted_at", "agrees")
+            writer.writerow([*UNITS, *columns, *(f"linear_share_of_{name}" for name in names)])
+            for i in np.flatnonzero(cells.done):
+                bump, row = cells.bumps[i], _cell(cells, int(i), threshold)
+                writer.writerow([bump.height, bump.length, bump.speed, *(row[name] for name in columns), *cells.used[i].tolist()])
+    except OSError as error:
+        raise InputError(f"csv {path}: cannot be written ({error.strerror}); give another") from error
+
+
+def envelope_object(cells: Cells, axes: Sequence[Axis], options: Any) -> dict[str, Any]:
+    """The map as JSON has it: SI units, None for what never happens."""
+    done = np.flatnonzero(cells.done)
+    return {
+        "controller": options.controller,
+        "axes": {axis.name: list(axis.values) for axis in axes},
+        "threshold": options.threshold,
+        "agreement": cells.agreement,
+        "unexplained": cells.unexplained,
+        "done": len(done),
+        "cells": [
+            {name: getattr(cells.bumps[i], name) for name in UNITS} | _cell(cells, int(i), options.threshold) for i in done
+        ],
+        "csv": str(options.csv) if options.csv else None,
+        "picture": str(options.picture) if options.picture else None,
+    }
+
+
+def _cell(cells: Cells, i: int, threshold: float) -> dict[str, Any]:
+    return {
+        "error": _finite(cells.error[i]),
+        "holds": bool(cells.error[i] <= threshold),
+        "broke_first": ENDS[cells.first[i]] if cells.first[i] >= 0 else None,
+        "at": _finite(cells.time[i]),
+        "predicted": ENDS[cells.predicted[i]] if cells.predicted[i] >= 0 else None,
+        "predicted_at": _finite(cells.predicted_time[i]),
+        "agrees": bool(cells.agrees[i]),
+    }
+
+
+def _text(cells: Cells, options: Any) -> list[str]:
+    done = cells.done
+
+    def share(which: Array) -> str:
+        return f"{100 * which[done].mean():5.1f} % of the cells" if done.any() else "-"
+
+    lines = [
+        f"  {share(cells.error <= options.threshold)}: linear analysis holds to {options.threshold:g} of every signal's peak"
+    ]
+    lines.append(f"  {share(cells.first < 0)}: nothing breaks")
+    lines += [f"  {share(cells.first == i)}: {end} comes first" for i, end in enumerate(ENDS) if np.any(cells.first[done] == i)]
+    lines.append(
+        f"  {100 * cells.agreement:.2f} % of {int(done.sum())} cells break as linear analysis predicts; of the others "
+        f"{cells.unexplained} do not lie at a boundary"
+    )
+    return lines
+
+
+def _finite(value: Any) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _progress(total: int):
+    def show(done: int) -> None:
+        if sys.stderr and sys.stderr.isatty():
+            bar = "#" * round(30 * done / total)
+            print(f"\r[{bar:30}] {done} of {total} cells", end="\n" if done == total else "", file=sys.stderr, flush=True)
+
+    return show
+
+
+def _check(bumps: Sequence[Bump], duration: float, timestep: float, threshold: float) -> None:
+    if not 0 < threshold < 1:
+        raise InputError(f"threshold = {threshold:g} is not allowed; give a share of a peak above 0 and below 1, such as 0.05")
+    if abs(bumps[0].height) < LOWEST:
+        raise InputError(f"height = {bumps[0].height:g} m is lost in rounding; give at least {LOWEST:g} m, either way")
+    durations = [bump.duration for bump in bumps]
+    if min(durations) < 2 * timestep:
+        raise InputError(
+            f"the shortest bump is over in {min(durations):.3g} s, less than two timesteps of {timestep:g} s; give a longer one, "
+            "less speed, or a smaller timestep"
+        )
+    if max(durations) > duration:
+        raise InputError(
+            f"the longest bump takes {max(durations):.3g} s, more than the run of {duration:g} s; give a longer --duration"
+        )
+
+
+def _parser() -> Parser:
+    parser = Parser(
+        "sim.envelope", "Maps where linear analysis holds over bumps, and what breaks first where it does not.", EPILOG
+    )
+    parser.add_argument("--controller", metavar="NAME", help="passive, state, or one of the vehicle file's. Required")
+    parser.add_argument(
+        "--vehicle", default="quarter_car", metavar="FILE", help="vehicle file, or one that ships (default: quarter_car)"
+    )
+    parser.add_argument(
+        "--vary", action="append", metavar="NAME:LOW:HIGH:COUNT", help="an axis of the map: height, length or speed; give two"
+    )
+    parser.add_number("--height", Bump.height, "m", "bump height, where it is not varied")
+    parser.add_number("--length", Bump.length, "m", "bump length, where it is not varied")
+    parser.add_number("--speed", Bump.speed, "m/s", "forward speed, where it is not varied")
+    parser.add_number("--threshold", 0.05, "-", "largest error at which linear analysis is said to hold, as a share of a peak")
+    parser.add_number("--duration", 3.0, "s", "how long every run is")
+    parser.add_number("--timestep", 1e-3, "s", "integration step and sample period of the controller")
+    parser.add_argument("--csv", type=Path, metavar="FILE", help="write every cell's numbers")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the map, as .png or .svg; needs matplotlib")
+    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    return parser
+
+
+if __name__ == "__main__":
+    run_command(main)

@@ -1,0 +1,157 @@
+"""The frequency responses, the invariants and the H-infinity norm, found in MuJoCo."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from models.errors import InputError
+from models.reality import Implementation, Limits
+from models.vehicle import read_vehicle
+from sim.frequency import as_met, continuous_frequency_response, sampled_frequency_response, worst_sinusoid
+from sim.identification import identify
+from sim.linear import sampled_response
+from sim.multisine import chirp, random_road, sinusoid
+from sim.sweep import failures, main, sweep
+from synth.controller import Designer
+
+FIGURE_3 = ("passive", "state", "I", "II")
+STEP = 2e-3  # s; half the work of the command's own
+
+
+@pytest.fixture(scope="module")
+def four(paper, designer):
+    """The four configurations of Fig. 3, identified."""
+    return sweep(paper, [designer.design(name) for name in FIGURE_3], 1e-4, STEP, 12.5)
+
+
+def test_lines(four):
+    """MuJoCo has the frequency response of the sampled loop, at every line and in every signal."""
+    for one in four:
+        error = one.lines.error(one.lines.sampled).max()
+        assert error < 1e-4  # asked for; RK4's own error makes 4e-5 of it at 2 ms, and 16 times less at 1 ms
+        assert not failures(one)
+        assert not one.ended
+
+
+def test_order(paper, designer, four):
+    """It tends to the paper's continuous response with the step where a force is held, passive with its square."""
+    fine = identify(paper, [designer.design(name) for name in ("passive", "I")], 1e-4, STEP / 2, 12.5)
+    for one, expected in zip(fine, (2, 1), strict=True):
+        coarse = next(other.lines for other in four if other.lines.controller.name == one.controller.name)
+        measured = [lines.error(lines.continuous).max() for lines in (coarse, one)]
+        assert np.log2(measured[0] / measured[1]) == pytest.approx(expected, abs=0.15)  # next order; measured 2.01 and 1.04
+        assert one.order == pytest.approx(expected, abs=0.05)
+        assert one.error(one.sampled).max() < 1e-5  # order 4 of RK4; measured 2.5e-6 at 1 ms
+
+
+def test_invariants(four):
+    """No controller changes |z_s/z_r| at wheel hop, nor |(z_s-z_u)/z_r| at sqrt(k_u/(m_s+m_u)): physics says so too."""
+    for one in four:
+        for invariant in one.extremes.invariants:
+            # The road is held over a step: the line that MuJoCo sees of it is sinc(omega h / 2) times as high. RK4 does the rest.
+            held = invariant.expected * np.sinc(invariant.omega * STEP / 2 / np.pi)
+            assert invariant.measured == pytest.approx(held, rel=1e-4)
+
+
+def test_norm_is_the_largest_gain(four):
+    """The worst sinusoid reaches the H-infinity norm, and no other road has an L2 gain above it."""
+    for one in four:
+        assert 0.999 < one.gains["worst sinusoid"] / one.extremes.worst.gain < 1 + 1e-4  # RK4 at 2 ms moves a peak by 4e-5
+        assert one.extremes.tried == pytest.approx(one.extremes.worst.omega, rel=1e-3)
+        assert all(gain < one.extremes.worst.gain for name, gain in one.gains.items() if name != "worst sinusoid")
+        assert len(one.gains) == 4
+
+
+def test_norm_tends_to_the_papers(paper, designer):
+    """The sampled loop's norm tends to the continuous one, which the sweep finds too, with the first power of the step."""
+    controller = designer.design("I")
+    norm = controller.certificate.norm.value
+    found = worst_sinusoid(paper, lambda omega: continuous_frequency_response(paper, controller, omega), np.pi / STEP, 12.5)
+    assert found.gain == pytest.approx(norm, rel=1e-9)  # two searches for one maximum
+    short = [
+        norm - worst_sinusoid(paper, lambda o, h=h: sampled_frequency_response(paper, controller, o, h), np.pi / h, 12.5).gain
+        for h in (1e-3, 5e-4)
+    ]
+    assert short[0] / short[1] == pytest.approx(2, rel=0.05)  # next order
+
+
+@pytest.mark.parametrize("name", ["half_car", "full_car"])
+def test_cars(name):
+    """The lines of vehicles with several axles agree as well, in every signal, the rear wheels being late."""
+    vehicle = read_vehicle(name)
+    (one,) = identify(vehicle, [Designer(vehicle).design("passive")], 1e-4, 4e-3, 12.5)
+    assert one.error(one.sampled).max() < 4e-3  # RK4 at 4 ms: 256 times its 1.1e-5 of 1 ms
+    half = sampled_frequency_response(vehicle, one.controller, one.omega, 4e-3)
+    assert np.allclose((half @ as_met(vehicle, one.omega, 12.5)[..., None])[..., 0], one.sampled)
+
+
+@pytest.mark.parametrize(
+    "implementation", [Implementation(delay=3), Implementation(sample_period=8e-3), Implementation(sample_period=8e-3, delay=1)]
+)
+def test_implemented(paper, designer, implementation):
+    """So does a controller that computes for a while, samples less often, or both, through a slow actuator."""
+    vehicle = dataclasses.replace(paper, implementation=implementation, limits=Limits(actuator_bandwidth=100.0))
+    (one,) = identify(vehicle, [designer.design("II")], 1e-4, STEP, 12.5)
+    assert one.error(one.sampled).max() < 1e-4  # as above
+
+
+def test_sampled_response_is_the_same(paper, designer):
+    """The frequency response is what the time response of `sim.linear` settles to: the same claim by another route."""
+    controller, h, omega = designer.design("I"), 1e-3, 2 * np.pi * 2
+    time = np.arange(20_000) * h
+    response = sampled_response(paper, controller, sinusoid(omega, 12.5), time)
+    wave = np.exp(-1j * omega * time[-500:])  # one period
+    found = [(response[name][-500:] @ wave) / (response["road_velocity"][-500:] @ wave) for name in paper.linear_model.outputs]
+    expected = sampled_frequency_response(paper, controller, np.array([omega]), h)[0, :, 0]
+    assert found == pytest.approx(expected, rel=1e-9)  # 19.5 s at a slowest pole of 1.23 leave 4e-11
+
+
+def test_multisine():
+    """Its velocity is the derivative of its displacement, it starts from level ground, and the chirp has the smaller peaks."""
+    omega = 2 * np.pi * np.arange(1, 60) / 10
+    road, other = (make.to_height(0.05, np.arange(0, 10, 1e-3)) for make in (chirp(omega, 10, 12.5), random_road(omega, 1, 12.5)))
+    t, h = np.arange(0.1, 10, 1e-2), 1e-5
+    slope = (road.displacement(t + h) - road.displacement(t - h)) / (2 * h)
+    assert np.allclose(slope, road.velocity(t), atol=1e-8)  # h^2 of a central difference, and rounding over h
+    assert road.displacement(np.array([-1.0, 0.0, 10.0])) == pytest.approx([0, 0, 0], abs=1e-15)
+    crest = [np.abs(one.velocity(t)).max() / np.sqrt(np.mean(one.velocity(t) ** 2)) for one in (road, other)]
+    assert crest[0] < 2 < crest[1]  # a sinusoid has 1.41, Schroeder's phases about 1.7, random ones 3
+
+
+def test_amplitude(paper, designer):
+    """At an amplitude that meets a limit the response leaves the line, that is named, and it is no disagreement."""
+    vehicle = dataclasses.replace(paper, limits=Limits(actuator_force=200.0))
+    (one,) = identify(vehicle, [designer.design("I")], 0.05, STEP, 12.5)
+    assert "force saturation" in one.ended
+    assert one.error(one.sampled).max() > 0.1  # it asks for 500 N
+
+
+def test_command(capsys, tmp_path):
+    """The command prints one JSON object, and draws."""
+    pytest.importorskip("matplotlib")
+    picture = tmp_path / "sweep.png"
+    arguments = ["--controller", "II", "--timestep", "0.004", "--amplitude", "1e-4", "--json", "--picture", str(picture)]
+    main(arguments)  # 4 ms: RK4 is not within 1e-4 there, and it says so
+    result = json.loads(capsys.readouterr().out)
+    assert result["sweeps"][0]["signals"]["sprung_acceleration"]["error"]["sampled"] < 1e-2
+    assert picture.stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["--timestep", "0.02"], "too coarse"),
+        (["--amplitude", "0"], "amplitude"),
+        (["--amplitude", "nan"], "finite"),
+        (["--controller", "X"], "unknown controller"),
+        (["--picture", "sweep.pdf"], ".png or .svg"),
+        (["--picture", "/nowhere/sweep.png"], "no folder"),
+        (["--speed", "0"], "speed"),
+    ],
+)
+def test_bad_input(arguments, text):
+    """Bad input is one line that says what is allowed."""
+    with pytest.raises(InputError, match=text):
+        main(["--vehicle", "quarter_car", *arguments])
