@@ -23,7 +23,7 @@ from scipy import linalg, optimize
 
 from models.arrays import Array
 from models.vehicle import Vehicle
-from sim.linear import held_inputs, driven
+from sim.linear import driven, held_inputs
 from sim.sampler import steps_per_sample
 from synth.controller import Controller
 
