@@ -17,6 +17,7 @@ from models.errors import InputError, known
 from models.vehicle import read_vehicle
 from sim.broken import ENDS
 from sim.command import Parser, run_command
+from sim.progress import bar
 from sim.road import LIMITS, Bump
 from sim.run import LOWEST, sample_times
 from sim.validity import Cells, validity
@@ -70,7 +71,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         check_picture(options.picture)
     controller = design(vehicle, options.controller)
 
-    cells, complete = validity(vehicle, controller, bumps, time, _progress(len(bumps)))
+    cells, complete = validity(vehicle, controller, bumps, time, bar(len(bumps), "cells"))
     if not cells.done.any():
         raise KeyboardInterrupt
     if options.csv is not None:
@@ -196,15 +197,6 @@ def _text(cells: Cells, options: Any) -> list[str]:
 
 def _finite(value: Any) -> float | None:
     return float(value) if math.isfinite(value) else None
-
-
-def _progress(total: int):
-    def show(done: int) -> None:
-        if sys.stderr and sys.stderr.isatty():
-            bar = "#" * round(30 * done / total)
-            print(f"\r[{bar:30}] {done} of {total} cells", end="\n" if done == total else "", file=sys.stderr, flush=True)
-
-    return show
 
 
 def _check(bumps: Sequence[Bump], duration: float, timestep: float, threshold: float) -> None:

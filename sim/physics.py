@@ -51,20 +51,22 @@ def simulate(
     roads: Sequence[Road],
     time: Array,
     threads: int = 1,
+    at_once: Sequence[Controller | None] | None = None,
 ) -> PhysicsRuns:
     """Runs N vehicles of one kind, each with its own parameters, controller and road, from rest.
 
     Args:
-        vehicles: N vehicles of the same kind. Where they are all the same object, one model serves them.
+        vehicles: N vehicles of the same kind. Where they differ in the controller's implementation only, one model serves them.
         controllers: N controllers.
         roads: N roads.
         time: equidistant sample times [s], shape (T,), from 0; their distance is the timestep.
         threads: how many threads share the runs; results do not depend on it. 0 takes every core.
+        at_once: second controllers, whose forces come to those of the first and know no `[implementation]`; None for none.
     """
     vehicle, timestep = vehicles[0], float(time[1] - time[0])
     model, readout = _prepared(vehicle, timestep)
     batch = Batch(model, len(vehicles), threads)
-    if any(other is not vehicle for other in vehicles):
+    if any((other.parameters, other.limits) != (vehicle.parameters, vehicle.limits) for other in vehicles):
         batch.set_models([build_model(other, timestep) for other in vehicles])
 
     # Road heights, shape (T, N, r): at the samples, and midway through the steps, where MuJoCo holds them.
@@ -79,15 +81,20 @@ def simulate(
     K = np.stack(
         [_gain_on(readout.names, vehicle, controller) for vehicle, controller in zip(vehicles, controllers, strict=True)]
     )
+    beside = np.zeros_like(K)
+    for i, other in enumerate(at_once or ()):
+        if other is not None:
+            beside[i] = _gain_on(readout.names, vehicles[i], other)
     of_state, of_sensors = np.where(readout.linear, K, 0), np.where(readout.linear, 0, K)
     offset = _known(of_state, now, readout) + _known(of_sensors, now - before, readout)
-    stage = int(max(readout.stage[np.any(of_sensors, axis=(0, 1))], default=0))
+    used = np.any((K != 0) | (beside != 0), axis=(0, 1)) & ~readout.linear
+    stage = int(max(readout.stage[used], default=0))
     gain = of_state @ readout.of_state
     if stage:
         gain = np.concatenate([gain, of_sensors @ readout.of_sensors], axis=-1)
     law = None
-    if not all(other.implementation.ideal for other in vehicles):
-        sampler = Sampler(vehicles, K, readout.names, timestep, len(time))
+    if at_once is not None or not all(other.implementation.ideal for other in vehicles):
+        sampler = Sampler(vehicles, K, beside, readout.names, timestep, len(time))
         law = _law(sampler, readout, _unseen(now, readout, True) + _unseen(now - before, readout, False), stage)
 
     mujoco.set_mju_user_warning(lambda text: None)  # else it writes MUJOCO_LOG.TXT; `diverged` says the same

@@ -33,10 +33,12 @@ class Sampler:
     samples later. Before the first one arrives the force is zero.
     """
 
-    def __init__(self, vehicles: Sequence[Vehicle], gain: Array, names: Sequence[str], timestep: float, samples: int) -> None:
-        """For gains of shape (N, m, S) on the signals of these names."""
+    def __init__(
+        self, vehicles: Sequence[Vehicle], gain: Array, at_once: Array, names: Sequence[str], timestep: float, samples: int
+    ) -> None:
+        """For gains of shape (N, m, S) on the signals of these names, and others, `at_once`, that no implementation holds up."""
         how = [vehicle.implementation for vehicle in vehicles]
-        self.gain = gain
+        self.gain, self.at_once = gain, at_once if np.any(at_once) else None
         self.period = np.array([steps_per_sample(one, timestep) for one in how])
         self.delay = np.array([one.delay for one in how])
         self.resolution = np.array([[one.quantisation.get(name, 0.0) for name in names] for one in how])
@@ -62,4 +64,4 @@ class Sampler:
             self.queue[sample % len(self.queue), due] = np.matvec(self.gain[due], seen)
             ripe = sample - self.delay[due]
             self.force[due] = np.where(ripe[:, None] >= 0, self.queue[ripe % len(self.queue), due], 0.0)
-        return self.force
+        return self.force if self.at_once is None else self.force + np.matvec(self.at_once, signals)

@@ -1,0 +1,104 @@
+"""Growth or decay: what becomes of a loop in MuJoCo after a tiny bump.
+
+A run that grows is unstable, one that decays is not. One that has settled into neither is run again, for twice as long.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.arrays import Array
+from models.vehicle import Vehicle
+from sim.physics import simulate
+from sim.road import Bump
+from synth.controller import Controller
+
+BUMP = Bump(height=2e-3, length=20.0, speed=100.0, track="left")  # body and wheels, every roll; soon over for all wheels
+SHORTEST, LONGEST = 4.0, 32.0  # s; how long a run is first, and at most
+CERTAIN, EXPONENTIAL = 0.02, 0.3  # of the logarithm of energy from window to window: its size, its spread
+GONE, ESCAPED = 1e-12, 1e4  # of the energy that the bump has left: nothing, and what no decaying run has between
+ENTRIES = 2e7  # numbers in a batch's record; more run in turns
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One run that grows or decays.
+
+    Attributes:
+        vehicle: with its implementation of the controller.
+        controller: the controller.
+        at_once: a second one, whose forces act at every timestep, without delay, whatever the implementation; None where there is
+            none.
+    """
+
+    vehicle: Vehicle
+    controller: Controller
+    at_once: Controller | None = None
+
+
+def silent(message: str) -> None:
+    """Shows no progress."""
+
+
+def grow(trials: Sequence[Trial], timestep: float, progress: Callable[[str], None] = silent) -> list[bool]:
+    """Which runs grow. Those that have not settled into growth or decay are run again, for twice as long."""
+    verdicts: list[bool | None] = [None] * len(trials)
+    duration = SHORTEST
+    while True:
+        open_ones = [i for i, verdict in enumerate(verdicts) if verdict is None]
+        if not open_ones:
+            break
+        time = np.arange(round(duration / timestep) + 1) * timestep
+        signals = len(trials[0].vehicle.kind.signals)
+        together = max(1, int(ENTRIES / (len(time) * signals)))
+        for first in range(0, len(open_ones), together):
+            progress(f"{len(open_ones) - first} runs of {duration:g} s to go")
+            some = open_ones[first : first + together]
+            states = _states([trials[i] for i in some], time)
+            for i, one in zip(some, states, strict=True):
+                verdicts[i] = _grows(one, last=duration >= LONGEST)
+        duration *= 2
+    progress("")
+    return [bool(verdict) for verdict in verdicts]
+
+
+def _states(trials: Sequence[Trial], time: Array) -> Array:
+    """All states over time, each over its peak in the first half second, shape (N, n, T); infinite from where a run diverges."""
+    vehicles, controllers = [trial.vehicle for trial in trials], [trial.controller for trial in trials]
+    at_once = [trial.at_once for trial in trials] if any(trial.at_once for trial in trials) else None
+    response = simulate(vehicles, controllers, [BUMP] * len(trials), time, threads=0, at_once=at_once).response
+    states = np.stack([response[name] for name in trials[0].vehicle.linear_model.states], axis=1)
+    peaks = np.nanmax(np.abs(states[..., time < 0.5]), axis=-1, keepdims=True)
+    return np.nan_to_num(states / np.where(peaks > 0, peaks, 1.0), nan=np.inf)
+
+
+def _grows(states: Array, last: bool) -> bool | None:
+    """Whether a run grows; None where it has not settled yet.
+
+    Its energy is taken in three windows, without the first quarter. A Hann window does not see the oscillation within it, so what
+    is left of a run that has settled is an exponential: the same ratio from window to window. Two kinds of growth the bump hardly
+    excites, so that they hide behind what decays: to one side, and from one side to the other with every step. They are told by
+    the mean over a window, plain and with alternating sign, and nothing decays while they grow.
+    """
+    length = states.shape[-1] // 4
+    hann = np.hanning(length)
+    hann /= hann.sum()
+    with np.errstate(over="ignore"):
+        energy = (states**2).sum(axis=0)
+    if not np.all(np.isfinite(energy)) or energy[-length:].max() > ESCAPED * energy[:length].max():
+        return True
+    gone = GONE * energy[:length].max()
+    windows = [slice(k * length, (k + 1) * length) for k in (1, 2, 3)]
+    first, second, third = (float(hann @ energy[window]) for window in windows)
+    if third <= gone:
+        return False
+    early, late = math.log(second / first), math.log(third / second)
+    settled = abs(late) > CERTAIN and abs(late - early) < EXPONENTIAL * abs(late)
+    if last or (settled and late > 0):
+        return late > 0
+    for sign in (np.ones(length), (-1.0) ** np.arange(length)):
+        before, after = (float(((states[:, window] @ (sign * hann)) ** 2).sum()) for window in windows[1:])
+        settled = settled and (after < before or after < gone)
+    return False if settled else None

@@ -1,0 +1,166 @@
+"""`python -m sim.margins`: how much gain, phase, delay and sample period a loop bears, predicted and then found in MuJoCo."""
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from models.errors import InputError
+from models.reality import Implementation
+from models.vehicle import Vehicle, read_vehicle
+from sim.command import Parser, run_command
+from sim.growth import LONGEST
+from sim.linear import sampled_radius
+from sim.loop_margins import LoopMargins, find_margins
+from sim.progress import show
+from sim.robustness import Robustness, robustness
+from sim.run import sample_times
+from synth.controller import Controller, design
+
+EPILOG = """
+exit code: 0 prediction and physics agree, 1 they do not, 2 bad input
+
+examples:
+  python -m sim.margins --controller II
+  python -m sim.margins --controller I --vehicle half_car --json
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command; returns its exit code.
+
+    Raises:
+        InputError: bad options or vehicle file, or a controller that has no loop to speak of.
+    """
+    parser = Parser("sim.margins", "Finds how much gain, phase, delay and sample period a loop bears.", EPILOG)
+    parser.add_argument("--controller", metavar="NAME", help="state, or one of the vehicle file's. Required")
+    parser.add_argument(
+        "--vehicle", default="quarter_car", metavar="FILE", help="vehicle file, or one that ships (default: quarter_car)"
+    )
+    parser.add_number("--timestep", 5e-4, "s", "integration step; delays and sample periods are its multiples")
+    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    options = parser.parse_args(arguments)
+    # What is asked is how much the loop bears beyond an ideal implementation.
+    vehicle = replace(read_vehicle(options.vehicle), implementation=Implementation())
+    controller = _with_loop(vehicle, options.controller, options.timestep)
+
+    found = find_margins(vehicle, controller, options.timestep, show)
+    box = robustness(vehicle, controller, options.timestep, show)
+    if options.json:
+        print(json.dumps(_object(controller, found, box), allow_nan=False))
+    else:
+        print("\n".join(_text(vehicle, controller, found, box, options.timestep)))
+    return 0 if box.holds and all(one.agrees for one in found.values()) else 1
+
+
+def _with_loop(vehicle: Vehicle, name: str | None, timestep: float) -> Controller:
+    """The controller of that name, if its loop is one that has margins.
+
+    Raises:
+        InputError: it is not there, has no gain, or is unstable as it is.
+    """
+    if name is None:
+        names = ", ".join(each for each in vehicle.controller_names if each != "passive")
+        raise InputError(f"no controller was asked for; give --controller with one of: {names}")
+    sample_times(vehicle, LONGEST, timestep)
+    controller = design(vehicle, name)
+    if not np.any(controller.gain):
+        raise InputError(f"controller {name!r} has no gain, so there is no loop and no margin; give one that has")
+    poles = controller.certificate.poles
+    if not controller.certificate.stable:
+        raise InputError(
+            f"controller {name!r} is unstable as it is (a pole at {np.real(poles).max():.4g} rad/s), so it has no margin; give a "
+            "stable one"
+        )
+    radius = sampled_radius(vehicle, controller, timestep)
+    if radius >= 1:
+        raise InputError(
+            f"controller {name!r} is unstable at a timestep of {timestep:g} s (its sampled loop grows by {radius:.6g} every "
+            "step) or with its actuators' lag; give a smaller timestep or a larger actuator_bandwidth"
+        )
+    return controller
+
+
+def _object(controller: Controller, found: dict[str, LoopMargins], box: Robustness) -> dict[str, Any]:
+    """The result as JSON has it: SI units, None for what is infinite."""
+    result = {"controller": controller.name, **_loop_object(found[""])}
+    if len(found) > 1:
+        result["loops"] = {name: _loop_object(one) for name, one in found.items() if name}
+    corners = [
+        {**corner.parameters, "norm": _finite(corner.norm), "stable": corner.decays, "agrees": corner.agrees}
+        for corner in box.corners
+    ]
+    result["robustness"] = {"worst_norm": _finite(box.norm), "at": box.at, "corners": corners}
+    return result
+
+
+def _loop_object(one: LoopMargins) -> dict[str, Any]:
+    predicted = one.predicted
+    gain = {
+        "predicted": _finite(predicted.gain),
+        "found": _finite(one.found_gain),
+        "lower": {"predicted": predicted.gain_lower or None, "found": one.found_gain_lower or None},
+        "sampled": {"predicted": _finite(one.sampled_gain), "found": _finite(one.gain.found)},
+    }
+    phase = {
+        "predicted": _finite(predicted.phase),
+        "found": _finite(one.found_phase),
+        "frequency": _finite(predicted.frequency),
+        "smallest": _finite(predicted.smallest_phase),
+    }
+    return {
+        "gain": gain,
+        "phase": phase,
+        "delay": {"predicted": _finite(predicted.delay), "found": _finite(one.delay.unstable)},
+        "sample_period": {"predicted": _finite(predicted.sample_period), "found": _finite(one.found_sample_period)},
+    }
+
+
+def _text(vehicle: Vehicle, controller: Controller, found: dict[str, LoopMargins], box: Robustness, timestep: float) -> list[str]:
+    lines = [f"{vehicle.kind.name} ({vehicle.source}), controller {controller.name}; MuJoCo at {timestep:g} s"]
+    for name, one in found.items():
+        what = f"the loop of {name}, the others closed" if name else ("all loops at once" if len(found) > 1 else "the loop")
+        lines += ["", f"{what:32}{'predicted':>12}{'MuJoCo':>12}", *_loop_lines(one)]
+        lines.append("  agrees" if one.agrees else "  DOES NOT AGREE; where the timestep is too coarse, give a smaller one")
+
+    at = ", ".join(f"{name} {value:.5g}" for name, value in box.at.items())
+    lines += ["", f"sprung mass -30 to +40 %, tyre stiffness -25 to +25 %: worst norm {box.norm:.6g} at {at}"]
+    for corner in box.corners:
+        at = ", ".join(f"{name} {value:.5g}" for name, value in corner.parameters.items())
+        physics = f"MuJoCo {'settles' if corner.decays else 'GROWS'}, {'agrees' if corner.agrees else 'DOES NOT AGREE'}"
+        lines.append(f"  {at}: norm {corner.norm:.6g}; {physics}")
+    return lines
+
+
+def _loop_lines(one: LoopMargins) -> list[str]:
+    predicted, h = one.predicted, one.timestep
+    rows = [("gain, factor", predicted.gain, one.found_gain, "")]
+    if one.bears:
+        rows.append(("  of the sampled loop", one.sampled_gain, one.gain.found, "it doubles when the timestep is halved"))
+    if predicted.gain_lower or one.found_gain_lower:
+        rows.append(("gain, lower factor", predicted.gain_lower, one.found_gain_lower, ""))
+    where = f"at {predicted.frequency:.5g} rad/s" if predicted.crossovers else ""
+    if predicted.smallest_phase < predicted.phase * (1 - 1e-9):
+        where += f"; another crossover needs less, {predicted.smallest_phase:.4g}, but more delay"
+    rows.append(("phase, rad", predicted.phase, one.found_phase, where))
+    samples = ""
+    if math.isfinite(one.delay.unstable):
+        samples = f"decays with {round(one.delay.stable / h)} samples, grows with {round(one.delay.unstable / h)}"
+    rows.append(("delay, ms", 1e3 * predicted.delay, 1e3 * one.delay.unstable, samples))
+    rows.append(("sample period, ms", 1e3 * predicted.sample_period, 1e3 * one.found_sample_period, ""))
+    return [f"  {name:30}{_cell(first)}{_cell(second)}  {note}".rstrip() for name, first, second, note in rows]
+
+
+def _cell(value: float) -> str:
+    return f"{'any' if math.isinf(value) else format(value, '.6g'):>12}"
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+if __name__ == "__main__":
+    run_command(main)
