@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from models.kind import MOST_SQUEEZE
 from models.vehicle import Vehicle
+from sim.broken import ENDS, reached
 from sim.response import Response
 
 ROUNDING = 1e-9  # of a peak, over thousands of steps; a vehicle at rest to 1e-16 of its spring forces stays below 1e-12
@@ -98,9 +98,8 @@ def compare(
     """
     lift_off = lift_off_intervals(vehicle, physics)
     # A hub that goes through the road within a step escapes the physics' own samples, but not the prediction's.
-    flat = min(_first_flat(vehicle, response) for response in (physics, sampled))
-    stopped = _first_beyond(physics, "suspension_deflection", vehicle.limits.suspension_stroke)
-    saturated = _first_beyond(physics, "control_force", vehicle.limits.actuator_force)
+    _, stopped, saturated, flat = reached(vehicle, physics).tolist()
+    flat = min(flat, float(reached(vehicle, sampled)[ENDS.index("flat tyre")]))
     until = min([start for start, _ in lift_off] + [_first_loose(vehicle, physics), flat, stopped, saturated, diverged])
     physics, sampled, integrated, continuous = (r.until(until) for r in (physics, sampled, integrated, continuous))
     signals = {
@@ -155,21 +154,6 @@ def _first_loose(vehicle: Vehicle, physics: Response) -> float:
         if loose.any():
             first = min(first, float(physics.time[1 + loose.argmax()]))
     return first
-
-
-def _first_beyond(physics: Response, kind: str, limit: float | None) -> float:
-    """First sample [s] at which a signal whose name begins so reaches a limit; infinite where none does, or there is none."""
-    if limit is None:
-        return np.inf
-    beyond = np.any([np.abs(physics[name]) >= limit for name in physics.names if name.startswith(kind)], axis=0)
-    return float(physics.time[beyond.argmax()]) if np.any(beyond) else np.inf
-
-
-def _first_flat(vehicle: Vehicle, response: Response) -> float:
-    """First sample [s] at which a tyre is squeezed further than a tyre can be."""
-    tyres = [wheel.tyre_deflection for wheel in vehicle.kind.wheels]
-    flat = np.any([response[tyre] < -MOST_SQUEEZE for tyre in tyres], axis=0)
-    return float(response.time[flat.argmax()]) if flat.any() else np.inf
 
 
 def _difference(response: Response, reference: Response, signal: str) -> float:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sim.growth import Trial, grow, silent
+from sim.growth import Growth, Trial, grow, silent
 
 GAIN_WIDTH = 2e-3  # relative; how far a real number is narrowed down
 
@@ -24,24 +24,24 @@ class Search:
         expected: where to look first; infinite where no amount is expected to matter.
         most: the largest amount to try then.
         step: amounts are its multiples; 0 where they are real numbers.
-        tried: amount -> whether it grows. Zero is taken to decay: that is the loop as it is.
+        tried: amount -> what became of it. Zero is taken to decay: that is the loop as it is.
     """
 
     trial: Callable[[float], Trial]
     expected: float
     most: float
     step: float = 0.0
-    tried: dict[float, bool] = field(default_factory=dict)
+    tried: dict[float, Growth] = field(default_factory=dict)
 
     @property
     def stable(self) -> float:
         """The largest amount below every one that grows that is known to decay."""
-        return max((amount for amount, grows in self.tried.items() if not grows and amount < self.unstable), default=0.0)
+        return max((amount for amount, one in self.tried.items() if not one.grows and amount < self.unstable), default=0.0)
 
     @property
     def unstable(self) -> float:
         """The smallest amount that grows; infinite where none does."""
-        return min((amount for amount, grows in self.tried.items() if grows), default=math.inf)
+        return min((amount for amount, one in self.tried.items() if one.grows), default=math.inf)
 
     @property
     def found(self) -> float:
@@ -74,5 +74,5 @@ class Search:
 def run_searches(searches: Sequence[Search], timestep: float, progress: Callable[[str], None] = silent) -> None:
     """Runs searches to their ends, one round of all of them in one batch."""
     while asked := [(search, amount) for search in searches for amount in search.next()]:
-        for (search, amount), verdict in zip(asked, grow([s.trial(a) for s, a in asked], timestep, progress), strict=True):
-            search.tried[amount] = verdict
+        for (search, amount), growth in zip(asked, grow([s.trial(a) for s, a in asked], timestep, progress), strict=True):
+            search.tried[amount] = growth

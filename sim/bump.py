@@ -9,7 +9,7 @@ from models.vehicle import Vehicle, read_vehicle
 from sim.command import Parser, run_command
 from sim.road import Bump
 from sim.run import Run, check_road, run_all, sample_times
-from sim.verdict import controller_lines, run_lines, run_object, verdict_lines
+from sim.verdict import controller_lines, log_lines, run_lines, run_object, verdict_lines
 from synth.controller import Designer
 
 EPILOG = """
@@ -54,17 +54,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     everything = run_all(vehicle, controllers, road, time)
     runs, passive = everything[: len(names)], everything[with_passive.index("passive")]
 
+    result = {
+        "runs": [run_object(vehicle, run) for run in runs],
+        "road": road.describe(),
+        "timestep": options.timestep,
+    }
     logs = {"mcap": None, "rerun": None}
     if options.logs is not None:
-        logs = _record(options.logs, vehicle, road, runs, options.timestep)
+        from sim.provenance import record_runs, run_log
+
+        logs = record_runs(options.logs, "bump", vehicle, names, [run_log(vehicle, road, run) for run in runs], result)
     if options.json:
-        result = {
-            "runs": [run_object(vehicle, run) for run in runs],
-            "road": road.describe(),
-            "timestep": options.timestep,
-            "logs": logs,
-        }
-        print(json.dumps(result, allow_nan=False))
+        print(json.dumps({**result, "logs": logs}, allow_nan=False))
     else:
         print("\n".join(_text(vehicle, road, runs, passive, options, logs)))
     return 0 if all(run.agreement.agrees for run in runs) else 1
@@ -107,20 +108,6 @@ def _chosen(vehicle: Vehicle, asked: Sequence[str] | None) -> list[str]:
     return list(dict.fromkeys(names))
 
 
-def _record(folder: Path, vehicle: Vehicle, road: Bump, runs: Sequence[Run], timestep: float) -> dict[str, str | None]:
-    from sim.provenance import attachments, common_metadata, run_log, stem
-    from sim.recording import record
-
-    paths = record(
-        folder,
-        stem("bump", vehicle, [run.controller.name for run in runs]),
-        [run_log(vehicle, road, run) for run in runs],
-        common_metadata(vehicle, road, timestep),
-        attachments(vehicle, timestep),
-    )
-    return {name: str(path) for name, path in paths.items()}
-
-
 def _text(vehicle: Vehicle, road: Bump, runs: Sequence[Run], passive: Run, options, logs: dict) -> list[str]:
     lines = [
         f"{vehicle.kind.name} ({vehicle.source}) over a bump of {road.height:g} m height and {road.length:g} m length at "
@@ -137,9 +124,7 @@ def _text(vehicle: Vehicle, road: Bump, runs: Sequence[Run], passive: Run, optio
         ]
         lines += [f"  {line}" for line in verdict_lines(run)]
     if logs["rerun"]:
-        from sim.recording import opening_lines
-
-        lines += ["", "logs", *(f"  {line}" for line in opening_lines({name: Path(path) for name, path in logs.items()}))]
+        lines += ["", *log_lines(logs)]
     return lines
 
 

@@ -7,6 +7,7 @@ import os
 import re
 import sys
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any, NoReturn
 
 from models.errors import InputError
@@ -35,6 +36,10 @@ class Parser(argparse.ArgumentParser):
     def add_number(self, option: str, default: float, unit: str, meaning: str) -> None:
         """An option that takes a finite number."""
         self.add_argument(option, type=_number, default=default, metavar=unit, help=f"{meaning} [{unit}] (default: {default:g})")
+
+    def add_logs(self, what: str) -> None:
+        """--logs, for a command that records only when asked to."""
+        self.add_argument("--logs", type=Path, metavar="DIR", help=f"record {what} in this folder (default: record nothing)")
 
 
 def run_command(main: Callable[[], int]) -> NoReturn:

@@ -14,14 +14,17 @@ import numpy as np
 
 from models.arrays import Array
 from models.errors import InputError, known
-from models.vehicle import read_vehicle
+from models.vehicle import Vehicle, read_vehicle
 from sim.broken import ENDS
 from sim.command import Parser, run_command
+from sim.picture import check_picture
 from sim.progress import bar
 from sim.road import LIMITS, Bump
-from sim.run import LOWEST, sample_times
+from sim.run import LOWEST, run_all, sample_times
+from sim.run_log import RunLog
 from sim.validity import Cells, validity
-from synth.controller import design
+from sim.verdict import log_lines
+from synth.controller import Controller, design
 
 UNITS = {"height": "m", "length": "m", "speed": "m/s"}
 MOST_CELLS = 100_000
@@ -66,9 +69,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.csv is not None and not options.csv.parent.is_dir():
         raise InputError(f"csv {options.csv}: there is no folder {options.csv.parent}; make it or give another")
     if options.picture is not None:
-        from sim.sweep_picture import check_picture
-
         check_picture(options.picture)
+    if options.logs is not None:
+        from sim.recording import check_folder
+
+        check_folder(options.logs)
     controller = design(vehicle, options.controller)
 
     cells, complete = validity(vehicle, controller, bumps, time, bar(len(bumps), "cells"))
@@ -81,10 +86,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         fixed = {name: getattr(options, name) for name in UNITS if name not in {axis.name for axis in axes}}
         draw_envelope(options.picture, vehicle, controller, cells, axes, fixed, options.threshold)
+    result, logs = envelope_object(cells, axes, options), {"mcap": None, "rerun": None}
+    if options.logs is not None:
+        from sim.provenance import record_runs
+
+        runs = _nearest_runs(vehicle, controller, cells, time)
+        logs = record_runs(options.logs, "envelope", vehicle, [controller.name], runs, result)
     if options.json:
-        print(json.dumps(envelope_object(cells, axes, options), allow_nan=False))
+        print(json.dumps({**result, "logs": logs}, allow_nan=False))
     else:
         print("\n".join([f"{vehicle.kind.name} ({vehicle.source}), controller {controller.name}", *_text(cells, options)]))
+        if options.logs is not None:
+            print("\n".join(["", *log_lines(logs)]))
     if not complete:
         print(f"roadproof: interrupted after {int(cells.done.sum())} of {len(bumps)} cells; they are kept", file=sys.stderr)
         return 130
@@ -135,16 +148,20 @@ def grid(axes: tuple[Axis, Axis], fixed: dict[str, float]) -> list[Bump]:
 def write_csv(path: Path, cells: Cells, threshold: float) -> None:
     """One line per cell that was run, SI units; what never happens is left empty."""
     names = [end.replace(" ", "_").replace("-", "_") for end in ENDS]
+    beside = path.with_name(f".{path.name}.part")
     try:
-        with path.open("w", newline="", encoding="utf-8") as file:
+        with beside.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
             columns = ("error", "holds", "broke_first", "at", "predicted", "predicted_at", "agrees")
             writer.writerow([*UNITS, *columns, *(f"linear_share_of_{name}" for name in names)])
             for i in np.flatnonzero(cells.done):
                 bump, row = cells.bumps[i], _cell(cells, int(i), threshold)
                 writer.writerow([bump.height, bump.length, bump.speed, *(row[name] for name in columns), *cells.used[i].tolist()])
+        beside.replace(path)
     except OSError as error:
         raise InputError(f"csv {path}: cannot be written ({error.strerror}); give another") from error
+    finally:
+        beside.unlink(missing_ok=True)
 
 
 def envelope_object(cells: Cells, axes: Sequence[Axis], options: Any) -> dict[str, Any]:
@@ -195,6 +212,21 @@ def _text(cells: Cells, options: Any) -> list[str]:
     return lines
 
 
+def _nearest_runs(vehicle: Vehicle, controller: Controller, cells: Cells, time: Array) -> list[RunLog]:
+    """Of the cells where nothing breaks the one nearest to breaking, and of those where an end comes first the mildest."""
+    from sim.provenance import run_log
+
+    found, used = [], cells.used.max(axis=-1)
+    for end in (-1, *range(len(ENDS))):
+        mine = np.flatnonzero(cells.done & (cells.first == end))
+        if len(mine):
+            i = mine[used[mine].argmax() if end < 0 else used[mine].argmin()]
+            what = "nothing_breaks" if end < 0 else ENDS[end].replace(" ", "_").replace("-", "_")
+            run = run_all(vehicle, [controller], cells.bumps[i], time)[0]
+            found.append(run_log(vehicle, cells.bumps[i], run, f"{controller.name}_{what}"))
+    return found
+
+
 def _finite(value: Any) -> float | None:
     return float(value) if math.isfinite(value) else None
 
@@ -233,6 +265,7 @@ def _parser() -> Parser:
     parser.add_number("--threshold", 0.05, "-", "largest error at which linear analysis is said to hold, as a share of a peak")
     parser.add_number("--duration", 3.0, "s", "how long every run is")
     parser.add_number("--timestep", 1e-3, "s", "integration step and sample period of the controller")
+    parser.add_logs("the cells nearest to where something breaks")
     parser.add_argument("--csv", type=Path, metavar="FILE", help="write every cell's numbers")
     parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the map, as .png or .svg; needs matplotlib")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")

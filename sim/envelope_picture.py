@@ -8,6 +8,7 @@ import numpy as np
 
 from models.vehicle import Vehicle
 from sim.broken import ENDS
+from sim.picture import new_figure, save
 from sim.validity import Cells
 from synth.controller import Controller
 
@@ -39,9 +40,7 @@ def draw_envelope(
         fixed: what is not varied.
         threshold: error at which linear analysis is said to hold.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.colors import ListedColormap
-    from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -53,8 +52,7 @@ def draw_envelope(
     def plane(values):
         return values.reshape(shape).T if turned else values.reshape(shape)
 
-    figure = Figure(figsize=(10.4, 5.8), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(10.4, 5.8)
     axis = figure.subplots()
     x, y = np.array(horizontal.values), np.array(vertical.values)
     broke = np.where(cells.done, cells.first, -2)
@@ -102,4 +100,4 @@ def draw_envelope(
         f"{100 * cells.agreement:.4g} % of {int(cells.done.sum())} MuJoCo runs end the linear regime as predicted",
         fontsize=10,
     )
-    figure.savefig(path, dpi=130)
+    save(figure, path)

@@ -38,16 +38,29 @@ class Trial:
     at_once: Controller | None = None
 
 
+@dataclass(frozen=True)
+class Growth:
+    """What became of a run.
+
+    Attributes:
+        grows: whether it grows; else it decays.
+        rate: of its exponential [1/s]; NaN where it was gone, or had escaped, before that could be read.
+    """
+
+    grows: bool
+    rate: float = math.nan
+
+
 def silent(message: str) -> None:
     """Shows no progress."""
 
 
-def grow(trials: Sequence[Trial], timestep: float, progress: Callable[[str], None] = silent) -> list[bool]:
-    """Which runs grow. Those that have not settled into growth or decay are run again, for twice as long."""
-    verdicts: list[bool | None] = [None] * len(trials)
+def grow(trials: Sequence[Trial], timestep: float, progress: Callable[[str], None] = silent) -> list[Growth]:
+    """Whether runs grow, and how fast. Those that have not settled into growth or decay are run again, for twice as long."""
+    found: list[Growth | None] = [None] * len(trials)
     duration = SHORTEST
     while True:
-        open_ones = [i for i, verdict in enumerate(verdicts) if verdict is None]
+        open_ones = [i for i, growth in enumerate(found) if growth is None]
         if not open_ones:
             break
         time = np.arange(round(duration / timestep) + 1) * timestep
@@ -58,10 +71,10 @@ def grow(trials: Sequence[Trial], timestep: float, progress: Callable[[str], Non
             some = open_ones[first : first + together]
             states = _states([trials[i] for i in some], time)
             for i, one in zip(some, states, strict=True):
-                verdicts[i] = _grows(one, last=duration >= LONGEST)
+                found[i] = _growth(one, timestep, last=duration >= LONGEST)
         duration *= 2
     progress("")
-    return [bool(verdict) for verdict in verdicts]
+    return [growth for growth in found if growth is not None]
 
 
 def _states(trials: Sequence[Trial], time: Array) -> Array:
@@ -74,8 +87,8 @@ def _states(trials: Sequence[Trial], time: Array) -> Array:
     return np.nan_to_num(states / np.where(peaks > 0, peaks, 1.0), nan=np.inf)
 
 
-def _grows(states: Array, last: bool) -> bool | None:
-    """Whether a run grows; None where it has not settled yet.
+def _growth(states: Array, timestep: float, last: bool) -> Growth | None:
+    """Whether a run grows, and how fast; None where it has not settled yet.
 
     Its energy is taken in three windows, without the first quarter. A Hann window does not see the oscillation within it, so what
     is left of a run that has settled is an exponential: the same ratio from window to window. Two kinds of growth the bump hardly
@@ -88,17 +101,18 @@ def _grows(states: Array, last: bool) -> bool | None:
     with np.errstate(over="ignore"):
         energy = (states**2).sum(axis=0)
     if not np.all(np.isfinite(energy)) or energy[-length:].max() > ESCAPED * energy[:length].max():
-        return True
+        return Growth(True)
     gone = GONE * energy[:length].max()
     windows = [slice(k * length, (k + 1) * length) for k in (1, 2, 3)]
     first, second, third = (float(hann @ energy[window]) for window in windows)
     if third <= gone:
-        return False
+        return Growth(False)
     early, late = math.log(second / first), math.log(third / second)
+    rate = late / (2 * length * timestep)  # energy goes with the square
     settled = abs(late) > CERTAIN and abs(late - early) < EXPONENTIAL * abs(late)
     if last or (settled and late > 0):
-        return late > 0
+        return Growth(late > 0, rate)
     for sign in (np.ones(length), (-1.0) ** np.arange(length)):
         before, after = (float(((states[:, window] @ (sign * hann)) ** 2).sum()) for window in windows[1:])
         settled = settled and (after < before or after < gone)
-    return False if settled else None
+    return Growth(False, rate) if settled else None

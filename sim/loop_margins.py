@@ -94,7 +94,7 @@ def find_margins(
     # Where only the sampling ends the gain, half the timestep lets it go twice as far. A loop's own end stays where it is.
     doubtful = [name for name, one in found.items() if math.isinf(one.predicted.gain) and math.isfinite(one.gain.unstable)]
     still = grow([found[name].gain.trial(1.5 * found[name].gain.found) for name in doubtful], timestep / 2) if doubtful else []
-    return found | {name: replace(found[name], bears=not grows) for name, grows in zip(doubtful, still, strict=True)}
+    return found | {name: replace(found[name], bears=not one.grows) for name, one in zip(doubtful, still, strict=True)}
 
 
 def searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int], timestep: float) -> LoopMargins:

@@ -4,6 +4,7 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,12 +13,15 @@ from models.errors import InputError
 from models.reality import Implementation
 from models.vehicle import Vehicle, read_vehicle
 from sim.command import Parser, run_command
-from sim.growth import LONGEST
+from sim.growth import BUMP, LONGEST, SHORTEST
 from sim.linear import sampled_radius
 from sim.loop_margins import LoopMargins, find_margins
+from sim.picture import check_picture
 from sim.progress import show
 from sim.robustness import Robustness, robustness
-from sim.run import sample_times
+from sim.run import run_all, sample_times
+from sim.run_log import RunLog
+from sim.verdict import log_lines
 from synth.controller import Controller, design
 
 EPILOG = """
@@ -25,6 +29,7 @@ exit code: 0 prediction and physics agree, 1 they do not, 2 bad input
 
 examples:
   python -m sim.margins --controller II
+  python -m sim.margins --controller I --picture margins.png --logs logs
   python -m sim.margins --controller I --vehicle half_car --json
 """
 
@@ -41,18 +46,40 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "--vehicle", default="quarter_car", metavar="FILE", help="vehicle file, or one that ships (default: quarter_car)"
     )
     parser.add_number("--timestep", 5e-4, "s", "integration step; delays and sample periods are its multiples")
+    parser.add_logs("MuJoCo on either side of the delay margin")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the margins, as .png or .svg; needs matplotlib")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     options = parser.parse_args(arguments)
+    if options.picture is not None:
+        check_picture(options.picture)
+    if options.logs is not None:
+        from sim.recording import check_folder
+
+        check_folder(options.logs)
     # What is asked is how much the loop bears beyond an ideal implementation.
     vehicle = replace(read_vehicle(options.vehicle), implementation=Implementation())
     controller = _with_loop(vehicle, options.controller, options.timestep)
 
     found = find_margins(vehicle, controller, options.timestep, show)
     box = robustness(vehicle, controller, options.timestep, show)
+    if options.picture is not None:
+        from sim.margins_picture import draw_margins
+
+        draw_margins(options.picture, vehicle, controller, found[""], box, options.timestep)
+    result, logs = _object(controller, found, box), {"mcap": None, "rerun": None}
+    if options.logs is not None:
+        from sim.provenance import record_runs
+
+        runs = _delayed_runs(vehicle, controller, found[""], options.timestep)
+        logs = record_runs(options.logs, "margins", vehicle, [controller.name], runs, result)
     if options.json:
-        print(json.dumps(_object(controller, found, box), allow_nan=False))
+        picture = str(options.picture) if options.picture else None
+        print(json.dumps({**result, "picture": picture, "logs": logs}, allow_nan=False))
     else:
-        print("\n".join(_text(vehicle, controller, found, box, options.timestep)))
+        lines = _text(vehicle, controller, found, box, options.timestep)
+        if options.picture is not None:
+            lines += ["", f"picture {options.picture}"]
+        print("\n".join([*lines, *(["", *log_lines(logs)] if options.logs is not None else [])]))
     return 0 if box.holds and all(one.agrees for one in found.values()) else 1
 
 
@@ -82,6 +109,19 @@ def _with_loop(vehicle: Vehicle, name: str | None, timestep: float) -> Controlle
             "step) or with its actuators' lag; give a smaller timestep or a larger actuator_bandwidth"
         )
     return controller
+
+
+def _delayed_runs(vehicle: Vehicle, controller: Controller, loop: LoopMargins, timestep: float) -> list[RunLog]:
+    """The run that still decays and the one that grows, to be recorded; without a delay margin, the longest delay tried."""
+    from sim.provenance import run_log
+
+    delays = [loop.delay.stable, loop.delay.unstable] if math.isfinite(loop.delay.unstable) else [loop.delay.stable]
+    time, found = sample_times(vehicle, SHORTEST, timestep), []
+    for samples in (round(delay / timestep) for delay in delays):
+        delayed = replace(vehicle, implementation=Implementation(delay=samples))
+        run = run_all(delayed, [controller], BUMP, time)[0]
+        found.append(run_log(delayed, BUMP, run, f"{controller.name}_{samples}_samples_late"))
+    return found
 
 
 def _object(controller: Controller, found: dict[str, LoopMargins], box: Robustness) -> dict[str, Any]:

@@ -5,12 +5,16 @@ import json
 import platform
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from importlib import metadata
+from pathlib import Path
+from typing import Any
 
 from models.mjcf import mjcf_text
 from models.vehicle import Vehicle
 from sim.drawing import draw
+from sim.recording import record
 from sim.road import Road
 from sim.run import Run
 from sim.run_log import RunLog
@@ -37,31 +41,62 @@ def stem(command: str, vehicle: Vehicle, controllers: Sequence[str]) -> str:
     return f"{command}-{vehicle.kind.name}-{which}-{now}"
 
 
-def common_metadata(vehicle: Vehicle, road: Road, timestep: float) -> dict[str, str]:
+def common_metadata(vehicle: Vehicle, timestep: float) -> dict[str, str]:
     """What all runs of a log share."""
     return {
         "command_line": shlex.join(["python", *sys.orig_argv[1:]]),
         "vehicle": vehicle.source,
         "vehicle_type": vehicle.kind.name,
-        "road": json.dumps(road.describe()),
         "timestep": repr(timestep),
         "versions": json.dumps(versions()),
     }
 
 
-def attachments(vehicle: Vehicle, timestep: float) -> dict[str, tuple[str, bytes]]:
-    """The vehicle file and the exact MJCF."""
+def attachments(vehicle: Vehicle, timestep: float, result: Mapping[str, Any]) -> dict[str, tuple[str, bytes]]:
+    """The vehicle file, the exact MJCF, and the result as `--json` prints it."""
     return {
         "vehicle.toml": ("application/toml", vehicle.text.encode()),
         "model.xml": ("application/xml", mjcf_text(vehicle, timestep).encode()),
+        "result.json": ("application/json", json.dumps(result, allow_nan=False).encode()),
     }
 
 
-def run_log(vehicle: Vehicle, road: Road, run: Run) -> RunLog:
-    """One run as it is written down."""
+def record_runs(
+    folder: Path, command: str, vehicle: Vehicle, controllers: Sequence[str], runs: Sequence[RunLog], result: Mapping[str, Any]
+) -> dict[str, str]:
+    """Records what a command has run, as `sim.recording.record` does.
+
+    Args:
+        folder: where to.
+        command: its name.
+        vehicle: as it was read.
+        controllers: names of those that were run.
+        runs: see `run_log`.
+        result: as `--json` prints it.
+
+    Returns:
+        The files' paths: `mcap` and `rerun`.
+    """
+    time = runs[0].responses["mujoco"].time
+    timestep = float(time[1] - time[0])
+    paths = record(
+        folder,
+        stem(command, vehicle, controllers),
+        runs,
+        common_metadata(vehicle, timestep),
+        attachments(vehicle, timestep, result),
+    )
+    return {name: str(path) for name, path in paths.items()}
+
+
+def run_log(vehicle: Vehicle, road: Road, run: Run, name: str | None = None) -> RunLog:
+    """One run as it is written down; it is called like its controller unless it has a name of its own."""
     certificate, agreement = run.controller.certificate, run.agreement
     claims = {
         **controller_object(run.controller),
+        "road": road.describe(),
+        "limits": asdict(vehicle.limits),
+        "implementation": asdict(vehicle.implementation),
         "designed": run.controller.designed,
         "stable": certificate.stable,
         "poles": [[float(pole.real), float(pole.imag)] for pole in certificate.poles],
@@ -70,7 +105,7 @@ def run_log(vehicle: Vehicle, road: Road, run: Run) -> RunLog:
         "errors": {name: signal.sampled for name, signal in agreement.signals.items()},
     }
     return RunLog(
-        name=run.controller.name,
+        name=name or run.controller.name,
         responses={"mujoco": run.physics, "linear": run.sampled, "continuous": run.continuous},
         metadata={key: value if isinstance(value, str) else json.dumps(value) for key, value in claims.items()},
         events=events(run),

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from scipy import optimize
 
+from models.arrays import Array
 from models.vehicle import Vehicle
 from sim.growth import Trial, grow, silent
 from sim.road import Bump
@@ -37,7 +38,7 @@ class Corner:
     agrees: bool
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Robustness:
     """A controller on a box of sprung masses and tyre stiffnesses.
 
@@ -45,11 +46,15 @@ class Robustness:
         norm: the largest H-infinity norm.
         at: where it is, the parameters that are others [SI].
         corners: of the box.
+        factors: on mass and on stiffness of the vehicles whose norms were taken first, evenly over the box.
+        norms: of those, shape (len(factors[0]), len(factors[1])).
     """
 
     norm: float
     at: dict[str, float]
     corners: tuple[Corner, ...]
+    factors: tuple[Array, Array]
+    norms: Array
 
     @property
     def holds(self) -> bool:
@@ -64,7 +69,8 @@ def robustness(vehicle: Vehicle, controller: Controller, timestep: float, progre
         other = _with_factors(vehicle, *point)
         return hinf_norm(generalized_plant(other).closed_loop(controller.state_gain(other))).value
 
-    grid = [(m, k) for m in np.linspace(*BOX[MASS], 9) for k in np.linspace(*BOX[TYRES], 7)]
+    masses, tyres = np.linspace(*BOX[MASS], 9), np.linspace(*BOX[TYRES], 7)
+    grid = [(float(m), float(k)) for m in masses for k in tyres]
     values = [norm(point) for point in grid]
     worst, at = max(values), grid[int(np.argmax(values))]
     for i in np.argsort(values)[-3:] if math.isfinite(worst) else []:
@@ -77,7 +83,7 @@ def robustness(vehicle: Vehicle, controller: Controller, timestep: float, progre
     corners = [(m, k) for m in BOX[MASS] for k in BOX[TYRES]]
     vehicles = [_with_factors(vehicle, *corner) for corner in corners]
     time = sample_times(vehicle, 3.0, timestep)
-    settled = [not grows for grows in grow([Trial(other, controller) for other in vehicles], timestep, progress)]
+    settled = [not growth.grows for growth in grow([Trial(other, controller) for other in vehicles], timestep, progress)]
     runs = [run_all(other, [controller], BUMP, time)[0] for other in vehicles]
     return Robustness(
         norm=worst,
@@ -86,6 +92,8 @@ def robustness(vehicle: Vehicle, controller: Controller, timestep: float, progre
             Corner(_changed(vehicle, *corner), norm(corner), decays, run.agreement.agrees)
             for corner, decays, run in zip(corners, settled, runs, strict=True)
         ),
+        factors=(masses, tyres),
+        norms=np.reshape(values, (len(masses), len(tyres))),
     )
 
 

@@ -10,8 +10,13 @@ from typing import Any
 from models.errors import InputError
 from models.vehicle import Vehicle, read_vehicle
 from sim.command import Parser, run_command
-from sim.extremes import Extremes, extremes
-from sim.identification import HIGHEST, LOWEST, Lines, identify
+from sim.extremes import DURATION, Extremes, extremes
+from sim.identification import HIGHEST, LOWEST, Lines, ideal_measurements, identify
+from sim.multisine import sinusoid
+from sim.picture import check_picture
+from sim.run import run_all, sample_times
+from sim.run_log import RunLog
+from sim.verdict import log_lines
 from synth.controller import Controller, Designer
 
 FIGURE_3 = ("passive", "state", "I", "II")
@@ -49,6 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_number("--amplitude", 1e-4, "m", "largest height of every road; larger ones meet the vehicle's limits")
     parser.add_number("--speed", 12.5, "m/s", "forward speed; only the later wheels of longer vehicles notice")
     parser.add_number("--timestep", 1e-3, "s", "integration step and sample period of the controller")
+    parser.add_logs("every controller on its worst sinusoid")
     parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the responses, as .png or .svg; needs matplotlib")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     options = parser.parse_args(arguments)
@@ -58,9 +64,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not 1e-3 <= options.speed <= 1e3:
         raise InputError(f"speed = {options.speed:g} m/s is not allowed; give a number from 0.001 to 1000")
     if options.picture is not None:
-        from sim.sweep_picture import check_picture
-
         check_picture(options.picture)
+    if options.logs is not None:
+        from sim.recording import check_folder
+
+        check_folder(options.logs)
     designer = Designer(vehicle)
     controllers = [designer.design(name) for name in names]
     sweeps = sweep(vehicle, controllers, options.amplitude, options.timestep, options.speed)
@@ -69,15 +77,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         draw_lines(options.picture, vehicle, [one.lines for one in sweeps], options.amplitude, options.timestep, options.speed)
 
+    result = {
+        "sweeps": [sweep_object(one) for one in sweeps],
+        "amplitude": options.amplitude,
+        "timestep": options.timestep,
+        "speed": options.speed,
+    }
+    logs = {"mcap": None, "rerun": None}
+    if options.logs is not None:
+        from sim.provenance import record_runs
+
+        logs = record_runs(options.logs, "sweep", vehicle, names, _worst_runs(vehicle, sweeps, options), result)
     if options.json:
-        result = {
-            "sweeps": [sweep_object(one) for one in sweeps],
-            "amplitude": options.amplitude,
-            "timestep": options.timestep,
-            "speed": options.speed,
-            "picture": str(options.picture) if options.picture else None,
-        }
-        print(json.dumps(result, allow_nan=False))
+        picture = str(options.picture) if options.picture else None
+        print(json.dumps({**result, "picture": picture, "logs": logs}, allow_nan=False))
     else:
         count = len(sweeps[0].lines.omega)
         print(
@@ -88,6 +101,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print("\n".join(["", *sweep_lines(one)]))
         if options.picture is not None:
             print(f"\npicture {options.picture}")
+        if options.logs is not None:
+            print("\n".join(["", *log_lines(logs)]))
     return 0 if all(one.ended or not failures(one) for one in sweeps) else 1
 
 
@@ -205,6 +220,18 @@ def sweep_object(one: Sweep) -> dict[str, Any]:
         "ended": list(one.ended),
         "failures": failures(one),
     }
+
+
+def _worst_runs(vehicle: Vehicle, sweeps: Sequence[Sweep], options: Any) -> "list[RunLog]":
+    """Every controller on its worst sinusoid, from rest, to be recorded."""
+    from sim.provenance import run_log
+
+    vehicle, found = ideal_measurements(vehicle), []
+    time = sample_times(vehicle, DURATION, options.timestep)
+    for one in sweeps:
+        road = sinusoid(one.extremes.tried, options.speed).scaled(options.amplitude / 2)
+        found.append(run_log(vehicle, road, run_all(vehicle, [one.lines.controller], road, time)[0]))
+    return found
 
 
 def _norm(one: Sweep) -> float:

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from models.errors import InputError
 from models.vehicle import Vehicle
 from sim.frequency import as_met, continuous_frequency_response
 from sim.identification import HIGHEST, LOWEST, Lines
+from sim.picture import new_figure, save
 
 # The paper's colours and line styles; whatever else is asked for comes after.
 STYLES: dict[str, tuple[str, Any]] = {
@@ -19,23 +19,6 @@ STYLES: dict[str, tuple[str, Any]] = {
     "II": ("tab:green", "-"),
 }
 OTHERS = [(color, (0, (8, 2))) for color in ("tab:purple", "tab:orange", "tab:brown", "tab:cyan", "tab:pink", "tab:olive")]
-SUFFIXES = (".png", ".svg")
-
-
-def check_picture(path: Path) -> None:
-    """Whether a picture can be drawn there, before the work.
-
-    Raises:
-        InputError: another kind of file, a folder that is not there, or matplotlib is not installed.
-    """
-    if path.suffix.lower() not in SUFFIXES:
-        raise InputError(f"picture {path}: not a kind of picture that is drawn; give a name that ends in {' or '.join(SUFFIXES)}")
-    if not path.parent.is_dir():
-        raise InputError(f"picture {path}: there is no folder {path.parent}; make it or give another")
-    try:
-        import matplotlib  # noqa: F401
-    except ImportError:
-        raise InputError("pictures need matplotlib; pip install 'roadproof[report]' or leave --picture out") from None
 
 
 def draw_lines(path: Path, vehicle: Vehicle, sweeps: Sequence[Lines], amplitude: float, timestep: float, speed: float) -> None:
@@ -49,14 +32,10 @@ def draw_lines(path: Path, vehicle: Vehicle, sweeps: Sequence[Lines], amplitude:
         timestep: [s], for the caption.
         speed: forward velocity [m/s].
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     signals = [name for name, weight in vehicle.performance.items() if weight > 0]
     columns = 2 if len(signals) <= 4 else 3 if len(signals) <= 9 else 4
     rows = -(-len(signals) // columns)
-    figure = Figure(figsize=(5.2 * columns, 3.5 * rows + 1.0), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(5.2 * columns, 3.5 * rows + 1.0)
     axes = figure.subplots(rows, columns, squeeze=False, sharex=True).ravel()
 
     fine = 2 * np.pi * np.geomspace(LOWEST, HIGHEST, 600)
@@ -99,4 +78,4 @@ def draw_lines(path: Path, vehicle: Vehicle, sweeps: Sequence[Lines], amplitude:
         f"at {1e3 * timestep:g} ms,\nidentified on roads of {1e3 * amplitude:g} mm{regime}",
         fontsize=11,
     )
-    figure.savefig(path, dpi=130)
+    save(figure, path)

@@ -1,7 +1,8 @@
 """Runs in words and numbers: the table on the terminal, the object for `--json`, the text and events in the logs."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -164,6 +165,13 @@ def summary(vehicle: Vehicle, run: Run) -> str:
         physics, linear = float(run.physics.peak(name)), float(run.sampled.peak(name))
         lines.append(f"| {name} [{unit}] | {physics:.6g} | {linear:.6g} | {signal.sampled:.1e} |")
     return "\n".join(lines) + "\n"
+
+
+def log_lines(logs: Mapping[str, str | None]) -> list[str]:
+    """Where a command has recorded, and how to open it."""
+    from sim.recording import opening_lines
+
+    return ["logs", *(f"  {line}" for line in opening_lines({name: Path(path) for name, path in logs.items() if path}))]
 
 
 def gain_text(gain: Array) -> str:

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 
 from models.vehicle import Vehicle, read_vehicle
 from synth.controller import Designer
@@ -31,3 +32,9 @@ def random_vehicles(vehicle: Vehicle, count: int, spread: float = 0.5) -> list[V
         )
         for _ in range(count)
     ]
+
+
+def recorded_runs(mcap: str) -> set[str]:
+    """Names of the runs in a log."""
+    with open(mcap, "rb") as stream:
+        return {item.name.removeprefix("run/") for item in make_reader(stream).iter_metadata()} - {"roadproof"}

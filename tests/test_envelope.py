@@ -16,6 +16,7 @@ from sim.linear import sampled_response
 from sim.road import Bump
 from sim.validity import validity
 from synth.controller import Designer
+from tests.conftest import recorded_runs
 
 TIME = np.arange(1501) * 2e-3
 LIMITS = Limits(suspension_stroke=0.12, stop_stiffness=2e5, actuator_force=1400.0)  # near one another over a bump of 5 m
@@ -109,11 +110,11 @@ def test_interrupted(limited, designer, monkeypatch):
 
 
 def test_command(capsys, tmp_path):
-    """The command prints one JSON object and writes the same cells as CSV and as a picture."""
+    """The command prints one JSON object, writes the same cells as CSV and as a picture, and records one run of each end."""
     pytest.importorskip("matplotlib")
     table, picture = tmp_path / "map.csv", tmp_path / "map.svg"
     arguments = ["--controller", "II", "--vary", "length:2:6:3", "--vary", "height:0.05:0.3:4", "--timestep", "0.002", "--json"]
-    assert main([*arguments, "--csv", str(table), "--picture", str(picture)]) == 0
+    assert main([*arguments, "--csv", str(table), "--picture", str(picture), "--logs", str(tmp_path)]) == 0
     result = json.loads(capsys.readouterr().out)
     rows = list(csv.DictReader(table.open()))
     assert len(rows) == len(result["cells"]) == 12
@@ -121,6 +122,7 @@ def test_command(capsys, tmp_path):
         assert (float(row["height"]), float(row["length"])) == (cell["height"], cell["length"])
         assert row["broke_first"] == (cell["broke_first"] or "")
     assert picture.read_text().startswith("<?xml")
+    assert recorded_runs(result["logs"]["mcap"]) == {"II_nothing_breaks", "II_lift_off"}
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ from scipy import optimize
 from models.errors import InputError
 from models.vehicle import parse_vehicle, read_vehicle
 from sim.bisection import Search, run_searches
+from sim.growth import Growth
 from sim.linear import sampled_radius
 from sim.loop import Loop, crossovers, cut, gain_crossings, largest_sample_period, margins, sampled_gain_crossings
 from sim.loop_margins import find_margins, searches
@@ -18,6 +19,7 @@ from sim.margins import main
 from sim.robustness import robustness
 from synth.certificate import certify
 from synth.controller import Designer, design
+from tests.conftest import recorded_runs
 
 # Found before by other means: delay [ms], its crossover [rad/s], and half of the delay's last digit. That of II was for -8970.
 KNOWN = {"II_printed": (87.097, 18.18, 0.005), "I_printed": (293.0, 7.70, 0.05), "state_printed": (388.1, 7.01, 0.05)}
@@ -107,7 +109,7 @@ def test_conditionally_stable_loop():
 
 def test_search_does_not_believe_its_expectation(monkeypatch):
     """Physics decides: the search ends at its own answer, wherever it was told to look first, or not at all."""
-    monkeypatch.setattr("sim.bisection.grow", lambda trials, timestep, progress: [bool(amount > 17.5) for amount in trials])
+    monkeypatch.setattr("sim.bisection.grow", lambda trials, timestep, progress: [Growth(amount > 17.5) for amount in trials])
     for expected in (3.0, 17.0, 18.0, 200.0, math.inf):
         search = Search(lambda amount: amount, expected, most=100.0, step=1.0)  # type: ignore[arg-type]
         run_searches([search], 1.0)
@@ -117,12 +119,15 @@ def test_search_does_not_believe_its_expectation(monkeypatch):
     assert never.unstable == math.inf
 
 
-def test_margins_in_physics(capsys):
-    """The command finds II's margins in MuJoCo where they are predicted, and agrees."""
-    assert main(["--controller", "II", "--json"]) == 0
+def test_margins_in_physics(capsys, tmp_path):
+    """The command finds II's margins in MuJoCo where they are predicted, agrees, draws them and records both sides of one."""
+    pytest.importorskip("matplotlib", reason="pictures are in the extra [report]")
+    assert main(["--controller", "II", "--json", "--picture", str(tmp_path / "m.svg"), "--logs", str(tmp_path)]) == 0
     captured = capsys.readouterr()
     result = json.loads(captured.out)
     assert captured.err == ""
+    assert "</svg>" in (tmp_path / "m.svg").read_text()
+    assert recorded_runs(result["logs"]["mcap"]) == {"II_173_samples_late", "II_174_samples_late"}
     assert result["gain"]["predicted"] is None
     assert result["gain"]["found"] is None
     sampled = result["gain"]["sampled"]  # the hold ends it, and at half the step physics bore 1.5 times as much

@@ -15,6 +15,7 @@ from sim.linear import sampled_response
 from sim.multisine import chirp, random_road, sinusoid
 from sim.sweep import failures, main, sweep
 from synth.controller import Designer
+from tests.conftest import recorded_runs
 
 FIGURE_3 = ("passive", "state", "I", "II")
 STEP = 2e-3  # s; half the work of the command's own
@@ -129,14 +130,15 @@ def test_amplitude(paper, designer):
 
 
 def test_command(capsys, tmp_path):
-    """The command prints one JSON object, and draws."""
+    """The command prints one JSON object, draws, and records the worst sinusoid."""
     pytest.importorskip("matplotlib")
     picture = tmp_path / "sweep.png"
     arguments = ["--controller", "II", "--timestep", "0.004", "--amplitude", "1e-4", "--json", "--picture", str(picture)]
-    main(arguments)  # 4 ms: RK4 is not within 1e-4 there, and it says so
+    main([*arguments, "--logs", str(tmp_path)])  # 4 ms: RK4 is not within 1e-4 there, and it says so
     result = json.loads(capsys.readouterr().out)
     assert result["sweeps"][0]["signals"]["sprung_acceleration"]["error"]["sampled"] < 1e-2
     assert picture.stat().st_size > 10_000
+    assert recorded_runs(result["logs"]["mcap"]) == {"II"}
 
 
 @pytest.mark.parametrize(
