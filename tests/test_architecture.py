@@ -18,7 +18,7 @@ OWNERS = {
     "google": {"sim/recording_mcap.py"},
     "rerun": {"sim/recording_rerun.py"},
     "control": set(),
-    "matplotlib": {"sim/picture.py", "sim/envelope_picture.py"},
+    "matplotlib": {"sim/picture.py"},
 }
 
 
