@@ -19,6 +19,9 @@ OWNERS = {
     "rerun": {"sim/recording_rerun.py"},
     "control": set(),
     "matplotlib": {"sim/picture.py"},
+    "contourpy": {"sim/figure.py"},
+    "plotly": {"sim/page.py"},
+    "jinja2": {"sim/page.py"},
 }
 
 
