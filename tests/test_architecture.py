@@ -12,7 +12,7 @@ FILES = [path for floor in FLOORS for path in sorted((ROOT / floor).glob("*.py")
 # Who may import what is heavy, or replaceable.
 OWNERS = {
     "cvxpy": {"synth/lmi.py"},
-    "mujoco": {"models/mjcf.py", "sim/physics.py", "sim/drawing.py"},
+    "mujoco": {"models/mjcf.py", "sim/readout.py", "sim/physics.py", "sim/drawing.py"},
     "mcap": {"sim/recording_mcap.py"},
     "mcap_protobuf": {"sim/recording_mcap.py"},
     "google": {"sim/recording_mcap.py"},
