@@ -1,17 +1,14 @@
-"""`python -m sim.campaign FILE`: every combination of vehicles, controllers, roads, speeds, samples and seeds of a file, in MuJoCo."""
+"""`python -m sim.campaign FILE`: every combination of what a file names, in MuJoCo, beside its linear prediction."""
 
 import json
 import os
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from models.errors import InputError
-from sim.campaign_batch import Plan, columns
+from sim.campaign_batch import MOST, Plan, columns
 from sim.campaign_file import MOST_RUNS, Campaign, read_campaign
 from sim.campaign_store import Store, begin, begun, controllers_text, held
 from sim.campaign_summary import summarise, summary_lines
@@ -19,7 +16,7 @@ from sim.campaign_workers import Rows, run_batches
 from sim.command import Parser, run_command
 from sim.progress import show
 from sim.provenance import versions
-from synth.controller import Controller, Designer
+from synth.controller import Controller, Designer, given
 
 NUMBERS = ("roadproof", "mujoco", "numpy", "scipy")  # packages whose versions decide the numbers
 
@@ -41,8 +38,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         InputError: bad options, campaign file, results folder, or a disk that is full.
     """
     options = _parser().parse_args(arguments)
-    if options.workers < 0:
-        raise InputError(f"workers = {options.workers} is not allowed; give a number above 0, or 0 for one per core")
+    for name in ("workers", "batch"):
+        if getattr(options, name) < 0:
+            raise InputError(f"{name} = {getattr(options, name)} is not allowed; give a whole number above 0")
     campaign = read_campaign(options.file)
     folder = options.results or options.file.with_name(f"{options.file.stem}-results")
     with held(folder):
@@ -50,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         plan = _plan(campaign, folder, used)
         metadata = {"campaign": campaign.text, "versions": json.dumps(versions()), "controllers": _gains(plan)}
         store = Store(folder, columns(plan), metadata, plan.count)
-        batches = [batch for gap in store.missing() for batch in plan.batches(*gap)]
+        batches = [batch for gap in store.missing() for batch in plan.batches(*gap, options.batch or MOST)]
         progress = _Progress(plan, sum(end - start for start, end in batches))
 
         def write(start: int, rows: Rows) -> None:
@@ -58,7 +56,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             progress.add(len(rows))
 
         try:
-            run_batches(plan, batches, options.workers or os.cpu_count() or 1, options.ray or None, options.ray is not None, write)
+            run_batches(
+                plan, batches, options.workers or os.cpu_count() or 1, options.ray or None, options.ray is not None, write
+            )
         except KeyboardInterrupt:
             show("")
             left = sum(end - start for start, end in store.missing())
@@ -71,7 +71,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             result = {"results": str(store.results), "runs": plan.count, "new": progress.done, "summary": entries}
             print(json.dumps(result, allow_nan=False))
         else:
-            rate = f", {progress.done} of them now: {progress.rate:.3g} steps/s" if progress.done else ", all of them there already"
+            rate = (
+                f", {progress.done} of them now: {progress.rate:.3g} steps/s" if progress.done else ", all of them there already"
+            )
             lines = [f"{plan.count} runs of {campaign.duration:g} s at {campaign.timestep:g} s{rate}", *summary_lines(entries)]
             print("\n".join([*lines, "", f"results {store.results}"]))
     return 0
@@ -88,16 +90,14 @@ def _plan(campaign: Campaign, folder: Path, used: Mapping[str, str]) -> Plan:
         raise InputError(f"{count} runs are too many; at most {MOST_RUNS}")
     manifest = begun(folder, campaign.sources, used)
     designed: dict[str, dict[str, Controller]] = {}
-    for name, vehicle in campaign.vehicles.items():
-        designer = Designer(vehicle)
-        designed[name] = {controller: designer.design(controller) for controller in campaign.controllers}
     if manifest is None:
+        for name, vehicle in campaign.vehicles.items():
+            designer = Designer(vehicle)
+            designed[name] = {controller: designer.design(controller) for controller in campaign.controllers}
         manifest = begin(folder, campaign.sources, used, campaign.text, controllers_text(designed))
-    for name, controllers in designed.items():
-        for controller, entry in manifest["controllers"][name].items():
-            shape = controllers[controller].gain.shape
-            gain = np.array(entry["gain"], dtype=float).reshape(shape)
-            controllers[controller] = replace(controllers[controller], gain=gain)
+    for name, entries in manifest["controllers"].items():
+        vehicle = campaign.vehicles[name]
+        designed[name] = {controller: given(vehicle, controller, **entry) for controller, entry in entries.items()}
     return Plan(campaign, designed)
 
 
@@ -129,10 +129,19 @@ def _parser() -> Parser:
         "sim.campaign", "Runs every combination that a campaign file names, and compares with linear predictions.", EPILOG
     )
     parser.add_argument("file", type=Path, metavar="FILE", help="campaign file (TOML)")
-    parser.add_argument("--results", type=Path, metavar="DIR", help="folder of the results (default: FILE without .toml, and -results)")
+    parser.add_argument(
+        "--results", type=Path, metavar="DIR", help="folder of the results (default: FILE without .toml, and -results)"
+    )
     parser.add_argument("--workers", type=int, default=0, metavar="N", help="threads that run batches (default: one per core)")
     parser.add_argument(
-        "--ray", nargs="?", const="", metavar="ADDRESS", help="run on a Ray cluster (default address: one of this machine's cores)"
+        "--batch", type=int, default=0, metavar="N", help="most runs in a batch (default: what the memory allows)"
+    )
+    parser.add_argument(
+        "--ray",
+        nargs="?",
+        const="",
+        metavar="ADDRESS",
+        help="run on a Ray cluster (default address: one of this machine's cores)",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     return parser

@@ -80,15 +80,15 @@ class Plan:
         sample, seed = divmod(run - start, seeds)
         return RunKey(v, k, r, s, sample, seed)
 
-    def batches(self, start: int, stop: int) -> list[tuple[int, int]]:
-        """Runs from start to stop, cut into batches of one vehicle that fit into memory."""
+    def batches(self, start: int, stop: int, most: int = MOST) -> list[tuple[int, int]]:
+        """Runs from start to stop, cut into batches of one vehicle that fit into memory, of so many runs at most."""
         found = []
         vehicles = list(self.campaign.vehicles.values())
         while start < stop:
             v = self.key(start).vehicle
             same = next((block[0] for block in self._blocks if block[0] > start and block[1] != v), self.count)
             size = ROAD_HEIGHTS // (len(self.campaign.time) * len(vehicles[v].kind.wheels))
-            end = min(stop, same, start + max(1, min(size, MOST)))
+            end = min(stop, same, start + max(1, min(size, most)))
             found.append((start, end))
             start = end
         return found
@@ -129,9 +129,10 @@ def run_batch(plan: Plan, start: int, stop: int, stopped: Callable[[], bool] = l
     campaign, rows = plan.campaign, {}
     name = list(campaign.vehicles)[keys[0].vehicle]
     made = {i: with_sample(campaign.vehicles[name], campaign.samples[name][i]) for i in {key.sample for key in keys}}
-    alike: dict[bytes, list[int]] = {}
+    # Where one controller needs a sensor before the step, signals of all are read so: a rounding that must not depend on company.
+    alike: dict[tuple[int, bytes], list[int]] = {}
     for i, key in enumerate(keys):
-        alike.setdefault(reads_out(made[key.sample], campaign.timestep), []).append(i)
+        alike.setdefault((key.controller, reads_out(made[key.sample], campaign.timestep)), []).append(i)
     for group in alike.values():
         # A run alone would be summed along another axis than one among others: it gets company.
         pair = group * 2 if len(group) == 1 else group

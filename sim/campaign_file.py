@@ -1,4 +1,4 @@
-"""A campaign file (TOML): which vehicles, controllers, roads, speeds, seeds and sampled parameters are combined, and how they run."""
+"""A campaign file (TOML): which vehicles, controllers, roads, speeds, seeds and sampled parameters are combined."""
 
 import math
 import reprlib
@@ -180,7 +180,9 @@ def _seeds(data: Mapping[str, Any]) -> tuple[int, ...]:
     seeds = data.get("seeds", 1)
     if isinstance(seeds, int) and not isinstance(seeds, bool):
         if not 1 <= seeds <= MOST_RUNS:
-            raise InputError(f"seeds = {seeds} makes no runs, or far too many; give how many, from 1 to {MOST_RUNS}, or a list of them")
+            raise InputError(
+                f"seeds = {seeds} makes no runs, or far too many; give how many, from 1 to {MOST_RUNS}, or a list of them"
+            )
         return tuple(range(seeds))
     if not isinstance(seeds, list) or not seeds:
         raise InputError(f"seeds = {reprlib.repr(seeds)} is no number of seeds, nor a list of whole numbers")
@@ -245,13 +247,17 @@ def _distribution(name: str, entry: Any) -> Distribution:
         raise InputError(f"{where} = {reprlib.repr(entry)} is no distribution; give one of {known(DISTRIBUTIONS)}, {example}")
     shapes = [key for key in entry if key != "relative"]
     if len(shapes) != 1 or shapes[0] not in DISTRIBUTIONS or not isinstance(entry.get("relative", False), bool):
-        raise InputError(f"{where} has {known(entry)}; give one of {known(DISTRIBUTIONS)}, and relative = true or false, {example}")
+        raise InputError(
+            f"{where} has {known(entry)}; give one of {known(DISTRIBUTIONS)}, and relative = true or false, {example}"
+        )
     values = entry[shapes[0]]
     if not isinstance(values, list) or len(values) != 2:
         raise InputError(f"{where}: {shapes[0]} = {reprlib.repr(values)} is not two numbers, {example}")
     a, b = (_number(value, f"{where}: {shapes[0]}", -1e12, 1e12) for value in values)
     if (a >= b) if shapes[0] == "uniform" else (b <= 0):
-        raise InputError(f"{where}: {shapes[0]} = [{a:g}, {b:g}] spreads nothing; give low < high, or a standard deviation above 0")
+        raise InputError(
+            f"{where}: {shapes[0]} = [{a:g}, {b:g}] spreads nothing; give low < high, or a standard deviation above 0"
+        )
     return Distribution(name, shapes[0], a, b, entry.get("relative", False))
 
 
@@ -259,13 +265,17 @@ def _check_distribution(distribution: Distribution, name: str, vehicle: Vehicle)
     """Refuses a parameter that a vehicle has not, and a distribution that reaches a value it cannot have."""
     parameters: dict[str, Parameter] = {parameter.name: parameter for parameter in vehicle.kind.parameters}
     if distribution.name not in parameters:
-        raise InputError(f"[samples.parameters] vehicle {name!r} has no parameter {distribution.name!r}; it has {known(parameters)}")
+        raise InputError(
+            f"[samples.parameters] vehicle {name!r} has no parameter {distribution.name!r}; it has {known(parameters)}"
+        )
     scale = vehicle.parameters[distribution.name] if distribution.relative else 1.0
     for end in distribution.ends:
         try:
             parameters[distribution.name].check(scale * end)
         except InputError as error:
-            raise InputError(f"[samples.parameters] the distribution reaches a value that is none, for vehicle {name!r}: {error}") from error
+            raise InputError(
+                f"[samples.parameters] the distribution reaches a value that is none, for vehicle {name!r}: {error}"
+            ) from error
 
 
 def _list(data: Mapping[str, Any], key: str, example: str) -> list[Any]:

@@ -1,7 +1,7 @@
 """A campaign's results on disk: parts while it runs, one Parquet file when it is done, and never a half-written one.
 
-A part is written beside its name, flushed to the disk, then renamed. So whatever ends a campaign, `kill -9` or a power cut, what has a
-name is whole: the names say which runs are there, and the next start does the others.
+A part is written beside its name, flushed to the disk, then renamed. So whatever ends a campaign, `kill -9` or a power cut, what
+has a name is whole: the names say which runs are there, and the next start does the others.
 """
 
 import contextlib
@@ -118,7 +118,9 @@ def held(folder: Path) -> Iterator[None]:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
-            raise InputError(f"another campaign is running in {folder}; wait for it, or name another folder with --results") from error
+            raise InputError(
+                f"another campaign is running in {folder}; wait for it, or name another folder with --results"
+            ) from error
         for left in folder.glob(".*.writing"):
             left.unlink()
         yield
@@ -150,8 +152,8 @@ def begun(folder: Path, sources: str, versions: Mapping[str, str]) -> dict[str, 
     if changed:
         name = changed[0]
         raise InputError(
-            f"the campaign in {folder} was begun with {name} {manifest['versions'].get(name)}, and here is {versions[name]}: its numbers "
-            "could differ; go on with that, or name another folder with --results"
+            f"the campaign in {folder} was begun with {name} {manifest['versions'].get(name)}, and here is {versions[name]}: its "
+            "numbers could differ; go on with that, or name another folder with --results"
         )
     return manifest
 

@@ -29,8 +29,9 @@ UNITS = {"ride": "m/s2", "travel": "m", "load": "-"}
 def summarise(plan: Plan, store: Store) -> list[dict[str, Any]]:
     """One entry per vehicle, road, speed and controller of what is there, over its samples and seeds.
 
-    Each headline has the mean and the 95th percentile over runs, and the mean of the linear predictions. A run counts as having left the
-    linear regime where a tyre lifted, a stop was reached, an actuator saturated, or it diverged; one that diverged has no metrics.
+    Each headline has the mean and the 95th percentile over runs, and the mean of the linear predictions. A run counts as having
+    left the linear regime where a tyre lifted, a stop was reached, an actuator saturated, or it diverged; one that diverged has
+    no metrics.
     """
     lines = {name: headlines(plan, name) for name in plan.campaign.vehicles}
     metrics = list(dict.fromkeys(name for kinds in lines.values() for names in kinds.values() for name in names))
@@ -65,9 +66,7 @@ def summarise(plan: Plan, store: Store) -> list[dict[str, Any]]:
 
 def _statistics(columns: Mapping[str, Array], names: Sequence[str], some: Array) -> dict[str, float | None]:
     """Of the worst of some columns over some runs: mean, 95th percentile, and mean prediction."""
-    measured, predicted = (
-        np.max([columns[f"{prefix}{name}"][some] for name in names], axis=0) for prefix in ("", EXPECTED)
-    )
+    measured, predicted = (np.max([columns[f"{prefix}{name}"][some] for name in names], axis=0) for prefix in ("", EXPECTED))
     measured, predicted = (values[np.isfinite(values)] for values in (measured, predicted))
     return {
         "mean": float(measured.mean()) if len(measured) else None,

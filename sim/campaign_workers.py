@@ -4,6 +4,7 @@ import itertools
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from pathlib import Path
 from typing import Any
 
 from models.errors import InputError
@@ -50,7 +51,9 @@ def on_ray(plan: Plan, batches: list[tuple[int, int]], address: str | None) -> I
         raise InputError("--ray needs Ray; install it with: pip install -e '.[cluster]'") from error
     if not ray.is_initialized():
         try:
-            ray.init(address=address, log_to_driver=False, configure_logging=False, include_dashboard=False)
+            # Workers on this machine find the project where it is; other machines have it installed.
+            environment = {"env_vars": {"PYTHONPATH": str(Path(__file__).parent.parent)}}
+            ray.init(address=address, runtime_env=environment, log_to_driver=False, configure_logging=False)
         except (ConnectionError, ValueError, RuntimeError) as error:
             raise InputError(f"--ray {address or ''}: no cluster to be had ({str(error).splitlines()[0]})") from error
     remote: Any = ray.remote(num_cpus=1, max_retries=RETRIES)(run_batch)
@@ -74,7 +77,12 @@ def on_ray(plan: Plan, batches: list[tuple[int, int]], address: str | None) -> I
 
 
 def run_batches(
-    plan: Plan, batches: list[tuple[int, int]], workers: int, ray_address: str | None, use_ray: bool, write: Callable[[int, Rows], None]
+    plan: Plan,
+    batches: list[tuple[int, int]],
+    workers: int,
+    ray_address: str | None,
+    use_ray: bool,
+    write: Callable[[int, Rows], None],
 ) -> None:
     """Runs batches wherever they are to run and hands their rows on, one batch at a time."""
     results = on_ray(plan, batches, ray_address) if use_ray else local(plan, batches, workers)

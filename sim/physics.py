@@ -111,8 +111,9 @@ def in_blocks(
 ) -> Iterator[Block]:
     """The runs of `simulate`, some samples at a time: nothing but the roads need be held whole.
 
-    A run's numbers do not depend, to the last bit, on the runs beside it, on threads, or on blocks: sums over runs' own few
-    signals are taken one by one, never by a product of matrices whose order of summation depends on how many runs there are.
+    A run's numbers do not depend, to the last bit, on the runs of its controller beside it, on threads, or on blocks: sums over a
+    run's few signals are taken one by one, never by a product of matrices whose order of summation depends on how many runs there
+    are.
 
     Args:
         vehicles: N vehicles of the same kind that read out alike, see `reads_out`.

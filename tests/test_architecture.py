@@ -22,6 +22,8 @@ OWNERS = {
     "contourpy": {"sim/figure.py"},
     "plotly": {"sim/page.py"},
     "jinja2": {"sim/page.py"},
+    "pyarrow": {"sim/campaign_store.py"},
+    "ray": {"sim/campaign_workers.py"},
 }
 
 
