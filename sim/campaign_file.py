@@ -24,6 +24,7 @@ METHODS = ("latin_hypercube", "sobol")
 DISTRIBUTIONS = ("uniform", "normal")
 WIDEST = 3.0  # standard deviations; a normal distribution is cut there
 MOST_RUNS = 10_000_000
+SETTLE = 5.0  # s; by then a mode of 0.5 rad/s has 99 % of its variance
 
 
 @dataclass(frozen=True)
@@ -145,7 +146,7 @@ def _parse(text: str, folder: Path) -> Campaign:
             sample_times(vehicle, duration, timestep)
         except InputError as error:
             raise InputError(f"vehicle {name!r}: {error}") from error
-    settle = _number(data.get("settle", 2.0), "settle", 0.0, 1e6)
+    settle = _number(data.get("settle", min(SETTLE, duration / 2)), "settle", 0.0, 1e6)
     if settle > duration / 2:
         raise InputError(f"settle = {settle:g} s leaves too little of a run of {duration:g} s; give at most half of it")
     campaign = Campaign(
@@ -283,9 +284,11 @@ def _list(data: Mapping[str, Any], key: str, example: str) -> list[Any]:
     if not isinstance(values, list) or not values:
         found = f"{key} = {reprlib.repr(values)} names none" if key in data else f"{key!r} is missing"
         raise InputError(f"{found}, so there are no runs; give a list, as in {key} = [{example}]")
+    seen = set()
     for value in values:
-        if values.count(value) > 1:
+        if repr(value) in seen:
             raise InputError(f"{key} names {value!r} twice; name each once")
+        seen.add(repr(value))
     return values
 
 

@@ -49,13 +49,15 @@ def summarise(plan: Plan, store: Store) -> list[dict[str, Any]]:
     order = {road.text: i for i, road in enumerate(plan.campaign.roads)}
 
     found = []
-    for code in np.unique(codes).tolist():
-        some, where, rest = codes == code, [], code
+    by_code = np.argsort(codes, kind="stable")
+    first = np.flatnonzero(np.diff(codes[by_code], prepend=-1))
+    for some in np.split(by_code, first[1:]) if len(first) else []:
+        where, rest = [], int(codes[some[0]])
         for names in reversed(values):
             rest, index = divmod(rest, max(1, len(names)))
             where.append(names[index])
         entry: dict[str, Any] = dict(zip(INPUTS, reversed(where), strict=True))
-        entry |= {"runs": int(some.sum()), "left": int(ended[some].sum()), "diverged": int(broken[some].sum())}
+        entry |= {"runs": len(some), "left": int(ended[some].sum()), "diverged": int(broken[some].sum())}
         for line, names in lines[entry["vehicle"]].items():
             entry[line] = _statistics(columns, names, some)
         found.append(entry)

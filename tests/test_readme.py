@@ -7,6 +7,7 @@ import pytest
 
 from models.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main
+from sim.campaign_file import read_campaign
 from sim.linear import sampled_response, taylor4
 from sim.physics import simulate
 from sim.road import Bump
@@ -61,3 +62,13 @@ def test_vehicle_file_snippets():
     assert {"soft", "mine"} < set(vehicle.controllers)
     assert vehicle.limits.actuator_force == 2000.0
     assert vehicle.implementation.delay == 1
+
+
+def test_campaign_snippet(tmp_path):
+    """The README's campaign file is one."""
+    (snippet,) = re.findall(r"^```toml\n(vehicles.*?)^```", README, re.M | re.S)
+    (tmp_path / "campaign.toml").write_text(snippet)
+    campaign = read_campaign(tmp_path / "campaign.toml")
+    assert len(campaign.seeds) == 100
+    assert len(campaign.samples["quarter_car"]) == 16
+    assert campaign.settle == 5.0

@@ -126,12 +126,11 @@ def test_design(benchmark):
 
 @pytest.mark.parametrize(("name", "runs", "claim"), [("quarter_car", 2048, 0.85), ("full_car", 256, 0.85)])
 def test_campaign(benchmark, tmp_path, name, runs, claim):
-    """A campaign's run-steps a second, roads, controllers, metrics and files included, against native steps on as many threads."""
+    """A campaign's run-steps a second, roads, metrics and files included, against native steps on as many threads."""
     workers = os.cpu_count() or 1
     file = tmp_path / "campaign.toml"
-    file.write_text(
-        f'vehicles = ["{name}"]\ncontrollers = ["I"]\nroads = ["iso8608:class=A"]\nspeeds = [20.0]\nseeds = {runs}\nduration = 10.0\n'
-    )
+    what = f'vehicles = ["{name}"]\ncontrollers = ["I"]\nroads = ["iso8608:class=A"]\n'
+    file.write_text(what + f"speeds = [20.0]\nseeds = {runs}\nduration = 10.0\n")
     campaign = read_campaign(file)
     vehicle = campaign.vehicles[name]
     plan = Plan(campaign, {name: {"I": Designer(vehicle).design("I")}})
