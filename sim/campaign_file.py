@@ -101,7 +101,8 @@ class Campaign:
     def sources(self) -> str:
         """Everything that decides the numbers, as text: the file, and those that it names."""
         profiles = [repr((road.profile.distance.tolist(), road.profile.heights.tolist())) for road in self.roads if road.profile]
-        return "\n".join([self.text, *(vehicle.text for vehicle in self.vehicles.values()), *profiles])
+        surfaces = [repr((road.surface.u.tolist(), road.surface.z.tolist())) for road in self.roads if road.surface]
+        return "\n".join([self.text, *(vehicle.text for vehicle in self.vehicles.values()), *profiles, *surfaces])
 
 
 def read_campaign(path: Path) -> Campaign:

@@ -10,6 +10,7 @@ from models.errors import InputError, known
 from models.vehicle import Vehicle
 from sim.iso8608 import Iso8608, long_enough, roughness
 from sim.obstacles import Pothole, SineSweep, Step, WattsHump
+from sim.opencrg import Surface, read_surface
 from sim.profile import Profile, read_profile
 from sim.road import Bump, Road, track_width
 
@@ -21,7 +22,9 @@ OBSTACLES: Mapping[str, type] = {
     "sweep": SineSweep,
 }
 KINDS = ("iso8608", *OBSTACLES)
-SYNTAX = f"give {', '.join(KINDS)}, each with :NAME=VALUE for its numbers, as in pothole:depth=0.03:length=2, or a .csv file"
+SYNTAX = (
+    f"give {', '.join(KINDS)}, each with :NAME=VALUE for its numbers, as in pothole:depth=0.03:length=2, or a .csv or .crg file"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,13 +35,15 @@ class RoadChoice:
         text: as it was asked for.
         kind: one of `KINDS`, or "profile".
         values: what was given for it.
-        profile: of a file.
+        profile: of a CSV file.
+        surface: of an OpenCRG file.
     """
 
     text: str
     kind: str
     values: Mapping[str, Any]
     profile: Profile | None = None
+    surface: Surface | None = None
 
     @property
     def random(self) -> bool:
@@ -61,6 +66,8 @@ class RoadChoice:
             return Iso8608(self.values["class"], seed, speed, track_width(vehicle), long_enough(distance))
         if self.profile is not None:
             return replace(self.profile, speed=speed)
+        if self.surface is not None:
+            return self.surface.profile(track_width(vehicle), speed)
         return OBSTACLES[self.kind](**self.values, speed=speed)
 
 
@@ -76,6 +83,8 @@ def choose_road(text: str, folder: Path = Path()) -> RoadChoice:
     """
     if text.lower().endswith((".csv", ".txt")):
         return RoadChoice(text, "profile", {}, read_profile(folder / text, 20.0))
+    if text.lower().endswith(".crg"):
+        return RoadChoice(text, "profile", {}, surface=read_surface(folder / text))
     kind, *settings = text.split(":")
     if kind not in KINDS:
         raise InputError(f"unknown road {text!r}; {SYNTAX}")

@@ -22,6 +22,7 @@ OWNERS = {
     "contourpy": {"sim/figure.py"},
     "plotly": {"sim/page.py"},
     "jinja2": {"sim/page.py"},
+    "pyopencrg": {"sim/opencrg.py"},
     "pyarrow": {"sim/campaign_store.py"},
     "ray": {"sim/campaign_workers.py"},
 }

@@ -99,7 +99,7 @@ def test_the_file_says_what_it_is(small):
     assert rows[-1]["heave_acceleration_rms"] > 0
 
 
-@pytest.mark.parametrize("arguments", [("--workers", "1"), ("--batch", "1"), ("--batch", "5", "--workers", "3")], ids=" ".join)
+@pytest.mark.parametrize("arguments", [("--batch", "1", "--workers", "1"), ("--batch", "5", "--workers", "3")], ids=" ".join)
 def test_the_same_numbers_to_the_last_bit(small, tmp_path, arguments):
     """Neither the number of workers nor that of batches changes a single bit of any row."""
     rows, _ = run(tmp_path, SMALL, *arguments)

@@ -222,6 +222,27 @@ def test_profile_from_a_file(tmp_path):
     assert read_profile(path, 1.0).displacement(np.array([2.0]), "right") == pytest.approx([0.2])
 
 
+def test_opencrg(tmp_path):
+    """An OpenCRG surface is met where the wheels run, left and right; one that is too narrow, or none, is refused."""
+    pyopencrg = pytest.importorskip("pyopencrg")
+    u, v = np.arange(0, 5, 0.1), np.arange(-1, 1.01, 0.25)
+    heights = 0.02 * np.sin(u)[:, None] + 0.01 * v * np.cos(u)[:, None]
+    pyopencrg.CrgRoad(heights, u_inc=0.1, v=v).save(tmp_path / "road.crg", fmt="KDBI")
+    choice = choose_road("road.crg", tmp_path)
+    car, quarter = read_vehicle("full_car"), read_vehicle("quarter_car")
+    t = np.array([0.5, 1.7])
+    for side, v0 in (("left", 1.51 / 2), ("right", -1.51 / 2)):
+        expected = 0.02 * np.sin(t * 2) + 0.01 * v0 * (np.cos(t * 2) - 1)
+        assert choice.build(car, 2.0, 0, 9.0).displacement(t, side) == pytest.approx(expected, abs=1e-9)
+    assert choice.build(quarter, 2.0, 0, 9.0).displacement(t) == pytest.approx(0.02 * np.sin(t * 2), abs=1e-9)
+    pyopencrg.CrgRoad(heights[:, 3:6], u_inc=0.1, v=v[3:6]).save(tmp_path / "narrow.crg", fmt="KDBI")
+    with pytest.raises(InputError, match="too narrow"):
+        choose_road("narrow.crg", tmp_path).build(car, 2.0, 0, 9.0)
+    (tmp_path / "none.crg").write_text("distance,height")
+    with pytest.raises(InputError, match="no OpenCRG file"):
+        choose_road("none.crg", tmp_path)
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
