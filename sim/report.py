@@ -60,7 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "command": shlex.join(["python", *sys.orig_argv[1:]]),
         "vehicle file": vehicle.source,
         "timestep": f"{options.timestep:g} s",
-        "seeds": "1, of the random road",
+        "seeds": "1, of the random road that the norm is tried on; 0 to 3, of the random roads of the ride",
         "versions": ", ".join(f"{name} {version}" for name, version in versions().items()),
     }
     result = page(scope, written)
@@ -90,7 +90,7 @@ def _parser() -> Parser:
     )
     parser.add_argument("--out", type=Path, default=Path("report.html"), metavar="FILE", help="the page (default: report.html)")
     parser.add_argument("--figures", type=Path, metavar="DIR", help="also write every figure as SVG and PNG, every table as CSV")
-    parser.add_argument("--quick", action="store_true", help="without margins and map: seconds instead of a minute")
+    parser.add_argument("--quick", action="store_true", help="without margins, map and ride: seconds instead of a minute")
     parser.add_number("--timestep", 1e-3, "s", "integration step and sample period of the controller")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     return parser

@@ -19,6 +19,7 @@ from sim.loop_margins import find_margins
 from sim.margins_picture import margins_figure
 from sim.page import Page, Section, Table
 from sim.paper import PRINTED, entry_of, is_the_papers, ours
+from sim.report_ride import ride_section
 from sim.robustness import robustness
 from sim.run import Run, run_all, sample_times
 from sim.sweep import Sweep, failures, sweep
@@ -90,6 +91,8 @@ def page(scope: Scope, provenance: dict[str, str]) -> Page:
         validity_section, sentence = _validity(scope)
         sections.append(validity_section)
         answer.append(sentence)
+        scope.progress("random roads")
+        sections.append(ride_section(vehicle, stable, scope.timestep))
     if is_the_papers(vehicle):
         sections.append(_paper(scope))
     sections.append(_provenance(scope, provenance))
