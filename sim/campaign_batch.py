@@ -129,10 +129,12 @@ def run_batch(plan: Plan, start: int, stop: int, stopped: Callable[[], bool] = l
     campaign, rows = plan.campaign, {}
     name = list(campaign.vehicles)[keys[0].vehicle]
     made = {i: with_sample(campaign.vehicles[name], campaign.samples[name][i]) for i in {key.sample for key in keys}}
+    # Random roads are measured once their start is forgotten, others, a bump, a hump, from the start.
     # Where one controller needs a sensor before the step, signals of all are read so: a rounding that must not depend on company.
-    alike: dict[tuple[int, bytes], list[int]] = {}
+    alike: dict[tuple[int, bytes, bool], list[int]] = {}
     for i, key in enumerate(keys):
-        alike.setdefault((key.controller, reads_out(made[key.sample], campaign.timestep)), []).append(i)
+        of = (key.controller, reads_out(made[key.sample], campaign.timestep), campaign.roads[key.road].random)
+        alike.setdefault(of, []).append(i)
     for group in alike.values():
         # A run alone would be summed along another axis than one among others: it gets company.
         pair = group * 2 if len(group) == 1 else group
@@ -177,8 +179,10 @@ def _drive(campaign: Campaign, runs: Sequence[_Run], stopped: Callable[[], bool]
         heights[:, i] = under_wheels(run.road.displacement, run.road, run.vehicle, halves)
     now, midway = heights[::2], heights[1::2]
 
-    meter = Meter(vehicles, h, campaign.first)
-    twin = _Twin(runs, now, midway, h, campaign.first)
+    random = runs[0].choice.random
+    first = campaign.first if random else 0
+    meter = Meter(vehicles, h, first)
+    twin = _Twin(runs, now, midway, h, None if random else first)
     ends = _Ends(vehicles, time)
     diverged = np.full(len(runs), np.inf)
     for block in in_blocks(vehicles, [run.controller for run in runs], now, midway, h, 1, BLOCK):
@@ -259,7 +263,8 @@ class _Twin:
     Sums run over states one by one, as in `sim.physics`. A controller that is more than a gain has no twin here.
     """
 
-    def __init__(self, runs: Sequence[_Run], now: Array, midway: Array, timestep: float, first: int) -> None:
+    def __init__(self, runs: Sequence[_Run], now: Array, midway: Array, timestep: float, first: int | None) -> None:
+        """Measured from sample `first` on; not at all, if that is None."""
         vehicle = runs[0].vehicle
         self.signals, self.now, self.midway = vehicle.kind.signals, now, midway
         self.ideal = vehicle.implementation.ideal
@@ -277,7 +282,7 @@ class _Twin:
         self.xi = np.zeros((self.loop.shape[0], len(runs)))
         self.off, self.peak = np.zeros((len(self.outputs), len(runs))), np.zeros((len(self.outputs), len(runs)))
         self.known = [i for i, name in enumerate(self.outputs) if name in vehicle.linear_model.states]
-        self.meter = None if all(run.choice.random for run in runs) else Meter([run.vehicle for run in runs], timestep, first)
+        self.meter = None if first is None else Meter([run.vehicle for run in runs], timestep, first)
 
     def update(self, start: int, values: Array, until: Array, times: Array) -> None:
         """Compares the next block of signals, shape (B, S, N), before the times [s] until which it is linear, shape (N,)."""

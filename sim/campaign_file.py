@@ -70,7 +70,7 @@ class Campaign:
         speeds: [m/s].
         seeds: of the random roads; other roads run once.
         duration: of every run [s].
-        settle: beginning of every run that is not measured [s].
+        settle: beginning of a run over a random road that is not measured [s]; others are measured from the start.
         timestep: [s].
         samples: parameters of every vehicle, by sample: values by name. One empty sample where none are sampled.
         text: the file.
