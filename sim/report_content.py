@@ -194,17 +194,19 @@ def _bump(scope: Scope, runs: Sequence[Run]) -> Section:
     signals = [name for name, weight in vehicle.performance.items() if weight > 0]
     style = styles(tuple(run.controller.name for run in runs))
     panels = []
-    for number, name in enumerate(signals):
+    for name in signals:
         curves = []
         for run in runs:
             color, dash = style[run.controller.name]
-            if not np.any(run.physics[name]):
-                continue  # no control force
+            if float(run.physics.peak(name)) < run.physics.scale(name):
+                continue  # no control force, or no roll on a road that is the same on both sides
             every = max(1, len(run.physics.time) // POINTS)
             thin = slice(None, None, max(1, every // 6))
             curves.append(Curve(run.continuous.time[thin], run.continuous[name][thin], run.controller.name, color, dash))
             curves.append(Curve(run.physics.time[::every], run.physics[name][::every], "", color, "none", "o"))
-        if number == 0:
+        if not curves:
+            continue
+        if not panels:
             curves.append(Curve(np.zeros(0), np.zeros(0), "MuJoCo", "#666666", "none", "o"))
         signal = vehicle.kind.signal(name)
         unit = signal.unit.replace("s2", "s²")

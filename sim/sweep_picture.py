@@ -8,12 +8,13 @@ from models.vehicle import Vehicle
 from sim.figure import Curve, Figure, Panel, styles
 from sim.frequency import as_met, continuous_frequency_response
 from sim.identification import HIGHEST, LOWEST, Lines
+from sim.response import SILENT
 
 TICKS = (0.1, 0.3, 1.0, 3.0, 10.0, 25.0)  # Hz
 
 
 def sweep_figure(vehicle: Vehicle, sweeps: Sequence[Lines], amplitude: float, timestep: float, speed: float) -> Figure:
-    """Magnitudes of all weighted signals over frequency, one panel each.
+    """Magnitudes of all weighted signals that answer over frequency, one panel each.
 
     Args:
         vehicle: the vehicle; the signals it weighs are drawn.
@@ -33,11 +34,13 @@ def sweep_figure(vehicle: Vehicle, sweeps: Sequence[Lines], amplitude: float, ti
         predicted = np.abs(continuous_frequency_response(vehicle, one.controller, fine) @ met)[..., 0]
         for signal in signals:
             i = one.outputs.index(signal)
-            if not np.any(one.measured[:, i]):
-                continue  # no control force
+            alike = [k for k, unit in enumerate(one.units) if unit == one.units[i]]
+            if np.abs(one.sampled[:, i]).max() <= SILENT * np.abs(one.sampled[:, alike]).max():
+                continue  # no control force, or no roll on a road that is the same on both sides
             curves[signal].append(Curve(fine / (2 * np.pi), predicted[:, i], name, color, dash))
             points = np.abs(one.measured[:, i])
             curves[signal].append(Curve(one.omega / (2 * np.pi), points, "", color, "none", "o"))
+    signals = [name for name in signals if curves[name]]
     curves[signals[0]].append(Curve(np.zeros(0), np.zeros(0), "MuJoCo", "#666666", "none", "o"))
 
     panels = []
