@@ -72,3 +72,16 @@ def test_campaign_snippet(tmp_path):
     assert len(campaign.seeds) == 100
     assert len(campaign.samples["quarter_car"]) == 16
     assert campaign.settle == 5.0
+
+
+def test_notebook_snippet(tmp_path, monkeypatch, capsys):
+    """The README's script designs, runs, compares and plots."""
+    pytest.importorskip("pandas", reason="needs the extra [report]")
+    pytest.importorskip("matplotlib", reason="needs the extra [report]")
+    snippet = README.split("## From a notebook")[1].split("```python\n")[1].split("```")[0]
+    assert len(snippet.splitlines()) <= 15
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    exec(compile(snippet, "README", "exec"), {})
+    assert capsys.readouterr().out.startswith("[True, True]")
+    assert (tmp_path / "bump.png").stat().st_size > 10_000
