@@ -71,6 +71,14 @@ def gain_at(system: GeneralizedPlant, omega: Array) -> Array:
     return np.linalg.norm(system.frequency_response(omega), 2, axis=(1, 2))
 
 
+def transfer_matrix(A: Array, Bw: Array, C: Array, Dw: Array, omega: Array) -> Array:
+    """Dw + C (j omega - A)^-1 Bw (19), complex, shape (F, d, r), for finite angular frequencies [rad/s] of shape (F,)."""
+    n = len(A)
+    shifted = np.broadcast_to(-A, (len(omega), n, n)).astype(complex)
+    shifted[:, np.arange(n), np.arange(n)] += 1j * omega[:, None]
+    return C @ np.linalg.solve(shifted, np.broadcast_to(Bw.astype(complex), (len(omega), *Bw.shape))) + Dw
+
+
 def level_set_norm(system: GeneralizedPlant) -> tuple[float, float]:
     """The largest gain on the imaginary axis by level sets, and the frequency [rad/s] where it is reached.
 
@@ -84,7 +92,7 @@ def level_set_norm(system: GeneralizedPlant) -> tuple[float, float]:
     if best == 0.0:
         return 0.0, 0.0
     for _ in range(100):  # quadratic convergence: 3 to 6 rounds
-        proposed = level_crossings(system, best * (1 + EXACT))
+        proposed = level_crossings(system.A, system.Bw, system.C, system.Dw, best * (1 + EXACT))
         # Between two crossings of the level lies a higher value; a single (touching) crossing is tried as it is.
         higher, where = _highest(system, np.concatenate([proposed, (proposed[:-1] + proposed[1:]) / 2]))
         if higher <= best * (1 + EXACT):
@@ -93,12 +101,11 @@ def level_set_norm(system: GeneralizedPlant) -> tuple[float, float]:
     return best, at
 
 
-def level_crossings(system: GeneralizedPlant, level: float) -> Array:
+def level_crossings(A: Array, Bw: Array, C: Array, Dw: Array, level: float) -> Array:
     """Imaginary parts >= 0 of all eigenvalues of the Hamiltonian, ascending [rad/s], shape (k,), 1 <= k.
 
-    Every frequency at which a singular value of T equals the level is among them.
+    Every frequency at which a singular value of Dw + C (s - A)^-1 Bw equals the level is among them.
     """
-    A, Bw, C, Dw = system.A, system.Bw, system.C, system.Dw
     n, (d, r) = len(A), Dw.shape
     if not Dw.any():
         hamiltonian = np.empty((2 * n, 2 * n))
