@@ -14,6 +14,8 @@ from scipy import linalg, optimize
 from models.arrays import Array
 from synth.landscape import Landscape
 
+STALLED = 1e-6  # a fall over seven rounds that is none, of a function whose values are of order one
+
 Function = Callable[[Array, float], tuple[float, Array | None]]
 
 
@@ -31,14 +33,14 @@ def quasi_newton(function: Function, x: Array, rounds: int, target: float = -np.
     inverse = np.eye(len(x)) * 0.1 / max(float(np.linalg.norm(slope)), 1e-300)
     recent = [value]
     for turn in range(rounds):
-        if value < target or (len(recent) > 30 and recent[-30] - value < 1e-7 * abs(value)):
+        if value < target or (len(recent) > 8 and recent[-8] - value < STALLED):
             break
         direction = -inverse @ slope
         fall = float(slope @ direction)
         if not fall < 0:
             break
         low, high, length, found = 0.0, np.inf, 1.0, None
-        for _ in range(40):
+        for _ in range(15):
             allowed = value + 1e-4 * length * fall
             there, its_slope = function(x + length * direction, allowed)
             if its_slope is None or not there <= allowed:
@@ -75,15 +77,17 @@ def along_edges(landscape: Landscape, x: Array, limit: Array, rounds: int, gain:
     hessian = np.diag(0.1 / unit**2)
     recent, depth, failures = [height], 0.1, 0
     kept = landscape.cuts(x, np.array([at if np.isfinite(at) else 0.0]), height)[:0]
+    omega = landscape.summits(x, height * (1 - depth))
     for _ in range(rounds):
         if height < 1e-12 or failures > 8 or (len(recent) > 10 and recent[-10] - height < gain * height):
             break
-        omega = landscape.summits(x, height * (1 - depth))
-        cuts = landscape.cuts(x, omega, height * (1 - 0.1 * depth)) + kept
+        peaks = landscape.cuts(x, omega, height * (1 - 0.1 * depth))
+        cuts = peaks + kept
+        moving = np.arange(len(cuts.omega)) < len(peaks.omega)
         values, slopes = landscape.heights(x, cuts)
         values, slopes = values / height - 1, slopes / height
         useful = values > -2 * depth - 0.1
-        cuts, values, slopes = cuts[useful], values[useful], slopes[useful]
+        cuts, values, slopes, moving = cuts[useful], values[useful], slopes[useful], moving[useful]
 
         step, weights = lowest_point(values, slopes, hessian, x, limit)
         fall = -float(np.max(values + slopes @ step))
@@ -92,17 +96,17 @@ def along_edges(landscape: Landscape, x: Array, limit: Array, rounds: int, gain:
             hessian = np.diag(np.diag(hessian))
             continue
         active = weights > 1e-8 * weights.max()
-        kept, length = cuts[:0], 1.0
+        found, length = cuts[:0], 1.0
         while length > 1e-3:
             allowed = height * (1 - 1e-2 * length * fall)
             there, where = landscape.norm(x + length * step, allowed)
             if there <= allowed:
                 break
             if np.isfinite(there) and np.isfinite(where):  # what rose there is missing in the model
-                kept = kept + landscape.cuts(x + length * step, np.array([where]), there)
+                found = found + landscape.cuts(x + length * step, np.array([where]), there)
             length *= 0.3
         else:
-            hessian, failures = hessian * 4, failures + 1
+            hessian, failures, kept = hessian * 4, failures + 1, kept + found
             continue
 
         while length >= 1 and np.all(np.abs(x + 3 * length * step) <= limit):  # a minimum far away, or at infinity
@@ -110,9 +114,10 @@ def along_edges(landscape: Landscape, x: Array, limit: Array, rounds: int, gain:
             if further > there - 0.1 * length * fall * height:
                 break
             length, there = 3 * length, further
-        failures = 0 if length > 0.05 else failures
+        failures, kept = (0 if length > 0.05 else failures), found
         step = length * step
-        moved = landscape.moved(x + step, cuts[active], there * (1 - 2 * depth))
+        omega = landscape.summits(x + step, there * (1 - depth))
+        moved = landscape.moved(x + step, cuts[active], moving[active], omega)
         _, slopes_there = landscape.heights(x + step, moved)
         change = weights[active] @ (slopes_there / height - slopes[active]) / weights[active].sum()
         hessian = _updated(hessian, step, change, unit)
@@ -130,7 +135,7 @@ def lowest_point(values: Array, slopes: Array, hessian: Array, x: Array, limit: 
     """
     root = np.linalg.cholesky(hessian).T
     inverse = linalg.solve_triangular(root, np.eye(len(x)))
-    far = 1e3
+    far = 10.0
     rows = np.hstack([-slopes @ inverse / far, np.ones((len(values), 1))])
     bounds = values / far + far
     near = np.abs(x) > 0.3 * limit

@@ -122,6 +122,8 @@ class Landscape:
 
         The largest value always gives one. Where two values are alike any mixture of their vectors may lead; four are taken.
         """
+        if not len(omega):
+            return Cuts(omega, np.zeros((0, len(self.C)), complex), np.zeros((0, self.Bw.shape[1]), complex))
         A, C = self.loop(x)
         U, S, Vh = np.linalg.svd(transfer_matrix(A, self.Bw, C, self.Dw, omega), full_matrices=False)
         where, mixtures = [], []
@@ -139,9 +141,8 @@ class Landscape:
         u, v = U[where] @ mixture, Vh[where].conj().transpose(0, 2, 1) @ mixture
         return Cuts(omega[where], u[:, :, 0], v[:, :, 0])
 
-    def moved(self, x: Array, cuts: Cuts, level: float) -> Cuts:
+    def moved(self, x: Array, cuts: Cuts, moving: Array, summits: Array) -> Cuts:
         """The cuts at another point: of each local maximum that one belonged to, where it now is; the others as they are."""
-        summits = self.summits(x, level)
         if not len(summits):
             return cuts
         omega = summits[np.argmin(np.abs(summits[None] - cuts.omega[:, None]), axis=1)]
@@ -150,7 +151,7 @@ class Landscape:
         # The singular pair most like the old one, if one is.
         like = np.abs(np.einsum("fdk,fd->fk", U.conj(), cuts.u)) * np.abs(np.einsum("fkr,fr->fk", Vh, cuts.v))
         k, f = np.argmax(like, axis=1), np.arange(len(omega))
-        same = (like[f, k] > 0.5) & (np.abs(omega - cuts.omega) < 0.3 * (omega + cuts.omega) + 1e-9)
+        same = moving & (like[f, k] > 0.5) & (np.abs(omega - cuts.omega) < 0.3 * (omega + cuts.omega) + 1e-9)
         return Cuts(
             np.where(same, omega, cuts.omega),
             np.where(same[:, None], U[f, :, k], cuts.u),
