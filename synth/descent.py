@@ -3,7 +3,7 @@
 - `quasi_newton`: BFGS with a weak Wolfe line search, which is known to work on functions with edges (Lewis, Overton 2013). It is
   quick from far away, and stalls on an edge.
 - `along_edges`: the norm is modelled as the largest of its cuts, linearised, plus one curvature; the model's minimum is the step.
-  (Sequential quadratic programming for a minimax problem, with the cuts of a failed step added to the model, as in bundle methods.)
+  (Sequential quadratic programming for a minimax problem; the cuts of a failed step join the model, as in bundle methods.)
 """
 
 from collections.abc import Callable
@@ -15,6 +15,9 @@ from models.arrays import Array
 from synth.landscape import Landscape
 
 STALLED = 1e-6  # a fall over seven rounds that is none, of a function whose values are of order one
+
+STAGE = 30  # rounds
+WORTH_A_STAGE = 3e-5  # relative fall of the norm
 
 Function = Callable[[Array, float], tuple[float, Array | None]]
 
@@ -66,12 +69,25 @@ def quasi_newton(function: Function, x: Array, rounds: int, target: float = -np.
     return x, value
 
 
-def along_edges(landscape: Landscape, x: Array, limit: Array, rounds: int, gain: float = 1e-6) -> tuple[Array, float]:
-    """Minimises the norm from a stable x, |x_i| <= limit_i, until ten rounds gain less than `gain`, relative.
+def along_edges(landscape: Landscape, x: Array, limit: Array, rounds: int) -> tuple[Array, float]:
+    """Minimises the norm from a stable x, |x_i| <= limit_i, until a stage gains next to nothing.
+
+    Every stage forgets the curvature: what the last one learnt on other edges only makes the steps of this one short.
 
     Returns:
         Where it ended, and the norm there.
     """
+    height, _ = landscape.norm(x)
+    for done in range(0, rounds, STAGE):
+        x, reached = _stage(landscape, x, limit, min(STAGE, rounds - done))
+        if reached > height * (1 - WORTH_A_STAGE):
+            return x, reached
+        height = reached
+    return x, height
+
+
+def _stage(landscape: Landscape, x: Array, limit: Array, rounds: int) -> tuple[Array, float]:
+    """Rounds of one stage: until ten of them gain less than a millionth."""
     height, at = landscape.norm(x)
     unit = 0.5 * (1 + np.abs(x))  # steps are measured against the size of the point
     hessian = np.diag(0.1 / unit**2)
@@ -79,7 +95,7 @@ def along_edges(landscape: Landscape, x: Array, limit: Array, rounds: int, gain:
     kept = landscape.cuts(x, np.array([at if np.isfinite(at) else 0.0]), height)[:0]
     omega = landscape.summits(x, height * (1 - depth))
     for _ in range(rounds):
-        if height < 1e-12 or failures > 8 or (len(recent) > 10 and recent[-10] - height < gain * height):
+        if height < 1e-12 or failures > 8 or (len(recent) > 10 and recent[-10] - height < 1e-6 * height):
             break
         peaks = landscape.cuts(x, omega, height * (1 - 0.1 * depth))
         cuts = peaks + kept

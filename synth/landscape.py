@@ -1,9 +1,9 @@
 """The norm as a landscape over the gains: its height, its slope, and the planes that support it from below.
 
-A gain K is a point x of m q numbers, K_ij = x_ij scale_ij, with scales that make every entry of K count alike. Over the gains the
-H-infinity norm is continuous, but it has an edge wherever two frequencies or two singular values peak alike, and minima lie on
-edges. Its largest singular value obeys sigma_max(T) >= Re u' T(j omega) v for all unit vectors u, v, with equality at the peak: so
-every (omega, u, v) is a smooth function that supports the norm from below, a `Cut` (Apkarian, Noll 2006).
+A gain K is a point x of m q numbers, K_ij = x_ij scale_ij, with scales that make every entry of K count alike. Over the gains
+the H-infinity norm is continuous, but it has an edge wherever two frequencies or two singular values peak alike, and minima lie
+on edges. For all unit vectors u, v the largest singular value is at least Re u' T(j omega) v, with equality at the peak: so every
+(omega, u, v) is a smooth function that supports the norm from below, a cut (Apkarian, Noll 2006).
 """
 
 from dataclasses import dataclass
@@ -77,11 +77,11 @@ class Landscape:
     def abscissa(self, x: Array) -> tuple[float, Array]:
         """Largest real part of a pole [rad/s], and its slope, shape (m q,)."""
         A, _ = self.loop(x)
-        poles, left, right = linalg.eig(A, left=True)
-        i = int(np.argmax(poles.real))
+        poles, left, right = (np.asarray(part) for part in linalg.eig(A, left=True, right=True))
+        i = int(np.argmax(np.real(poles)))
         left, right = left[:, i].conj(), right[:, i]
         slope = np.real(np.outer(left @ self.B, self.Cy @ right) / (left @ right))
-        return float(poles[i].real), (slope * self.scale).ravel()
+        return float(np.real(poles[i])), (slope * self.scale).ravel()
 
     def norm(self, x: Array, above: float = np.inf) -> tuple[float, float]:
         """The norm and where it peaks [rad/s]; infinite where the loop is unstable.
@@ -133,10 +133,10 @@ class Landscape:
             for k in alike:
                 where.append(f)
                 mixtures.append(np.eye(count)[k])
-                for l in alike[:k]:
+                for other in alike[:k]:
                     for phase in (1, -1, 1j, -1j):
                         where.append(f)
-                        mixtures.append((np.eye(count)[k] * phase + np.eye(count)[l]) / np.sqrt(2))
+                        mixtures.append((np.eye(count)[k] * phase + np.eye(count)[other]) / np.sqrt(2))
         mixture = np.array(mixtures)[:, :, None]
         u, v = U[where] @ mixture, Vh[where].conj().transpose(0, 2, 1) @ mixture
         return Cuts(omega[where], u[:, :, 0], v[:, :, 0])

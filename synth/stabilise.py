@@ -4,8 +4,8 @@ Two descents, tried from one start after another, for neither is sure: finding s
 quick method is known (Blondel, Gevers, Lindquist 1995).
 
 - The largest real part of a pole falls steeply, but it is not Lipschitz, and the descent ends where poles meet.
-- The norm of (s - A - B K C_y + shift)^-1 does not end there: it is finite while the shift exceeds every pole, and as it falls the
-  poles go left and the shift follows.
+- The norm of (s - A - B K C_y + shift)^-1 does not end there: it is finite while the shift exceeds every pole, and as it falls
+  the poles go left and the shift follows.
 """
 
 from collections.abc import Iterator
