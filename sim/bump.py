@@ -4,9 +4,9 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
+from models.command import Parser, run_command
 from models.errors import InputError
 from models.vehicle import Vehicle, read_vehicle
-from sim.command import Parser, run_command
 from sim.road import Bump
 from sim.run import Run, check_road, run_all, sample_times
 from sim.verdict import controller_lines, log_lines, run_lines, run_object, verdict_lines

@@ -27,8 +27,9 @@ from synth.state_feedback import state_feedback
 
 SHORT_OF_OPTIMUM = (3.0, 1e-2, 1e-4)  # where on the path X is taken from, relative to eta
 STARTS = 6  # random stabilising gains
-MORE_STARTS = 60  # where the first lead to none
+MORE_STARTS = 12  # where the first lead to none
 LARGEST_GAIN = 1e5
+AGREE = 1e-6  # relative; two starts that end this close have found the same minimum
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +80,7 @@ def two_steps(plant: GeneralizedPlant, Cy: Array, mu: float, rounds: int = 1) ->
     return point
 
 
+@np.errstate(over="ignore", divide="ignore", invalid="ignore")  # a step too far; what is not finite is refused where it is tried
 def static_output_feedback(plant: GeneralizedPlant, Cy: Array, largest_gain: float = LARGEST_GAIN) -> StaticDesign:
     """The best static gain that the whole strategy finds, no entry larger than `largest_gain`.
 
@@ -107,9 +109,11 @@ def static_output_feedback(plant: GeneralizedPlant, Cy: Array, largest_gain: flo
 
     # Many quick descents, fewer and longer ones from the best.
     ranked = sorted((_quick(landscape, x, limit) + (origin,) for x, origin in starts + found), key=lambda each: each[1])
-    for keep, rounds in ((4, 25), (2, 150)):
+    for keep, rounds in ((4, 30), (2, 150)):
         ranked = [(*along_edges(landscape, x, limit, rounds), origin) for x, _, origin in ranked[:keep]]
         ranked.sort(key=lambda each: each[1])
+        if len(ranked) > 1 and ranked[1][1] <= ranked[0][1] * (1 + AGREE):
+            break
     x, _, origin = ranked[0]
     best = min(range(len(points)), key=lambda i: points[i][1].gamma) if norms else None
     K = landscape.gain(x)

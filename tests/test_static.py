@@ -52,7 +52,7 @@ def test_landscape(seed, feedthrough):
     slope = landscape.slope(x, at)
     for direction in np.eye(len(x)):
         quotient = (landscape.norm(x + 1e-5 * direction)[0] - landscape.norm(x - 1e-5 * direction)[0]) / 2e-5
-        assert slope @ direction == pytest.approx(quotient, rel=1e-3, abs=1e-3 * np.linalg.norm(slope))  # 1e-9 / 1e-5
+        assert slope @ direction == pytest.approx(quotient, rel=1e-3, abs=1e-3 * float(np.linalg.norm(slope)))  # 1e-9 / 1e-5
     summits = landscape.summits(x, 0.5 * height)
     values, _ = landscape.heights(x, landscape.cuts(x, summits, 0.0))
     assert values.max() == pytest.approx(height, rel=1e-8)  # a flat top, found by parabolas
@@ -116,6 +116,8 @@ def test_a_stabilising_gain_starts_the_iteration_of_14(seed):
     except AssertionError:
         pytest.skip("this start leads to no stabilising gain")
     certificate = proved(plant, landscape.gain(x) @ Cy)
+    assert certificate.X is not None
+    assert certificate.bound is not None
     Q = nullspace(Cy)
     point = central_point(plant, Q, r_matrix(Cy, Q, l_matrix(certificate.X, Cy, Q)), 1e-4)
     assert point.gamma <= certificate.bound * (1 + 2e-3)  # the path stops (2 n + d) mu short in eta

@@ -7,6 +7,7 @@ are left out: the two-step method needs y = C x. The two steps take X from the c
 strategy's, confirmed by both routes, with gains bounded by 1e5.
 """
 
+import contextlib
 import json
 import multiprocessing
 import os
@@ -23,7 +24,10 @@ import numpy as np
 
 from models.errors import InputError
 from synth.errors import DesignError
+from synth.limit import invariant_limit
+from synth.lower_bound import lower_bound
 from synth.plant import GeneralizedPlant
+from synth.state_feedback import state_feedback
 from synth.static import LARGEST_GAIN, static_output_feedback
 
 
@@ -33,6 +37,7 @@ class Row:
 
     plant: str
     states: int
+    lower_bound: float | None
     two_step_bound: float | None
     two_step_norm: float | None
     norm: float | None
@@ -59,7 +64,15 @@ def solve(task: tuple[str, dict[str, Any]]) -> Row:
             norm = certificate.norm.value
         else:
             reason = "; ".join(certificate.failures)
-    return Row(name, len(plant.A), bound, two_step_norm, norm, gain, time.perf_counter() - start, reason)
+    return Row(name, len(plant.A), best_possible(plant), bound, two_step_norm, norm, gain, time.perf_counter() - start, reason)
+
+
+def best_possible(plant: GeneralizedPlant) -> float | None:
+    """A norm that no controller can beat, or None where none is proved."""
+    limit, _ = invariant_limit(plant)
+    with np.errstate(all="ignore"), contextlib.suppress(DesignError, ValueError, np.linalg.LinAlgError):
+        limit = max(limit, lower_bound(plant, state_feedback(plant, 1e-5)).gamma)
+    return limit or None
 
 
 def read_tasks(path: str, only: list[str]) -> list[tuple[str, dict[str, Any]]]:
@@ -81,10 +94,12 @@ def line(row: Row) -> str:
         return f"{value:.7g}" if value is not None else "-"
 
     largest = f"{np.abs(row.gain).max():.3g}" if row.gain is not None else "-"
-    cells = (number(row.two_step_bound), number(row.two_step_norm), number(row.norm), largest, f"{row.seconds:.1f}")
+    gap = f"{100 * (row.norm / row.lower_bound - 1):.2g} %" if row.norm and row.lower_bound else "-"
+    bounds = (number(row.two_step_bound), number(row.two_step_norm), number(row.norm), number(row.lower_bound), gap)
+    cells = (*bounds, largest, f"{row.seconds:.1f}")
     return (
         f"{row.plant:10s} {row.states:6d} "
-        + " ".join(f"{cell:>13s}" for cell in cells)
+        + " ".join(f"{cell:>14s}" for cell in cells)
         + (f"  {row.reason}" if row.reason else "")
     )
 
@@ -105,8 +120,8 @@ def main(arguments: list[str]) -> int:
     start = time.perf_counter()
     rows: dict[str, Row] = {}
     if not as_json:
-        headings = ("two-step bound", "norm", "refined norm", "largest gain", "seconds")
-        print(f"{'plant':10s} {'states':>6s} " + " ".join(f"{heading:>13s}" for heading in headings))
+        headings = ("two-step bound", "two-step norm", "refined norm", "lower bound", "gap", "largest gain", "seconds")
+        print(f"{'plant':10s} {'states':>6s} " + " ".join(f"{heading:>14s}" for heading in headings))
     with multiprocessing.Pool(os.cpu_count()) as pool:
         for row in pool.imap_unordered(solve, [tasks[i] for i in order], chunksize=1):
             rows[row.plant] = row
@@ -114,8 +129,7 @@ def main(arguments: list[str]) -> int:
                 print(line(row), flush=True)
     done = [rows[name] for name, _ in tasks]
     if as_json:
-        keys = ("plant", "states", "two_step_bound", "two_step_norm", "norm", "gain", "seconds", "reason")
-        print(json.dumps({"plants": [{key: asdict(row)[key] for key in keys} | {"lower_bound": None} for row in done]}))
+        print(json.dumps({"plants": [asdict(row) for row in done]}))
     else:
         certified = sum(row.norm is not None for row in done)
         stepped = sum(row.two_step_norm is not None for row in done)
