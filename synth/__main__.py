@@ -48,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     designer = Designer(vehicle)
     names = _names(vehicle, options)
     limit, at = invariant_limit(designer.plant)
-    best = max(limit, lower_bound(designer.plant, state_feedback(designer.plant, BOUND_AT)).gamma)
+    best = max(limit, lower_bound(designer.plant, state_feedback(designer.plant, BOUND_AT)[-1]).gamma)
     rows, failures, controllers = [], 0, []
     for name in names:
         try:
@@ -109,7 +109,7 @@ def _designed(designer: Designer, name: str, options) -> tuple[Controller, str |
         measured = designer.vehicle.controllers[name].measured if name in designer.vehicle.controllers else ()
         Cy, _ = model.rows(measured)
         Q = nullspace(Cy)
-        point: CentralPoint = output_feedback(designer.plant, Cy, np.zeros((Q.shape[1], len(Cy))), Q)
+        point: CentralPoint = output_feedback(designer.plant, Cy, np.zeros((Q.shape[1], len(Cy))), Q)[-1]
         controller = Controller(name, measured, point.K, True, proved(designer.plant, point.K @ Cy))
     else:
         controller = designer.design(name)
@@ -173,7 +173,7 @@ def _flat(designer: Designer, vehicle: Vehicle) -> list[str]:
     best = designer.state_feedback
     mu, point = 1e-6, best
     while mu < 1:
-        candidate = state_feedback(designer.plant, mu)
+        candidate = state_feedback(designer.plant, mu)[-1]
         if candidate.gamma > best.gamma * (1 + FLAT_AT):
             break
         mu, point = 2 * mu, candidate

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.arrays import Array
-from synth.central import CentralPoint, central_point
+from synth.central import CentralPoint, central_path
 from synth.certificate import Certificate
 from synth.descent import along_edges, quasi_newton
 from synth.errors import DesignError
@@ -64,11 +64,11 @@ def two_steps(plant: GeneralizedPlant, Cy: Array, mu: float, rounds: int = 1) ->
         DesignError: (25) is infeasible with the first L, or a path could not be followed.
     """
     Q = nullspace(Cy)
-    X = state_feedback(plant, mu).X
+    X = state_feedback(plant, mu)[-1].X
     point = None
     for _ in range(rounds):
         try:
-            found = central_point(plant, Q, r_matrix(Cy, Q, l_matrix(X, Cy, Q)), max(mu, 1e-5))
+            found = central_path(plant, Q, r_matrix(Cy, Q, l_matrix(X, Cy, Q)), max(mu, 1e-5))[-1]
         except DesignError:
             if point is None:
                 raise

@@ -12,7 +12,7 @@ from tests.test_static import random_plant
 def test_paper_bound(designer):
     """On the paper's car the dual proves gamma* to 6e-5, and the invariant limit proves it to rounding."""
     best = designer.state_feedback.gamma
-    dual = lower_bound(designer.plant, state_feedback(designer.plant, 1e-5))
+    dual = lower_bound(designer.plant, state_feedback(designer.plant, 1e-5)[-1])
     assert best * (1 - 6e-5) < dual.gamma < best  # (2 n + d) mu / 2 = 6e-5
     limit, at = invariant_limit(designer.plant)
     assert limit == pytest.approx(7.83645764, rel=1e-8)  # gamma*, given with 9 digits
@@ -24,8 +24,8 @@ def test_paper_bound(designer):
 def test_random_plants(seed, feedthrough):
     """On random plants the dual bound is within 2e-4 of the optimum of (22), from below, and above the invariant limit's."""
     plant, _ = random_plant(seed, feedthrough=feedthrough)
-    best = state_feedback(plant, 1e-7).gamma
-    bound = lower_bound(plant, state_feedback(plant, 1e-5))
+    best = state_feedback(plant, 1e-7)[-1].gamma
+    bound = lower_bound(plant, state_feedback(plant, 1e-5)[-1])
     assert best * (1 - 2e-4) < bound.gamma <= best * (1 + 1e-9)  # (2 n + d) mu / 2 = 7e-5, and the projection
     assert invariant_limit(plant)[0] <= best * (1 + 1e-9)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from synth.central import central_point
+from synth.central import central_path
 from synth.certificate import certify
 from synth.descent import along_edges, lowest_point, quasi_newton
 from synth.errors import DesignError
@@ -99,9 +99,9 @@ def test_state_feedback_by_descent_is_the_lmi_optimum(seed):
     """With every state measured, static output feedback is state feedback: the descent reaches the optimum of (22), or above."""
     plant, _ = random_plant(seed)
     n = len(plant.A)
-    optimum = central_point(plant, np.zeros((n, 0)), np.eye(n), 1e-6).gamma
+    optimum = central_path(plant, np.zeros((n, 0)), np.eye(n), 1e-6)[-1].gamma
     landscape = Landscape(plant, np.eye(n))
-    start = landscape.point(central_point(plant, np.zeros((n, 0)), np.eye(n), 1.0).K)
+    start = landscape.point(central_path(plant, np.zeros((n, 0)), np.eye(n), 1.0)[-1].K)
     _, norm = along_edges(landscape, start, np.full(len(start), 1e4), 300)
     assert norm == pytest.approx(optimum, rel=2e-3)  # the infimum of two of them lies at infinite gain; measured 4e-5 to 1e-3
     assert norm > optimum * (1 - 1e-5)  # mu = 1e-6 leaves (2 n + d) 1e-6 in eta
@@ -119,7 +119,7 @@ def test_a_stabilising_gain_starts_the_iteration_of_14(seed):
     assert certificate.X is not None
     assert certificate.bound is not None
     Q = nullspace(Cy)
-    point = central_point(plant, Q, r_matrix(Cy, Q, l_matrix(certificate.X, Cy, Q)), 1e-4)
+    point = central_path(plant, Q, r_matrix(Cy, Q, l_matrix(certificate.X, Cy, Q)), 1e-4)[-1]
     assert point.gamma <= certificate.bound * (1 + 2e-3)  # the path stops (2 n + d) mu short in eta
 
 

@@ -71,7 +71,7 @@ def best_possible(plant: GeneralizedPlant) -> float | None:
     """A norm that no controller can beat, or None where none is proved."""
     limit, _ = invariant_limit(plant)
     with np.errstate(all="ignore"), contextlib.suppress(DesignError, ValueError, np.linalg.LinAlgError):
-        limit = max(limit, lower_bound(plant, state_feedback(plant, 1e-5)).gamma)
+        limit = max(limit, lower_bound(plant, state_feedback(plant, 1e-5)[-1]).gamma)
     return limit or None
 
 
