@@ -20,6 +20,8 @@ from synth.plant import GeneralizedPlant
 STABLE = -1e-4  # largest real part of a pole, relative to the largest pole of the plant, that is stable enough to start from
 SHIFT_BEYOND = 0.03  # how far the shift lies right of the last pole, relative likewise
 
+MOST_SHIFTS = 30
+
 
 def stabilising_starts(landscape: Landscape, limit: Array, count: int) -> Iterator[Array]:
     """Points where the loop is stable: from u = 0 and random points, `count` starts in all, one or none from each.
@@ -56,7 +58,9 @@ def stabilise(landscape: Landscape, x: Array, limit: Array, patient: bool) -> Ar
     if not patient and abscissa(x)[0] > STABLE:
         x, _ = quasi_newton(abscissa, x, 100, STABLE)
     worst, stalled = abscissa(x)[0], 0
-    while worst > 0.1 * STABLE and stalled < 5 and np.all(np.abs(x) <= limit):
+    for _ in range(MOST_SHIFTS):
+        if worst <= 0.1 * STABLE or stalled == 5 or np.any(np.abs(x) > limit):
+            break
         x, _ = along_edges(shifted(landscape, (1.1 * worst + SHIFT_BEYOND) * rate), x, limit, 10)
         reached = abscissa(x)[0]
         stalled = stalled + 1 if reached > 0.98 * worst else 0
