@@ -1,37 +1,39 @@
-"""`python -m synth`: the design table of a vehicle file, with a lower bound that says how good every controller is."""
+"""`python -m synth`: the design table of a vehicle file, and how good every controller of it is."""
 
 import json
+from argparse import Namespace
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from models.arrays import Array
 from models.command import Parser, run_command
-from models.errors import InputError
+from models.errors import InputError, known
 from models.vehicle import Vehicle, read_vehicle
-from synth.central import CentralPoint
+from synth.certificate import certify
+from synth.check import check
 from synth.controller import Controller, Designer
 from synth.errors import DesignError
+from synth.flat import free_moves
 from synth.limit import invariant_limit
-from synth.lower_bound import lower_bound
 from synth.output_feedback import nullspace, output_feedback
 from synth.refine import refine
 from synth.riccati import proved
-from synth.state_feedback import state_feedback
+from synth.save import save
+from synth.static import static_output_feedback
+from synth.table import Row, detail_lines, notes, row_object, table_lines
 
-BOUND_AT = 1e-5  # where on the path the lower bound is taken; it is (2 n + d) / 2 times this below the optimum
-FLAT_AT = 1e-4  # of gamma: how far the gains may move for it is printed
+FLAT = 1e-4  # of gamma: how far the gains may move for it is printed
 
 EPILOG = """
 exit code: 0 every claim holds, 1 a controller could not be designed or a claim fails, 2 bad input
 
 examples:
   python -m synth
+  python -m synth --vehicle half_car --controller I --json
   python -m synth --controller I --refine --save my_car.toml
-  python -m synth --vehicle my_car.toml --check
-  python -m synth --controller II --zero-l
+  python -m synth --check my_car.toml
+  python -m synth --zero-l
 """
 
 
@@ -42,163 +44,147 @@ def main(arguments: Sequence[str] | None = None) -> int:
         InputError: bad options or vehicle file.
     """
     options = _parser().parse_args(arguments)
+    if options.check and (options.zero_l or options.refine or options.save or options.vehicle != DEFAULT):
+        raise InputError("--check reads its own file and designs nothing; it goes with --controller and --json only")
     vehicle = read_vehicle(options.check or options.vehicle)
-    if options.check and not [entry for entry in vehicle.controllers.values() if entry.gain is not None]:
-        raise InputError(f"{options.check} holds no controller with a gain to check; write one with --save")
     designer = Designer(vehicle)
-    names = _names(vehicle, options)
-    limit, at = invariant_limit(designer.plant)
-    best = max(limit, lower_bound(designer.plant, state_feedback(designer.plant, BOUND_AT)[-1]).gamma)
-    rows, failures, controllers = [], 0, []
-    for name in names:
-        try:
-            controller, note = _designed(designer, name, options)
-        except DesignError as error:
-            failures += 1
-            rows.append({"name": name, "reason": str(error)})
-            continue
-        controllers.append(controller)
-        failures += bool(controller.certificate.failures)
-        rows.append(_row(controller, best, note))
-    if options.save:
-        _save(options.save, vehicle, controllers)
-    if options.json:
-        print(json.dumps({"vehicle": vehicle.kind.name, "controllers": rows, "invariant_limit": limit, "at": at}))
+    if options.check:
+        rows = check(designer, options.controller)
     else:
-        lines = [f"{vehicle.kind.name} ({vehicle.source})", ""]
+        rows = [_row(designer, name, options) for name in _names(vehicle, options)]
+    if options.save:
+        save(options.save, vehicle, [row.controller for row in rows if row.controller is not None])
+    limit, at = invariant_limit(designer.plant)
+    moved = {} if options.check else _flatness(designer)
+    if options.json:
+        result = {
+            "vehicle": vehicle.kind.name,
+            "controllers": [row_object(row) for row in rows],
+            "invariant_limit": {"norm": limit, "frequency": at},
+            "flat": {"gamma": FLAT, "gain_down_up": moved},
+        }
+        print(json.dumps(result, allow_nan=False))
+    else:
+        lines = [f"{vehicle.kind.name} ({vehicle.source})", "", *table_lines(rows)]
         for row in rows:
-            lines += _lines(row)
-        lines += _flat(designer, vehicle) if not options.check else []
-        lines.append(f"no control force changes {limit:.7g} at {at:.5g} rad/s: there z answers to the road alone")
+            lines += ["", *detail_lines(row)]
+        lines += [
+            "",
+            f"limit: no control force changes that at {at:.5g} rad/s z answers to the road {limit:.7g}-fold (invariant point)",
+        ]
+        if moved:
+            lines.append(f"flat: for {FLAT:g} of gamma each gain of the state feedback may move by itself")
+            lines += [f"  {state:22s} {_range(*values)}" for state, values in moved.items()]
         print("\n".join(lines))
-    return 1 if failures else 0
+    return 1 if any(row.failures for row in rows) else 0
+
+
+DEFAULT = "quarter_car"
 
 
 def _parser() -> Parser:
-    parser = Parser("synth", "Designs the controllers of a vehicle file and says how good they are.", EPILOG)
+    parser = Parser("synth", "Designs the controllers of a vehicle file, certifies them, and says how good they are.", EPILOG)
     parser.add_argument(
-        "--controller", action="append", metavar="NAME", help="one of the vehicle file's; may be repeated (default: all)"
+        "--controller",
+        action="append",
+        metavar="NAME",
+        help="passive, state, one of the vehicle file's, or all; may be repeated (default: all)",
     )
     parser.add_argument(
-        "--vehicle", default="quarter_car", metavar="FILE", help="vehicle file, or one that ships (default: quarter_car)"
+        "--vehicle", default=DEFAULT, metavar="FILE", help=f"vehicle file, or one that ships (default: {DEFAULT})"
     )
     parser.add_argument("--zero-l", action="store_true", help="L = 0 instead of equation (14), the one-step design of remark 4")
-    parser.add_argument("--refine", action="store_true", help="then lower the norm itself, as far as it is worth a larger gain")
-    parser.add_argument("--save", type=Path, metavar="FILE", help="write the vehicle file with the gains added as NAME_designed")
-    parser.add_argument("--check", type=Path, metavar="FILE", help="verify the gains of a vehicle file; nothing is designed")
+    parser.add_argument(
+        "--refine",
+        action="store_true",
+        help="then lower the norm itself, as long as it is worth a larger gain; says what it traded",
+    )
+    parser.add_argument(
+        "--save", type=Path, metavar="FILE", help="write the vehicle file with each designed gain added, as NAME_designed"
+    )
+    parser.add_argument("--check", type=Path, metavar="FILE", help="verify the gains of a vehicle file and their certificates")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     return parser
 
 
-def _names(vehicle: Vehicle, options) -> list[str]:
+def _names(vehicle: Vehicle, options: Namespace) -> list[str]:
     """The controllers asked for, each once."""
-    known = [name for name, entry in vehicle.controllers.items() if entry.gain is not None]
-    everything = known if options.check else [name for name in vehicle.controller_names if name != "passive"]
-    names = list(dict.fromkeys(options.controller or everything))
-    if options.zero_l:
-        names = [name for name in names if name in vehicle.controllers and vehicle.controllers[name].gain is None]
-        if not names:
-            raise InputError("--zero-l needs a controller that is designed from measurements; give one with --controller")
-    return names
+    designed = [name for name, entry in vehicle.controllers.items() if entry.gain is None]
+    everything = designed if options.zero_l else vehicle.controller_names
+    names = [name for choice in options.controller or ["all"] for name in (everything if choice == "all" else [choice])]
+    for name in names:
+        if name not in vehicle.controller_names:
+            raise InputError(f"unknown controller {name!r}; this vehicle has {known(vehicle.controller_names)}")
+        if options.zero_l and name not in designed:
+            raise InputError(f"--zero-l: {name!r} is not designed from measurements; this vehicle has {known(designed)}")
+    return list(dict.fromkeys(names))
 
 
-def _designed(designer: Designer, name: str, options) -> tuple[Controller, str | None]:
-    """A controller, and what was traded for its gain."""
-    model = designer.vehicle.linear_model
-    if options.zero_l:
-        measured = designer.vehicle.controllers[name].measured if name in designer.vehicle.controllers else ()
-        Cy, _ = model.rows(measured)
-        Q = nullspace(Cy)
-        point: CentralPoint = output_feedback(designer.plant, Cy, np.zeros((Q.shape[1], len(Cy))), Q)[-1]
-        controller = Controller(name, measured, point.K, True, proved(designer.plant, point.K @ Cy))
+def _row(designer: Designer, name: str, options: Namespace) -> Row:
+    """A controller, designed as asked for, or why it could not be."""
+    try:
+        controller = _without_l(designer, name) if options.zero_l else designer.design(name)
+    except DesignError as error:
+        if not options.refine:
+            return Row(name, None, (), (str(error),))
+        controller = None
+    said = notes(controller) if controller is not None else ("the two steps find no gain",)
+    if options.refine and name != "passive":
+        try:
+            controller, traded = _refined(designer, name, controller)
+        except DesignError as error:
+            return Row(name, controller, (*said, f"not refined: {error}"), ())
+        said = (*said, traded)
+    assert controller is not None
+    return Row(name, controller, said, controller.certificate.failures)
+
+
+def _without_l(designer: Designer, name: str) -> Controller:
+    """Remark 4: (25) with L = 0."""
+    measured = designer.vehicle.controllers[name].measured
+    Cy, kept = designer.measurement(measured)
+    Q = nullspace(Cy)
+    point = output_feedback(designer.plant, Cy, np.zeros((Q.shape[1], len(Cy))), Q)[-1]
+    certificate = certify(designer.plant, point.K @ Cy, point.X, point.eta, designer.best_possible(measured))
+    return designer.controller(name, measured, kept, point.K, certificate)
+
+
+def _refined(designer: Designer, name: str, controller: Controller | None) -> tuple[Controller, str]:
+    """A controller with a smaller norm, and what was traded for it; where there is none yet, the best that any start leads to."""
+    measured = designer.vehicle.controllers[name].measured if controller is None else controller.measured
+    Cy, kept = designer.measurement(measured)
+    if controller is None:
+        found = static_output_feedback(designer.plant, Cy)
+        start, origin = found.gain, f"from {found.origin}; "
     else:
-        controller = designer.design(name)
-    if not controller.designed and controller.measured:
-        Cy, _ = model.rows(controller.measured)
-        certificate = proved(designer.plant, controller.gain @ Cy)
-        controller = Controller(name, controller.measured, controller.gain, False, certificate)
-    if not options.refine or not controller.measured or not controller.certificate.stable:
-        return controller, None
-    Cy, _ = model.rows(controller.measured) if name != "state" else (np.eye(len(model.states)), None)
-    refined = refine(designer.plant, Cy, controller.gain)
-    certificate = proved(designer.plant, refined.gain @ Cy)
-    return Controller(name, controller.measured, refined.gain, True, certificate), refined.traded
+        start, origin = controller.gain[:, kept], ""
+    refined = refine(designer.plant, Cy, start)
+    certificate = proved(designer.plant, refined.gain @ Cy, designer.best_possible(measured))
+    made = designer.controller(name, measured, kept, refined.gain, certificate)
+    return made, f"refined: {origin}{refined.traded}"
 
 
-def _row(controller: Controller, best: float, note: str | None) -> dict[str, Any]:
-    """A controller as JSON has it."""
-    certificate = controller.certificate
-    norm = certificate.norm
-    finite = bool(np.isfinite(norm.value))
+def _flatness(designer: Designer) -> dict[str, list[float | None]]:
+    """By state: its gain on the actuator where it is freest, and how far it may move down and up by itself for FLAT of gamma."""
+    try:
+        K = designer.state_feedback.K
+    except DesignError:
+        return {}
+    states = designer.vehicle.linear_model.states
+    down, up = free_moves(designer.plant, np.eye(len(states)), K, FLAT)
+    freest = (down + up).argmax(axis=0)
+    table = np.stack([K, down, up])[:, freest, np.arange(len(states))]
     return {
-        "name": controller.name,
-        "measured": list(controller.measured),
-        "gain": controller.gain.tolist(),
-        "bound": certificate.bound,
-        "norm": norm.value if finite else None,
-        "routes_gap": norm.gap if finite else None,
-        "peak_frequency": norm.peak_frequency if np.isfinite(norm.peak_frequency) else None,
-        "poles": [[float(pole.real), float(pole.imag)] for pole in certificate.poles],
-        "lower_bound": best,
-        "gap": norm.value / best - 1 if finite and best > 0 else None,
-        "traded": note,
-        "failures": list(certificate.failures),
+        state: [float(value) if np.isfinite(value) else None for value in values]
+        for state, values in zip(states, table.T, strict=True)
     }
 
 
-def _lines(row: dict[str, Any]) -> list[str]:
-    """A controller in the table."""
-    if "reason" in row:
-        return [f"controller {row['name']}: NOT DESIGNED", f"  {row['reason']}", ""]
-    gain = "[" + ", ".join("[" + ", ".join(f"{entry:.6g}" for entry in line) + "]" for line in row["gain"]) + "]"
-    lines = [f"controller {row['name']}: measures {', '.join(row['measured']) or 'nothing'}", f"  gain {gain}"]
-    if row["norm"] is not None:
-        bound = f"bound {row['bound']:.7g}   " if row["bound"] is not None else ""
-        where = f" at {row['peak_frequency']:.5g} rad/s" if row["peak_frequency"] is not None else ""
-        lines.append(f"  {bound}norm {row['norm']:.7g}{where}   two routes agree to {row['routes_gap']:.0e}")
-    if row["gap"] is not None:
-        lines.append(f"  within {100 * row['gap']:.2g} % of {row['lower_bound']:.6g}, which no controller can beat")
-    lines.append("  poles " + "  ".join(_pole(*pole) for pole in row["poles"]))
-    if row["traded"]:
-        lines.append(f"  refined: {row['traded']}")
-    return [*lines, *(f"  FAILS: {failure}" for failure in row["failures"]), ""]
-
-
-def _pole(real: float, imaginary: float) -> str:
-    return f"{real:.4g}{imaginary:+.4g}j" if imaginary else f"{real:.4g}"
-
-
-def _flat(designer: Designer, vehicle: Vehicle) -> list[str]:
-    """How far the state-feedback gain moves along the path while gamma changes by FLAT_AT."""
-    best = designer.state_feedback
-    mu, point = 1e-6, best
-    while mu < 1:
-        candidate = state_feedback(designer.plant, mu)[-1]
-        if candidate.gamma > best.gamma * (1 + FLAT_AT):
-            break
-        mu, point = 2 * mu, candidate
-    moved: Array = np.abs(point.K - best.K).max(axis=0)
-    largest = np.abs(best.K).max(axis=0)
-    parts = ", ".join(
-        f"{state} by {distance:.3g} of {size:.4g}"
-        for state, distance, size in zip(vehicle.linear_model.states, moved, largest, strict=True)
-    )
-    return [f"the optimum is flat: for {FLAT_AT:g} of gamma the state gains move, {parts}"]
-
-
-def _save(path: Path, vehicle: Vehicle, controllers: Sequence[Controller]) -> None:
-    """The vehicle file with the gains as controller entries."""
-    text = vehicle.text.rstrip("\n") + "\n"
-    for controller in controllers:
-        if not controller.measured or not controller.designed:
-            continue
-        gain = [[float(entry) for entry in row] for row in controller.gain]
-        text += f"\n[controllers.{controller.name}_designed]  # norm {controller.certificate.norm.value:.10g}\n"
-        text += f"measured = {json.dumps(list(controller.measured))}\ngain = {json.dumps(gain)}\n"
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror}); give another --save FILE") from error
+def _range(gain: float | None, down: float | None, up: float | None) -> str:
+    """A gain and the interval that it may move in."""
+    assert gain is not None
+    low, high = (f"{gain - down:.4g}" if down is not None else "any"), (f"{gain + up:.4g}" if up is not None else "any")
+    return f"{gain:.5g} from {low} to {high}"
 
 
 if __name__ == "__main__":

@@ -6,6 +6,9 @@
 checks of its usual wrappers cost more than its work.
 """
 
+# pyright: reportAttributeAccessIssue=false
+# scipy.linalg.lapack is made by f2py and carries no stubs.
+
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -128,7 +131,7 @@ def _lowest(slope: float, rates: Array) -> float:
         else:
             high = t
         curvature = float(terms @ terms)
-        if abs(rise) < 0.1 * curvature * t:  # a tenth of the way: more does not pay
+        if abs(rise) <= 0.1 * curvature * t:  # a tenth of the way: more does not pay
             break
         t = t - rise / curvature
         if not low < t < high:

@@ -15,12 +15,12 @@ moved to the current point, where X = I and, with the current gain absorbed in t
 """
 
 import functools
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from scipy import linalg
-from threadpoolctl import ThreadpoolController
 
 from models.arrays import Array
 from synth.barrier import Barrier, boundary, newton
@@ -28,11 +28,14 @@ from synth.bounded_real import bounded_real_matrix
 from synth.errors import DesignError, InfeasibleError
 from synth.plant import GeneralizedPlant
 from synth.scaling import reachable, size
+from synth.threads import one_thread
 
 LIMIT = 1e-9
 """Distance mu / eta at which the path counts as having arrived: gains are within 3e-6 of the limit for the paper's problem."""
 
 
+CENTRED = 1e-6  # Newton decrement at the points of the path: close enough for the duals that prove lower bounds
+RESTS = (1e-7, 1e-5, *(10.0**exponent for exponent in range(-3, 20)))  # mu over eta
 FROM = 1e3  # where the path is entered: mu over the eta of the first feasible point, far from any optimum
 INSIDE = 0.95  # of the way to the boundary, where a step along the path would leave
 
@@ -75,17 +78,15 @@ def central_path(plant: GeneralizedPlant, Q: Array, R: Array, mu: float = LIMIT)
         InfeasibleError: there is no feasible point with eta > 0.
         DesignError: Newton's method broke down short of mu.
     """
-    # One thread: the matrices are small, threads that wait for each other cost a hundredfold on a busy machine, and the rounding
-    # must not depend on how many there are.
-    with _blas().limit(limits=1, user_api="blas"):
+    return list(along_path(plant, Q, R, mu))
+
+
+def along_path(plant: GeneralizedPlant, Q: Array, R: Array, mu: float = LIMIT) -> Iterator[CentralPoint]:
+    """The same points one by one, for those who can use the first where the last cannot be reached."""
+    with one_thread():
         path = _Path(plant, Q, R)
         path.find_feasible_point()
-        return path.follow(mu)
-
-
-@functools.cache
-def _blas() -> ThreadpoolController:
-    return ThreadpoolController()
+        yield from path.follow(mu)
 
 
 class _Path:
@@ -94,7 +95,9 @@ class _Path:
     def __init__(self, plant: GeneralizedPlant, Q: Array, R: Array) -> None:
         self.free = Q.shape[1]  # a = n - q
         T = np.hstack([Q, R])
-        plant = plant.in_coordinates(T)
+        # Inputs that do nothing are left at zero, and those that do the same share it.
+        self.inputs = plant.independent_inputs()
+        plant = plant.with_inputs(self.inputs).in_coordinates(T)
         # Only numerics from here on: states scaled by what the inputs can reach, and units in which A, B, Bw, C have size one.
         scaling = reachable(plant, self.free)
         plant = plant.in_coordinates(scaling)
@@ -116,7 +119,7 @@ class _Path:
         self.K = np.zeros((plant.B.shape[1], R.shape[1]))  # the gain absorbed so far, in those of the beginning
         self.eta = 0.0
         self.mu = np.inf
-        self.basis = _Basis(self.plant, self.free)
+        self.basis = Basis(self.plant, self.free)
 
     def find_feasible_point(self) -> None:
         """A strictly feasible point, or the proof that there is none.
@@ -137,8 +140,8 @@ class _Path:
         ]
         p = basis.pack(np.eye(n) / 2, np.zeros((m, n)), 0.0)
         s = np.linalg.eigvalsh(np.tensordot(p, lyapunov, 1))[-1]
-        p[-1] = s + max(abs(s), 1e-3)
-        mu = p[-1]
+        mu = max(abs(s), 1e-3)
+        p[-1] = s + mu
         barrier = Barrier(blocks)
         while True:
             p, _, _ = newton(barrier, p, _direction(basis.size, 1 / mu), tolerance=0.3)
@@ -170,16 +173,15 @@ class _Path:
         F = bounded_real_matrix(self.plant, X, Y, 0.0)
         return X, Y, 1 / linalg.eigh(self.basis.F[-1], -F, eigvals_only=True)[-1]
 
-    def follow(self, mu_end: float) -> list[CentralPoint]:
-        """Walks along the path until mu = mu_end eta; returns the points it rested at."""
+    def follow(self, mu_end: float) -> Iterator[CentralPoint]:
+        """Walks along the path until mu = mu_end eta; yields the points it rests at."""
         n, m = len(self.plant.A), self.plant.B.shape[1]
-        points: list[CentralPoint] = []
         while True:
             arrived = self.eta > 0 and self.mu <= mu_end * self.eta * 1.001
             basis = self.basis
             barrier = Barrier([(-basis.F0, -basis.F), (np.zeros((n, n)), basis.X)])
             p = basis.pack(np.eye(n), np.zeros((m, n)), self.eta)
-            p, decrement, here = newton(barrier, p, _direction(basis.size, -1 / self.mu), tolerance=1e-5 if arrived else 0.1)
+            p, decrement, here = newton(barrier, p, _direction(basis.size, -1 / self.mu), CENTRED)
             if decrement > 0.5:
                 raise DesignError(
                     f"the central path could not be followed below mu = {self.mu / abs(p[-1]):.1e} (Newton decrement "
@@ -187,13 +189,16 @@ class _Path:
                 )
             X, Y, self.eta = basis.unpack(p)
             if self.eta > 0:
-                points.append(self.point(X, Y))
+                yield self.point(X, Y)
             if arrived:
-                return points
-            ratio = 0.1 if self.mu > 1e-2 * abs(self.eta) else 1e-2
-            # Arrive exactly, and without a last step that is hardly one.
-            if self.eta > 0 and self.mu * ratio < 3 * mu_end * self.eta:
-                ratio = min(mu_end * self.eta / self.mu, 0.5)
+                return
+            # Hundredfold steps where the path is nearly straight, and rests at the same mu for every plant.
+            ratio = 0.1
+            if self.eta > 0:
+                rests = [mu_end, *(rest for rest in RESTS if rest > mu_end)]
+                ratio = min(
+                    max(rest for rest in rests if rest < 0.5 * self.mu / self.eta or rest == mu_end) * self.eta / self.mu, 0.5
+                )
             # Along the tangent of the path in mu, but inside.
             step = here.solve(here.half(_direction(basis.size, 1 / self.mu)))
             p = p + min(1 - ratio, INSIDE * boundary(here, step)) * step
@@ -206,7 +211,7 @@ class _Path:
         T = self.start @ self.V
         return CentralPoint(
             X=T @ X @ T.T * (self.rate * self.output_unit**2),  # the units follow from (21)
-            K=self._gain(X, Y) @ np.linalg.inv(self.block_start) * self.input_unit,
+            K=self.inputs @ self._gain(X, Y) @ np.linalg.inv(self.block_start) * self.input_unit,
             eta=self.eta * (self.disturbance_unit * self.output_unit) ** 2,
             mu=self.mu / self.eta,
         )
@@ -219,7 +224,7 @@ class _Path:
         S: Any = linalg.block_diag(np.linalg.cholesky(X[:a, :a]), np.linalg.cholesky(X[a:, a:]))
         self.plant = self.plant.closed_loop(gain).in_coordinates(S)
         self.V = self.V @ S
-        self.basis = _Basis(self.plant, a)
+        self.basis = Basis(self.plant, a)
 
     def _gain(self, X: Array, Y: Array) -> Array:
         """Y_R X_R^-1 with all the gain absorbed before, in the coordinates of the beginning."""
@@ -227,7 +232,7 @@ class _Path:
         return self.K + Y[:, a:] @ np.linalg.inv(X[a:, a:]) @ np.linalg.inv(self.V[a:, a:])
 
 
-class _Basis:
+class Basis:
     """The N unknowns p = (X_Q, X_R, Y_R, eta), and the matrices they multiply, in coordinates where (12) is block diagonal.
 
     Attributes:
@@ -237,7 +242,7 @@ class _Basis:
     def __init__(self, plant: GeneralizedPlant, free: int) -> None:
         n, m = plant.B.shape
         d = len(plant.C)
-        self.free = free
+        self.n, self.free = n, free
         self.rows, self.columns, self.X, self.Y = _unknowns(n, m, free)
         self.size = len(self.X)
 
@@ -253,9 +258,11 @@ class _Basis:
         self.F0[n:, n:] = -np.eye(d)
 
     def pack(self, X: Array, Y: Array, last: float) -> Array:
+        """The unknowns of X, Y and the last."""
         return np.concatenate([X[self.rows, self.columns], Y[:, self.free :].ravel(), [last]])
 
     def unpack(self, p: Array) -> tuple[Array, Array, float]:
+        """X, Y and the last of the unknowns."""
         return np.tensordot(p, self.X, 1), np.tensordot(p, self.Y, 1), float(p[-1])
 
 

@@ -6,10 +6,12 @@ import numpy as np
 
 from models.arrays import Array
 from synth.bounded_real import bounded_real_matrix
+from synth.lower_bound import LowerBound
 from synth.norm import Norm, hinf_norm
 from synth.plant import GeneralizedPlant
 
 FASTEST = 100.0  # an actuator that has to be as much faster than the plant does not exist
+BELOW = 1e-9  # relative; how far rounding may put a norm below what no controller can beat
 ROUTES_AGREE = 1e-6  # relative; the two norms of a well-conditioned plant agree to 1e-12
 
 
@@ -27,6 +29,7 @@ class Certificate:
         lmi_rounding: what rounding can add to it.
         speed_up: magnitude of the fastest pole, over that of the plant's fastest pole without control.
         norm_rounding: a norm below this is zero to rounding, and its routes need not agree.
+        lower: what no controller of its kind can beat, with its proof; None where nobody asked.
     """
 
     poles: Array
@@ -38,6 +41,14 @@ class Certificate:
     lmi_rounding: float
     speed_up: float
     norm_rounding: float
+    lower: LowerBound | None = None
+
+    @property
+    def gap(self) -> float | None:
+        """How far the norm lies above the lower bound, relative; None without a bound, or without a finite norm."""
+        if self.lower is None or self.lower.gamma == 0 or not np.isfinite(self.norm.value):
+            return None
+        return self.norm.value / self.lower.gamma - 1
 
     @property
     def stable(self) -> bool:
@@ -66,10 +77,14 @@ class Certificate:
                 )
             if self.norm.value > self.bound:
                 failures.append(f"the norm {self.norm.value:.7g} exceeds the bound {self.bound:.7g}")
+        if self.gap is not None and self.gap < -BELOW:
+            failures.append(f"the norm {self.norm.value:.7g} lies below {self.lower.gamma:.7g}, which no controller can beat")  # pyright: ignore[reportOptionalMemberAccess]
         return tuple(failures)
 
 
-def certify(plant: GeneralizedPlant, G: Array, X: Array | None = None, eta: float | None = None) -> Certificate:
+def certify(
+    plant: GeneralizedPlant, G: Array, X: Array | None = None, eta: float | None = None, lower: LowerBound | None = None
+) -> Certificate:
     """Checks a gain, and its proof if it has one.
 
     Args:
@@ -77,6 +92,7 @@ def certify(plant: GeneralizedPlant, G: Array, X: Array | None = None, eta: floa
         G: state gain K C_y (6), shape (m, n).
         X: the matrix of (20), shape (n, n).
         eta: gamma^-2 of (20); given with X.
+        lower: what no controller of the gain's kind can beat.
     """
     loop = plant.closed_loop(G)
     X_smallest = lmi_largest = lmi_rounding = float("nan")
@@ -105,6 +121,7 @@ def certify(plant: GeneralizedPlant, G: Array, X: Array | None = None, eta: floa
         lmi_rounding=lmi_rounding,
         speed_up=float(np.abs(poles).max() / (np.abs(np.linalg.eigvals(plant.A)).max() or 1.0)),
         norm_rounding=_norm_rounding(loop),
+        lower=lower,
     )
 
 

@@ -13,7 +13,9 @@ from models.vehicle import ControllerEntry, Vehicle
 from synth.central import CentralPoint
 from synth.certificate import Certificate, certify
 from synth.errors import DesignError
-from synth.output_feedback import l_matrix, nullspace, output_feedback
+from synth.full_order import best_possible
+from synth.lower_bound import LowerBound
+from synth.output_feedback import independent_rows, l_matrix, nullspace, output_feedback
 from synth.plant import GeneralizedPlant
 from synth.state_feedback import state_feedback
 
@@ -31,6 +33,7 @@ class Controller:
             central path, more where the second problem is infeasible from there.
         stopped: how far from the optimum of its own problem the gain was taken, relative in gamma: 0 at the limit, more where the
             optimum is reached only by gains beyond any actuator.
+        redundant: the signals among `measured` that follow from the others; their gain is zero.
         certificate: what is true of it.
     """
 
@@ -41,6 +44,7 @@ class Controller:
     certificate: Certificate
     short: float = 0.0
     stopped: float = 0.0
+    redundant: tuple[str, ...] = ()
 
     def state_gain(self, vehicle: Vehicle) -> Array:
         """G = K C_y (6) for a vehicle that has these signals, shape (m, n)."""
@@ -94,6 +98,23 @@ class Designer:
         """The optimum of (22)."""
         return self.state_path[-1]
 
+    @cached_property
+    def _bounds(self) -> dict[tuple[str, ...], LowerBound]:
+        return {}
+
+    def best_possible(self, measured: Sequence[str]) -> LowerBound:
+        """What no controller that measures these signals can beat, of whatever order; full state feedback for all states."""
+        key = tuple(measured)
+        if key not in self._bounds:
+            everything = not key or key == self.vehicle.linear_model.states
+            Cy = None if everything else self.vehicle.linear_model.rows(key)[0]
+            try:
+                path = self.state_path
+            except DesignError:  # what cannot be designed may be checked
+                path = []
+            self._bounds[key] = best_possible(self.plant, Cy, path)
+        return self._bounds[key]
+
     def design(self, name: str) -> Controller:
         """The controller of that name: `passive`, `state`, or one of the vehicle file, designed unless the file gives its gain.
 
@@ -112,39 +133,53 @@ class Designer:
         if entry.gain is not None:
             return self._given(entry)
 
-        Cy, _ = model.rows(entry.measured)
-        if np.linalg.matrix_rank(Cy) < len(Cy):
-            raise DesignError(
-                f"controller {name!r} measures signals that depend on each other: {', '.join(entry.measured)}; drop one"
-            )
+        Cy, kept = self.measurement(entry.measured)
         Q = nullspace(Cy)
         failures: list[DesignError] = []
         # From the optimal X the second problem can be infeasible where from a point a little short of it it is not: back off.
         for start in reversed(self.state_path):
             L = l_matrix(start.X, Cy, Q)  # (14)
             try:
-                controller = self._certified(name, entry.measured, output_feedback(self.plant, Cy, L, Q))
+                controller = self._certified(name, entry.measured, output_feedback(self.plant, Cy, L, Q), kept)
             except DesignError as error:
                 failures.append(error)
                 continue
             return replace(controller, short=start.gamma / self.state_feedback.gamma - 1)
         raise type(failures[0])(f"controller {name!r}: {failures[0]} (from {len(failures)} points of the central path)")
 
+    def measurement(self, measured: Sequence[str]) -> tuple[Array, list[int]]:
+        """C_y without the rows that follow from others, and which rows those are that stay."""
+        Cy, _ = self.vehicle.linear_model.rows(measured)
+        kept = independent_rows(Cy)
+        return Cy[kept], kept
+
+    def controller(
+        self, name: str, measured: Sequence[str], kept: Sequence[int], K: Array, certificate: Certificate
+    ) -> Controller:
+        """A designed controller from the gain on the signals that were kept: the others get a gain of zero."""
+        gain = np.zeros((len(K), len(measured)))
+        gain[:, kept] = K
+        redundant = tuple(signal for i, signal in enumerate(measured) if i not in kept)
+        return Controller(name, tuple(measured), gain, designed=True, certificate=certificate, redundant=redundant)
+
     def _given(self, entry: ControllerEntry) -> Controller:
         assert entry.gain is not None
         Cy, _ = self.vehicle.linear_model.rows(entry.measured)
-        certificate = certify(self.plant, entry.gain @ Cy)
+        certificate = certify(self.plant, entry.gain @ Cy, lower=self.best_possible(entry.measured))
         return Controller(entry.name, entry.measured, entry.gain, designed=False, certificate=certificate)
 
-    def _certified(self, name: str, measured: Sequence[str], path: Sequence[CentralPoint]) -> Controller:
+    def _certified(
+        self, name: str, measured: Sequence[str], path: Sequence[CentralPoint], kept: Sequence[int] | None = None
+    ) -> Controller:
         """The controller furthest along a central path whose certificate holds."""
-        Cy, _ = self.vehicle.linear_model.rows(measured)
-        certificates = []
+        kept = range(len(measured)) if kept is None else kept
+        Cy, _ = self.vehicle.linear_model.rows([measured[i] for i in kept])
+        certificates, lower = [], self.best_possible(measured)
         for point in reversed(path):
-            certificates.append(certify(self.plant, point.K @ Cy, point.X, point.eta))
+            certificates.append(certify(self.plant, point.K @ Cy, point.X, point.eta, lower))
             if not certificates[-1].failures:
-                stopped = point.gamma / path[-1].gamma - 1
-                return Controller(name, tuple(measured), point.K, designed=True, certificate=certificates[-1], stopped=stopped)
+                controller = self.controller(name, measured, kept, point.K, certificates[-1])
+                return replace(controller, stopped=point.gamma / path[-1].gamma - 1)
         raise DesignError(f"the certificate of controller {name!r} fails: {'; '.join(certificates[0].failures)}")
 
 

@@ -10,20 +10,26 @@ from models.arrays import Array
 from synth.norm import balance, transfer_matrix
 from synth.plant import GeneralizedPlant
 
+PEAKS = 6  # local maxima that are looked at closely
+
 
 def invariant_limit(plant: GeneralizedPlant) -> tuple[float, float]:
     """The largest norm over frequencies that no control changes, and its frequency [rad/s]."""
     poles = np.abs(np.linalg.eigvals(balance(plant.A)[0]))
     largest = float(poles.max(initial=1.0))
     smallest = float(poles[poles > 1e-6 * largest].min(initial=largest))
-    omega = np.geomspace(1e-2 * smallest, 1e2 * largest, 2000)
-    best, at = 0.0, 0.0
-    for _ in range(4):  # closer around the highest point
-        left = uncontrolled(plant, omega)
-        i = int(left.argmax())
-        best, at = float(left[i]), float(omega[i])
-        omega = np.linspace(omega[max(i - 1, 0)], omega[min(i + 1, len(omega) - 1)], 200)
-    return best, at
+    omega = np.geomspace(1e-2 * smallest, 1e2 * largest, 500)
+    left = uncontrolled(plant, omega)
+    tops = np.flatnonzero((left[1:-1] >= left[:-2]) & (left[1:-1] >= left[2:])) + 1
+    tops = np.unique([*tops[np.argsort(left[tops])[-PEAKS:]], left.argmax()])
+    middle, height, width = omega[tops], left[tops], omega[1] / omega[0] - 1
+    for _ in range(9):  # closer around the highest points, all at once
+        near = middle * (1 + width * np.linspace(-1, 1, 11)[:, None])
+        there = uncontrolled(plant, near.ravel()).reshape(near.shape)
+        highest = there.argmax(axis=0)
+        index = np.arange(len(middle))
+        middle, height, width = near[highest, index], there[highest, index], width / 5
+    return float(height.max()), float(middle[height.argmax()])
 
 
 def uncontrolled(plant: GeneralizedPlant, omega: Array) -> Array:

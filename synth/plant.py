@@ -59,6 +59,27 @@ class GeneralizedPlant:
         inverse = np.linalg.inv(T)
         return GeneralizedPlant(inverse @ self.A @ T, inverse @ self.B, inverse @ self.Bw, self.C @ T, self.D, self.Dw)
 
+    def with_inputs(self, W: Array) -> "GeneralizedPlant":
+        """The plant whose inputs v act as u = W v.
+
+        Args:
+            W: shape (m, k).
+        """
+        return GeneralizedPlant(self.A, self.B @ W, self.Bw, self.C, self.D @ W, self.Dw)
+
+    def independent_inputs(self) -> Array:
+        """W, shape (m, k), whose orthonormal columns are the combinations of inputs that do something; I where all inputs do."""
+        m = self.B.shape[1]
+        sizes = [float(np.linalg.norm(part, 2)) or 1.0 for part in (self.B, self.D)]
+        together = np.vstack([self.B / sizes[0], self.D / sizes[1]])
+        columns = np.linalg.norm(together, axis=0)
+        columns[columns <= np.finfo(float).eps] = np.inf
+        _, strengths, directions = np.linalg.svd(together / columns)
+        k = int(np.sum(strengths > 1e-10))
+        if k == m:
+            return np.eye(m)
+        return np.linalg.qr((directions[:k] / columns).T)[0]
+
     def frequency_response(self, omega: Array) -> Array:
         """T(j omega) from w to z without control, complex, shape (F, d, r), by (19).
 

@@ -5,20 +5,22 @@ from scipy import linalg
 
 from models.arrays import Array
 from synth.certificate import Certificate, certify
+from synth.lower_bound import LowerBound
 from synth.norm import balance
 from synth.plant import GeneralizedPlant
 
 MARGINS = (1e-6, 1e-4, 1e-2)  # how far above the norm the bound lies, the first that can be proved in floating point
 
 
-def proved(plant: GeneralizedPlant, G: Array) -> Certificate:
+def proved(plant: GeneralizedPlant, G: Array, lower: LowerBound | None = None) -> Certificate:
     """The certificate of a stabilising state gain, with a bound just above its norm if one can be proved, else without.
 
     Args:
         plant: n states, m inputs.
         G: state gain K C_y (6), shape (m, n).
+        lower: what no controller of the gain's kind can beat.
     """
-    plain = certify(plant, G)
+    plain = certify(plant, G, lower=lower)
     if not plain.stable or not 0 < plain.norm.value < np.inf:
         return plain
     loop = plant.closed_loop(G)
@@ -28,7 +30,7 @@ def proved(plant: GeneralizedPlant, G: Array) -> Certificate:
             X = bounding_x(loop, gamma, margin)
         except (np.linalg.LinAlgError, ValueError):  # too close to the norm for the Riccati solver
             continue
-        certificate = certify(plant, G, X, gamma**-2)
+        certificate = certify(plant, G, X, gamma**-2, lower)
         if not certificate.failures:
             return certificate
     return plain

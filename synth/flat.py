@@ -1,0 +1,54 @@
+"""How flat an optimum is: how far each entry of a gain may move by itself before the norm has risen by a given share.
+
+The paper's optimum is attained on a whole face of gains; near it the norm says next to nothing about which gain to take.
+"""
+
+import numpy as np
+
+from models.arrays import Array
+from synth.landscape import Landscape
+from synth.plant import GeneralizedPlant
+
+SMALLEST = 1e-6  # of an entry's scale: the first step
+DOUBLINGS, HALVINGS = 40, 12  # a move of 1e6 scales is "any"; then to a thousandth of itself
+
+
+def free_moves(plant: GeneralizedPlant, Cy: Array, K: Array, share: float) -> tuple[Array, Array]:
+    """How far each entry may fall and rise, shapes (m, q), both >= 0; infinite where no move matters.
+
+    Args:
+        plant: n states, m inputs.
+        Cy: shape (q, n).
+        K: a stabilising gain, shape (m, q).
+        share: how much the norm may rise, relative.
+    """
+    landscape = Landscape(plant, Cy)
+    x = landscape.point(K)
+    allowed = landscape.norm(x)[0] * (1 + share)
+
+    def stays(i: int, move: float) -> bool:
+        there = x.copy()
+        there[i] += move
+        return landscape.norm(there, allowed)[0] <= allowed
+
+    moves = np.array([[_furthest(lambda move, i=i, sign=sign: stays(i, sign * move)) for i in range(len(x))] for sign in (-1, 1)])
+    down, up = (side.reshape(K.shape) * landscape.scale for side in moves)
+    return down, up
+
+
+def _furthest(stays) -> float:
+    """The largest move that stays, found by doubling and halving."""
+    inside, outside = 0.0, SMALLEST
+    for _ in range(DOUBLINGS):
+        if not stays(outside):
+            break
+        inside, outside = outside, 2 * outside
+    else:
+        return np.inf
+    for _ in range(HALVINGS):
+        middle = (inside + outside) / 2
+        if stays(middle):
+            inside = middle
+        else:
+            outside = middle
+    return inside
