@@ -10,13 +10,12 @@ import numpy as np
 from models.command import Parser, run_command
 from models.errors import InputError, known
 from models.vehicle import Vehicle, read_vehicle
-from synth.certificate import certify
 from synth.check import check
 from synth.controller import Controller, Designer
 from synth.errors import DesignError
 from synth.flat import free_moves
 from synth.limit import invariant_limit
-from synth.output_feedback import nullspace, output_feedback
+from synth.output_feedback import independent_rows
 from synth.refine import refine
 from synth.riccati import proved
 from synth.save import save
@@ -123,7 +122,7 @@ def _names(vehicle: Vehicle, options: Namespace) -> list[str]:
 def _row(designer: Designer, name: str, options: Namespace) -> Row:
     """A controller, designed as asked for, or why it could not be."""
     try:
-        controller = _without_l(designer, name) if options.zero_l else designer.design(name)
+        controller = designer.design(name, options.zero_l)
     except DesignError as error:
         if not options.refine:
             return Row(name, None, (), (str(error),))
@@ -139,20 +138,12 @@ def _row(designer: Designer, name: str, options: Namespace) -> Row:
     return Row(name, controller, said, controller.certificate.failures)
 
 
-def _without_l(designer: Designer, name: str) -> Controller:
-    """Remark 4: (25) with L = 0."""
-    measured = designer.vehicle.controllers[name].measured
-    Cy, kept = designer.measurement(measured)
-    Q = nullspace(Cy)
-    point = output_feedback(designer.plant, Cy, np.zeros((Q.shape[1], len(Cy))), Q)[-1]
-    certificate = certify(designer.plant, point.K @ Cy, point.X, point.eta, designer.best_possible(measured))
-    return designer.controller(name, measured, kept, point.K, certificate)
-
-
 def _refined(designer: Designer, name: str, controller: Controller | None) -> tuple[Controller, str]:
     """A controller with a smaller norm, and what was traded for it; where there is none yet, the best that any start leads to."""
     measured = designer.vehicle.controllers[name].measured if controller is None else controller.measured
-    Cy, kept = designer.measurement(measured)
+    Cy, _ = designer.vehicle.linear_model.rows(measured)
+    kept = independent_rows(Cy)
+    Cy = Cy[kept]
     if controller is None:
         found = static_output_feedback(designer.plant, Cy)
         start, origin = found.gain, f"from {found.origin}; "
@@ -160,8 +151,9 @@ def _refined(designer: Designer, name: str, controller: Controller | None) -> tu
         start, origin = controller.gain[:, kept], ""
     refined = refine(designer.plant, Cy, start)
     certificate = proved(designer.plant, refined.gain @ Cy, designer.best_possible(measured))
-    made = designer.controller(name, measured, kept, refined.gain, certificate)
-    return made, f"refined: {origin}{refined.traded}"
+    gain = np.zeros((len(refined.gain), len(measured)))
+    gain[:, kept] = refined.gain
+    return Controller(name, measured, gain, True, certificate), f"refined: {origin}{refined.traded}"
 
 
 def _flatness(designer: Designer) -> dict[str, list[float | None]]:

@@ -23,6 +23,7 @@ import numpy as np
 from scipy import linalg
 
 from models.arrays import Array
+from models.errors import InputError
 from synth.barrier import Barrier, boundary, newton
 from synth.bounded_real import bounded_real_matrix
 from synth.errors import DesignError, InfeasibleError
@@ -75,6 +76,7 @@ def central_path(plant: GeneralizedPlant, Q: Array, R: Array, mu: float = LIMIT)
         Points with eta > 0, in the order of falling mu, each a tenth to a hundredth of the one before.
 
     Raises:
+        InputError: nothing disturbs the plant, or nothing is weighed.
         InfeasibleError: there is no feasible point with eta > 0.
         DesignError: Newton's method broke down short of mu.
     """
@@ -83,6 +85,10 @@ def central_path(plant: GeneralizedPlant, Q: Array, R: Array, mu: float = LIMIT)
 
 def along_path(plant: GeneralizedPlant, Q: Array, R: Array, mu: float = LIMIT) -> Iterator[CentralPoint]:
     """The same points one by one, for those who can use the first where the last cannot be reached."""
+    if not (np.any(plant.Bw) or np.any(plant.Dw)):
+        raise InputError("the plant has no disturbance: Bw and Dw are zero; name one, or there is nothing to design against")
+    if not (np.any(plant.C) or np.any(plant.D)):
+        raise InputError("the controlled output is zero: C and D are; give at least one signal a weight above zero")
     with one_thread():
         path = _Path(plant, Q, R)
         path.find_feasible_point()

@@ -1,7 +1,7 @@
 """The one door through which a vehicle's named signals come in: from a vehicle and a controller's name to a certified gain."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -12,12 +12,11 @@ from models.linear_model import LinearModel
 from models.vehicle import ControllerEntry, Vehicle
 from synth.central import CentralPoint
 from synth.certificate import Certificate, certify
+from synth.design import furthest, state_path, two_step_design, zero_l_design
 from synth.errors import DesignError
 from synth.full_order import best_possible
 from synth.lower_bound import LowerBound
-from synth.output_feedback import independent_rows, l_matrix, nullspace, output_feedback
 from synth.plant import GeneralizedPlant
-from synth.state_feedback import state_feedback
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +90,7 @@ class Designer:
     @cached_property
     def state_path(self) -> list[CentralPoint]:
         """The central path of (22)."""
-        return state_feedback(self.plant)
+        return state_path(self.plant, self.vehicle.linear_model.states)
 
     @property
     def state_feedback(self) -> CentralPoint:
@@ -115,8 +114,12 @@ class Designer:
             self._bounds[key] = best_possible(self.plant, Cy, path)
         return self._bounds[key]
 
-    def design(self, name: str) -> Controller:
+    def design(self, name: str, zero_l: bool = False) -> Controller:
         """The controller of that name: `passive`, `state`, or one of the vehicle file, designed unless the file gives its gain.
+
+        Args:
+            name: of the controller.
+            zero_l: L = 0 instead of (14), as in remark 4; for a controller that is designed from measurements.
 
         Raises:
             InputError: no controller has that name.
@@ -125,62 +128,30 @@ class Designer:
         vehicle, model = self.vehicle, self.vehicle.linear_model
         if name == "passive":
             return self._given(ControllerEntry(name, (), np.zeros((len(model.inputs), 0))))
-        if name == "state":
-            return self._certified(name, model.states, self.state_path)
-        if name not in vehicle.controllers:
+        if name not in vehicle.controller_names:
             raise InputError(f"unknown controller {name!r}; this vehicle has {known(vehicle.controller_names)}")
-        entry = vehicle.controllers[name]
-        if entry.gain is not None:
-            return self._given(entry)
-
-        Cy, kept = self.measurement(entry.measured)
-        Q = nullspace(Cy)
-        failures: list[DesignError] = []
-        # From the optimal X the second problem can be infeasible where from a point a little short of it it is not: back off.
-        for start in reversed(self.state_path):
-            L = l_matrix(start.X, Cy, Q)  # (14)
-            try:
-                controller = self._certified(name, entry.measured, output_feedback(self.plant, Cy, L, Q), kept)
-            except DesignError as error:
-                failures.append(error)
-                continue
-            return replace(controller, short=start.gamma / self.state_feedback.gamma - 1)
-        raise type(failures[0])(f"controller {name!r}: {failures[0]} (from {len(failures)} points of the central path)")
-
-    def measurement(self, measured: Sequence[str]) -> tuple[Array, list[int]]:
-        """C_y without the rows that follow from others, and which rows those are that stay."""
-        Cy, _ = self.vehicle.linear_model.rows(measured)
-        kept = independent_rows(Cy)
-        return Cy[kept], kept
-
-    def controller(
-        self, name: str, measured: Sequence[str], kept: Sequence[int], K: Array, certificate: Certificate
-    ) -> Controller:
-        """A designed controller from the gain on the signals that were kept: the others get a gain of zero."""
-        gain = np.zeros((len(K), len(measured)))
-        gain[:, kept] = K
-        redundant = tuple(signal for i, signal in enumerate(measured) if i not in kept)
-        return Controller(name, tuple(measured), gain, designed=True, certificate=certificate, redundant=redundant)
+        measured = model.states if name == "state" else vehicle.controllers[name].measured
+        if name != "state" and vehicle.controllers[name].gain is not None:
+            return self._given(vehicle.controllers[name])
+        Cy, _ = model.rows(measured)
+        try:
+            lower = self.best_possible(measured)
+            if name == "state":
+                design = furthest(self.plant, Cy, self.state_path, lower)
+            elif zero_l:
+                design = zero_l_design(self.plant, Cy, lower)
+            else:
+                design = two_step_design(self.plant, Cy, self.state_path, lower, model.states)
+        except DesignError as error:
+            raise type(error)(f"controller {name!r}: {error}") from error
+        redundant = tuple(measured[i] for i in design.redundant)
+        return Controller(name, measured, design.gain, True, design.certificate, design.short, design.stopped, redundant)
 
     def _given(self, entry: ControllerEntry) -> Controller:
         assert entry.gain is not None
         Cy, _ = self.vehicle.linear_model.rows(entry.measured)
         certificate = certify(self.plant, entry.gain @ Cy, lower=self.best_possible(entry.measured))
         return Controller(entry.name, entry.measured, entry.gain, designed=False, certificate=certificate)
-
-    def _certified(
-        self, name: str, measured: Sequence[str], path: Sequence[CentralPoint], kept: Sequence[int] | None = None
-    ) -> Controller:
-        """The controller furthest along a central path whose certificate holds."""
-        kept = range(len(measured)) if kept is None else kept
-        Cy, _ = self.vehicle.linear_model.rows([measured[i] for i in kept])
-        certificates, lower = [], self.best_possible(measured)
-        for point in reversed(path):
-            certificates.append(certify(self.plant, point.K @ Cy, point.X, point.eta, lower))
-            if not certificates[-1].failures:
-                controller = self.controller(name, measured, kept, point.K, certificates[-1])
-                return replace(controller, stopped=point.gamma / path[-1].gamma - 1)
-        raise DesignError(f"the certificate of controller {name!r} fails: {'; '.join(certificates[0].failures)}")
 
 
 def design(vehicle: Vehicle, name: str) -> Controller:

@@ -9,8 +9,8 @@ from models.arrays import Array
 from synth.landscape import Landscape
 from synth.plant import GeneralizedPlant
 
-SMALLEST = 1e-6  # of an entry's scale: the first step
-DOUBLINGS, HALVINGS = 40, 12  # a move of 1e6 scales is "any"; then to a thousandth of itself
+SMALLEST = 1e-4  # of an entry's scale: the first step
+STEPS, HALVINGS = 16, 8  # fourfold steps, beyond which a move is of any size; then to a hundredth of itself
 
 
 def free_moves(plant: GeneralizedPlant, Cy: Array, K: Array, share: float) -> tuple[Array, Array]:
@@ -37,12 +37,12 @@ def free_moves(plant: GeneralizedPlant, Cy: Array, K: Array, share: float) -> tu
 
 
 def _furthest(stays) -> float:
-    """The largest move that stays, found by doubling and halving."""
+    """The largest move that stays, found by growing and halving."""
     inside, outside = 0.0, SMALLEST
-    for _ in range(DOUBLINGS):
+    for _ in range(STEPS):
         if not stays(outside):
             break
-        inside, outside = outside, 2 * outside
+        inside, outside = outside, 4 * outside
     else:
         return np.inf
     for _ in range(HALVINGS):

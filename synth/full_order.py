@@ -13,9 +13,9 @@ from dataclasses import replace
 import numpy as np
 
 from models.arrays import Array
+from models.errors import InputError
 from synth.barrier import Barrier, Block, boundary, newton
 from synth.central import CENTRED, INSIDE, Basis, CentralPoint, along_path
-from synth.errors import DesignError
 from synth.limit import invariant_limit
 from synth.lower_bound import LowerBound, Witness, lower_bound, meeting, observer_plant, reduced_plant
 from synth.plant import GeneralizedPlant
@@ -57,7 +57,7 @@ def best_possible(plant: GeneralizedPlant, Cy: Array | None = None, path: Sequen
     if Cy is None or not path:
         return best
     # Where the observer's problem has no solution, or none at a finite gain, there is nothing to add.
-    with contextlib.suppress(DesignError, np.linalg.LinAlgError), np.errstate(all="ignore"):
+    with contextlib.suppress(InputError, np.linalg.LinAlgError), np.errstate(all="ignore"):
         for state, observer in _walk(plant, Cy, min(path, key=lambda point: abs(np.log(point.mu / ENTRY)))):
             found = lower_bound(plant, state, Cy, observer)
             best = found if found.gamma > best.gamma else best
@@ -68,7 +68,7 @@ def _as_far_as_it_goes(plant: GeneralizedPlant) -> list[CentralPoint]:
     """The path of (22), also where its end cannot be reached."""
     n, points = len(plant.A), []
     if n:  # where every state is steered at no cost nothing is proved
-        with contextlib.suppress(DesignError, np.linalg.LinAlgError), np.errstate(all="ignore"):
+        with contextlib.suppress(InputError, np.linalg.LinAlgError), np.errstate(all="ignore"):
             for point in along_path(plant, np.zeros((n, 0)), np.eye(n), STATE_END):
                 points.append(point)  # one by one: what was found before an error counts
     return points

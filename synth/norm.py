@@ -55,7 +55,7 @@ def hinf_norm(system: GeneralizedPlant) -> Norm:
 def is_stable(A: Array) -> bool:
     """Whether every eigenvalue lies left of the imaginary axis, by more than rounding."""
     A, _ = balance(A)
-    return bool(np.all(np.linalg.eigvals(A).real < -_rounding(A)))
+    return bool(np.all(np.linalg.eigvals(A).real < -rounding(A)))
 
 
 def balance(A: Array) -> tuple[Array, Array]:
@@ -169,11 +169,11 @@ def _prepared(system: GeneralizedPlant) -> tuple[GeneralizedPlant, Array, float 
     A, scale = balance(system.A)
     system = GeneralizedPlant(A=A, B=system.B, Bw=system.Bw / scale[:, None], C=system.C * scale, D=system.D, Dw=system.Dw)
     poles = np.linalg.eigvals(A)
-    on_axis = np.abs(np.real(poles)) <= _rounding(A)
+    on_axis = np.abs(np.real(poles)) <= rounding(A)
     return system, poles, float(np.abs(np.imag(poles[on_axis])[0])) if np.any(on_axis) else None
 
 
-def _rounding(A: Array) -> float:
+def rounding(A: Array) -> float:
     """How far rounding moves the eigenvalues of a balanced matrix [rad/s]."""
     return 10 * np.finfo(float).eps * float(np.linalg.norm(A)) if len(A) else 0.0
 
