@@ -90,7 +90,7 @@ def _stage(landscape: Landscape, x: Array, limit: Array, rounds: int) -> tuple[A
     """Rounds of one stage: until ten of them gain less than a millionth."""
     height, at = landscape.norm(x)
     unit = 0.5 * (1 + np.abs(x))  # steps are measured against the size of the point
-    hessian = np.diag(0.1 / unit**2)
+    hessian, damping = np.diag(0.1 / unit**2), 1e-2
     recent, depth, failures = [height], 0.1, 0
     kept = landscape.cuts(x, np.array([at if np.isfinite(at) else 0.0]), height)[:0]
     omega = landscape.summits(x, height * (1 - depth))
@@ -105,13 +105,16 @@ def _stage(landscape: Landscape, x: Array, limit: Array, rounds: int) -> tuple[A
         useful = values > -2 * depth - 0.1
         cuts, values, slopes, moving = cuts[useful], values[useful], slopes[useful], moving[useful]
 
+        _, weights = lowest_point(values, slopes, hessian, x, limit)
+        active = moving & (weights > 1e-3 * weights.max())
+        if active.any():
+            curvature = landscape.curvature(x, cuts[active], weights[active] / weights[active].sum()) / height
+            hessian = _convex(curvature, unit, damping)
         step, weights = lowest_point(values, slopes, hessian, x, limit)
         fall = -float(np.max(values + slopes @ step))
         if not fall > 1e-10:
             depth, failures = depth / 4, failures + 1
-            hessian = np.diag(np.diag(hessian))
             continue
-        active = weights > 1e-8 * weights.max()
         found, length = cuts[:0], 1.0
         while length > 1e-3:
             allowed = height * (1 - 1e-2 * length * fall)
@@ -122,7 +125,8 @@ def _stage(landscape: Landscape, x: Array, limit: Array, rounds: int) -> tuple[A
                 found = found + landscape.cuts(x + length * step, np.array([where]), there)
             length *= 0.3
         else:
-            hessian, failures, kept = hessian * 4, failures + 1, kept + found
+            damping, failures, kept = 10 * damping, failures + 1, kept + found
+            hessian = hessian * 10
             continue
 
         while length >= 1 and np.all(np.abs(x + 3 * length * step) <= limit):  # a minimum far away, or at infinity
@@ -131,12 +135,9 @@ def _stage(landscape: Landscape, x: Array, limit: Array, rounds: int) -> tuple[A
                 break
             length, there = 3 * length, further
         failures, kept = (0 if length > 0.05 else failures), found
+        damping = max(damping / 4, 1e-8) if length >= 1 else damping * 2
         step = length * step
         omega = landscape.summits(x + step, there * (1 - depth))
-        moved = landscape.moved(x + step, cuts[active], moving[active], omega)
-        _, slopes_there = landscape.heights(x + step, moved)
-        change = weights[active] @ (slopes_there / height - slopes[active]) / weights[active].sum()
-        hessian = _updated(hessian, step, change, unit)
         x, height = x + step, there
         unit = np.maximum(unit, 0.5 * (1 + np.abs(x)))
         recent.append(height)
@@ -167,12 +168,7 @@ def lowest_point(values: Array, slopes: Array, hessian: Array, x: Array, limit: 
     return inverse @ (-residual[:-2] / residual[-1]), (weights / sizes)[: len(values)]
 
 
-def _updated(hessian: Array, step: Array, change: Array, unit: Array) -> Array:
-    """Powell's damped BFGS update, kept within bounds in the units of the point."""
-    pulled = hessian @ step
-    expected, found = float(step @ pulled), float(step @ change)
-    share = 1.0 if found >= 0.1 * expected else 0.9 * expected / (expected - found)
-    change = share * change + (1 - share) * pulled
-    hessian = hessian - np.outer(pulled, pulled) / expected + np.outer(change, change) / float(step @ change)
-    values, vectors = np.linalg.eigh(hessian * np.outer(unit, unit))
-    return (vectors * np.clip(values, 1e-5, 1e6)) @ vectors.T / np.outer(unit, unit)
+def _convex(curvature: Array, unit: Array, damping: float) -> Array:
+    """A positive definite matrix of the same curvatures, upwards in every direction, in the units of the point."""
+    values, vectors = np.linalg.eigh(curvature * np.outer(unit, unit))
+    return (vectors * (np.clip(np.abs(values), 1e-8, 1e8) + damping)) @ vectors.T / np.outer(unit, unit)

@@ -16,6 +16,7 @@ from synth.norm import balance, level_crossings, transfer_matrix
 from synth.plant import GeneralizedPlant
 
 NEAR = 1e-9  # relative; a level set this much higher that is empty ends the search for the peak
+ALIKE = 0.02  # relative; eigenvalues closer than this count as one
 MOST_ALIKE = 3  # singular values of one frequency that are looked at
 
 
@@ -141,23 +142,6 @@ class Landscape:
         u, v = U[where] @ mixture, Vh[where].conj().transpose(0, 2, 1) @ mixture
         return Cuts(omega[where], u[:, :, 0], v[:, :, 0])
 
-    def moved(self, x: Array, cuts: Cuts, moving: Array, summits: Array) -> Cuts:
-        """The cuts at another point: of each local maximum that one belonged to, where it now is; the others as they are."""
-        if not len(summits):
-            return cuts
-        omega = summits[np.argmin(np.abs(summits[None] - cuts.omega[:, None]), axis=1)]
-        A, C = self.loop(x)
-        U, _, Vh = np.linalg.svd(transfer_matrix(A, self.Bw, C, self.Dw, omega), full_matrices=False)
-        # The singular pair most like the old one, if one is.
-        like = np.abs(np.einsum("fdk,fd->fk", U.conj(), cuts.u)) * np.abs(np.einsum("fkr,fr->fk", Vh, cuts.v))
-        k, f = np.argmax(like, axis=1), np.arange(len(omega))
-        same = moving & (like[f, k] > 0.5) & (np.abs(omega - cuts.omega) < 0.3 * (omega + cuts.omega) + 1e-9)
-        return Cuts(
-            np.where(same, omega, cuts.omega),
-            np.where(same[:, None], U[f, :, k], cuts.u),
-            np.where(same[:, None], Vh[f, k].conj(), cuts.v),
-        )
-
     def heights(self, x: Array, cuts: Cuts) -> tuple[Array, Array]:
         """Values of cuts at a point, shape (F,), and slopes, shape (F, m q)."""
         A, C = self.loop(x)
@@ -169,6 +153,47 @@ class Landscape:
         values = np.real(np.einsum("fd,fd->f", cuts.u.conj(), driven @ C.T + cuts.v @ self.Dw.T))
         slopes = np.real((seen @ self.B + cuts.u.conj() @ self.D)[:, :, None] * (driven @ self.Cy.T)[:, None, :])
         return values, (slopes * self.scale).reshape(len(values), -1)
+
+    def curvature(self, x: Array, cuts: Cuts, weights: Array) -> Array:
+        """Weighted sum of the second derivatives of the peaks that cuts belong to, shape (m q, m q).
+
+        A peak is the largest Re u' T v over unit u, v and over frequencies near by: with q = (u, v) / sqrt 2 it is the eigenvalue
+        of J = [0 T; T' 0] that belongs to q, and perturbation theory has its second derivatives over x and omega; omega follows
+        its maximum, which takes out one rank. Eigenvalues nearly alike are not divided by: mixed cuts stand for them.
+        """
+        A, C = self.loop(x)
+        n, size = len(A), x.size
+        total = np.zeros((size, size))
+        for omega, u, v, weight in zip(cuts.omega, cuts.u, cuts.v, weights, strict=True):
+            R = np.linalg.inv(1j * omega * np.eye(n) - A)
+            left, right = C @ R, R @ self.Bw
+            T, Tu, Tw, Ty = left @ self.Bw + self.Dw, left @ self.B + self.D, self.Cy @ right, self.Cy @ R @ self.B
+            Tu_rate, Tw_rate = -1j * (left @ R @ self.B), -1j * (self.Cy @ R @ right)
+            # First derivatives of T v and T' u over the entries of x, then over omega.
+            seen, driven = (u.conj() @ Tu), Tw @ v
+            along = np.einsum("di,j->dij", Tu, driven) * self.scale
+            back = np.einsum("i,jr->rij", seen, Tw).conj() * self.scale
+            first = np.vstack([along.reshape(len(u), -1), back.reshape(len(v), -1)])
+            slide = np.concatenate([-1j * (left @ (right @ v)), (-1j * (u.conj() @ left @ right)).conj()])
+            first = np.column_stack([first, slide]) / np.sqrt(2)
+            # Second derivatives of u' T v.
+            second = np.zeros((size + 1, size + 1))
+            twice = np.einsum("i,jk,l->ijkl", seen, Ty, driven) * self.scale[:, :, None, None] * self.scale
+            twice = np.real(twice.reshape(size, size))
+            second[:size, :size] = twice + twice.T
+            mixed = np.outer(u.conj() @ Tu_rate, driven) + np.outer(seen, Tw_rate @ v)
+            second[:size, -1] = second[-1, :size] = np.real(mixed * self.scale).ravel()
+            second[-1, -1] = np.real(-2 * u.conj() @ left @ R @ right @ v)
+            J = np.block([[np.zeros((len(u),) * 2), T], [T.conj().T, np.zeros((len(v),) * 2)]])
+            values, vectors = np.linalg.eigh(J)
+            height = float(np.real(u.conj() @ T @ v))
+            away = np.abs(height - values) > ALIKE * height
+            share = vectors[:, away].conj().T @ first
+            second += 2 * np.real(share.conj().T @ (share / (height - values[away])[:, None]))
+            if second[-1, -1] < 0 and omega > 0:
+                second -= np.outer(second[-1], second[-1]) / second[-1, -1]
+            total += weight * second[:size, :size]
+        return total
 
     def summits(self, x: Array, level: float) -> Array:
         """Frequencies [rad/s] of the local maxima of the gain that exceed a level, shape (P,), ascending."""
