@@ -115,7 +115,7 @@ def _stage(landscape: Landscape, x: Array, limit: Array, rounds: int) -> tuple[A
         if not fall > 1e-10:
             depth, failures = depth / 4, failures + 1
             continue
-        found, length = cuts[:0], 1.0
+        found, length, corrected = cuts[:0], 1.0, False
         while length > 1e-3:
             allowed = height * (1 - 1e-2 * length * fall)
             there, where = landscape.norm(x + length * step, allowed)
@@ -123,6 +123,14 @@ def _stage(landscape: Landscape, x: Array, limit: Array, rounds: int) -> tuple[A
                 break
             if np.isfinite(there) and np.isfinite(where):  # what rose there is missing in the model
                 found = found + landscape.cuts(x + length * step, np.array([where]), there)
+                if not corrected:
+                    # The edges are curved: where they stand beyond the step is modelled from there (a second-order correction).
+                    corrected = True
+                    better = _corrected(landscape, x, step, height, depth, hessian, limit)
+                    there, _ = landscape.norm(x + better, allowed)
+                    if there <= allowed:
+                        step = better
+                        break
             length *= 0.3
         else:
             damping, failures, kept = 10 * damping, failures + 1, kept + found
@@ -142,6 +150,19 @@ def _stage(landscape: Landscape, x: Array, limit: Array, rounds: int) -> tuple[A
         unit = np.maximum(unit, 0.5 * (1 + np.abs(x)))
         recent.append(height)
     return x, height
+
+
+def _corrected(
+    landscape: Landscape, x: Array, step: Array, height: float, depth: float, hessian: Array, limit: Array
+) -> Array:
+    """The step again, with the peaks as they are at its end."""
+    peaks = landscape.cuts(x + step, landscape.summits(x + step, height * (1 - depth)), height * (1 - 0.1 * depth))
+    if not len(peaks.omega):
+        return step
+    values, slopes = landscape.heights(x + step, peaks)
+    values, slopes = values / height - 1, slopes / height
+    better, _ = lowest_point(values - slopes @ step, slopes, hessian, x, limit)
+    return better
 
 
 def lowest_point(values: Array, slopes: Array, hessian: Array, x: Array, limit: Array) -> tuple[Array, Array]:

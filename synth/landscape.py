@@ -152,7 +152,7 @@ class Landscape:
         seen = np.linalg.solve(shifted.transpose(0, 2, 1), C.T @ cuts.u.conj()[:, :, None])[:, :, 0]  # u' C (j omega - A)^-1
         values = np.real(np.einsum("fd,fd->f", cuts.u.conj(), driven @ C.T + cuts.v @ self.Dw.T))
         slopes = np.real((seen @ self.B + cuts.u.conj() @ self.D)[:, :, None] * (driven @ self.Cy.T)[:, None, :])
-        return values, (slopes * self.scale).reshape(len(values), -1)
+        return values, (slopes * self.scale).reshape(len(values), self.scale.size)
 
     def curvature(self, x: Array, cuts: Cuts, weights: Array) -> Array:
         """Weighted sum of the second derivatives of the peaks that cuts belong to, shape (m q, m q).
@@ -210,7 +210,7 @@ class Landscape:
         middle, right = omega[top], omega[np.minimum(top + 1, len(omega) - 1)]
         right = np.where(right > middle, right, middle * 1.1 + (middle == 0))
         height = gains[top]
-        for _ in range(5):  # three points to a parabola, its top the next middle
+        for _ in range(3):  # three points to a parabola, its top the next middle
             sides = self._gains(A, C, np.abs(np.concatenate([left, right]))).reshape(2, -1)
             a, b = middle - left, right - middle
             rise, drop = (height - sides[0]) / a, (height - sides[1]) / b

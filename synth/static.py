@@ -109,7 +109,7 @@ def static_output_feedback(plant: GeneralizedPlant, Cy: Array, largest_gain: flo
 
     # Many quick descents, fewer and longer ones from the best.
     ranked = sorted((_quick(landscape, x, limit) + (origin,) for x, origin in starts + found), key=lambda each: each[1])
-    for keep, rounds in ((4, 30), (2, 150)):
+    for keep, rounds in ((3, 30), (1, 150)):
         ranked = [(*along_edges(landscape, x, limit, rounds), origin) for x, _, origin in ranked[:keep]]
         ranked.sort(key=lambda each: each[1])
         if len(ranked) > 1 and ranked[1][1] <= ranked[0][1] * (1 + AGREE):
