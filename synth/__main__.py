@@ -69,10 +69,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             lines += ["", *detail_lines(row)]
         lines += [
             "",
-            f"limit: no control force changes that at {at:.5g} rad/s z answers to the road {limit:.7g}-fold (invariant point)",
+            f"limit: no control force changes z's answer to the road at {at:.5g} rad/s, {limit:.7g} (invariant point)",
         ]
         if moved:
-            lines.append(f"flat: for {FLAT:g} of gamma each gain of the state feedback may move by itself")
+            lines.append(f"flat: for {FLAT:g} of gamma each state's largest gain may move by itself")
             lines += [f"  {state:22s} {_range(*values)}" for state, values in moved.items()]
         print("\n".join(lines))
     return 1 if any(row.failures for row in rows) else 0
@@ -157,18 +157,16 @@ def _refined(designer: Designer, name: str, controller: Controller | None) -> tu
 
 
 def _flatness(designer: Designer) -> dict[str, list[float | None]]:
-    """By state: its gain on the actuator where it is freest, and how far it may move down and up by itself for FLAT of gamma."""
+    """By state: the largest gain on it, and how far that may fall and rise by itself for FLAT of gamma; None is any distance."""
     try:
         K = designer.state_feedback.K
     except DesignError:
         return {}
     states = designer.vehicle.linear_model.states
-    down, up = free_moves(designer.plant, np.eye(len(states)), K, FLAT)
-    freest = (down + up).argmax(axis=0)
-    table = np.stack([K, down, up])[:, freest, np.arange(len(states))]
+    moves = np.stack(free_moves(designer.plant, np.eye(len(states)), K, FLAT))
     return {
         state: [float(value) if np.isfinite(value) else None for value in values]
-        for state, values in zip(states, table.T, strict=True)
+        for state, values in zip(states, moves.T, strict=True)
     }
 
 

@@ -152,9 +152,7 @@ def _stage(landscape: Landscape, x: Array, limit: Array, rounds: int) -> tuple[A
     return x, height
 
 
-def _corrected(
-    landscape: Landscape, x: Array, step: Array, height: float, depth: float, hessian: Array, limit: Array
-) -> Array:
+def _corrected(landscape: Landscape, x: Array, step: Array, height: float, depth: float, hessian: Array, limit: Array) -> Array:
     """The step again, with the peaks as they are at its end."""
     peaks = landscape.cuts(x + step, landscape.summits(x + step, height * (1 - depth)), height * (1 - 0.1 * depth))
     if not len(peaks.omega):

@@ -1,4 +1,4 @@
-"""A design with its certificate, for any plant: state feedback, and the two steps from where along the path they lead to a gain."""
+"""A design with its certificate, for any plant: state feedback, and the two steps from where on the path they lead to a gain."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

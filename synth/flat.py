@@ -13,27 +13,32 @@ SMALLEST = 1e-4  # of an entry's scale: the first step
 STEPS, HALVINGS = 16, 8  # fourfold steps, beyond which a move is of any size; then to a hundredth of itself
 
 
-def free_moves(plant: GeneralizedPlant, Cy: Array, K: Array, share: float) -> tuple[Array, Array]:
-    """How far each entry may fall and rise, shapes (m, q), both >= 0; infinite where no move matters.
+def free_moves(plant: GeneralizedPlant, Cy: Array, K: Array, share: float) -> tuple[Array, Array, Array]:
+    """For each measurement the largest gain on it, and how far that entry may fall and rise.
 
     Args:
         plant: n states, m inputs.
         Cy: shape (q, n).
         K: a stabilising gain, shape (m, q).
         share: how much the norm may rise, relative.
+
+    Returns:
+        Gain, fall and rise, each of shape (q,); the last two >= 0, and infinite where no move matters.
     """
     landscape = Landscape(plant, Cy)
     x = landscape.point(K)
     allowed = landscape.norm(x)[0] * (1 + share)
+    q = K.shape[1]
+    largest = np.abs(K).argmax(axis=0) * q + np.arange(q)  # as an index of x
 
     def stays(i: int, move: float) -> bool:
         there = x.copy()
         there[i] += move
         return landscape.norm(there, allowed)[0] <= allowed
 
-    moves = np.array([[_furthest(lambda move, i=i, sign=sign: stays(i, sign * move)) for i in range(len(x))] for sign in (-1, 1)])
-    down, up = (side.reshape(K.shape) * landscape.scale for side in moves)
-    return down, up
+    fall, rise = (np.array([_furthest(lambda t, i=i, sign=sign: stays(i, sign * t)) for i in largest]) for sign in (-1, 1))
+    scale = landscape.scale.ravel()[largest]
+    return K.ravel()[largest], fall * scale, rise * scale
 
 
 def _furthest(stays) -> float:

@@ -193,6 +193,8 @@ def _dual(plant: GeneralizedPlant, witness: Witness) -> _Dual | None:
         T = np.linalg.cholesky(witness.X)
         moved = plant.closed_loop(witness.K).in_coordinates(T)
         S = -bounded_real_matrix(moved, np.eye(n), np.zeros_like(witness.K), witness.eta)
+        if np.diagonal(S).min() <= 0:
+            return None
         size = 1 / np.sqrt(np.diagonal(S))
         Z = size[:, None] * np.linalg.inv(size[:, None] * S * size) * size
         # Z loses its part along the inputs in its own metric, a Schur complement: the rest stays positive semidefinite.
