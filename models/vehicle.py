@@ -17,6 +17,7 @@ from models.linear_model import LinearModel
 from models.reality import Implementation, Limits, read_implementation, read_limits
 
 SECTIONS = ("type", "parameters", "performance", "controllers", "limits", "implementation")
+CONTROLLER_KEYS = ("measured", "gain", "certificate")
 RESERVED = ("passive", "state")  # these two always exist: u = 0, and full state feedback
 LONGEST_NAME = 60  # bytes; the names of three controllers go into a file name
 SMALLEST_WEIGHT, LARGEST_WEIGHT = 1e-12, 1e12  # relative to one another; beyond these rounding decides
@@ -30,11 +31,13 @@ class ControllerEntry:
         name: its name.
         measured: signals it measures, q of them.
         gain: shape (m, q) if the file gives it, else None: it is to be designed.
+        certificate: what is claimed of the gain, as `python -m synth --save` wrote it beside it; None without one.
     """
 
     name: str
     measured: tuple[str, ...]
     gain: Array | None = None
+    certificate: Mapping[str, Any] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,8 +165,10 @@ def _controller(name: str, entry: Any, model: LinearModel) -> ControllerEntry:
     if not isinstance(entry, dict):
         raise InputError(f"{where} is not a section with measured = [signals]")
     for key in entry:
-        if key not in ("measured", "gain"):
-            raise InputError(f"{where} unknown key {key!r}; known: gain, measured")
+        if key not in CONTROLLER_KEYS:
+            raise InputError(f"{where} unknown key {key!r}; known: {known(CONTROLLER_KEYS)}")
+    if "certificate" in entry and not (isinstance(entry["certificate"], dict) and "gain" in entry):
+        raise InputError(f"{where} a certificate is a section of its own, beside the gain that it is about; take it out")
 
     measured = entry.get("measured")
     measurable = known(model.measurable)
@@ -180,7 +185,8 @@ def _controller(name: str, entry: Any, model: LinearModel) -> ControllerEntry:
                 f"{where} {signal!r} contains the control force or the road itself, so a static controller cannot measure it; "
                 f"give signals out of: {measurable}"
             )
-    return ControllerEntry(name, tuple(measured), _gain(where, entry["gain"], model, measured) if "gain" in entry else None)
+    gain = _gain(where, entry["gain"], model, measured) if "gain" in entry else None
+    return ControllerEntry(name, tuple(measured), gain, entry.get("certificate"))
 
 
 def _gain(where: str, gain: Any, model: LinearModel, measured: list[str]) -> Array:

@@ -3,9 +3,9 @@
 import json
 from collections.abc import Sequence
 
+from models.command import Parser, run_command
 from models.errors import InputError
 from models.vehicle import Vehicle, read_vehicle
-from sim.command import Parser, run_command
 from sim.comparison import add_how, add_what, chosen, compared_lines, run_chosen
 from sim.road import Bump
 from sim.run import Run, check_road, sample_times

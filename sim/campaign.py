@@ -7,13 +7,13 @@ import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from models.command import Parser, run_command
 from models.errors import InputError
 from sim.campaign_batch import MOST, Plan, columns
 from sim.campaign_file import MOST_RUNS, Campaign, read_campaign
 from sim.campaign_store import Store, begin, begun, controllers_text, held
 from sim.campaign_summary import summarise, summary_lines
 from sim.campaign_workers import Rows, run_batches
-from sim.command import Parser, run_command
 from sim.progress import show
 from sim.provenance import versions
 from synth.controller import Controller, Designer, given

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from models.arrays import Array
+from models.command import Parser
 from models.errors import InputError
 from models.vehicle import Vehicle
-from sim.command import Parser
 from sim.road import Road
 from sim.run import Run, run_all
 from sim.verdict import controller_lines, run_lines, verdict_lines

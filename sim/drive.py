@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from models.command import Parser, run_command
 from models.errors import InputError
 from models.vehicle import Vehicle, read_vehicle
-from sim.command import Parser, run_command
 from sim.comparison import add_how, add_what, chosen, compared_lines, run_chosen
 from sim.expected import Expected, expect, settling_time
 from sim.iso8608 import CLASSES, Iso8608

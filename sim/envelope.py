@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from models.arrays import Array
+from models.command import Parser, run_command
 from models.errors import InputError, known
 from models.vehicle import Vehicle, read_vehicle
 from sim.broken import ENDS
-from sim.command import Parser, run_command
 from sim.picture import check_picture, draw
 from sim.progress import bar
 from sim.road import LIMITS, Bump

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from models.command import Parser, run_command
 from models.errors import InputError
 from models.reality import Implementation
 from models.vehicle import Vehicle, read_vehicle
-from sim.command import Parser, run_command
 from sim.growth import BUMP, LONGEST, SHORTEST
 from sim.linear import sampled_radius
 from sim.loop_margins import LoopMargins, find_margins

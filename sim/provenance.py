@@ -19,6 +19,7 @@ from sim.road import Road
 from sim.run import Run
 from sim.run_log import RunLog
 from sim.verdict import controller_object, events, summary
+from synth.record import to_record
 
 PACKAGES = ("roadproof", "mujoco", "numpy", "scipy", "mcap", "rerun-sdk")
 
@@ -100,6 +101,7 @@ def run_log(vehicle: Vehicle, road: Road, run: Run, name: str | None = None) -> 
         "designed": run.controller.designed,
         "stable": certificate.stable,
         "poles": [[float(pole.real), float(pole.imag)] for pole in certificate.poles],
+        "certificate": to_record(certificate),
         "agrees": agreement.agrees,
         "lift_off": [list(interval) for interval in agreement.lift_off],
         "errors": {name: signal.sampled for name, signal in agreement.signals.items()},

@@ -8,9 +8,9 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from models.command import Parser, run_command
 from models.errors import InputError
 from models.vehicle import Vehicle, read_vehicle
-from sim.command import Parser, run_command
 from sim.page import Page, check_page, write_page
 from sim.picture import check_picture, draw
 from sim.progress import show

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from models.command import Parser, run_command
 from models.errors import InputError
 from models.vehicle import Vehicle, read_vehicle
-from sim.command import Parser, run_command
 from sim.extremes import DURATION, Extremes, extremes
 from sim.identification import HIGHEST, LOWEST, Lines, ideal_measurements, identify
 from sim.multisine import sinusoid

@@ -15,23 +15,30 @@ moved to the current point, where X = I and, with the current gain absorbed in t
 """
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from scipy import linalg
-from threadpoolctl import ThreadpoolController
 
 from models.arrays import Array
+from models.errors import InputError
+from synth.barrier import Barrier, boundary, newton
 from synth.bounded_real import bounded_real_matrix
 from synth.errors import DesignError, InfeasibleError
 from synth.plant import GeneralizedPlant
-
-Block = tuple[Array, Array]  # an affine matrix F0 + sum_i p_i F_i that must stay positive definite: F0 (k, k), F (N, k, k)
+from synth.scaling import reachable, size
+from synth.threads import one_thread
 
 LIMIT = 1e-9
 """Distance mu / eta at which the path counts as having arrived: gains are within 3e-6 of the limit for the paper's problem."""
+
+
+CENTRED = 1e-6  # Newton decrement at the points of the path: close enough for the duals that prove lower bounds
+RESTS = (1e-7, 1e-5, *(10.0**exponent for exponent in range(-3, 20)))  # mu over eta
+FROM = 1e3  # where the path is entered: mu over the eta of the first feasible point, far from any optimum
+INSIDE = 0.95  # of the way to the boundary, where a step along the path would leave
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,20 +76,23 @@ def central_path(plant: GeneralizedPlant, Q: Array, R: Array, mu: float = LIMIT)
         Points with eta > 0, in the order of falling mu, each a tenth to a hundredth of the one before.
 
     Raises:
+        InputError: nothing disturbs the plant, or nothing is weighed.
         InfeasibleError: there is no feasible point with eta > 0.
         DesignError: Newton's method broke down short of mu.
     """
-    # One thread: the matrices are small, threads that wait for each other cost a hundredfold on a busy machine, and the rounding
-    # must not depend on how many there are.
-    with _blas().limit(limits=1, user_api="blas"):
+    return list(along_path(plant, Q, R, mu))
+
+
+def along_path(plant: GeneralizedPlant, Q: Array, R: Array, mu: float = LIMIT) -> Iterator[CentralPoint]:
+    """The same points one by one, for those who can use the first where the last cannot be reached."""
+    if not (np.any(plant.Bw) or np.any(plant.Dw)):
+        raise InputError("the plant has no disturbance: Bw and Dw are zero; name one, or there is nothing to design against")
+    if not (np.any(plant.C) or np.any(plant.D)):
+        raise InputError("the controlled output is zero: C and D are; give at least one signal a weight above zero")
+    with one_thread():
         path = _Path(plant, Q, R)
         path.find_feasible_point()
-        return path.follow(mu)
-
-
-@functools.cache
-def _blas() -> ThreadpoolController:
-    return ThreadpoolController()
+        yield from path.follow(mu)
 
 
 class _Path:
@@ -91,14 +101,16 @@ class _Path:
     def __init__(self, plant: GeneralizedPlant, Q: Array, R: Array) -> None:
         self.free = Q.shape[1]  # a = n - q
         T = np.hstack([Q, R])
-        plant = plant.in_coordinates(T)
+        # Inputs that do nothing are left at zero, and those that do the same share it.
+        self.inputs = plant.independent_inputs()
+        plant = plant.with_inputs(self.inputs).in_coordinates(T)
         # Only numerics from here on: states scaled by what the inputs can reach, and units in which A, B, Bw, C have size one.
-        scaling = _reachable(plant, self.free)
+        scaling = reachable(plant, self.free)
         plant = plant.in_coordinates(scaling)
-        self.rate = _size(plant.A)
-        self.input_unit = self.rate / _size(plant.B)
-        self.disturbance_unit = self.rate / _size(plant.Bw)
-        self.output_unit = 1 / _size(plant.C)
+        self.rate = size(plant.A)
+        self.input_unit = self.rate / size(plant.B)
+        self.disturbance_unit = self.rate / size(plant.Bw)
+        self.output_unit = 1 / size(plant.C)
         self.plant = GeneralizedPlant(
             A=plant.A / self.rate,
             B=plant.B * self.input_unit / self.rate,
@@ -113,7 +125,7 @@ class _Path:
         self.K = np.zeros((plant.B.shape[1], R.shape[1]))  # the gain absorbed so far, in those of the beginning
         self.eta = 0.0
         self.mu = np.inf
-        self.basis = _Basis(self.plant, self.free)
+        self.basis = Basis(self.plant, self.free)
 
     def find_feasible_point(self) -> None:
         """A strictly feasible point, or the proof that there is none.
@@ -134,10 +146,11 @@ class _Path:
         ]
         p = basis.pack(np.eye(n) / 2, np.zeros((m, n)), 0.0)
         s = np.linalg.eigvalsh(np.tensordot(p, lyapunov, 1))[-1]
-        p[-1] = s + max(abs(s), 1e-3)
-        mu = p[-1]
+        mu = max(abs(s), 1e-3)
+        p[-1] = s + mu
+        barrier = Barrier(blocks)
         while True:
-            p, _ = _newton(blocks, p, _direction(basis.size, 1 / mu), tolerance=0.3)
+            p, _, _ = newton(barrier, p, _direction(basis.size, 1 / mu), tolerance=0.3)
             if p[-1] < 0:
                 break
             mu /= 10
@@ -151,26 +164,30 @@ class _Path:
 
         p[-1] = 0.0
         X, Y, _ = basis.unpack(p)
+        X, Y, largest = self._scaled(X, Y)
+        self.eta = 0.5 * largest
+        self.mu = FROM * self.eta
+        self._move_to(X, Y)
+
+    def _scaled(self, X: Array, Y: Array) -> tuple[Array, Array, float]:
+        """A pair with He(A X + B Y) < 0, scaled to fit (24), and the largest eta that it then allows."""
+        n = len(self.plant.A)
         F = bounded_real_matrix(self.plant, X, Y, 0.0)
         low = F[n:, :n]
         shrink = 0.5 / max(linalg.eigh(low.T @ low, -F[:n, :n], eigvals_only=True)[-1], 1e-12)
         X, Y = shrink * X, shrink * Y
-        disturbance = basis.F[-1]
         F = bounded_real_matrix(self.plant, X, Y, 0.0)
-        self.eta = 0.5 / linalg.eigh(disturbance, -F, eigvals_only=True)[-1]
-        self._move_to(X, Y)
+        return X, Y, 1 / linalg.eigh(self.basis.F[-1], -F, eigvals_only=True)[-1]
 
-    def follow(self, mu_end: float) -> list[CentralPoint]:
-        """Walks along the path until mu = mu_end eta; returns the points it rested at."""
+    def follow(self, mu_end: float) -> Iterator[CentralPoint]:
+        """Walks along the path until mu = mu_end eta; yields the points it rests at."""
         n, m = len(self.plant.A), self.plant.B.shape[1]
-        self.mu = 30 * self.eta
-        points: list[CentralPoint] = []
         while True:
             arrived = self.eta > 0 and self.mu <= mu_end * self.eta * 1.001
             basis = self.basis
-            blocks: list[Block] = [(-basis.F0, -basis.F), (np.zeros((n, n)), basis.X)]
+            barrier = Barrier([(-basis.F0, -basis.F), (np.zeros((n, n)), basis.X)])
             p = basis.pack(np.eye(n), np.zeros((m, n)), self.eta)
-            p, decrement = _newton(blocks, p, _direction(basis.size, -1 / self.mu), tolerance=1e-5 if arrived else 0.1)
+            p, decrement, here = newton(barrier, p, _direction(basis.size, -1 / self.mu), CENTRED)
             if decrement > 0.5:
                 raise DesignError(
                     f"the central path could not be followed below mu = {self.mu / abs(p[-1]):.1e} (Newton decrement "
@@ -178,14 +195,19 @@ class _Path:
                 )
             X, Y, self.eta = basis.unpack(p)
             if self.eta > 0:
-                points.append(self.point(X, Y))
+                yield self.point(X, Y)
             if arrived:
-                return points
-            ratio = 0.1 if self.mu > 1e-2 * abs(self.eta) else 1e-2
-            # Arrive exactly, and without a last step that is hardly one.
-            if self.eta > 0 and self.mu * ratio < 3 * mu_end * self.eta:
-                ratio = min(mu_end * self.eta / self.mu, 0.5)
-            p = _predict(blocks, p, self.mu, ratio)
+                return
+            # Hundredfold steps where the path is nearly straight, and rests at the same mu for every plant.
+            ratio = 0.1
+            if self.eta > 0:
+                rests = [mu_end, *(rest for rest in RESTS if rest > mu_end)]
+                ratio = min(
+                    max(rest for rest in rests if rest < 0.5 * self.mu / self.eta or rest == mu_end) * self.eta / self.mu, 0.5
+                )
+            # Along the tangent of the path in mu, but inside.
+            step = here.solve(here.half(_direction(basis.size, 1 / self.mu)))
+            p = p + min(1 - ratio, INSIDE * boundary(here, step)) * step
             self.mu *= ratio
             X, Y, self.eta = basis.unpack(p)
             self._move_to(X, Y)
@@ -195,7 +217,7 @@ class _Path:
         T = self.start @ self.V
         return CentralPoint(
             X=T @ X @ T.T * (self.rate * self.output_unit**2),  # the units follow from (21)
-            K=self._gain(X, Y) @ np.linalg.inv(self.block_start) * self.input_unit,
+            K=self.inputs @ self._gain(X, Y) @ np.linalg.inv(self.block_start) * self.input_unit,
             eta=self.eta * (self.disturbance_unit * self.output_unit) ** 2,
             mu=self.mu / self.eta,
         )
@@ -208,7 +230,7 @@ class _Path:
         S: Any = linalg.block_diag(np.linalg.cholesky(X[:a, :a]), np.linalg.cholesky(X[a:, a:]))
         self.plant = self.plant.closed_loop(gain).in_coordinates(S)
         self.V = self.V @ S
-        self.basis = _Basis(self.plant, a)
+        self.basis = Basis(self.plant, a)
 
     def _gain(self, X: Array, Y: Array) -> Array:
         """Y_R X_R^-1 with all the gain absorbed before, in the coordinates of the beginning."""
@@ -216,7 +238,7 @@ class _Path:
         return self.K + Y[:, a:] @ np.linalg.inv(X[a:, a:]) @ np.linalg.inv(self.V[a:, a:])
 
 
-class _Basis:
+class Basis:
     """The N unknowns p = (X_Q, X_R, Y_R, eta), and the matrices they multiply, in coordinates where (12) is block diagonal.
 
     Attributes:
@@ -226,19 +248,9 @@ class _Basis:
     def __init__(self, plant: GeneralizedPlant, free: int) -> None:
         n, m = plant.B.shape
         d = len(plant.C)
-        rows, columns = np.triu_indices(n)
-        inside = (rows >= free) | (columns < free)  # no unknown couples the two blocks
-        self.rows, self.columns = rows[inside], columns[inside]
-        k = len(self.rows)
-        self.free = free
-        self.size = k + m * (n - free) + 1
-
-        self.X = np.zeros((self.size, n, n))
-        self.X[np.arange(k), self.rows, self.columns] = 1
-        self.X[np.arange(k), self.columns, self.rows] = 1
-        self.Y = np.zeros((self.size, m, n))
-        index = np.arange(m * (n - free))
-        self.Y[k + index, index // (n - free), free + index % (n - free)] = 1
+        self.n, self.free = n, free
+        self.rows, self.columns, self.X, self.Y = _unknowns(n, m, free)
+        self.size = len(self.X)
 
         top = plant.A @ self.X + plant.B @ self.Y
         low = plant.C @ self.X + plant.D @ self.Y
@@ -252,121 +264,31 @@ class _Basis:
         self.F0[n:, n:] = -np.eye(d)
 
     def pack(self, X: Array, Y: Array, last: float) -> Array:
+        """The unknowns of X, Y and the last."""
         return np.concatenate([X[self.rows, self.columns], Y[:, self.free :].ravel(), [last]])
 
     def unpack(self, p: Array) -> tuple[Array, Array, float]:
+        """X, Y and the last of the unknowns."""
         return np.tensordot(p, self.X, 1), np.tensordot(p, self.Y, 1), float(p[-1])
 
 
-def _newton(blocks: Sequence[Block], p: Array, c: Array, tolerance: float) -> tuple[Array, float]:
-    """Minimises c'p - sum log det(F0 + sum_i p_i F_i) from a feasible p until the Newton decrement is below the tolerance.
-
-    Returns:
-        The minimiser and its Newton decrement. It stops where rounding stops it; the caller looks at the decrement.
-    """
-    factors = _factor(blocks, p)
-    assert factors is not None, "the starting point is feasible"
-    previous = np.inf
-    decrement = np.inf
-    for _ in range(200):
-        trace, scale, triangle = _derivatives(blocks, factors)
-        half = linalg.solve_triangular(triangle, (c - trace) * scale, trans=1, check_finite=False)
-        decrement = float(np.linalg.norm(half))
-        if decrement < tolerance or (decrement < 1e-2 and decrement >= 0.5 * previous):
-            break
-        previous = decrement
-        step = -scale * linalg.solve_triangular(triangle, half, check_finite=False)
-
-        value = _value(c, p, factors)
-        length = 1.0
-        while True:
-            moved = _factor(blocks, p + length * step)
-            # The last term is the rounding of the value itself, which is all that is left close to the limit.
-            allowed = value - 0.1 * length * decrement**2 + 1e-12 * abs(value)
-            if moved is not None and _value(c, p + length * step, moved) <= allowed:
-                break
-            length /= 2
-            if length < 1e-10:
-                return p, decrement
-        # Far away a Newton step of a barrier only doubles a distance: go on while it gets better.
-        while length >= 1 and decrement > 1:
-            further = _factor(blocks, p + 2 * length * step)
-            if further is None or _value(c, p + 2 * length * step, further) >= _value(c, p + length * step, moved):
-                break
-            length, moved = 2 * length, further
-        p, factors = p + length * step, moved
-    return p, decrement
-
-
-def _predict(blocks: Sequence[Block], p: Array, mu: float, ratio: float) -> Array:
-    """A step along the tangent of the path in mu, from mu to ratio * mu, kept inside."""
-    factors = _factor(blocks, p)
-    assert factors is not None, "the path stays feasible"
-    _, scale, triangle = _derivatives(blocks, factors)
-    half = linalg.solve_triangular(triangle, _direction(len(p), 1 / mu) * scale, trans=1, check_finite=False)
-    step = scale * linalg.solve_triangular(triangle, half, check_finite=False)
-    length = 1 - ratio
-    while _factor(blocks, p + length / 0.98 * step) is None:
-        length *= 0.7
-    return p + length * step
-
-
-def _factor(blocks: Sequence[Block], p: Array) -> list[Array] | None:
-    """Cholesky factors of all blocks, or None outside the feasible set."""
-    try:
-        return [np.linalg.cholesky(F0 + np.tensordot(p, F, 1)) for F0, F in blocks]
-    except np.linalg.LinAlgError:
-        return None
-
-
-def _value(c: Array, p: Array, factors: Sequence[Array]) -> float:
-    return float(c @ p) - 2 * sum(float(np.log(np.diagonal(factor)).sum()) for factor in factors)
-
-
-def _derivatives(blocks: Sequence[Block], factors: Sequence[Array]) -> tuple[Array, Array, Array]:
-    """Gradient of sum log det, and the Hessian as a triangle: H = S^-1 R'R S^-1.
-
-    The Hessian is G G' with rows G_i = vec(L^-1 F_i L^-T), so a QR of G' gives its factor with half the digits lost.
-
-    Returns:
-        trace (N,), scale S (N,), R (N, N).
-    """
-    rows = []
-    trace = np.zeros(len(blocks[0][1]))
-    for (_, F), factor in zip(blocks, factors, strict=True):
-        inverse = np.linalg.inv(factor)
-        W = inverse @ F @ inverse.T
-        rows.append(W.reshape(len(F), -1))
-        trace += np.trace(W, axis1=1, axis2=2)
-    G = np.concatenate(rows, axis=1)
-    scale = 1 / np.sqrt(np.einsum("ij,ij->i", G, G))
-    triangle: Any = np.linalg.qr((G * scale[:, None]).T, mode="r")
-    return trace, scale, triangle
+@functools.cache
+def _unknowns(n: int, m: int, free: int) -> tuple[Array, Array, Array, Array]:
+    """Where the entries of X_Q and X_R stand in X, shapes (k,), and what each unknown multiplies in X and in Y."""
+    rows, columns = np.triu_indices(n)
+    inside = (rows >= free) | (columns < free)  # no unknown couples the two blocks
+    rows, columns = rows[inside], columns[inside]
+    k, q = len(rows), n - free
+    X, Y = np.zeros((k + m * q + 1, n, n)), np.zeros((k + m * q + 1, m, n))
+    X[np.arange(k), rows, columns] = X[np.arange(k), columns, rows] = 1
+    index = np.arange(m * q)
+    Y[k + index, index // q, free + index % q] = 1
+    for matrix in (rows, columns, X, Y):
+        matrix.flags.writeable = False  # all paths of this size share them
+    return rows, columns, X, Y
 
 
 def _direction(size: int, value: float) -> Array:
     c = np.zeros(size)
     c[-1] = value
     return c
-
-
-def _reachable(plant: GeneralizedPlant, free: int) -> Array:
-    """Coordinates of (12)'s block structure in which the inputs and the disturbance reach all states alike.
-
-    The square root of a controllability Gramian, block by block. A is shifted until it decays, by rates that do not depend on the
-    coordinates, so that the result does not either.
-    """
-    n = len(plant.A)
-    _, (diagonal, _) = linalg.matrix_balance(plant.A, permute=False, separate=True)
-    balanced = plant.in_coordinates(np.diag(diagonal))
-    poles = np.linalg.eigvals(balanced.A)
-    shift = poles.real.max() + (np.abs(poles).max() or 1.0)
-    inputs = np.hstack([balanced.B / _size(balanced.B), balanced.Bw / _size(balanced.Bw)])
-    gramian = linalg.solve_continuous_lyapunov(balanced.A - shift * np.eye(n), -inputs @ inputs.T)
-    gramian += 1e-12 * np.trace(gramian) * np.eye(n)  # a state that nothing reaches keeps a scale
-    blocks = [np.linalg.cholesky(block) for block in (gramian[:free, :free], gramian[free:, free:])]
-    return diagonal[:, None] * np.asarray(linalg.block_diag(*blocks))
-
-
-def _size(matrix: Array) -> float:
-    return float(np.linalg.norm(matrix, 2)) or 1.0

@@ -6,10 +6,12 @@ import numpy as np
 
 from models.arrays import Array
 from synth.bounded_real import bounded_real_matrix
+from synth.lower_bound import LowerBound
 from synth.norm import Norm, hinf_norm
 from synth.plant import GeneralizedPlant
 
 FASTEST = 100.0  # an actuator that has to be as much faster than the plant does not exist
+BELOW = 1e-9  # relative; how far rounding may put a norm below what no controller can beat
 ROUTES_AGREE = 1e-6  # relative; the two norms of a well-conditioned plant agree to 1e-12
 
 
@@ -26,6 +28,8 @@ class Certificate:
         lmi_largest: largest eigenvalue of (20), balanced likewise. Negative proves stability and norm < bound.
         lmi_rounding: what rounding can add to it.
         speed_up: magnitude of the fastest pole, over that of the plant's fastest pole without control.
+        norm_rounding: a norm below this is zero to rounding, and its routes need not agree.
+        lower: what no controller of its kind can beat, with its proof; None where nobody asked.
     """
 
     poles: Array
@@ -36,6 +40,15 @@ class Certificate:
     lmi_largest: float
     lmi_rounding: float
     speed_up: float
+    norm_rounding: float
+    lower: LowerBound | None = None
+
+    @property
+    def gap(self) -> float | None:
+        """How far the norm lies above the lower bound, relative; None without a bound, or without a finite norm."""
+        if self.lower is None or self.lower.gamma == 0 or not np.isfinite(self.norm.value):
+            return None
+        return self.norm.value / self.lower.gamma - 1
 
     @property
     def stable(self) -> bool:
@@ -48,7 +61,7 @@ class Certificate:
         failures = []
         if not self.stable:
             failures.append(f"unstable: a pole at {_pole(self.poles[np.argmax(np.real(self.poles))])} rad/s")
-        elif self.norm.gap > ROUTES_AGREE:
+        elif self.norm.gap > ROUTES_AGREE and self.norm.value > self.norm_rounding:
             failures.append(f"the two routes to the norm differ by {self.norm.gap:.0e}")
         if self.bound is not None:
             if self.speed_up > FASTEST:
@@ -64,10 +77,14 @@ class Certificate:
                 )
             if self.norm.value > self.bound:
                 failures.append(f"the norm {self.norm.value:.7g} exceeds the bound {self.bound:.7g}")
+        if self.gap is not None and self.gap < -BELOW:
+            failures.append(f"the norm {self.norm.value:.7g} lies below {self.lower.gamma:.7g}, which no controller can beat")  # pyright: ignore[reportOptionalMemberAccess]
         return tuple(failures)
 
 
-def certify(plant: GeneralizedPlant, G: Array, X: Array | None = None, eta: float | None = None) -> Certificate:
+def certify(
+    plant: GeneralizedPlant, G: Array, X: Array | None = None, eta: float | None = None, lower: LowerBound | None = None
+) -> Certificate:
     """Checks a gain, and its proof if it has one.
 
     Args:
@@ -75,6 +92,7 @@ def certify(plant: GeneralizedPlant, G: Array, X: Array | None = None, eta: floa
         G: state gain K C_y (6), shape (m, n).
         X: the matrix of (20), shape (n, n).
         eta: gamma^-2 of (20); given with X.
+        lower: what no controller of the gain's kind can beat.
     """
     loop = plant.closed_loop(G)
     X_smallest = lmi_largest = lmi_rounding = float("nan")
@@ -102,7 +120,20 @@ def certify(plant: GeneralizedPlant, G: Array, X: Array | None = None, eta: floa
         lmi_largest=lmi_largest,
         lmi_rounding=lmi_rounding,
         speed_up=float(np.abs(poles).max() / (np.abs(np.linalg.eigvals(plant.A)).max() or 1.0)),
+        norm_rounding=_norm_rounding(loop),
+        lower=lower,
     )
+
+
+def _norm_rounding(loop: GeneralizedPlant) -> float:
+    """What rounding makes of a transfer function that is zero: its terms, C V and V^-1 Bw over the poles, no longer cancel."""
+    poles, vectors = np.linalg.eig(loop.A)
+    try:
+        driven = np.linalg.solve(vectors, loop.Bw.astype(complex))
+    except np.linalg.LinAlgError:  # a double pole without a second eigenvector
+        return 0.0
+    size = np.linalg.norm(loop.C @ vectors, axis=0) * np.linalg.norm(driven, axis=1) / np.maximum(-np.real(poles), 1e-300)
+    return float(100 * np.finfo(float).eps * size.sum()) if len(poles) else 0.0
 
 
 def _pole(pole: complex) -> str:

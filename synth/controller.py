@@ -1,7 +1,7 @@
 """The one door through which a vehicle's named signals come in: from a vehicle and a controller's name to a certified gain."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -12,10 +12,11 @@ from models.linear_model import LinearModel
 from models.vehicle import ControllerEntry, Vehicle
 from synth.central import CentralPoint
 from synth.certificate import Certificate, certify
+from synth.design import furthest, state_path, two_step_design, zero_l_design
 from synth.errors import DesignError
-from synth.output_feedback import l_matrix, nullspace, output_feedback
+from synth.full_order import best_possible
+from synth.lower_bound import LowerBound
 from synth.plant import GeneralizedPlant
-from synth.state_feedback import state_feedback
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +32,7 @@ class Controller:
             central path, more where the second problem is infeasible from there.
         stopped: how far from the optimum of its own problem the gain was taken, relative in gamma: 0 at the limit, more where the
             optimum is reached only by gains beyond any actuator.
+        redundant: the signals among `measured` that follow from the others; their gain is zero.
         certificate: what is true of it.
     """
 
@@ -41,6 +43,7 @@ class Controller:
     certificate: Certificate
     short: float = 0.0
     stopped: float = 0.0
+    redundant: tuple[str, ...] = ()
 
     def state_gain(self, vehicle: Vehicle) -> Array:
         """G = K C_y (6) for a vehicle that has these signals, shape (m, n)."""
@@ -87,15 +90,36 @@ class Designer:
     @cached_property
     def state_path(self) -> list[CentralPoint]:
         """The central path of (22)."""
-        return state_feedback(self.plant)
+        return state_path(self.plant, self.vehicle.linear_model.states)
 
     @property
     def state_feedback(self) -> CentralPoint:
         """The optimum of (22)."""
         return self.state_path[-1]
 
-    def design(self, name: str) -> Controller:
+    @cached_property
+    def _bounds(self) -> dict[tuple[str, ...], LowerBound]:
+        return {}
+
+    def best_possible(self, measured: Sequence[str]) -> LowerBound:
+        """What no controller that measures these signals can beat, of whatever order; full state feedback for all states."""
+        key = tuple(measured)
+        if key not in self._bounds:
+            everything = not key or key == self.vehicle.linear_model.states
+            Cy = None if everything else self.vehicle.linear_model.rows(key)[0]
+            try:
+                path = self.state_path
+            except DesignError:  # what cannot be designed may be checked
+                path = []
+            self._bounds[key] = best_possible(self.plant, Cy, path)
+        return self._bounds[key]
+
+    def design(self, name: str, zero_l: bool = False) -> Controller:
         """The controller of that name: `passive`, `state`, or one of the vehicle file, designed unless the file gives its gain.
+
+        Args:
+            name: of the controller.
+            zero_l: L = 0 instead of (14), as in remark 4; for a controller that is designed from measurements.
 
         Raises:
             InputError: no controller has that name.
@@ -104,48 +128,30 @@ class Designer:
         vehicle, model = self.vehicle, self.vehicle.linear_model
         if name == "passive":
             return self._given(ControllerEntry(name, (), np.zeros((len(model.inputs), 0))))
-        if name == "state":
-            return self._certified(name, model.states, self.state_path)
-        if name not in vehicle.controllers:
+        if name not in vehicle.controller_names:
             raise InputError(f"unknown controller {name!r}; this vehicle has {known(vehicle.controller_names)}")
-        entry = vehicle.controllers[name]
-        if entry.gain is not None:
-            return self._given(entry)
-
-        Cy, _ = model.rows(entry.measured)
-        if np.linalg.matrix_rank(Cy) < len(Cy):
-            raise DesignError(
-                f"controller {name!r} measures signals that depend on each other: {', '.join(entry.measured)}; drop one"
-            )
-        Q = nullspace(Cy)
-        failures: list[DesignError] = []
-        # From the optimal X the second problem can be infeasible where from a point a little short of it it is not: back off.
-        for start in reversed(self.state_path):
-            L = l_matrix(start.X, Cy, Q)  # (14)
-            try:
-                controller = self._certified(name, entry.measured, output_feedback(self.plant, Cy, L, Q))
-            except DesignError as error:
-                failures.append(error)
-                continue
-            return replace(controller, short=start.gamma / self.state_feedback.gamma - 1)
-        raise type(failures[0])(f"controller {name!r}: {failures[0]} (from {len(failures)} points of the central path)")
+        measured = model.states if name == "state" else vehicle.controllers[name].measured
+        if name != "state" and vehicle.controllers[name].gain is not None:
+            return self._given(vehicle.controllers[name])
+        Cy, _ = model.rows(measured)
+        try:
+            lower = self.best_possible(measured)
+            if name == "state":
+                design = furthest(self.plant, Cy, self.state_path, lower)
+            elif zero_l:
+                design = zero_l_design(self.plant, Cy, lower)
+            else:
+                design = two_step_design(self.plant, Cy, self.state_path, lower, model.states)
+        except DesignError as error:
+            raise type(error)(f"controller {name!r}: {error}") from error
+        redundant = tuple(measured[i] for i in design.redundant)
+        return Controller(name, measured, design.gain, True, design.certificate, design.short, design.stopped, redundant)
 
     def _given(self, entry: ControllerEntry) -> Controller:
         assert entry.gain is not None
         Cy, _ = self.vehicle.linear_model.rows(entry.measured)
-        certificate = certify(self.plant, entry.gain @ Cy)
+        certificate = certify(self.plant, entry.gain @ Cy, lower=self.best_possible(entry.measured))
         return Controller(entry.name, entry.measured, entry.gain, designed=False, certificate=certificate)
-
-    def _certified(self, name: str, measured: Sequence[str], path: Sequence[CentralPoint]) -> Controller:
-        """The controller furthest along a central path whose certificate holds."""
-        Cy, _ = self.vehicle.linear_model.rows(measured)
-        certificates = []
-        for point in reversed(path):
-            certificates.append(certify(self.plant, point.K @ Cy, point.X, point.eta))
-            if not certificates[-1].failures:
-                stopped = point.gamma / path[-1].gamma - 1
-                return Controller(name, tuple(measured), point.K, designed=True, certificate=certificates[-1], stopped=stopped)
-        raise DesignError(f"the certificate of controller {name!r} fails: {'; '.join(certificates[0].failures)}")
 
 
 def given(vehicle: Vehicle, name: str, measured: Sequence[str], gain: Sequence[Sequence[float]]) -> Controller:

@@ -8,10 +8,26 @@ from synth.central import CentralPoint, central_path
 from synth.errors import InfeasibleError
 from synth.plant import GeneralizedPlant
 
+DEPENDENT = 1e-10  # smallest singular value of rows of length one
+
 
 def nullspace(Cy: Array) -> Array:
     """Q: an orthonormal basis of the nullspace of C_y, shape (n, n - q). Its signs and order are arbitrary; K is not affected."""
     return linalg.null_space(Cy)
+
+
+def independent_rows(Cy: Array) -> list[int]:
+    """Which rows of C_y do not follow from those before them, ascending; (9) needs full row rank.
+
+    Args:
+        Cy: shape (q, n), no row zero.
+    """
+    rows = Cy / np.linalg.norm(Cy, axis=1)[:, None]
+    kept: list[int] = []
+    for i in range(len(rows)):
+        if np.linalg.svd(rows[[*kept, i]], compute_uv=False)[-1] > DEPENDENT and len(kept) < rows.shape[1]:
+            kept.append(i)
+    return kept
 
 
 def l_matrix(X: Array, Cy: Array, Q: Array) -> Array:

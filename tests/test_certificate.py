@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from synth.certificate import certify
+from synth.design import furthest
 from synth.errors import DesignError
 
 NAMES = ["state", "I", "II"]
@@ -40,8 +41,8 @@ def test_false_claim_is_seen(designer, paper, name):
 def test_design_that_cannot_be_certified_is_an_error(designer):
     """If the solution of the LMI does not prove the gain, `design` raises instead of returning it."""
     broken = dataclasses.replace(designer.state_feedback, eta=2 * designer.state_feedback.eta)
-    with pytest.raises(DesignError, match="certificate of controller 'state' fails"):
-        designer._certified("state", designer.vehicle.linear_model.states, [broken])
+    with pytest.raises(DesignError, match="its certificate fails: LMI"):
+        furthest(designer.plant, np.eye(4), [broken])
 
 
 def test_given_gain_is_reported_as_it_is(designer):

@@ -3,6 +3,7 @@
 import control
 import numpy as np
 import pytest
+from scipy import linalg, signal
 
 from synth.norm import hinf_norm, level_set_norm, sweep_norm
 from synth.plant import GeneralizedPlant
@@ -11,6 +12,8 @@ from synth.plant import GeneralizedPlant
 def system(A, B, C, D=None) -> GeneralizedPlant:
     """x' = A x + B w, z = C x + D w."""
     A, B, C = np.atleast_2d(A), np.atleast_2d(B), np.atleast_2d(C)
+    if not A.size:
+        A = np.zeros((0, 0))
     D = np.zeros((len(C), B.shape[1])) if D is None else np.atleast_2d(D)
     return GeneralizedPlant(A=A, B=np.zeros((len(A), 1)), Bw=B, C=C, D=np.zeros((len(C), 1)), Dw=D)
 
@@ -53,9 +56,131 @@ def test_routes_agree_on_random_systems(seed):
         assert norm.value == pytest.approx(control.linfnorm(space, tol=1e-10)[0], rel=1e-8)
 
 
-def test_unstable_system_has_no_finite_norm():
-    """The norm of an unstable system is infinite."""
-    assert hinf_norm(system(1.0, 1.0, 1.0)).value == np.inf
+def transfer_function(numerator, denominator) -> GeneralizedPlant:
+    """A transfer function in companion form."""
+    return system(*signal.tf2ss(numerator, denominator))
+
+
+def matrix(text: str):
+    """Rows separated by semicolons."""
+    return np.array([[float(entry) for entry in row.split()] for row in text.split(";")])
+
+
+def three_resonances() -> GeneralizedPlant:
+    """SLICOT's example of AB13DD: resonances at sqrt(1/2), 1 and sqrt(2) rad/s, each with a tenth of the damping of the last."""
+    A = linalg.block_diag([[0, 1], [-0.5, -2e-4]], [[0, 1], [-1, -2e-5]], [[0, 1], [-2, -2e-6]])
+    return system(A, np.tile([[1.0], [0.0]], (3, 1)), np.tile([[1.0, 0.0]], 3))
+
+
+def many_resonances(forces) -> GeneralizedPlant:
+    """Ten resonances at 1 to 10 rad/s, all with the same damping in rad/s."""
+    A = np.block([[-0.1 * np.eye(10), -np.diag(range(1, 11))], [np.diag(range(1, 11)), np.zeros((10, 10))]])
+    return system(A, 0.1 * np.append(forces, np.zeros(10))[:, None], np.append(np.zeros(10), np.ones(10))[None])
+
+
+def sensitivity() -> GeneralizedPlant:
+    """1 / (1 + P C), 12 states: issue 1014 of ControlSystems.jl, where its norm did not converge."""
+    pairs = {-7.282563985219324: 7.114985406231401, -1.5268748507837735: 1.2594070637611725}
+    zeros = [-101.47795511977208, -48.91219110762173, -7.96322290641594, -0.7114937019357614]
+    zeros += [complex(re, sign * im) for re, im in pairs.items() for sign in (1, -1)]
+    pairs = {-5.297845964509693: 6.146324852257861, -1.4795349979133343: 1.2376578249023653}
+    poles = [-101.32273797977184, -49.510558929948274, -20.0, -11.82446898287247, -10.604444850836952]
+    poles += [-0.6235091399063754, -0.2743617810110765]
+    poles += [complex(re, sign * im) for re, im in pairs.items() for sign in (1, -1)]
+    numerator = 704.6392766532747 * 0.6 * np.real(np.poly([*zeros, -0.5]))
+    denominator = np.real(np.poly([*poles, 0.0]))
+    return transfer_function(denominator, np.polyadd(denominator, numerator))
+
+
+MATLAB = system(
+    matrix(
+        "-1.017041847539126 -0.224182952826418 0.042538079149249; -0.310374015319095 -0.516461581407780 -0.119195790221750;"
+        "-1.452723568727942 1.7995860837102088 -1.491935830615152"
+    ),
+    matrix("0.312858596637428 -0.164879019209038; -0.864879917324456 0.627707287528727; -0.030051296196269 1.093265669039484"),
+    matrix("1.109273297614398 0.077359091130425 -1.113500741486764; -0.863652821988714 -1.214117043615409 -0.006849328103348"),
+)
+SEVENTH_ORDER = system(
+    matrix(
+        "-.81 .47 -.43 1.58 .25 -.40 .92; -.61 -1.89 .80 -1.59 2.01 .98 -.90; .50 -1.18 -2.12 -1.56 -1.14 .14 -.87;"
+        "-1.28 2.12 .47 -1.16 3.65 -1.23 -1.26; -.24 -.08 1.58 -3.58 -1.26 1.72 -2.59; 1.28 -.96 -1.28 -.57 -2.43 -2.43 -.36;"
+        "-.16 1.53 -.99 1.47 .61 -2.22 -3.27"
+    ),
+    matrix(".49 -.80 .10; -.18 .70 .72; 0 .83 2.58; 1.42 0 0; 0 .22 .19; 0 0 -.08; 0 -1.15 -1.93"),
+    matrix("0 .84 .10 .30 .49 1.71 0; -1.79 -.89 -.54 -.60 .74 -.19 0"),
+    matrix("1.36 .96 1.44; -1.07 0 -1.96"),
+)
+STATIC = system(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((2, 0)), matrix("-0.78593 -1.2707; 0.2638 -1.13143"))
+TWO_CHANNELS = system(  # [0, 3s / (s^2 + s + 10); (s + 1) / (s + 5), 2 / (s + 6)]
+    linalg.block_diag([[0, 1], [-10, -1]], -5, -6), matrix("0 0; 0 3; 1 0; 0 2"), matrix("0 1 0 0; 0 0 -4 1"), matrix("0 0; 1 0")
+)
+
+# (system, norm, relative tolerance: the published digits, peak [rad/s], its tolerance: half the digits, who says so)
+PUBLISHED = {
+    "ab13dd": (three_resonances(), 5.0e5, 1e-8, 1.41421, 1e-5, "SLICOT, AB13DD"),
+    "sysnorm_lag": (system(-1.0, 1.0, 1.0), 1.0, 1e-12, 0.0, 1e-9, "python-control, sysnorm_test"),
+    "sysnorm_mimo": (MATLAB, 4.276759162964244, 1e-12, None, 0, "python-control, sysnorm_test, from MATLAB"),
+    "resonant": (system([[0, 1], [-1, -1]], [[0], [1]], [[1, 0]]), 2 / 3**0.5, 1e-12, 0.5**0.5, 1e-6, "ControlSystems.jl"),
+    "seventh_order": (SEVENTH_ORDER, 4.899135403568278, 1e-11, 6.112977387441163, 1e-6, "ControlSystems.jl"),
+    "two_channels": (TWO_CHANNELS, 3.014974550173459, 1e-11, 3.162123338668049, 1e-6, "ControlSystems.jl"),
+    "biquad": (transfer_function([1 / 520, 0], [1 / 52**2, 1 / 520, 1]), 1.0, 1e-10, 52.0, 1e-5, "ControlSystems.jl"),
+    "ten_resonances": (many_resonances(np.ones(10)), 1.05871265, 1e-8, 0.9874, 1e-4, "ControlSystems.jl"),
+    "fourth_of_ten": (many_resonances(np.where(np.arange(10) == 4, 2, 1)), 2.00918, 1e-5, 4.9981, 1e-4, "ControlSystems.jl"),
+    "static": (STATIC, 1.760164138376307, 1e-14, 0.0, 0, "ControlSystems.jl"),
+}
+
+
+@pytest.mark.parametrize("name", PUBLISHED)
+def test_published_norm(name):
+    """The hard cases of others: their value, by both routes, to 1e-8 or to every digit they print."""
+    plant, value, tolerance, peak, peak_tolerance, _ = PUBLISHED[name]
+    norm = hinf_norm(plant)
+    assert norm.value == pytest.approx(value, rel=tolerance)
+    assert norm.gap < 1e-8
+    if peak is not None:
+        assert norm.peak_frequency == pytest.approx(peak, abs=peak_tolerance)
+
+
+def test_twelfth_order_sensitivity():
+    """A case that ControlSystems.jl's two-step routine gives up on; its other routine stops 2e-4 below the peak.
+
+    The reference is the rational function itself, evaluated from its zeros and poles on a fine grid.
+    """
+    norm = hinf_norm(sensitivity())
+    assert norm.value == pytest.approx(1.3056105481, rel=1e-9)  # the grid's value, given with 11 digits
+    assert norm.peak_frequency == pytest.approx(5.686244, abs=1e-5)  # flat at the peak: half the digits
+    assert norm.gap < 1e-8
+    assert norm.value > 1.3053326074298346  # what hinfnorm2 answers there, at 5.8065 rad/s
+
+
+@pytest.mark.parametrize(
+    ("plant", "pole"),
+    [
+        (system(0.0, 1.0, 1.0), 0.0),
+        (system([[-2, 1], [0, 0]], [[0], [1]], [[1, 0]]), 0.0),
+        (system([[0, 1], [-1, 0]], [[1], [0]], [[0, 1]]), 1.0),
+    ],
+)
+def test_poles_on_the_axis(plant, pole):
+    """An integrator and an undamped resonance have no finite norm, and the routes name the pole's frequency."""
+    assert hinf_norm(plant).value == np.inf
+    assert level_set_norm(plant) == sweep_norm(plant) == (np.inf, pole)
+
+
+@pytest.mark.parametrize("route", [level_set_norm, sweep_norm])
+def test_unstable_systems(route):
+    """An unstable system has an infinite H-infinity norm; both routes find its peak on the axis (as sysnorm_test does)."""
+    for plant in (system(1.0, 1.0, -1.0), system([[-1, 1], [0, 1]], [[0], [1]], [[1, 0]])):
+        assert hinf_norm(plant).value == np.inf
+        assert np.isnan(hinf_norm(plant).peak_frequency)
+        assert route(plant) == (pytest.approx(1.0, rel=1e-12), 0.0)
+
+
+def test_scaling_of_the_states_does_not_matter():
+    """States in units twelve orders of magnitude apart give the same norm."""
+    plant = three_resonances()
+    scaled = plant.in_coordinates(np.diag(10.0 ** np.array([6, -6, 0, 3, -3, 1])))
+    assert hinf_norm(scaled).value == pytest.approx(hinf_norm(plant).value, rel=1e-8)  # rounding 1e-16 over damping 1e-6
 
 
 @pytest.mark.parametrize("name", ["passive", "state", "I", "II"])

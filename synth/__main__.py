@@ -1,0 +1,181 @@
+"""`python -m synth`: the design table of a vehicle file, and how good every controller of it is."""
+
+import json
+from argparse import Namespace
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from models.command import Parser, run_command
+from models.errors import InputError, known
+from models.vehicle import Vehicle, read_vehicle
+from synth.check import check
+from synth.controller import Controller, Designer
+from synth.errors import DesignError
+from synth.flat import free_moves
+from synth.limit import invariant_limit
+from synth.output_feedback import independent_rows
+from synth.refine import refine
+from synth.riccati import proved
+from synth.save import save
+from synth.static import static_output_feedback
+from synth.table import Row, detail_lines, notes, row_object, table_lines
+
+FLAT = 1e-4  # of gamma: how far the gains may move for it is printed
+
+EPILOG = """
+exit code: 0 every claim holds, 1 a controller could not be designed or a claim fails, 2 bad input
+
+examples:
+  python -m synth
+  python -m synth --vehicle half_car --controller I --json
+  python -m synth --controller I --refine --save my_car.toml
+  python -m synth --check my_car.toml
+  python -m synth --zero-l
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command; returns its exit code.
+
+    Raises:
+        InputError: bad options or vehicle file.
+    """
+    options = _parser().parse_args(arguments)
+    if options.check and (options.zero_l or options.refine or options.save or options.vehicle != DEFAULT):
+        raise InputError("--check reads its own file and designs nothing; it goes with --controller and --json only")
+    vehicle = read_vehicle(options.check or options.vehicle)
+    designer = Designer(vehicle)
+    if options.check:
+        rows = check(designer, options.controller)
+    else:
+        rows = [_row(designer, name, options) for name in _names(vehicle, options)]
+    if options.save:
+        save(options.save, vehicle, [row.controller for row in rows if row.controller is not None])
+    limit, at = invariant_limit(designer.plant)
+    moved = {} if options.check else _flatness(designer)
+    if options.json:
+        result = {
+            "vehicle": vehicle.kind.name,
+            "controllers": [row_object(row) for row in rows],
+            "invariant_limit": {"norm": limit, "frequency": at},
+            "flat": {"gamma": FLAT, "gain_down_up": moved},
+        }
+        print(json.dumps(result, allow_nan=False))
+    else:
+        lines = [f"{vehicle.kind.name} ({vehicle.source})", "", *table_lines(rows)]
+        for row in rows:
+            lines += ["", *detail_lines(row)]
+        lines += [
+            "",
+            f"limit: no control force changes z's answer to the road at {at:.5g} rad/s, {limit:.7g} (invariant point)",
+        ]
+        if moved:
+            lines.append(f"flat: for {FLAT:g} of gamma each state's largest gain may move by itself")
+            lines += [f"  {state:22s} {_range(*values)}" for state, values in moved.items()]
+        print("\n".join(lines))
+    return 1 if any(row.failures for row in rows) else 0
+
+
+DEFAULT = "quarter_car"
+
+
+def _parser() -> Parser:
+    parser = Parser("synth", "Designs the controllers of a vehicle file, certifies them, and says how good they are.", EPILOG)
+    parser.add_argument(
+        "--controller",
+        action="append",
+        metavar="NAME",
+        help="passive, state, one of the vehicle file's, or all; may be repeated (default: all)",
+    )
+    parser.add_argument(
+        "--vehicle", default=DEFAULT, metavar="FILE", help=f"vehicle file, or one that ships (default: {DEFAULT})"
+    )
+    parser.add_argument("--zero-l", action="store_true", help="L = 0 instead of equation (14), the one-step design of remark 4")
+    parser.add_argument(
+        "--refine",
+        action="store_true",
+        help="then lower the norm itself, as long as it is worth a larger gain; says what it traded",
+    )
+    parser.add_argument(
+        "--save", type=Path, metavar="FILE", help="write the vehicle file with each designed gain added, as NAME_designed"
+    )
+    parser.add_argument("--check", type=Path, metavar="FILE", help="verify the gains of a vehicle file and their certificates")
+    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    return parser
+
+
+def _names(vehicle: Vehicle, options: Namespace) -> list[str]:
+    """The controllers asked for, each once."""
+    designed = [name for name, entry in vehicle.controllers.items() if entry.gain is None]
+    everything = designed if options.zero_l else vehicle.controller_names
+    names = [name for choice in options.controller or ["all"] for name in (everything if choice == "all" else [choice])]
+    for name in names:
+        if name not in vehicle.controller_names:
+            raise InputError(f"unknown controller {name!r}; this vehicle has {known(vehicle.controller_names)}")
+        if options.zero_l and name not in designed:
+            raise InputError(f"--zero-l: {name!r} is not designed from measurements; this vehicle has {known(designed)}")
+    return list(dict.fromkeys(names))
+
+
+def _row(designer: Designer, name: str, options: Namespace) -> Row:
+    """A controller, designed as asked for, or why it could not be."""
+    try:
+        controller = designer.design(name, options.zero_l)
+    except DesignError as error:
+        if not options.refine:
+            return Row(name, None, (), (str(error),))
+        controller = None
+    said = notes(controller) if controller is not None else ("the two steps find no gain",)
+    if options.refine and name != "passive":
+        try:
+            controller, traded = _refined(designer, name, controller)
+        except DesignError as error:
+            return Row(name, controller, (*said, f"not refined: {error}"), ())
+        said = (*said, traded)
+    assert controller is not None
+    return Row(name, controller, said, controller.certificate.failures)
+
+
+def _refined(designer: Designer, name: str, controller: Controller | None) -> tuple[Controller, str]:
+    """A controller with a smaller norm, and what was traded for it; where there is none yet, the best that any start leads to."""
+    measured = designer.vehicle.controllers[name].measured if controller is None else controller.measured
+    Cy, _ = designer.vehicle.linear_model.rows(measured)
+    kept = independent_rows(Cy)
+    Cy = Cy[kept]
+    if controller is None:
+        found = static_output_feedback(designer.plant, Cy)
+        start, origin = found.gain, f"from {found.origin}; "
+    else:
+        start, origin = controller.gain[:, kept], ""
+    refined = refine(designer.plant, Cy, start)
+    certificate = proved(designer.plant, refined.gain @ Cy, designer.best_possible(measured))
+    gain = np.zeros((len(refined.gain), len(measured)))
+    gain[:, kept] = refined.gain
+    return Controller(name, measured, gain, True, certificate), f"refined: {origin}{refined.traded}"
+
+
+def _flatness(designer: Designer) -> dict[str, list[float | None]]:
+    """By state: the largest gain on it, and how far that may fall and rise by itself for FLAT of gamma; None is any distance."""
+    try:
+        K = designer.state_feedback.K
+    except DesignError:
+        return {}
+    states = designer.vehicle.linear_model.states
+    moves = np.stack(free_moves(designer.plant, np.eye(len(states)), K, FLAT))
+    return {
+        state: [float(value) if np.isfinite(value) else None for value in values]
+        for state, values in zip(states, moves.T, strict=True)
+    }
+
+
+def _range(gain: float | None, down: float | None, up: float | None) -> str:
+    """A gain and the interval that it may move in."""
+    assert gain is not None
+    low, high = (f"{gain - down:.4g}" if down is not None else "any"), (f"{gain + up:.4g}" if up is not None else "any")
+    return f"{gain:.5g} from {low} to {high}"
+
+
+if __name__ == "__main__":
+    run_command(main)

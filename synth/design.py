@@ -1,0 +1,148 @@
+"""A design with its certificate, for any plant: state feedback, and the two steps from where on the path they lead to a gain."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.arrays import Array
+from models.errors import InputError
+from synth.central import CentralPoint
+from synth.certificate import Certificate, certify
+from synth.errors import DesignError, InfeasibleError
+from synth.lower_bound import LowerBound
+from synth.modes import obstacles
+from synth.output_feedback import independent_rows, l_matrix, nullspace, output_feedback
+from synth.plant import GeneralizedPlant
+from synth.state_feedback import state_feedback
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """A certified gain u = K y.
+
+    Attributes:
+        gain: K, shape (m, q).
+        certificate: what is true of it.
+        short: how far from the optimum of (22) the X was taken that L (14) comes from, relative in gamma: 0 at the limit of the
+            central path, more where the second problem is infeasible from there.
+        stopped: how far from the optimum of its own problem the gain was taken, relative in gamma: 0 at the limit, more where the
+            optimum is reached only by gains beyond any actuator.
+        redundant: rows of C_y that follow from others, by index; their gain is zero.
+    """
+
+    gain: Array
+    certificate: Certificate
+    short: float = 0.0
+    stopped: float = 0.0
+    redundant: tuple[int, ...] = ()
+
+
+def state_path(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[CentralPoint]:
+    """The central path of (22).
+
+    Args:
+        plant: n states, m inputs.
+        states: names of the states, for messages.
+
+    Raises:
+        InfeasibleError: the plant cannot be stabilised; the message names the mode.
+        DesignError: the path could not be followed.
+    """
+    try:
+        return state_feedback(plant)
+    except InfeasibleError as error:
+        raise InfeasibleError("; ".join(obstacles(plant, None, states)) or str(error)) from error
+
+
+def furthest(plant: GeneralizedPlant, Cy: Array, path: Sequence[CentralPoint], lower: LowerBound | None = None) -> Design:
+    """The gain furthest along a central path whose certificate holds.
+
+    Raises:
+        DesignError: none of them holds.
+    """
+    first = None
+    for point in reversed(path):
+        certificate = certify(plant, point.K @ Cy, point.X, point.eta, lower)
+        if not certificate.failures:
+            return Design(point.K, certificate, stopped=point.gamma / path[-1].gamma - 1)
+        first = first or certificate
+    reasons = "; ".join(first.failures) if first is not None else "the path has no point"
+    raise DesignError(f"its certificate fails: {reasons}")
+
+
+def two_step_design(
+    plant: GeneralizedPlant,
+    Cy: Array,
+    path: Sequence[CentralPoint] = (),
+    lower: LowerBound | None = None,
+    states: Sequence[str] = (),
+) -> Design:
+    """The paper's two steps: L (14) from the X of (22), then (25).
+
+    From the optimal X the second problem can be infeasible where from a point a little short of it it is not: then X comes from
+    there.
+
+    Args:
+        plant: n states, m inputs.
+        Cy: shape (q, n). Rows that follow from others are left out, and said in the result.
+        path: of (22), if it is there already.
+        lower: what no controller of this kind can beat, for the certificate.
+        states: names of the states, for messages.
+
+    Raises:
+        InputError: C_y does not fit the plant, or is empty.
+        InfeasibleError: the plant cannot be stabilised from y, or (25) is infeasible from every X tried; the message says which.
+        DesignError: no certificate holds.
+    """
+    Cy, kept = measurement(plant, Cy)
+    path = path or state_path(plant, states)
+    Q = nullspace(Cy[kept])
+    failures: list[DesignError] = []
+    for start in reversed(path):
+        L = l_matrix(start.X, Cy[kept], Q)
+        try:
+            found = furthest(plant, Cy[kept], output_feedback(plant, Cy[kept], L, Q), lower)
+        except DesignError as error:
+            failures.append(error)
+            continue
+        return _widened(found, kept, len(Cy), start.gamma / path[-1].gamma - 1)
+    reasons = "; ".join(obstacles(plant, Cy, states)) or f"{failures[0]} (from {len(failures)} points of the central path)"
+    raise type(failures[0])(reasons)
+
+
+def zero_l_design(plant: GeneralizedPlant, Cy: Array, lower: LowerBound | None = None) -> Design:
+    """Remark 4: (25) with L = 0, in one step.
+
+    Raises:
+        InputError, InfeasibleError, DesignError: as `two_step_design`.
+    """
+    Cy, kept = measurement(plant, Cy)
+    Q = nullspace(Cy[kept])
+    path = output_feedback(plant, Cy[kept], np.zeros((Q.shape[1], len(kept))), Q)
+    return _widened(furthest(plant, Cy[kept], path, lower), kept, len(Cy), 0.0)
+
+
+def measurement(plant: GeneralizedPlant, Cy: Array) -> tuple[Array, list[int]]:
+    """C_y, checked, and which of its rows do not follow from those before them.
+
+    Raises:
+        InputError: a wrong shape, an entry that is not finite, no row, or a row of zeros.
+    """
+    Cy, n = np.array(Cy, dtype=float), len(plant.A)
+    if Cy.ndim != 2 or Cy.shape[1] != n:
+        raise InputError(f"Cy has shape {Cy.shape}; expected (q, {n}), a row for each measured signal")
+    if not len(Cy):
+        raise InputError("Cy has no rows: nothing is measured; give at least one signal")
+    if not np.all(np.isfinite(Cy)):
+        raise InputError("Cy has an entry that is not finite; give numbers")
+    silent = np.flatnonzero(~np.any(Cy, axis=1))
+    if len(silent):
+        raise InputError(f"row {silent[0]} of Cy is zero: that signal says nothing of the state; leave it out")
+    return Cy, independent_rows(Cy)
+
+
+def _widened(design: Design, kept: Sequence[int], q: int, short: float) -> Design:
+    gain = np.zeros((len(design.gain), q))
+    gain[:, kept] = design.gain
+    return Design(gain, design.certificate, short, design.stopped, tuple(i for i in range(q) if i not in kept))

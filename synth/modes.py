@@ -1,0 +1,69 @@
+"""Which mode stands in the way: the test of Popov, Belevitch and Hautus, one eigenvalue at a time.
+
+A mode that does not decay by itself must be reached by an input and be seen in a measurement, or no controller stabilises it.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from models.arrays import Array
+from synth.norm import balance, rounding
+from synth.plant import GeneralizedPlant
+
+UNREACHED = 1e-8  # relative size of what an input does to a mode that it does not reach, up to rounding
+
+
+def unreached(A: Array, B: Array) -> list[tuple[complex, Array]]:
+    """Modes that do not decay and that no input reaches: eigenvalue [rad/s] and left eigenvector, each conjugate pair once.
+
+    Args:
+        A: shape (n, n).
+        B: shape (n, m).
+    """
+    balanced, scale = balance(A)
+    inputs = B / scale[:, None]
+    size = np.linalg.norm(inputs, axis=0)
+    inputs = inputs[:, size > 0] / size[size > 0]
+    found: list[tuple[complex, Array]] = []
+    for pole in np.linalg.eigvals(balanced):
+        if pole.real < -rounding(balanced) or pole.imag < 0:
+            continue
+        pencil = np.hstack([balanced - pole * np.eye(len(A)), inputs * (np.linalg.norm(balanced, 2) or 1.0)])
+        left, sizes, _ = np.linalg.svd(pencil)
+        known = any(abs(pole - other) <= 1e-6 * max(abs(pole), 1e-300) for other, _ in found)
+        if sizes[-1] <= UNREACHED * sizes[0] and not known:
+            found.append((complex(pole), left[:, -1].conj() / scale))
+    return found
+
+
+def obstacles(plant: GeneralizedPlant, Cy: Array | None = None, states: Sequence[str] = ()) -> list[str]:
+    """Why no controller stabilises the plant, in words; empty where no single mode forbids it.
+
+    Args:
+        plant: n states, m inputs.
+        Cy: shape (q, n); without it every state counts as measured.
+        states: names of the states; x1, x2, ... without them.
+    """
+    names = list(states) or [f"x{i + 1}" for i in range(len(plant.A))]
+    found = [
+        f"the plant cannot be stabilised: no input reaches the mode at {_rate(pole)}, which does not decay and shows most in "
+        f"{_largest(vector, names)}; add an actuator that acts on it, or take it out of the model"
+        for pole, vector in unreached(plant.A, plant.B)
+    ]
+    if Cy is not None:
+        found += [
+            f"the plant cannot be stabilised from what is measured: no measurement shows the mode at {_rate(pole)}, which does "
+            f"not decay and moves most in {_largest(vector, names)}; measure a signal that it is seen in"
+            for pole, vector in unreached(plant.A.T, Cy.T)
+        ]
+    return found
+
+
+def _largest(vector: Array, names: Sequence[str]) -> str:
+    """The state with the largest part of an eigenvector."""
+    return names[int(np.argmax(np.abs(vector)))]
+
+
+def _rate(pole: complex) -> str:
+    return f"{pole.real:.4g}{abs(pole.imag):+.4g}j rad/s" if pole.imag else f"{pole.real:.4g} rad/s"

@@ -1,0 +1,126 @@
+"""A certificate in plain data: what goes into logs and, beside its gain, into a vehicle file, and what is read from there.
+
+Only what cannot be recomputed is needed to check it: the X of (20) and the witnesses of the lower bound. The numbers that are
+claimed stand beside them, so that a check can compare.
+"""
+
+import reprlib
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from models.arrays import Array
+from models.errors import InputError, known
+from synth.certificate import Certificate
+from synth.limit import uncontrolled
+from synth.lower_bound import LowerBound, Witness, lower_bound
+from synth.plant import GeneralizedPlant
+
+CLAIMS = ("norm", "peak_frequency", "bound", "lower_bound")
+PROOFS = ("X", "limit_at", "state", "observer")
+SAME = 1e-9  # relative: how far rounding, on another machine, may move a number
+
+
+def to_record(certificate: Certificate) -> dict[str, Any]:
+    """Claims and proofs, as JSON and TOML can hold them; what does not exist or is not finite is left out."""
+    lower = certificate.lower
+    record: dict[str, Any] = {
+        "norm": certificate.norm.value,
+        "peak_frequency": certificate.norm.peak_frequency,
+        "bound": certificate.bound,
+        "lower_bound": lower.gamma if lower is not None and lower.gamma > 0 else None,
+        "limit_at": lower.limit_at if lower is not None else None,
+        "X": certificate.X.tolist() if certificate.X is not None else None,
+    }
+    for name in ("state", "observer"):
+        witness = getattr(lower, name, None)
+        if witness is not None:
+            record[name] = {"X": witness.X.tolist(), "K": witness.K.tolist(), "eta": float(witness.eta)}
+    return {
+        key: value for key, value in record.items() if value is not None and (not isinstance(value, float) or np.isfinite(value))
+    }
+
+
+def read_proof(record: Mapping[str, Any], plant: GeneralizedPlant, Cy: Array) -> tuple[Array | None, float | None, LowerBound]:
+    """X and eta for (20), and the lower bound that the record's witnesses prove, recomputed with numpy alone.
+
+    Args:
+        record: see `to_record`.
+        plant: n states.
+        Cy: what is measured, shape (q, n); any number of rows.
+
+    Raises:
+        InputError: a key is unknown, or not of the form that it must have.
+    """
+    for key in record:
+        if key not in CLAIMS + PROOFS:
+            raise InputError(f"unknown key {key!r} in a certificate; known: {known(CLAIMS + PROOFS)}")
+    n = len(plant.A)
+    X = _matrix(record, "X", (n, n))
+    bound = _number(record, "bound")
+    eta = bound**-2 if bound is not None and bound > 0 else None
+    lower = LowerBound(0.0)
+    limit_at = _number(record, "limit_at")
+    if limit_at is not None:
+        lower = LowerBound(float(uncontrolled(plant, np.array([limit_at]))[0]), limit_at=limit_at)
+    state, observer = _witness(record, "state"), _witness(record, "observer")
+    if state is not None:
+        try:
+            proved = lower_bound(plant, state, Cy, observer)
+        except ValueError as error:
+            raise InputError(f"the witnesses of a certificate do not fit the vehicle: {error}; save it again") from error
+        lower = proved if proved.gamma > lower.gamma else lower
+    return X, eta, lower
+
+
+def untrue(record: Mapping[str, Any], certificate: Certificate) -> list[str]:
+    """The claims of a record that the recomputed certificate does not confirm, in words."""
+    found = to_record(certificate)
+    wrong = []
+    for claim in ("norm", "lower_bound"):
+        said, now = _number(record, claim), found.get(claim)
+        if said is None:
+            continue
+        if now is None or not abs(now - said) <= SAME * abs(said):
+            wrong.append(
+                f"the {claim.replace('_', ' ')} is claimed to be {said:.10g}, and is {f'{now:.10g}' if now else 'unproved'}"
+            )
+    return wrong
+
+
+def _number(record: Mapping[str, Any], key: str) -> float | None:
+    value = record.get(key)
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value):
+        raise InputError(f"{key} = {reprlib.repr(value)} in a certificate is not a finite number")
+    return float(value)
+
+
+def _matrix(record: Mapping[str, Any], key: str, shape: tuple[int, int] | None = None) -> Array | None:
+    value = record.get(key)
+    if value is None:
+        return None
+    try:
+        matrix = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        matrix = np.array(np.nan)
+    if matrix.ndim != 2 or not np.all(np.isfinite(matrix)) or (shape is not None and matrix.shape != shape):
+        expected = f" of shape {shape}" if shape else ""
+        raise InputError(f"{key} = {reprlib.repr(value)} in a certificate is not a matrix of finite numbers{expected}")
+    return matrix
+
+
+def _witness(record: Mapping[str, Any], key: str) -> Witness | None:
+    value = record.get(key)
+    if value is None:
+        return None
+    if not isinstance(value, Mapping):
+        value = {}
+    X, eta = _matrix(value, "X"), _number(value, "eta")
+    # Where there are no inputs K has no rows, and a list of none does not say how many columns.
+    K = np.zeros((0, len(X))) if X is not None and value.get("K") == [] else _matrix(value, "K")
+    if X is None or K is None or eta is None or X.shape[0] != X.shape[1] or K.shape[1] != len(X):
+        raise InputError(f"{key} = {reprlib.repr(value)} in a certificate is no witness with X, K and eta")
+    return Witness(X, K, eta)

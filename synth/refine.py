@@ -1,0 +1,84 @@
+"""`--refine`: from a gain that the LMIs found down the norm itself, as far as it is worth it.
+
+Minimising the norm without bounds ruins a controller: from the paper's controller I it walks to [-72240, -82631] for a thousandth
+of gamma, because the infimum lies at infinite gain. So the gain grows by stages, at most twofold each, and a stage in which gamma
+gains less than a thousandth while the gain grows is undone.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.arrays import Array
+from synth.descent import along_edges
+from synth.errors import DesignError
+from synth.landscape import Landscape
+from synth.plant import GeneralizedPlant
+
+WORTH = 1e-3  # of gamma, relative: what a growing gain must buy
+STAGES = 20  # a growth of 2^20; nothing is worth more
+ROUNDS = 60  # of descent within a stage; it usually ends sooner
+
+
+@dataclass(frozen=True, eq=False)
+class Refinement:
+    """What a refinement reached, and what it traded.
+
+    Attributes:
+        gain: K, shape (m, q).
+        before: the norm it started from.
+        after: the norm it ended at.
+        growth: largest entry of the gain, after over before, each in the units in which the loop counts it.
+        refused: what one more stage would have bought of gamma, relative, and its growth; None where there is nothing to buy.
+    """
+
+    gain: Array
+    before: float
+    after: float
+    growth: float
+    refused: tuple[float, float] | None
+
+    @property
+    def traded(self) -> str:
+        """What was traded, in words."""
+        text = f"gamma {self.before:.7g} -> {self.after:.7g} ({100 * (self.after / self.before - 1):+.2g} %), "
+        text += f"largest gain times {self.growth:.3g}"
+        if self.refused is not None:
+            bought, growth = self.refused
+            text += f"; refused: {100 * bought:.2g} % more of gamma for {growth:.3g} times the gain"
+        return text
+
+
+def refine(plant: GeneralizedPlant, Cy: Array, K: Array) -> Refinement:
+    """Lowers the norm from a stabilising gain.
+
+    Args:
+        plant: n states, m inputs.
+        Cy: shape (q, n).
+        K: shape (m, q).
+
+    Raises:
+        DesignError: K does not stabilise the plant.
+    """
+    landscape = Landscape(plant, Cy)
+    x = start = landscape.point(K)
+    before, _ = landscape.norm(x)
+    if not np.isfinite(before):
+        raise DesignError("a gain that does not stabilise the plant cannot be refined; design one first")
+    size = first = float(np.abs(x).max())
+    norm, refused = before, None
+    # First without any growth, then twofold at a time.
+    for stage in range(STAGES):
+        allowed = size if stage == 0 else 2 * size
+        moved, reached = along_edges(landscape, x, np.full(len(x), allowed), ROUNDS)
+        growth = float(np.abs(moved).max()) / size if size else 1.0
+        bought = 1 - reached / norm
+        if growth > 1 + 1e-6 and bought < WORTH:
+            refused = (bought, growth) if bought > 1e-6 else None
+            break
+        x, norm, size = moved, reached, float(np.abs(moved).max())
+        if stage and growth <= 1 + 1e-6:
+            break
+    if np.array_equal(x, start):
+        return Refinement(K, before, before, 1.0, refused)
+    return Refinement(landscape.gain(x), before, norm, size / first if first else 1.0, refused)

@@ -1,0 +1,60 @@
+"""A design as a controller of a vehicle file, with its certificate beside its gain; written whole or not at all."""
+
+import json
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from models.errors import InputError
+from models.vehicle import Vehicle, parse_vehicle
+from synth.controller import Controller
+from synth.record import to_record
+
+SUFFIX = "_designed"
+
+
+def save(path: Path, vehicle: Vehicle, controllers: Sequence[Controller]) -> None:
+    """Writes the vehicle file with each designed gain added as NAME_designed, for every other command to read.
+
+    Raises:
+        InputError: there is nothing to write, a name is taken, or the file cannot be written.
+    """
+    designed = [controller for controller in controllers if controller.designed and controller.measured]
+    if not designed:
+        raise InputError(
+            "--save has nothing to write: no controller was designed; ask for one that the vehicle file gives no gain"
+        )
+    text = vehicle.text.rstrip("\n") + "\n"
+    for controller in designed:
+        name = controller.name + SUFFIX
+        if name in vehicle.controllers:
+            raise InputError(f"--save: {vehicle.source} has a controller {name!r} already; rename or remove that one")
+        text += "\n" + "\n".join(_entry(name, controller)) + "\n"
+    parse_vehicle(text, folder=path.parent)  # what is written can be read
+    try:
+        with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}-") as folder:
+            (Path(folder) / path.name).write_text(text, encoding="utf-8")
+            (Path(folder) / path.name).replace(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}); give another --save FILE") from error
+
+
+def _entry(name: str, controller: Controller) -> list[str]:
+    record = to_record(controller.certificate)
+    key = name if name.isascii() else json.dumps(name)
+    return [
+        f"[controllers.{key}]",
+        f"measured = {_toml(list(controller.measured))}",
+        f"gain = {_toml(controller.gain.tolist())}",
+        "",
+        f"[controllers.{key}.certificate]    # checked by: python -m synth --check THIS_FILE",
+        *(f"{key} = {_toml(value)}" for key, value in record.items()),
+    ]
+
+
+def _toml(value: Any) -> str:
+    """A number, text, list or mapping of such, as TOML writes it on one line."""
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{key} = {_toml(item)}" for key, item in value.items()) + " }"
+    return json.dumps(value)

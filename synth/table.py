@@ -1,0 +1,126 @@
+"""Designs in words and numbers: the table on the terminal and the object for `--json`."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from synth.controller import Controller
+from synth.record import to_record
+
+SHORT = 1e-6  # relative in gamma; less is the path's own end
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """One line of the table.
+
+    Attributes:
+        name: of the controller.
+        controller: None where it could not be designed.
+        notes: what else there is to say of it.
+        failures: claims that do not hold, or why there is no design; empty where all is well.
+    """
+
+    name: str
+    controller: Controller | None
+    notes: tuple[str, ...]
+    failures: tuple[str, ...]
+
+
+def row_object(row: Row) -> dict[str, Any]:
+    """A row as JSON has it: SI units, None for what is infinite or does not exist."""
+    if row.controller is None:
+        return {"name": row.name, "reason": "; ".join(row.failures)}
+    controller, certificate = row.controller, row.controller.certificate
+    norm = certificate.norm
+    return {
+        "name": row.name,
+        "measured": list(controller.measured),
+        "gain": controller.gain.tolist(),
+        "designed": controller.designed,
+        "bound": certificate.bound,
+        "norm": _finite(norm.value),
+        "routes_gap": norm.gap if certificate.stable else None,
+        "peak_frequency": _finite(norm.peak_frequency),
+        "poles": [[float(pole.real), float(pole.imag)] for pole in certificate.poles],
+        "lower_bound": certificate.lower.gamma if certificate.lower is not None and certificate.lower.gamma > 0 else None,
+        "gap": certificate.gap,
+        "lmi": {"X_smallest": _finite(certificate.X_smallest), "largest": _finite(certificate.lmi_largest)},
+        "certificate": to_record(certificate),
+        "notes": list(row.notes),
+        "failures": list(row.failures),
+    }
+
+
+def table_lines(rows: Sequence[Row]) -> list[str]:
+    """All controllers, one line each."""
+    lines = ["controller              bound       norm  at rad/s  no one below    above it  slowest pole"]
+    for row in rows:
+        if row.controller is None:
+            lines.append(f"{row.name:18s} NOT DESIGNED")
+            continue
+        certificate = row.controller.certificate
+        if not certificate.stable:
+            lines.append(f"{row.name:18s} UNSTABLE")
+            continue
+        bound = f"{certificate.bound:.7g}" if certificate.bound is not None else "-"
+        at = f"{certificate.norm.peak_frequency:.5g}" if np.isfinite(certificate.norm.peak_frequency) else "-"
+        lower = f"{certificate.lower.gamma:.7g}" if certificate.gap is not None and certificate.lower is not None else "-"
+        gap = percent(certificate.gap) if certificate.gap is not None else "-"
+        slowest = f"{np.real(certificate.poles).max():.4g}"
+        lines.append(
+            f"{row.name:18s} {bound:>10s} {certificate.norm.value:10.7g} {at:>9s} {lower:>13s} {gap:>11s} {slowest:>13s}"
+        )
+    return lines
+
+
+def detail_lines(row: Row) -> list[str]:
+    """One controller in full."""
+    if row.controller is None:
+        return [f"controller {row.name}", *(f"  NOT DESIGNED: {failure}" for failure in row.failures)]
+    controller, certificate = row.controller, row.controller.certificate
+    gain = "[" + ", ".join("[" + ", ".join(f"{entry:.6g}" for entry in line) + "]" for line in controller.gain) + "]"
+    lines = [f"controller {row.name}: measures {', '.join(controller.measured) or 'nothing'}"]
+    lines.append(f"  gain {gain}" if controller.measured else "  no control force")
+    lines.append("  poles " + "  ".join(_poles(certificate.poles)))
+    if certificate.stable:
+        lines.append(f"  norm by level sets and by a sweep, {certificate.norm.gap:.0e} apart")
+    if certificate.bound is not None:
+        lines.append(
+            f"  LMI (20): largest eigenvalue {certificate.lmi_largest:.1e}, rounding {certificate.lmi_rounding:.0e}; X > 0 by "
+            f"{certificate.X_smallest:.1e}"
+        )
+    if certificate.gap is not None:
+        lines.append(f"  within {percent(certificate.gap)} of the best any controller could do")
+    return [*lines, *(f"  {note}" for note in row.notes), *(f"  FAILS: {failure}" for failure in row.failures)]
+
+
+def notes(controller: Controller) -> tuple[str, ...]:
+    """How far from its optimum a design had to stop, and what it measures in vain."""
+    found = []
+    if controller.short > SHORT:
+        found.append(f"from an X {percent(controller.short)} short of the best state feedback; from the best there is no design")
+    if controller.stopped > SHORT:
+        found.append(f"bound {percent(controller.stopped)} short of the optimum, which only a gain beyond any actuator reaches")
+    if controller.redundant:
+        found.append(f"measures in vain: {', '.join(controller.redundant)} follows from the other signals and is given no gain")
+    return tuple(found)
+
+
+def percent(share: float) -> str:
+    """A share in percent; what rounding leaves is 0."""
+    return f"{max(100 * share, 0.0):.2g} %" if share > 1e-9 else "0 %"
+
+
+def _poles(poles) -> list[str]:
+    return [
+        f"{pole.real:.4g}{pole.imag:+.4g}j".replace("+", " +- ") if pole.imag else f"{pole.real:.4g}"
+        for pole in poles
+        if pole.imag >= 0
+    ]
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,145 @@
+"""The COMPleib plants (Leibfritz), one row each, from a file that is not part of this repository.
+
+    python -m tests.benchmarks.compleib PLANTS.json [--json] [--only NAME...]
+
+PLANTS.json maps names to the matrices of x' = A x + B1 w + B u, z = C1 x + D11 w + D12 u, y = C x + D21 w. Plants with D21 != 0
+are left out: the two-step method needs y = C x. The two steps take X from the central path; the refined norm is the complete
+strategy's, confirmed by both routes, with gains bounded by 1e5.
+"""
+
+import json
+import multiprocessing
+import os
+import sys
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+# One thread per process: the matrices are small, and there is a process for every core. Before numpy is imported.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import numpy as np
+
+from models.errors import InputError
+from synth.errors import DesignError
+from synth.full_order import best_possible
+from synth.plant import GeneralizedPlant
+from synth.static import LARGEST_GAIN, static_output_feedback
+
+
+@dataclass(frozen=True)
+class Row:
+    """One plant's row, as `--json` has it."""
+
+    plant: str
+    states: int
+    lower_bound: float | None
+    two_step_bound: float | None
+    two_step_norm: float | None
+    norm: float | None
+    gain: list[list[float]] | None
+    seconds: float
+    reason: str | None
+
+
+def solve(task: tuple[str, dict[str, Any]]) -> Row:
+    """The row of one plant."""
+    name, data = task
+    matrix = {key: np.array(data[key], dtype=float) for key in ("A", "B", "B1", "C1", "D12", "D11", "C")}
+    plant = GeneralizedPlant(matrix["A"], matrix["B"], matrix["B1"], matrix["C1"], matrix["D12"], matrix["D11"])
+    start = time.perf_counter()
+    bound = two_step_norm = norm = gain = reason = None
+    try:
+        design = static_output_feedback(plant, matrix["C"], LARGEST_GAIN)
+    except DesignError as error:
+        reason = str(error)
+    else:
+        bound, two_step_norm = (design.two_steps.gamma if design.two_steps else None), design.two_step_norm
+        gain, certificate = design.gain.tolist(), design.certificate
+        if not certificate.failures:
+            norm = certificate.norm.value
+        else:
+            reason = "; ".join(certificate.failures)
+    return Row(
+        name,
+        len(plant.A),
+        best_possible(plant, matrix["C"]).gamma or None,
+        bound,
+        two_step_norm,
+        norm,
+        gain,
+        time.perf_counter() - start,
+        reason,
+    )
+
+
+def read_tasks(path: str, only: list[str]) -> list[tuple[str, dict[str, Any]]]:
+    """The plants of the file that the method applies to, in its order; the largest are begun first elsewhere."""
+    try:
+        plants = json.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read as JSON ({error}); give the file of the COMPleib plants") from error
+    for name in only:
+        if name not in plants:
+            raise InputError(f"unknown plant {name!r}; {path} has {', '.join(plants)}")
+    return [(name, data) for name, data in plants.items() if not np.any(data["D21"]) and (not only or name in only)]
+
+
+def line(row: Row) -> str:
+    """One row of the table."""
+
+    def number(value: float | None) -> str:
+        return f"{value:.7g}" if value is not None else "-"
+
+    largest = f"{np.abs(row.gain).max():.3g}" if row.gain is not None else "-"
+    gap = f"{100 * (row.norm / row.lower_bound - 1):.2g} %" if row.norm and row.lower_bound else "-"
+    bounds = (number(row.two_step_bound), number(row.two_step_norm), number(row.norm), number(row.lower_bound), gap)
+    cells = (*bounds, largest, f"{row.seconds:.1f}")
+    return (
+        f"{row.plant:10s} {row.states:6d} "
+        + " ".join(f"{cell:>14s}" for cell in cells)
+        + (f"  {row.reason}" if row.reason else "")
+    )
+
+
+def main(arguments: list[str]) -> int:
+    """The command; 1 if a plant is left without a certified gain."""
+    as_json = "--json" in arguments
+    words = [word for word in arguments if word != "--json"]
+    if "--only" in words:
+        at = words.index("--only")
+        words, only = words[:at], words[at + 1 :]
+    else:
+        only = []
+    if len(words) != 1:
+        raise InputError("give one file: python -m tests.benchmarks.compleib PLANTS.json [--json] [--only NAME...]")
+    tasks = read_tasks(words[0], only)
+    order = sorted(range(len(tasks)), key=lambda i: -len(tasks[i][1]["A"]))
+    start = time.perf_counter()
+    rows: dict[str, Row] = {}
+    if not as_json:
+        headings = ("two-step bound", "two-step norm", "refined norm", "lower bound", "gap", "largest gain", "seconds")
+        print(f"{'plant':10s} {'states':>6s} " + " ".join(f"{heading:>14s}" for heading in headings))
+    with multiprocessing.Pool(os.cpu_count()) as pool:
+        for row in pool.imap_unordered(solve, [tasks[i] for i in order], chunksize=1):
+            rows[row.plant] = row
+            if not as_json:
+                print(line(row), flush=True)
+    done = [rows[name] for name, _ in tasks]
+    if as_json:
+        print(json.dumps({"plants": [asdict(row) for row in done]}))
+    else:
+        certified = sum(row.norm is not None for row in done)
+        stepped = sum(row.two_step_norm is not None for row in done)
+        wall = time.perf_counter() - start
+        print(f"\n{certified} of {len(done)} with a certified gain, {stepped} by the two steps alone, {wall:.0f} s")
+    return 0 if all(row.norm is not None for row in done) else 1
+
+
+if __name__ == "__main__":
+    try:
+        sys.exit(main(sys.argv[1:]))
+    except InputError as error:
+        print(f"roadproof: {error}", file=sys.stderr)
+        sys.exit(2)

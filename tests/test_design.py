@@ -1,0 +1,240 @@
+"""Any plant: from numpy or a StateSpace, redundant measurements, why there is no design, and bad input."""
+
+import control
+import numpy as np
+import pytest
+
+from models.errors import InputError
+from models.vehicle import parse_vehicle, read_vehicle
+from synth.controller import Designer
+from synth.design import state_path, two_step_design
+from synth.errors import DesignError, InfeasibleError
+from synth.lmi import solve_lmi
+from synth.modes import obstacles
+from synth.output_feedback import l_matrix, nullspace, r_matrix
+from synth.plant import GeneralizedPlant
+from synth.state_feedback import state_feedback
+from synth.state_space import from_state_space
+from synth.table import notes
+
+GOOD = {
+    "A": np.diag([-1.0, -2.0]),
+    "B": np.ones((2, 1)),
+    "Bw": np.ones((2, 1)),
+    "C": np.eye(2),
+    "D": np.zeros((2, 1)),
+    "Dw": np.zeros((2, 1)),
+}
+
+
+@pytest.fixture(scope="module")
+def space(paper) -> control.StateSpace:
+    """The paper's car as python-control has it."""
+    model = paper.linear_model
+    return control.StateSpace(
+        model.A,
+        np.hstack([model.B, model.Bw]),
+        model.C,
+        np.hstack([model.D, np.zeros((len(model.C), 1))]),
+        inputs=[*model.inputs, *model.disturbances],
+        outputs=list(model.outputs),
+    )
+
+
+def test_paper_from_a_state_space(space, designer, paper):
+    """The paper's car as a StateSpace with named signals gives controller I."""
+    plant, Cy = from_state_space(space, ["road_velocity"], paper.performance, ["suspension_deflection", "sprung_velocity"])
+    design = two_step_design(plant, Cy)
+    np.testing.assert_allclose(design.gain, designer.design("I").gain, rtol=1e-6)  # where the path is stopped, twice
+    assert design.certificate.failures == ()
+
+
+@pytest.mark.parametrize("seed", range(3))  # of the next, no X of the path leads to a gain
+def test_random_plants_with_feedthrough(seed):
+    """Several inputs, outputs, disturbances and a D_w: the second step's bound is Clarabel's, and the certificate holds."""
+    rng = np.random.default_rng(seed)
+    n, m, r = 5, 2, 3
+    A = rng.standard_normal((n, n))
+    plant = GeneralizedPlant(
+        A=A - (np.linalg.eigvals(A).real.max() + 0.2) * np.eye(n),
+        B=rng.standard_normal((n, m)),
+        Bw=rng.standard_normal((n, r)),
+        C=np.vstack([rng.standard_normal((2, n)), np.zeros((m, n))]),
+        D=np.vstack([np.zeros((2, m)), np.eye(m)]),
+        Dw=0.3 * rng.standard_normal((2 + m, r)),
+    )
+    Cy = rng.standard_normal((3, n))
+    path = state_path(plant)
+    design = two_step_design(plant, Cy, path)
+    assert design.certificate.failures == ()
+    assert design.certificate.bound is not None
+    if design.short == design.stopped == 0:
+        Q = nullspace(Cy)
+        solved = solve_lmi(plant, Q, r_matrix(Cy, Q, l_matrix(path[-1].X, Cy, Q)))
+        assert design.certificate.bound == pytest.approx(solved.gamma, rel=2e-5)  # where Clarabel stops
+
+
+def test_redundant_measurements_are_left_out(designer):
+    """A signal that follows from the others changes nothing, gets no gain, and is named; so with inputs that do the same."""
+    alone = designer.design("I")
+    Cy = np.eye(4)[[0, 2]]
+    design = two_step_design(designer.plant, np.vstack([Cy, [[2.0, 0, -3.0, 0]]]), designer.state_path)
+    assert design.redundant == (2,)
+    np.testing.assert_allclose(design.gain[:, :2], alone.gain, rtol=1e-12)
+    assert design.gain[0, 2] == 0
+
+    plant = designer.plant
+    twice = GeneralizedPlant(plant.A, np.hstack([plant.B] * 2), plant.Bw, plant.C, np.hstack([plant.D] * 2), plant.Dw)
+    shared = two_step_design(twice, Cy).gain
+    np.testing.assert_allclose(shared[0], shared[1], rtol=1e-9)  # rounding of a projection
+    np.testing.assert_allclose(shared.sum(axis=0), alone.gain[0], rtol=1e-5)  # where the path is stopped
+
+
+def test_redundant_signal_of_a_vehicle_is_named():
+    """In a vehicle file, too: a full car's heave, pitch and roll follow from signals at its corners."""
+    car = read_vehicle("full_car")
+    measured = [name for name in car.linear_model.measurable if "tyre_deflection" in name or "velocity" in name or "rate" in name]
+    rank = np.linalg.matrix_rank(car.linear_model.rows(measured)[0])
+    assert rank < len(measured)
+    text = car.text + "\n[controllers.many]\nmeasured = " + str(measured).replace("'", '"')
+    controller = Designer(parse_vehicle(text)).design("many")
+    assert controller.certificate.failures == ()
+    assert len(controller.redundant) == len(measured) - rank
+    assert any("measures in vain" in note for note in notes(controller))
+
+
+def plant_of(A, B) -> GeneralizedPlant:
+    A, B = np.array(A, dtype=float), np.array(B, dtype=float)
+    n, m = B.shape
+    C = np.vstack([np.eye(n), np.zeros((m, n))])
+    return GeneralizedPlant(A, B, np.ones((n, 1)), C, np.vstack([np.zeros((n, m)), np.eye(m)]), np.zeros((n + m, 1)))
+
+
+def test_unreached_mode_is_named():
+    """An unstable mode that no input reaches is named by its rate and its state."""
+    with pytest.raises(InfeasibleError, match=r"no input reaches the mode at 1 rad/s.*in x1"):
+        state_path(plant_of([[1, 0], [0, -1]], [[0], [1]]))
+    oscillator = plant_of([[0, 1, 0], [-4, 0, 0], [0, 0, -1]], [[0], [0], [1]])
+    with pytest.raises(InfeasibleError, match=r"the mode at 0\+2j rad/s.*in position"):
+        state_path(oscillator, ["position", "velocity", "other"])
+
+
+def test_unseen_mode_is_named():
+    """So is one that no measurement shows."""
+    plant = plant_of([[1, 0], [0, -1]], [[1], [1]])
+    with pytest.raises(InfeasibleError, match=r"no measurement shows the mode at 1 rad/s.*in x1"):
+        two_step_design(plant, np.array([[0.0, 1.0]]))
+
+
+def test_no_mode_is_accused_wrongly(designer):
+    """The paper's car has no such mode, with any single measurement."""
+    for row in np.eye(4):
+        assert obstacles(designer.plant, row[None]) == []
+
+
+def test_second_problem_without_solution_is_said():
+    """x'' = x + u with x' measured is reached and seen, and yet no static gain stabilises it: the second problem says so."""
+    plant = plant_of([[0, 1], [1, 0]], [[0], [1]])
+    assert obstacles(plant, np.array([[0.0, 1.0]])) == []
+    with pytest.raises(InfeasibleError, match=r"problem \(25\) has no solution with eta > 0"):
+        two_step_design(plant, np.array([[0.0, 1.0]]))
+
+
+def test_optimum_at_infinite_gain_is_said():
+    """A force that costs nothing pushes z to zero the harder the larger it is: the optimum lies at infinite gain."""
+    plant = GeneralizedPlant(
+        A=np.zeros((1, 1)), B=np.ones((1, 1)), Bw=np.ones((1, 1)), C=np.ones((1, 1)), D=np.zeros((1, 1)), Dw=np.zeros((1, 1))
+    )
+    with pytest.raises(DesignError, match="reached only by an infinite gain"):
+        state_feedback(plant)
+
+
+def test_solver_that_gave_up_is_said(designer, monkeypatch):
+    """Clarabel's own words are passed on."""
+    import cvxpy
+
+    def gives_up(*args, **kwargs):
+        raise cvxpy.SolverError("numerical error")
+
+    monkeypatch.setattr(cvxpy.Problem, "solve", gives_up)
+    with pytest.raises(DesignError, match=r"Clarabel gave up .* numerical error"):
+        solve_lmi(designer.plant, np.zeros((4, 0)), np.eye(4))
+
+
+def test_a_plant_that_is_fast_by_itself():
+    """A = -I, twice: phase one starts inside the feasible set, and the design is as good as any."""
+    plant = plant_of(-np.eye(2), np.eye(2))
+    assert state_feedback(plant)[-1].gamma < 1.5
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"B": np.ones((3, 1))}, r"B has shape \(3, 1\); expected \(2, 1\)"),
+        ({"C": np.ones((2, 3))}, r"C has shape \(2, 3\); expected \(2, 2\)"),
+        ({"Dw": np.ones((1, 1))}, r"Dw has shape \(1, 1\); expected \(2, 1\), as A says n = 2"),
+        ({"A": np.array([1.0, 2.0])}, r"A has shape \(2,\); expected a matrix of shape \('n', 'n'\)"),
+        ({"A": np.array([[np.nan, 0.0], [0.0, 1.0]])}, "A has an entry that is not finite"),
+        ({"A": [["a", "b"], ["c", "d"]]}, "A is not a matrix of numbers"),
+    ],
+)
+def test_matrices_that_do_not_fit(change, message):
+    """A matrix of the wrong shape, or with NaN, is named with what was found and what was expected."""
+    with pytest.raises(InputError, match=message) as caught:
+        GeneralizedPlant(**{**GOOD, **change})
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"Bw": np.zeros((2, 1))}, "no disturbance: Bw and Dw are zero"),
+        ({"Bw": np.zeros((2, 0)), "Dw": np.zeros((2, 0))}, "no disturbance"),
+        ({"C": np.zeros((2, 2))}, "the controlled output is zero"),
+    ],
+)
+def test_nothing_to_design(change, message):
+    """No disturbance, or no weight above zero, is said before anything is computed."""
+    with pytest.raises(InputError, match=message):
+        state_path(GeneralizedPlant(**{**GOOD, **change}))
+
+
+@pytest.mark.parametrize(
+    ("Cy", "message"),
+    [
+        (np.ones((1, 3)), r"Cy has shape \(1, 3\); expected \(q, 2\)"),
+        (np.ones(2), r"Cy has shape \(2,\)"),
+        (np.zeros((0, 2)), "nothing is measured"),
+        (np.array([[np.inf, 0.0]]), "Cy has an entry that is not finite"),
+        (np.array([[1.0, 0.0], [0.0, 0.0]]), "row 1 of Cy is zero"),
+    ],
+)
+def test_measurements_that_do_not_fit(Cy, message):
+    """So is a measurement that is none."""
+    with pytest.raises(InputError, match=message):
+        two_step_design(GeneralizedPlant(**GOOD), Cy)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"disturbances": ["rain"]}, "unknown disturbance 'rain'; the system has control_force, road_velocity"),
+        ({"disturbances": []}, "no disturbance is named"),
+        ({"performance": {"noise": 1.0}}, "unknown performance signal 'noise'"),
+        ({"performance": {"tyre_deflection": 0.0}}, "the weights are all zero"),
+        ({"measured": ["speed"]}, "unknown measured signal 'speed'"),
+        ({"measured": []}, "nothing is measured"),
+        ({"measured": ["sprung_acceleration"]}, "'sprung_acceleration' contains an input directly"),
+    ],
+)
+def test_state_space_that_does_not_fit(space, change, message):
+    """Signals of a StateSpace are known by name; a wrong one is answered with those there are."""
+    good = {"disturbances": ["road_velocity"], "performance": {"tyre_deflection": 1.0}, "measured": ["tyre_deflection"]}
+    with pytest.raises(InputError, match=message):
+        from_state_space(space, **{**good, **change})
+
+
+def test_sampled_state_space_is_refused(space):
+    """The LMIs are those of continuous time."""
+    with pytest.raises(InputError, match="the system is sampled"):
+        from_state_space(control.c2d(space, 0.01), ["road_velocity"], {"tyre_deflection": 1.0}, ["tyre_deflection"])

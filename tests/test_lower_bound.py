@@ -1,0 +1,140 @@
+"""Lower bounds: proved by numpy, below every controller, close to the best one."""
+
+import numpy as np
+import pytest
+from scipy import linalg
+
+from synth.full_order import best_possible
+from synth.limit import invariant_limit, uncontrolled
+from synth.lower_bound import Witness, lower_bound, reduced_plant, shown, steered
+from synth.norm import hinf_norm
+from synth.plant import GeneralizedPlant
+from synth.state_feedback import state_feedback
+from tests.test_static import random_plant
+
+
+def at_the_end(plant: GeneralizedPlant, mu: float = 1e-5) -> Witness:
+    point = state_feedback(plant, mu)[-1]
+    return Witness(point.X, point.K, point.eta)
+
+
+def full_order_norm(plant: GeneralizedPlant, Cy: np.ndarray, gamma: float, noise: float) -> float:
+    """The norm that the central full-order controller for gamma reaches, y = C_y x + noise (Doyle et al. 1989).
+
+    For C' D = 0, D' D = I, Bw = [B1 0] and a noise of its own: the plants of `noisy`.
+    """
+    n, g2 = len(plant.A), gamma**-2
+    X = linalg.solve_continuous_are(
+        plant.A,
+        np.hstack([plant.B, plant.Bw]),
+        plant.C.T @ plant.C,
+        np.diag([1.0] * plant.B.shape[1] + [-(gamma**2)] * plant.Bw.shape[1]),
+    )
+    Cn = Cy / noise
+    Y = linalg.solve_continuous_are(
+        plant.A.T, np.hstack([Cn.T, plant.C.T]), plant.Bw @ plant.Bw.T, np.diag([1.0] * len(Cn) + [-(gamma**2)] * len(plant.C))
+    )
+    F, L = -plant.B.T @ X, -Y @ Cn.T
+    Z = np.linalg.inv(np.eye(n) - g2 * Y @ X)
+    Ak = plant.A + g2 * plant.Bw @ plant.Bw.T @ X + plant.B @ F + Z @ L @ Cn
+    A = np.block([[plant.A, plant.B @ F], [-Z @ L @ Cn, Ak]])
+    Bw = np.vstack([plant.Bw, np.zeros((n, plant.Bw.shape[1]))])
+    C = np.hstack([plant.C, plant.D @ F])
+    loop = GeneralizedPlant(A, np.zeros((2 * n, 1)), Bw, C, np.zeros((len(C), 1)), plant.Dw)
+    return hinf_norm(loop).value
+
+
+def test_paper_bound(designer):
+    """On the paper's car the dual proves gamma* to 6e-5, and the invariant limit proves it to rounding."""
+    best = designer.state_feedback.gamma
+    dual = lower_bound(designer.plant, at_the_end(designer.plant))
+    assert best * (1 - 6e-5) < dual.gamma < best  # (2 n + d) mu / 2 = 6e-5
+    limit, at = invariant_limit(designer.plant)
+    assert limit == pytest.approx(7.83645764, rel=1e-8)  # gamma*, given with 9 digits
+    assert at == pytest.approx(63.757, abs=1e-3)  # where the norm of the printed G_s peaks
+
+
+@pytest.mark.parametrize("feedthrough", [0.0, 0.2])
+@pytest.mark.parametrize("seed", range(4))
+def test_random_plants(seed, feedthrough):
+    """On random plants the dual bound is within 2e-4 of the optimum of (22), from below, and above the invariant limit's."""
+    plant, _ = random_plant(seed, feedthrough=feedthrough)
+    best = state_feedback(plant, 1e-7)[-1].gamma
+    bound = lower_bound(plant, at_the_end(plant))
+    assert best * (1 - 2e-4) < bound.gamma <= best * (1 + 1e-9)  # (2 n + d) mu / 2 = 7e-5, and the projection
+    assert invariant_limit(plant)[0] <= best * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("seed", [0, 2, 3])  # of 1 the limit says more
+def test_output_feedback_of_any_order(seed):
+    """The bound for output feedback lies above that for state feedback, and a full-order controller comes within 0.1 % of it.
+
+    The controller is the central one of the two Riccati equations, for y with a little noise, without which they are singular.
+    """
+    rng = np.random.default_rng(seed)
+    n = 4
+    A = rng.standard_normal((n, n))
+    plant = GeneralizedPlant(
+        A=A - (np.linalg.eigvals(A).real.max() + 0.3) * np.eye(n),
+        B=rng.standard_normal((n, 1)),
+        Bw=rng.standard_normal((n, 2)),
+        C=np.vstack([rng.standard_normal((1, n)), np.zeros((1, n))]),
+        D=np.array([[0.0], [1.0]]),
+        Dw=np.zeros((2, 2)),
+    )
+    Cy = rng.standard_normal((1, n))
+    bound = best_possible(plant, Cy)
+    assert bound.gamma >= best_possible(plant).gamma * (1 - 1e-9)
+    assert bound.observer is not None
+    reached = min(
+        full_order_norm(plant, Cy, bound.gamma * factor, noise)
+        for factor in (1.0005, 1.005, 1.05)
+        for noise in (1e-2, 1e-3, 1e-4)
+    )
+    assert bound.gamma * (1 - 1e-9) < reached
+    assert reached < bound.gamma * 1.02  # the noise, and gamma above its infimum
+
+
+def test_what_derivatives_show(designer):
+    """Deflection and body velocity show, with their derivatives, all of the paper's state: no bound beyond state feedback's."""
+    assert shown(designer.plant, np.eye(4)[[0, 2]]).shape == (4, 4)
+    noisy = GeneralizedPlant(
+        A=np.array([[0.0, 1.0], [0.0, 0.0]]),
+        B=np.array([[0.0], [1.0]]),
+        Bw=np.eye(2),
+        C=np.eye(2),
+        D=np.zeros((2, 1)),
+        Dw=np.zeros((2, 2)),
+    )
+    assert shown(noisy, np.array([[1.0, 0.0]])).shape == (1, 2)  # its derivative holds w
+    assert steered(noisy).shape == (1, 2)  # u acts on x2 at no cost, but x2 is weighed
+    assert reduced_plant(noisy).A.shape == (1, 1)
+
+
+def test_a_witness_of_nothing_proves_nothing(designer):
+    """A pair that does not satisfy (21), or is far from the path, proves 0, which is always true."""
+    good = at_the_end(designer.plant)
+    assert lower_bound(designer.plant, Witness(-good.X, good.K, good.eta)).gamma == 0
+    assert lower_bound(designer.plant, Witness(good.X, good.K, 4 * good.eta)).gamma <= designer.state_feedback.gamma
+    assert lower_bound(designer.plant, Witness(good.X, 0 * good.K, good.eta)).gamma <= designer.state_feedback.gamma
+
+
+@pytest.mark.parametrize("name", ["passive", "state", "I", "II"])
+def test_no_controller_beats_the_limit_anywhere(designer, paper, name):
+    """At every frequency every controller's gain is above what no control force changes."""
+    omega = np.geomspace(0.1, 1e3, 300)
+    loop = designer.plant.closed_loop(designer.design(name).state_gain(paper))
+    gains = np.linalg.norm(loop.frequency_response(omega), 2, axis=(1, 2))
+    assert np.all(gains >= uncontrolled(designer.plant, omega) * (1 - 1e-9))  # rounding
+
+
+@pytest.mark.parametrize("kind", ["half_car", "full_car"])
+def test_limit_of_the_other_cars(kind):
+    """Their best state feedback reaches the invariant limit too, which the dual proves to 2e-4."""
+    from models.vehicle import read_vehicle
+    from synth.controller import Designer
+
+    designer = Designer(read_vehicle(kind))
+    best = designer.state_feedback.gamma
+    assert invariant_limit(designer.plant)[0] == pytest.approx(best, rel=2e-9)  # where the path ends, 1e-9
+    assert lower_bound(designer.plant, at_the_end(designer.plant)).gamma == pytest.approx(best, rel=2.5e-4)  # (2 n + d) mu / 2

@@ -1,0 +1,172 @@
+"""`python -m synth`: what it prints, saves and checks."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from models.errors import InputError
+from models.vehicle import read_vehicle
+from sim.bump import main as bump
+from synth.__main__ import main
+
+
+def table(capsys, *arguments) -> tuple[int, dict]:
+    code = main([*arguments, "--json"])
+    return code, json.loads(capsys.readouterr().out)
+
+
+def test_table(capsys):
+    """Every controller has a gain, a norm that both routes give, poles and a gap to what no controller can beat."""
+    code, found = table(capsys)
+    assert code == 0
+    rows = {row["name"]: row for row in found["controllers"]}
+    assert set(rows) == {"passive", "state", "I", "II", "state_printed", "I_printed", "II_printed"}
+    assert rows["I"]["norm"] == pytest.approx(7.843188, abs=1e-6)  # given with 7 digits
+    assert rows["I"]["gap"] == pytest.approx(8.588e-4, abs=1e-6)  # 7.843188 / 7.836458 - 1
+    assert rows["state"]["gap"] == pytest.approx(0, abs=1e-9)  # the path's end
+    assert rows["passive"]["norm"] == pytest.approx(35.0720, abs=5e-4)
+    assert all(row["routes_gap"] < 1e-10 and row["failures"] == [] for row in rows.values())
+    assert found["invariant_limit"] == {"norm": pytest.approx(7.83645764, rel=1e-8), "frequency": pytest.approx(63.757, abs=1e-3)}
+    # Half a percent either way of the gain on the deflection, a fifth of that on the tyre's, for 1e-4 of gamma.
+    gain, down, up = found["flat"]["gain_down_up"]["tyre_deflection"]
+    assert gain == pytest.approx(2333.4, abs=0.1)
+    assert 0.1 * gain < down < 0.3 * gain
+    assert 0.1 * gain < up < 0.3 * gain
+
+
+@pytest.mark.parametrize("vehicle", ["half_car", pytest.param("full_car", marks=pytest.mark.slow)])
+def test_other_vehicles(capsys, vehicle):
+    """Every controller of the other cars that ship is designed and certified, within 11 % of the best possible."""
+    code, found = table(capsys, "--vehicle", vehicle)
+    assert code == 0
+    gaps = {row["name"]: row["gap"] for row in found["controllers"]}
+    assert gaps["state"] == pytest.approx(0, abs=1e-8)
+    assert 0 < gaps["I"] < 0.11
+    assert 0 < gaps["II"] < 0.11
+
+
+def test_text_names_the_flat_optimum_and_the_limit(capsys):
+    """What the paper did not see is in the text."""
+    assert main(["--controller", "state"]) == 0
+    text = capsys.readouterr().out
+    assert "flat: for 0.0001 of gamma each state's largest gain may move by itself" in text
+    assert "limit: no control force changes z's answer to the road at 63.757 rad/s, 7.836458 (invariant point)" in text
+
+
+def test_remark_4(capsys):
+    """With L = 0 neither controller can be designed, and each says why."""
+    code, found = table(capsys, "--zero-l")
+    assert code == 1
+    assert [row["name"] for row in found["controllers"]] == ["I", "II"]
+    assert all("no solution with eta > 0 for L = 0" in row["reason"] for row in found["controllers"])
+
+
+def test_refine_is_bounded_and_says_what_it_traded(capsys):
+    """Refined, controller I comes within 1e-4 of the best any controller could do, and does not walk to [-72240, -82631]."""
+    code, found = table(capsys, "--controller", "I", "--refine")
+    assert code == 0
+    (row,) = found["controllers"]
+    assert row["gap"] < 1e-4
+    assert max(map(abs, row["gain"][0])) < 11000
+    assert any(note.startswith("refined: gamma 7.843188 -> ") and "refused" in note for note in row["notes"])
+
+
+def test_save_and_check(capsys, tmp_path):
+    """A saved design reads back with a certificate that holds, and every other command drives it."""
+    file = tmp_path / "car.toml"
+    code, saved = table(capsys, "--save", str(file))
+    assert code == 0
+    code, checked = table(capsys, "--check", str(file), "--controller", "I_designed")
+    assert code == 0
+    before = next(row for row in saved["controllers"] if row["name"] == "I")
+    (after,) = checked["controllers"]
+    for claim in ("norm", "bound", "lower_bound"):
+        assert after[claim] == pytest.approx(before[claim], rel=1e-12)
+    assert bump(["--vehicle", str(file), "--controller", "II_designed", "--no-logs", "--duration", "0.5"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("norm = 7.84", "norm = 7.83", "the norm is claimed to be 7.83"),
+        ("lower_bound = 7.836", "lower_bound = 7.837", "the lower bound is claimed to be 7.837"),
+        ("bound = 7.87", "bound = 7.81", "exceeds the bound"),
+        ("gain = [[10825", "gain = [[20825", "LMI"),
+        ("X = [[0.", "X = [[9.", "LMI"),
+    ],
+)
+def test_check_sees_what_is_not_true(capsys, tmp_path, old, new, message):
+    """A number of a saved certificate that was changed is found, and the exit code is 1."""
+    file = tmp_path / "car.toml"
+    table(capsys, "--controller", "I", "--save", str(file))
+    head, tail = file.read_text().split("[controllers.I_designed]")
+    assert old in tail
+    file.write_text(head + "[controllers.I_designed]" + tail.replace(old, new, 1))
+    code, found = table(capsys, "--check", str(file), "--controller", "I_designed")
+    assert code == 1
+    assert any(message in failure for failure in found["controllers"][0]["failures"])
+
+
+def test_check_needs_no_solver(capsys, tmp_path):
+    """`--check` imports neither cvxpy nor a solver."""
+    table(capsys, "--controller", "I", "--save", str(tmp_path / "car.toml"))
+    code = (
+        "import sys; sys.modules['cvxpy'] = sys.modules['clarabel'] = sys.modules['control'] = None; "
+        "from synth.__main__ import main; sys.exit(main(sys.argv[1:]))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, "--check", str(tmp_path / "car.toml")], capture_output=True, text=True, check=True
+    )
+    assert "checked: every claim of its certificate holds" in done.stdout
+    assert "came without a certificate" in done.stdout
+
+
+def test_a_saved_file_is_whole_or_not_there(capsys, tmp_path):
+    """Nothing is left beside it, and a name that is taken is refused before anything is written."""
+    file = tmp_path / "car.toml"
+    main(["--controller", "I", "--save", str(file)])
+    assert [path.name for path in tmp_path.iterdir()] == ["car.toml"]
+    assert "I_designed" in read_vehicle(file).controllers
+    with pytest.raises(InputError, match="has a controller 'I_designed' already"):
+        main(["--vehicle", str(file), "--controller", "I", "--save", str(tmp_path / "more.toml")])
+    assert [path.name for path in tmp_path.iterdir()] == ["car.toml"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--controller", "nobody"], "unknown controller 'nobody'"),
+        (["--zero-l", "--controller", "state"], "--zero-l: 'state' is not designed from measurements"),
+        (["--controller", "I", "--save", "/no/such/folder/car.toml"], "cannot be written"),
+        (["--controller", "passive", "--save", "car.toml"], "nothing to write"),
+        (["--vehicle", "/no/such/file"], "cannot be read"),
+        (["--check", "models/quarter_car.toml", "--refine"], "designs nothing"),
+        (["--check", "models/half_car.toml"], "holds no controller with a gain"),
+        (["--check", "models/quarter_car.toml", "--controller", "I"], "'I' has no gain"),
+    ],
+)
+def test_bad_input(arguments, message):
+    """A mistake is one line that says what to do."""
+    with pytest.raises(InputError, match=message) as caught:
+        main(arguments)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("certificate", "message"),
+    [
+        ("norms = 1.0", "unknown key 'norms' in a certificate"),
+        ("X = [[1.0, 2.0]]", "is not a matrix of finite numbers of shape"),
+        ('norm = "7"', "is not a finite number"),
+        ("state = { X = [[1.0]] }", "is no witness with X, K and eta"),
+        ("state = { X = [[1.0]], K = [[1.0]], eta = 1.0 }", "do not fit the vehicle"),
+    ],
+)
+def test_malformed_certificate(tmp_path, certificate, message):
+    """So is a certificate that is none."""
+    file = tmp_path / "car.toml"
+    file.write_text(read_vehicle("quarter_car").text + f"\n[controllers.I_printed.certificate]\n{certificate}\n")
+    with pytest.raises(InputError, match=message):
+        main(["--check", str(file), "--controller", "I_printed"])
