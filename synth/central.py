@@ -155,7 +155,7 @@ class _Path:
             if p[-1] < 0:
                 break
             mu /= 10
-            if mu < 1e-12:
+            if mu < 1e-10:
                 # On the path s exceeds its infimum by no more than (number of rows) mu, so the infimum is 0 to rounding.
                 raise InfeasibleError(
                     f"the LMI problem is infeasible: no X > 0 of the required structure makes A X + B Y + (A X + B Y)' negative "

@@ -3,7 +3,7 @@
     python -m tests.benchmarks.states [--picture FILE.png] [--most STATES]
 
 Every mass rests on its neighbours; the ground under the first moves, a force acts between the first two, and what is measured is
-where all masses but the last are and how fast they move.
+how fast the masses move, and where all but the last are.
 """
 
 import argparse
@@ -32,7 +32,7 @@ def chain(states: int) -> tuple[GeneralizedPlant, np.ndarray]:
     Bw[k, 0] = 1
     C = np.vstack([np.eye(states)[[k - 1]], A[[k]], np.zeros(states)])
     D = np.array([[0.0], [1.0], [0.5]])
-    Cy = np.delete(np.eye(states), [k - 1, states - 1], axis=0)
+    Cy = np.delete(np.eye(states), k - 1, axis=0)
     return GeneralizedPlant(A, B, Bw, C, D, np.zeros((3, 1))), Cy
 
 
