@@ -4,6 +4,8 @@ Its fourteen states hold the tyre deflections as three modes, which a rigid body
 mode, the twist, is fixed by the suspension deflections and the twist of the road.
 """
 
+from functools import partial
+
 import numpy as np
 
 from models import rigid_body, signals
@@ -121,6 +123,7 @@ KIND = VehicleKind(
             tyre_deflection=f"tyre_deflection_{corner}",
             behind=rigid_body.wheelbase if corner.startswith("rear") else lambda p: 0.0,
             side=corner.split("_")[1],
+            lateral=partial(_side, corner.split("_")[1]),
         )
         for corner in CORNERS
     ),

@@ -61,6 +61,7 @@ class Wheel:
         tyre_deflection: signal of its tyre.
         behind: parameters -> how far it runs behind the first wheel [m].
         side: the track it runs in, "left" or "right"; empty where the vehicle has only one.
+        lateral: parameters -> how far it runs left of the vehicle's middle [m].
     """
 
     road_body: str
@@ -69,6 +70,7 @@ class Wheel:
     tyre_deflection: str
     behind: Callable[[Parameters], float] = lambda p: 0.0
     side: str = ""
+    lateral: Callable[[Parameters], float] = lambda p: 0.0
 
 
 @dataclass(frozen=True)

@@ -2,15 +2,14 @@
 
 import json
 from collections.abc import Sequence
-from pathlib import Path
 
 from models.command import Parser, run_command
 from models.errors import InputError
 from models.vehicle import Vehicle, read_vehicle
+from sim.comparison import add_how, add_what, chosen, compared_lines, run_chosen
 from sim.road import Bump
-from sim.run import Run, check_road, run_all, sample_times
-from sim.verdict import controller_lines, log_lines, run_lines, run_object, verdict_lines
-from synth.controller import Designer
+from sim.run import Run, check_road, sample_times
+from sim.verdict import log_lines, run_object
 
 EPILOG = """
 exit code: 0 physics and analysis agree for every controller, 1 they do not, 2 bad input
@@ -31,7 +30,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = _parser()
     options = parser.parse_args(arguments)
     vehicle = read_vehicle(options.vehicle)
-    names = _chosen(vehicle, options.controller)
+    names = chosen(vehicle, options.controller)
     road = Bump(options.height, options.length, options.speed, options.track)
     if road.track != "both" and not any(wheel.side for wheel in vehicle.kind.wheels):
         raise InputError(f"--track {road.track}: a {vehicle.kind.name} has only one track; leave the option out")
@@ -43,17 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         )
     check_road(vehicle, road, time)
 
-    designer = Designer(vehicle)
-    with_passive = [*names, *(["passive"] if "passive" not in names else [])]  # the reference of the last column
-    controllers = [designer.design(name) for name in with_passive]
-    if options.logs is not None:  # after the last bad input, so that nothing is written; before the long work
-        from sim.recording import check_folder
-
-        check_folder(options.logs)
-
-    everything = run_all(vehicle, controllers, road, time)
-    runs, passive = everything[: len(names)], everything[with_passive.index("passive")]
-
+    runs, passive = run_chosen(vehicle, names, road, time, options.logs)
     result = {
         "runs": [run_object(vehicle, run) for run in runs],
         "road": road.describe(),
@@ -75,37 +64,15 @@ def _parser() -> Parser:
     parser = Parser(
         "sim.bump", "Drives controllers over a bump, in MuJoCo and in linear analysis, compares and logs them.", EPILOG
     )
-    parser.add_argument(
-        "--controller",
-        action="append",
-        metavar="NAME",
-        help="passive, state, one of the vehicle file's, or all; may be repeated. Required",
-    )
-    parser.add_argument(
-        "--vehicle", default="quarter_car", metavar="FILE", help="vehicle file, or one that ships (default: quarter_car)"
-    )
+    add_what(parser)
     parser.add_number("--height", Bump.height, "m", "bump height")
     parser.add_number("--length", Bump.length, "m", "bump length")
     parser.add_number("--speed", Bump.speed, "m/s", "forward speed of the vehicle")
     parser.add_argument(
         "--track", choices=("left", "right", "both"), default="both", help="the wheels that the bump lies under (default: both)"
     )
-    parser.add_number("--duration", 3.0, "s", "how long to run")
-    parser.add_number("--timestep", 1e-3, "s", "integration step and sample period of the controller")
-    parser.add_argument("--logs", type=Path, default=Path("logs"), metavar="DIR", help="folder for the log files (default: logs)")
-    parser.add_argument("--no-logs", dest="logs", action="store_const", const=None, help="write no log files")
-    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    add_how(parser, 3.0)
     return parser
-
-
-def _chosen(vehicle: Vehicle, asked: Sequence[str] | None) -> list[str]:
-    """The controllers to run, each once, in the order asked for."""
-    if not asked:
-        raise InputError(
-            f"no controller was asked for; give --controller with one of: all, {', '.join(vehicle.controller_names)}"
-        )
-    names = [name for choice in asked for name in (vehicle.controller_names if choice == "all" else [choice])]
-    return list(dict.fromkeys(names))
 
 
 def _text(vehicle: Vehicle, road: Bump, runs: Sequence[Run], passive: Run, options, logs: dict) -> list[str]:
@@ -115,14 +82,7 @@ def _text(vehicle: Vehicle, road: Bump, runs: Sequence[Run], passive: Run, optio
         f"{options.duration:g} s at {options.timestep:g} s"
     ]
     for run in runs:
-        lines += [
-            "",
-            *controller_lines(run.controller),
-            "",
-            *run_lines(vehicle, run, passive if run is not passive else None),
-            "",
-        ]
-        lines += [f"  {line}" for line in verdict_lines(run)]
+        lines += ["", *compared_lines(vehicle, run, passive)]
     if logs["rerun"]:
         lines += ["", *log_lines(logs)]
     return lines

@@ -17,7 +17,7 @@ from models.command import Parser, run_command
 from models.errors import InputError, known
 from models.vehicle import Vehicle, read_vehicle
 from sim.broken import ENDS
-from sim.picture import check_picture
+from sim.picture import check_picture, draw
 from sim.progress import bar
 from sim.road import LIMITS, Bump
 from sim.run import LOWEST, run_all, sample_times
@@ -82,10 +82,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.csv is not None:
         write_csv(options.csv, cells, options.threshold)
     if options.picture is not None:
-        from sim.envelope_picture import draw_envelope
+        from sim.envelope_picture import envelope_figure
 
         fixed = {name: getattr(options, name) for name in UNITS if name not in {axis.name for axis in axes}}
-        draw_envelope(options.picture, vehicle, controller, cells, axes, fixed, options.threshold)
+        draw(envelope_figure(vehicle, controller, cells, axes, fixed, options.threshold), options.picture)
     result, logs = envelope_object(cells, axes, options), {"mcap": None, "rerun": None}
     if options.logs is not None:
         from sim.provenance import record_runs

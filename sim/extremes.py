@@ -93,7 +93,7 @@ def extremes(
         roads["invariants"] = pair.to_height(amplitude, time)
     responses: dict[str, Response] = {}
     for name, road in roads.items():  # one batch each: all at once, a full car's take gigabytes
-        responses[name] = simulate([vehicle] * count, controllers, [road] * count, time).response
+        responses[name] = simulate([vehicle] * count, controllers, [road] * count, time, threads=0).response
     worst = [
         worst_sinusoid(vehicle, lambda o, c=c: sampled_frequency_response(vehicle, c, o, timestep), np.pi / timestep, speed)
         for c in controllers
@@ -121,7 +121,7 @@ def _drive_worst(
     settling = timestep * math.log(SETTLED) / math.log(slowest)
     time = sample_times(vehicle, settling + timestep * max(count for _, count in samples), timestep)
     roads = [sinusoid(omega, speed).scaled(amplitude / 2) for omega in tried]
-    response = simulate([vehicle] * len(controllers), controllers, roads, time).response
+    response = simulate([vehicle] * len(controllers), controllers, roads, time, threads=0).response
     last = [Response(time[-count:], response.signals, response.values[i, -count:]) for i, (_, count) in enumerate(samples)]
     return last, tried
 

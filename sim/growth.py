@@ -17,7 +17,9 @@ from synth.controller import Controller
 
 BUMP = Bump(height=2e-3, length=20.0, speed=100.0, track="left")  # body and wheels, every roll; soon over for all wheels
 SHORTEST, LONGEST = 4.0, 32.0  # s; how long a run is first, and at most
+HOLDS = 24  # of its controller's sample periods, or delays, a run has at least: what alternates from one to the next grows slowly
 CERTAIN, EXPONENTIAL = 0.02, 0.3  # of the logarithm of energy from window to window: its size, its spread
+PURE, LINEAR = 0.1, 25.0  # the spread with which a rate is one; growth of energy before a wheel may lift
 GONE, ESCAPED = 1e-12, 1e4  # of the energy that the bump has left: nothing, and what no decaying run has between
 ENTRIES = 2e7  # numbers in a batch's record; more run in turns
 
@@ -44,7 +46,7 @@ class Growth:
 
     Attributes:
         grows: whether it grows; else it decays.
-        rate: of its exponential [1/s]; NaN where it was gone, or had escaped, before that could be read.
+        rate: of its exponential [1/s]; NaN where it was gone, had escaped, or was still another before that could be read.
     """
 
     grows: bool
@@ -71,10 +73,18 @@ def grow(trials: Sequence[Trial], timestep: float, progress: Callable[[str], Non
             some = open_ones[first : first + together]
             states = _states([trials[i] for i in some], time)
             for i, one in zip(some, states, strict=True):
-                found[i] = _growth(one, timestep, last=duration >= LONGEST)
+                enough = HOLDS * _hold(trials[i], timestep)
+                growth = _growth(one, timestep, last=duration >= max(LONGEST, enough))
+                found[i] = growth if growth and (growth.grows or duration >= enough) else None
         duration *= 2
     progress("")
     return [growth for growth in found if growth is not None]
+
+
+def _hold(trial: Trial, timestep: float) -> float:
+    """How long a measurement acts, or waits to [s]."""
+    how = trial.vehicle.implementation
+    return (how.sample_period or timestep) * (1 + how.delay)
 
 
 def _states(trials: Sequence[Trial], time: Array) -> Array:
@@ -108,7 +118,8 @@ def _growth(states: Array, timestep: float, last: bool) -> Growth | None:
     if third <= gone:
         return Growth(False)
     early, late = math.log(second / first), math.log(third / second)
-    rate = late / (2 * length * timestep)  # energy goes with the square
+    pure = abs(late - early) < PURE * abs(late) and energy.max() < LINEAR * energy[:length].max()
+    rate = late / (2 * length * timestep) if pure else math.nan  # energy goes with the square
     settled = abs(late) > CERTAIN and abs(late - early) < EXPONENTIAL * abs(late)
     if last or (settled and late > 0):
         return Growth(late > 0, rate)

@@ -97,7 +97,7 @@ def identify(vehicle: Vehicle, controllers: Sequence[Controller], amplitude: flo
     omega = 2 * np.pi / (period * timestep) * np.unique(np.round(np.geomspace(1, HIGHEST / LOWEST, LINES)))
     time = sample_times(vehicle, (1 + _lead_in(vehicle, controllers, timestep, period)) * period * timestep, timestep)[:-1]
     road = chirp(omega, period * timestep, speed).to_height(amplitude, time[-period:])
-    response = simulate([vehicle] * len(controllers), controllers, [road] * len(controllers), time).response
+    response = simulate([vehicle] * len(controllers), controllers, [road] * len(controllers), time, threads=0).response
 
     met, outputs = as_met(vehicle, omega, speed)[..., None], vehicle.linear_model.outputs
     units = tuple(vehicle.kind.signal(name).unit for name in outputs)

@@ -80,12 +80,12 @@ def _close(predicted: float, found: float, within: float) -> bool:
 
 
 def find_margins(
-    vehicle: Vehicle, controller: Controller, timestep: float, progress: Callable[[str], None] = silent
+    vehicle: Vehicle, controller: Controller, timestep: float, progress: Callable[[str], None] = silent, each: bool = True
 ) -> dict[str, LoopMargins]:
-    """The margins of every loop with the others closed, by actuator, and under "" those of all loops at once."""
+    """The margins of all loops at once, under ""; and, if asked for, of each with the others closed, by actuator."""
     names = vehicle.linear_model.inputs
     loops = {"": list(range(len(names)))}
-    if len(names) > 1:
+    if each and len(names) > 1:
         loops |= {name: [i] for i, name in enumerate(names)}
     found = {name: searches(vehicle, controller, actuators, timestep) for name, actuators in loops.items()}
 

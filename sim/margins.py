@@ -16,7 +16,7 @@ from models.vehicle import Vehicle, read_vehicle
 from sim.growth import BUMP, LONGEST, SHORTEST
 from sim.linear import sampled_radius
 from sim.loop_margins import LoopMargins, find_margins
-from sim.picture import check_picture
+from sim.picture import check_picture, draw
 from sim.progress import show
 from sim.robustness import Robustness, robustness
 from sim.run import run_all, sample_times
@@ -63,9 +63,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     found = find_margins(vehicle, controller, options.timestep, show)
     box = robustness(vehicle, controller, options.timestep, show)
     if options.picture is not None:
-        from sim.margins_picture import draw_margins
+        from sim.margins_picture import margins_figure
 
-        draw_margins(options.picture, vehicle, controller, found[""], box, options.timestep)
+        draw(margins_figure(vehicle, controller, found[""], box, options.timestep), options.picture)
     result, logs = _object(controller, found, box), {"mcap": None, "rerun": None}
     if options.logs is not None:
         from sim.provenance import record_runs

@@ -10,8 +10,10 @@ What makes it agree with the analysis to the integrator's own error (RK4's, to t
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo's bindings carry no type stubs.
 
+import contextlib
 import functools
-from collections.abc import Callable, Sequence
+import threading
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,8 +22,9 @@ import numpy as np
 from mujoco.batch import Batch
 
 from models.arrays import Array
-from models.mjcf import build_model, mocap_indices
+from models.mjcf import build_model
 from models.vehicle import Vehicle
+from sim.readout import Readout, gain_on, known, mix, prepared, unseen
 from sim.response import Response
 from sim.road import Road, under_wheels
 from sim.sampler import Sampler
@@ -63,30 +66,83 @@ def simulate(
         threads: how many threads share the runs; results do not depend on it. 0 takes every core.
         at_once: second controllers, whose forces come to those of the first and know no `[implementation]`; None for none.
     """
-    vehicle, timestep = vehicles[0], float(time[1] - time[0])
-    model, readout = _prepared(vehicle, timestep)
-    batch = Batch(model, len(vehicles), threads)
-    if any((other.parameters, other.limits) != (vehicle.parameters, vehicle.limits) for other in vehicles):
-        batch.set_models([build_model(other, timestep) for other in vehicles])
-
-    # Road heights, shape (T, N, r): at the samples, and midway through the steps, where MuJoCo holds them.
+    timestep, signals, wheels = float(time[1] - time[0]), vehicles[0].kind.signals, vehicles[0].kind.wheels
     pairs = list(zip(vehicles, roads, strict=True))
     now = np.stack([under_wheels(road.displacement, road, vehicle, time) for vehicle, road in pairs], axis=1)
     middle = time + timestep / 2
     midway = np.stack([under_wheels(road.displacement, road, vehicle, middle) for vehicle, road in pairs], axis=1)
+    (block,) = in_blocks(vehicles, controllers, now, midway, timestep, threads, len(time), at_once)
+
+    recorded, names = block.values, [signal.name for signal in signals]
+    velocity = np.stack([under_wheels(road.velocity, road, vehicle, time) for vehicle, road in pairs], axis=1)
+    recorded[:, [names.index(wheel.road_velocity) for wheel in wheels]] = np.moveaxis(velocity, 1, 2)
+    wild = ~(block.largest < DIVERGED)  # NaN compares as wild
+    diverged = np.where(wild.any(axis=0), time[wild.argmax(axis=0)], np.inf)
+    recorded[np.broadcast_to((time[:, None] >= diverged)[:, None], recorded.shape)] = np.nan
+    return PhysicsRuns(Response(time, signals, np.moveaxis(recorded, 2, 0)), block.qpos.swapaxes(0, 1), diverged)
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Some consecutive samples of N runs.
+
+    Attributes:
+        start: index of the first.
+        values: every signal but the road's velocity, which is left 0, shape (B, S, N): runs lie side by side.
+        qpos: generalized positions, shape (B, N, nq).
+        largest: largest magnitude of any signal, and of any force that was asked for, shape (B, N).
+    """
+
+    start: int
+    values: Array
+    qpos: Array
+    largest: Array
+
+
+def in_blocks(
+    vehicles: Sequence[Vehicle],
+    controllers: Sequence[Controller],
+    now: Array,
+    midway: Array,
+    timestep: float,
+    threads: int,
+    size: int,
+    at_once: Sequence[Controller | None] | None = None,
+) -> Iterator[Block]:
+    """The runs of `simulate`, some samples at a time: nothing but the roads need be held whole.
+
+    A run's numbers do not depend, to the last bit, on the runs of its controller beside it, on threads, or on blocks: sums over a
+    run's few signals are taken one by one, never by a product of matrices whose order of summation depends on how many runs there
+    are.
+
+    Args:
+        vehicles: N vehicles of the same kind that read out alike, see `reads_out`.
+        controllers: N controllers.
+        now: road heights at the samples [m], shape (T, N, r).
+        midway: the same half a step later, where MuJoCo holds them.
+        timestep: [s].
+        threads: as for `simulate`.
+        size: B, samples in a block.
+        at_once: as for `simulate`.
+    """
+    vehicle = vehicles[0]
+    model, readout = prepared(vehicle, timestep)
+    batch = Batch(model, len(vehicles), threads)
+    hardware = [(*other.parameters.values(), other.limits) for other in vehicles]
+    if len(set(hardware)) > 1:
+        models = {key: build_model(other, timestep) for key, other in dict(zip(hardware, vehicles, strict=True)).items()}
+        batch.set_models([models[key] for key in hardware])
     before = np.concatenate([np.zeros_like(now[:1]), midway[:-1]])  # where the last step has left the road
 
     # What a controller measures is read before a step: from the state where it is linear in it, else from its sensor. To it comes
     # what that reading has not seen of the road.
-    K = np.stack(
-        [_gain_on(readout.names, vehicle, controller) for vehicle, controller in zip(vehicles, controllers, strict=True)]
-    )
+    K = np.stack([gain_on(readout.names, vehicle, controller) for vehicle, controller in zip(vehicles, controllers, strict=True)])
     beside = np.zeros_like(K)
     for i, other in enumerate(at_once or ()):
         if other is not None:
-            beside[i] = _gain_on(readout.names, vehicles[i], other)
+            beside[i] = gain_on(readout.names, vehicles[i], other)
     of_state, of_sensors = np.where(readout.linear, K, 0), np.where(readout.linear, 0, K)
-    offset = _known(of_state, now, readout) + _known(of_sensors, now - before, readout)
+    offset = known(of_state, now, readout) + known(of_sensors, now - before, readout)
     used = np.any((K != 0) | (beside != 0), axis=(0, 1)) & ~readout.linear
     stage = int(max(readout.stage[used], default=0))
     gain = of_state @ readout.of_state
@@ -94,139 +150,60 @@ def simulate(
         gain = np.concatenate([gain, of_sensors @ readout.of_sensors], axis=-1)
     law = None
     if at_once is not None or not all(other.implementation.ideal for other in vehicles):
-        sampler = Sampler(vehicles, K, beside, readout.names, timestep, len(time))
-        law = _law(sampler, readout, _unseen(now, readout, True) + _unseen(now - before, readout, False), stage)
-
-    mujoco.set_mju_user_warning(lambda text: None)  # else it writes MUJOCO_LOG.TXT; `diverged` says the same
-    try:
-        sensed, qpos, asked = _step(batch, readout.mocap, gain, offset, midway, now if readout.felt else None, stage, law)
-    finally:
-        mujoco.set_mju_user_warning(None)
+        sampler = Sampler(vehicles, K, beside, readout.names, timestep, len(now))
+        law = _law(sampler, readout, unseen(now, readout, True) + unseen(now - before, readout, False), stage)
 
     # What is recorded was sensed inside the step, where the road was midway, or before it, where the last step had left it.
-    signals, wheels = vehicle.kind.signals, vehicle.kind.wheels
+    signals = vehicle.kind.signals
     place = np.array([[signal.name == name for name in readout.names] for signal in signals], dtype=float)
-    inside = readout.stage > stage
-    recorded = sensed @ (place @ readout.of_sensors).T
-    recorded -= place @ readout.rest
-    if not readout.felt:
-        recorded += (now - midway) @ (place[:, inside] @ readout.of_road[inside]).T
-    if stage and not readout.felt:
-        recorded += (now - before) @ (place[:, ~inside] @ readout.of_road[~inside]).T
     names = [signal.name for signal in signals]
-    recorded[..., [names.index(wheel.road_displacement) for wheel in wheels]] = now
-    velocity = np.stack([under_wheels(road.velocity, road, vehicle, time) for vehicle, road in pairs], axis=1)
-    recorded[..., [names.index(wheel.road_velocity) for wheel in wheels]] = velocity
-
-    # A force beyond 1e10 MuJoCo replaces by none at all, and runs on: what was asked for counts, not only what came of it.
-    largest = [np.maximum(values.max(axis=-1), -values.min(axis=-1)) for values in (recorded, asked)]
-    wild = ~(np.maximum(*largest) < DIVERGED)  # NaN compares as wild
-    diverged = np.where(wild.any(axis=0), time[wild.argmax(axis=0)], np.inf)
-    recorded[time[:, None] >= diverged] = np.nan
-    return PhysicsRuns(Response(time, signals, recorded.swapaxes(0, 1)), qpos.swapaxes(0, 1), diverged)
-
-
-@dataclass(frozen=True, eq=False)
-class _Readout:
-    """How signals come out of MuJoCo. A signal is its sensor, read along its `user` direction, from its value at rest.
-
-    Attributes:
-        names: of the S signals.
-        stage: mjtStage that the sensor of each needs, shape (S,).
-        linear: whether it is linear in (qpos, qvel), shape (S,). Such a signal can be read from the state before a step, where
-            evaluating its sensor would cost a seventh of the step.
-        of_state: signals from (qpos, qvel) where they are linear, shape (S, nq + nv).
-        of_sensors: signals from `sensordata`, shape (S, nsensordata).
-        of_road: their derivative in the road heights, shape (S, r). They are linear in those.
-        rest: what `of_sensors` gives at rest, shape (S,).
-        felt: whether an acceleration feels the road at once; then sensing it inside the step, road midway, is not enough.
-        mocap: mocap index of every wheel's road.
-    """
-
-    names: tuple[str, ...]
-    stage: Array
-    linear: Array
-    of_state: Array
-    of_sensors: Array
-    of_road: Array
-    rest: Array
-    felt: bool
-    mocap: list[int]
+    heights = [names.index(wheel.road_displacement) for wheel in vehicle.kind.wheels]
+    inside = readout.stage > stage
+    with _quiet():
+        steps = _step(batch, readout.mocap, gain, offset, midway, now if readout.felt else None, stage, law, size)
+        for start, sensed, qpos, asked in steps:
+            some = slice(start, start + len(sensed))
+            recorded = np.zeros((len(sensed), len(signals), len(vehicles)))
+            mix(place @ readout.of_sensors, sensed, recorded)
+            recorded -= (place @ readout.rest)[:, None]
+            if not readout.felt:
+                mix(place[:, inside] @ readout.of_road[inside], np.moveaxis(now[some] - midway[some], 1, 2), recorded)
+            if stage and not readout.felt:
+                mix(place[:, ~inside] @ readout.of_road[~inside], np.moveaxis(now[some] - before[some], 1, 2), recorded)
+            recorded[:, heights] = np.moveaxis(now[some], 1, 2)
+            # A force beyond 1e10 MuJoCo replaces by none at all, and runs on: what was asked for counts, not only what came.
+            largest = np.maximum(recorded.max(axis=1), -recorded.min(axis=1))
+            for force in np.moveaxis(asked, 2, 0):
+                largest = np.maximum(largest, np.abs(force))
+            yield Block(start, recorded, qpos, largest)
 
 
-@functools.lru_cache(maxsize=4)
-def _prepared(vehicle: Vehicle, timestep: float) -> tuple[mujoco.MjModel, _Readout]:
-    """Model and readout of a vehicle. A search runs one vehicle hundreds of times; `Batch` copies the model."""
-    model = build_model(vehicle, timestep)
-    return model, _readout(vehicle, model)
+_quiet_lock, _quiet_users = threading.Lock(), [0]
 
 
-def _readout(vehicle: Vehicle, model: mujoco.MjModel) -> _Readout:
-    data = mujoco.MjData(model)
-    mocap = mocap_indices(vehicle, model)
-    names = vehicle.linear_model.outputs
-    stage = np.zeros(len(names), dtype=int)
-    of_sensors = np.zeros((len(names), model.nsensordata))
-    for i, name in enumerate(names):
-        for part, factor in vehicle.kind.combined.get(name, {name: 1.0}).items():
-            sensor = model.sensor(part)
-            start, dim = int(sensor.adr[0]), int(sensor.dim[0])
-            of_sensors[i, start : start + dim] = factor * sensor.user[:dim]
-            stage[i] = max(stage[i], int(sensor.needstage[0]))
-
-    def read(motion: Array, heights: Array) -> Array:
-        mujoco.mj_resetData(model, data)
-        data.qpos[:], data.qvel[:] = motion[: model.nq], motion[model.nq :]
-        data.mocap_pos[mocap, 2] = heights
-        mujoco.mj_forward(model, data)
-        return of_sensors @ data.sensordata
-
-    # qpos = 0 is the static equilibrium of every MJCF here.
-    still, flat = np.zeros(model.nq + model.nv), np.zeros(len(mocap))
-    rest = read(still, flat)
-    small = 0.1  # of a metre, a radian: a tyre's length is linear only while its road stays below the hub
-    of_road = np.stack([read(still, height) - rest for height in small * np.eye(len(flat))], axis=-1) / small
-    of_state = np.stack([read(move, flat) - rest for move in small * np.eye(len(still))], axis=-1) / small
-
-    late = stage > int(mujoco.mjtStage.mjSTAGE_VEL)
-    felt = bool(np.any(np.abs(of_road[late]) > 1e-9 * (1 + np.abs(rest[late, None]))))
-    linear = ~late
-    rng = np.random.default_rng(0)
-    for _ in range(3):  # linear, if a few states far from the axes say so
-        move, height = rng.uniform(-0.1, 0.1, len(still)), rng.uniform(-0.1, 0.1, len(flat))
-        linear &= np.abs(read(move, height) - rest - of_state @ move - of_road @ height) < 1e-12
-    return _Readout(names, stage, linear, of_state, of_sensors, np.where(late[:, None], 0.0, of_road), rest, felt, mocap)
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Keeps MuJoCo from writing MUJOCO_LOG.TXT: runs that diverge are reported. Its handler is one for all threads."""
+    with _quiet_lock:
+        _quiet_users[0] += 1
+        mujoco.set_mju_user_warning(lambda text: None)
+    try:
+        yield
+    finally:
+        with _quiet_lock:
+            _quiet_users[0] -= 1
+            if not _quiet_users[0]:
+                mujoco.set_mju_user_warning(None)
 
 
-def _gain_on(signals: Sequence[str], vehicle: Vehicle, controller: Controller) -> Array:
-    """The controller's gain on all of these signals, shape (m, S): zero on what it does not measure."""
-    gain = np.zeros((len(vehicle.linear_model.inputs), len(signals)))
-    gain[:, [signals.index(name) for name in controller.measured]] = controller.gain
-    return gain
-
-
-def _known(gain: Array, road: Array, readout: _Readout) -> Array:
-    """What is known beforehand of the forces, shape (T, N, m): the gain (N, m, S) on what a reading has not seen of the road.
-
-    A sensor's reading has its value at rest in it besides; that of the state has none.
-    """
-    return np.einsum("nms,tns->tnm", gain, road @ readout.of_road.T - np.where(readout.linear, 0.0, readout.rest))
-
-
-def _unseen(road: Array, readout: _Readout, linear: bool) -> Array:
-    """The same for the signals themselves, shape (T, N, S): of those that are read from the state, or those from sensors."""
-    mine = readout.linear == linear
-    return np.where(mine, road @ readout.of_road.T - np.where(linear, 0.0, readout.rest), 0.0)
-
-
-def _law(sampler: Sampler, readout: _Readout, known: Array, stage: int) -> Callable[[int, Array], Array]:
+def _law(sampler: Sampler, readout: Readout, unseen_of_road: Array, stage: int) -> Callable[[int, Array], Array]:
     """The forces of step k from the reading, for controllers that are more than a gain."""
     of_reading = np.where(readout.linear[:, None], readout.of_state, 0.0)
     if stage:
         of_reading = np.concatenate([of_reading, np.where(readout.linear[:, None], 0.0, readout.of_sensors)], axis=-1)
 
     def forces(k: int, reading: Array) -> Array:
-        return sampler(k, reading @ of_reading.T + known[k])
+        return sampler(k, np.matvec(of_reading, reading) + unseen_of_road[k])
 
     return forces
 
@@ -240,7 +217,8 @@ def _step(
     at_samples: Array | None,
     stage: int,
     law: Callable[[int, Array], Array] | None,
-) -> tuple[Array, Array, Array]:
+    size: int,
+) -> Iterator[tuple[int, Array, Array, Array]]:
     """The loop: read, control, move the road, step.
 
     Args:
@@ -252,52 +230,53 @@ def _step(
         at_samples: road heights at the samples, shape (T, N, r), if sensors are to be evaluated there on top; else None.
         stage: mjtStage up to which sensors are evaluated before a step.
         law: forces (N, m) of step k from the reading (N, k), instead of the gain; None for controllers that are a gain.
+        size: B, samples in a block.
 
-    Returns:
-        `sensordata`, shape (T, N, nsensordata): that of the samples; else up to the stage from before the step, the rest from
-        inside it.
-        Then qpos, shape (T, N, nq), and the forces asked for, (T, N, m).
+    Yields:
+        Of every block its first sample, and `sensordata`, shape (B, nsensordata, N): that of the samples; else up to the stage
+        from before the step, the rest from inside it. Then qpos, shape (B, N, nq), and the forces asked for, (B, N, m).
     """
     samples, count, m = offset.shape
     # The motors, in the order of the linear model's inputs, are all there is in ctrl.
-    ctrl, heights, sensors = batch.bind("ctrl"), batch.bind("mocap_pos")[:, :, 2], batch.bind("sensordata")
+    ctrl, heights, sensors = batch.bind("ctrl"), batch.bind("mocap_pos")[:, :, 2], batch.bind("sensordata").T
     motion, width = _motion(batch), gain.shape[2]
+    moved, positions = motion.shape[1], batch.bind("qpos").shape[1]
+    early = np.repeat(batch.model.sensor_needstage, batch.model.sensor_dim) <= stage
+    step = functools.partial(batch.step, stage=stage) if stage else batch.step
     batch.forward(stage=stage)
 
     # A numpy call costs a tenth of a step, so there are few: the forces' known part lies beside the reading, with unit gain.
     gain = np.concatenate([gain, np.broadcast_to(np.eye(m), (count, m, m))], axis=-1)
-    seen = np.empty((samples, count, width + m))
-    seen[..., width:] = offset
-    roads = np.zeros((samples, *heights.shape))
-    roads[..., mocap] = midway
-    sensed = np.empty((samples, *sensors.shape))
-    moved = motion.shape[1]
-    asked = np.empty((samples, count, m)) if law else None
-    rows: Any = zip(range(samples), seen, seen[..., :moved], seen[..., moved:width], roads, sensed, strict=True)
-    step = functools.partial(batch.step, stage=stage) if stage else batch.step
-    roads_at_samples = iter(at_samples if at_samples is not None else ())
-    for k, all_seen, moving, sensing, road, result in rows:
-        moving[...] = motion
-        if stage:
-            sensing[...] = sensors
-        if law is None or asked is None:
-            np.matvec(gain, all_seen, ctrl)
-        else:
-            asked[k] = law(k, all_seen[:, :width])
-            ctrl[...] = asked[k]
-        if at_samples is not None:
-            heights[:, mocap] = next(roads_at_samples)
-            batch.forward()
-            result[...] = sensors
-        heights[...] = road
-        step()
-        if at_samples is None:
-            result[...] = sensors
-    if stage and at_samples is None:
-        # The evaluation after a step has overwritten what the step itself had sensed.
-        early = np.repeat(batch.model.sensor_needstage, batch.model.sensor_dim) <= stage
-        sensed[..., early] = seen[..., moved:width][..., early]
-    return sensed, seen[..., : batch.bind("qpos").shape[1]], np.matvec(gain, seen) if asked is None else asked
+    for start in range(0, samples, size):
+        block = slice(start, min(start + size, samples))
+        length = block.stop - start
+        seen = np.empty((length, count, width + m))
+        seen[..., width:] = offset[block]
+        roads = np.zeros((length, *heights.shape))
+        roads[..., mocap] = midway[block]
+        sensed, asked = np.empty((length, *sensors.shape)), np.empty((length, count, m))
+        rows: Any = zip(seen, seen[..., :moved], seen[..., moved:width], roads, sensed, asked, strict=True)
+        for k, (all_seen, moving, sensing, road, result, forces) in enumerate(rows, start):
+            moving[...] = motion
+            if stage:
+                sensing[...] = sensors.T
+            if law is None:
+                np.matvec(gain, all_seen, forces)
+            else:
+                forces[...] = law(k, all_seen[:, :width])
+            ctrl[...] = forces
+            if at_samples is not None:
+                heights[:, mocap] = at_samples[k]
+                batch.forward()
+                result[...] = sensors
+            heights[...] = road
+            step()
+            if at_samples is None:
+                result[...] = sensors
+        if stage and at_samples is None:
+            # The evaluation after a step has overwritten what the step itself had sensed.
+            sensed[:, early] = np.moveaxis(seen[..., moved:width][..., early], 1, 2)
+        yield start, sensed, seen[..., :positions], asked
 
 
 def _motion(batch: Batch) -> Array:

@@ -1,7 +1,7 @@
 """Roads: the height under a wheel as a function of time, and its exact derivative."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
@@ -42,6 +42,18 @@ class Road(ABC):
 LIMITS = {"height": (-100.0, 100.0), "length": (1e-3, 1e4), "speed": (1e-3, 1e3)}  # SI; no road vehicle is beyond them
 
 
+def check_numbers(kind: str, road: Road, limits: Mapping[str, tuple[float, float]]) -> None:
+    """Refuses a road with a number beyond its limits (smallest, largest), by name.
+
+    Raises:
+        InputError: it names the number, and the range.
+    """
+    for name, (smallest, largest) in limits.items():
+        value = getattr(road, name)
+        if not smallest <= value <= largest:  # NaN is in no range
+            raise InputError(f"{kind} {name} = {value:g} is not allowed; give a number from {smallest:g} to {largest:g}")
+
+
 @dataclass(frozen=True)
 class Bump(Road):
     """The isolated bump (61): one period of a cosine. Defaults are the paper's (62).
@@ -62,10 +74,7 @@ class Bump(Road):
     track: str = "both"
 
     def __post_init__(self) -> None:
-        for name, (smallest, largest) in LIMITS.items():
-            value = getattr(self, name)
-            if not smallest <= value <= largest:  # NaN is in no range
-                raise InputError(f"bump {name} = {value:g} is not allowed; give a number from {smallest:g} to {largest:g}")
+        check_numbers("bump", self, LIMITS)
 
     @property
     def duration(self) -> float:
@@ -102,6 +111,12 @@ class Bump(Road):
 def delays(road: Road, vehicle: Vehicle) -> list[float]:
     """How much later than the first wheel each wheel meets the road [s]."""
     return [wheel.behind(vehicle.parameters) / road.speed for wheel in vehicle.kind.wheels]
+
+
+def track_width(vehicle: Vehicle) -> float:
+    """From the rightmost wheel to the leftmost [m]; 0 where the vehicle has only one track."""
+    lateral = [wheel.lateral(vehicle.parameters) for wheel in vehicle.kind.wheels]
+    return max(lateral) - min(lateral)
 
 
 def under_wheels(function: Callable[[Array, str], Array], road: Road, vehicle: Vehicle, t: Array) -> Array:

@@ -13,7 +13,7 @@ from models.vehicle import Vehicle, read_vehicle
 from sim.extremes import DURATION, Extremes, extremes
 from sim.identification import HIGHEST, LOWEST, Lines, ideal_measurements, identify
 from sim.multisine import sinusoid
-from sim.picture import check_picture
+from sim.picture import check_picture, draw
 from sim.run import run_all, sample_times
 from sim.run_log import RunLog
 from sim.verdict import log_lines
@@ -73,9 +73,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     controllers = [designer.design(name) for name in names]
     sweeps = sweep(vehicle, controllers, options.amplitude, options.timestep, options.speed)
     if options.picture is not None:
-        from sim.sweep_picture import draw_lines
+        from sim.sweep_picture import sweep_figure
 
-        draw_lines(options.picture, vehicle, [one.lines for one in sweeps], options.amplitude, options.timestep, options.speed)
+        lines = [one.lines for one in sweeps]
+        draw(sweep_figure(vehicle, lines, options.amplitude, options.timestep, options.speed), options.picture)
 
     result = {
         "sweeps": [sweep_object(one) for one in sweeps],

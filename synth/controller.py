@@ -154,6 +154,19 @@ class Designer:
         return Controller(entry.name, entry.measured, entry.gain, designed=False, certificate=certificate)
 
 
+def given(vehicle: Vehicle, name: str, measured: Sequence[str], gain: Sequence[Sequence[float]]) -> Controller:
+    """A controller whose gain is known, whatever its name, certified as it is.
+
+    Args:
+        vehicle: of which it is.
+        name: its name.
+        measured: the signals y, q of them.
+        gain: K, m rows of q numbers [N per measured unit].
+    """
+    entry = ControllerEntry(name, tuple(measured), np.array(gain, dtype=float).reshape(len(gain), len(measured)))
+    return Designer(vehicle)._given(entry)
+
+
 def design(vehicle: Vehicle, name: str) -> Controller:
     """One controller of a vehicle; `Designer` shares work between several."""
     return Designer(vehicle).design(name)

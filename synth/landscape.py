@@ -247,7 +247,7 @@ class Landscape:
             poles, left, right = modes
             T = (left / (1j * omega[:, None, None] - poles)) @ right + self.Dw
         if 1 in T.shape[1:]:
-            return np.sqrt((T.real**2 + T.imag**2).sum(axis=(1, 2)))
+            return np.linalg.norm(T.reshape(len(T), -1), axis=1)
         adjoint = T.conj().transpose(0, 2, 1)
         square = T @ adjoint if T.shape[1] < T.shape[2] else adjoint @ T
         return np.sqrt(np.maximum(np.linalg.eigvalsh(square)[:, -1], 0.0))

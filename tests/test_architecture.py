@@ -12,13 +12,20 @@ FILES = [path for floor in FLOORS for path in sorted((ROOT / floor).glob("*.py")
 # Who may import what is heavy, or replaceable.
 OWNERS = {
     "cvxpy": {"synth/lmi.py"},
-    "mujoco": {"models/mjcf.py", "sim/physics.py", "sim/drawing.py"},
+    "mujoco": {"models/mjcf.py", "sim/readout.py", "sim/physics.py", "sim/drawing.py"},
     "mcap": {"sim/recording_mcap.py"},
     "mcap_protobuf": {"sim/recording_mcap.py"},
     "google": {"sim/recording_mcap.py"},
     "rerun": {"sim/recording_rerun.py"},
-    "control": set(),
-    "matplotlib": {"sim/picture.py", "sim/envelope_picture.py"},
+    "control": {"sim/convert.py"},
+    "pandas": {"sim/convert.py"},
+    "matplotlib": {"sim/picture.py"},
+    "contourpy": {"sim/figure.py"},
+    "plotly": {"sim/page.py"},
+    "jinja2": {"sim/page.py"},
+    "pyopencrg": {"sim/opencrg.py"},
+    "pyarrow": {"sim/campaign_store.py"},
+    "ray": {"sim/campaign_workers.py"},
 }
 
 

@@ -5,91 +5,28 @@ import dataclasses
 import numpy as np
 import pytest
 
-from synth.certificate import certify
-from synth.output_feedback import l_matrix, output_feedback, r_matrix
+from sim.paper import PRINTED, entry_of, ours
 
-# The bases (47) and (57) that the paper chose; L depends on them, K does not.
-CY = {"I": np.eye(4)[[0, 2]], "II": np.eye(4)[[2]]}  # (46), (55)
-Q = {"I": np.eye(4)[:, [1, 3]], "II": np.eye(4)[:, [1, 0, 3]]}  # (47), (57)
-
-SHORT = "the paper's solver stopped a little short of the limit of the central path, 2e-4 away in X"
-EXACT = ""
-
-# (equation, quantity, entry, the paper's value, unit of its last printed digit, why ours differs in that digit)
-ROWS = [
-    ("(40)", "G_s", (0, 0), 1.1810e4, 1e0, EXACT),
-    ("(40)", "G_s", (0, 1), 0.2333e4, 1e0, EXACT),
-    ("(40)", "G_s", (0, 2), -0.1096e4, 1e0, SHORT),
-    ("(40)", "G_s", (0, 3), 0.0109e4, 1e0, EXACT),
-    ("(41)", "gamma_Gs", None, 7.8365, 1e-4, EXACT),
-    ("(42)", "X_s", (0, 0), 0.5965, 1e-4, SHORT),
-    ("(42)", "X_s", (0, 1), -0.0020, 1e-4, EXACT),
-    ("(42)", "X_s", (0, 2), -0.5075, 1e-4, SHORT),
-    ("(42)", "X_s", (0, 3), -0.0085, 1e-4, EXACT),
-    ("(42)", "X_s", (1, 1), 0.0020, 1e-4, EXACT),
-    ("(42)", "X_s", (1, 2), 0.0020, 1e-4, EXACT),
-    ("(42)", "X_s", (1, 3), -0.0081, 1e-4, EXACT),
-    ("(42)", "X_s", (2, 2), 0.7659, 1e-4, SHORT),
-    ("(42)", "X_s", (2, 3), -0.0015, 1e-4, EXACT),
-    ("(42)", "X_s", (3, 3), 8.0713, 1e-4, SHORT),
-    ("(48)", "L_I", (0, 0), -0.0025, 1e-4, EXACT),
-    ("(48)", "L_I", (0, 1), 0.0009, 1e-4, EXACT),
-    ("(48)", "L_I", (1, 0), -0.0364, 1e-4, EXACT),
-    ("(48)", "L_I", (1, 1), -0.0261, 1e-4, SHORT),
-    ("(49)", "R_I", (0, 0), 1.0, 1e-4, EXACT),
-    ("(49)", "R_I", (0, 1), 0.0, 1e-4, EXACT),
-    ("(49)", "R_I", (1, 0), -0.0025, 1e-4, EXACT),
-    ("(49)", "R_I", (1, 1), 0.0009, 1e-4, EXACT),
-    ("(49)", "R_I", (2, 0), 0.0, 1e-4, EXACT),
-    ("(49)", "R_I", (2, 1), 1.0, 1e-4, EXACT),
-    ("(49)", "R_I", (3, 0), -0.0364, 1e-4, EXACT),
-    ("(49)", "R_I", (3, 1), -0.0261, 1e-4, SHORT),
-    ("(50)", "K_I", (0, 0), 1.0824e4, 1e0, SHORT),
-    ("(50)", "K_I", (0, 1), -0.2071e4, 1e0, SHORT),
-    ("(51)", "G_I", (0, 0), 1.0824e4, 1e0, SHORT),
-    ("(51)", "G_I", (0, 1), 0.0, 1e0, EXACT),
-    ("(51)", "G_I", (0, 2), -0.2071e4, 1e0, SHORT),
-    ("(51)", "G_I", (0, 3), 0.0, 1e0, EXACT),
-    ("(52)", "gamma_GI", None, 7.8432, 1e-4, EXACT),
-    ("(56)", "L_II", (0, 0), 0.0026, 1e-4, EXACT),
-    ("(56)", "L_II", (1, 0), -0.6627, 1e-4, SHORT),
-    ("(56)", "L_II", (2, 0), -0.0019, 1e-4, EXACT),
-    ("(57)", "R_II", (0, 0), -0.6627, 1e-4, SHORT),
-    ("(57)", "R_II", (1, 0), 0.0026, 1e-4, EXACT),
-    ("(57)", "R_II", (2, 0), 1.0, 1e-4, EXACT),
-    ("(57)", "R_II", (3, 0), -0.0019, 1e-4, EXACT),
-    ("(58)", "K_II", (0, 0), -8.9703e3, 1e-1, SHORT),
-    ("(59)", "G_II", (0, 2), -8.9703e3, 1e-1, SHORT),
-    ("(60)", "gamma_GII", None, 7.9068, 1e-4, EXACT),
-]
 # How far a number may be off that the paper's early stop moved: 2e-4 of X carries to 1e-3 of the smaller entry of K_I; or, for
 # small numbers, one unit of the last printed digit.
 SHORT_RELATIVE = 1e-3
 
 
 @pytest.fixture(scope="module")
-def ours(designer):
-    found = {"G_s": designer.state_feedback.K, "X_s": designer.state_feedback.X}
-    found["gamma_Gs"] = designer.state_feedback.gamma
-    for name in ("I", "II"):
-        L = l_matrix(designer.state_feedback.X, CY[name], Q[name])
-        point = output_feedback(designer.plant, CY[name], L, Q[name])[-1]
-        found |= {f"L_{name}": L, f"R_{name}": r_matrix(CY[name], Q[name], L), f"K_{name}": point.K}
-        found[f"G_{name}"] = point.K @ CY[name]
-        found[f"gamma_G{name}"] = certify(designer.plant, point.K @ CY[name]).norm.value
-    return found
+def found(designer):
+    return ours(designer)
 
 
-@pytest.mark.parametrize(("equation", "quantity", "entry", "printed", "digit", "reason"), ROWS)
-def test_printed_number(ours, equation, quantity, entry, printed, digit, reason):
+@pytest.mark.parametrize("row", PRINTED, ids=lambda row: f"{row.equation}-{row.quantity}-{row.entry}")
+def test_printed_number(found, row):
     """The paper's number, to every digit it printed, or a reason and a bound on the difference."""
-    value = ours[quantity] if entry is None else ours[quantity][entry]
-    rounding = 0.5 * digit * (1 + 1e-9)  # half a unit of the last printed digit
-    if reason:
-        assert abs(value - printed) > rounding, f"{equation} now agrees: drop the reason"
-        assert abs(value - printed) <= max(SHORT_RELATIVE * abs(printed), digit)
+    value = entry_of(found[row.quantity], row.entry)
+    rounding = 0.5 * row.digit * (1 + 1e-9)  # half a unit of the last printed digit
+    if row.reason:
+        assert abs(value - row.value) > rounding, f"{row.equation} now agrees: drop the reason"
+        assert abs(value - row.value) <= max(SHORT_RELATIVE * abs(row.value), row.digit)
     else:
-        assert abs(value - printed) <= rounding
+        assert abs(value - row.value) <= rounding
 
 
 # The limit of the central path, computed independently of this code before it was written.

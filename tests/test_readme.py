@@ -7,6 +7,7 @@ import pytest
 
 from models.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main
+from sim.campaign_file import read_campaign
 from sim.linear import sampled_response, taylor4
 from sim.physics import simulate
 from sim.road import Bump
@@ -78,3 +79,26 @@ def test_vehicle_file_snippets():
     assert {"soft", "mine"} < set(vehicle.controllers)
     assert vehicle.limits.actuator_force == 2000.0
     assert vehicle.implementation.delay == 1
+
+
+def test_campaign_snippet(tmp_path):
+    """The README's campaign file is one."""
+    (snippet,) = re.findall(r"^```toml\n(vehicles.*?)^```", README, re.M | re.S)
+    (tmp_path / "campaign.toml").write_text(snippet)
+    campaign = read_campaign(tmp_path / "campaign.toml")
+    assert len(campaign.seeds) == 100
+    assert len(campaign.samples["quarter_car"]) == 16
+    assert campaign.settle == 5.0
+
+
+def test_notebook_snippet(tmp_path, monkeypatch, capsys):
+    """The README's script designs, runs, compares and plots."""
+    pytest.importorskip("pandas", reason="needs the extra [report]")
+    pytest.importorskip("matplotlib", reason="needs the extra [report]")
+    snippet = README.split("## From a notebook")[1].split("```python\n")[1].split("```")[0]
+    assert len(snippet.splitlines()) <= 15
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    exec(compile(snippet, "README", "exec"), {})
+    assert capsys.readouterr().out.startswith("[True, True]")
+    assert (tmp_path / "bump.png").stat().st_size > 10_000

@@ -22,6 +22,10 @@ import pytest
 
 from models.mjcf import build_model
 from models.vehicle import read_vehicle
+from sim.campaign_batch import Plan, columns
+from sim.campaign_file import read_campaign
+from sim.campaign_store import Store
+from sim.campaign_workers import run_batches
 from sim.envelope import grid, read_axes
 from sim.physics import simulate
 from sim.road import Bump
@@ -133,3 +137,36 @@ def test_redesign(benchmark):
     )
     print(f"{1e3 * benchmark.stats['median'] * ratio / (1 + ratio) / len(vehicles):.0f} ms each")
     assert ratio <= 3
+
+
+@pytest.mark.parametrize(("name", "runs", "claim"), [("quarter_car", 2048, 0.85), ("full_car", 256, 0.85)])
+def test_campaign(benchmark, tmp_path, name, runs, claim):
+    """A campaign's run-steps a second, roads, metrics and files included, against native steps on as many threads."""
+    workers = os.cpu_count() or 1
+    file = tmp_path / "campaign.toml"
+    what = f'vehicles = ["{name}"]\ncontrollers = ["I"]\nroads = ["iso8608:class=A"]\n'
+    file.write_text(what + f"speeds = [20.0]\nseeds = {runs}\nduration = 10.0\n")
+    campaign = read_campaign(file)
+    vehicle = campaign.vehicles[name]
+    plan = Plan(campaign, {name: {"I": Designer(vehicle).design("I")}})
+    store = Store(tmp_path, columns(plan), {}, plan.count)
+    model, steps = build_model(vehicle, 1e-3), runs * len(campaign.time)
+
+    def native():
+        with ThreadPoolExecutor(workers) as pool:
+            data = [mujoco.MjData(model) for _ in range(workers)]
+            list(pool.map(lambda one: mujoco.mj_step(model, one, steps // workers), data))
+
+    def whole():
+        run_batches(plan, plan.batches(0, plan.count), workers, None, False, store.write)
+
+    run_batches(plan, [(0, 2)], 1, None, False, lambda start, rows: None)
+    ratios = []
+
+    def turn():
+        ratios.append(seconds(native) / seconds(whole))
+
+    benchmark.pedantic(turn, rounds=1 if runs > 1000 else 3, iterations=1)
+    ratio = statistics.median(ratios)
+    print(f"\n{benchmark.name}: {ratio:.2f} of native speed on {workers} threads; {ratios}")
+    assert ratio >= claim

@@ -38,7 +38,9 @@ def chain(states: int) -> tuple[GeneralizedPlant, np.ndarray]:
 
 def main(arguments: list[str]) -> int:
     """Prints the table and the exponent; draws them if asked to."""
-    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.states", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.benchmarks.states", description="What a design costs against the number of states."
+    )
     parser.add_argument("--picture", metavar="FILE", help="draw the costs and the exponent (needs matplotlib)")
     parser.add_argument("--most", type=int, default=SIZES[-1], help=f"largest number of states (default: {SIZES[-1]})")
     options = parser.parse_args(arguments)

@@ -1,0 +1,356 @@
+"""A batch of a campaign: many runs at once, measured and compared with their linear twins as they go, one row each."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy import linalg
+
+from models.arrays import Array
+from models.vehicle import Vehicle
+from sim.broken import ENDS, thresholds
+from sim.campaign_file import Campaign, with_sample
+from sim.expected import expect
+from sim.iso8608 import Iso8608
+from sim.linear import driven, held_inputs
+from sim.metrics import Meter, metrics_of
+from sim.physics import DIVERGED, in_blocks
+from sim.readout import reads_out
+from sim.response import SILENT
+from sim.road import Road, under_wheels
+from synth.controller import Controller
+
+BLOCK = 200  # samples; what is recorded of them stays in the cache
+ROAD_HEIGHTS = 5_200_000  # that a batch holds, of 16 bytes: 256 quarter-cars for 20 s at 1 ms
+MOST = 256  # runs; more hardly save time
+EXPECTED = "expected_"
+
+
+@dataclass(frozen=True)
+class RunKey:
+    """One run of a campaign, by index into its lists."""
+
+    vehicle: int
+    controller: int
+    road: int
+    speed: int
+    sample: int
+    seed: int
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Every run of a campaign, numbered: vehicles slowest, seeds fastest. Roads without a seed run once.
+
+    Attributes:
+        campaign: the campaign.
+        gains: the controllers, by vehicle and name.
+    """
+
+    campaign: Campaign
+    controllers: Mapping[str, Mapping[str, Controller]]
+
+    @cached_property
+    def _blocks(self) -> list[tuple[int, int, int, int, int]]:
+        """(first run, vehicle, controller, road, speed) of every combination, ascending; sample and seed count within."""
+        c, found, start = self.campaign, [], 0
+        for v, name in enumerate(c.vehicles):
+            for k in range(len(c.controllers)):
+                for r, road in enumerate(c.roads):
+                    for s in range(len(c.speeds)):
+                        found.append((start, v, k, r, s))
+                        start += len(c.samples[name]) * (len(c.seeds) if road.random else 1)
+        return [*found, (start, -1, -1, -1, -1)]
+
+    @property
+    def count(self) -> int:
+        """How many runs there are."""
+        return self._blocks[-1][0]
+
+    @cached_property
+    def _starts(self) -> Array:
+        return np.array([block[0] for block in self._blocks])
+
+    def key(self, run: int) -> RunKey:
+        """What run it is."""
+        start, v, k, r, s = self._blocks[int(np.searchsorted(self._starts, run, side="right")) - 1]
+        seeds = len(self.campaign.seeds) if self.campaign.roads[r].random else 1
+        sample, seed = divmod(run - start, seeds)
+        return RunKey(v, k, r, s, sample, seed)
+
+    def batches(self, start: int, stop: int, most: int = MOST) -> list[tuple[int, int]]:
+        """Runs from start to stop, cut into batches of one vehicle that fit into memory, of so many runs at most."""
+        found = []
+        vehicles = list(self.campaign.vehicles.values())
+        while start < stop:
+            v = self.key(start).vehicle
+            same = next((block[0] for block in self._blocks if block[0] > start and block[1] != v), self.count)
+            size = ROAD_HEIGHTS // (len(self.campaign.time) * len(vehicles[v].kind.wheels))
+            end = min(stop, same, start + max(1, min(size, most)))
+            found.append((start, end))
+            start = end
+        return found
+
+
+def columns(plan: Plan) -> dict[str, type]:
+    """Name and type of every column of the results, in order."""
+    metrics = dict.fromkeys(metric.name for vehicle in plan.campaign.vehicles.values() for metric in metrics_of(vehicle))
+    sampled = dict.fromkeys(name for samples in plan.campaign.samples.values() for name in samples[0])
+    return {
+        "run": int,
+        "vehicle": str,
+        "controller": str,
+        "road": str,
+        "speed": float,
+        "seed": int,
+        "sample": int,
+        **{f"parameter_{name}": float for name in sampled},
+        "reason": str,
+        "diverged_at": float,
+        "ended_by": str,
+        "ended_at": float,
+        "linear_error": float,
+        **dict.fromkeys(metrics, float),
+        **{f"{EXPECTED}{name}": float for name in metrics},
+    }
+
+
+def run_batch(plan: Plan, start: int, stop: int, stopped: Callable[[], bool] = lambda: False) -> list[dict[str, Any]] | None:
+    """The rows of some runs of one vehicle, None where it was stopped.
+
+    Args:
+        plan: the campaign.
+        start, stop: which runs.
+        stopped: asked now and then whether to give up.
+    """
+    keys = [plan.key(run) for run in range(start, stop)]
+    campaign, rows = plan.campaign, {}
+    name = list(campaign.vehicles)[keys[0].vehicle]
+    made = {i: with_sample(campaign.vehicles[name], campaign.samples[name][i]) for i in {key.sample for key in keys}}
+    # Random roads are measured once their start is forgotten, others, a bump, a hump, from the start.
+    # Where one controller needs a sensor before the step, signals of all are read so: a rounding that must not depend on company.
+    alike: dict[tuple[int, bytes, bool], list[int]] = {}
+    for i, key in enumerate(keys):
+        of = (key.controller, reads_out(made[key.sample], campaign.timestep), campaign.roads[key.road].random)
+        alike.setdefault(of, []).append(i)
+    for group in alike.values():
+        # A run alone would be summed along another axis than one among others: it gets company.
+        pair = group * 2 if len(group) == 1 else group
+        runs = [_Run(plan, keys[i], made[keys[i].sample]) for i in pair]
+        found = _drive(campaign, runs, stopped)
+        if found is None:
+            return None
+        rows |= {i: {"run": start + i, **row} for i, row in zip(pair, found, strict=True)}
+    return [rows[i] for i in range(len(keys))]
+
+
+class _Run:
+    """One run, with everything that it needs."""
+
+    def __init__(self, plan: Plan, key: RunKey, vehicle: Vehicle) -> None:
+        c = plan.campaign
+        self.name, self.vehicle, self.key = list(c.vehicles)[key.vehicle], vehicle, key
+        self.controller = plan.controllers[self.name][c.controllers[key.controller]]
+        self.choice, self.speed, self.seed = c.roads[key.road], c.speeds[key.speed], c.seeds[key.seed]
+        self.road: Road = self.choice.build(vehicle, self.speed, self.seed, self.speed * c.duration)
+        self.system = (id(vehicle), key.controller)
+
+    def row(self, campaign: Campaign) -> dict[str, Any]:
+        """Its inputs."""
+        sample = campaign.samples[self.name][self.key.sample]
+        return {
+            "vehicle": self.name,
+            "controller": self.controller.name,
+            "road": self.choice.text,
+            "speed": self.speed,
+            "seed": self.seed if self.choice.random else None,
+            "sample": self.key.sample if sample else None,
+            **{f"parameter_{name}": value for name, value in sample.items()},
+        }
+
+
+def _drive(campaign: Campaign, runs: Sequence[_Run], stopped: Callable[[], bool]) -> list[dict[str, Any]] | None:
+    vehicles, time, h = [run.vehicle for run in runs], campaign.time, campaign.timestep
+    halves = np.arange(2 * len(time)) * (h / 2)
+    heights = np.empty((len(halves), len(runs), len(vehicles[0].kind.wheels)))
+    for i, run in enumerate(runs):
+        heights[:, i] = under_wheels(run.road.displacement, run.road, run.vehicle, halves)
+    now, midway = heights[::2], heights[1::2]
+
+    random = runs[0].choice.random
+    first = campaign.first if random else 0
+    meter = Meter(vehicles, h, first)
+    twin = _Twin(runs, now, midway, h, None if random else first)
+    ends = _Ends(vehicles, time)
+    diverged = np.full(len(runs), np.inf)
+    for block in in_blocks(vehicles, [run.controller for run in runs], now, midway, h, 1, BLOCK):
+        if stopped():
+            return None
+        times = time[block.start : block.start + len(block.values)]
+        wild = ~(block.largest < DIVERGED)  # NaN compares as wild
+        if wild.any():
+            diverged = np.minimum(diverged, np.where(wild.any(axis=0), times[wild.argmax(axis=0)], np.inf))
+            np.nan_to_num(block.values, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
+            np.clip(block.values, -DIVERGED, DIVERGED, out=block.values)
+        meter.update(block.values)
+        ends.update(block.start, block.values)
+        twin.update(block.start, block.values, np.minimum(ends.first, diverged), times)
+
+    measured, errors, linear = meter.result(), twin.errors(), twin.metrics()
+    expected = _Expectations(campaign)
+    rows = []
+    for i, run in enumerate(runs):
+        broken = bool(np.isfinite(diverged[i]))
+        ended = min(diverged[i], ends.first[i])
+        row = run.row(campaign)
+        row["reason"] = f"diverged: a signal is beyond {DIVERGED:g} at {diverged[i]:.4g} s" if broken else None
+        row["diverged_at"] = float(diverged[i]) if broken else None
+        row["ended_by"] = None if np.isinf(ended) else "divergence" if diverged[i] <= ends.first[i] else ENDS[ends.which[i]]
+        row["ended_at"] = float(ended) if np.isfinite(ended) else None
+        row["linear_error"] = _finite(errors[i])
+        row |= {name: None if broken else _finite(values[i]) for name, values in measured.items()}
+        prediction = expected(run) if run.choice.random else {name: values[i] for name, values in linear.items()}
+        row |= {f"{EXPECTED}{name}": _finite(value) for name, value in prediction.items()}
+        rows.append(row)
+    return rows
+
+
+class _Expectations:
+    """Linear predictions over random roads, each made once."""
+
+    def __init__(self, campaign: Campaign) -> None:
+        self.campaign, self.made = campaign, {}
+
+    def __call__(self, run: _Run) -> Mapping[str, float]:
+        assert isinstance(run.road, Iso8608)
+        key = (*run.system, run.road.road_class, run.speed)
+        if key not in self.made:
+            window = (len(self.campaign.time) - self.campaign.first) * self.campaign.timestep
+            self.made[key] = expect(run.vehicle, run.controller, run.road, self.campaign.timestep, window)
+        return self.made[key].mean if self.made[key] else {}
+
+
+class _Ends:
+    """What ends the linear regime of each run first, and when."""
+
+    def __init__(self, vehicles: Sequence[Vehicle], time: Array) -> None:
+        self.time, count = time, len(vehicles)
+        self.first, self.which = np.full(count, np.inf), np.full(count, -1)
+        names = [signal.name for signal in vehicles[0].kind.signals]
+        each = [thresholds(vehicle) for vehicle in vehicles]
+        # (end, signal, sign, value of every run)
+        self.limits = [
+            (end, names.index(signal), sign, np.array([one[end][j][2] for one in each]) * (1 - 1e-12))
+            for end, signals in enumerate(each[0])
+            for j, (signal, sign, _) in enumerate(signals)
+        ]
+
+    def update(self, start: int, values: Array) -> None:
+        """Takes a block of signals, shape (B, S, N)."""
+        for end, signal, sign, limit in self.limits:
+            reached = sign * values[:, signal] if sign else np.abs(values[:, signal])
+            for i in np.flatnonzero(reached.max(axis=0) >= limit):
+                when = self.time[start + int(np.argmax(reached[:, i] >= limit[i]))]
+                if when < self.first[i]:
+                    self.first[i], self.which[i] = when, end
+
+
+class _Twin:
+    """The exact linear responses of the runs, sampled as in `sim.linear`, beside them and as fast.
+
+    Sums run over states one by one, as in `sim.physics`. A controller that is more than a gain has no twin here.
+    """
+
+    def __init__(self, runs: Sequence[_Run], now: Array, midway: Array, timestep: float, first: int | None) -> None:
+        """Measured from sample `first` on; not at all, if that is None."""
+        vehicle = runs[0].vehicle
+        self.signals, self.now, self.midway = vehicle.kind.signals, now, midway
+        self.ideal = vehicle.implementation.ideal
+        systems: dict[Any, Any] = {}
+        for run in runs:
+            if run.system not in systems:
+                systems[run.system] = _system(run.vehicle, run.controller, timestep)
+        # By entry of the matrices, runs last: shapes (n, n, N), (n, r, N), (n, r, N), (n, r, N), (p, n, N), (p, r, N).
+        self.loop, self.of_now, self.of_midway, self.jump, self.C, self.Cr = (
+            np.stack([systems[run.system][i] for run in runs], axis=-1) for i in range(6)
+        )
+        self.outputs = vehicle.linear_model.outputs
+        place = [signal.name for signal in self.signals]
+        self.index = [place.index(name) for name in self.outputs]
+        self.xi = np.zeros((self.loop.shape[0], len(runs)))
+        self.off, self.peak = np.zeros((len(self.outputs), len(runs))), np.zeros((len(self.outputs), len(runs)))
+        self.known = [i for i, name in enumerate(self.outputs) if name in vehicle.linear_model.states]
+        self.meter = None if first is None else Meter([run.vehicle for run in runs], timestep, first)
+
+    def update(self, start: int, values: Array, until: Array, times: Array) -> None:
+        """Compares the next block of signals, shape (B, S, N), before the times [s] until which it is linear, shape (N,)."""
+        if not self.ideal:
+            return
+        some = slice(start, start + len(values))
+        now, midway = np.moveaxis(self.now[some], 1, 2), np.moveaxis(self.midway[some], 1, 2)
+        push, jump = _applied(self.of_now, now) + _applied(self.of_midway, midway), _applied(self.jump, now)
+        states = np.empty_like(push)
+        with np.errstate(over="ignore", invalid="ignore"):  # an unstable loop overflows; its run says so
+            for k in range(len(values)):
+                states[k] = self.xi
+                self.xi = (self.loop * self.xi).sum(axis=1) + push[k]
+            states += jump
+            linear = times[-1] < until
+            for i in self.known if self.meter is None else range(len(self.outputs)):
+                output = states[:, i] if self.meter is None else _row(self.C[i], states) + _row(self.Cr[i], now)
+                apart = np.abs(values[:, self.index[i]] - output)
+                size = np.abs(output)
+                if not linear.all():
+                    before = times[:, None] < until
+                    apart, size = np.where(before, apart, 0.0), np.where(before, size, 0.0)
+                self.off[i] = np.maximum(self.off[i], apart.max(axis=0))
+                self.peak[i] = np.maximum(self.peak[i], size.max(axis=0))
+                if self.meter is not None:
+                    values[:, self.index[i]] = output
+            if self.meter is not None:
+                self.meter.update(np.clip(values, -DIVERGED, DIVERGED))
+
+    def errors(self) -> Array:
+        """Largest difference of any state from its twin, over the twin's peak, shape (N,); NaN where there is no twin."""
+        if not self.ideal:
+            return np.full(self.off.shape[1], np.nan)
+        units = [next(signal.unit for signal in self.signals if signal.name == name) for name in self.outputs]
+        worst = np.zeros(self.off.shape[1])
+        for i in self.known:
+            loudest = np.max([self.peak[j] for j in self.known if units[j] == units[i]], axis=0)
+            scale = np.maximum(self.peak[i], SILENT * loudest)
+            worst = np.maximum(worst, np.divide(self.off[i], scale, out=np.zeros_like(scale), where=scale > 0))
+        return worst
+
+    def metrics(self) -> Mapping[str, Array]:
+        """The twin's metrics, where a road that is not random asks for them."""
+        return self.meter.result() if self.meter is not None and self.ideal else {}
+
+
+def _system(vehicle: Vehicle, controller: Controller, timestep: float) -> tuple[Array, ...]:
+    """The sampled loop in the notation of `sim.linear`: xi' = loop xi + of_now z_r + of_midway z_r(h/2), x = xi + jump z_r."""
+    model, G = driven(vehicle, controller)
+    Phi, Gamma_u, Gamma_r = held_inputs(model.A, timestep, linalg.expm, model.B, model.A @ model.Bw + model.Br)
+    return Phi + Gamma_u @ G, Gamma_u @ G @ model.Bw, Gamma_r, model.Bw, model.C + model.D @ G, model.Cr
+
+
+def _applied(matrix: Array, inputs: Array) -> Array:
+    """A matrix per run, shape (n, r, N), on inputs (B, r, N), shape (B, n, N)."""
+    total = np.zeros((len(inputs), matrix.shape[0], matrix.shape[2]))
+    for i in range(matrix.shape[0]):
+        total[:, i] = _row(matrix[i], inputs)
+    return total
+
+
+def _row(row: Array, inputs: Array) -> Array:
+    """One row of such a matrix, shape (r, N), on inputs (B, r, N), shape (B, N)."""
+    total = np.zeros((len(inputs), row.shape[1]))
+    for j in np.flatnonzero(row.any(axis=1)):
+        total += row[j] * inputs[:, j]
+    return total
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,82 @@
+"""What commands share that drive controllers of one vehicle over one road: options, runs and text."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from models.arrays import Array
+from models.command import Parser
+from models.errors import InputError
+from models.vehicle import Vehicle
+from sim.road import Road
+from sim.run import Run, run_all
+from sim.verdict import controller_lines, run_lines, verdict_lines
+from synth.controller import Designer
+
+
+def add_what(parser: Parser) -> None:
+    """The options `--controller` and `--vehicle`."""
+    parser.add_argument(
+        "--controller",
+        action="append",
+        metavar="NAME",
+        help="passive, state, one of the vehicle file's, or all; may be repeated. Required",
+    )
+    parser.add_argument(
+        "--vehicle", default="quarter_car", metavar="FILE", help="vehicle file, or one that ships (default: quarter_car)"
+    )
+
+
+def add_how(parser: Parser, duration: float) -> None:
+    """The options `--duration`, `--timestep`, `--logs`, `--no-logs` and `--json`, with a default duration [s]."""
+    parser.add_number("--duration", duration, "s", "how long to run")
+    parser.add_number("--timestep", 1e-3, "s", "integration step and sample period of the controller")
+    parser.add_argument("--logs", type=Path, default=Path("logs"), metavar="DIR", help="folder for the log files (default: logs)")
+    parser.add_argument("--no-logs", dest="logs", action="store_const", const=None, help="write no log files")
+    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+
+
+def chosen(vehicle: Vehicle, asked: Sequence[str] | None) -> list[str]:
+    """The controllers to run, each once, in the order asked for.
+
+    Raises:
+        InputError: none was asked for.
+    """
+    if not asked:
+        raise InputError(
+            f"no controller was asked for; give --controller with one of: all, {', '.join(vehicle.controller_names)}"
+        )
+    names = [name for choice in asked for name in (vehicle.controller_names if choice == "all" else [choice])]
+    return list(dict.fromkeys(names))
+
+
+def run_chosen(vehicle: Vehicle, names: Sequence[str], road: Road, time: Array, logs: Path | None) -> tuple[list[Run], Run]:
+    """Runs controllers over a road.
+
+    Args:
+        vehicle: the vehicle.
+        names: of its controllers.
+        road: the road.
+        time: equidistant sample times from 0 [s].
+        logs: folder for the log files, or None; proved before the long work.
+
+    Returns:
+        A run for every name, and that of `passive`, with which they are compared.
+
+    Raises:
+        InputError: a controller that is unknown or cannot be designed; a folder that cannot be written.
+    """
+    designer = Designer(vehicle)
+    with_passive = [*names, *(["passive"] if "passive" not in names else [])]
+    controllers = [designer.design(name) for name in with_passive]
+    if logs is not None:  # after the last bad input, so that nothing is written
+        from sim.recording import check_folder
+
+        check_folder(logs)
+    everything = run_all(vehicle, controllers, road, time)
+    return everything[: len(names)], everything[with_passive.index("passive")]
+
+
+def compared_lines(vehicle: Vehicle, run: Run, passive: Run) -> list[str]:
+    """One run: its controller, its table, its verdict."""
+    table = run_lines(vehicle, run, passive if run is not passive else None)
+    return [*controller_lines(run.controller), "", *table, "", *(f"  {line}" for line in verdict_lines(run))]

@@ -1,0 +1,132 @@
+"""`python -m sim.report`: everything about a vehicle file and its controllers on one page that can be mailed."""
+
+import csv
+import datetime
+import json
+import shlex
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from models.command import Parser, run_command
+from models.errors import InputError
+from models.vehicle import Vehicle, read_vehicle
+from sim.page import Page, check_page, write_page
+from sim.picture import check_picture, draw
+from sim.progress import show
+from sim.run import sample_times
+
+USUAL = ("passive", "state", "I", "II")
+
+EPILOG = """
+exit code: 0 the report is written, 2 bad input
+
+examples:
+  python -m sim.report --out report.html
+  python -m sim.report --vehicle my_car.toml --controller passive --controller mine --out mine.html --figures figures
+  python -m sim.report --quick --out quick.html
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command; returns its exit code.
+
+    Raises:
+        InputError: bad options, vehicle file or output file.
+    """
+    options = _parser().parse_args(arguments)
+    check_page()
+    vehicle = read_vehicle(options.vehicle)
+    names = _chosen(vehicle, options.controller)
+    sample_times(vehicle, 1.0, options.timestep)
+    if options.out.suffix.lower() not in (".html", ".htm"):
+        raise InputError(f"report {options.out}: a report is HTML; give a name that ends in .html")
+    if not options.out.parent.is_dir():
+        raise InputError(f"report {options.out}: there is no folder {options.out.parent}; make it or give another")
+    if options.figures is not None:
+        _make_folder(options.figures)
+        check_picture(options.figures / "figure.png")
+
+    from sim.provenance import versions
+    from sim.report_content import Scope, page, report_object
+    from synth.controller import Designer
+
+    show("designs")
+    designer = Designer(vehicle)
+    controllers = tuple(designer.design(name) for name in names)
+    scope = Scope(vehicle, designer, controllers, options.timestep, options.quick, show)
+    written = {
+        "written": datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        "command": shlex.join(["python", *sys.orig_argv[1:]]),
+        "vehicle file": vehicle.source,
+        "timestep": f"{options.timestep:g} s",
+        "seeds": "1, of the random road that the norm is tried on; 0 to 3, of the random roads of the ride",
+        "versions": ", ".join(f"{name} {version}" for name, version in versions().items()),
+    }
+    result = page(scope, written)
+    show("the page")
+    write_page(result, options.out)
+    if options.figures is not None:
+        _write_figures(result, options.figures)
+    show("")
+    if options.json:
+        figures = str(options.figures) if options.figures else None
+        print(json.dumps({**report_object(result), "report": str(options.out), "figures": figures}, allow_nan=False))
+    else:
+        print("\n".join([*result.answer, "", f"report {options.out}"]))
+    return 0
+
+
+def _parser() -> Parser:
+    parser = Parser("sim.report", "Writes one HTML page about a vehicle file and its controllers.", EPILOG)
+    parser.add_argument(
+        "--controller",
+        action="append",
+        metavar="NAME",
+        help="passive, state, one of the vehicle file's, or all; may be repeated (default: passive, state, I and II)",
+    )
+    parser.add_argument(
+        "--vehicle", default="quarter_car", metavar="FILE", help="vehicle file, or one that ships (default: quarter_car)"
+    )
+    parser.add_argument("--out", type=Path, default=Path("report.html"), metavar="FILE", help="the page (default: report.html)")
+    parser.add_argument("--figures", type=Path, metavar="DIR", help="also write every figure as SVG and PNG, every table as CSV")
+    parser.add_argument("--quick", action="store_true", help="without margins, map and ride: seconds instead of a minute")
+    parser.add_number("--timestep", 1e-3, "s", "integration step and sample period of the controller")
+    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    return parser
+
+
+def _chosen(vehicle: Vehicle, asked: Sequence[str] | None) -> list[str]:
+    """The controllers to report, each once."""
+    usual = [name for name in USUAL if name in vehicle.controller_names] if asked is None else []
+    names = [name for choice in asked or usual for name in (vehicle.controller_names if choice == "all" else [choice])]
+    return list(dict.fromkeys(names))
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"figures {folder}: cannot be made ({error.strerror}); give another folder") from error
+
+
+def _write_figures(page: Page, folder: Path) -> None:
+    """Every figure as SVG and PNG, every table as CSV, each whole or not at all."""
+    for section in page.sections:
+        for figure in section.figures:
+            for suffix in (".svg", ".png"):
+                draw(figure, folder / f"{figure.name}{suffix}")
+        for table in section.tables:
+            path, beside = folder / f"{table.name}.csv", folder / f".{table.name}.part"
+            try:
+                with beside.open("w", newline="", encoding="utf-8") as file:
+                    csv.writer(file).writerows([table.headings, *table.rows])
+                beside.replace(path)
+            except OSError as error:
+                raise InputError(f"table {path}: cannot be written ({error.strerror}); give another folder") from error
+            finally:
+                beside.unlink(missing_ok=True)
+
+
+if __name__ == "__main__":
+    run_command(main)

@@ -1,0 +1,71 @@
+"""The ride section of a report: random roads of several classes, MuJoCo beside what the spectrum predicts."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from models.vehicle import Vehicle
+from sim.expected import expect, settling_time
+from sim.iso8608 import Iso8608, long_enough
+from sim.metrics import dynamic_load, measure, off_ground, points
+from sim.page import Section, Table
+from sim.physics import simulate
+from sim.road import track_width
+from sim.run import sample_times
+from synth.controller import Controller
+
+CLASSES, SPEED, SEEDS = "ABCD", 20.0, (0, 1, 2, 3)  # speed in m/s
+WINDOW = 10.0  # s, in which is measured, once the loop has forgotten that it began from rest
+LONGEST = 20.0  # s; more than that no loop is waited for
+
+
+def ride_section(vehicle: Vehicle, controllers: Sequence[Controller], timestep: float) -> Section:
+    """Every controller over every class, mean over the seeds."""
+    found = [row for one in controllers for row in _rows(vehicle, one, timestep)]
+    names = ("class", "controller", "metric", "unit", "MuJoCo", "predicted", "road to road", "lift-off")
+    text = (
+        f"Random roads of ISO 8608 at {SPEED:g} m/s, {len(SEEDS)} of each class, {WINDOW:g} s each. Weighted is ISO 2631-1's rms "
+        "acceleration, Wk; dynamic load is the rms of the tyre's force over its static value. Predicted is from the road's "
+        "spectrum through the sampled closed loop, for a vehicle without limits; road to road is by how much one such road "
+        "differs from that, one standard deviation, so the mean of MuJoCo's differs by half of it.",
+    )
+    rows = sorted(found, key=lambda row: (row[0], row[2]))
+    return Section("Ride", text, (Table("ride", names, tuple(rows), words=4),))
+
+
+def _rows(vehicle: Vehicle, controller: Controller, timestep: float) -> list[tuple[str, ...]]:
+    start = min(settling_time(vehicle, controller), LONGEST)
+    time = sample_times(vehicle, start + WINDOW, timestep)
+    first = round(start / timestep)
+    length, width = long_enough(SPEED * float(time[-1])), track_width(vehicle)
+    roads = [Iso8608(name, seed, SPEED, width, length) for name in CLASSES for seed in SEEDS]
+    count = len(roads)
+    response = simulate([vehicle] * count, [controller] * count, roads, time, threads=0).response
+    measured = [measure(vehicle, response.run(i), first) for i in range(count)]
+    ideal = replace(vehicle, implementation=replace(vehicle.implementation, noise={}, quantisation={}))
+
+    where, rows = points(vehicle), []
+    metrics = [(f"{name}_weighted", "m/s2") for name in where.accelerations]
+    metrics += [(f"{name}_rms", "m") for name in where.suspensions]
+    metrics += [(dynamic_load(name), "-") for name in where.tyres]
+    metrics += [(f"{name}_rms", "N") for name, *_ in where.actuators if np.any(controller.gain)]
+    for k, road_class in enumerate(CLASSES):
+        some = measured[k * len(SEEDS) : (k + 1) * len(SEEDS)]
+        expected = expect(ideal, controller, roads[k * len(SEEDS)], timestep, WINDOW)
+        lifted = max(one[off_ground(tyre)] for one in some for tyre in where.tyres)
+        for name, unit in metrics:
+            mean, spread = (expected.mean[name], expected.spread.get(name)) if expected else (None, None)
+            rows.append(
+                (
+                    road_class,
+                    controller.name,
+                    name.replace("_", " "),
+                    unit,
+                    f"{np.mean([one[name] for one in some]):.4g}",
+                    f"{mean:.4g}" if mean is not None else "-",
+                    f"+-{100 * spread / mean:.0f} %" if mean and spread is not None else "-",
+                    f"{100 * lifted:.2f} %" if lifted else "none",
+                )
+            )
+    return rows

@@ -1,0 +1,400 @@
+"""`python -m sim.campaign`: every run once, the same numbers whatever runs them, and nothing lost however it ends."""
+
+import contextlib
+import errno
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from models.errors import InputError
+from models.vehicle import read_vehicle
+from sim import campaign_store
+from sim.campaign import main
+from sim.campaign_file import read_campaign
+from sim.expected import expect
+from sim.iso8608 import Iso8608
+from sim.linear import sampled_response
+from sim.metrics import measure, metrics_of
+from sim.physics import simulate
+from synth.controller import Designer
+
+ROOT = Path(__file__).parent.parent
+SMALL = """
+vehicles = ["quarter_car", "half_car"]
+controllers = ["passive", "I"]
+roads = ["iso8608:class=A", "iso8608:class=E", "pothole:depth=0.02"]
+speeds = [15.0, 25.0]
+seeds = [0, 5, 1]
+duration = 0.6
+settle = 0.1
+timestep = 2e-3
+
+[samples]
+count = 2
+method = "sobol"
+seed = 3
+
+[samples.parameters]
+sprung_mass = { uniform = [0.8, 1.2], relative = true }
+"""
+RUNS = 2 * 2 * 2 * 2 * (3 + 3 + 1)  # vehicles, controllers, speeds, samples, and seeds of every road
+# Gains that are given need no design: this starts in the time of its imports.
+QUICK = """
+vehicles = ["quarter_car"]
+controllers = ["passive", "I_printed"]
+roads = ["iso8608:class=B", "bump:height=0.02"]
+speeds = [10.0, 20.0]
+seeds = 60
+duration = 0.2
+settle = 0.0
+timestep = 2e-3
+"""
+
+
+def run(folder, text, *arguments, results="results"):
+    """Runs a campaign in this process; returns its rows and the file's metadata."""
+    file = folder / "campaign.toml"
+    file.write_text(text)
+    assert main([str(file), "--results", str(folder / results), *arguments]) == 0
+    table = pq.read_table(folder / results / "results.parquet")
+    return table.to_pylist(), table.schema.metadata
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
+    """The rows of a small campaign, and their metadata."""
+    return run(tmp_path_factory.mktemp("small"), SMALL, "--workers", "2")
+
+
+def test_every_combination_is_a_row(small):
+    """Every vehicle, controller, road, speed, sample and seed is one row; a road without a seed runs once."""
+    rows, _ = small
+    assert [row["run"] for row in rows] == list(range(RUNS))
+    inputs = [tuple(row[name] for name in ("vehicle", "controller", "road", "speed", "sample", "seed")) for row in rows]
+    assert len(set(inputs)) == RUNS
+    assert {row["seed"] for row in rows if row["road"].startswith("iso")} == {0, 5, 1}
+    assert {row["seed"] for row in rows if row["road"].startswith("pothole")} == {None}
+    masses = {row["parameter_sprung_mass"] for row in rows if row["vehicle"] == "quarter_car"}
+    assert len(masses) == 2
+    assert all(0.8 * 504.5 <= mass <= 1.2 * 504.5 for mass in masses)
+
+
+def test_the_file_says_what_it_is(small):
+    """The campaign file, the gains and every version are in the results' metadata; columns of another vehicle are null."""
+    rows, metadata = small
+    assert metadata[b"campaign"].decode() == SMALL
+    assert json.loads(metadata[b"versions"])["mujoco"]
+    assert json.loads(metadata[b"controllers"])["quarter_car"]["I"]["gain"][0][0] == pytest.approx(10825.2, abs=0.1)
+    assert rows[0]["heave_acceleration_rms"] is None
+    assert rows[-1]["sprung_acceleration_rms"] is None
+    assert rows[-1]["heave_acceleration_rms"] > 0
+
+
+@pytest.mark.parametrize("arguments", [("--batch", "1", "--workers", "1"), ("--batch", "5", "--workers", "3")], ids=" ".join)
+def test_the_same_numbers_to_the_last_bit(small, tmp_path, arguments):
+    """Neither the number of workers nor that of batches changes a single bit of any row."""
+    rows, _ = run(tmp_path, SMALL, *arguments)
+    assert rows == small[0]
+
+
+def test_rows_are_those_runs(small, tmp_path):
+    """A row has the metrics that the same run has by itself, in MuJoCo and, of a road without a spectrum, in linear analysis.
+
+    A random road is measured once its start is forgotten, a pothole from the start: it is at the start.
+    """
+    file = tmp_path / "campaign.toml"
+    file.write_text(SMALL)
+    campaign = read_campaign(file)
+    for row in (small[0][1], small[0][-1], small[0][RUNS // 2 - 1]):
+        nominal = read_vehicle(row["vehicle"])
+        vehicle = campaign_vehicle(nominal, row)
+        controller = Designer(nominal).design(row["controller"])
+        choice = next(road for road in campaign.roads if road.text == row["road"])
+        road = choice.build(vehicle, row["speed"], row["seed"] or 0, row["speed"] * campaign.duration)
+        response = simulate([vehicle], [controller], [road], campaign.time).response.run(0)
+        linear = sampled_response(vehicle, controller, road, campaign.time)
+        found = measure(vehicle, response, campaign.first if choice.random else 0)
+        if isinstance(road, Iso8608):
+            window = (len(campaign.time) - campaign.first) * campaign.timestep
+            expected = expect(vehicle, controller, road, campaign.timestep, window)
+            assert expected is not None
+            predicted = expected.mean
+        else:
+            predicted = measure(vehicle, linear, 0)
+        for name in (metric.name for metric in metrics_of(vehicle)):
+            assert row[name] == pytest.approx(found[name], rel=1e-9, abs=1e-12), name  # sums in another order, roads to rounding
+            assert row[f"expected_{name}"] == pytest.approx(predicted[name], rel=1e-7, abs=1e-9), name
+        apart = max(np.abs(response[name] - linear[name]).max() / linear.scale(name) for name in vehicle.linear_model.states)
+        if row["ended_by"] is None:
+            assert row["linear_error"] == pytest.approx(apart, rel=0.2)  # scales of states only
+        assert (row["ended_at"] is None) == (row["ended_by"] is None)
+
+
+def campaign_vehicle(vehicle, row):
+    from dataclasses import replace
+
+    return replace(vehicle, parameters={**vehicle.parameters, "sprung_mass": row["parameter_sprung_mass"]})
+
+
+def test_where_it_is_linear_it_agrees(small):
+    """Runs that stay linear are their linear twins to RK4's error and geometry's; of others, wheels lift, and it says when."""
+    rows, _ = small
+    linear = [row for row in rows if row["ended_by"] is None]
+    assert max(row["linear_error"] for row in linear if row["vehicle"] == "quarter_car") < 1e-4  # RK4 at 2 ms
+    assert max(row["linear_error"] for row in linear) < 1e-2  # a body that pitches
+    lifted = [row for row in rows if row["ended_by"] == "lift-off"]
+    assert len(lifted) > 5
+    assert all(row["road"] != "iso8608:class=A" and 0 <= row["ended_at"] <= 0.6 for row in lifted)
+
+
+def test_summary(small, tmp_path, capsys):
+    """The table at the end is the mean and percentile of the rows, beside the mean prediction, by road and controller."""
+    run(tmp_path, SMALL, "--json")
+    result = json.loads(capsys.readouterr().out, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
+    assert result["runs"] == result["new"] == RUNS
+    assert len(result["summary"]) == 2 * 3 * 2 * 2
+    for entry in result["summary"]:
+        some = [row for row in small[0] if all(row[name] == entry[name] for name in ("vehicle", "controller", "road", "speed"))]
+        assert entry["runs"] == len(some)
+        assert entry["left"] == sum(row["ended_by"] is not None for row in some)
+        columns = ["dynamic_load"] if entry["vehicle"] == "quarter_car" else ["dynamic_load_front", "dynamic_load_rear"]
+        worst = [max(row[name] for name in columns) for row in some]
+        assert entry["load"]["mean"] == pytest.approx(np.mean(worst))
+        assert entry["load"]["p95"] == pytest.approx(np.percentile(worst, 95))
+        assert entry["load"]["predicted"] == pytest.approx(np.mean([max(row[f"expected_{n}"] for n in columns) for row in some]))
+    main([str(tmp_path / "campaign.toml"), "--results", str(tmp_path / "results")])
+    out = capsys.readouterr().out
+    assert "all of them there already" in out
+    assert out.count("quarter_car over iso8608:class=E at 25 m/s") == 1
+
+
+def test_a_diverging_run_is_a_row(tmp_path):
+    """A run that diverges has its reason and when, no metrics, and leaves those beside it as they are."""
+    unstable = read_vehicle("quarter_car").text + '\n[controllers.wild]\nmeasured = ["sprung_velocity"]\ngain = [[1e6]]\n'
+    (tmp_path / "wild.toml").write_text(unstable)
+    text = 'vehicles = ["wild.toml"]\ncontrollers = ["wild", "passive"]\nroads = ["bump"]\nspeeds = [20.0]\nduration = 0.4\n'
+    text += "settle = 0.1\n"
+    (wild, passive), _ = run(tmp_path, text)
+    assert wild["reason"].startswith("diverged: a signal is beyond 1e+08 at 0.")
+    assert 0 < wild["diverged_at"] < 0.4
+    assert wild["sprung_acceleration_rms"] is None
+    (alone,), _ = run(tmp_path, text.replace('"wild", ', ""), results="alone")
+    assert {**alone, "run": 1} == passive
+    assert passive["reason"] is None
+
+
+def command(folder, *arguments):
+    """The command as a user starts it."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
+    arguments = [
+        sys.executable,
+        "-m",
+        "sim.campaign",
+        "campaign.toml",
+        "--results",
+        "results",
+        "--batch",
+        "8",
+        "--json",
+        *arguments,
+    ]
+    return subprocess.Popen(arguments, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def killed(folder, chance, signal_number):
+    """Starts the campaign, ends it by a signal at a random moment after its folder is held; its exit code and output."""
+    process = command(folder)
+    while process.poll() is None and not (folder / "results" / ".lock").exists():
+        time.sleep(0.005)
+    time.sleep(chance)
+    process.send_signal(signal_number)
+    out, err = process.communicate()
+    return process.returncode, out, err
+
+
+@pytest.mark.slow
+def test_killed_twenty_times(tmp_path):
+    """Killed at twenty random moments and started again each time, it ends with the rows of an uninterrupted run, each once."""
+    (tmp_path / "campaign.toml").write_text(QUICK)
+    rng, lives = random.Random(20261121), []
+    while len(lives) < 20:
+        code, _, _ = killed(tmp_path, rng.uniform(0, 0.9), signal.SIGKILL)
+        names = [path.name for path in (tmp_path / "results").glob("*.parquet")]
+        lives.append((code, len(names)))
+        for name in names:  # what has a name is whole
+            pq.read_metadata(tmp_path / "results" / name)
+    assert sum(code == -signal.SIGKILL for code, _ in lives) >= 15  # a last one or two may come when all is done
+    process = command(tmp_path)
+    out, err = process.communicate()
+    assert (process.returncode, err) == (0, "")
+    assert json.loads(out)["runs"] == 2 * 2 * 61
+    assert sorted(path.name for path in (tmp_path / "results").iterdir()) == [".lock", "campaign.json", "results.parquet"]
+    rows, _ = run(tmp_path, QUICK, results="uninterrupted")
+    assert pq.read_table(tmp_path / "results" / "results.parquet").to_pylist() == rows
+
+
+def test_interrupted(tmp_path):
+    """Ctrl-C ends it with 130 and says what is kept; the next start goes on."""
+    (tmp_path / "campaign.toml").write_text(QUICK.replace("seeds = 60", "seeds = 4000"))
+    code, out, err = killed(tmp_path, 1.5, signal.SIGINT)
+    assert (code, out) == (130, "")
+    assert "runs are kept; start it again to go on" in err
+    assert not list((tmp_path / "results").glob(".*writing"))
+
+
+def test_a_full_disk(tmp_path, monkeypatch):
+    """A disk that fills up is one line, exit code 2; what is done is kept, nothing half-written, and later it goes on."""
+    file = tmp_path / "campaign.toml"
+    file.write_text(QUICK.replace("seeds = 60", "seeds = 3"))
+    real, writes = pq.write_table, []
+
+    def fills(table, path):
+        real(table, path)
+        writes.append(path)
+        if len(writes) == 2:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(campaign_store.pq, "write_table", fills)
+        with pytest.raises(InputError, match="No space left on device; free some space"):
+            main([str(file), "--results", str(tmp_path / "results"), "--batch", "2"])
+    assert len(list((tmp_path / "results").glob("part-*"))) == 1
+    assert not list((tmp_path / "results").glob(".*writing"))
+    rows, _ = run(tmp_path, file.read_text())
+    fresh, _ = run(tmp_path, file.read_text(), results="fresh")
+    assert rows == fresh
+
+
+def test_another_campaign_is_left_alone(tmp_path):
+    """A results folder that holds another campaign, other versions, other files or a running one is refused and not touched."""
+    text = QUICK.replace("seeds = 60", "seeds = 1")
+    rows, _ = run(tmp_path, text)
+    with pytest.raises(InputError, match="holds another campaign"):
+        run(tmp_path, text.replace("10.0", "11.0"))
+    manifest = tmp_path / "results" / "campaign.json"
+    content = json.loads(manifest.read_text())
+    manifest.write_text(json.dumps(content | {"versions": content["versions"] | {"mujoco": "1.0"}}))
+    with pytest.raises(InputError, match=r"begun with mujoco 1\.0"):
+        run(tmp_path, text)
+    manifest.write_text(json.dumps(content))
+    with campaign_store.held(tmp_path / "results"), pytest.raises(InputError, match="another campaign is running"):
+        run(tmp_path, text)
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "photos" / "cat.png").touch()
+    with pytest.raises(InputError, match=r"holds no campaign, but cat\.png"):
+        run(tmp_path, text, results="photos")
+    assert run(tmp_path, text)[0] == rows
+
+
+@pytest.mark.slow
+def test_on_a_cluster(small, tmp_path):
+    """On a Ray cluster of two workers, one of which is killed in the middle, the rows are the same."""
+    ray = pytest.importorskip("ray")
+    psutil = pytest.importorskip("psutil")
+    import threading
+
+    ray.init(num_cpus=2, runtime_env={"env_vars": {"PYTHONPATH": str(ROOT)}}, log_to_driver=False, include_dashboard=False)
+    victims = []
+
+    def kill_one():
+        while not victims:
+            for process in psutil.Process().children(recursive=True):
+                with contextlib.suppress(psutil.Error):  # it has gone meanwhile
+                    if "run_batch" in " ".join(process.cmdline()):
+                        process.kill()
+                        victims.append(process.pid)
+                        return
+            time.sleep(0.02)
+
+    killer = threading.Thread(target=kill_one, daemon=True)
+    try:
+        killer.start()
+        rows, _ = run(tmp_path, SMALL, "--ray", "--batch", "7")
+    finally:
+        ray.shutdown()
+    assert len(victims) == 1
+    assert rows == small[0]
+
+
+BASE = {"vehicles": '["quarter_car"]', "controllers": '["I"]', "roads": '["iso8608:class=C"]', "speeds": "[20.0]"}
+SAMPLED = "[samples]\ncount = 4\n[samples.parameters]\n"
+
+# (changes to the keys of a file that is fine, text after them, what is said)
+BAD_FILES = [
+    ({"vehicles": "[]"}, "", "vehicles = [] names none, so there are no runs"),
+    ({"roads": None}, "", "'roads' is missing"),
+    ({"vehicles": '["no_car"]'}, "", "vehicle file no_car"),
+    ({"controllers": '["III"]'}, "", "has no controller 'III'; it has I, II"),
+    ({"controllers": '["I", "I"]'}, "", "names 'I' twice"),
+    ({"controllers": "[1]"}, "", "1 is not text in quotes"),
+    ({"roads": '["iso8608:class=K"]'}, "", "unknown road class 'K'"),
+    ({"roads": '["gravel"]'}, "", "unknown road 'gravel'"),
+    ({"roads": '["hole.csv"]'}, "", "cannot be read"),
+    ({"roads": '["pothole:track=left"]'}, "", "has only one track"),
+    ({"roads": '["bump:length=0.01"]'}, "", "over within two timesteps"),
+    ({"speeds": '["fast"]'}, "", "speeds: 'fast' is not allowed"),
+    ({"speeds": "[0.0]"}, "", "speeds: 0.0 is not allowed"),
+    ({"seeds": "0"}, "", "seeds = 0 makes no runs"),
+    ({"seeds": "1.5"}, "", "no number of seeds"),
+    ({"seeds": "[1, 2.5]"}, "", "seed = 2.5 is not allowed; give a whole number"),
+    ({"seeds": "[1, 1]"}, "", "seeds has one twice"),
+    ({"seeds": "[-1]"}, "", "seed = -1"),
+    ({"seeds": "20000000"}, "", "far too many"),
+    ({"duration": "0.0"}, "", "duration"),
+    ({"duration": "nan"}, "", "duration: nan is not allowed"),
+    ({"settle": "8.0"}, "", "settle = 8 s leaves too little"),
+    ({"timestep": "0.1"}, "", "RK4 is unstable"),
+    ({"speed": "20"}, "", "unknown key 'speed'"),
+    ({}, "[samples]\ncount = 0\n", "count = 0 makes no runs"),
+    ({}, "[samples]\ncount = 4\n", "samples no parameters"),
+    ({}, SAMPLED.replace("4", "4\nmethod = 'dice'") + "sprung_mass = { uniform = [1, 2] }", "method = 'dice'"),
+    ({}, SAMPLED + "colour = { uniform = [1, 2] }", "no parameter 'colour'; it has sprung_mass"),
+    ({}, SAMPLED + "sprung_mass = 3", "sprung_mass = 3 is no distribution"),
+    ({}, SAMPLED + "sprung_mass = { cauchy = [1, 2] }", "has cauchy; give one of normal, uniform"),
+    ({}, SAMPLED + "sprung_mass = { uniform = [500, 400] }", "spreads nothing"),
+    (
+        {},
+        SAMPLED + "sprung_mass = { uniform = [-10, 400] }",
+        "reaches a value that is none, for vehicle 'quarter_car': sprung_mass = -10",
+    ),
+    ({}, SAMPLED + "sprung_mass = { normal = [500, 200] }", "sprung_mass = -100"),
+    (
+        {},
+        SAMPLED + "tyre_stiffness = { uniform = [1e3, 2e5] }",
+        "a sample of vehicle 'quarter_car' is no vehicle: tyre_deflection at rest",
+    ),
+]
+
+
+@pytest.mark.parametrize(("changes", "after", "said"), BAD_FILES, ids=[row[2][:40] for row in BAD_FILES])
+def test_bad_files(tmp_path, monkeypatch, capsys, changes, after, said):
+    """A file that makes no campaign is refused in one line that names it, and no results folder is made."""
+    monkeypatch.chdir(tmp_path)
+    file = Path("campaign.toml")
+    entries = {**BASE, **changes}
+    file.write_text("\n".join(f"{key} = {value}" for key, value in entries.items() if value is not None) + "\n" + after)
+    with pytest.raises(InputError) as error:
+        main(["campaign.toml"])
+    assert said in str(error.value)
+    assert str(error.value).startswith("campaign file campaign.toml: ")
+    assert len(str(error.value).splitlines()) == 1
+    assert capsys.readouterr().out == ""
+    assert list(tmp_path.iterdir()) == [tmp_path / "campaign.toml"]
+
+
+def test_no_file(tmp_path):
+    """So is a file that is not there, or not TOML."""
+    with pytest.raises(InputError, match="cannot be read"):
+        main([str(tmp_path / "none.toml")])
+    (tmp_path / "none.toml").write_text("vehicles = [")
+    with pytest.raises(InputError, match="not TOML"):
+        main([str(tmp_path / "none.toml")])

@@ -1,0 +1,71 @@
+"""Responses and designs leave as pandas' and python-control's own objects, with their names."""
+
+import control
+import numpy as np
+import pytest
+
+from models.vehicle import read_vehicle
+from sim.convert import closed_loop, to_control, to_pandas, vehicle_system
+from sim.linear import continuous_response
+from sim.response import Response
+from sim.road import Bump
+from synth.controller import design
+
+TIME = np.arange(2001) * 1e-3
+
+
+@pytest.fixture(scope="module")
+def response(paper, designer):
+    return continuous_response(paper, designer.design("I"), Bump(), TIME)
+
+
+def test_to_pandas(response):
+    """Columns are the signals, the index is time, units go along."""
+    pytest.importorskip("pandas")
+    frame = to_pandas(response)
+    assert list(frame.columns) == list(response.names)
+    assert frame.index.name == "time"
+    assert frame.attrs["units"]["sprung_acceleration"] == "m/s2"
+    np.testing.assert_array_equal(frame["tyre_deflection"].to_numpy(), response["tyre_deflection"])
+
+
+def test_to_control(paper, response):
+    """Outputs and road are found by name."""
+    found = to_control(paper, response)
+    np.testing.assert_array_equal(found.time, TIME)
+    labels = found.output_labels or []
+    assert labels == list(paper.linear_model.outputs)
+    assert found.input_labels == ["road_velocity"]
+    np.testing.assert_array_equal(np.squeeze(found.outputs[labels.index("control_force")]), response["control_force"])
+
+
+@pytest.mark.parametrize("name", ["quarter_car", "half_car", "full_car"])
+def test_closed_loop_has_the_norm_of_the_certificate(name):
+    """python-control computes the same H-infinity norm from the system as the certificate says."""
+    vehicle = read_vehicle(name)
+    controller = design(vehicle, "I")
+    system = closed_loop(vehicle, controller)
+    omega = np.append(np.geomspace(1, 100, 400), controller.certificate.norm.peak_frequency)
+    largest = max(np.linalg.norm(system(1j * w), 2) for w in omega)
+    assert largest == pytest.approx(controller.certificate.norm.value, rel=1e-9)  # its own peak is among the frequencies
+    assert system.output_labels == [signal for signal, weight in vehicle.performance.items() if weight > 0]
+
+
+def test_vehicle_system_closes_to_the_same_response(paper, designer, response):
+    """The open vehicle, driven by the road and by the forces of our continuous response, moves as that does."""
+    system = vehicle_system(paper)
+    assert system.input_labels == ["road_velocity", "control_force"]
+    found = control.forced_response(system, TIME, np.stack([response["road_velocity"], response["control_force"]]))  # type: ignore[arg-type]
+    for i, name in enumerate(paper.linear_model.outputs):
+        # forced_response takes inputs as linear between samples: (h omega)^2 / 12 of what they have at 64 rad/s, the wheel's.
+        np.testing.assert_allclose(found.outputs[i], response[name], atol=3.5e-4 * np.abs(response[name]).max())
+
+
+def test_what_does_not_fit_is_named(paper, response):
+    """Several runs are no table, and a full car's road is more than its velocity."""
+    many = Response(response.time, response.signals, np.stack([response.values] * 2))
+    for convert in (to_pandas, lambda one: to_control(paper, one)):
+        with pytest.raises(ValueError, match="take one"):
+            convert(many)
+    with pytest.raises(ValueError, match="road's height"):
+        vehicle_system(read_vehicle("full_car"))

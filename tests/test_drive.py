@@ -1,0 +1,115 @@
+"""`python -m sim.drive`: roads of every kind, metrics beside predictions, logs, and bad input."""
+
+import json
+
+import pytest
+
+from models.errors import InputError
+from sim.drive import main
+from sim.metrics import metrics_of
+
+
+def run_json(capsys, *arguments):
+    code = main([*arguments, "--json"])
+    return code, json.loads(capsys.readouterr().out, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
+
+
+def test_class_c(capsys, tmp_path):
+    """Controller I over class C: agreement until the wheel lifts, every metric thrice, logs that are there."""
+    code, result = run_json(
+        capsys, "--controller", "I", "--class", "C", "--speed", "20", "--duration", "6", "--logs", str(tmp_path)
+    )
+    assert code == 0
+    (run,) = result["runs"]
+    assert run["agrees"]
+    assert result["road"]["class"] == "C"
+    assert result["road"]["roughness"] == 256e-6
+    assert set(run["metrics"]["dynamic_load"]) == {"unit", "mujoco", "linear", "expected", "spread"}
+    for name in ("sprung_acceleration_weighted", "suspension_deflection_rms", "dynamic_load", "control_force_rms"):
+        metric = run["metrics"][name]
+        assert metric["mujoco"] == pytest.approx(metric["linear"], rel=0.05)  # it lifts off for moments, if at all
+        assert abs(metric["mujoco"] - metric["expected"]) < 4 * metric["spread"]
+    assert result["measured_from"] == pytest.approx(1.865, abs=1e-3)  # ln(100) / 2 over the slowest pole, 1.235 rad/s
+    assert sorted(result["logs"].values()) == sorted(str(path) for path in tmp_path.iterdir())
+
+
+def test_linear_roads_are_linear(capsys):
+    """Over class A no wheel lifts, and every metric in MuJoCo is that of the linear response over the same road."""
+    _, result = run_json(capsys, "--controller", "passive", "--controller", "II", "--class", "A", "--duration", "4", "--no-logs")
+    for run in result["runs"]:
+        assert run["lift_off"] == []
+        for metric in run["metrics"].values():
+            assert metric["mujoco"] == pytest.approx(metric["linear"], rel=1e-4, abs=1e-9)  # RK4's 1e-6, and powers nearly cancel
+
+
+def test_seed(capsys):
+    """Another seed is another road, the same seed the same numbers."""
+    roads = [
+        run_json(capsys, "--controller", "passive", "--duration", "2", "--no-logs", "--seed", seed)[1]["runs"]
+        for seed in ("1", "1", "2")
+    ]
+    assert roads[0] == roads[1] != roads[2]
+
+
+@pytest.mark.parametrize(
+    "road", ["bump:height=0.03", "watts_hump:height=0.05", "step:height=-0.02", "pothole:depth=0.02", "sweep"]
+)
+def test_obstacles(capsys, road):
+    """Every obstacle is driven, agrees, and is measured without an expectation, as it has no spectrum."""
+    code, result = run_json(capsys, "--controller", "I", "--road", road, "--speed", "10", "--duration", "2", "--no-logs")
+    assert code == 0
+    assert result["road"]["type"] == road.split(":")[0]
+    metric = result["runs"][0]["metrics"]["suspension_deflection_peak"]
+    assert metric["expected"] is None
+    assert metric["mujoco"] > 0
+
+
+def test_profile(capsys, tmp_path):
+    """A measured profile is driven as it is."""
+    path = tmp_path / "road.csv"
+    path.write_text("distance,height\n" + "".join(f"{0.1 * i},{0.01 * ((i // 7) % 2)}\n" for i in range(200)))
+    code, result = run_json(capsys, "--controller", "I", "--road", str(path), "--speed", "10", "--duration", "2", "--no-logs")
+    assert code == 0
+    assert result["road"]["points"] == 200
+
+
+def test_full_car_in_words(capsys, tmp_path):
+    """A full car on two coherent tracks: the table has every metric of every wheel, and how to open the logs."""
+    arguments = ["--vehicle", "full_car", "--controller", "passive", "--class", "B", "--duration", "3", "--logs", str(tmp_path)]
+    assert main(arguments) == 0
+    out = capsys.readouterr().out
+    from models.vehicle import read_vehicle
+
+    vehicle = read_vehicle("full_car")
+    rows = {line.split()[0] for line in out.splitlines() if line.strip()}
+    assert {metric.name for metric in metrics_of(vehicle)} <= rows
+    assert "agrees to first order" in out
+    assert "track_width 1.51" in out
+    assert out.splitlines()[-2].split()[0] == "rerun"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ([], "no controller was asked for"),
+        (["--controller", "I", "--class", "I"], "unknown road class 'I'"),
+        (["--controller", "I", "--class", "A", "--road", "bump"], "not both"),
+        (["--controller", "I", "--seed", "1.5"], "'1.5' is not a whole number"),
+        (["--controller", "I", "--seed", "-1"], "seed = -1"),
+        (["--controller", "I", "--speed", "0"], "speed = 0"),
+        (["--controller", "I", "--road", "gravel"], "unknown road 'gravel'"),
+        (["--controller", "I", "--road", "pothole:length=0.01:edge=0.005"], "two timesteps"),
+        (["--controller", "I", "--road", "bump:track=left"], "only one track"),
+        (["--controller", "I", "--duration", "nan"], "finite"),
+        (["--controller", "I", "--logs", "/dev/null"], "folder"),
+    ],
+)
+def test_bad_options(capsys, tmp_path, monkeypatch, arguments, said):
+    """A bad option is refused in one line, and nothing is printed or written."""
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError) as error:
+        main(arguments)
+    assert said in str(error.value)
+    assert len(str(error.value).splitlines()) == 1
+    assert capsys.readouterr().out == ""
+    assert list(tmp_path.iterdir()) == []

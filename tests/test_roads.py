@@ -1,0 +1,303 @@
+"""Roads: the spectrum, coherence and repeatability of ISO 8608's, exact derivatives of all, measured profiles, and bad input."""
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy import signal, special
+
+from models.errors import InputError
+from models.vehicle import read_vehicle
+from sim.iso8608 import CLASSES, Iso8608, coherency, long_enough, roughness
+from sim.obstacles import Pothole, SineSweep, Step, WattsHump
+from sim.profile import Profile, read_profile
+from sim.road import Bump, track_width, under_wheels
+from sim.roads import choose_road
+
+SPEED, STEP = 20.0, 0.04  # m/s, m between samples of a spectrum
+SEEDS = 200
+SAMPLES = 20_000  # 800 m
+
+X = np.linspace(0, 30, 301)
+ROADS = [
+    Iso8608("C", 3, 20.0, 1.5),
+    Bump(),
+    WattsHump(),
+    Step(),
+    Pothole(),
+    SineSweep(),
+    Profile(X, 0.01 * np.stack([np.sin(X), np.cos(2 * X)], axis=-1), 10.0),
+    Iso8608("A", 1, 15.0).scaled(0.3),
+    WattsHump().scaled(0.01),
+]
+
+
+def densities(roads, side=""):
+    """Spatial frequencies [cycle/m], and the one-sided spectral densities of roads [m3] by Welch's method, shape (roads, F)."""
+    t = 1.0 + np.arange(SAMPLES) * STEP / SPEED
+    heights = np.array([road.displacement(t, side) for road in roads])
+    n, found = signal.welch(heights, 1 / STEP, nperseg=5000, detrend="constant")
+    return n, found
+
+
+@pytest.fixture(scope="module")
+def spectrum():
+    """Densities of 200 roads of class C."""
+    return densities([Iso8608("C", seed, SPEED) for seed in range(SEEDS)])
+
+
+def at_n0(spectrum):
+    """G_d(n0) of every road: over an octave around it, as if along the slope of -2; mean, and its standard error."""
+    n, found = spectrum
+    near = (n > 0.1 / np.sqrt(2)) & (n < 0.1 * np.sqrt(2))
+    each = np.mean(found[:, near] * (n[near] / 0.1) ** 2, axis=1)
+    return each.mean(), each.std(ddof=1) / np.sqrt(len(each))
+
+
+def test_roughness_is_the_standards(spectrum):
+    """Over 200 seeds G_d(n0) is the class's geometric mean within its confidence interval, and no mistake usual elsewhere is."""
+    mean, error = at_n0(spectrum)
+    expected = 16e-6 * 4**2  # class C
+    assert abs(mean - expected) < 2.6 * error  # 99 %
+    assert error < 0.01 * expected  # so the interval is narrow
+    for mistake in (2, 0.5, np.pi, 1 / np.pi, 2 * np.pi):  # class limits for means; angular for cyclic frequency
+        n, found = spectrum
+        wrong, its_error = at_n0((n, mistake * found))
+        assert abs(wrong - expected) > 10 * its_error
+
+
+@pytest.mark.parametrize("road_class", CLASSES)
+def test_classes(road_class):
+    """Each class is four times as rough as the one before, A has 16e-6 m3; a road of it has exactly that many times the power."""
+    i = CLASSES.index(road_class)
+    assert roughness(road_class) == 16e-6 * 4**i
+    t = np.linspace(0, 5, 50)
+    assert np.allclose(Iso8608(road_class, 5).displacement(t), 2**i * Iso8608("A", 5).displacement(t), rtol=1e-12, atol=1e-18)
+
+
+def test_slope(spectrum):
+    """The spectrum falls with n^-2 within 0.02 over two decades."""
+    n, found = spectrum
+    band = (n > 0.05) & (n < 5)
+    slope = np.polyfit(np.log(n[band]), np.log(found[:, band].mean(axis=0)), 1, w=1 / np.sqrt(n[band]))[0]  # even in log n
+    assert slope == pytest.approx(-2, abs=0.02)
+
+
+def test_band(spectrum):
+    """Above 10 cycles/m there is nothing, and below 0.01 there are no hills: a kilometre stays within what the band holds."""
+    n, found = spectrum
+    assert found[:, n > 11].max() < 1e-6 * found[:, n < 10].min()  # the window's side lobes
+    heights = np.array([Iso8608("C", seed).displacement(np.linspace(0.1, 51, 500)) for seed in range(50)])
+    within = np.sqrt(256e-6 * 0.1**2 * (1 / 0.01 - 1 / 10))  # rms of the band; starts are as far off again
+    assert np.sqrt(np.mean(heights**2)) == pytest.approx(np.sqrt(2) * within, rel=0.1)
+
+
+def repetition(road, distance):
+    """Largest autocorrelation of a road's velocity at lags beyond 5 m."""
+    w = road.velocity(np.arange(round(distance / STEP)) * STEP / road.speed + 0.1)
+    w = w - w.mean()
+    full = signal.correlate(w, w, method="fft")[len(w) - 1 :]
+    overlap = np.arange(len(w), 0, -1)
+    lags = slice(round(5 / STEP), round(0.9 * len(w)))
+    return np.abs(full / overlap)[lags].max() / np.mean(w**2)
+
+
+def test_nothing_repeats():
+    """Within a run no stretch of road looks like another; a generator that does repeat is caught by the same measure."""
+    assert (
+        max(repetition(Iso8608("C", seed), 400) for seed in range(5)) < 0.4
+    )  # the last lags have 40 m, 200 waves: 5 / sqrt(200)
+    assert repetition(Iso8608("C", 0, length=100.0), 400) > 0.99
+    assert long_enough(200) == 1024
+    assert long_enough(1025) == 2048
+
+
+def test_same_seed_same_road():
+    """A seed is the same road everywhere, these heights; another is another one, and neither thread nor order matters."""
+    t = np.array([0.1, 1.0, 9.5])
+    pinned = [0.01486317156454372, -0.01737598514806169, 0.002038889551100681]
+    assert np.allclose(Iso8608("C", 7, 20.0).displacement(t), pinned, rtol=1e-9, atol=0)  # rounding of 10 230 sines
+    assert not np.allclose(Iso8608("C", 8, 20.0).displacement(t), pinned, rtol=0.1)
+    assert np.array_equal(np.random.Philox(7).random_raw(2), [8648156199155761070, 7861003179181181637])
+
+
+def test_even_times_are_no_other_road():
+    """Heights and velocities at evenly spaced times, by chirp z-transform, are those of the plain sum, under every wheel."""
+    road, t = Iso8608("D", 2, 17.3, 1.51), np.arange(5000) * 1e-3 - 0.16
+    some = np.arange(0, 5000, 97)
+    for function in (road.displacement, road.velocity):
+        for side in ("left", "right"):
+            even, plain = function(t, side)[some], function(np.append(t[some], 9.0), side)[:-1]
+            assert np.abs(even - plain).max() < 1e-11 * np.abs(plain).max()  # rounding of the phases of 10 230 lines
+
+
+@pytest.mark.parametrize("road", ROADS, ids=lambda road: road.describe()["type"])
+@pytest.mark.parametrize("side", ["", "right"])
+def test_velocity_is_the_derivative(road, side):
+    """The integral of the velocity between any two times, with no kink between, is the difference of the heights, to rounding."""
+    nodes, weights = np.polynomial.legendre.leggauss(60)
+    edges = np.unique([-0.5, *road.kinks, *(0.37 * np.arange(1, 8))])
+    tested = 0
+    for a, b in itertools.pairwise(edges):
+        # Narrow enough for the quadrature: 10 ms are two waves of the shortest, and less than a piece of the spline.
+        for start in np.linspace(a, max(a, b - 0.01), 3):
+            end = min(start + 0.01, b)
+            half = (end - start) / 2
+            inside = np.array([start, end])
+            inside[0], inside[1] = start + 1e-15, end - 1e-15
+            change = np.diff(road.displacement(inside, side))[0]
+            integral = half * weights @ road.velocity(start + half * (nodes + 1), side)
+            size = np.abs(road.displacement(np.linspace(0, 3, 300), side)).max()
+            assert abs(change - integral) < ROUNDING.get(road.describe()["type"], 1e-12) * size
+            tested += change != 0
+    assert tested > 2
+
+
+ROUNDING = {"profile": 1e-7}  # a step of the quadrature may hold a point, where the third derivative jumps
+
+
+def test_two_tracks_cohere_as_isotropy_says():
+    """Left and right have the same spectrum, and the real coherency x K_1(x), x = 2 pi n b, of an isotropic surface."""
+    width = 1.5
+    roads = [Iso8608("C", seed, SPEED, width) for seed in range(60)]
+    t = 1.0 + np.arange(SAMPLES) * STEP / SPEED
+    left, right = (np.array([road.velocity(t, side) for road in roads]) for side in ("left", "right"))
+    n, cross = signal.csd(left, right, 1 / STEP, nperseg=2048)
+    (_, a), (_, b) = (signal.welch(one, 1 / STEP, nperseg=2048) for one in (left, right))
+    found = cross.mean(axis=0) / np.sqrt(a.mean(axis=0) * b.mean(axis=0))
+    band = (n > 0.03) & (n < 5)
+    error = 1 / np.sqrt(60 * SAMPLES / 2048)  # of an estimated coherency
+    assert np.abs(found[band] - coherency(n[band], width)).max() < 5 * error
+    assert b[:, band].mean() == pytest.approx(a[:, band].mean(), rel=0.03)
+
+
+def test_coherency_is_the_surfaces():
+    """x K_1(x) is the integral over all transverse waves of the surface spectrum (n^2 + m^2)^(-3/2): by plain quadrature."""
+    m = np.linspace(-400, 400, 800_001)
+    for n, width in ((0.1, 1.5), (0.5, 1.0), (1.0, 0.3)):
+        surface = (n**2 + m**2) ** -1.5
+        ratio = np.sum(surface * np.cos(2 * np.pi * m * width)) / np.sum(surface)
+        assert coherency(np.array([n]), width)[0] == pytest.approx(ratio, abs=1e-4)  # the ends of the quadrature
+    assert special.k1(1.0) == pytest.approx(coherency(np.array([1.0]), 1 / (2 * np.pi))[0])
+    assert coherency(np.array([1.0]), 0.0)[0] == 1.0
+
+
+def test_wheels_of_a_full_car():
+    """The full car's rear wheels meet what the front ones did, a wheelbase later, each on its own of two tracks a track apart."""
+    vehicle = read_vehicle("full_car")
+    assert track_width(vehicle) == vehicle.parameters["track"]
+    assert track_width(read_vehicle("half_car")) == 0
+    road = Iso8608("C", 1, 20.0, track_width(vehicle))
+    later = (vehicle.parameters["axle_distance_front"] + vehicle.parameters["axle_distance_rear"]) / 20.0
+    t = np.linspace(0.2, 3, 57)
+    now, before = (under_wheels(road.displacement, road, vehicle, time) for time in (t, t - later))
+    assert np.allclose(now[:, 2:], before[:, :2], rtol=1e-10, atol=1e-15)
+    assert np.abs(now[:, 0] - now[:, 1]).max() > 1e-3
+
+
+def test_shapes():
+    """Obstacles are as high as they say where they say, and flat elsewhere."""
+    hump = WattsHump(height=0.075, length=3.7, speed=10.0)
+    assert hump.displacement(np.array([-0.1, 0.0, 0.185, 0.37, 1.0])) == pytest.approx([0, 0, 0.075, 0, 0], abs=1e-12)
+    quarter = hump.displacement(np.array([0.0925]))[0] + hump.radius - 0.075
+    assert np.hypot(quarter, 3.7 / 4) == pytest.approx(hump.radius)  # on the circle
+    assert Step(0.1, 0.2, 10.0).displacement(np.array([-1, 0.01, 0.02, 5])) == pytest.approx([0, 0.05, 0.1, 0.1])
+    hole = Pothole(0.06, 2.0, 0.2, 10.0, track="left")
+    assert hole.displacement(np.array([0.1, 0.3]), "left") == pytest.approx([-0.06, 0])
+    assert not hole.displacement(np.linspace(0, 1, 50), "right").any()
+    sweep = SineSweep(0.02, 1.0, 16.0, 8.0)
+    crossings = np.diff(np.signbit(sweep.displacement(np.linspace(7.5, 8.0, 5001)))).astype(int).sum()
+    assert crossings in (14, 15)  # 14.7 Hz there on average, for half a second, twice a period
+
+
+def test_profile_from_a_file(tmp_path):
+    """A file's heights are met at its distances, left and right, with or without headings, from the first height on."""
+    path = tmp_path / "road.csv"
+    path.write_text("distance,left,right\n5,0.10,0.20\n5.5,0.12,0.2\n6,0.11,0.25\n6.4,0.1,0.2\n")
+    road = read_profile(path, 2.0)
+    t = np.array([0.0, 0.25, 0.5, 0.7, 9.0])
+    assert road.displacement(t, "left") == pytest.approx([0, 0.02, 0.01, 0, 0], abs=1e-15)
+    assert road.displacement(t, "right") == pytest.approx([0, 0, 0.05, 0, 0], abs=1e-15)
+    path.write_text("0,0\n1,.1\n2,.2\n3,.1\n")
+    assert read_profile(path, 1.0).displacement(np.array([2.0]), "right") == pytest.approx([0.2])
+
+
+def test_opencrg(tmp_path):
+    """An OpenCRG surface is met where the wheels run, left and right; one that is too narrow, or none, is refused."""
+    pyopencrg = pytest.importorskip("pyopencrg")
+    u, v = np.arange(0, 5, 0.1), np.arange(-1, 1.01, 0.25)
+    heights = 0.02 * np.sin(u)[:, None] + 0.01 * v * np.cos(u)[:, None]
+    pyopencrg.CrgRoad(heights, u_inc=0.1, v=v).save(tmp_path / "road.crg", fmt="KDBI")
+    choice = choose_road("road.crg", tmp_path)
+    car, quarter = read_vehicle("full_car"), read_vehicle("quarter_car")
+    t = np.array([0.5, 1.7])
+    for side, v0 in (("left", 1.51 / 2), ("right", -1.51 / 2)):
+        expected = 0.02 * np.sin(t * 2) + 0.01 * v0 * (np.cos(t * 2) - 1)
+        assert choice.build(car, 2.0, 0, 9.0).displacement(t, side) == pytest.approx(expected, abs=1e-9)
+    assert choice.build(quarter, 2.0, 0, 9.0).displacement(t) == pytest.approx(0.02 * np.sin(t * 2), abs=1e-9)
+    pyopencrg.CrgRoad(heights[:, 3:6], u_inc=0.1, v=v[3:6]).save(tmp_path / "narrow.crg", fmt="KDBI")
+    with pytest.raises(InputError, match="too narrow"):
+        choose_road("narrow.crg", tmp_path).build(car, 2.0, 0, 9.0)
+    (tmp_path / "none.crg").write_text("distance,height")
+    with pytest.raises(InputError, match="no OpenCRG file"):
+        choose_road("none.crg", tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("0,0\n1,0\n2,0\n1.5,0\n3,0\n", "distance falls or repeats, 2 m, then 1.5 m"),
+        ("0,0\n1,0\n1,0\n3,0\n", "distance falls or repeats, 1 m, then 1 m"),
+        ("0,0\n1,0\n2,0\n3,0\n40,0\n", "gap from 3 m to 40 m"),
+        ("0,0\n1,nan\n2,0\n3,0\n", "point 2 is not finite"),
+        ("0,0\n1,inf\n2,0\n3,0\n", "point 2 is not finite"),
+        ("0,0\n1,\n2,0\n3,0\n", "line 2: '1,' is not 2 numbers"),
+        ("0,0\n1,high\n2,0\n", "line 2"),
+        ("0,0\n1,0,3\n2,0\n", "line 2"),
+        ("0\n1\n2\n3\n", "1 column(s)"),
+        ("0,0\n1,0\n", "a profile of 2 points"),
+        ("", "a profile of 0 points"),
+        ("0,0\n1,0\n2,1e5\n3,0\n", "point 3 has heights"),
+    ],
+)
+def test_bad_profiles(tmp_path, text, said):
+    """A file that is no profile is refused in one line that names it, the place and what is allowed."""
+    path = tmp_path / "road.csv"
+    path.write_text(text)
+    with pytest.raises(InputError) as error:
+        choose_road(str(path))
+    assert said in str(error.value)
+    assert str(path) in str(error.value)
+    assert len(str(error.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("iso8608:class=I", "unknown road class 'I'; ISO 8608 has A, B"),
+        ("iso8608:class=", "unknown road class ''"),
+        ("iso8608:rough=C", "'rough=C' is not NAME=VALUE"),
+        ("gravel", "unknown road 'gravel'; give iso8608, bump"),
+        ("pothole:depth=deep", "depth = 'deep' is not a finite number"),
+        ("pothole:depth", "'depth' is not NAME=VALUE"),
+        ("pothole:edge=3", "pothole edge = 3 is not allowed"),
+        ("bump:track=middle", "track = 'middle'"),
+        ("watts_hump:height=2", "watts_hump height = 2 is not allowed"),
+        ("step:speed=3", "'speed=3' is not NAME=VALUE"),
+        ("sweep:highest=0.1", "sweep highest"),
+        ("nowhere.csv", "cannot be read"),
+    ],
+)
+def test_bad_roads(text, said):
+    """A road that is none is refused in one line."""
+    with pytest.raises(InputError) as error:
+        choose_road(text)
+    assert said in str(error.value)
+    assert len(str(error.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize("seed", [-1, 1.5, True, "1", 2**63])
+def test_bad_seeds(seed):
+    """A seed is a whole number."""
+    with pytest.raises(InputError, match="seed"):
+        Iso8608("C", seed)
