@@ -131,7 +131,7 @@ def _lowest(slope: float, rates: Array) -> float:
         else:
             high = t
         curvature = float(terms @ terms)
-        if abs(rise) <= 0.1 * curvature * t:  # a tenth of the way: more does not pay
+        if curvature == 0 or abs(rise) <= 0.1 * curvature * t:  # a tenth of the way: more does not pay
             break
         t = t - rise / curvature
         if not low < t < high:

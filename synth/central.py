@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 from scipy import linalg
+from scipy.linalg import lapack
 
 from models.arrays import Array
 from models.errors import InputError
@@ -207,10 +208,29 @@ class _Path:
                 )
             # Along the tangent of the path in mu, but inside.
             step = here.solve(here.half(_direction(basis.size, 1 / self.mu)))
-            p = p + min(1 - ratio, INSIDE * boundary(here, step)) * step
+            length = min(1 - ratio, INSIDE * boundary(here, step))
+            if not any(self._feasible_at(p + part * length * step) for part in (1.0, 0.5, 0.1, 0.0)):
+                raise DesignError(
+                    f"the central path could not be followed below mu = {self.mu / abs(self.eta):.1e}: rounding ends it there; "
+                    "the optimum is probably reached only by an infinite gain; weigh the control force more"
+                )
             self.mu *= ratio
-            X, Y, self.eta = basis.unpack(p)
+
+    def _feasible_at(self, p: Array) -> bool:
+        """Moves to a point, unless rounding puts it outside the feasible set in the coordinates of its own."""
+        before = self.plant, self.V, self.K, self.basis
+        X, Y, eta = self.basis.unpack(p)
+        try:
             self._move_to(X, Y)
+        except np.linalg.LinAlgError:
+            return False
+        basis, (m, n) = self.basis, Y.shape
+        here = basis.pack(np.eye(n), np.zeros((m, n)), eta)
+        if lapack.dpotrf(-basis.F0 - np.tensordot(here, basis.F, 1))[1] != 0:  # pyright: ignore[reportAttributeAccessIssue]
+            self.plant, self.V, self.K, self.basis = before
+            return False
+        self.eta = eta
+        return True
 
     def point(self, X: Array, Y: Array) -> CentralPoint:
         """A pair of the current coordinates as a point in the user's coordinates and units."""

@@ -17,6 +17,7 @@ from synth.plant import GeneralizedPlant
 
 NEAR = 1e-9  # relative; a level set this much higher that is empty ends the search for the peak
 ALIKE = 0.02  # relative; eigenvalues closer than this count as one
+ILL_CONDITIONED = 1e6  # of the eigenvectors; beyond it the modes give fewer than ten digits
 MOST_ALIKE = 3  # singular values of one frequency that are looked at
 
 
@@ -61,6 +62,7 @@ class Landscape:
         self.scale = rate / np.outer(np.where(columns > 0, columns, 1.0), np.where(rows > 0, rows, 1.0))
         self.at_infinity = float(np.linalg.norm(self.Dw, 2))
         self.peaks: list[float] = []
+        self.last: tuple[bytes, Array, tuple[Array, Array, Array] | None] = (b"", np.zeros(0), None)
 
     def gain(self, x: Array) -> Array:
         """K of a point, shape (m, q)."""
@@ -84,6 +86,18 @@ class Landscape:
         slope = np.real(np.outer(left @ self.B, self.Cy @ right) / (left @ right))
         return float(np.real(poles[i])), (slope * self.scale).ravel()
 
+    def _modes(self, x: Array) -> tuple[Array, Array, Array] | None:
+        """Poles, C V and V^-1 Bw of the loop, which make frequency responses cheap; None where V loses too many digits."""
+        key = x.tobytes()
+        if self.last[0] != key:
+            A, C = self.loop(x)
+            poles, V = np.linalg.eig(A)
+            modes = None
+            if np.linalg.cond(V) < ILL_CONDITIONED:
+                modes = (poles, C @ V, np.linalg.solve(V, self.Bw.astype(complex)))
+            self.last = (key, poles, modes)
+        return self.last[2]
+
     def norm(self, x: Array, above: float = np.inf) -> tuple[float, float]:
         """The norm and where it peaks [rad/s]; infinite where the loop is unstable.
 
@@ -92,13 +106,14 @@ class Landscape:
             above: the search ends early, with a lower bound, once the norm is known to exceed this.
         """
         A, C = self.loop(x)
-        poles = np.linalg.eigvals(A)
+        modes = self._modes(x)
+        poles = self.last[1]
         if not np.all(poles.real < -1e-13 * np.abs(poles).max()):
             return np.inf, np.nan
         omega = np.concatenate([[0.0], np.abs(poles.imag), np.abs(poles), self.peaks])
         best, at = self.at_infinity, np.inf
         for _ in range(30):
-            gains = self._gains(A, C, omega)
+            gains = self._gains(A, C, omega, modes)
             i = int(gains.argmax())
             if gains[i] <= best * (1 + NEAR):
                 break
@@ -200,10 +215,11 @@ class Landscape:
         A, C = self.loop(x)
         if level <= self.at_infinity * (1 + 1e-6):
             return np.unique(np.append(self.peaks, 0.0))
+        modes = self._modes(x)
         edges = level_crossings(A, self.Bw, C, self.Dw, level)
         inside = edges[:-1, None] + np.diff(edges)[:, None] * (np.arange(5) + 0.5) / 5
         omega = np.unique(np.concatenate([edges, inside.ravel(), self.peaks]))
-        gains = self._gains(A, C, omega)
+        gains = self._gains(A, C, omega, modes)
         around = np.concatenate([[gains[min(1, len(gains) - 1)]], gains, [0.0]])  # even about zero
         top = np.flatnonzero((gains >= level) & (gains >= around[:-2]) & (gains >= around[2:]))
         left = np.where(top > 0, omega[top - 1], -omega[min(1, len(omega) - 1)])
@@ -211,21 +227,27 @@ class Landscape:
         right = np.where(right > middle, right, middle * 1.1 + (middle == 0))
         height = gains[top]
         for _ in range(3):  # three points to a parabola, its top the next middle
-            sides = self._gains(A, C, np.abs(np.concatenate([left, right]))).reshape(2, -1)
+            sides = self._gains(A, C, np.abs(np.concatenate([left, right])), modes).reshape(2, -1)
             a, b = middle - left, right - middle
             rise, drop = (height - sides[0]) / a, (height - sides[1]) / b
             bend = np.maximum(rise + drop, 1e-300)
             vertex = np.clip(middle + 0.5 * (rise * b - drop * a) / bend, left, right)
-            there = self._gains(A, C, np.abs(vertex))
+            there = self._gains(A, C, np.abs(vertex), modes)
             higher = there > height
             middle, height = np.where(higher, vertex, middle), np.where(higher, there, height)
             width = np.maximum(0.2 * np.minimum(a, b), 1e-7 * np.abs(middle))
             left, right = middle - width, middle + width
         return np.unique(np.abs(middle))
 
-    def _gains(self, A: Array, C: Array, omega: Array) -> Array:
+    def _gains(self, A: Array, C: Array, omega: Array, modes: tuple[Array, Array, Array] | None) -> Array:
         """Largest singular values at frequencies, shape (F,)."""
-        T = transfer_matrix(A, self.Bw, C, self.Dw, omega)
+        if modes is None:
+            T = transfer_matrix(A, self.Bw, C, self.Dw, omega)
+        else:
+            poles, left, right = modes
+            T = (left / (1j * omega[:, None, None] - poles)) @ right + self.Dw
+        if 1 in T.shape[1:]:
+            return np.linalg.norm(T.reshape(len(T), -1), axis=1)
         adjoint = T.conj().transpose(0, 2, 1)
         square = T @ adjoint if T.shape[1] < T.shape[2] else adjoint @ T
         return np.sqrt(np.maximum(np.linalg.eigvalsh(square)[:, -1], 0.0))

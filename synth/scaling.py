@@ -20,7 +20,7 @@ def reachable(plant: GeneralizedPlant, free: int) -> Array:
     shift = poles.real.max() + (np.abs(poles).max() or 1.0)
     inputs = np.hstack([balanced.B / size(balanced.B), balanced.Bw / size(balanced.Bw)])
     gramian = linalg.solve_continuous_lyapunov(balanced.A - shift * np.eye(n), -inputs @ inputs.T)
-    gramian += 1e-12 * np.trace(gramian) * np.eye(n)  # a state that nothing reaches keeps a scale
+    gramian += 1e-5 * np.trace(gramian) * np.eye(n)  # a state that nothing much reaches keeps a scale
     blocks = [np.linalg.cholesky(block) for block in (gramian[:free, :free], gramian[free:, free:])]
     return diagonal[:, None] * np.asarray(linalg.block_diag(*blocks))
 

@@ -20,7 +20,7 @@ from synth.plant import GeneralizedPlant
 STABLE = -1e-4  # largest real part of a pole, relative to the largest pole of the plant, that is stable enough to start from
 SHIFT_BEYOND = 0.03  # how far the shift lies right of the last pole, relative likewise
 
-MOST_SHIFTS = 30
+MOST_SHIFTS = 12
 
 
 def stabilising_starts(landscape: Landscape, limit: Array, count: int) -> Iterator[Array]:

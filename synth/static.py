@@ -148,7 +148,7 @@ def _quick(landscape: Landscape, x: Array, limit: Array) -> tuple[Array, float]:
 
     if landscape.norm(x)[0] == 0:
         return x, 0.0
-    x, value = quasi_newton(log_norm, x, 40)
+    x, value = quasi_newton(log_norm, x, 30)
     return x, float(np.exp(value))
 
 

@@ -28,7 +28,7 @@ GOOD = {
 
 
 @pytest.fixture(scope="module")
-def space(paper) -> control.StateSpace:
+def space(paper):
     """The paper's car as python-control has it."""
     model = paper.linear_model
     return control.StateSpace(

@@ -12,6 +12,7 @@ from sim.linear import sampled_response, taylor4
 from sim.physics import simulate
 from sim.road import Bump
 from sim.run import sample_times
+from synth.__main__ import main as design_main
 from synth.controller import Designer
 
 README = (Path(__file__).parent.parent / "README.md").read_text(encoding="utf-8")
@@ -52,6 +53,22 @@ def test_unknown_kind_is_named(hopper):
         ValueError, match=r"unknown vehicle type 'hoper'; known: full_car, half_car, hopper, quarter_car.*hoper\.py"
     ):
         read_vehicle(hopper)
+
+
+def test_design_table(capsys):
+    """The README's design table is what the command prints."""
+    assert design_main([]) == 0
+    printed = capsys.readouterr().out
+    (table,) = re.findall(r"^```text\n(controller  .*?)^```", README, re.M | re.S)
+    for line in filter(None, table.splitlines()):
+        assert line in printed
+
+
+def test_any_plant(capsys):
+    """The README's plant from matrices is designed and certified."""
+    (snippet,) = re.findall(r"^```python\n(import numpy as np\n\nfrom synth.*?)^```", README, re.M | re.S)
+    exec(snippet, {})
+    assert capsys.readouterr().out.endswith("()\n")
 
 
 def test_vehicle_file_snippets():

@@ -1,8 +1,11 @@
 """The complete strategy: descent on the norm, stabilising starts, proofs, bounded refinement."""
 
+import json
+
 import numpy as np
 import pytest
 
+from models.errors import InputError
 from synth.central import central_path
 from synth.certificate import certify
 from synth.descent import along_edges, lowest_point, quasi_newton
@@ -15,6 +18,7 @@ from synth.refine import refine
 from synth.riccati import proved
 from synth.stabilise import stabilise
 from synth.static import static_output_feedback, two_steps
+from tests.benchmarks.compleib import main as compleib
 
 CY = {"I": np.eye(4)[[0, 2]], "II": np.eye(4)[[2]]}
 
@@ -60,6 +64,22 @@ def test_landscape(seed, feedthrough):
     cuts = landscape.cuts(x, summits, 0.0)
     elsewhere = x + 1e-2 * np.ones(len(x))
     assert landscape.heights(elsewhere, cuts)[0].max() <= landscape.norm(elsewhere)[0] * (1 + 1e-8)
+
+
+@pytest.mark.parametrize("feedthrough", [0.0, 0.3])
+@pytest.mark.parametrize("seed", [0, 3, 4])
+def test_curvature(seed, feedthrough):
+    """The second derivative of the norm, whose peak moves with the gain, is the difference quotient of its slope."""
+    plant, Cy = random_plant(seed, feedthrough=feedthrough)
+    landscape, x = stable_point(plant, Cy)
+    height, at = landscape.norm(x)
+    curvature = landscape.curvature(x, landscape.cuts(x, np.array([at]), 2 * height), np.ones(1))
+    quotients = [
+        (landscape.slope(x + step, landscape.norm(x + step)[1]) - landscape.slope(x - step, landscape.norm(x - step)[1])) / 2e-3
+        for step in 1e-3 * np.eye(len(x))
+    ]
+    size = float(np.abs(curvature).max())
+    np.testing.assert_allclose(curvature, quotients, atol=1e-2 * size)  # the peak's frequency is found to 1e-5, over 1e-3
 
 
 def test_slope_of_the_abscissa():
@@ -192,3 +212,27 @@ def test_no_stabilising_gain_is_said():
     )
     with pytest.raises(DesignError, match="no stabilising static gain was found"):
         static_output_feedback(plant, np.array([[0.0, 1.0]]))
+
+
+def test_table_of_plants(tmp_path, capsys):
+    """The benchmark's table and JSON: each plant of a file with its bounds, gain and time; one with D21 is left out."""
+    plants = {}
+    for name, seed in (("first", 0), ("second", 3), ("with_d21", 4)):
+        plant, _ = random_plant(seed, n=3, m=1)
+        Cy = np.eye(3)[:2]
+        D21 = np.zeros((2, 2)) if name != "with_d21" else np.eye(2)
+        plants[name] = {
+            "A": plant.A, "B": plant.B, "B1": plant.Bw, "C1": plant.C, "D12": plant.D, "D11": plant.Dw, "C": Cy, "D21": D21,
+        }  # fmt: skip
+    file = tmp_path / "plants.json"
+    file.write_text(json.dumps({name: {key: matrix.tolist() for key, matrix in data.items()} for name, data in plants.items()}))
+    assert compleib([str(file), "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)["plants"]
+    assert [row["plant"] for row in rows] == ["first", "second"]
+    for row in rows:
+        assert set(row) >= {"plant", "two_step_norm", "norm", "lower_bound", "gain", "seconds", "reason"}
+        assert row["lower_bound"] * (1 - 1e-9) <= row["norm"] <= (row["two_step_norm"] or np.inf) * (1 + 1e-9)
+    assert compleib([str(file), "--only", "second"]) == 0
+    assert "1 of 1 with a certified gain" in capsys.readouterr().out
+    with pytest.raises(InputError, match="unknown plant 'third'"):
+        compleib([str(file), "--only", "third"])
