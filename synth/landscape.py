@@ -108,9 +108,9 @@ class Landscape:
         A, C = self.loop(x)
         modes = self._modes(x)
         poles = self.last[1]
-        if not np.all(poles.real < -1e-13 * np.abs(poles).max()):
+        if not np.all(np.real(poles) < -1e-13 * np.abs(poles).max()):
             return np.inf, np.nan
-        omega = np.concatenate([[0.0], np.abs(poles.imag), np.abs(poles), self.peaks])
+        omega = np.concatenate([[0.0], np.abs(np.imag(poles)), np.abs(poles), self.peaks])
         best, at = self.at_infinity, np.inf
         for _ in range(30):
             gains = self._gains(A, C, omega, modes)

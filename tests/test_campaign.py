@@ -244,7 +244,7 @@ def test_killed_twenty_times(tmp_path):
 
 def test_interrupted(tmp_path):
     """Ctrl-C ends it with 130 and says what is kept; the next start goes on."""
-    (tmp_path / "campaign.toml").write_text(QUICK.replace("seeds = 60", "seeds = 4000"))
+    (tmp_path / "campaign.toml").write_text(QUICK.replace("seeds = 60", "seeds = 20000"))
     code, out, err = killed(tmp_path, 1.5, signal.SIGINT)
     assert (code, out) == (130, "")
     assert "runs are kept; start it again to go on" in err
