@@ -46,7 +46,7 @@ def on_ray(plan: Plan, batches: list[tuple[int, int]], address: str | None) -> I
         InputError: Ray is not installed, or there is no cluster at the address.
     """
     try:
-        import ray
+        import ray  # pyright: ignore[reportMissingImports] - an extra
     except ImportError as error:
         raise InputError("--ray needs Ray; install it with: pip install -e '.[cluster]'") from error
     if not ray.is_initialized():

@@ -57,7 +57,7 @@ def read_surface(path: Path) -> Surface:
         InputError: PyOpenCRG is not installed, or the file is none.
     """
     try:
-        from pyopencrg import CrgRoad
+        from pyopencrg import CrgRoad  # pyright: ignore[reportMissingImports] - an extra
     except ImportError as error:
         raise InputError(f"road file {path} needs PyOpenCRG; install it with: pip install -e '.[opencrg]'") from error
     try:
