@@ -121,7 +121,7 @@ class Iso8608(Road):
         return (0.0,)
 
     def describe(self) -> dict[str, float | str]:
-        """Class, roughness, seed, band, speed, track width, length."""
+        """Class, roughness, seed, band, speed, track width, length, factor."""
         return {
             "type": "iso8608",
             "class": self.road_class,
@@ -132,6 +132,7 @@ class Iso8608(Road):
             "speed": self.speed,
             "track_width": self.track_width,
             "length": self.length,
+            "factor": self.factor,
         }
 
     def scaled(self, factor: float) -> "Iso8608":

@@ -1,13 +1,15 @@
 """A road of many sinusoids: every frequency of interest in one run, and a single one for the worst case."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from models.arrays import Array
 from sim.road import Road
 
-BLOCK = 65536  # times that are evaluated at once; more only costs memory
+BLOCK = 4_000_000  # sines that are evaluated at once; more only costs memory
+MULTISINES = ("multisine", "chirp", "random", "sinusoid")  # what they are called in a log
 
 
 @dataclass(frozen=True)
@@ -21,7 +23,7 @@ class Multisine(Road):
         amplitudes: a_i [m].
         phases: phi_i [rad].
         speed: forward velocity [m/s].
-        name: what it is called in a log.
+        name: what it is called in a log, one of `MULTISINES`.
     """
 
     omega: tuple[float, ...]
@@ -44,8 +46,8 @@ class Multisine(Road):
         """Where it begins: the velocity jumps. After that it is smooth."""
         return (0.0,)
 
-    def describe(self) -> dict[str, float | str]:
-        """How many lines, from where to where, and how large."""
+    def describe(self) -> dict[str, Any]:
+        """How many lines, from where to where, how large, and every one of them."""
         return {
             "type": self.name,
             "lines": len(self.omega),
@@ -53,6 +55,9 @@ class Multisine(Road):
             "highest": max(self.omega),
             "rms": float(np.sqrt(np.sum(np.square(self.amplitudes)) / 2)),
             "speed": self.speed,
+            "omega": list(self.omega),
+            "amplitudes": list(self.amplitudes),
+            "phases": list(self.phases),
         }
 
     def scaled(self, factor: float) -> "Multisine":
@@ -66,12 +71,12 @@ class Multisine(Road):
     def _sum(self, t: Array, amplitudes: Array, ahead: float) -> Array:
         phases, omega = np.asarray(self.phases) + ahead, np.asarray(self.omega)
         flat = np.ravel(t)
-        total = [np.sin(np.multiply.outer(some, omega) + phases) @ amplitudes for some in _blocks(flat)]
+        total = [np.sin(np.multiply.outer(some, omega) + phases) @ amplitudes for some in _blocks(flat, len(omega))]
         return np.concatenate(total).reshape(np.shape(t))
 
 
-def _blocks(t: Array) -> list[Array]:
-    return np.array_split(t, max(1, -(-len(t) // BLOCK)))
+def _blocks(t: Array, lines: int) -> list[Array]:
+    return np.array_split(t, max(1, -(-len(t) * lines // BLOCK)))
 
 
 def chirp(omega: Array, period: float, speed: float) -> Multisine:

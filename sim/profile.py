@@ -1,6 +1,7 @@
 """A measured road: heights over distance from a file, and the smooth curve through them."""
 
 import csv
+import io
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -82,6 +83,11 @@ class Profile(Road):
         """Both ends. At the other points only the third derivative jumps: a step's quadrature does not see it."""
         return (0.0, self.duration)
 
+    def to_csv(self) -> str:
+        """Its points to the last bit, as a file that `read_profile` reads: distance, left, right [m]."""
+        rows = np.column_stack([self.distance, self.heights]).tolist()
+        return "distance,left,right\n" + "".join(",".join(map(repr, row)) + "\n" for row in rows)
+
     def describe(self) -> dict[str, float | str]:
         """File, points, length, roughest height, speed."""
         return {
@@ -139,6 +145,21 @@ def read_profile(path: Path, speed: float) -> Profile:
         return Profile(table[:, 0], table[:, [1, -1]], speed, str(path))
     except InputError as error:
         raise InputError(f"road file {path}: {error}") from error
+
+
+def from_csv(content: bytes, speed: float, source: str) -> Profile:
+    """A profile from what `Profile.to_csv` wrote, to the last bit.
+
+    Raises:
+        InputError: it is not that.
+    """
+    try:
+        table = np.loadtxt(io.BytesIO(content), delimiter=",", skiprows=1, ndmin=2, comments=None, encoding="utf-8")
+    except ValueError as error:
+        raise InputError(f"no points of a road ({str(error).splitlines()[0]})") from error
+    if table.shape[1] != 3:
+        raise InputError(f"points of a road in {table.shape[1]} column(s); distance, left and right are three")
+    return Profile(table[:, 0], table[:, 1:], speed, source)
 
 
 def _is_number(text: str) -> bool:

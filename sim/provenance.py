@@ -1,6 +1,7 @@
 """Where a log comes from: versions, command line, vehicle file, MJCF."""
 
 import datetime
+import hashlib
 import json
 import platform
 import shlex
@@ -14,6 +15,7 @@ from typing import Any
 from models.mjcf import mjcf_text
 from models.vehicle import Vehicle
 from sim.drawing import draw
+from sim.profile import Profile
 from sim.recording import record
 from sim.road import Road
 from sim.run import Run
@@ -42,9 +44,10 @@ def stem(command: str, vehicle: Vehicle, controllers: Sequence[str]) -> str:
     return f"{command}-{vehicle.kind.name}-{which}-{now}"
 
 
-def common_metadata(vehicle: Vehicle, timestep: float) -> dict[str, str]:
+def common_metadata(command: str, vehicle: Vehicle, timestep: float) -> dict[str, str]:
     """What all runs of a log share."""
     return {
+        "command": command,
         "command_line": shlex.join(["python", *sys.orig_argv[1:]]),
         "vehicle": vehicle.source,
         "vehicle_type": vehicle.kind.name,
@@ -84,8 +87,8 @@ def record_runs(
         folder,
         stem(command, vehicle, controllers),
         runs,
-        common_metadata(vehicle, timestep),
-        attachments(vehicle, timestep, result),
+        common_metadata(command, vehicle, timestep),
+        attachments(vehicle, timestep, result) | {name: file for run in runs for name, file in run.files.items()},
     )
     return {name: str(path) for name, path in paths.items()}
 
@@ -93,9 +96,15 @@ def record_runs(
 def run_log(vehicle: Vehicle, road: Road, run: Run, name: str | None = None) -> RunLog:
     """One run as it is written down; it is called like its controller unless it has a name of its own."""
     certificate, agreement = run.controller.certificate, run.agreement
+    files = {}
+    if isinstance(road, Profile):  # its numbers alone do not make it again
+        points = road.to_csv().encode()
+        files[f"road-{hashlib.sha256(points).hexdigest()[:16]}.csv"] = ("text/csv", points)
     claims = {
         **controller_object(run.controller),
+        "samples": len(run.physics.time),
         "road": road.describe(),
+        **{"road_file": name for name in files},
         "limits": asdict(vehicle.limits),
         "implementation": asdict(vehicle.implementation),
         "designed": run.controller.designed,
@@ -113,4 +122,5 @@ def run_log(vehicle: Vehicle, road: Road, run: Run, name: str | None = None) -> 
         events=events(run),
         summary=summary(vehicle, run),
         scene=draw(vehicle, road, run.physics.time, run.qpos),
+        files=files,
     )

@@ -47,7 +47,7 @@ def write_mcap(
         OSError: the file cannot be written.
     """
     with path.open("wb") as stream:
-        writer = Writer(stream)
+        writer = Writer(stream, enable_data_crcs=True)  # metadata has no checksum of its own
         writer.start()
 
         writer.add_metadata(_PACKAGE, dict(metadata))

@@ -1,7 +1,7 @@
 """What is recorded of one run: everything a log needs, in plain data, so that the writers know no MuJoCo and no LMI."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from sim.response import Response
 from sim.scene import Scene
@@ -18,6 +18,7 @@ class RunLog:
         events: (time [s], text): lift-off and landing, divergence.
         summary: design and verdict as Markdown.
         scene: what it looks like.
+        files: attachments that its metadata names, (media type, content) by name: the points of a measured road.
     """
 
     name: str
@@ -26,3 +27,4 @@ class RunLog:
     events: tuple[tuple[float, str], ...]
     summary: str
     scene: Scene
+    files: Mapping[str, tuple[str, bytes]] = field(default_factory=dict)

@@ -1,6 +1,8 @@
 """Roads: the spectrum, coherence and repeatability of ISO 8608's, exact derivatives of all, measured profiles, and bad input."""
 
 import itertools
+import json
+import math
 
 import numpy as np
 import pytest
@@ -8,7 +10,9 @@ from scipy import signal, special
 
 from models.errors import InputError
 from models.vehicle import read_vehicle
+from sim.described import described_road
 from sim.iso8608 import CLASSES, Iso8608, coherency, long_enough, roughness
+from sim.multisine import random_road, sinusoid
 from sim.obstacles import Pothole, SineSweep, Step, WattsHump
 from sim.profile import Profile, read_profile
 from sim.road import Bump, track_width, under_wheels
@@ -301,3 +305,49 @@ def test_bad_seeds(seed):
     """A seed is a whole number."""
     with pytest.raises(InputError, match="seed"):
         Iso8608("C", seed)
+
+
+@pytest.mark.parametrize(
+    "road",
+    [
+        *ROADS,
+        Bump(0.03, 2.0, 7.0, "left"),
+        Pothole(track="right"),
+        random_road(np.array([1.0, 2.5]), 3, 9.0).scaled(0.1),
+        sinusoid(63.6, 8.0),
+    ],
+    ids=lambda road: road.describe()["type"],
+)
+def test_description_is_enough(road):
+    """A road comes back from its description as JSON holds it, to the last bit; a profile needs its points as CSV besides."""
+    points = road.to_csv().encode() if isinstance(road, Profile) else None
+    again = described_road(json.loads(json.dumps(road.describe())), points)
+    t = np.linspace(-0.1, 3.0, 1234)
+    for side in ("", "left", "right"):
+        assert np.array_equal(again.displacement(t, side), road.displacement(t, side))
+        assert np.array_equal(again.velocity(t, side), road.velocity(t, side))
+    assert again.speed == road.speed
+    assert again.kinks == road.kinks
+
+
+@pytest.mark.parametrize(
+    ("description", "message"),
+    [
+        ({}, "unknown type"),
+        ({"type": ["bump"]}, "unknown type"),
+        ({"type": "bump", "height": "a"}, "its height is no finite number"),
+        ({"type": "bump", "height": math.nan, "length": 1.0, "speed": 1.0}, "its height is no finite number"),
+        ({**Bump().describe(), "track": "../x"}, "track is not one of both, left, right"),
+        ({**Bump().describe(), "depth": 1.0}, "it has no 'depth'"),
+        ({**Bump().describe(), "speed": 1e9}, "speed = 1e\\+09 is not allowed"),
+        ({**Iso8608().describe(), "seed": 1.5}, "seed = 1.5 is not allowed"),
+        ({**Iso8608().describe(), "lowest": 0.02}, "lowest was 0.02, and is 0.01 here"),
+        ({**sinusoid(1.0, 1.0).describe(), "omega": []}, "omega are missing"),
+        ({**sinusoid(1.0, 1.0).describe(), "omega": [1.0, 2.0]}, "not equally many"),
+        ({"type": "profile", "speed": 20.0}, "points of a profile are missing"),
+    ],
+)
+def test_bad_description(description, message):
+    """What describes no road, or another one than it says, is refused."""
+    with pytest.raises(InputError, match=message):
+        described_road(description)
