@@ -6,7 +6,7 @@ from dataclasses import fields
 from typing import Any
 
 from models.errors import InputError, known
-from sim.iso8608 import HIGHEST, LOWEST, Iso8608, roughness
+from sim.iso8608 import HIGHEST, LOWEST, Iso8608, check_seed, roughness
 from sim.multisine import MULTISINES, Multisine
 from sim.obstacles import Scaled
 from sim.profile import from_csv
@@ -39,10 +39,10 @@ def described_road(description: Mapping[str, Any], points: bytes | None = None) 
     if kind == "iso8608":
         return _random(description)
     if kind in MULTISINES:
-        lines = [_numbers(description, name) for name in ("omega", "amplitudes", "phases")]
-        if len({len(line) for line in lines}) != 1:
+        omega, amplitudes, phases = (_numbers(description, name) for name in ("omega", "amplitudes", "phases"))
+        if not len(omega) == len(amplitudes) == len(phases):
             raise InputError(f"road {kind}: omega, amplitudes and phases are not equally many")
-        return Multisine(*lines, _number(description, "speed"), kind)
+        return Multisine(omega, amplitudes, phases, _number(description, "speed"), kind)
 
     allowed = {field.name: field.default for field in fields(OBSTACLES[kind])}
     for name in description:
@@ -54,12 +54,12 @@ def described_road(description: Mapping[str, Any], points: bytes | None = None) 
 
 
 def _random(description: Mapping[str, Any]) -> Iso8608:
-    seed, road_class = description.get("seed"), description.get("class")
+    seed, road_class = check_seed(description.get("seed")), description.get("class")
     if not isinstance(road_class, str):
         raise InputError("road iso8608: its class is missing")
     factor = _number({"factor": 1.0, **description}, "factor")
-    numbers = (_number(description, name) for name in ("speed", "track_width", "length"))
-    road = Iso8608(road_class, seed, *numbers, factor)  # pyright: ignore[reportArgumentType] - it checks the seed
+    speed, width, length = (_number(description, name) for name in ("speed", "track_width", "length"))
+    road = Iso8608(road_class, seed, speed, width, length, factor)
     follows = {"lowest": LOWEST, "highest": HIGHEST, "roughness": roughness(road_class) * factor**2}
     for name, value in follows.items():
         if not math.isclose(_number(description, name), value, rel_tol=SAME):

@@ -104,7 +104,6 @@ def run_log(vehicle: Vehicle, road: Road, run: Run, name: str | None = None) -> 
         **controller_object(run.controller),
         "samples": len(run.physics.time),
         "road": road.describe(),
-        **{"road_file": name for name in files},
         "limits": asdict(vehicle.limits),
         "implementation": asdict(vehicle.implementation),
         "designed": run.controller.designed,
@@ -115,6 +114,8 @@ def run_log(vehicle: Vehicle, road: Road, run: Run, name: str | None = None) -> 
         "lift_off": [list(interval) for interval in agreement.lift_off],
         "errors": {name: signal.sampled for name, signal in agreement.signals.items()},
     }
+    for file in files:
+        claims["road_file"] = file
     return RunLog(
         name=name or run.controller.name,
         responses={"mujoco": run.physics, "linear": run.sampled, "continuous": run.continuous},
