@@ -174,7 +174,7 @@ class _Reader:
             opcode, length = _HEAD.unpack(head)
             left = self._size - offset - _HEAD.size
             if length > left:
-                self._damaged(f"cut short: of the {_name(opcode)} at byte {offset}, {length} bytes long, {max(left, 0)} are there")
+                self._damaged(f"cut short: of the {_name(opcode)} at byte {offset}, {length} bytes, {max(left, 0)} are there")
                 return
             if length > MOST_RECORD:
                 self._damaged(f"the {_name(opcode)} at byte {offset} has {length} bytes, more than the {MOST_RECORD} allowed")

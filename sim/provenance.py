@@ -3,6 +3,7 @@
 import datetime
 import hashlib
 import json
+import math
 import platform
 import shlex
 import sys
@@ -112,7 +113,7 @@ def run_log(vehicle: Vehicle, road: Road, run: Run, name: str | None = None) -> 
         "certificate": to_record(certificate),
         "agrees": agreement.agrees,
         "lift_off": [list(interval) for interval in agreement.lift_off],
-        "errors": {name: signal.sampled for name, signal in agreement.signals.items()},
+        "errors": {name: signal.sampled if math.isfinite(signal.sampled) else None for name, signal in agreement.signals.items()},
     }
     for file in files:
         claims["road_file"] = file

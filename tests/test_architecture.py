@@ -13,9 +13,11 @@ FILES = [path for floor in FLOORS for path in sorted((ROOT / floor).glob("*.py")
 OWNERS = {
     "cvxpy": {"synth/lmi.py"},
     "mujoco": {"models/mjcf.py", "sim/readout.py", "sim/physics.py", "sim/drawing.py"},
-    "mcap": {"sim/recording_mcap.py"},
+    "mcap": {"sim/recording_mcap.py", "sim/mcap_file.py"},
+    "zstandard": {"sim/mcap_file.py"},
+    "lz4": {"sim/mcap_file.py"},
     "mcap_protobuf": {"sim/recording_mcap.py"},
-    "google": {"sim/recording_mcap.py"},
+    "google": {"sim/recording_mcap.py", "sim/recorded.py"},
     "rerun": {"sim/recording_rerun.py"},
     "control": {"sim/convert.py"},
     "pandas": {"sim/convert.py"},

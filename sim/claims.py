@@ -1,0 +1,242 @@
+"""What a log claims of a run, claim by claim, against what follows anew from the same log."""
+
+import json
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from models.arrays import Array
+from models.errors import InputError
+from sim.agreement import ROUNDING
+from sim.recorded import Recorded, RecordedRun, read_json
+from sim.reproduction import FEWEST, Reproduction, as_response
+from sim.response import Response
+from sim.run import Run
+from sim.verdict import run_object, verdict_lines
+from synth.controller import Controller
+from synth.record import untrue
+
+HOLDS, FAILS, MISSING, NOTE = "holds", "FAILS", "missing", "note"
+SAME = 1e-6  # relative: how far other versions of numpy, on another machine, may move a number that was derived
+SAME_PEAK = 1e-4  # relative, of a frequency: a peak is flat
+HUGE = 1e150  # a linear response beyond it is unstable, and its squares overflow
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One claim, checked.
+
+    Attributes:
+        part: of what.
+        verdict: one of `HOLDS`, `FAILS`, `MISSING` (what would prove it is not there), `NOTE` (nothing that was to be proved).
+        text: what was found.
+    """
+
+    part: str
+    verdict: str
+    text: str
+
+
+def claimed_samples(recorded: RecordedRun, otherwise: int) -> int:
+    """How many samples the run had; logs of older versions do not say."""
+    said = recorded.claim("samples") if "samples" in recorded.claims else otherwise
+    if isinstance(said, bool) or not isinstance(said, int):
+        raise InputError("its number of samples is no number")
+    return said
+
+
+def check_samples(recorded: RecordedRun, samples: int, h: float) -> Iterator[Finding]:
+    """What is missing of a run's time."""
+    said, there = claimed_samples(recorded, samples), max((len(r.times) for r in recorded.responses.values()), default=0)
+    if samples < said:
+        end = f"it ends at {(samples - 1) * h:.6g} s of {(said - 1) * h:.6g} s: " if samples else ""
+        yield Finding("samples", MISSING, f"{end}{said - samples} of {said} samples are missing")
+    elif samples > said:
+        yield Finding("samples", FAILS, f"there are {samples}, and {said} were recorded")
+    if there > samples:
+        yield Finding("samples", MISSING, f"up to {there - samples} more lie behind a gap; they are not compared")
+    if samples < FEWEST:
+        yield Finding("samples", MISSING, "too few to compare anything")
+
+
+def check_certificate(controller: Controller, recorded: RecordedRun) -> Iterator[Finding]:
+    """The certificate, from the gain and its proof."""
+    certificate, record = controller.certificate, recorded.claim("certificate")
+    wrong = untrue(record, certificate)
+    if controller.designed or certificate.bound is not None:
+        wrong += certificate.failures
+    if recorded.claim("stable") is not certificate.stable:
+        wrong.append(f"it is {'stable' if certificate.stable else 'unstable'}, and the log says otherwise")
+    again = {"norm": certificate.norm.value, "peak_frequency": certificate.norm.peak_frequency, "bound": certificate.bound}
+    for key, now in again.items():
+        said, tolerance = recorded.claim(key), SAME_PEAK if key == "peak_frequency" else ROUNDING
+        if not _same(said, now if now is not None and math.isfinite(now) else None, tolerance, 0.0):
+            wrong.append(f"its {key.replace('_', ' ')} is not what was claimed")
+    said = _matrix(recorded.claim("poles"), (len(certificate.poles), 2))
+    far = np.abs(certificate.poles[:, None] - (said[:, 0] + 1j * said[:, 1])).min(axis=0).max()
+    if not far <= SAME * np.abs(certificate.poles).max():
+        wrong.append("its poles are not those claimed")
+    for text in wrong:
+        yield Finding("certificate", FAILS, text)
+    if wrong:
+        return
+    if not certificate.stable:
+        yield Finding("certificate", HOLDS, "unstable, as was claimed")
+        return
+    bound = f", bound {certificate.bound:.7g} by LMI (20)" if certificate.bound is not None else ""
+    lower = certificate.lower
+    below = f", no one below {lower.gamma:.7g}" if lower is not None and lower.gamma > 0 else ""
+    at = f" at {certificate.norm.peak_frequency:.5g} rad/s" if math.isfinite(certificate.norm.peak_frequency) else ""
+    yield Finding("certificate", HOLDS, f"stable, norm {certificate.norm.value:.7g}{at}{bound}{below}")
+
+
+def check_linear(again: Reproduction, recorded: RecordedRun, samples: int) -> Iterator[Finding]:
+    """The logged linear responses, road included, against those that follow from gain and road."""
+    worst = 0.0
+    for name, response in {"linear": again.sampled, "continuous": again.continuous}.items():
+        far, signal = _apart(as_response(again.vehicle, recorded, name, samples, again.timestep), response)
+        worst = max(worst, far)
+        if not far <= ROUNDING:
+            yield Finding("linear response", FAILS, f"{signal} of the {name} response is {far:.1e} of its peak off")
+    if worst <= ROUNDING:
+        how = f"to {worst:.0e} of a peak" if worst else "to the last bit"
+        yield Finding("linear response", HOLDS, f"sampled and continuous come out as they were logged, {how}")
+
+
+def check_physics(again: Reproduction, recorded: RecordedRun, run: Run, whole: bool) -> Iterator[Finding]:
+    """The verdict on the logged physics against the one that was claimed."""
+    wrong = []
+    for wheel in again.vehicle.kind.wheels:
+        for signal in (wheel.road_displacement, wheel.road_velocity):
+            far = _off(run.physics.until(run.diverged)[signal], again.sampled.until(run.diverged)[signal])
+            if not far <= ROUNDING:
+                wrong.append(f"{signal} is not that of the road: {far:.1e} of its peak off")
+    agreement = run.agreement
+    if recorded.claim("agrees") is not agreement.agrees:
+        wrong.append("the log says otherwise, but: " + verdict_lines(run)[-1])
+    if whole:
+        claimed = [[a, b] for a, b in agreement.lift_off]
+        if not _same(recorded.claim("lift_off"), claimed, SAME, ROUNDING):
+            wrong.append("the tyres are off the road at other times than claimed")
+        now = {name: _finite(signal.sampled) for name, signal in agreement.signals.items()}
+        for name in _different(recorded.claim("errors"), now):
+            wrong.append(f"the error of {name} is not what was claimed")
+    for text in wrong:
+        yield Finding("physics", FAILS, text)
+    if not wrong:
+        yield from (Finding("physics", HOLDS, text) for text in verdict_lines(run))
+
+
+def check_result(log: Recorded, again: Reproduction, recorded: RecordedRun, run: Run) -> Iterator[Finding]:
+    """The attached result of the command, where it is of the logged runs alone."""
+    if "result.json" not in log.attachments:
+        yield Finding("result", MISSING, "result.json is not attached")
+        return
+    result = read_json(log.attachments["result.json"], "result.json")
+    runs = result.get("runs") if isinstance(result, dict) else None
+    if not isinstance(runs, list):
+        yield Finding("result", NOTE, "result.json rests on more runs than the log holds; it is not computed again")
+        return
+    mine = [one for one in runs if isinstance(one, dict) and _controller_name(one) == recorded.name]
+    if len(mine) != 1:
+        yield Finding("result", FAILS, "result.json does not have this run once")
+        return
+    now: dict[str, Any] = json.loads(json.dumps(run_object(again.vehicle, run)))
+    now["road"], now["timestep"] = recorded.claim("road"), again.timestep
+    said = {**mine[0], "road": result.get("road"), "timestep": result.get("timestep")}
+    if "metrics" in said:
+        now["metrics"] = _metrics(again, run, result.get("measured_from"))
+    different = list(_different(said, now))
+    for path in different[:5]:
+        yield Finding("result", FAILS, f"result.json says otherwise: {path}")
+    if len(different) > 5:
+        yield Finding("result", FAILS, f"and {len(different) - 5} more")
+    if not different:
+        yield Finding("result", HOLDS, f"result.json: {_count(now)} numbers as computed again")
+
+
+def _metrics(again: Reproduction, run: Run, start: Any) -> dict[str, Any]:
+    """Ride metrics from the sample at which the log says that measuring began."""
+    from sim.drive import measure_run
+
+    if isinstance(start, bool) or not isinstance(start, (int, float)) or not 0 <= start <= run.physics.time[-2]:
+        raise InputError("result.json does not say from when its metrics were measured")
+    measured = measure_run(again.vehicle, run, again.road, round(start / again.timestep))
+    return {
+        name: {
+            "unit": one.unit,
+            **{key: _finite(getattr(one, key)) for key in ("mujoco", "linear", "expected", "spread")},
+        }
+        for name, one in measured.items()
+    }
+
+
+def _apart(logged: Response, again: Response) -> tuple[float, str]:
+    """How far a logged response is from the one computed anew, over the peak of each signal, and the signal that is furthest."""
+    huge = ~np.all(np.abs(again.values) < HUGE, axis=1)
+    end = float(again.time[huge.argmax()]) if huge.any() else math.inf
+    logged, again = logged.until(end), again.until(end)
+    far = {name: _off(logged[name], again[name], again.scale(name)) if len(again.time) else 0.0 for name in again.names}
+    worst = max(far, key=lambda name: far[name])
+    return far[worst], worst
+
+
+def _off(logged: Array, again: Array, scale: float | None = None) -> float:
+    """Largest difference, over a scale, by default the peak; infinite where a number is none."""
+    if not np.all(np.isfinite(logged)):
+        return math.inf
+    size = scale if scale is not None else float(np.abs(again).max(initial=0.0))
+    return float(np.abs(logged - again).max(initial=0.0)) / (size or 1.0)
+
+
+def _same(said: Any, now: Any, relative: float, absolute: float) -> bool:
+    """Whether JSON values are the same, numbers to a tolerance."""
+    if isinstance(now, list):
+        if not isinstance(said, list) or len(said) != len(now):
+            return False
+        return all(_same(a, b, relative, absolute) for a, b in zip(said, now, strict=True))
+    if isinstance(now, (int, float)) and not isinstance(now, bool):
+        number = isinstance(said, (int, float)) and not isinstance(said, bool)
+        return number and abs(said - now) <= max(relative * abs(now), absolute)
+    return said == now
+
+
+def _different(said: Any, now: Any, path: str = "") -> Iterator[str]:
+    """Where in a JSON object something is not as computed anew. What this version does not compute is not looked at."""
+    if isinstance(now, Mapping):
+        for key, value in now.items():
+            here = f"{path}.{key}" if path else key
+            if not isinstance(said, Mapping) or key not in said:
+                yield f"{here} is missing"
+            else:
+                yield from _different(said[key], value, here)
+    elif not _same(said, now, SAME, ROUNDING):
+        yield path
+
+
+def _count(value: Any) -> int:
+    """How many numbers there are in a JSON value."""
+    if isinstance(value, Mapping):
+        return sum(_count(item) for item in value.values())
+    if isinstance(value, list):
+        return sum(_count(item) for item in value)
+    return int(isinstance(value, (int, float)) and not isinstance(value, bool))
+
+
+def _matrix(value: Any, shape: tuple[int, int]) -> Array:
+    try:
+        return np.array(value, dtype=float).reshape(shape)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"not {shape[0]} x {shape[1]} numbers") from None
+
+
+def _controller_name(one: Mapping[str, Any]) -> Any:
+    controller = one.get("controller")
+    return controller.get("name") if isinstance(controller, dict) else None
+
+
+def _finite(value: float | None) -> float | None:
+    return float(value) if value is not None and math.isfinite(value) else None

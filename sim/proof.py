@@ -1,0 +1,213 @@
+"""Whether a log still proves what it claims: every claim against what follows anew from the same log."""
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from models.errors import InputError
+from models.vehicle import Vehicle
+from sim.agreement import SMALL, compare, look_closer
+from sim.claims import (
+    FAILS,
+    HOLDS,
+    MISSING,
+    NOTE,
+    Finding,
+    check_certificate,
+    check_linear,
+    check_physics,
+    check_result,
+    check_samples,
+    claimed_samples,
+)
+from sim.linear import driven, noise_spread, sampled_radius
+from sim.recorded import Recorded, RecordedRun, read_json, timestep
+from sim.reproduction import (
+    FEWEST,
+    Reproduction,
+    as_response,
+    implemented,
+    recorded_controller,
+    recorded_road,
+    recorded_vehicle,
+    reproduce,
+    usable_samples,
+)
+from sim.response import Response
+from sim.run import Run
+
+MOST_STATES = 1000  # of a loop with all its delayed forces; its eigenvalues take seconds
+
+
+@dataclass(frozen=True, eq=False)
+class Inspected:
+    """One run of a log, checked.
+
+    Attributes:
+        recorded: as it was logged.
+        samples: how many could be used.
+        findings: every claim.
+        again: the run made anew; None where that was not possible.
+        run: with the physics of the log and the verdict on it, anew; None where there is none.
+    """
+
+    recorded: RecordedRun
+    samples: int
+    findings: tuple[Finding, ...]
+    again: Reproduction | None
+    run: Run | None
+
+
+@dataclass(frozen=True, eq=False)
+class Proof:
+    """A log, checked.
+
+    Attributes:
+        log: as it was read.
+        vehicle: of the attached file; None where there is none.
+        timestep: [s]; NaN where there is none.
+        findings: on the file as a whole.
+        runs: its runs.
+    """
+
+    log: Recorded
+    vehicle: Vehicle | None
+    timestep: float
+    findings: tuple[Finding, ...]
+    runs: tuple[Inspected, ...]
+
+    @property
+    def holds(self) -> bool:
+        """Whether the log still proves everything that it claims."""
+        findings = [*self.findings, *(finding for run in self.runs for finding in run.findings)]
+        return bool(self.runs) and all(finding.verdict in (HOLDS, NOTE) for finding in findings)
+
+
+@np.errstate(all="ignore")  # an unstable loop overflows; and a log may hold any number
+def prove(log: Recorded, kinds: Path | None = None) -> Proof:
+    """Checks a log.
+
+    Args:
+        log: as it was read.
+        kinds: folder of kinds of vehicle of the user's own; see `recorded_vehicle`.
+    """
+    whole = f"{log.chunks} chunk(s), {log.messages} messages, every checksum right"
+    findings = [Finding("file", FAILS, remark) for remark in log.damage] or [Finding("file", HOLDS, whole)]
+    if not log.runs:
+        findings.append(Finding("runs", MISSING, "there is no run in it"))
+    try:
+        vehicle, h = recorded_vehicle(log, kinds), timestep(log.metadata)
+    except InputError as error:
+        findings.append(Finding("vehicle", MISSING, str(error)))
+        return Proof(log, None, math.nan, tuple(findings), tuple(Inspected(run, 0, (), None, None) for run in log.runs))
+    findings.append(_model(log, vehicle, h))
+    return Proof(log, vehicle, h, tuple(findings), tuple(_inspect(log, vehicle, run, h) for run in log.runs))
+
+
+def _model(log: Recorded, vehicle: Vehicle, h: float) -> Finding:
+    """The attached MJCF, as text. It is never loaded: it is written anew."""
+    from models.mjcf import mjcf_text
+    from sim.provenance import versions
+
+    attached = log.attachments.get("model.xml")
+    if attached is None:
+        return Finding("model", MISSING, "model.xml is not attached")
+    try:
+        if attached == mjcf_text(vehicle, h).encode():
+            return Finding("model", HOLDS, "model.xml is what vehicle.toml makes, to the letter")
+    except (ValueError, RuntimeError) as error:
+        return Finding("model", FAILS, f"vehicle.toml makes no model: {error}")
+    try:
+        then = read_json(log.metadata.get("versions", "{}"), "versions")
+    except InputError:
+        then = {}
+    recorded, now = then.get("mujoco") if isinstance(then, dict) else None, versions()["mujoco"]
+    if recorded != now:
+        return Finding("model", NOTE, f"model.xml differs from what vehicle.toml makes now; MuJoCo was {recorded}, and is {now}")
+    return Finding("model", FAILS, "model.xml is not what vehicle.toml makes")
+
+
+def _inspect(log: Recorded, vehicle: Vehicle, recorded: RecordedRun, h: float) -> Inspected:
+    """Every claim of one run. A step that fails ends what rests on it, and no more."""
+    findings = [Finding("responses", MISSING, remark) for remark in recorded.damage]
+    samples = usable_samples(recorded, h)
+    findings += _guarded("samples", MISSING, lambda: check_samples(recorded, samples, h))
+
+    def inspected(again: Reproduction | None = None, run: Run | None = None) -> Inspected:
+        return Inspected(recorded, samples, tuple(findings), again, run)
+
+    try:
+        own = implemented(vehicle, recorded)
+        if own.implementation != vehicle.implementation:
+            findings.append(Finding("implementation", NOTE, f"not that of vehicle.toml: {_differing(vehicle, own)}"))
+        controller = recorded_controller(own, recorded)
+    except (ValueError, ArithmeticError) as error:
+        findings.append(Finding("controller", FAILS, str(error)))
+        return inspected()
+    findings += _guarded("certificate", FAILS, lambda: check_certificate(controller, recorded))
+    if samples < FEWEST:
+        return inspected()
+    try:
+        again = reproduce(own, controller, recorded_road(log, recorded, samples), samples, h)
+    except (ValueError, ArithmeticError) as error:
+        findings.append(Finding("road", MISSING, f"it cannot be driven again: {error}"))
+        return inspected()
+    findings += _guarded("linear response", MISSING, lambda: check_linear(again, recorded, samples))
+    try:
+        run = _driven_again(again, as_response(own, recorded, "mujoco", samples, h))
+    except (ValueError, ArithmeticError, RuntimeError) as error:
+        findings.append(Finding("physics", MISSING, str(error)))
+        return inspected(again)
+    whole = samples == claimed_samples(recorded, samples)
+    findings += _guarded("physics", FAILS, lambda: check_physics(again, recorded, run, whole))
+    if whole:
+        findings += _guarded("result", FAILS, lambda: check_result(log, again, recorded, run))
+    else:
+        findings.append(Finding("result", MISSING, "it is of the whole run"))
+    return inspected(again, run)
+
+
+def _guarded(part: str, verdict: str, check: Callable[[], Iterator[Finding]]) -> list[Finding]:
+    """A check's findings; what it stumbles over is one too."""
+    found: list[Finding] = []
+    try:
+        found.extend(check())
+    except (ValueError, ArithmeticError) as error:
+        found.append(Finding(part, verdict, str(error)))
+    return found
+
+
+def _driven_again(again: Reproduction, physics: Response) -> Run:
+    """The verdict on the logged physics, as `sim.run.run_all` reaches it.
+
+    Raises:
+        InputError: the loop has too many delayed forces for the spread of its noise.
+    """
+    vehicle, controller, h = again.vehicle, again.controller, again.timestep
+    model, _ = driven(vehicle, controller)
+    small = len(model.A) + vehicle.implementation.delay * len(model.inputs) <= MOST_STATES
+    noisy = any(vehicle.implementation.noise.values()) or any(vehicle.implementation.quantisation.values())
+    if noisy and not small:
+        raise InputError("its noise goes through a loop with too many delayed forces to compute its spread again")
+    broken = ~np.all(np.isfinite(physics.values), axis=1)
+    diverged = float(physics.time[broken.argmax()]) if broken.any() else math.inf
+    spread = noise_spread(vehicle, controller, h) if noisy else {}
+    agreement = compare(vehicle, physics, again.sampled, again.integrated, again.continuous, diverged, spread)
+    if not agreement.agrees and not agreement.blurred:
+        from sim.physics import simulate
+
+        lower = simulate([vehicle], [controller], [again.road.scaled(SMALL)], physics.time).response.run(0)
+        agreement = look_closer(agreement, lower, again.sampled)
+    radius = sampled_radius(vehicle, controller, h) if small else math.nan
+    return Run(
+        controller, physics, again.sampled, again.continuous, np.zeros((len(physics.time), 0)), diverged, radius, agreement
+    )
+
+
+def _differing(vehicle: Vehicle, own: Vehicle) -> str:
+    """The implementation of a run where it is not that of the vehicle file."""
+    there, here = vars(vehicle.implementation), vars(own.implementation)
+    return ", ".join(f"{key} {here[key]}" for key in here if here[key] != there[key])
