@@ -153,6 +153,8 @@ def from_csv(content: bytes, speed: float, source: str) -> Profile:
     Raises:
         InputError: it is not that.
     """
+    if content.count(b"\n") <= FEWEST:
+        raise InputError("no points of a road")
     try:
         table = np.loadtxt(io.BytesIO(content), delimiter=",", skiprows=1, ndmin=2, comments=None, encoding="utf-8")
     except ValueError as error:
