@@ -23,6 +23,7 @@ PACKAGE = "roadproof"
 RESPONSES = ("mujoco", "linear", "continuous")
 NAME = re.compile(r"[\w-]{1,120}")  # of a run; a controller's, and what a command adds to it
 MOST_JSON = 8 * 2**20  # bytes; parsed, it may take twenty times as much
+MOST_ABOUT = 4096  # characters that say unit, symbol and meaning of a signal
 MOST_RUNS = 1000
 
 
@@ -173,7 +174,7 @@ def _samples(topic: Topic) -> Samples:
 
 def _unit(text: str) -> Any:
     """The unit in what a channel says of a signal; None where it says none."""
-    about = read_json(text, "what is said of a signal")
+    about = read_json(text, "what is said of a signal") if len(text) <= MOST_ABOUT else None
     return about.get("unit") if isinstance(about, dict) else None
 
 
