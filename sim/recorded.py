@@ -120,7 +120,7 @@ def read_json(text: str | bytes, what: str) -> Any:
     if len(text) > MOST_JSON:
         raise InputError(f"{what} is {len(text)} bytes of JSON; {MOST_JSON} are allowed")
     try:
-        return json.loads(text, parse_constant=_no_number, parse_float=_finite)
+        return json.loads(text, parse_constant=_no_number, parse_float=_finite, parse_int=_whole)
     except (ValueError, RecursionError) as error:  # no JSON, no UTF-8, a number of 5000 digits; brackets in brackets in ...
         raise InputError(f"{what} is no JSON") from error
 
@@ -203,4 +203,11 @@ def _finite(text: str) -> float:
     value = float(text)
     if not math.isfinite(value):
         raise ValueError("not finite")
+    return value
+
+
+def _whole(text: str) -> int:
+    value = int(text)
+    if abs(value) >= 2**64:
+        raise ValueError("beyond every whole number of ours")
     return value

@@ -19,6 +19,7 @@ from synth.plant import GeneralizedPlant
 
 CLAIMS = ("norm", "peak_frequency", "bound", "lower_bound")
 PROOFS = ("X", "limit_at", "state", "observer")
+LARGEST = float(np.finfo(float).max)  # a whole number may be beyond it
 SAME = 1e-9  # relative: how far rounding, on another machine, may move a number
 
 
@@ -93,7 +94,7 @@ def _number(record: Mapping[str, Any], key: str) -> float | None:
     value = record.get(key)
     if value is None:
         return None
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value):
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= LARGEST:
         raise InputError(f"{key} = {reprlib.repr(value)} in a certificate is not a finite number")
     return float(value)
 
@@ -104,7 +105,7 @@ def _matrix(record: Mapping[str, Any], key: str, shape: tuple[int, int] | None =
         return None
     try:
         matrix = np.array(value, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         matrix = np.array(np.nan)
     if matrix.ndim != 2 or not np.all(np.isfinite(matrix)) or (shape is not None and matrix.shape != shape):
         expected = f" of shape {shape}" if shape else ""

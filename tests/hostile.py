@@ -18,13 +18,50 @@ from tests.rewriting import Contents, written
 SIZES = (0, 1, 7, 255, 2**16, 2**24, 2**31 - 1, 2**31, 2**32 - 1, 2**33, 2**40, 2**62, 2**63 - 1, 2**63, 2**64 - 9, 2**64 - 1)
 DEEP = "[" * 100_000
 TEXTS = (
-    "", "null", "true", "{}", "[]", "[[]]", "0", "-1", "1e9", "1e308", "1e999", "NaN", "Infinity", "9" * 5000, '"x"', '"' + "y" * 10**6,
-    DEEP, '{"a":' * 50_000, "[" + "1," * 10**6 + "1]", "../../etc/passwd", "\x1b[2J\x1b]0;x\x07", "\ud7ff\u202e", "'; rm -rf /; '",
-    '{"type": "bump"}', '{"type": "iso8608"}', "[1e308, -1e308]", "[[1e308, 0], [0, 1e308]]", "[null]", '"\\ud800"', "\x00" * 1000,
-)  # fmt: skip
+    "",
+    "null",
+    "true",
+    "{}",
+    "[]",
+    "[[]]",
+    "0",
+    "-1",
+    "1e9",
+    "1e308",
+    "1e999",
+    "NaN",
+    "Infinity",
+    "9" * 5000,
+    '"x"',
+    '"' + "y" * 10**6,
+    DEEP,
+    '{"a":' * 50_000,
+    "[" + "1," * 10**6 + "1]",
+    "../../etc/passwd",
+    "\x1b[2J\x1b]0;x\x07",
+    "\ud7ff\u202e",
+    "'; rm -rf /; '",
+    '{"type": "bump"}',
+    '{"type": "iso8608"}',
+    "[1e308, -1e308]",
+    "[[1e308, 0], [0, 1e308]]",
+    "[null]",
+    '"\\ud800"',
+    "\x00" * 1000,
+)
 ROADS = (
-    {"type": "iso8608", "class": "H", "seed": 2**62, "lowest": 0.01, "highest": 10.0, "roughness": 16e-6 * 4**7, "speed": 200.0,
-     "track_width": 10.0, "length": 1e6, "factor": 1.0},
+    {
+        "type": "iso8608",
+        "class": "H",
+        "seed": 2**62,
+        "lowest": 0.01,
+        "highest": 10.0,
+        "roughness": 16e-6 * 4**7,
+        "speed": 200.0,
+        "track_width": 10.0,
+        "length": 1e6,
+        "factor": 1.0,
+    },
     {"type": "multisine", "omega": [1e300] * 1000, "amplitudes": [1e300] * 1000, "phases": [1e300] * 1000, "speed": 1.0},
     {"type": "sinusoid", "omega": [1.0] * 10**5, "amplitudes": [1.0], "phases": [0.0], "speed": 1.0},
     {"type": "sinusoid", "omega": [0.0], "amplitudes": [1e12], "phases": [0.0], "speed": 0.0},
@@ -34,13 +71,30 @@ ROADS = (
     {"type": "pothole", "depth": 100.0, "length": 1e4, "edge": 1e-3, "speed": 1e3, "track": "../x"},
     {"type": "sweep", "amplitude": 100.0, "lowest": 0.01, "highest": 100.0, "duration": 1e4, "speed": 1e3},
     {"type": "profile", "source": "../../../x", "speed": 20.0},
-    {"type": ["bump"]}, {"type": {}}, [], None, "bump", 1e300,
-)  # fmt: skip
+    {"type": ["bump"]},
+    {"type": {}},
+    [],
+    None,
+    "bump",
+    1e300,
+)
 IMPLEMENTATIONS = (
-    {"delay": 100_000}, {"delay": 100_000, "noise": {"sprung_velocity": 1.0}}, {"delay": 10**30}, {"delay": -1},
-    {"sample_period": 1e9}, {"sample_period": 1e-9}, {"sample_period": "x"}, {"noise": {"../x": 1.0}}, {"noise": []},
-    {"noise": {"sprung_velocity": 1e12}}, {"quantisation": {"sprung_velocity": 1e-300}}, {"seed": 2**70}, {"a": DEEP[:100]}, [], 7,
-)  # fmt: skip
+    {"delay": 100_000},
+    {"delay": 100_000, "noise": {"sprung_velocity": 1.0}},
+    {"delay": 10**30},
+    {"delay": -1},
+    {"sample_period": 1e9},
+    {"sample_period": 1e-9},
+    {"sample_period": "x"},
+    {"noise": {"../x": 1.0}},
+    {"noise": []},
+    {"noise": {"sprung_velocity": 1e12}},
+    {"quantisation": {"sprung_velocity": 1e-300}},
+    {"seed": 2**70},
+    {"a": DEEP[:100]},
+    [],
+    7,
+)
 TOMLS = (
     ".".join("a" for _ in range(100_000)) + " = 1",
     "[" + ".".join("a" for _ in range(100_000)) + "]",
@@ -235,7 +289,10 @@ def _specific(parts: Contents, rng: np.random.Generator) -> Contents:
             ("samples", [str(number) for number in (*SIZES, 10**400, -5, 1.5)]),
             ("timestep", ["1e9", "0", "nan", "-1", "1e-300", "inf", "1e-9", "0.02", "9" * 400]),
             ("road_file", ["../../x", "vehicle.toml", "result.json", "/dev/zero"]),
-            ("gain", [json.dumps([[1e12 * rng.standard_normal(), 1e12]]), "[[1e12, 1e12]]", "[[0, 0]]", json.dumps([[1e308] * 1000])]),
+            (
+                "gain",
+                [json.dumps([[1e12 * rng.standard_normal(), 1e12]]), "[[1e12, 1e12]]", "[[0, 0]]", json.dumps([[1e308] * 1000])],
+            ),
             ("name", ["passive", "state", "../../x", "all"]),
             ("certificate", [json.dumps({"X": rng.standard_normal((n, n)).tolist(), "bound": 1e-300}) for n in (1, 4, 300)]),
         ),
@@ -302,14 +359,14 @@ def _schema(parts: Contents, rng: np.random.Generator) -> Contents:
 def _channel(parts: Contents, rng: np.random.Generator) -> Contents:
     """A channel of another name, schema, encoding or unit."""
     i = int(rng.integers(len(parts.channels)))
-    old, other = parts.channels[i], _choice(rng, parts.channels)
+    old, other, text = parts.channels[i], _choice(rng, parts.channels), _choice(rng, TEXTS[:25])
     new = _choice(
         rng,
         (
             Channel(old.id, other.topic, old.message_encoding, old.metadata, old.schema_id),
             Channel(old.id, "/../../x", old.message_encoding, old.metadata, old.schema_id),
             Channel(old.id, old.topic, "json", old.metadata, old.schema_id),
-            Channel(old.id, old.topic, old.message_encoding, dict.fromkeys(old.metadata, _choice(rng, TEXTS[:25])), old.schema_id),
+            Channel(old.id, old.topic, old.message_encoding, dict.fromkeys(old.metadata, text), old.schema_id),
             Channel(old.id, old.topic, old.message_encoding, {}, 0),
         ),
     )
@@ -361,4 +418,18 @@ def _records(parts: Contents, rng: np.random.Generator) -> Contents:
     return replace(parts, metadata=[*kept, *more])
 
 
-FORGERIES = (_claim, _claim, _claim, _specific, _specific, _attachment, _vehicle, _vehicle, _schema, _channel, _messages, _messages, _records)  # fmt: skip
+FORGERIES = (
+    _claim,
+    _claim,
+    _claim,
+    _specific,
+    _specific,
+    _attachment,
+    _vehicle,
+    _vehicle,
+    _schema,
+    _channel,
+    _messages,
+    _messages,
+    _records,
+)

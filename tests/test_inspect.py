@@ -1,0 +1,401 @@
+"""A log proves what it claims by itself, and every change of it shows: where, and never as a crash."""
+
+import csv
+import json
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.records import Message
+
+from models.errors import InputError
+from models.reality import Implementation
+from models.vehicle import parse_vehicle, read_vehicle
+from sim.bump import main as bump
+from sim.drive import main as drive
+from sim.envelope import main as envelope
+from sim.inspect import main
+from sim.margins import main as margins
+from sim.multisine import sinusoid
+from sim.provenance import record_runs, run_log
+from sim.road import Bump
+from sim.run import run_all, sample_times
+from sim.sweep import main as sweep
+from synth.controller import Designer
+from tests.rewriting import Contents, contents, written
+
+LIMITED = """
+[limits]
+suspension_stroke = 0.08
+stop_stiffness = 1e5
+actuator_force = 2000.0
+actuator_bandwidth = 60.0
+[implementation]
+sample_period = 0.005
+delay = 1
+noise = { sprung_velocity = 0.005 }
+quantisation = { sprung_velocity = 0.001 }
+"""
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory) -> Path:
+    """A bump with two controllers, one of which leaves the ground."""
+    folder = tmp_path_factory.mktemp("logs")
+    command = [
+        "--controller",
+        "passive",
+        "--controller",
+        "I",
+        "--height",
+        "0.2",
+        "--speed",
+        "25",
+        "--duration",
+        "1",
+        "--logs",
+        str(folder),
+    ]
+    assert bump(command) == 0
+    return next(folder.glob("*.mcap"))
+
+
+@pytest.fixture(scope="module")
+def parts(log) -> Contents:
+    return contents(log)
+
+
+def inspected(path: Path, capsys, *options: str) -> tuple[int, dict]:
+    """Exit code, and what `--json` prints."""
+    capsys.readouterr()
+    code = main([str(path), "--json", *options])
+    return code, json.loads(capsys.readouterr().out)
+
+
+def broken(found: dict) -> set[tuple[str, str]]:
+    """(part, verdict) of everything that is not proved."""
+    findings = [*found["findings"], *(finding for run in found["runs"] for finding in run["findings"])]
+    return {(one["part"], one["verdict"]) for one in findings if one["verdict"] in ("FAILS", "missing")}
+
+
+# --- logs as they are written ---------------------------------------------------------------------------------------------
+
+
+def test_bump(log, capsys):
+    """A log as it was written proves every claim: certificate, linear response to the last bit, lift-off, numbers, model."""
+    code, found = inspected(log, capsys)
+    assert (code, found["proves"], broken(found)) == (0, True, set())
+    passive, controlled = found["runs"]
+    assert {finding["part"] for finding in controlled["findings"]} == {"certificate", "linear response", "physics", "result"}
+    assert any(finding["text"].startswith("lift-off") for finding in controlled["findings"])
+    result = json.loads(dict((name, data) for name, _, data in contents(log).attachments)["result.json"])
+    assert (
+        controlled["again"]["signals"]["sprung_acceleration"]["peak"]
+        == result["runs"][1]["signals"]["sprung_acceleration"]["peak"]
+    )
+    assert passive["again"]["controller"]["norm"] == pytest.approx(35.07201, rel=1e-6)  # of findings that share no code: 35.072
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["--class", "C", "--duration", "2"],
+        ["--road", "watts_hump:height=0.03", "--speed", "6", "--duration", "1"],
+        ["--road", "PROFILE", "--vehicle", "half_car", "--duration", "1"],
+    ],
+    ids=lambda options: options[1].split(":")[0],
+)
+def test_drive(options, tmp_path, capsys):
+    """Random, single and measured roads come back from the log alone, and so do the metrics over them."""
+    x = np.linspace(0, 30, 301)
+    profile = tmp_path / "road.csv"
+    np.savetxt(profile, np.column_stack([x, 0.01 * np.sin(x), 0.01 * np.cos(2 * x)]), delimiter=",")
+    options = [str(profile) if option == "PROFILE" else option for option in options]
+    drive(["--controller", "I", "--logs", str(tmp_path), *options])
+    profile.unlink()
+    code, found = inspected(next(tmp_path.glob("*.mcap")), capsys)
+    assert (code, broken(found)) == (0, set())
+
+
+def test_limits_and_noise(paper, tmp_path, capsys):
+    """Bump stops, saturation, lag, delay and noise are applied again as the log says."""
+    vehicle = tmp_path / "limited.toml"
+    vehicle.write_text(paper.text + LIMITED)
+    bump(["--vehicle", str(vehicle), "--controller", "II", "--duration", "1", "--logs", str(tmp_path)])
+    vehicle.unlink()
+    code, found = inspected(next(tmp_path.glob("*.mcap")), capsys)
+    assert (code, broken(found)) == (0, set())
+    assert any("bump stop" in finding["text"] for finding in found["runs"][0]["findings"])
+
+
+def test_late_and_unstable(designer, paper, tmp_path, capsys):
+    """Runs of margins and sweeps, late, growing, on a sinusoid, are proved; what else their result rests on is said."""
+    late = replace(paper, implementation=Implementation(delay=200))
+    controller, time = designer.design("II"), sample_times(paper, 2.0, 1e-3)
+    runs = []
+    for name, vehicle, road in (("late", late, Bump(0.002)), ("worst", paper, sinusoid(64.2, 12.5).scaled(5e-5))):
+        runs.append(run_log(vehicle, road, run_all(vehicle, [controller], road, time)[0], f"II_{name}"))
+    path = record_runs(tmp_path, "margins", paper, ["II"], runs, {"gain": {"found": 1.0}})["mcap"]
+    code, found = inspected(Path(path), capsys)
+    assert (code, broken(found)) == (0, set())
+    parts = {(finding["part"], finding["verdict"]) for finding in found["runs"][0]["findings"]}
+    assert {("implementation", "note"), ("result", "note")} <= parts
+    assert any(finding["text"].startswith("unstable: the sampled loop grows") for finding in found["runs"][0]["findings"])
+
+
+def test_diverged(paper, tmp_path, capsys):
+    """A run that broke off, numbers that are none included, is proved to have done so."""
+    vehicle = parse_vehicle(paper.text + '\n[controllers.wild]\nmeasured = ["sprung_velocity"]\ngain = [[40000.0]]\n')
+    run = run_all(vehicle, [Designer(vehicle).design("wild")], Bump(), sample_times(vehicle, 3.0, 1e-3))[0]
+    assert np.isfinite(run.diverged)
+    path = record_runs(tmp_path, "bump", vehicle, ["wild"], [run_log(vehicle, Bump(), run)], {"other": 1})["mcap"]
+    code, found = inspected(Path(path), capsys)
+    assert (code, broken(found)) == (0, set())
+    assert any(finding["text"].startswith("diverged") for finding in found["runs"][0]["findings"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("command", "options"),
+    [
+        (sweep, ["--controller", "I"]),
+        (margins, ["--controller", "II"]),
+        (envelope, ["--controller", "I", "--vary", "height:0.02:0.3:3", "--vary", "speed:3:30:3"]),
+        (bump, ["--controller", "I", "--vehicle", "full_car"]),
+    ],
+    ids=["sweep", "margins", "envelope", "full_car"],
+)
+def test_every_command(command, options, tmp_path, capsys):
+    """The logs of every other command are proved too; so is geometry that leaves the linear analysis."""
+    command([*options, "--logs", str(tmp_path)])
+    code, found = inspected(next(tmp_path.glob("*.mcap")), capsys)
+    assert (code, broken(found)) == (0, set())
+
+
+def test_own_kind(tmp_path, capsys):
+    """A kind of vehicle of the user's own is known again from its folder, and its code is run from nowhere else."""
+    recipe = (
+        (Path(__file__).parent.parent / "README.md").read_text().split("## Add your own kind of vehicle")[1].split("\n## ")[0]
+    )
+    for suffix, language in (("py", "python"), ("xml", "xml"), ("toml", "toml")):
+        (block,) = re.findall(rf"^```{language}\n(.*?)^```", recipe, re.M | re.S)
+        (tmp_path / f"hopper.{suffix}").write_text(block)
+    bump(["--vehicle", str(tmp_path / "hopper.toml"), "--controller", "I", "--duration", "1", "--logs", str(tmp_path / "logs")])
+    path = next((tmp_path / "logs").glob("*.mcap"))
+    code, found = inspected(path, capsys)
+    assert code == 1
+    assert "give --kinds" in found["findings"][-1]["text"]
+    assert inspected(path, capsys, "--kinds", str(tmp_path))[0] == 0
+
+
+# --- logs that were changed ------------------------------------------------------------------------------------------------
+
+
+def scaled(topic: str, column: int, factor: float) -> Callable[[Contents], Contents]:
+    """Multiplies one signal of one topic."""
+
+    def change(messages: list[Message]) -> list[Message]:
+        changed = []
+        for message in messages:
+            data, at = bytearray(message.data), 9 * column + 1
+            data[at : at + 8] = (np.frombuffer(data[at : at + 8], "<f8") * factor).astype("<f8").tobytes()
+            changed.append(Message(message.channel_id, message.log_time, bytes(data), message.publish_time, message.sequence))
+        return changed
+
+    return lambda parts: parts.with_messages(topic, change)
+
+
+def claim(key: str, old: str, new: str) -> Callable[[Contents], Contents]:
+    """Another claim of run I."""
+
+    def change(text: str) -> str:
+        assert old in text, "the test changes what is there"
+        return text.replace(old, new, 1)
+
+    return lambda parts: parts.with_claim("run/I", key, change)
+
+
+def attached(file: str, old: bytes, new: bytes) -> Callable[[Contents], Contents]:
+    """Another attachment."""
+
+    def change(data: bytes) -> bytes:
+        assert old in data, "the test changes what is there"
+        return data.replace(old, new, 1)
+
+    return lambda parts: parts.with_attachment(file, change)
+
+
+CHANGES = {
+    "a norm": (claim("norm", "7.843", "7.842"), ("certificate", "FAILS")),
+    "a bound": (claim("bound", "7.871", "7.872"), ("certificate", "FAILS")),
+    "a bound that its proof does not prove": (claim("certificate", '"bound": 7.87', '"bound": 7.83'), ("certificate", "FAILS")),
+    "a better lower bound": (claim("certificate", '"lower_bound": 7.83', '"lower_bound": 7.84'), ("certificate", "FAILS")),
+    "a pole": (claim("poles", "-3.2", "-3.3"), ("certificate", "FAILS")),
+    "stability": (claim("stable", "true", "false"), ("certificate", "FAILS")),
+    "a gain": (claim("gain", "10825", "10826"), ("certificate", "FAILS")),
+    "a measurement": (claim("measured", "sprung_velocity", "tyre_deflection"), ("controller", "FAILS")),
+    "a road": (claim("road", '"height": 0.2', '"height": 0.21'), ("linear response", "FAILS")),
+    "a limit": (claim("limits", "null", "0.08"), ("controller", "FAILS")),
+    "a delay": (claim("implementation", '"delay": 0', '"delay": 3'), ("linear response", "FAILS")),
+    "agreement": (claim("agrees", "true", "false"), ("physics", "FAILS")),
+    "a lift-off": (claim("lift_off", "[[0.", "[[1."), ("physics", "FAILS")),
+    "an error": (claim("errors", '"sprung_velocity": ', '"sprung_velocity": 1'), ("physics", "FAILS")),
+    "samples": (claim("samples", "1001", "1002"), ("samples", "missing")),
+    "the physics": (scaled("/I/mujoco", 6, 1 + 1e-4), ("physics", "FAILS")),
+    "the physics' road": (scaled("/I/mujoco", 0, 1 + 1e-6), ("physics", "FAILS")),
+    "the linear response": (scaled("/I/linear", 2, 1 + 1e-7), ("linear response", "FAILS")),
+    "the continuous response": (scaled("/I/continuous", 2, 1 + 1e-7), ("linear response", "FAILS")),
+    "a mass": (attached("vehicle.toml", b"504.5", b"504.6"), ("certificate", "FAILS")),
+    "the model": (attached("model.xml", b"504.5", b"504.6"), ("model", "FAILS")),
+    "the result": (attached("result.json", b'"peak": {"mujoco": 0.', b'"peak": {"mujoco": 1.'), ("result", "FAILS")),
+    "the result's road": (attached("result.json", b'"speed": 25.0', b'"speed": 25.1'), ("result", "FAILS")),
+    "no model": (lambda p: replace(p, attachments=[a for a in p.attachments if a[0] != "model.xml"]), ("model", "missing")),
+    "no vehicle": (lambda p: replace(p, attachments=p.attachments[1:]), ("vehicle", "missing")),
+    "no physics": (lambda p: p.with_messages("/I/mujoco", lambda m: []), ("samples", "missing")),
+    "a gap": (lambda p: p.with_messages("/I/linear", lambda m: m[:500] + m[501:]), ("samples", "missing")),
+    "no claim": (lambda p: p.without_claim("run/I", "agrees"), ("physics", "FAILS")),
+}
+
+
+@pytest.mark.parametrize("what", CHANGES)
+def test_change_is_found(what, parts, tmp_path, capsys):
+    """A log written anew with one thing changed, all checksums right, proves its claim no longer, and says which part."""
+    change, expected = CHANGES[what]
+    path = tmp_path / "changed.mcap"
+    path.write_bytes(written(change(parts)))
+    code, found = inspected(path, capsys)
+    assert code == 1
+    assert expected in broken(found)
+    assert not any(("file", verdict) in broken(found) for verdict in ("FAILS", "missing"))
+
+
+def test_unchanged_is_proved(parts, tmp_path, capsys):
+    """The same, written anew with nothing changed, is proved, in chunks of any size: no test above passes for another reason."""
+    for size in (1000, 10**7):
+        path = tmp_path / f"{size}.mcap"
+        path.write_bytes(written(parts, size))
+        assert inspected(path, capsys)[0] == 0
+
+
+@pytest.mark.parametrize("share", [0.25, 0.6, 0.9, 0.999])
+def test_cut_short(share, parts, tmp_path, capsys):
+    """Of a cut log, whole chunks are read and proved as far as they go, and what is missing is said."""
+    whole = written(parts)
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(whole[: int(share * len(whole))])
+    code, found = inspected(path, capsys)
+    assert code == 1
+    assert "cut short" in found["findings"][0]["text"]
+    assert 0.5 * share < found["runs"][1]["samples"] / 1001 <= 1  # the front of the file holds attachments
+    findings = {finding["part"]: finding for finding in found["runs"][1]["findings"]}
+    assert (
+        findings["linear response"]["verdict"] == findings["physics"]["verdict"] == findings["certificate"]["verdict"] == "holds"
+    )
+    if found["runs"][1]["samples"] < 1001:
+        text = findings["samples"]["text"]
+        assert re.fullmatch(r"it ends at 0\.\d+ s of 1 s: \d+ of 1001 samples are missing", text)
+
+
+def test_every_flipped_bit_is_found(log, tmp_path, capsys):
+    """No bit of a log can change unseen: every byte is under a checksum, or is one."""
+    whole, rng = log.read_bytes(), np.random.default_rng(0)
+    path = tmp_path / "flipped.mcap"
+    places = [*rng.integers(len(whole), size=40).tolist(), *range(len(whole) - 40, len(whole), 2), 0, 8, 9, 20]
+    for place in places:
+        changed = bytearray(whole)
+        changed[place] ^= 1 << int(rng.integers(8))
+        path.write_bytes(changed)
+        try:
+            code, _ = inspected(path, capsys)
+        except InputError:
+            code = 2
+        assert code in (1, 2), f"byte {place}"
+
+
+# --- what is none ----------------------------------------------------------------------------------------------------------
+
+
+def test_no_log_is_refused(tmp_path, parts):
+    """What is no log of ours is refused by one line, whatever it is."""
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "text").write_text("time,height\n")
+    (tmp_path / "empty").touch()
+    (tmp_path / "others").write_bytes(written(replace(parts, metadata=[("other", {})])))
+    (tmp_path / "paths").write_bytes(written(replace(parts, metadata=[*parts.metadata, ("run/../../x", {})])))
+    (tmp_path / "stub").write_bytes(written(parts)[:40])
+    for name in ("pipe", "text", "empty", "others", "paths", "stub", "absent", "."):
+        with pytest.raises(InputError, match=r"^log .*; give an \.mcap file that a run has written$|^log .*no names that ours"):
+            main([str(tmp_path / name)])
+
+
+def test_command(log, tmp_path):
+    """As a command: text and exit code 0; one line and 2 for what is no log. It never imports a solver, and needs no network."""
+    run = subprocess.run([sys.executable, "-m", "sim.inspect", str(log)], capture_output=True, text=True, timeout=60)
+    assert (run.returncode, run.stderr) == (0, "")
+    assert run.stdout.endswith("the log still proves what it claims\n")
+    assert "python -m pytest" in run.stdout or "command   python" in run.stdout
+    bad = subprocess.run([sys.executable, "-m", "sim.inspect", __file__], capture_output=True, text=True, timeout=60)
+    assert (bad.returncode, bad.stdout, bad.stderr.count("\n")) == (2, "", 1)
+    code = "import sys; from sim.inspect import main; main(sys.argv[1:]); print({'cvxpy', 'control', 'rerun'} & set(sys.modules))"
+    run = subprocess.run([sys.executable, "-c", code, str(log)], capture_output=True, text=True, timeout=60)
+    assert run.stdout.endswith("set()\n")
+
+
+def test_text_does_not_steer_the_terminal(parts, tmp_path, capsys):
+    """What a log holds is shown, not obeyed."""
+    path = tmp_path / "escape.mcap"
+    path.write_bytes(written(parts.with_claim("roadproof", "command_line", lambda _: "\x1b[2J\nthe log still proves\u202e")))
+    main([str(path)])
+    out = capsys.readouterr().out
+    assert "\\x1b[2J\\nthe log still proves\\u202e" in out
+    assert "\x1b" not in out
+
+
+def test_csv(log, parts, tmp_path, capsys):
+    """The table holds every sample of every run, to the last bit, units in its headings; nothing else is written."""
+    path = tmp_path / "signals.csv"
+    inspected(log, capsys, "--csv", str(path))
+    with path.open(newline="") as file:
+        head, *rows = csv.reader(file)
+    assert head[:5] == [
+        "run",
+        "time [s]",
+        "road_displacement mujoco [m]",
+        "road_displacement linear [m]",
+        "road_displacement recomputed [m]",
+    ]
+    assert len(rows) == 2 * 1001
+    column = head.index("sprung_acceleration mujoco [m/s2]")
+    (number,) = [channel.id for channel in parts.channels if channel.topic == "/I/mujoco"]
+    logged = [message.data[9 * 6 + 1 : 9 * 6 + 9] for message in parts.messages if message.channel_id == number]
+    assert [float(row[column]) for row in rows[1001:]] == np.frombuffer(b"".join(logged), "<f8").tolist()
+    assert [row[column + 1] for row in rows] == [row[column + 2] for row in rows]
+    assert [path.name for path in tmp_path.iterdir()] == ["signals.csv"]
+    with pytest.raises(InputError, match="is the log itself"):
+        main([str(log), "--csv", str(log)])
+    with pytest.raises(InputError, match=r"cannot be written \(No such file or directory\)"):
+        main([str(log), "--csv", str(tmp_path / "absent" / "x.csv")])
+
+
+def test_vehicle_of_the_log_not_of_the_machine(log, parts, tmp_path, capsys):
+    """The vehicle is the attached one, wherever its file is said to have been."""
+    path = tmp_path / "moved.mcap"
+    path.write_bytes(written(parts.with_claim("roadproof", "vehicle", lambda _: "/dev/zero")))
+    assert inspected(path, capsys)[0] == 0
+    assert read_vehicle("quarter_car").text.encode() == parts.attachments[0][2]
+
+
+def test_hostile_logs():
+    """Hundreds of cut, flipped and forged logs neither crash it, hang it, fill memory, nor make it write a file.
+
+    In a process of its own, whose memory is limited. `tests/benchmarks/fuzz_inspect.py` runs as many as one likes.
+    """
+    command = [sys.executable, "-W", "error::RuntimeWarning", "-m", "tests.benchmarks.fuzz_inspect", "--count", "150"]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=300, cwd=Path(__file__).parent.parent)
+    assert run.returncode == 0, run.stdout + run.stderr
