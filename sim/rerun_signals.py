@@ -1,0 +1,172 @@
+"""A run's signals in Rerun: curves, what happened marked on them, differences, and texts."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import rerun as rr
+
+from models.arrays import Array
+from models.signals import Signal
+from sim.difference import difference
+from sim.figure import OTHERS, STYLES, rgb, styles, tint
+from sim.run_log import RunLog
+
+TIMELINE = "time"
+
+# The viewer draws in the order of names, so physics comes last: a thin line within broad ones. Where it leaves them, all are
+# seen. By response: (label, share of white in the run's colour, width).
+RESPONSES = {"continuous": ("continuous", 0.78, 8.0), "linear": ("linear", 0.5, 4.5), "mujoco": ("MuJoCo", 0.0, 1.5)}
+ANY_RESPONSE = (0.3, 2.0)
+
+# What happens, by its text: (shape, colour). Anything else is a cross.
+MARKERS = {
+    "lift-off": ("up", (214, 39, 40)),
+    "landing": ("down", (44, 160, 44)),
+    "bump stop": ("square", (255, 127, 14)),
+    "actuator saturated": ("diamond", (148, 103, 189)),
+}
+ANY_MARKER = ("cross", (20, 20, 20))
+
+PALETTE = (*(color for color, _ in STYLES.values()), *OTHERS)  # of curves that stand for no run
+
+GROUPED = 8  # signals; more than a screen holds in one grid
+
+
+def entity(*parts: str) -> str:
+    """An entity path; a name may hold any character."""
+    return "/" + rr.new_entity_path(list(parts))
+
+
+def time_index(time: Array) -> list[rr.TimeColumn]:
+    """Times [s] to the nearest nanosecond, as in the MCAP file; of seconds, Rerun would cut off the rest."""
+    return [rr.TimeColumn(TIMELINE, duration=np.round(time * 1e9).astype("timedelta64[ns]"))]
+
+
+def colours(runs: Sequence[RunLog]) -> list[str]:
+    """The report's colour of each run."""
+    return [color for color, _ in styles(tuple(run.name for run in runs)).values()]
+
+
+def signals_of(runs: Sequence[RunLog]) -> tuple[Signal, ...]:
+    """Every signal that some response has, once, by name, in order of appearance."""
+    found = {signal.name: signal for run in runs for response in run.responses.values() for signal in response.signals}
+    return tuple(found.values())
+
+
+def groups(signals: Sequence[Signal]) -> dict[str, tuple[Signal, ...]]:
+    """Signals as they share a page: all on one that is called `signals`, or, where they are many, by kind."""
+    if len(signals) <= GROUPED:
+        return {"signals": tuple(signals)}
+    kinds: dict[str, list[Signal]] = {}
+    for signal in signals:
+        kinds.setdefault(signal.name.split("_")[0], []).append(signal)
+    # What comes once or twice, as heave and pitch do, shares a page, which is seen first.
+    found = {"car": tuple(signal for kind in kinds.values() if len(kind) <= 2 for signal in kind)}
+    found |= {name: tuple(kind) for name, kind in kinds.items() if len(kind) > 2}
+    return {name: kind for name, kind in found.items() if kind}
+
+
+def line(label: str, color: str, width: float) -> rr.SeriesLines:
+    """A curve that keeps its peaks: Rerun's default averages over the samples of a pixel."""
+    return rr.SeriesLines(names=label, colors=rgb(color), widths=width, aggregation_policy="MinMax")
+
+
+def log_signals(recording: rr.RecordingStream, run: RunLog, color: str) -> None:
+    """Every response of a run, at `signals/<signal>/<response>`, in tints of its colour."""
+    for name, response in run.responses.items():
+        index = time_index(response.time)
+        label, white, width = RESPONSES.get(name, (name, *ANY_RESPONSE))
+        for signal in response.signals:
+            path = entity(run.name, "signals", signal.name, name)
+            recording.log(path, line(f"{label} [{signal.unit}]", tint(color, white), width), static=True)
+            recording.send_columns(path, index, rr.Scalars.columns(scalars=response[signal.name]))
+
+
+def log_difference(recording: rr.RecordingStream, run: RunLog) -> None:
+    """MuJoCo minus linear, of each signal's peak, at `difference/<group>`: one series for each signal of a group."""
+    if not {"mujoco", "linear"} <= set(run.responses):
+        return
+    gap = difference(run.responses["mujoco"], run.responses["linear"])
+    for name, group in groups(signals_of([run])).items():
+        names = [signal.name for signal in group if signal.name in gap.names]
+        if not names:
+            continue
+        path = entity(run.name, "difference", name)
+        looks = rr.SeriesLines(
+            names=[name.replace("_", " ") for name in names],
+            colors=[rgb(PALETTE[i % len(PALETTE)]) for i in range(len(names))],
+            widths=[1.5] * len(names),
+            aggregation_policy="MinMax",
+        )
+        recording.log(path, looks, static=True)
+        values = np.stack([gap[name] for name in names], axis=-1)
+        columns = rr.Scalars.columns(scalars=values.ravel()).partition([len(names)] * len(values))
+        recording.send_columns(path, time_index(gap.time), columns)
+
+
+def log_events(recording: rr.RecordingStream, run: RunLog) -> None:
+    """What happened: as text at `events`, and as markers on every curve of the physics, at `signals/<signal>/<what>`."""
+    if not run.events:
+        return
+    texts = [text for _, text in run.events]
+    index = time_index(np.array([time for time, _ in run.events]))
+    recording.send_columns(entity(run.name, "events"), index, rr.TextLog.columns(text=texts, level=["INFO"] * len(texts)))
+    response = run.responses[shown(run)]
+    for text in dict.fromkeys(texts):
+        shape, colour = MARKERS.get(text, ANY_MARKER)
+        times = np.array([time for time, what in run.events if what == text])
+        samples = np.clip(np.searchsorted(response.time, times), 0, len(response.time) - 1)
+        for signal in response.signals:
+            path = entity(run.name, "signals", signal.name, text)
+            recording.log(path, rr.SeriesPoints(names=text, colors=colour, markers=shape, marker_sizes=5.0), static=True)
+            recording.send_columns(path, time_index(times), rr.Scalars.columns(scalars=response[signal.name][samples]))
+
+
+def shown(run: RunLog) -> str:
+    """The response that stands for a run: its physics."""
+    return "mujoco" if "mujoco" in run.responses else next(iter(run.responses))
+
+
+def log_properties(recording: rr.RecordingStream, name: str, metadata: Mapping[str, str]) -> None:
+    """Metadata where programs look for it; people read it in the documents."""
+    if metadata:
+        recording.send_property(name, rr.AnyValues(drop_untyped_nones=True, **metadata))
+
+
+def log_text(recording: rr.RecordingStream, path: str, text: str) -> None:
+    """A page of Markdown."""
+    recording.log(path, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
+
+
+def listed(metadata: Mapping[str, str]) -> str:
+    """Metadata as Markdown: a table of what fits on a line, then the rest as it is."""
+    short = {key: value for key, value in metadata.items() if len(value) <= 80 and "\n" not in value}
+    rows = [f"| {key} | {_cell(value)} |" for key, value in short.items()]
+    table = ["| key | value |", "|---|---|", *rows] if rows else []
+    blocks = [f"\n**{key}**\n```\n{value}\n```" for key, value in metadata.items() if key not in short]
+    return "\n".join(table + blocks)
+
+
+def certificates(runs: Sequence[RunLog]) -> str:
+    """What is proved and found of every run, side by side, as Markdown."""
+    keys = {"bound": "bound", "norm": "norm", "stable": "stable", "agrees": "agrees with analysis"}
+    rows = ["| controller | " + " | ".join(keys.values()) + " | happened |", "|---" * (len(keys) + 2) + "|"]
+    for run in runs:
+        claims = [_number(run.metadata.get(key, "-")) for key in keys]
+        happened = ", ".join(f"{text} {time:.3g} s" for time, text in run.events[:3])
+        more = f" and {len(run.events) - 3} more" if len(run.events) > 3 else ""
+        rows.append(f"| {_cell(run.name)} | {' | '.join(claims)} | {happened + more or '-'} |")
+    return "\n".join(rows)
+
+
+def _number(text: str) -> str:
+    """A claim as people write it."""
+    words = {"true": "yes", "false": "NO", "null": "-"}
+    try:
+        return f"{float(text):.6g}"
+    except ValueError:
+        return words.get(text, _cell(text))
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", chr(92) + "|").replace("\n", " ")
