@@ -17,8 +17,8 @@ from sim.run_log import RunLog
 SIGHT = np.array([-0.45, -1.0, -0.14])
 HALF_VIEW = np.tan(np.radians(55.0 / 2))  # Rerun's vertical field of view
 SKY = (206, 214, 224)  # black tyres are seen before it
-PAPER = (212, 215, 220)  # the report's colours are made for light paper; the time cursor is white
-ROW = 4  # cars side by side; more stand in two rows
+PAPER = (198, 202, 208)  # the report's colours are made for light paper; the time cursor is white
+CARS = 3.0  # width by height of the room for cars side by side
 
 
 def layout(runs: Sequence[RunLog]) -> rrb.Blueprint:
@@ -44,7 +44,8 @@ def _page(run: RunLog) -> rrb.Container:
     )
     left: list[Any] = [_car(run, 1.5), texts]
     if run.events:
-        left.append(rrb.TextLogView(origin=entity(run.name, "events"), name="what happened"))
+        columns = rrb.archetypes.TextLogColumns(timeline_columns=[TIMELINE], text_log_columns=["Body"])
+        left.append(rrb.TextLogView(origin=entity(run.name, "events"), name="what happened", columns=columns))
     pages = []
     for name, group in groups(signals_of([run])).items():
         happened = dict.fromkeys(text for _, text in run.events)
@@ -62,7 +63,7 @@ def _page(run: RunLog) -> rrb.Container:
         )
         pages.append(rrb.Vertical(grid, gap, row_shares=[4, 1], name=name))
     return rrb.Horizontal(
-        rrb.Vertical(*left, row_shares=[5, 4, 1][: len(left)]),
+        rrb.Vertical(*left, row_shares=[5, 4, 2][: len(left)]),
         pages[0] if len(pages) == 1 else rrb.Tabs(*pages, active_tab=0),
         column_shares=[2, 3],
         name=run.name,
@@ -81,8 +82,8 @@ def _largest(run: RunLog, group: Sequence[Signal]) -> str:
 
 def _comparison(runs: Sequence[RunLog]) -> rrb.Container:
     """All cars side by side, what is proved of each, and every signal of all of them in one plot."""
-    columns = len(runs) if len(runs) <= ROW else -(-len(runs) // 2)
-    aspect = (3.0 if len(runs) <= ROW else 6.0) / columns
+    columns = _columns(runs)
+    aspect = CARS * -(-len(runs) // columns) / columns
     cars = rrb.Grid(*(_car(run, aspect) for run in runs), grid_columns=columns)
     pages = []
     for name, group in groups(signals_of(runs)).items():
@@ -93,19 +94,29 @@ def _comparison(runs: Sequence[RunLog]) -> rrb.Container:
     return rrb.Vertical(rrb.Horizontal(cars, certificates, column_shares=[3, 1]), plots, row_shares=[4, 5], name="all")
 
 
+def _columns(runs: Sequence[RunLog]) -> int:
+    """In how many columns cars side by side are seen largest."""
+    low, high = np.array([run.scene.finite().extent() for run in runs]).swapaxes(0, 1)
+    length, _, height = (high - low).max(axis=0)
+
+    def size(columns: int) -> float:
+        rows = -(-len(runs) // columns)
+        return min(CARS / columns / length, 1 / rows / height)
+
+    return max(range(1, len(runs) + 1), key=size)
+
+
 def _compared(signal: Signal, runs: Sequence[RunLog], legend: bool) -> rrb.View:
     """One signal of all runs, each in its colour."""
-    having = {run.name: color for run, color in zip(runs, colours(runs), strict=True) if signal.name in _response(run)}
+    having = {run.name: color for run, color in zip(runs, colours(runs), strict=True) if signal.name in run.responses[shown(run)].names}
     paths = {entity(run.name, "signals", signal.name, shown(run)): run.name for run in runs if run.name in having}
     # In the order in which the viewer draws, thinner and thinner, so that one curve behind another is still seen.
     lines = {
         path: line(paths[path], having[paths[path]], min(1.5 + rank, 5.0)) for rank, path in enumerate(sorted(paths)[::-1])
     }
-    return _plot(signal, list(paths), lines, legend)
-
-
-def _response(run: RunLog) -> tuple[str, ...]:
-    return run.responses[shown(run)].names
+    happened = [entity(run.name, "signals", signal.name, text) for run in runs for text in dict.fromkeys(t for _, t in run.events)]
+    # The plot with the legend goes without: there are as many markers as controllers.
+    return _plot(signal, [*paths, *([] if legend else happened)], lines, legend)
 
 
 def _plot(signal: Signal, paths: Sequence[str], lines: Mapping[Any, rr.SeriesLines], legend: bool) -> rrb.View:
