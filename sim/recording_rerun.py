@@ -9,8 +9,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import numpy as np
-
+from sim.appearance import largest_force
 from sim.run_log import RunLog
 
 
@@ -71,7 +70,7 @@ def write_rrd(path: Path, runs: Sequence[RunLog], metadata: Mapping[str, str]) -
         log_text(recording, entity("metadata"), listed(metadata))
         if len(runs) > 1:
             log_text(recording, entity("certificates"), certificates(runs))
-        largest = largest_force(runs)
+        largest = largest_force(run.scene for run in runs)
         for run, color in zip(runs, colours(runs), strict=True):
             log_properties(recording, f"run {run.name}", run.metadata)
             log_text(recording, entity(run.name, "summary"), run.summary + "\n\n---\n\n" + listed(run.metadata))
@@ -83,12 +82,6 @@ def write_rrd(path: Path, runs: Sequence[RunLog], metadata: Mapping[str, str]) -
         recording.disconnect()  # flushes and closes the file
         rr.set_strict_mode(strict)
     _check_complete(path)
-
-
-def largest_force(runs: Sequence[RunLog]) -> float:
-    """The largest control force of all runs [N]: arrows of runs side by side have one scale."""
-    forces = [np.abs(force).max() for run in runs for force in run.scene.finite().forces.values() if len(force)]
-    return float(max(forces, default=0.0))
 
 
 def _check_complete(path: Path) -> None:

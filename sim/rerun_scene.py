@@ -6,14 +6,10 @@ import numpy as np
 import rerun as rr
 
 from models.arrays import Array
+from sim.appearance import BESIDE, FORCE, LIFTED, LINES, LONGEST, strut_lines, tyre_surface
 from sim.rerun_signals import entity, time_index
 from sim.run_log import RunLog
 from sim.scene import Scene, Shape, Tyre
-from sim.strut import LINES, strut_lines, tyre_surface
-
-LIFTED = (214, 39, 40)  # a tyre off the road
-FORCE, LONGEST = (190, 60, 200), 0.3  # colour of a force's arrow, and length of the largest [m]
-BESIDE = np.array([0.0, 0.16, 0.0])  # where it stands, from the middle of its spring [m]
 
 
 def log_scene(recording: rr.RecordingStream, run: RunLog, largest: float) -> None:

@@ -1,15 +1,27 @@
-"""What a scene's springs, dampers and tyres look like: their surfaces and lines, for any viewer."""
+"""What a scene's springs, dampers, tyres and forces look like: their lines, surfaces and colours, for any viewer."""
+
+from collections.abc import Iterable
 
 import numpy as np
 
 from models.arrays import Array
-from sim.scene import Tyre
+from sim.scene import Scene, Tyre
 
 TURNS, POINTS = 6, 49  # of a coil
 SECTORS = 40  # of a tyre
 
 # Of the lines of a strut, in order: radius [m] and colour.
 LINES = ((0.011, (235, 175, 45)), (0.012, (165, 170, 178)), (0.03, (95, 100, 110)))
+
+LIFTED = (214, 39, 40)  # colour of a tyre off the road
+FORCE, LONGEST = (190, 60, 200), 0.3  # colour of a force's arrow, and length of the largest [m]
+BESIDE = np.array([0.0, 0.16, 0.0])  # where it stands, from the middle of its spring [m]
+
+
+def largest_force(scenes: Iterable[Scene]) -> float:
+    """The largest control force of all scenes [N]: arrows of runs side by side have one scale."""
+    forces = [np.abs(force).max() for scene in scenes for force in scene.finite().forces.values() if len(force)]
+    return float(max(forces, default=0.0))
 
 
 def strut_lines(ends: Array) -> tuple[Array, Array, Array]:
