@@ -25,7 +25,9 @@ def difference(physics: Response, linear: Response) -> Response:
         scale = linear.scale(signal.name) or 1.0  # a vehicle that nothing moves
         columns.append((physics[signal.name] - linear[signal.name]) / scale)
     signals = tuple(
-        replace(signal, symbol=f"({signal.symbol}) / peak", unit="1", meaning=f"MuJoCo minus linear, over the peak: {signal.meaning}")
+        replace(
+            signal, symbol=f"({signal.symbol}) / peak", unit="1", meaning=f"MuJoCo minus linear, over the peak: {signal.meaning}"
+        )
         for signal in made
     )
     return Response(linear.time, signals, np.stack(columns, axis=-1) if columns else np.zeros((len(linear.time), 0)))

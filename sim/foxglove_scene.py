@@ -58,7 +58,10 @@ def transforms(run: RunLog, times: list[int], stand: Array) -> Messages:
         stand: where its car stands in the world [m], shape (3,).
     """
     own = FrameTransform(
-        parent_frame_id=WORLD, child_frame_id=frame(run), translation=_vector(stand), rotation=Quaternion(x=0.0, y=0.0, z=0.0, w=1.0)
+        parent_frame_id=WORLD,
+        child_frame_id=frame(run),
+        translation=_vector(stand),
+        rotation=Quaternion(x=0.0, y=0.0, z=0.0, w=1.0),
     )
     for index, time in enumerate(times):
         stamp = _stamp(time)
@@ -101,7 +104,11 @@ def moving(run: RunLog, times: list[int], largest: float) -> Messages:
         stamp = _stamp(time)
         lines = [
             LinePrimitive(
-                type=LinePrimitive.LINE_STRIP, pose=_pose(), thickness=2 * radius, points=_points(line[index]), color=_color(colour)
+                type=LinePrimitive.LINE_STRIP,
+                pose=_pose(),
+                thickness=2 * radius,
+                points=_points(line[index]),
+                color=_color(colour),
             )
             for strut in struts
             for line, (radius, colour) in zip(strut, LINES, strict=True)

@@ -10,8 +10,9 @@ import rerun.blueprint as rrb
 from models.arrays import Array
 from models.signals import Signal
 from sim.difference import difference
-from sim.rerun_signals import TIMELINE, colours, entity, groups, line, shown, signals_of
+from sim.rerun_signals import TIMELINE, colours, entity, line
 from sim.run_log import RunLog
+from sim.signal_groups import groups, shown, signals_of
 
 # Cameras look from the left-hand side, where the struts are seen, a bit in front and above: x is forward, z is up.
 SIGHT = np.array([-0.45, -1.0, -0.14])
@@ -108,13 +109,15 @@ def _columns(runs: Sequence[RunLog]) -> int:
 
 def _compared(signal: Signal, runs: Sequence[RunLog], legend: bool) -> rrb.View:
     """One signal of all runs, each in its colour."""
-    having = {run.name: color for run, color in zip(runs, colours(runs), strict=True) if signal.name in run.responses[shown(run)].names}
+    having = {
+        run.name: color for run, color in zip(runs, colours(runs), strict=True) if signal.name in run.responses[shown(run)].names
+    }
     paths = {entity(run.name, "signals", signal.name, shown(run)): run.name for run in runs if run.name in having}
     # In the order in which the viewer draws, thinner and thinner, so that one curve behind another is still seen.
-    lines = {
-        path: line(paths[path], having[paths[path]], min(1.5 + rank, 5.0)) for rank, path in enumerate(sorted(paths)[::-1])
-    }
-    happened = [entity(run.name, "signals", signal.name, text) for run in runs for text in dict.fromkeys(t for _, t in run.events)]
+    lines = {path: line(paths[path], having[paths[path]], min(1.5 + rank, 5.0)) for rank, path in enumerate(sorted(paths)[::-1])}
+    happened = [
+        entity(run.name, "signals", signal.name, text) for run in runs for text in dict.fromkeys(t for _, t in run.events)
+    ]
     # The plot with the legend goes without: there are as many markers as controllers.
     return _plot(signal, [*paths, *([] if legend else happened)], lines, legend)
 

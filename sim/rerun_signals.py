@@ -6,16 +6,13 @@ import numpy as np
 import rerun as rr
 
 from models.arrays import Array
-from models.signals import Signal
 from sim.difference import difference
-from sim.figure import OTHERS, STYLES, rgb, styles, tint
+from sim.figure import rgb, styles, tint
 from sim.run_log import RunLog
+from sim.signal_groups import PALETTE, RESPONSES, groups, shown, signals_of
 
 TIMELINE = "time"
 
-# The viewer draws in the order of names, so physics comes last: a thin line within broad ones. Where it leaves them, all are
-# seen. By response: (label, share of white in the run's colour, width).
-RESPONSES = {"continuous": ("continuous", 0.78, 8.0), "linear": ("linear", 0.5, 4.5), "mujoco": ("MuJoCo", 0.0, 1.5)}
 ANY_RESPONSE = (0.3, 2.0)
 
 # What happens, by its text: (shape, colour). Anything else is a cross.
@@ -26,10 +23,6 @@ MARKERS = {
     "actuator saturated": ("diamond", (148, 103, 189)),
 }
 ANY_MARKER = ("cross", (20, 20, 20))
-
-PALETTE = (*(color for color, _ in STYLES.values()), *OTHERS)  # of curves that stand for no run
-
-GROUPED = 8  # signals; more than a screen holds in one grid
 
 
 def entity(*parts: str) -> str:
@@ -45,25 +38,6 @@ def time_index(time: Array) -> list[rr.TimeColumn]:
 def colours(runs: Sequence[RunLog]) -> list[str]:
     """The report's colour of each run."""
     return [color for color, _ in styles(tuple(run.name for run in runs)).values()]
-
-
-def signals_of(runs: Sequence[RunLog]) -> tuple[Signal, ...]:
-    """Every signal that some response has, once, by name, in order of appearance."""
-    found = {signal.name: signal for run in runs for response in run.responses.values() for signal in response.signals}
-    return tuple(found.values())
-
-
-def groups(signals: Sequence[Signal]) -> dict[str, tuple[Signal, ...]]:
-    """Signals as they share a page: all on one that is called `signals`, or, where they are many, by kind."""
-    if len(signals) <= GROUPED:
-        return {"signals": tuple(signals)}
-    kinds: dict[str, list[Signal]] = {}
-    for signal in signals:
-        kinds.setdefault(signal.name.split("_")[0], []).append(signal)
-    # What comes once or twice, as heave and pitch do, shares a page, which is seen first.
-    found = {"car": tuple(signal for kind in kinds.values() if len(kind) <= 2 for signal in kind)}
-    found |= {name: tuple(kind) for name, kind in kinds.items() if len(kind) > 2}
-    return {name: kind for name, kind in found.items() if kind}
 
 
 def line(label: str, color: str, width: float) -> rr.SeriesLines:
@@ -120,11 +94,6 @@ def log_events(recording: rr.RecordingStream, run: RunLog) -> None:
             path = entity(run.name, "signals", signal.name, text)
             recording.log(path, rr.SeriesPoints(names=text, colors=colour, markers=shape, marker_sizes=5.0), static=True)
             recording.send_columns(path, time_index(times), rr.Scalars.columns(scalars=response[signal.name][samples]))
-
-
-def shown(run: RunLog) -> str:
-    """The response that stands for a run: its physics."""
-    return "mujoco" if "mujoco" in run.responses else next(iter(run.responses))
 
 
 def log_properties(recording: rr.RecordingStream, name: str, metadata: Mapping[str, str]) -> None:

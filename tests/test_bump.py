@@ -130,7 +130,7 @@ def test_json_has_this_shape(everything):
     assert set(everything) == {"runs", "road", "timestep", "logs"}
     assert everything["road"] == {"type": "bump", "height": 0.1, "length": 5.0, "speed": 12.5, "track": "both"}  # (62)
     assert everything["timestep"] == 1e-3
-    assert everything["logs"] == {"mcap": None, "rerun": None}
+    assert everything["logs"] == {"mcap": None, "layout": None, "rerun": None}
     assert [run["controller"]["name"] for run in everything["runs"]] == CONTROLLERS
     for run in everything["runs"]:
         assert set(run) == {"controller", "signals", "lift_off", "agrees"}
