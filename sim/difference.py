@@ -24,10 +24,6 @@ def difference(physics: Response, linear: Response) -> Response:
     for signal in made:
         scale = linear.scale(signal.name) or 1.0  # a vehicle that nothing moves
         columns.append((physics[signal.name] - linear[signal.name]) / scale)
-    signals = tuple(
-        replace(
-            signal, symbol=f"({signal.symbol}) / peak", unit="1", meaning=f"MuJoCo minus linear, over the peak: {signal.meaning}"
-        )
-        for signal in made
-    )
+    about = "MuJoCo minus linear, over the peak"
+    signals = tuple(replace(s, symbol=f"({s.symbol}) / peak", unit="1", meaning=f"{about}: {s.meaning}") for s in made)
     return Response(linear.time, signals, np.stack(columns, axis=-1) if columns else np.zeros((len(linear.time), 0)))

@@ -25,6 +25,7 @@ from foxglove_schemas_protobuf.SpherePrimitive_pb2 import SpherePrimitive
 from foxglove_schemas_protobuf.TextPrimitive_pb2 import TextPrimitive
 from foxglove_schemas_protobuf.TriangleListPrimitive_pb2 import TriangleListPrimitive
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
+from google.protobuf.duration_pb2 import Duration
 from google.protobuf.timestamp_pb2 import Timestamp
 
 from models.arrays import Array
@@ -61,7 +62,7 @@ def transforms(run: RunLog, times: list[int], stand: Array) -> Messages:
         parent_frame_id=WORLD,
         child_frame_id=frame(run),
         translation=_vector(stand),
-        rotation=Quaternion(x=0.0, y=0.0, z=0.0, w=1.0),
+        rotation=_quaternion(UNTURNED),
     )
     for index, time in enumerate(times):
         stamp = _stamp(time)
@@ -83,7 +84,7 @@ def shapes(run: RunLog, time: int, color: tuple[int, int, int]) -> Messages:
     """The solids, each fixed to its body, and the run's name above the car in its colour."""
     entities = []
     for body in run.scene.bodies:
-        entity = SceneEntity(timestamp=_stamp(time), frame_id=frame(run, body), id=body, frame_locked=True)
+        entity = _entity(time, frame(run, body), body)
         for shape in run.scene.shapes:
             if shape.body == body:
                 _add_solid(entity, shape)
@@ -91,7 +92,7 @@ def shapes(run: RunLog, time: int, color: tuple[int, int, int]) -> Messages:
     low, high = run.scene.extent()
     pose = _pose(np.array([*(low + high)[:2] / 2, high[2] + 0.2]))
     label = TextPrimitive(pose=pose, billboard=True, font_size=0.15, color=_color(color), text=run.name)
-    entities.append(SceneEntity(timestamp=_stamp(time), frame_id=frame(run), id="name", frame_locked=True, texts=[label]))
+    entities.append(_entity(time, frame(run), "name", texts=[label]))
     yield time, SceneUpdate(entities=entities)
 
 
@@ -101,7 +102,6 @@ def moving(run: RunLog, times: list[int], largest: float) -> Messages:
     struts = [[_drawn(line) for line in strut_lines(ends)] for ends in scene.springs.values()]
     tyres = [(tyre, *tyre_surface(tyre)) for tyre in scene.tyres]
     for index, time in enumerate(times):
-        stamp = _stamp(time)
         lines = [
             LinePrimitive(
                 type=LinePrimitive.LINE_STRIP,
@@ -113,9 +113,8 @@ def moving(run: RunLog, times: list[int], largest: float) -> Messages:
             for strut in struts
             for line, (radius, colour) in zip(strut, LINES, strict=True)
         ]
-        entities = [SceneEntity(timestamp=stamp, frame_id=frame(run), id="struts", frame_locked=True, lines=lines)]
         arrows = list(_arrows(scene, index, largest))
-        entities.append(SceneEntity(timestamp=stamp, frame_id=frame(run), id="forces", frame_locked=True, arrows=arrows))
+        entities = [_entity(time, frame(run), "struts", lines=lines), _entity(time, frame(run), "forces", arrows=arrows)]
         for tyre, vertices, triangles in tyres:
             surface = TriangleListPrimitive(
                 pose=_pose(),
@@ -123,10 +122,14 @@ def moving(run: RunLog, times: list[int], largest: float) -> Messages:
                 indices=triangles.ravel().tolist(),
                 color=_color(LIFTED) if tyre.lifted[index] else _color(255 * tyre.rgba[:3]),
             )
-            entities.append(
-                SceneEntity(timestamp=stamp, frame_id=frame(run, tyre.body), id=tyre.name, frame_locked=True, triangles=[surface])
-            )
+            entities.append(_entity(time, frame(run, tyre.body), tyre.name, triangles=[surface]))
         yield time, SceneUpdate(entities=entities)
+
+
+def _entity(time: int, frame_id: str, name: str, **primitives: Any) -> SceneEntity:
+    """Something that moves with its frame and stays until another one of its name replaces it."""
+    stamp, forever = _stamp(time), Duration()
+    return SceneEntity(timestamp=stamp, frame_id=frame_id, id=name, lifetime=forever, frame_locked=True, **primitives)
 
 
 def _arrows(scene: Scene, index: int, largest: float) -> Iterator[ArrowPrimitive]:

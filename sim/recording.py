@@ -1,4 +1,4 @@
-"""Recordings on disk: an MCAP file, its layout and a Rerun file side by side, complete or absent, never over somebody's older one."""
+"""Recordings on disk: MCAP, its layout and Rerun side by side, complete or absent, never over somebody's older ones."""
 
 import itertools
 import shlex
@@ -11,7 +11,6 @@ from sim.foxglove_layout import foxglove_layout
 from sim.recording_mcap import write_mcap
 from sim.recording_rerun import write_rrd
 from sim.run_log import RunLog
-
 
 SUFFIXES = {"mcap": "mcap", "layout": "layout.json", "rerun": "rrd"}
 
@@ -39,9 +38,10 @@ def record(
     metadata: Mapping[str, str],
     attachments: Mapping[str, tuple[str, bytes]],
 ) -> dict[str, Path]:
-    """Writes runs as `<stem>.mcap`, `<stem>.layout.json`, which is the MCAP's layout in Foxglove and Lichtblick, and `<stem>.rrd`.
+    """Writes runs as `<stem>.mcap`, `<stem>.layout.json` and `<stem>.rrd`; the layout is the MCAP's in Foxglove and Lichtblick.
 
-    Where one of them exists already, it is `<stem>-2`, `-3`, ... All are written in full under another name first. An error or an interruption leaves nothing behind.
+    Where one of them exists already, it is `<stem>-2`, `-3`, ... All are written in full under another name first. An error or
+    an interruption leaves nothing behind.
 
     Args:
         folder: where the files go; made if it is not there.

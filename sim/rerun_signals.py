@@ -17,12 +17,12 @@ ANY_RESPONSE = (0.3, 2.0)
 
 # What happens, by its text: (shape, colour). Anything else is a cross.
 MARKERS = {
-    "lift-off": ("up", (214, 39, 40)),
-    "landing": ("down", (44, 160, 44)),
-    "bump stop": ("square", (255, 127, 14)),
-    "actuator saturated": ("diamond", (148, 103, 189)),
+    "lift-off": (rr.components.MarkerShape.Up, (214, 39, 40)),
+    "landing": (rr.components.MarkerShape.Down, (44, 160, 44)),
+    "bump stop": (rr.components.MarkerShape.Square, (255, 127, 14)),
+    "actuator saturated": (rr.components.MarkerShape.Diamond, (148, 103, 189)),
 }
-ANY_MARKER = ("cross", (20, 20, 20))
+ANY_MARKER = (rr.components.MarkerShape.Cross, (20, 20, 20))
 
 
 def entity(*parts: str) -> str:

@@ -1,7 +1,7 @@
 // Reads an MCAP file with @mcap/core and decodes it by the schemas inside, and prints what it found as JSON:
 //   node mcap_reader.mjs NODE_MODULES FILE.mcap
-// One object per topic: schema, count, times in ns as text, and the first and last message. Timestamps and durations are written
-// as the published JSON schemas have them, {sec, nsec}.
+// For each topic its schema, log times in ns as text, and messages. Timestamps and durations are written as the published JSON
+// schemas have them, {sec, nsec}.
 
 import { readFileSync } from "node:fs";
 import { createRequire } from "node:module";
@@ -56,9 +56,9 @@ for await (const message of reader.readMessages()) {
   const schema = reader.schemasById.get(channel.schemaId);
   const type = typeOf(schema);
   const decoded = plain(type, type.decode(message.data));
-  const found = (topics[channel.topic] ??= { schema: schema.name, count: 0, first: { time: String(message.logTime), message: decoded } });
-  found.count += 1;
-  found.last = { time: String(message.logTime), message: decoded };
+  const found = (topics[channel.topic] ??= { schema: schema.name, times: [], messages: [] });
+  found.times.push(String(message.logTime));
+  found.messages.push(decoded);
 }
 
 // The published JSON schemas of the messages that were found, to check them against.

@@ -21,25 +21,12 @@ from sim.appearance import BESIDE, LIFTED, LONGEST
 from sim.difference import difference
 from sim.foxglove_layout import foxglove_layout
 from sim.recording_mcap import write_mcap
-from sim.road import Bump
-from sim.run import run_all, sample_times
 from sim.run_log import RunLog
-from synth.controller import Designer
 from tests.test_recording import make_run
 
 PACKAGES = ("@mcap/core@2.2.2", "fzstd@0.1.1", "protobufjs@8.8.1", "@foxglove/schemas@2.1.0")
 READER = Path(__file__).parent / "mcap_reader.mjs"
 GRID = 2.0**-13 * 1.001  # m, half of the grid that moving lines and surfaces are drawn to
-
-
-@pytest.fixture(scope="module")
-def lifting(designer: Designer) -> RunLog:
-    """A quarter-car with controller I over a bump that throws it off the road."""
-    from sim.provenance import run_log
-
-    vehicle, road = designer.vehicle, Bump(height=0.2, speed=20.0)
-    time = sample_times(vehicle, 0.5, 1e-3)
-    return run_log(vehicle, road, run_all(vehicle, [designer.design("I")], road, time)[0])
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +88,8 @@ def test_every_solid_is_drawn_once(lifting: RunLog, log: Path) -> None:
 def test_tyre_gives_way_and_lifts(lifting: RunLog, log: Path) -> None:
     """A tyre's lowest point is on the road while it is squeezed, its own radius below the hub in the air, and red there."""
     (tyre,) = lifting.scene.tyres
-    assert tyre.lifted.any() and not tyre.lifted.all()
+    assert tyre.lifted.any()
+    assert not tyre.lifted.all()
     for index, (_, _, update) in enumerate(read(log)["/scene"]):
         (entity,) = [entity for entity in update.entities if entity.id == "tyre"]
         (surface,) = entity.triangles
@@ -222,9 +210,9 @@ def node_modules(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 def test_another_language_reads_the_same(log: Path, node_modules: Path) -> None:
-    """@mcap/core and protobufjs find the topics, counts and first and last messages that Python finds.
+    """@mcap/core and protobufjs find the topics, times and numbers that Python finds.
 
-    What they decode is valid by Foxglove's published JSON schemas.
+    Every message with a published schema is valid by Foxglove's JSON schema of that name.
     """
     jsonschema = pytest.importorskip("jsonschema")
     output = subprocess.run(["node", READER, node_modules, log], check=True, capture_output=True, text=True, timeout=120).stdout
@@ -232,17 +220,19 @@ def test_another_language_reads_the_same(log: Path, node_modules: Path) -> None:
     assert set(theirs["topics"]) == set(ours)
     for topic, rows in ours.items():
         found = theirs["topics"][topic]
-        assert found["count"] == len(rows)
-        for which, (schema, record, message) in (("first", rows[0]), ("last", rows[-1])):
-            assert (found["schema"], found[which]["time"]) == (schema.name, str(record.log_time))
-            if schema.name.startswith("foxglove."):
-                jsonschema.validate(found[which]["message"], theirs["published"][schema.name])
-            else:  # numbers to the bit: JSON holds the shortest text that reads back the same
-                assert found[which]["message"] == {
-                    field.name: getattr(message, field.name) for field in message.DESCRIPTOR.fields
-                }
-    ends = [[transform["translation"] for transform in theirs["topics"]["/transforms"]["last"]["message"]["transforms"]]]
-    last = ours["/transforms"][-1][2]
-    assert ends == [[{"x": t.translation.x, "y": t.translation.y, "z": t.translation.z} for t in last.transforms]]
-    texts = theirs["topics"]["/events"]["first"]["message"]
-    assert (texts["message"], texts["name"], texts["level"]) == ("lift-off", "I", Log.INFO)
+        assert found["schema"] == rows[0][0].name
+        assert found["times"] == [str(record.log_time) for _, record, _ in rows]
+        if found["schema"].startswith("foxglove."):
+            valid = jsonschema.Draft7Validator(theirs["published"][found["schema"]])
+            for message in found["messages"]:
+                valid.validate(message)
+        else:  # to the bit: JSON holds the shortest text that reads back as the same number
+            fields = [field.name for field in rows[0][2].DESCRIPTOR.fields]
+            assert found["messages"] == [{field: getattr(message, field) for field in fields} for *_, message in rows]
+    for message, (*_, own) in zip(theirs["topics"]["/transforms"]["messages"], ours["/transforms"], strict=True):
+        for one, other in zip(message["transforms"], own.transforms, strict=True):
+            place = other.translation
+            assert one["translation"] == {"x": place.x, "y": place.y, "z": place.z}
+    happened = [(event["message"], event["name"], event["level"]) for event in theirs["topics"]["/events"]["messages"]]
+    assert [text for text, *_ in happened[:2]] == ["lift-off", "landing"]
+    assert {(name, level) for _, name, level in happened} == {("I", Log.INFO)}

@@ -117,5 +117,5 @@ def test_the_window_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
 def test_a_viewer_that_does_not_come_up_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A web viewer that ends at once is an error of one line."""
     monkeypatch.setattr(rerun_viewer, "_command", lambda: [sys.executable, "-c", "raise SystemExit(1)"])
-    with pytest.raises(InputError, match="does not answer at http://127.0.0.1"):
+    with pytest.raises(InputError, match=r"does not answer at http://127\.0\.0\.1"):
         rerun_viewer.serve_viewer(tmp_path / "x.rrd")
