@@ -18,8 +18,8 @@ from sim.signal_groups import groups, shown, signals_of
 SIGHT = np.array([-0.45, -1.0, -0.14])
 HALF_VIEW = np.tan(np.radians(55.0 / 2))  # Rerun's vertical field of view
 SKY = (206, 214, 224)  # black tyres are seen before it
-PAPER = (198, 202, 208)  # the report's colours are made for light paper; the time cursor is white
-CARS = 3.0  # width by height of the room for cars side by side
+PAPER = (178, 183, 192)  # the report's colours are made for light paper; the time cursor is white
+CARS, TITLE = (1090, 326), 28  # room for cars side by side in a window of 1600 x 900, and height of a view's title [pixels]
 
 
 def layout(runs: Sequence[RunLog]) -> rrb.Blueprint:
@@ -45,7 +45,7 @@ def _page(run: RunLog) -> rrb.Container:
     )
     left: list[Any] = [_car(run, 1.5), texts]
     if run.events:
-        columns = rrb.archetypes.TextLogColumns(timeline_columns=[TIMELINE], text_log_columns=["Body"])
+        columns = rrb.archetypes.TextLogColumns(timeline_columns=[], text_log_columns=["Body"])
         left.append(rrb.TextLogView(origin=entity(run.name, "events"), name="what happened", columns=columns))
     pages = []
     for name, group in groups(signals_of([run])).items():
@@ -84,8 +84,8 @@ def _largest(run: RunLog, group: Sequence[Signal]) -> str:
 def _comparison(runs: Sequence[RunLog]) -> rrb.Container:
     """All cars side by side, what is proved of each, and every signal of all of them in one plot."""
     columns = _columns(runs)
-    aspect = CARS * -(-len(runs) // columns) / columns
-    cars = rrb.Grid(*(_car(run, aspect) for run in runs), grid_columns=columns)
+    wide, tall = _room(len(runs), columns)
+    cars = rrb.Grid(*(_car(run, wide / tall) for run in runs), grid_columns=columns)
     pages = []
     for name, group in groups(signals_of(runs)).items():
         plots = [_compared(signal, runs, not i) for i, signal in enumerate(group)]
@@ -101,10 +101,15 @@ def _columns(runs: Sequence[RunLog]) -> int:
     length, _, height = (high - low).max(axis=0)
 
     def size(columns: int) -> float:
-        rows = -(-len(runs) // columns)
-        return min(CARS / columns / length, 1 / rows / height)
+        wide, tall = _room(len(runs), columns)
+        return min(wide / length, tall / height)
 
     return max(range(1, len(runs) + 1), key=size)
+
+
+def _room(count: int, columns: int) -> tuple[float, float]:
+    """Width and height of the view of each of several cars [pixels]."""
+    return CARS[0] / columns, CARS[1] / -(-count // columns) - TITLE
 
 
 def _compared(signal: Signal, runs: Sequence[RunLog], legend: bool) -> rrb.View:

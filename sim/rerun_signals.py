@@ -15,12 +15,12 @@ TIMELINE = "time"
 
 ANY_RESPONSE = (0.3, 2.0)
 
-# What happens, by its text: (shape, colour). Anything else is a cross.
+# What happens, by its text: (shape, colour that no curve has). Anything else is a cross.
 MARKERS = {
-    "lift-off": (rr.components.MarkerShape.Up, (214, 39, 40)),
-    "landing": (rr.components.MarkerShape.Down, (44, 160, 44)),
-    "bump stop": (rr.components.MarkerShape.Square, (255, 127, 14)),
-    "actuator saturated": (rr.components.MarkerShape.Diamond, (148, 103, 189)),
+    "lift-off": (rr.components.MarkerShape.Up, (255, 221, 0)),
+    "landing": (rr.components.MarkerShape.Down, (255, 255, 255)),
+    "bump stop": (rr.components.MarkerShape.Square, (255, 0, 200)),
+    "actuator saturated": (rr.components.MarkerShape.Diamond, (0, 220, 220)),
 }
 ANY_MARKER = (rr.components.MarkerShape.Cross, (20, 20, 20))
 
@@ -84,7 +84,8 @@ def log_events(recording: rr.RecordingStream, run: RunLog) -> None:
         return
     texts = [text for _, text in run.events]
     index = time_index(np.array([time for time, _ in run.events]))
-    recording.send_columns(entity(run.name, "events"), index, rr.TextLog.columns(text=texts, level=["INFO"] * len(texts)))
+    lines = [f"{time:.4g} s   {text}" for time, text in run.events]  # a narrow view cuts the column of times off
+    recording.send_columns(entity(run.name, "events"), index, rr.TextLog.columns(text=lines, level=["INFO"] * len(lines)))
     response = run.responses[shown(run)]
     for text in dict.fromkeys(texts):
         shape, colour = MARKERS.get(text, ANY_MARKER)
@@ -92,7 +93,7 @@ def log_events(recording: rr.RecordingStream, run: RunLog) -> None:
         samples = np.clip(np.searchsorted(response.time, times), 0, len(response.time) - 1)
         for signal in response.signals:
             path = entity(run.name, "signals", signal.name, text)
-            recording.log(path, rr.SeriesPoints(names=text, colors=colour, markers=shape, marker_sizes=5.0), static=True)
+            recording.log(path, rr.SeriesPoints(names=text, colors=colour, markers=shape, marker_sizes=7.0), static=True)
             recording.send_columns(path, time_index(times), rr.Scalars.columns(scalars=response[signal.name][samples]))
 
 
