@@ -1,5 +1,7 @@
 """What ends the linear regime, and when: a tyre off the road, a suspension at its bump stop, an actuator at its limit."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from models.arrays import Array
@@ -55,6 +57,36 @@ def reached(vehicle: Vehicle, response: Response, factor: Array | float = 1.0) -
             first = np.minimum(first, np.where(beyond.any(axis=-1), response.time[beyond.argmax(axis=-1)], np.inf))
         columns.append(first)
     return np.stack(columns, axis=-1)
+
+
+class Ends:
+    """What ends the linear regime of each of N runs first, and when, from their signals block by block.
+
+    Attributes:
+        first: when [s], infinite for never, shape (N,).
+        which: what, as an index into `ENDS`, -1 for nothing, shape (N,). Of two at one sample, the one that is named first.
+    """
+
+    def __init__(self, vehicles: Sequence[Vehicle], time: Array) -> None:
+        self.time, count = time, len(vehicles)
+        self.first, self.which = np.full(count, np.inf), np.full(count, -1)
+        names = [signal.name for signal in vehicles[0].kind.signals]
+        each = [thresholds(vehicle) for vehicle in vehicles]
+        # (end, signal, sign, value of every run)
+        self.limits = [
+            (end, names.index(signal), sign, np.array([one[end][j][2] for one in each]) * (1 - 1e-12))
+            for end, signals in enumerate(each[0])
+            for j, (signal, sign, _) in enumerate(signals)
+        ]
+
+    def update(self, start: int, values: Array) -> None:
+        """Takes the block of signals, shape (B, S, N), that starts at a sample."""
+        for end, signal, sign, limit in self.limits:
+            reached = sign * values[:, signal] if sign else np.abs(values[:, signal])
+            for i in np.flatnonzero(reached.max(axis=0) >= limit):
+                when = self.time[start + int(np.argmax(reached[:, i] >= limit[i]))]
+                if when < self.first[i]:
+                    self.first[i], self.which[i] = when, end
 
 
 def first_end(times: Array) -> Array:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from models.command import Parser, run_command
 from models.errors import InputError
 from models.vehicle import Vehicle, read_vehicle
-from sim.comparison import add_how, add_what, chosen, compared_lines, run_chosen
+from sim.comparison import add_how, add_what, check_view, chosen, compared_lines, run_chosen, view
 from sim.road import Bump
 from sim.run import Run, check_road, sample_times
 from sim.verdict import log_lines, run_object
@@ -17,6 +17,7 @@ exit code: 0 physics and analysis agree for every controller, 1 they do not, 2 b
 examples:
   python -m sim.bump --controller I
   python -m sim.bump --controller I --controller II --height 0.05
+  python -m sim.bump --controller all --serve
   python -m sim.bump --controller mine --vehicle my_car.toml --json
 """
 
@@ -41,6 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             "see it; give a longer one, less speed, or a smaller timestep"
         )
     check_road(vehicle, road, time)
+    check_view(options)
 
     runs, passive = run_chosen(vehicle, names, road, time, options.logs)
     result = {
@@ -48,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "road": road.describe(),
         "timestep": options.timestep,
     }
-    logs = {"mcap": None, "rerun": None}
+    logs = {"mcap": None, "layout": None, "rerun": None}
     if options.logs is not None:
         from sim.provenance import record_runs, run_log
 
@@ -57,6 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(json.dumps({**result, "logs": logs}, allow_nan=False))
     else:
         print("\n".join(_text(vehicle, road, runs, passive, options, logs)))
+    view(options, logs)
     return 0 if all(run.agreement.agrees for run in runs) else 1
 
 

@@ -9,11 +9,12 @@ from pathlib import Path
 
 from models.command import Parser, run_command
 from models.errors import InputError
-from sim.campaign_batch import MOST, Plan, columns
+from sim.campaign_batch import Plan, columns
 from sim.campaign_file import MOST_RUNS, Campaign, read_campaign
 from sim.campaign_store import Store, begin, begun, controllers_text, held
 from sim.campaign_summary import summarise, summary_lines
 from sim.campaign_workers import Rows, run_batches
+from sim.physics import RUNS_AT_ONCE
 from sim.progress import show
 from sim.provenance import versions
 from synth.controller import Controller, Designer, given
@@ -48,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         plan = _plan(campaign, folder, used)
         metadata = {"campaign": campaign.text, "versions": json.dumps(versions()), "controllers": _gains(plan)}
         store = Store(folder, columns(plan), metadata, plan.count)
-        batches = [batch for gap in store.missing() for batch in plan.batches(*gap, options.batch or MOST)]
+        batches = [batch for gap in store.missing() for batch in plan.batches(*gap, options.batch or RUNS_AT_ONCE)]
         progress = _Progress(plan, sum(end - start for start, end in batches))
 
         def write(start: int, rows: Rows) -> None:

@@ -10,21 +10,18 @@ from scipy import linalg
 
 from models.arrays import Array
 from models.vehicle import Vehicle
-from sim.broken import ENDS, thresholds
+from sim.broken import ENDS, Ends
 from sim.campaign_file import Campaign, with_sample
 from sim.expected import expect
 from sim.iso8608 import Iso8608
 from sim.linear import driven, held_inputs
 from sim.metrics import Meter, metrics_of
-from sim.physics import DIVERGED, in_blocks
+from sim.physics import BLOCK, DIVERGED, RUNS_AT_ONCE, in_blocks, runs_at_once
 from sim.readout import reads_out
 from sim.response import SILENT
 from sim.road import Road, under_wheels
 from synth.controller import Controller
 
-BLOCK = 200  # samples; what is recorded of them stays in the cache
-ROAD_HEIGHTS = 5_200_000  # that a batch holds, of 16 bytes: 256 quarter-cars for 20 s at 1 ms
-MOST = 256  # runs; more hardly save time
 EXPECTED = "expected_"
 
 
@@ -80,15 +77,15 @@ class Plan:
         sample, seed = divmod(run - start, seeds)
         return RunKey(v, k, r, s, sample, seed)
 
-    def batches(self, start: int, stop: int, most: int = MOST) -> list[tuple[int, int]]:
+    def batches(self, start: int, stop: int, most: int = RUNS_AT_ONCE) -> list[tuple[int, int]]:
         """Runs from start to stop, cut into batches of one vehicle that fit into memory, of so many runs at most."""
         found = []
         vehicles = list(self.campaign.vehicles.values())
         while start < stop:
             v = self.key(start).vehicle
             same = next((block[0] for block in self._blocks if block[0] > start and block[1] != v), self.count)
-            size = ROAD_HEIGHTS // (len(self.campaign.time) * len(vehicles[v].kind.wheels))
-            end = min(stop, same, start + max(1, min(size, most)))
+            size = runs_at_once(len(self.campaign.time), len(vehicles[v].kind.wheels))
+            end = min(stop, same, start + min(size, most))
             found.append((start, end))
             start = end
         return found
@@ -183,17 +180,15 @@ def _drive(campaign: Campaign, runs: Sequence[_Run], stopped: Callable[[], bool]
     first = campaign.first if random else 0
     meter = Meter(vehicles, h, first)
     twin = _Twin(runs, now, midway, h, None if random else first)
-    ends = _Ends(vehicles, time)
+    ends = Ends(vehicles, time)
     diverged = np.full(len(runs), np.inf)
     for block in in_blocks(vehicles, [run.controller for run in runs], now, midway, h, 1, BLOCK):
         if stopped():
             return None
         times = time[block.start : block.start + len(block.values)]
-        wild = ~(block.largest < DIVERGED)  # NaN compares as wild
-        if wild.any():
-            diverged = np.minimum(diverged, np.where(wild.any(axis=0), times[wild.argmax(axis=0)], np.inf))
-            np.nan_to_num(block.values, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
-            np.clip(block.values, -DIVERGED, DIVERGED, out=block.values)
+        diverged = np.minimum(diverged, block.diverged(time))
+        if np.isfinite(diverged).any():
+            block.bound()
         meter.update(block.values)
         ends.update(block.start, block.values)
         twin.update(block.start, block.values, np.minimum(ends.first, diverged), times)
@@ -230,31 +225,6 @@ class _Expectations:
             window = (len(self.campaign.time) - self.campaign.first) * self.campaign.timestep
             self.made[key] = expect(run.vehicle, run.controller, run.road, self.campaign.timestep, window)
         return self.made[key].mean if self.made[key] else {}
-
-
-class _Ends:
-    """What ends the linear regime of each run first, and when."""
-
-    def __init__(self, vehicles: Sequence[Vehicle], time: Array) -> None:
-        self.time, count = time, len(vehicles)
-        self.first, self.which = np.full(count, np.inf), np.full(count, -1)
-        names = [signal.name for signal in vehicles[0].kind.signals]
-        each = [thresholds(vehicle) for vehicle in vehicles]
-        # (end, signal, sign, value of every run)
-        self.limits = [
-            (end, names.index(signal), sign, np.array([one[end][j][2] for one in each]) * (1 - 1e-12))
-            for end, signals in enumerate(each[0])
-            for j, (signal, sign, _) in enumerate(signals)
-        ]
-
-    def update(self, start: int, values: Array) -> None:
-        """Takes a block of signals, shape (B, S, N)."""
-        for end, signal, sign, limit in self.limits:
-            reached = sign * values[:, signal] if sign else np.abs(values[:, signal])
-            for i in np.flatnonzero(reached.max(axis=0) >= limit):
-                when = self.time[start + int(np.argmax(reached[:, i] >= limit[i]))]
-                if when < self.first[i]:
-                    self.first[i], self.which[i] = when, end
 
 
 class _Twin:

@@ -1,6 +1,8 @@
 """What commands share that drive controllers of one vehicle over one road: options, runs and text."""
 
-from collections.abc import Sequence
+import argparse
+import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from models.arrays import Array
@@ -27,11 +29,16 @@ def add_what(parser: Parser) -> None:
 
 
 def add_how(parser: Parser, duration: float) -> None:
-    """The options `--duration`, `--timestep`, `--logs`, `--no-logs` and `--json`, with a default duration [s]."""
+    """`--duration`, with a default [s], `--timestep`, `--logs`, `--no-logs`, `--open`, `--serve` and `--json`."""
     parser.add_number("--duration", duration, "s", "how long to run")
     parser.add_number("--timestep", 1e-3, "s", "integration step and sample period of the controller")
     parser.add_argument("--logs", type=Path, default=Path("logs"), metavar="DIR", help="folder for the log files (default: logs)")
     parser.add_argument("--no-logs", dest="logs", action="store_const", const=None, help="write no log files")
+    view = parser.add_mutually_exclusive_group()
+    view.add_argument(
+        "--open", action="store_true", help="open the recording in Rerun's window, which stays when the command ends"
+    )
+    view.add_argument("--serve", action="store_true", help="serve the recording to a browser on this machine, until Ctrl-C")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
 
@@ -47,6 +54,39 @@ def chosen(vehicle: Vehicle, asked: Sequence[str] | None) -> list[str]:
         )
     names = [name for choice in asked for name in (vehicle.controller_names if choice == "all" else [choice])]
     return list(dict.fromkeys(names))
+
+
+def check_view(options: argparse.Namespace) -> None:
+    """Ask before the long work whether its recording can be shown afterwards, as `--open` and `--serve` want.
+
+    Raises:
+        InputError: there will be none, or no screen to show it on.
+    """
+    if not (options.open or options.serve):
+        return
+    if options.logs is None:
+        raise InputError(
+            f"{'--open' if options.open else '--serve'} shows the recording, and --no-logs makes none; leave one out"
+        )
+    if options.open:
+        from sim.rerun_viewer import check_display
+
+        check_display()
+
+
+def view(options: argparse.Namespace, logs: Mapping[str, str | None]) -> None:
+    """Shows a recording as `--open` and `--serve` want; what the command has printed is out before.
+
+    Raises:
+        InputError: the web viewer does not come up.
+    """
+    recording = logs["rerun"]
+    if recording is None or not (options.open or options.serve):
+        return
+    from sim.rerun_viewer import open_viewer, serve_viewer
+
+    sys.stdout.flush()
+    (open_viewer if options.open else serve_viewer)(Path(recording))
 
 
 def run_chosen(vehicle: Vehicle, names: Sequence[str], road: Road, time: Array, logs: Path | None) -> tuple[list[Run], Run]:

@@ -12,7 +12,7 @@ import numpy as np
 from models.command import Parser, run_command
 from models.errors import InputError
 from models.vehicle import Vehicle, read_vehicle
-from sim.comparison import add_how, add_what, chosen, compared_lines, run_chosen
+from sim.comparison import add_how, add_what, check_view, chosen, compared_lines, run_chosen, view
 from sim.expected import Expected, expect, settling_time
 from sim.iso8608 import CLASSES, Iso8608
 from sim.metrics import measure, metrics_of
@@ -44,6 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     time = sample_times(vehicle, options.duration, options.timestep)
     road = _road(vehicle, options)
     check_road(vehicle, road, time)
+    check_view(options)
 
     runs, passive = run_chosen(vehicle, names, road, time, options.logs)
     first = _first(vehicle, runs, road, options.duration, options.timestep)
@@ -54,7 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "timestep": options.timestep,
         "measured_from": float(time[first]),
     }
-    logs = {"mcap": None, "rerun": None}
+    logs = {"mcap": None, "layout": None, "rerun": None}
     if options.logs is not None:
         from sim.provenance import record_runs, run_log
 
@@ -69,6 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for run, one in zip(runs, measured, strict=True):
             lines += ["", *compared_lines(vehicle, run, passive), "", *metric_lines(one, float(time[first]), options.duration)]
         print("\n".join(lines + (["", *log_lines(logs)] if logs["rerun"] else [])))
+    view(options, logs)
     return 0 if all(run.agreement.agrees for run in runs) else 1
 
 

@@ -86,7 +86,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         fixed = {name: getattr(options, name) for name in UNITS if name not in {axis.name for axis in axes}}
         draw(envelope_figure(vehicle, controller, cells, axes, fixed, options.threshold), options.picture)
-    result, logs = envelope_object(cells, axes, options), {"mcap": None, "rerun": None}
+    result, logs = envelope_object(cells, axes, options), {"mcap": None, "layout": None, "rerun": None}
     if options.logs is not None:
         from sim.provenance import record_runs
 

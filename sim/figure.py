@@ -26,6 +26,16 @@ def styles(names: tuple[str, ...]) -> dict[str, tuple[str, Dash]]:
     return {name: STYLES.get(name) or (OTHERS[rest.index(name) % len(OTHERS)], "longdash") for name in names}
 
 
+def rgb(color: str) -> tuple[int, int, int]:
+    """A colour `#rrggbb` as three numbers from 0 to 255."""
+    return int(color[1:3], 16), int(color[3:5], 16), int(color[5:7], 16)
+
+
+def tint(color: str, share: float) -> str:
+    """A colour mixed with a share of white, from 0 to 1."""
+    return "#" + "".join(f"{round(part + share * (255 - part)):02x}" for part in rgb(color))
+
+
 @dataclass(frozen=True, eq=False)
 class Curve:
     """A line, points, or both. Without points it is a legend entry only.

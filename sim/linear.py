@@ -15,7 +15,7 @@ by Gauss-Legendre quadrature with 8 nodes: exact to rounding for a smooth road. 
 
 import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -52,29 +52,42 @@ def sampled_response(
         time: equidistant sample times [s], shape (T,).
         exponential: the matrix exponential; `taylor4` to predict an RK4 integrator to rounding.
     """
+    return sampled_responses(vehicle, controller, [road], time, exponential).run(0)
+
+
+def sampled_responses(
+    vehicle: Vehicle,
+    controller: Controller,
+    roads: Sequence[Road],
+    time: Array,
+    exponential: Callable[[Array], Array] = linalg.expm,
+) -> Response:
+    """The responses to N roads side by side, values of shape (N, T, S). Arguments as for `sampled_response`."""
     h = float(time[1] - time[0])
     model, G = driven(vehicle, controller)
     Phi, Gamma_u, Gamma_r = held_inputs(model.A, h, exponential, model.B, model.A @ model.Bw + model.Br)
-    now = under_wheels(road.displacement, road, vehicle, time)
-    midway = under_wheels(road.displacement, road, vehicle, time + h / 2)
+    now = np.stack([under_wheels(road.displacement, road, vehicle, time) for road in roads])
+    midway = np.stack([under_wheels(road.displacement, road, vehicle, time + h / 2) for road in roads])
 
     jump, push = now @ model.Bw.T, midway @ Gamma_r.T  # x - xi, and what the road does to xi
     how = vehicle.implementation
     if how.sample_period is None and how.delay == 0:
         states = _recursion(Phi + Gamma_u @ G, push + jump @ (Gamma_u @ G).T) + jump
-        return _response(vehicle, model, road, time, states, states @ G.T)
-
-    period = steps_per_sample(how, h)
-    states, forces = np.zeros_like(jump), np.zeros((len(time), model.B.shape[1]))
-    computed = np.zeros((len(time) // period + 1 + how.delay, model.B.shape[1]))  # by the sample at which they act
-    xi = np.zeros(len(model.A))
-    for k in range(len(time)):
-        states[k] = xi + jump[k]
-        if k % period == 0:
-            computed[k // period + how.delay] = G @ states[k]
-        forces[k] = computed[k // period]
-        xi = Phi @ xi + Gamma_u @ forces[k] + push[k]
-    return _response(vehicle, model, road, time, states, forces)
+        forces = states @ G.T
+    else:
+        period = steps_per_sample(how, h)
+        states, forces = np.zeros_like(jump), np.zeros((*jump.shape[:2], model.B.shape[1]))
+        # By the sample at which they act.
+        computed = np.zeros((len(time) // period + 1 + how.delay, len(roads), model.B.shape[1]))
+        xi = np.zeros((len(roads), len(model.A)))
+        for k in range(len(time)):
+            states[:, k] = xi + jump[:, k]
+            if k % period == 0:
+                computed[k // period + how.delay] = states[:, k] @ G.T
+            forces[:, k] = computed[k // period]
+            xi = xi @ Phi.T + forces[:, k] @ Gamma_u.T + push[:, k]
+    runs = [_response(vehicle, model, road, time, states[i], forces[i]).values for i, road in enumerate(roads)]
+    return Response(time, vehicle.kind.signals, np.stack(runs))
 
 
 def driven(vehicle: Vehicle, controller: Controller) -> tuple[LinearModel, Array]:
@@ -141,12 +154,12 @@ def _convolution(A: Array, model: LinearModel, road: Road, vehicle: Vehicle, sta
 
 
 def _recursion(Phi: Array, forcing: Array) -> Array:
-    """x[k+1] = Phi x[k] + forcing[k] from x[0] = 0, shape (T, n) like the forcing."""
+    """x[k+1] = Phi x[k] + forcing[k] from x[0] = 0, shape (..., T, n) like the forcing."""
     states = np.zeros_like(forcing)
-    x = states[0]
+    x, transposed = states[..., 0, :], np.ascontiguousarray(Phi.T)
     with np.errstate(over="ignore", invalid="ignore"):  # an unstable loop may overflow; the run says so
-        for k in range(len(forcing) - 1):
-            x = states[k + 1] = Phi @ x + forcing[k]
+        for k in range(forcing.shape[-2] - 1):
+            x = states[..., k + 1, :] = x @ transposed + forcing[..., k, :]
     return states
 
 

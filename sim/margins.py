@@ -66,7 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from sim.margins_picture import margins_figure
 
         draw(margins_figure(vehicle, controller, found[""], box, options.timestep), options.picture)
-    result, logs = _object(controller, found, box), {"mcap": None, "rerun": None}
+    result, logs = _object(controller, found, box), {"mcap": None, "layout": None, "rerun": None}
     if options.logs is not None:
         from sim.provenance import record_runs
 

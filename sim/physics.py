@@ -32,6 +32,11 @@ from synth.controller import Controller
 
 DIVERGED = 1e8  # a signal beyond this, in SI units, is no vehicle any more
 
+# Of runs that are not kept whole:
+BLOCK = 200  # samples; what is recorded of them stays in the cache
+RUNS_AT_ONCE = 256  # more hardly save time
+MOST_HEIGHTS = 5_200_000  # of roads, 16 bytes each: 256 quarter-cars for 20 s at 1 ms
+
 
 @dataclass(frozen=True, eq=False)
 class PhysicsRuns:
@@ -76,8 +81,7 @@ def simulate(
     recorded, names = block.values, [signal.name for signal in signals]
     velocity = np.stack([under_wheels(road.velocity, road, vehicle, time) for vehicle, road in pairs], axis=1)
     recorded[:, [names.index(wheel.road_velocity) for wheel in wheels]] = np.moveaxis(velocity, 1, 2)
-    wild = ~(block.largest < DIVERGED)  # NaN compares as wild
-    diverged = np.where(wild.any(axis=0), time[wild.argmax(axis=0)], np.inf)
+    diverged = block.diverged(time)
     recorded[np.broadcast_to((time[:, None] >= diverged)[:, None], recorded.shape)] = np.nan
     return PhysicsRuns(Response(time, signals, np.moveaxis(recorded, 2, 0)), block.qpos.swapaxes(0, 1), diverged)
 
@@ -97,6 +101,21 @@ class Block:
     values: Array
     qpos: Array
     largest: Array
+
+    def diverged(self, time: Array) -> Array:
+        """When each run first diverged in it [s], shape (N,), infinite where it did not; from all the samples' times."""
+        wild = ~(self.largest < DIVERGED)  # NaN compares as wild
+        return np.where(wild.any(axis=0), time[self.start + wild.argmax(axis=0)], np.inf)
+
+    def bound(self) -> None:
+        """Makes numbers of what a diverged run left, none beyond `DIVERGED`, in place."""
+        np.nan_to_num(self.values, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
+        np.clip(self.values, -DIVERGED, DIVERGED, out=self.values)
+
+
+def runs_at_once(samples: int, wheels: int) -> int:
+    """How many runs of so many samples a batch that is taken in blocks has at most: as many as save time and fit into memory."""
+    return max(1, min(RUNS_AT_ONCE, MOST_HEIGHTS // (samples * wheels)))
 
 
 def in_blocks(

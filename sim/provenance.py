@@ -123,6 +123,6 @@ def run_log(vehicle: Vehicle, road: Road, run: Run, name: str | None = None) -> 
         metadata={key: value if isinstance(value, str) else json.dumps(value) for key, value in claims.items()},
         events=events(run),
         summary=summary(vehicle, run),
-        scene=draw(vehicle, road, run.physics.time, run.qpos),
+        scene=draw(vehicle, road, run.physics, run.qpos),
         files=files,
     )

@@ -1,4 +1,4 @@
-"""Recordings on disk: an MCAP and a Rerun file side by side, complete or absent, never over somebody's older one."""
+"""Recordings on disk: MCAP, its layout and Rerun side by side, complete or absent, never over somebody's older ones."""
 
 import itertools
 import shlex
@@ -7,9 +7,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from models.errors import InputError
+from sim.foxglove_layout import foxglove_layout
 from sim.recording_mcap import write_mcap
 from sim.recording_rerun import write_rrd
 from sim.run_log import RunLog
+
+SUFFIXES = {"mcap": "mcap", "layout": "layout.json", "rerun": "rrd"}
 
 
 def check_folder(folder: Path) -> None:
@@ -35,9 +38,10 @@ def record(
     metadata: Mapping[str, str],
     attachments: Mapping[str, tuple[str, bytes]],
 ) -> dict[str, Path]:
-    """Writes runs as `<stem>.mcap` and `<stem>.rrd`, or `<stem>-2`, `-3`, ... where one of the two exists already.
+    """Writes runs as `<stem>.mcap`, `<stem>.layout.json` and `<stem>.rrd`; the layout is the MCAP's in Foxglove and Lichtblick.
 
-    Both are written in full under another name first. An error or an interruption leaves nothing behind.
+    Where one of them exists already, it is `<stem>-2`, `-3`, ... All are written in full under another name first. An error or
+    an interruption leaves nothing behind.
 
     Args:
         folder: where the files go; made if it is not there.
@@ -47,7 +51,7 @@ def record(
         attachments: (media type, content) by name; in the MCAP file only, as Rerun has no place for them.
 
     Returns:
-        The files' paths: `mcap` and `rerun`.
+        The files' paths: `mcap`, `layout` and `rerun`.
 
     Raises:
         InputError: the folder cannot be made, or not written.
@@ -60,10 +64,11 @@ def record(
     try:
         # Within the folder, so that giving the final name moves no data, and fails or succeeds at once.
         with tempfile.TemporaryDirectory(dir=folder, prefix=f".{stem}-") as temporary:
-            mcap, rerun = Path(temporary, "run.mcap"), Path(temporary, "run.rrd")
-            write_mcap(mcap, runs, metadata, attachments)
-            write_rrd(rerun, runs, metadata)
-            return _published({"mcap": mcap, "rerun": rerun}, folder, stem)
+            written = {kind: Path(temporary, f"run.{suffix}") for kind, suffix in SUFFIXES.items()}
+            write_mcap(written["mcap"], runs, metadata, attachments)
+            written["layout"].write_text(foxglove_layout(runs), encoding="utf-8")
+            write_rrd(written["rerun"], runs, metadata)
+            return _published(written, folder, stem)
     except OSError as error:
         raise _not_writable(folder, error) from error
 
@@ -72,7 +77,7 @@ def opening_lines(paths: Mapping[str, Path]) -> list[str]:
     """What to type to look at each file of a recording."""
     return [
         f"rerun {shlex.quote(str(paths['rerun']))}",
-        f"rerun {shlex.quote(str(paths['mcap']))}   (or open it in Foxglove)",
+        f"{shlex.quote(str(paths['mcap']))}   for Foxglove and Lichtblick, with the layout {shlex.quote(paths['layout'].name)}",
     ]
 
 
@@ -80,7 +85,7 @@ def _published(written: Mapping[str, Path], folder: Path, stem: str) -> dict[str
     """Gives finished files the first name that is free for all of them; returns their final paths."""
     for number in itertools.count(1):
         name = stem if number == 1 else f"{stem}-{number}"
-        final = {kind: folder / f"{name}{path.suffix}" for kind, path in written.items()}
+        final = {kind: folder / f"{name}.{SUFFIXES[kind]}" for kind in written}
         ours: list[Path] = []
         try:
             # A rename would overwrite silently. An empty file, made only where there is none, reserves the name

@@ -5,19 +5,20 @@ run time, from the responses' signals: a signal's name is its field's name, and 
 """
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from google.protobuf import timestamp_pb2
 from google.protobuf.descriptor_pb2 import DescriptorProto, FieldDescriptorProto, FileDescriptorProto, FileDescriptorSet
-from google.protobuf.descriptor_pool import DescriptorPool
-from google.protobuf.message_factory import GetMessageClass
 from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import Writer
 
 from models.arrays import Array
 from models.signals import Signal
+from sim.appearance import largest_force
+from sim.difference import difference
+from sim.figure import rgb, styles
 from sim.response import Response
 from sim.run_log import RunLog
 
@@ -34,8 +35,9 @@ def write_mcap(
 
     One topic per response, `/mujoco` for a single run and `/I/mujoco` among several: a message per sample, a double per
     signal, log_time = publish_time = t in ns. The channel's metadata holds unit, symbol and meaning of every signal, as
-    JSON by the signal's name; the schema has them as comments. Events are `foxglove.Log` on `/events`. `metadata`
-    becomes the metadata record `roadproof`, and each run's own the record `run/<name>`.
+    JSON by the signal's name; the schema has them as comments. `/difference` is MuJoCo minus linear, of each signal's peak, in
+    single precision. Events are `foxglove.Log` on `/events`, and the moving car is on `/transforms`, `/shapes` and `/scene` in
+    Foxglove's published schemas. `metadata` becomes the metadata record `roadproof`, and each run's own the record `run/<name>`.
 
     Args:
         path: the file; overwritten if it exists.
@@ -59,27 +61,32 @@ def write_mcap(
         messages: list[tuple[int, int, bytes]] = []  # time [ns], channel, content
         schemas: dict[tuple[Signal, ...], int] = {}
         for run in runs:
-            prefix = f"/{run.name}" if len(runs) > 1 else ""
-            for name, response in run.responses.items():
+            responses = {name: (response, "<f8") for name, response in run.responses.items()}
+            if {"mujoco", "linear"} <= set(responses):
+                responses["difference"] = (difference(run.responses["mujoco"], run.responses["linear"]), "<f4")
+            for name, (response, kind) in responses.items():
                 if response.signals not in schemas:
-                    schemas[response.signals] = _register_signals(writer, response.signals, len(schemas) + 1)
+                    schemas[response.signals] = _register_signals(writer, response.signals, len(schemas) + 1, kind)
                 channel = writer.register_channel(
-                    topic=f"{prefix}/{name}",
+                    topic=topic(runs, run, name),
                     message_encoding=MessageEncoding.Protobuf,
                     schema_id=schemas[response.signals],
                     metadata={signal.name: _described(signal) for signal in response.signals},
                 )
                 times = _nanoseconds(response.time)
-                messages += ((time, channel, content) for time, content in zip(times, _encoded(response), strict=True))
-
-        if any(run.events for run in runs):
-            messages += _registered_events(writer, runs)
+                messages += ((time, channel, content) for time, content in zip(times, _encoded(response, kind), strict=True))
+        messages += _published(writer, runs)
 
         # Players stream a file from front to back: all topics together, in the order of time.
         messages.sort(key=lambda message: message[0])
         for time, channel, content in messages:
             writer.add_message(channel, log_time=time, data=content, publish_time=time)
         writer.finish()
+
+
+def topic(runs: Sequence[RunLog], run: RunLog, name: str) -> str:
+    """The topic of something of a run: with the run's name where there are several."""
+    return f"/{run.name}/{name}" if len(runs) > 1 else f"/{name}"
 
 
 def _nanoseconds(time: Array) -> list[int]:
@@ -92,15 +99,15 @@ def _described(signal: Signal) -> str:
     return json.dumps({"unit": signal.unit, "symbol": signal.symbol, "meaning": signal.meaning})
 
 
-def _register_signals(writer: Writer, signals: tuple[Signal, ...], number: int) -> int:
-    """The schema of a flat message of doubles, numbered because responses may differ in their signals."""
+def _register_signals(writer: Writer, signals: tuple[Signal, ...], number: int, kind: str) -> int:
+    """The schema of a flat message of doubles or floats, numbered because responses may differ in their signals."""
     message = DescriptorProto(name=f"Signals{number}")
     file = FileDescriptorProto(name=f"{_PACKAGE}/signals{number}.proto", package=_PACKAGE, syntax="proto3")
     for index, signal in enumerate(signals):
         message.field.add(
             name=signal.name,
             number=index + 1,
-            type=FieldDescriptorProto.TYPE_DOUBLE,
+            type=FieldDescriptorProto.TYPE_DOUBLE if kind == "<f8" else FieldDescriptorProto.TYPE_FLOAT,
             label=FieldDescriptorProto.LABEL_OPTIONAL,
         )
         # The path of message 0 (file field 4), field `index` (message field 2): a comment above it in the .proto.
@@ -117,18 +124,19 @@ def _register_signals(writer: Writer, signals: tuple[Signal, ...], number: int) 
     )
 
 
-def _encoded(response: Response) -> list[bytes]:
-    """Every sample as a protobuf message.
+@np.errstate(over="ignore")  # a difference that single precision cannot hold is infinite
+def _encoded(response: Response, kind: str) -> list[bytes]:
+    """Every sample as a protobuf message of doubles, `<f8`, or floats, `<f4`.
 
-    On the wire a double is its tag, (number << 3) | 1 as a varint, and 8 little-endian bytes. A flat message of
-    doubles thus has the same layout at every sample, and all samples are one array of bytes. Protobuf's own writer
+    On the wire a double is its tag, (number << 3) | 1 as a varint, and 8 little-endian bytes; a float has 5 and 4. A flat message
+    of them thus has the same layout at every sample, and all samples are one array of bytes. Protobuf's own writer
     leaves zeros out; writing them is as valid, reads the same, and keeps the layout. It also keeps -0.0 and NaN.
     """
-    count = len(response.time)
+    count, size = len(response.time), np.dtype(kind).itemsize
     columns = []
     for index in range(len(response.signals)):
-        tag = np.frombuffer(_varint((index + 1) << 3 | 1), np.uint8)
-        value = np.ascontiguousarray(response.values[:, index], dtype="<f8").view(np.uint8).reshape(count, 8)
+        tag = np.frombuffer(_varint((index + 1) << 3 | (1 if size == 8 else 5)), np.uint8)
+        value = np.ascontiguousarray(response.values[:, index], dtype=kind).view(np.uint8).reshape(count, size)
         columns += [np.broadcast_to(tag, (count, len(tag))), value]
     rows = np.concatenate(columns, axis=1)
     width, content = rows.shape[1], rows.tobytes()
@@ -141,56 +149,33 @@ def _varint(value: int) -> bytes:
     return bytes([low | 0x80]) + _varint(rest) if rest else bytes([low])
 
 
-def _registered_events(writer: Writer, runs: Sequence[RunLog]) -> list[tuple[int, int, bytes]]:
-    """Registers the events' channels and makes their messages: (time [ns], channel, content)."""
-    file = _log_file()
-    dependency = FileDescriptorProto()
-    timestamp_pb2.DESCRIPTOR.CopyToProto(dependency)
-    pool = DescriptorPool()
-    pool.Add(dependency)
-    pool.Add(file)
-    log = GetMessageClass(pool.FindMessageTypeByName("foxglove.Log"))
+def _published(writer: Writer, runs: Sequence[RunLog]) -> Iterator[tuple[int, int, bytes]]:
+    """What has a published schema: events and the scene. Registers their channels; yields (time [ns], channel, content)."""
+    from mcap_protobuf.schema import register_schema
 
-    schema = writer.register_schema(
-        name="foxglove.Log",
-        encoding=SchemaEncoding.Protobuf,
-        data=FileDescriptorSet(file=[dependency, file]).SerializeToString(),
-    )
-    messages = []
+    from sim import foxglove_scene as scene
+
+    schemas: dict[str, int] = {}
+
+    def written(run: RunLog, name: str, messages: scene.Messages) -> Iterator[tuple[int, int, bytes]]:
+        channel = None
+        for time, message in messages:
+            schema = message.DESCRIPTOR.full_name
+            if schema not in schemas:
+                schemas[schema] = register_schema(writer, type(message))
+            if channel is None:
+                channel = writer.register_channel(topic(runs, run, name), MessageEncoding.Protobuf, schemas[schema])
+            yield time, channel, message.SerializeToString()
+
+    largest = largest_force(run.scene for run in runs)
+    colours = styles(tuple(run.name for run in runs))
+    stand = np.zeros(3)
     for run in runs:
-        if not run.events:
-            continue
-        topic = f"/{run.name}/events" if len(runs) > 1 else "/events"
-        channel = writer.register_channel(topic, MessageEncoding.Protobuf, schema)
-        times = _nanoseconds(np.array([time for time, _ in run.events]))
-        for time, (_, text) in zip(times, run.events, strict=True):
-            seconds, nanos = divmod(time, 10**9)
-            event = log(timestamp={"seconds": seconds, "nanos": nanos}, level="INFO", message=text, name=run.name)
-            messages.append((time, channel, event.SerializeToString()))
-    return messages
-
-
-def _log_file() -> FileDescriptorProto:
-    """The published schema `foxglove.Log` (https://docs.foxglove.dev/docs/sdk/schemas/log), its first six fields."""
-    kind = FieldDescriptorProto
-    log = DescriptorProto(name="Log")
-    level = log.enum_type.add(name="Level")
-    for number, name in enumerate(("UNKNOWN", "DEBUG", "INFO", "WARNING", "ERROR", "FATAL")):
-        level.value.add(name=name, number=number)
-    fields = (
-        ("timestamp", kind.TYPE_MESSAGE, ".google.protobuf.Timestamp"),
-        ("level", kind.TYPE_ENUM, ".foxglove.Log.Level"),
-        ("message", kind.TYPE_STRING, None),
-        ("name", kind.TYPE_STRING, None),
-        ("file", kind.TYPE_STRING, None),
-        ("line", kind.TYPE_FIXED32, None),
-    )
-    for number, (name, type_, type_name) in enumerate(fields, start=1):
-        log.field.add(name=name, number=number, type=type_, type_name=type_name, label=kind.LABEL_OPTIONAL)
-    return FileDescriptorProto(
-        name="foxglove/Log.proto",
-        package="foxglove",
-        syntax="proto3",
-        dependency=["google/protobuf/timestamp.proto"],
-        message_type=[log],
-    )
+        run = replace(run, scene=run.scene.finite())
+        times = _nanoseconds(run.scene.time)
+        yield from written(run, "events", scene.events(run, _nanoseconds(np.array([time for time, _ in run.events]))))
+        yield from written(run, "transforms", scene.transforms(run, times, stand))
+        yield from written(run, "shapes", scene.shapes(run, times[0] if times else 0, rgb(colours[run.name][0])))
+        yield from written(run, "scene", scene.moving(run, times, largest))
+        low, high = run.scene.extent()
+        stand = stand + [1.15 * (high[0] - low[0]), 0.0, 0.0]  # in a row

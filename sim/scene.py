@@ -1,7 +1,7 @@
 """What a run looks like: solid shapes on moving bodies, for viewers that know nothing of MuJoCo."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -59,6 +59,34 @@ class Motion:
 
 
 @dataclass(frozen=True, eq=False)
+class Tyre:
+    """A tyre that the road squeezes flat where it touches, and that keeps its shape in the air.
+
+    Attributes:
+        name: unique within its body.
+        body: the body that carries it, at whose origin its hub lies.
+        radius: of the tyre in the air [m].
+        half_width: [m].
+        middle: of its width, in the body's frame along its axle y [m].
+        height: of the hub above the road, per frame [m], shape (F,). Above `radius`, it is off the road.
+        rgba: colour, 0 to 1, shape (4,).
+    """
+
+    name: str
+    body: str
+    radius: float
+    half_width: float
+    middle: float
+    height: Array
+    rgba: Array
+
+    @property
+    def lifted(self) -> Array:
+        """Whether it is off the road, per frame, shape (F,)."""
+        return self.height > self.radius
+
+
+@dataclass(frozen=True, eq=False)
 class Scene:
     """A run to be drawn.
 
@@ -66,16 +94,36 @@ class Scene:
         time: frame times [s], shape (F,).
         shapes: the solids.
         bodies: motion of every body that carries one.
-        springs: end points of springs to draw as lines [m], shape (F, 2, 3), by name.
+        springs: end points of springs, with a damper inside [m], shape (F, 2, 3), by name; from the wheel to the body.
+        tyres: those that give way.
+        forces: what pushes the two ends of a spring apart [N], shape (F,), by the spring's name.
     """
 
     time: Array
     shapes: tuple[Shape, ...]
     bodies: Mapping[str, Motion]
     springs: Mapping[str, Array]
+    tyres: tuple[Tyre, ...] = ()
+    forces: Mapping[str, Array] = field(default_factory=dict)
+
+    def finite(self) -> "Scene":
+        """The frames in which everything is finite: where a run broke off, the car stays where it was last."""
+        numbers = [part for motion in self.bodies.values() for part in (motion.positions, motion.quaternions)]
+        numbers += [*self.springs.values(), *self.forces.values(), *(tyre.height for tyre in self.tyres)]
+        kept = np.ones(len(self.time), dtype=bool)
+        for array in numbers:
+            kept &= np.isfinite(array).reshape(len(kept), -1).all(axis=1)
+        return Scene(
+            time=self.time[kept],
+            shapes=self.shapes,
+            bodies={name: Motion(motion.positions[kept], motion.quaternions[kept]) for name, motion in self.bodies.items()},
+            springs={name: ends[kept] for name, ends in self.springs.items()},
+            tyres=tuple(replace(tyre, height=tyre.height[kept]) for tyre in self.tyres),
+            forces={name: force[kept] for name, force in self.forces.items()},
+        )
 
     def extent(self) -> tuple[Array, Array]:
-        """Lowest and highest corner of everything solid over all frames [m]; orientations are those of the first frame."""
+        """Lowest and highest corner of all solids and tyres over all frames [m]; orientations are those of the first frame."""
         corners = []
         for shape in self.shapes:
             motion = self.bodies[shape.body]
@@ -83,6 +131,11 @@ class Scene:
             body = Rotation.from_quat(motion.quaternions[0], scalar_first=True).as_matrix()
             reach = np.abs(body @ shape.rotation) @ shape.half_edges
             centre = positions + body @ shape.position
+            corners += [centre.min(0) - reach, centre.max(0) + reach]
+        for tyre in self.tyres:
+            reach = np.array([tyre.radius, tyre.half_width, tyre.radius])
+            centre = self.bodies[tyre.body].positions + [0.0, tyre.middle, 0.0]
+            centre = centre[np.isfinite(centre).all(1)]
             corners += [centre.min(0) - reach, centre.max(0) + reach]
         if not corners:
             return np.full(3, -1.0), np.full(3, 1.0)

@@ -84,7 +84,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "timestep": options.timestep,
         "speed": options.speed,
     }
-    logs = {"mcap": None, "rerun": None}
+    logs = {"mcap": None, "layout": None, "rerun": None}
     if options.logs is not None:
         from sim.provenance import record_runs
 

@@ -7,6 +7,9 @@ import pytest
 from mcap.reader import make_reader
 
 from models.vehicle import Vehicle, read_vehicle
+from sim.road import Bump
+from sim.run import run_all, sample_times
+from sim.run_log import RunLog
 from synth.controller import Designer
 
 
@@ -20,6 +23,16 @@ def paper() -> Vehicle:
 def designer(paper) -> Designer:
     """The designs of the paper's quarter-car."""
     return Designer(paper)
+
+
+@pytest.fixture(scope="session")
+def lifting(designer: Designer) -> RunLog:
+    """A quarter-car with controller I over a bump that throws it off the road."""
+    from sim.provenance import run_log  # it imports Rerun, which most tests need not
+
+    vehicle, road = designer.vehicle, Bump(height=0.2, speed=20.0)
+    time = sample_times(vehicle, 0.5, 1e-3)
+    return run_log(vehicle, road, run_all(vehicle, [designer.design("I")], road, time)[0])
 
 
 def random_vehicles(vehicle: Vehicle, count: int, spread: float = 0.5) -> list[Vehicle]:

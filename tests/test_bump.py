@@ -130,7 +130,7 @@ def test_json_has_this_shape(everything):
     assert set(everything) == {"runs", "road", "timestep", "logs"}
     assert everything["road"] == {"type": "bump", "height": 0.1, "length": 5.0, "speed": 12.5, "track": "both"}  # (62)
     assert everything["timestep"] == 1e-3
-    assert everything["logs"] == {"mcap": None, "rerun": None}
+    assert everything["logs"] == {"mcap": None, "layout": None, "rerun": None}
     assert [run["controller"]["name"] for run in everything["runs"]] == CONTROLLERS
     for run in everything["runs"]:
         assert set(run) == {"controller", "signals", "lift_off", "agrees"}
@@ -176,18 +176,20 @@ def test_table_says_what_json_says(capsys, everything):
 
 
 def test_logs_are_written_and_named(capsys, tmp_path, monkeypatch):
-    """Without `--no-logs` an MCAP and a Rerun file are in `logs`, readable, and the last lines say how to open them."""
+    """Without `--no-logs` an MCAP file with its layout and a Rerun file are in `logs`, readable, and the last lines say how to open them."""
     monkeypatch.chdir(tmp_path)
     assert main(["--controller", "passive", "--controller", "II", "--duration", "0.1"]) == 0
     last = capsys.readouterr().out.splitlines()[-2:]
-    mcap, rrd = sorted(Path("logs").iterdir())
+    layout, mcap, rrd = sorted(Path("logs").iterdir())
     assert last[0].split() == ["rerun", str(rrd)]
-    assert last[1].split()[:2] == ["rerun", str(mcap)]
+    assert last[1].split()[0] == str(mcap)
+    assert last[1].split()[-1] == layout.name
     with mcap.open("rb") as stream:
         summary = make_reader(stream).get_summary()
     assert summary is not None
     assert summary.statistics is not None
-    assert summary.statistics.message_count == 2 * 3 * 101  # runs, responses, samples; nothing happened but these
+    # Runs; responses and the difference, samples; shapes; frames of the scene at 60 a second, twice. Nothing else happened.
+    assert summary.statistics.message_count == 2 * (4 * 101 + 1 + 2 * 6)
     assert rrd.read_bytes()[:3] == b"RRF"
 
 
@@ -336,7 +338,7 @@ def test_a_diverging_run_is_logged(capsys, tmp_path, monkeypatch):
     out = capsys.readouterr().out
     assert "diverged: MuJoCo was stopped at" in out
     assert "nan" not in out
-    assert len(list((tmp_path / "logs").iterdir())) == 2
+    assert len(list((tmp_path / "logs").iterdir())) == 3
 
 
 @pytest.mark.parametrize("when", ["during the run", "while writing"])

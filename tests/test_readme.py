@@ -32,7 +32,7 @@ def test_own_kind_of_vehicle(hopper, tmp_path, capsys):
     """Three files make a new kind of vehicle: designed, driven, found to agree, logged, by the command of the recipe."""
     assert main(["--vehicle", str(hopper), "--controller", "I", "--logs", str(tmp_path / "logs")]) == 0
     assert "agrees: MuJoCo is the exact sampled response" in capsys.readouterr().out
-    assert {path.suffix for path in (tmp_path / "logs").iterdir()} == {".mcap", ".rrd"}
+    assert {path.suffix for path in (tmp_path / "logs").iterdir()} == {".mcap", ".json", ".rrd"}
 
 
 def test_own_kind_of_vehicle_is_exact(hopper):

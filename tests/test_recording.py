@@ -24,6 +24,8 @@ SIGNALS = (ROAD_DISPLACEMENT, SUSPENSION_DEFLECTION, SPRUNG_ACCELERATION, CONTRO
 METADATA = {"command": "sim.bump", "road": json.dumps({"type": "bump", "height_m": 0.1}), "vehicle_file": "a\nb | c"}
 ATTACHMENTS = {"model.xml": ("application/xml", b"<mujoco/>"), "empty": ("text/plain", b"")}
 
+TOPICS = ("mujoco", "linear", "continuous", "difference", "events", "transforms", "shapes", "scene")
+
 
 def make_scene() -> Scene:
     """One solid of every form, turned and moving; the last frame is not finite, as in a run that broke off."""
@@ -110,7 +112,7 @@ def messages(path: Path) -> dict[str, list]:
 def test_mcap_gives_back_every_number(run: RunLog, paths: dict[str, Path]) -> None:
     """Times to the nanosecond and values to the bit, NaN, infinities and signed zeros included."""
     found = messages(paths["mcap"])
-    assert set(found) == {"/mujoco", "/linear", "/continuous", "/events"}
+    assert set(found) == {f"/{topic}" for topic in TOPICS}
     for name, response in run.responses.items():
         rows = found[f"/{name}"]
         values = np.array([[getattr(decoded, signal) for signal in response.names] for *_, decoded in rows])
@@ -150,7 +152,7 @@ def test_mcap_topics_of_several_runs(tmp_path: Path) -> None:
     """Several runs are told apart by their names, and come in the order of time."""
     write_mcap(tmp_path / "runs.mcap", [make_run("I"), make_run("II")], {}, {})
     found = messages(tmp_path / "runs.mcap")
-    assert set(found) == {f"/{run}/{topic}" for run in ("I", "II") for topic in ("mujoco", "linear", "continuous", "events")}
+    assert set(found) == {f"/{run}/{topic}" for run in ("I", "II") for topic in TOPICS}
     with (tmp_path / "runs.mcap").open("rb") as stream:
         times = [message.log_time for *_, message in make_reader(stream).iter_messages(log_time_order=False)]
     assert times == sorted(times)
@@ -237,12 +239,13 @@ def test_rerun_file_has_its_layout_and_a_fixed_id(run: RunLog, paths: dict[str, 
 
 
 def test_nothing_is_overwritten(run: RunLog, tmp_path: Path) -> None:
-    """Where one of the two names is taken, both files get the next free one."""
+    """Where one of the names is taken, all files get the next free one."""
     (tmp_path / "bump.rrd").write_text("somebody's")
     second = record(tmp_path, "bump", [run], METADATA, ATTACHMENTS)
     third = record(tmp_path, "bump", [run], METADATA, ATTACHMENTS)
-    assert second == {"mcap": tmp_path / "bump-2.mcap", "rerun": tmp_path / "bump-2.rrd"}
-    assert third == {"mcap": tmp_path / "bump-3.mcap", "rerun": tmp_path / "bump-3.rrd"}
+    suffixes = {"mcap": "mcap", "layout": "layout.json", "rerun": "rrd"}
+    assert second == {kind: tmp_path / f"bump-2.{suffix}" for kind, suffix in suffixes.items()}
+    assert third == {kind: tmp_path / f"bump-3.{suffix}" for kind, suffix in suffixes.items()}
     assert (tmp_path / "bump.rrd").read_text() == "somebody's"
     assert sorted(tmp_path.iterdir()) == sorted([tmp_path / "bump.rrd", *second.values(), *third.values()])
 
@@ -308,6 +311,9 @@ def test_runs_of_one_name_are_refused(run: RunLog, tmp_path: Path) -> None:
 
 
 def test_opening_lines_can_be_pasted() -> None:
-    """The lines name both files, quoted where a shell needs it."""
-    lines = opening_lines({"mcap": Path("my logs/x.mcap"), "rerun": Path("logs/x.rrd")})
-    assert lines == ["rerun logs/x.rrd", "rerun 'my logs/x.mcap'   (or open it in Foxglove)"]
+    """The lines name all files, quoted where a shell needs it."""
+    paths = {"mcap": Path("my logs/x.mcap"), "layout": Path("my logs/x.layout.json"), "rerun": Path("logs/x.rrd")}
+    assert opening_lines(paths) == [
+        "rerun logs/x.rrd",
+        "'my logs/x.mcap'   for Foxglove and Lichtblick, with the layout x.layout.json",
+    ]

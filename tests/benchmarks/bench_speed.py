@@ -13,7 +13,7 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import mujoco
@@ -57,6 +57,34 @@ def paired_ratio(benchmark, call: Callable[[], object], reference: Callable[[], 
     return ratio
 
 
+def summed_ratio(benchmark, pairs: Sequence[tuple[Callable[[], object], Callable[[], object]]]) -> float:
+    """One long work over its reference, both in parts that take turns: no machine is as fast one minute as it was the last."""
+    spent = []
+
+    def turns():
+        for i, pair in enumerate(pairs):
+            first, second = (seconds(call) for call in (pair if i % 2 else pair[::-1]))
+            spent.append((first, second) if i % 2 else (second, first))
+
+    benchmark.pedantic(turns, rounds=1, iterations=1)
+    ours, reference = np.sum(spent, axis=0)
+    benchmark.extra_info["ratio"] = ours / reference
+    each = ", ".join(f"{mine / other:.2f}" for mine, other in spent)
+    print(f"\n{benchmark.name}: {ours / reference:.2f} ({ours:.1f} s / {reference:.1f} s; parts {each})")
+    return ours / reference
+
+
+def native_steps(model: mujoco.MjModel, threads: int) -> Callable[[int], None]:
+    """Steps a model so many times, shared by threads."""
+    datas = [mujoco.MjData(model) for _ in range(threads)]
+    pool = ThreadPoolExecutor(threads)
+
+    def steps(count: int) -> None:
+        list(pool.map(lambda data: mujoco.mj_step(model, data, count // threads), datas))
+
+    return steps
+
+
 def test_whole_command(benchmark, tmp_path):
     """The whole command takes at most 1.5 times as long as importing cvxpy, mujoco, rerun and mcap."""
     command = [sys.executable, "-m", "sim.bump", "--controller", "I", "--logs", str(tmp_path)]
@@ -91,17 +119,18 @@ def test_envelope(benchmark):
     """A map of 40 x 40 bumps, each run and predicted, takes at most 1.2 times native stepping of its runs on as many threads."""
     vehicle = read_vehicle("quarter_car")
     controller = Designer(vehicle).design("I")
-    bumps = grid(read_axes(["height:0.02:0.3:40", "speed:3:30:40"]), {"height": 0.1, "length": 5.0, "speed": 12.5})
+    parts = []
+    for low, high in ((3, 9), (10, 16), (17, 23), (24, 30)):
+        axes = read_axes(["height:0.02:0.3:40", f"speed:{low}:{high}:10"])
+        parts.append(grid(axes, {"height": 0.1, "length": 5.0, "speed": 12.5}))
+    assert sum(len(bumps) for bumps in parts) == 1600
     sample_times = np.arange(3001) * 1e-3
-    model, cores = build_model(vehicle, 1e-3), len(os.sched_getaffinity(0))
-    datas = [mujoco.MjData(model) for _ in range(cores)]
-
-    def native():
-        with ThreadPoolExecutor(cores) as threads:
-            for done in [threads.submit(mujoco.mj_step, model, data, len(bumps) * 3001 // cores) for data in datas]:
-                done.result()
-
-    assert paired_ratio(benchmark, lambda: validity(vehicle, controller, bumps, sample_times), native, 3) <= 1.2
+    native = native_steps(build_model(vehicle, 1e-3), len(os.sched_getaffinity(0)))
+    pairs = [
+        (lambda bumps=bumps: validity(vehicle, controller, bumps, sample_times), lambda bumps=bumps: native(len(bumps) * 3001))
+        for bumps in parts
+    ]
+    assert summed_ratio(benchmark, pairs) <= 1.2
 
 
 def test_design_of_the_full_car(benchmark):
@@ -139,10 +168,10 @@ def test_redesign(benchmark):
     assert ratio <= 3
 
 
-@pytest.mark.parametrize(("name", "runs", "claim"), [("quarter_car", 2048, 0.85), ("full_car", 256, 0.85)])
-def test_campaign(benchmark, tmp_path, name, runs, claim):
-    """A campaign's run-steps a second, roads, metrics and files included, against native steps on as many threads."""
-    workers = os.cpu_count() or 1
+@pytest.mark.parametrize(("name", "runs"), [("quarter_car", 2048), ("full_car", 512)])
+def test_campaign(benchmark, tmp_path, name, runs):
+    """A campaign's run-steps a second, roads, metrics and files included: 0.85 of native steps on as many threads."""
+    workers = len(os.sched_getaffinity(0))
     file = tmp_path / "campaign.toml"
     what = f'vehicles = ["{name}"]\ncontrollers = ["I"]\nroads = ["iso8608:class=A"]\n'
     file.write_text(what + f"speeds = [20.0]\nseeds = {runs}\nduration = 10.0\n")
@@ -150,23 +179,14 @@ def test_campaign(benchmark, tmp_path, name, runs, claim):
     vehicle = campaign.vehicles[name]
     plan = Plan(campaign, {name: {"I": Designer(vehicle).design("I")}})
     store = Store(tmp_path, columns(plan), {}, plan.count)
-    model, steps = build_model(vehicle, 1e-3), runs * len(campaign.time)
-
-    def native():
-        with ThreadPoolExecutor(workers) as pool:
-            data = [mujoco.MjData(model) for _ in range(workers)]
-            list(pool.map(lambda one: mujoco.mj_step(model, one, steps // workers), data))
-
-    def whole():
-        run_batches(plan, plan.batches(0, plan.count), workers, None, False, store.write)
-
+    native = native_steps(build_model(vehicle, 1e-3), workers)
     run_batches(plan, [(0, 2)], 1, None, False, lambda start, rows: None)
-    ratios = []
-
-    def turn():
-        ratios.append(seconds(native) / seconds(whole))
-
-    benchmark.pedantic(turn, rounds=1 if runs > 1000 else 3, iterations=1)
-    ratio = statistics.median(ratios)
-    print(f"\n{benchmark.name}: {ratio:.2f} of native speed on {workers} threads; {ratios}")
-    assert ratio >= claim
+    batches = plan.batches(0, plan.count)
+    pairs = [
+        (
+            lambda some=batches[i : i + workers]: run_batches(plan, some, workers, None, False, store.write),
+            lambda some=batches[i : i + workers]: native((some[-1][1] - some[0][0]) * len(campaign.time)),
+        )
+        for i in range(0, len(batches), workers)
+    ]
+    assert summed_ratio(benchmark, pairs) <= 1 / 0.85

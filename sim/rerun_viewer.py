@@ -1,0 +1,142 @@
+"""Rerun's viewer on a recording: its window, or its web page on this machine alone, which ends with the command."""
+
+import os
+import shlex
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.parse
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from models.errors import InputError
+
+LOOPBACK = "127.0.0.1"
+STARTING = 60.0  # s that the web viewer may take until it answers
+ENDING = 3.0  # s that it may take to end before it is killed
+
+
+def check_display() -> None:
+    """Ask before a long run.
+
+    Raises:
+        InputError: there is no screen on which a window could open.
+    """
+    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise InputError("--open needs a screen, and neither DISPLAY nor WAYLAND_DISPLAY is set; give --serve, and open its page")
+
+
+def open_viewer(recording: Path) -> None:
+    """Starts the viewer on a recording and leaves it to the user: it stays when the command ends."""
+    subprocess.Popen(
+        [*_command(), "--bind", LOOPBACK, "--port", "auto", str(recording)],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+
+
+def serve_viewer(recording: Path) -> None:
+    """Serves the web viewer on a recording until Ctrl-C, SIGTERM or the end of the terminal, and leaves no process behind.
+
+    Says on stderr where it is, as stdout is for the result.
+
+    Raises:
+        InputError: it does not come up.
+    """
+    page, data = _free_ports(2)
+    command = [
+        *_command(),
+        "--serve-web",
+        "--bind",
+        LOOPBACK,
+        "--web-viewer-port",
+        str(page),
+        "--port",
+        str(data),
+        str(recording),
+    ]
+    source = urllib.parse.quote(f"rerun+http://{LOOPBACK}:{data}/proxy", safe="")
+    try:
+        with _ended_by_signals(), _process_group(command) as process:
+            _wait_until_up(process, f"http://{LOOPBACK}:{page}")
+            print(f"serving http://{LOOPBACK}:{page}?url={source}   Ctrl-C ends it", file=sys.stderr, flush=True)
+            process.wait()
+            raise InputError(f"the web viewer has ended by itself; try {shlex.join(command)}")
+    except KeyboardInterrupt:
+        return
+
+
+def _command() -> list[str]:
+    """Rerun's own program, of the package that wrote the recording."""
+    return [sys.executable, "-m", "rerun_cli"]
+
+
+def _free_ports(count: int) -> list[int]:
+    """Ports that nobody listens on: several commands may serve at a time."""
+    sockets = [socket.create_server((LOOPBACK, 0)) for _ in range(count)]
+    ports = [one.getsockname()[1] for one in sockets]
+    for one in sockets:
+        one.close()
+    return ports
+
+
+@contextmanager
+def _process_group(command: list[str]) -> Iterator[subprocess.Popen]:
+    """A program in a process group of its own, which ends as a whole: Rerun's program starts another one."""
+    process = subprocess.Popen(
+        command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+    )
+    try:
+        yield process
+    finally:
+        for how in (signal.SIGTERM, signal.SIGKILL):
+            deadline = time.monotonic() + ENDING
+            while _alive(process) and time.monotonic() < deadline:
+                with suppress(ProcessLookupError):
+                    os.killpg(process.pid, how)
+                time.sleep(0.02)
+
+
+def _alive(process: subprocess.Popen) -> bool:
+    """Whether anything of its group is."""
+    process.poll()  # or it would count after it has ended
+    try:
+        os.killpg(process.pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+@contextmanager
+def _ended_by_signals() -> Iterator[None]:
+    """SIGTERM and the end of the terminal count as Ctrl-C, so that what was started is ended."""
+    wanted = [signal.SIGTERM, *([signal.SIGHUP] if hasattr(signal, "SIGHUP") else [])]
+    before = {one: signal.signal(one, signal.default_int_handler) for one in wanted}
+    try:
+        yield
+    finally:
+        for one, handler in before.items():
+            signal.signal(one, handler)
+
+
+def _wait_until_up(process: subprocess.Popen, address: str) -> None:
+    """Waits until a page answers.
+
+    Raises:
+        InputError: it does not.
+    """
+    deadline = time.monotonic() + STARTING
+    while time.monotonic() < deadline and process.poll() is None:
+        try:
+            with urllib.request.urlopen(address, timeout=5.0):
+                return
+        except (urllib.error.URLError, OSError):
+            time.sleep(0.1)
+    raise InputError(f"Rerun's web viewer does not answer at {address}; open the recording with the command rerun instead")

@@ -1,0 +1,112 @@
+"""What Rerun shows beside plain curves: tyres, struts and forces, differences, what happened, several controllers."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sim.appearance import LIFTED, LONGEST
+from sim.difference import difference
+from sim.figure import STYLES, rgb
+from sim.recording_rerun import write_rrd
+from sim.run_log import RunLog
+from tests.test_recording import make_run
+
+GREATEST = 1e-6  # m; Rerun's 3D is single precision, on coordinates below 2 m
+
+
+@pytest.fixture(scope="module")
+def log(lifting: RunLog, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("rerun") / "run.rrd"
+    write_rrd(path, [lifting], {"vehicle": "quarter_car"})
+    return path
+
+
+def rows(path: Path, entity: str, component: str) -> list:
+    """A component of an entity, all instances of every row, in the order of time; one row where it is static."""
+    from rerun.chunk import RrdReader
+
+    found: list = []
+    for chunk in RrdReader(path).stream().to_chunks():
+        if chunk.entity_path == entity:
+            batch = chunk.to_record_batch()
+            if component in batch.schema.names:
+                found += batch.column(component).to_pylist()
+    return found
+
+
+def entities(path: Path) -> set[str]:
+    from rerun.chunk import RrdReader
+
+    return {chunk.entity_path for chunk in RrdReader(path).stream().to_chunks()}
+
+
+def test_tyre_gives_way_and_lifts(lifting: RunLog, log: Path) -> None:
+    """At every frame a tyre's lowest point is on the road, or its own radius below the hub; in the air it is red."""
+    (tyre,) = lifting.scene.tyres
+    vertices = np.array(rows(log, "/I/world/unsprung/tyre", "Mesh3D:vertex_positions"))
+    np.testing.assert_allclose(vertices[..., 2].min(axis=1), -np.minimum(tyre.radius, tyre.height), atol=GREATEST)
+    np.testing.assert_allclose(abs(vertices[..., 1]).max(), tyre.half_width, atol=GREATEST)
+    colours = np.array(rows(log, "/I/world/unsprung/tyre", "Mesh3D:albedo_factor"))[:, 0]
+    red = np.uint32(int.from_bytes([*LIFTED, 255], "big"))
+    np.testing.assert_array_equal(colours == red, tyre.lifted)
+
+
+def test_strut_and_force(lifting: RunLog, log: Path) -> None:
+    """The rod goes from wheel to body, and the arrow is the control force on the scale of the largest."""
+    ends = lifting.scene.springs["suspension"]
+    strips = rows(log, "/I/world/springs/suspension", "LineStrips3D:strips")
+    np.testing.assert_allclose([strip[1] for strip in strips], ends, atol=GREATEST)
+    force = lifting.scene.forces["suspension"]
+    arrows = np.array(rows(log, "/I/world/forces/suspension", "Arrows3D:vectors"))[:, 0]
+    np.testing.assert_allclose(arrows[:, 2], LONGEST * force / abs(force).max(), atol=GREATEST)
+    np.testing.assert_allclose(arrows[:, :2], 0.0, atol=GREATEST)
+
+
+def test_differences_are_those_of_the_verdict(lifting: RunLog, log: Path) -> None:
+    """The difference's largest value before lift-off is the error that the run's verdict states, signal by signal."""
+    physics, linear = lifting.responses["mujoco"], lifting.responses["linear"]
+    gap = difference(physics, linear)
+    logged = np.array(rows(log, "/I/difference/signals", "Scalars:scalars"))
+    assert logged.tobytes() == np.ascontiguousarray(gap.values).tobytes()
+    errors = json.loads(lifting.metadata["errors"])
+    until = gap.time < lifting.events[0][0] - 5e-3  # the comparison ends within a few steps of the lift-off
+    for i, name in enumerate(gap.names):
+        # The verdict's peak is that of the time before lift-off, and no larger than that of the whole run.
+        assert abs(logged[until, i]).max() <= errors[name] * (1 + 1e-12)
+
+
+def test_what_happened_is_marked_on_every_curve(lifting: RunLog, log: Path) -> None:
+    """Each lift-off and landing is a point on MuJoCo's curve, at its time, for every signal."""
+    physics = lifting.responses["mujoco"]
+    assert {text for _, text in lifting.events} == {"lift-off", "landing"}
+    for text in ("lift-off", "landing"):
+        times = [time for time, what in lifting.events if what == text]
+        for signal in physics.names:
+            values = rows(log, f"/I/signals/{signal}/{text}", "Scalars:scalars")
+            expected = [physics[signal][round(time / 1e-3)] for time in times]  # events are at samples of 1 ms
+            assert [value[0] for value in values] == expected
+
+
+def test_colours_are_the_report_s(tmp_path: Path) -> None:
+    """MuJoCo's curve of a controller has the controller's colour in every figure of the report."""
+    runs = [make_run(name) for name in STYLES]
+    write_rrd(tmp_path / "all.rrd", runs, {})
+    for name, (color, _) in STYLES.items():
+        (found,) = rows(tmp_path / "all.rrd", f"/{name}/signals/control_force/mujoco", "SeriesLines:colors")
+        assert found == [int.from_bytes([*rgb(color), 255], "big")]
+
+
+def test_several_controllers_are_side_by_side(tmp_path: Path) -> None:
+    """One file has every controller's car, curves and text, and one table of what is proved of each."""
+    runs = [make_run("I"), make_run("II")]
+    write_rrd(tmp_path / "two.rrd", runs, {})
+    found = entities(tmp_path / "two.rrd")
+    for name in ("I", "II"):
+        assert {f"/{name}/world/sprung", f"/{name}/signals/control_force/linear", f"/{name}/summary"} <= found
+    ((table,),) = rows(tmp_path / "two.rrd", "/certificates", "TextDocument:text")
+    assert "| I | 6.3 |" in table
+    assert "| II | 6.3 |" in table
+    assert "lift-off" not in table  # these runs have other events: the first one is named
+    assert "tyre leaves the road 0.05 s" in table
