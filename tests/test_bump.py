@@ -176,7 +176,7 @@ def test_table_says_what_json_says(capsys, everything):
 
 
 def test_logs_are_written_and_named(capsys, tmp_path, monkeypatch):
-    """Without `--no-logs` an MCAP file with its layout and a Rerun file are in `logs`, readable, and the last lines say how to open them."""
+    """Without `--no-logs` an MCAP file, its layout and a Rerun file are in `logs`; the last lines say how to open them."""
     monkeypatch.chdir(tmp_path)
     assert main(["--controller", "passive", "--controller", "II", "--duration", "0.1"]) == 0
     last = capsys.readouterr().out.splitlines()[-2:]
