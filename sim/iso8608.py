@@ -145,22 +145,28 @@ class Iso8608(Road):
         return _frequencies(self.length)
 
     @cached_property
-    def _phasors(self) -> tuple[Array, Array]:
-        """exp(i phase) of every line, of the left track and of what the right one has for itself, shape (K,) each."""
+    def _left(self) -> Array:
+        """exp(i phase) of every line of the left track, shape (K,)."""
+        return self._phasors(0)
+
+    @cached_property
+    def _other(self) -> Array:
+        """The same of what the right track has for itself."""
+        return self._phasors(1)
+
+    def _phasors(self, track: int) -> Array:
         count = len(self.n)
-        raw = np.random.Philox(self.seed).random_raw(2 * count)
+        raw = np.random.Philox(self.seed).random_raw((track + 1) * count)[track * count :]
         phases = 2 * np.pi * ((raw >> np.uint64(11)) * 2.0**-53)
-        phasors = np.cos(phases) + 1j * np.sin(phases)
-        return phasors[:count], phasors[count:]
+        return np.cos(phases) + 1j * np.sin(phases)
 
     def _lines(self, side: str) -> Array:
         """Complex amplitude of every line [m], shape (K,)."""
-        left, other = self._phasors
         amplitudes = self.factor * np.sqrt(2 * roughness(self.road_class) * (self.n / N0) ** -2 / self.length)
         if side != "right":
-            return amplitudes * left
+            return amplitudes * self._left
         alike = _coherency_of_lines(self.length, self.track_width)
-        return amplitudes * (alike * left + np.sqrt(1 - alike**2) * other)
+        return amplitudes * (alike * self._left + np.sqrt(1 - alike**2) * self._other)
 
     def _sum(self, lines: Array, t: Array) -> Array:
         """Real part of the sum of lines exp(2 pi i n V t), shape like t."""

@@ -72,18 +72,25 @@ def simulate(
         at_once: second controllers, whose forces come to those of the first and know no `[implementation]`; None for none.
     """
     timestep, signals, wheels = float(time[1] - time[0]), vehicles[0].kind.signals, vehicles[0].kind.wheels
-    pairs = list(zip(vehicles, roads, strict=True))
-    now = np.stack([under_wheels(road.displacement, road, vehicle, time) for vehicle, road in pairs], axis=1)
-    middle = time + timestep / 2
-    midway = np.stack([under_wheels(road.displacement, road, vehicle, middle) for vehicle, road in pairs], axis=1)
+    now = _on_each(vehicles, roads, "displacement", time)
+    midway = _on_each(vehicles, roads, "displacement", time + timestep / 2)
     (block,) = in_blocks(vehicles, controllers, now, midway, timestep, threads, len(time), at_once)
 
     recorded, names = block.values, [signal.name for signal in signals]
-    velocity = np.stack([under_wheels(road.velocity, road, vehicle, time) for vehicle, road in pairs], axis=1)
+    velocity = _on_each(vehicles, roads, "velocity", time)
     recorded[:, [names.index(wheel.road_velocity) for wheel in wheels]] = np.moveaxis(velocity, 1, 2)
     diverged = block.diverged(time)
     recorded[np.broadcast_to((time[:, None] >= diverged)[:, None], recorded.shape)] = np.nan
     return PhysicsRuns(Response(time, signals, np.moveaxis(recorded, 2, 0)), block.qpos.swapaxes(0, 1), diverged)
+
+
+def _on_each(vehicles: Sequence[Vehicle], roads: Sequence[Road], what: str, time: Array) -> Array:
+    """Heights of the roads [m], or their rates, under the wheels of all runs, shape (T, N, r); of runs that share both, once."""
+    once: dict[tuple[int, int], Array] = {}
+    for vehicle, road in zip(vehicles, roads, strict=True):
+        if (id(vehicle), id(road)) not in once:
+            once[id(vehicle), id(road)] = under_wheels(getattr(road, what), road, vehicle, time)
+    return np.stack([once[id(vehicle), id(road)] for vehicle, road in zip(vehicles, roads, strict=True)], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
