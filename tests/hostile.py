@@ -5,6 +5,7 @@ import struct
 import zlib
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import lz4.frame
 import numpy as np
@@ -267,7 +268,8 @@ def _mutated(text: str, rng: np.random.Generator) -> str:
         value = json.loads(text)
     except (ValueError, RecursionError):
         return text
-    holder, key = {"": value}, ""
+    holder: Any = {"": value}
+    key: Any = ""
     while isinstance(holder[key], (dict, list)) and holder[key]:
         holder = holder[key]
         key = _choice(rng, list(holder) if isinstance(holder, dict) else range(len(holder)))

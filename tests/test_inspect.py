@@ -257,7 +257,7 @@ CHANGES = {
     "the result's road": (attached("result.json", b'"speed": 25.0', b'"speed": 25.1'), ("result", "FAILS")),
     "no model": (lambda p: replace(p, attachments=[a for a in p.attachments if a[0] != "model.xml"]), ("model", "missing")),
     "no vehicle": (lambda p: replace(p, attachments=p.attachments[1:]), ("vehicle", "missing")),
-    "no physics": (lambda p: p.with_messages("/I/mujoco", lambda m: []), ("samples", "missing")),
+    "no physics": (lambda p: p.with_messages("/I/mujoco", lambda m: []), ("responses", "missing")),
     "a gap": (lambda p: p.with_messages("/I/linear", lambda m: m[:500] + m[501:]), ("samples", "missing")),
     "no claim": (lambda p: p.without_claim("run/I", "agrees"), ("physics", "FAILS")),
 }
