@@ -24,7 +24,9 @@ class Contents:
         """The same with one entry of a metadata record changed."""
         return replace(
             self,
-            metadata=[(name, {**one, key: change(one[key])} if name == record else one) for name, one in self.metadata],
+            metadata=[
+                (name, {**one, key: change(one[key])} if name == record and key in one else one) for name, one in self.metadata
+            ],
         )
 
     def without_claim(self, record: str, key: str) -> "Contents":
