@@ -27,6 +27,7 @@ from sim.sweep_picture import sweep_figure
 from sim.validity import Cells, validity
 from sim.verdict import gain_text, verdict_lines
 from synth.controller import Controller, Designer
+from synth.table import percent
 
 BUMP_DURATION = 3.0  # s
 AMPLITUDE = 1e-4  # m, of the roads that frequency responses are identified on
@@ -134,6 +135,8 @@ def _design(scope: Scope) -> Section:
                 _number(certificate.bound, ".7g"),
                 _number(norm.value, ".7g"),
                 _number(norm.peak_frequency, ".5g"),
+                _number(certificate.lower.gamma, ".7g") if certificate.lower is not None and certificate.lower.gamma > 0 else "-",
+                percent(certificate.gap) if certificate.gap is not None else "-",
                 _number(float(np.real(certificate.poles).max()), ".4g"),
                 "; ".join(certificate.failures) or "holds",
             )
@@ -145,13 +148,16 @@ def _design(scope: Scope) -> Section:
         "bound",
         "norm",
         "peak [rad/s]",
+        "no one below",
+        "above it",
         "slowest pole [1/s]",
         "certificate",
     )
     text = (
         "The bound is the gamma that the linear matrix inequality proves for this very gain; the norm is recomputed by two other "
         "routes. A certificate holds if all poles are stable, X > 0, the inequality (20) is negative definite and norm <= bound, "
-        "checked without the solver that found the gain.",
+        "checked without the solver that found the gain. No controller of its kind, of whatever order, can have a norm below "
+        "'no one below'.",
     )
     return Section("Designs", text, (Table("designs", headings, tuple(rows), words=3),))
 

@@ -20,20 +20,22 @@ from synth.plant import GeneralizedPlant
 STABLE = -1e-4  # largest real part of a pole, relative to the largest pole of the plant, that is stable enough to start from
 SHIFT_BEYOND = 0.03  # how far the shift lies right of the last pole, relative likewise
 
-MOST_SHIFTS = 12
+MOST_SHIFTS = 20
 
 
-def stabilising_starts(landscape: Landscape, limit: Array, count: int) -> Iterator[Array]:
-    """Points where the loop is stable: from u = 0 and random points, `count` starts in all, one or none from each.
+def stabilising_starts(landscape: Landscape, limit: Array, starts: range) -> Iterator[Array]:
+    """Points where the loop is stable, one or none from each start: from u = 0, which is the first, and random points.
 
     Args:
         landscape: of the plant.
         limit: largest entries, shape (m q,).
-        count: starts to try.
+        starts: those to try, by number.
     """
     generator = np.random.default_rng(20261120)
-    for start in range(count):
+    for start in range(starts.stop):
         x = generator.standard_normal(len(limit)) * 10 ** generator.uniform(-1.5, 1.5) if start else np.zeros(len(limit))
+        if start not in starts:
+            continue
         x = np.clip(x, -0.5 * limit, 0.5 * limit)
         found = stabilise(landscape, x, limit, patient=start % 2 == 1)
         if found is not None:

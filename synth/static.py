@@ -27,7 +27,7 @@ from synth.state_feedback import state_feedback
 
 SHORT_OF_OPTIMUM = (3.0, 1e-2, 1e-4)  # where on the path X is taken from, relative to eta
 STARTS = 6  # random stabilising gains
-MORE_STARTS = 12  # where the first lead to none
+MORE_STARTS = 18  # with those of before, where the first lead to none
 LARGEST_GAIN = 1e5
 AGREE = 1e-6  # relative; two starts that end this close have found the same minimum
 
@@ -98,9 +98,9 @@ def static_output_feedback(plant: GeneralizedPlant, Cy: Array, largest_gain: flo
     starts = [(landscape.point(point.K), f"two steps, X at mu = {mu:g}") for mu, point in points]
     starts = [(x, origin) for x, origin in starts if np.all(np.abs(x) <= limit) and np.isfinite(landscape.norm(x)[0])]
     norms = [landscape.norm(x)[0] for x, _ in starts]
-    found = [(x, "a stabilising start") for x in stabilising_starts(landscape, limit, STARTS)]
+    found = [(x, "a stabilising start") for x in stabilising_starts(landscape, limit, range(STARTS))]
     if not starts and not found:
-        found = [(x, "a stabilising start") for x in _first(stabilising_starts(landscape, limit, MORE_STARTS), 2)]
+        found = [(x, "a stabilising start") for x in _first(stabilising_starts(landscape, limit, range(STARTS, MORE_STARTS)), 2)]
     if not starts and not found:
         raise DesignError(
             f"no stabilising static gain was found from {MORE_STARTS} starts; measure more signals, or allow a larger gain "

@@ -111,7 +111,9 @@ def notes(controller: Controller) -> tuple[str, ...]:
 
 def percent(share: float) -> str:
     """A share in percent; what rounding leaves is 0."""
-    return f"{max(100 * share, 0.0):.2g} %" if share > 1e-9 else "0 %"
+    if share <= 1e-9:
+        return "0 %"
+    return f"{100 * share:.2g} %" if share < 0.995 else f"{100 * share:.0f} %"
 
 
 def _poles(poles) -> list[str]:
