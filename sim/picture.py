@@ -35,8 +35,8 @@ def check_picture(path: Path) -> None:
         raise InputError("pictures need matplotlib; pip install 'roadproof[report]' or leave --picture out") from None
 
 
-def draw(figure: Figure, path: Path) -> None:
-    """Writes a figure whole, or not at all; the same figure gives the same bytes.
+def draw(figure: Figure, *paths: Path) -> None:
+    """Writes a figure to every path, each whole or not at all; the same figure gives the same bytes.
 
     Raises:
         InputError: it cannot be written.
@@ -46,7 +46,7 @@ def draw(figure: Figure, path: Path) -> None:
     from matplotlib.figure import Figure as Canvas
 
     width, height = figure.size
-    canvas = Canvas(figsize=(width * figure.columns, height * figure.rows + 1.0), layout="constrained")
+    canvas = Canvas(figsize=(width * figure.columns, height * figure.rows + 1.0), dpi=130, layout="constrained")
     FigureCanvasAgg(canvas)
     axes = canvas.subplots(figure.rows, figure.columns, squeeze=False).ravel()
     for axis, panel in zip(axes, figure.panels, strict=False):
@@ -61,17 +61,22 @@ def draw(figure: Figure, path: Path) -> None:
         columns = min(len(entries), 3 * figure.columns - (figure.columns > 1))
         canvas.legend(list(entries.values()), list(entries), loc="outside lower center", ncols=columns, fontsize=9, frameon=False)
     canvas.suptitle(figure.title, fontsize=11)
-
-    beside = path.with_name(f".{path.stem}.part{path.suffix}")
-    dateless = {"Date": None} if path.suffix.lower() == ".svg" else {}
-    try:
-        with matplotlib.rc_context({"svg.hashsalt": "roadproof"}):
-            canvas.savefig(beside, dpi=130, metadata=dateless)
-        beside.replace(path)
-    except OSError as error:
-        raise InputError(f"picture {path}: cannot be written ({error.strerror}); give another") from error
-    finally:
-        beside.unlink(missing_ok=True)
+    # Laid out once, not for every file: that takes longer than drawing.
+    layout = canvas.get_layout_engine()
+    assert layout is not None
+    layout.execute(canvas)
+    canvas.set_layout_engine("none")
+    for path in paths:
+        beside = path.with_name(f".{path.stem}.part{path.suffix}")
+        dateless = {"Date": None} if path.suffix.lower() == ".svg" else {}
+        try:
+            with matplotlib.rc_context({"svg.hashsalt": "roadproof"}):
+                canvas.savefig(beside, metadata=dateless)
+            beside.replace(path)
+        except OSError as error:
+            raise InputError(f"picture {path}: cannot be written ({error.strerror}); give another") from error
+        finally:
+            beside.unlink(missing_ok=True)
 
 
 def _draw_panel(axis: Any, panel: Panel) -> None:

@@ -114,8 +114,7 @@ def _write_figures(page: Page, folder: Path) -> None:
     """Every figure as SVG and PNG, every table as CSV, each whole or not at all."""
     for section in page.sections:
         for figure in section.figures:
-            for suffix in (".svg", ".png"):
-                draw(figure, folder / f"{figure.name}{suffix}")
+            draw(figure, folder / f"{figure.name}.svg", folder / f"{figure.name}.png")
         for table in section.tables:
             path, beside = folder / f"{table.name}.csv", folder / f".{table.name}.part"
             try:
