@@ -48,7 +48,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         check_picture(options.figures / "figure.png")
 
     from sim.provenance import versions
-    from sim.report_content import Scope, page, report_object
+    from sim.report_content import page, report_object
+    from sim.report_scope import Scope
     from synth.controller import Designer
 
     show("designs")
