@@ -33,6 +33,18 @@ class Parser(argparse.ArgumentParser):
         """Bad options: one line, exit code 2."""
         raise InputError(f"{message}; see {self.prog} --help")
 
+    def add_what(self, default: str) -> None:
+        """The options `--controller`, which may be repeated, and `--vehicle`."""
+        self.add_argument(
+            "--controller",
+            action="append",
+            metavar="NAME",
+            help=f"passive, state, one of the vehicle file's, or all; may be repeated ({default})",
+        )
+        self.add_argument(
+            "--vehicle", default="quarter_car", metavar="FILE", help="vehicle file, or one that ships (default: quarter_car)"
+        )
+
     def add_number(self, option: str, default: float, unit: str, meaning: str) -> None:
         """An option that takes a finite number."""
         self.add_argument(option, type=_number, default=default, metavar=unit, help=f"{meaning} [{unit}] (default: {default:g})")

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from models.command import Parser, run_command
 from models.errors import InputError
 from models.vehicle import Vehicle, read_vehicle
-from sim.comparison import add_how, add_what, check_view, chosen, compared_lines, run_chosen, view
+from sim.comparison import add_how, check_view, chosen, compared_lines, run_chosen, view
 from sim.road import Bump
 from sim.run import Run, check_road, sample_times
 from sim.verdict import log_lines, run_object
@@ -67,7 +67,7 @@ def _parser() -> Parser:
     parser = Parser(
         "sim.bump", "Drives controllers over a bump, in MuJoCo and in linear analysis, compares and logs them.", EPILOG
     )
-    add_what(parser)
+    parser.add_what("required")
     parser.add_number("--height", Bump.height, "m", "bump height")
     parser.add_number("--length", Bump.length, "m", "bump length")
     parser.add_number("--speed", Bump.speed, "m/s", "forward speed of the vehicle")

@@ -15,19 +15,6 @@ from sim.verdict import controller_lines, run_lines, verdict_lines
 from synth.controller import Designer
 
 
-def add_what(parser: Parser) -> None:
-    """The options `--controller` and `--vehicle`."""
-    parser.add_argument(
-        "--controller",
-        action="append",
-        metavar="NAME",
-        help="passive, state, one of the vehicle file's, or all; may be repeated. Required",
-    )
-    parser.add_argument(
-        "--vehicle", default="quarter_car", metavar="FILE", help="vehicle file, or one that ships (default: quarter_car)"
-    )
-
-
 def add_how(parser: Parser, duration: float) -> None:
     """`--duration`, with a default [s], `--timestep`, `--logs`, `--no-logs`, `--open`, `--serve` and `--json`."""
     parser.add_number("--duration", duration, "s", "how long to run")

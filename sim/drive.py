@@ -12,7 +12,7 @@ import numpy as np
 from models.command import Parser, run_command
 from models.errors import InputError
 from models.vehicle import Vehicle, read_vehicle
-from sim.comparison import add_how, add_what, check_view, chosen, compared_lines, run_chosen, view
+from sim.comparison import add_how, check_view, chosen, compared_lines, run_chosen, view
 from sim.expected import Expected, expect, settling_time
 from sim.iso8608 import CLASSES, Iso8608
 from sim.metrics import measure, metrics_of
@@ -188,7 +188,7 @@ def _parser() -> Parser:
         "Drives controllers over a road, in MuJoCo and in linear analysis; compares, measures and logs them.",
         EPILOG,
     )
-    add_what(parser)
+    parser.add_what("required")
     parser.add_argument(
         "--class", dest="road_class", metavar="CLASS", help=f"random road of ISO 8608, {CLASSES[0]} to {CLASSES[-1]} (default: C)"
     )

@@ -16,6 +16,7 @@ from models.arrays import Array
 from models.command import Parser, run_command
 from models.errors import InputError, known
 from models.vehicle import Vehicle, read_vehicle
+from models.whole_file import whole_file
 from sim.broken import ENDS
 from sim.picture import check_picture, draw
 from sim.progress import bar
@@ -148,20 +149,13 @@ def grid(axes: tuple[Axis, Axis], fixed: dict[str, float]) -> list[Bump]:
 def write_csv(path: Path, cells: Cells, threshold: float) -> None:
     """One line per cell that was run, SI units; what never happens is left empty."""
     names = [end.replace(" ", "_").replace("-", "_") for end in ENDS]
-    beside = path.with_name(f".{path.name}.part")
-    try:
-        with beside.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            columns = ("error", "holds", "broke_first", "at", "predicted", "predicted_at", "agrees")
-            writer.writerow([*UNITS, *columns, *(f"linear_share_of_{name}" for name in names)])
-            for i in np.flatnonzero(cells.done):
-                bump, row = cells.bumps[i], _cell(cells, int(i), threshold)
-                writer.writerow([bump.height, bump.length, bump.speed, *(row[name] for name in columns), *cells.used[i].tolist()])
-        beside.replace(path)
-    except OSError as error:
-        raise InputError(f"csv {path}: cannot be written ({error.strerror}); give another") from error
-    finally:
-        beside.unlink(missing_ok=True)
+    with whole_file(path, "csv") as beside, beside.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        columns = ("error", "holds", "broke_first", "at", "predicted", "predicted_at", "agrees")
+        writer.writerow([*UNITS, *columns, *(f"linear_share_of_{name}" for name in names)])
+        for i in np.flatnonzero(cells.done):
+            bump, row = cells.bumps[i], _cell(cells, int(i), threshold)
+            writer.writerow([bump.height, bump.length, bump.speed, *(row[name] for name in columns), *cells.used[i].tolist()])
 
 
 def envelope_object(cells: Cells, axes: Sequence[Axis], options: Any) -> dict[str, Any]:

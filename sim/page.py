@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from models.errors import InputError
+from models.whole_file import whole_file
 from sim.figure import Curve, Figure, Kinds, Panel, Shades
 
 PLOTLY_DASHES = {"solid": "solid", "dash": "dash", "dot": "dot", "dashdot": "dashdot", "longdash": "longdash", "none": "solid"}
@@ -97,14 +98,8 @@ def write_page(page: Page, path: Path) -> None:
     Raises:
         InputError: it cannot be written.
     """
-    beside = path.with_name(f".{path.name}.part")
-    try:
+    with whole_file(path, "report") as beside:
         beside.write_text(render(page), encoding="utf-8")
-        beside.replace(path)
-    except OSError as error:
-        raise InputError(f"report {path}: cannot be written ({error.strerror}); give another") from error
-    finally:
-        beside.unlink(missing_ok=True)
 
 
 @dataclass(frozen=True)

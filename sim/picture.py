@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from models.errors import InputError
+from models.whole_file import whole_file
 from sim.figure import Figure, Kinds, Panel, Shades
 
 SUFFIXES = (".png", ".svg")
@@ -67,16 +68,9 @@ def draw(figure: Figure, *paths: Path) -> None:
     layout.execute(canvas)
     canvas.set_layout_engine("none")
     for path in paths:
-        beside = path.with_name(f".{path.stem}.part{path.suffix}")
         dateless = {"Date": None} if path.suffix.lower() == ".svg" else {}
-        try:
-            with matplotlib.rc_context({"svg.hashsalt": "roadproof"}):
-                canvas.savefig(beside, metadata=dateless)
-            beside.replace(path)
-        except OSError as error:
-            raise InputError(f"picture {path}: cannot be written ({error.strerror}); give another") from error
-        finally:
-            beside.unlink(missing_ok=True)
+        with whole_file(path, "picture") as beside, matplotlib.rc_context({"svg.hashsalt": "roadproof"}):
+            canvas.savefig(beside, metadata=dateless)
 
 
 def _draw_panel(axis: Any, panel: Panel) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 from models.command import Parser, run_command
 from models.errors import InputError
 from models.vehicle import Vehicle, read_vehicle
+from models.whole_file import whole_file
 from sim.page import Page, check_page, write_page
 from sim.picture import check_picture, draw
 from sim.progress import show
@@ -80,15 +81,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> Parser:
     parser = Parser("sim.report", "Writes one HTML page about a vehicle file and its controllers.", EPILOG)
-    parser.add_argument(
-        "--controller",
-        action="append",
-        metavar="NAME",
-        help="passive, state, one of the vehicle file's, or all; may be repeated (default: passive, state, I and II)",
-    )
-    parser.add_argument(
-        "--vehicle", default="quarter_car", metavar="FILE", help="vehicle file, or one that ships (default: quarter_car)"
-    )
+    parser.add_what("default: passive, state, I and II")
     parser.add_argument("--out", type=Path, default=Path("report.html"), metavar="FILE", help="the page (default: report.html)")
     parser.add_argument("--figures", type=Path, metavar="DIR", help="also write every figure as SVG and PNG, every table as CSV")
     parser.add_argument("--quick", action="store_true", help="without margins, map and ride: seconds instead of a minute")
@@ -117,15 +110,11 @@ def _write_figures(page: Page, folder: Path) -> None:
         for figure in section.figures:
             draw(figure, folder / f"{figure.name}.svg", folder / f"{figure.name}.png")
         for table in section.tables:
-            path, beside = folder / f"{table.name}.csv", folder / f".{table.name}.part"
-            try:
-                with beside.open("w", newline="", encoding="utf-8") as file:
-                    csv.writer(file).writerows([table.headings, *table.rows])
-                beside.replace(path)
-            except OSError as error:
-                raise InputError(f"table {path}: cannot be written ({error.strerror}); give another folder") from error
-            finally:
-                beside.unlink(missing_ok=True)
+            with (
+                whole_file(folder / f"{table.name}.csv", "table") as beside,
+                beside.open("w", newline="", encoding="utf-8") as file,
+            ):
+                csv.writer(file).writerows([table.headings, *table.rows])
 
 
 if __name__ == "__main__":

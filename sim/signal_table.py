@@ -8,6 +8,7 @@ import numpy as np
 
 from models.arrays import Array
 from models.errors import InputError
+from models.whole_file import whole_file
 from sim.proof import Inspected, Proof
 from sim.reproduction import as_response
 
@@ -24,25 +25,18 @@ def write_signals(path: Path, proof: Proof) -> None:
     """
     if proof.vehicle is None or not any(one.samples for one in proof.runs):
         raise InputError("--csv: there are no signals in the log to write; leave it out")
-    beside = path.with_name(f".{path.name}.part")
-    try:
-        with beside.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            columns = [
-                f"{signal.name} {which} [{signal.unit}]"
-                for signal in proof.vehicle.kind.signals
-                for which in ("mujoco", "linear", "recomputed")
-            ]
-            writer.writerow(["run", "time [s]", *columns])
-            for one in proof.runs:
-                time = (np.arange(one.samples) * proof.timestep).tolist()
-                for t, row in zip(time, _rows(proof, one).tolist(), strict=True):
-                    writer.writerow([one.recorded.name, t, *(value if math.isfinite(value) else "" for value in row)])
-        beside.replace(path)
-    except OSError as error:
-        raise InputError(f"csv {path}: cannot be written ({error.strerror}); give another") from error
-    finally:
-        beside.unlink(missing_ok=True)
+    with whole_file(path, "csv") as beside, beside.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        columns = [
+            f"{signal.name} {which} [{signal.unit}]"
+            for signal in proof.vehicle.kind.signals
+            for which in ("mujoco", "linear", "recomputed")
+        ]
+        writer.writerow(["run", "time [s]", *columns])
+        for one in proof.runs:
+            time = (np.arange(one.samples) * proof.timestep).tolist()
+            for t, row in zip(time, _rows(proof, one).tolist(), strict=True):
+                writer.writerow([one.recorded.name, t, *(value if math.isfinite(value) else "" for value in row)])
 
 
 def _rows(proof: Proof, one: Inspected) -> Array:

@@ -42,15 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         InputError: bad options or vehicle file.
     """
     parser = Parser("sim.sweep", "Identifies frequency responses in MuJoCo and compares them with the linear analysis.", EPILOG)
-    parser.add_argument(
-        "--controller",
-        action="append",
-        metavar="NAME",
-        help="passive, state, one of the vehicle file's, or all; may be repeated (default: passive, state, I and II)",
-    )
-    parser.add_argument(
-        "--vehicle", default="quarter_car", metavar="FILE", help="vehicle file, or one that ships (default: quarter_car)"
-    )
+    parser.add_what("default: passive, state, I and II")
     parser.add_number("--amplitude", 1e-4, "m", "largest height of every road; larger ones meet the vehicle's limits")
     parser.add_number("--speed", 12.5, "m/s", "forward speed; only the later wheels of longer vehicles notice")
     parser.add_number("--timestep", 1e-3, "s", "integration step and sample period of the controller")

@@ -83,15 +83,7 @@ DEFAULT = "quarter_car"
 
 def _parser() -> Parser:
     parser = Parser("synth", "Designs the controllers of a vehicle file, certifies them, and says how good they are.", EPILOG)
-    parser.add_argument(
-        "--controller",
-        action="append",
-        metavar="NAME",
-        help="passive, state, one of the vehicle file's, or all; may be repeated (default: all)",
-    )
-    parser.add_argument(
-        "--vehicle", default=DEFAULT, metavar="FILE", help=f"vehicle file, or one that ships (default: {DEFAULT})"
-    )
+    parser.add_what("default: all")
     parser.add_argument("--zero-l", action="store_true", help="L = 0 instead of equation (14), the one-step design of remark 4")
     parser.add_argument(
         "--refine",

@@ -1,13 +1,13 @@
 """A design as a controller of a vehicle file, with its certificate beside its gain; written whole or not at all."""
 
 import json
-import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from models.errors import InputError
 from models.vehicle import Vehicle, parse_vehicle
+from models.whole_file import whole_file
 from synth.controller import Controller
 from synth.record import to_record
 
@@ -32,12 +32,8 @@ def save(path: Path, vehicle: Vehicle, controllers: Sequence[Controller]) -> Non
             raise InputError(f"--save: {vehicle.source} has a controller {name!r} already; rename or remove that one")
         text += "\n" + "\n".join(_entry(name, controller)) + "\n"
     parse_vehicle(text, folder=path.parent)  # what is written can be read
-    try:
-        with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}-") as folder:
-            (Path(folder) / path.name).write_text(text, encoding="utf-8")
-            (Path(folder) / path.name).replace(path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror}); give another --save FILE") from error
+    with whole_file(path, "--save") as beside:
+        beside.write_text(text, encoding="utf-8")
 
 
 def _entry(name: str, controller: Controller) -> list[str]:

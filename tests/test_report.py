@@ -95,13 +95,10 @@ def test_browser_reports_a_request(report, tmp_path):
 def test_page_fits(report, tmp_path, width):
     """At this width the page itself does not scroll sideways; wide tables do within it."""
     page, _, _ = report
-    text = page.read_text(encoding="utf-8")
     probe = tmp_path / "probe.html"
-    script = "<script>addEventListener('load', () => document.title = document.documentElement.scrollWidth)</script>"
-    # A headless window has a least width of its own, so the page is put into a frame.
-    (tmp_path / "page.html").write_text(text.replace("</body>", f"{script}</body>"), encoding="utf-8")
-    reader = "setTimeout(() => document.title = f.contentDocument.title, 6000)"
-    probe.write_text(f'<iframe id="f" src="page.html" width="{width}" height="2000"></iframe><script>{reader}</script>')
+    # A headless window has a least width of its own, so the page is put into a frame; it is measured when it is drawn.
+    measure = "document.title = this.contentDocument.documentElement.scrollWidth"
+    probe.write_text(f'<iframe src="{page.as_uri()}" width="{width}" height="2000" onload="{measure}"></iframe>')
     dom, _ = browse(probe, width + 100, tmp_path, "--allow-file-access-from-files")
     found = re.search(r"<title>(\d+)</title>", dom)
     assert found
