@@ -165,7 +165,7 @@ def test_diverged(paper, tmp_path, capsys):
     ("command", "options"),
     [
         (sweep, ["--controller", "I"]),
-        (margins, ["--controller", "II"]),
+        (margins, ["--controller", "II", "--timestep", "0.002"]),
         (envelope, ["--controller", "I", "--vary", "height:0.02:0.3:3", "--vary", "speed:3:30:3"]),
         (bump, ["--controller", "I", "--vehicle", "full_car"]),
     ],
@@ -392,10 +392,10 @@ def test_vehicle_of_the_log_not_of_the_machine(log, parts, tmp_path, capsys):
 
 
 def test_hostile_logs():
-    """Hundreds of cut, flipped and forged logs neither crash it, hang it, fill memory, nor make it write a file.
+    """Scores of cut, flipped and forged logs neither crash it, hang it, fill memory, nor make it write a file.
 
     In a process of its own, whose memory is limited. `tests/benchmarks/fuzz_inspect.py` runs as many as one likes.
     """
-    command = [sys.executable, "-W", "error::RuntimeWarning", "-m", "tests.benchmarks.fuzz_inspect", "--count", "150"]
+    command = [sys.executable, "-W", "error::RuntimeWarning", "-m", "tests.benchmarks.fuzz_inspect", "--count", "60"]
     run = subprocess.run(command, capture_output=True, text=True, timeout=300, cwd=Path(__file__).parent.parent)
     assert run.returncode == 0, run.stdout + run.stderr
