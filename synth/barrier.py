@@ -28,7 +28,7 @@ class Barrier:
     """The blocks, laid out for what is computed from them again and again."""
 
     def __init__(self, blocks: Sequence[Block]) -> None:
-        self.blocks = [(F0, F, F.reshape(len(F), -1), *packed_triangle(len(F0))) for F0, F in blocks]
+        self.blocks = [(F0, F, F.reshape(len(F), -1), *_upper(len(F0))) for F0, F in blocks]
 
     def at(self, p: Array) -> "Local | None":
         """The derivatives at a point, or None outside the feasible set."""
@@ -52,7 +52,7 @@ class Barrier:
 
 
 @functools.cache
-def packed_triangle(size: int) -> tuple[Array, Array, Array]:
+def _upper(size: int) -> tuple[Array, Array, Array]:
     """Where the upper triangle and the diagonal of a flat symmetric matrix lie, and weights that keep the former's norm."""
     rows, columns = np.triu_indices(size)
     return rows * size + columns, np.arange(size) * (size + 1), np.where(rows == columns, 1.0, np.sqrt(2.0))

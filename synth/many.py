@@ -1,10 +1,10 @@
-"""The central paths of many plants of one shape, side by side: the steps of `central.py` on stacks of matrices.
+"""The limits of the central paths of many plants of one shape, side by side: the steps of `central.py` on stacks of matrices.
 
 The matrices of one design are so small that its time goes into calls, not into arithmetic; a stack of them takes hardly more
 calls than one. A plant like them says in which coordinates and with which gain to begin. The limits depend on neither.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -14,12 +14,13 @@ from synth.central import CENTRED, INSIDE, LIMIT, Basis, CentralPoint, next_rest
 from synth.plant import GeneralizedPlant
 from synth.threads import one_thread
 
-FROM = 10.0  # mu over the eta of the first feasible point, where the paths are entered: from 3 to 30 takes the fewest steps
-TOGETHER = 2**18  # numbers in the largest array of a stack: it fits into the cache of a core
+FROM = 3.0  # mu over the eta of the first feasible point, where the paths are entered: the fewest steps in all
+ON_THE_WAY = 0.1  # Newton decrement at points short of the limit
+TOGETHER = 2**19  # numbers in the largest array of a stack: fewer are more calls, more leave the caches
 
 
-def central_paths(plants: Sequence[GeneralizedPlant], Q: Array, R: Array, nominal: CentralPoint) -> dict[int, list[CentralPoint]]:
-    """The central path of (25), or of (22) with an empty Q and R = I, of each of V plants: see `central.central_path`.
+def path_limits(plants: Sequence[GeneralizedPlant], Q: Array, R: Array, nominal: CentralPoint) -> dict[int, CentralPoint]:
+    """The last point of the central path of (25), or of (22) with an empty Q and R = I, of each of V plants.
 
     Args:
         plants: of the same shapes; each of their inputs does something of its own.
@@ -28,8 +29,8 @@ def central_paths(plants: Sequence[GeneralizedPlant], Q: Array, R: Array, nomina
         nominal: a point on the path of a plant like them, not too close to its optimum.
 
     Returns:
-        The paths by index of their plant, without those of plants for which the problem is infeasible, or that rounding ended
-        short of the limit.
+        The points by index of their plant, without those of plants for which the problem is infeasible, or whose path rounding
+        ended early.
     """
     if not plants:
         return {}
@@ -38,8 +39,8 @@ def central_paths(plants: Sequence[GeneralizedPlant], Q: Array, R: Array, nomina
     with one_thread():
         for first in range(0, len(plants), together):
             some = slice(first, first + together)
-            paths = _Paths(plants[some], Q[some], R[some], nominal).follow()
-            arrived |= {first + index: path for index, path in paths.items()}
+            points = _Paths(plants[some], Q[some], R[some], nominal).follow()
+            arrived |= {first + index: point for index, point in points.items()}
     return arrived
 
 
@@ -56,7 +57,7 @@ class _Paths:
         self.eta = self.mu = np.zeros(len(plants))
         self.K = np.zeros((len(plants), *nominal.K.shape))  # the gain absorbed so far, in those of T
 
-        # To where the similar plant was: what is measured keeps its meaning, so X_R = C_y X C_y' is the same for all.
+        # To where the nominal plant was. What is measured means the same in all plants: X_R = C_y X C_y' is alike.
         self.system[:, :, :n] = self.system[:, :, :n] @ self.T
         self.system[:, :n] = np.linalg.solve(self.T, self.system[:, :n])
         X = np.linalg.solve(self.T, np.linalg.solve(self.T, nominal.X).swapaxes(1, 2))
@@ -94,7 +95,7 @@ class _Paths:
         trying = ~inside
         while np.any(trying):
             blocks = [(np.zeros((n, n)), lyapunov[trying]), *shared]
-            p[trying] = minimise(blocks, p[trying], 1 / mu[trying], 0.3).p
+            p[trying] = minimise(blocks, p[trying], 1 / mu[trying], np.full(np.count_nonzero(trying), 0.3)).p
             inside = p[:, -1] < 0
             mu /= 10
             trying = ~inside & (mu > 1e-10)
@@ -114,45 +115,41 @@ class _Paths:
         self.eta = 0.5 / _size(W @ self.system[:, :, n + m :])[:, 0, 0] ** 2
         self.mu = FROM * self.eta
 
-    def follow(self) -> dict[int, list[CentralPoint]]:
-        """Walks along the paths to their limits. Returns those that get there, by the index of their plant."""
+    def follow(self) -> dict[int, CentralPoint]:
+        """Walks along the paths. Returns their limits, by the index of the plant."""
         n, m = self.n, self.m
-        paths: dict[int, list[CentralPoint]] = {i: [] for i in self.index.tolist()}
-        arrived = {}
+        limits = {}
         while len(self.index):
             basis = self._basis()
             p = np.tile(basis.pack(np.eye(n), np.zeros((m, n)), 0.0), (len(self.index), 1))
             p[:, -1] = self.eta
             blocks = [(-basis.F0, -basis.F.swapaxes(1, 2)), (np.zeros((n, n)), basis.X.swapaxes(0, 1)[None])]
-            here = minimise(blocks, p, -1 / self.mu, CENTRED)
-            p, tangent, reach = self._keep(here.decrement <= 0.5, here.p, here.tangent, here.reach)
+            last = self.mu <= 1.001 * LIMIT * self.eta
+            here = minimise(blocks, p, -1 / self.mu, np.where(last, CENTRED, ON_THE_WAY))
+            p, tangent, reach, last = self._keep(here.decrement <= 0.5, here.p, here.tangent, here.reach, last)
             X, Y, self.eta = basis.unpack(p)
-            positive = self.eta > 0
-            for i, point in self._points(positive, X[positive], Y[positive]):
-                paths[i].append(point)
+            limits |= self._points(last, X[last], Y[last])
 
             # Along the tangent of the path in mu, but inside.
-            relative = np.where(positive, self.mu / np.abs(self.eta), np.inf)
-            there = relative <= 1.001 * LIMIT
-            arrived |= {i: paths[i] for i in self.index[there].tolist()}
-            ratio = np.where(positive, next_rest(relative, LIMIT), 0.1)
+            relative = np.where(self.eta > 0, self.mu / np.abs(self.eta), np.inf)
+            ratio = np.where(self.eta > 0, next_rest(relative, LIMIT), 0.1)
             length = np.minimum(1 - ratio, INSIDE * reach * self.mu)
             p = p + (length / self.mu)[:, None] * tangent
             self.mu = ratio * self.mu
-            (p,) = self._keep(~there, p)
+            (p,) = self._keep(~last, p)
             X, Y, self.eta = basis.unpack(p)
             self._move_to(X, Y)
-        return arrived
+        return limits
 
-    def _points(self, which: Array, X: Array, Y: Array) -> Iterator[tuple[int, CentralPoint]]:
-        """Pairs of the current coordinates as points in the user's coordinates and units, by the index of their plant."""
+    def _points(self, which: Array, X: Array, Y: Array) -> dict[int, CentralPoint]:
+        """Pairs of the current coordinates as points in the user's coordinates and units."""
         index = self.index[which]
         T = self.T[index] @ self.S[which]
         X_user = T @ X @ T.swapaxes(1, 2) * self.rate[index] * self.output_unit[index] ** 2
         K = (self.K[which] + self._gain(which, X, Y)) * self.input_unit[index]
         eta = self.eta[which] * (self.disturbance_unit * self.output_unit)[index, 0, 0] ** 2
-        for i, *point in zip(index.tolist(), X_user, K, eta, self.mu[which] / self.eta[which], strict=True):
-            yield i, CentralPoint(*point)
+        points = zip(index.tolist(), X_user, K, eta, self.mu[which] / self.eta[which], strict=True)
+        return {i: CentralPoint(*point) for i, *point in points}
 
     def _move_to(self, X: Array, Y: Array) -> None:
         """Changes the coordinates so that X becomes I and Y becomes 0."""

@@ -1,7 +1,7 @@
 """The designs of `design.py` for many plants like one that is designed already: side by side, a few milliseconds each.
 
-What cannot be done side by side is designed by itself: a plant of another shape, an X of (22) from which (25) is infeasible, a
-path that rounding ends early.
+Where that does not lead to the limit of the central path and a certificate that holds, a plant is designed by itself: if it has
+another shape, if (25) is infeasible from the optimal X of (22), or if the optimum is reached only by gains beyond any actuator.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -13,7 +13,7 @@ from models.arrays import Array
 from synth.central import CentralPoint
 from synth.design import Design, furthest, measurement, state_path, two_step_design, widened
 from synth.errors import DesignError
-from synth.many import central_paths
+from synth.many import path_limits
 from synth.output_feedback import l_matrix, nullspace, output_feedback, r_matrix
 from synth.plant import GeneralizedPlant
 
@@ -37,12 +37,11 @@ def state_designs(
         DesignError: some have none; the message names them by index.
     """
     Cy = np.eye(len(nominal.A))
-
-    def along(i: int, path: Path) -> Design:
-        return furthest(plants[i], Cy, path)
-
     return _each(
-        len(plants), _state_paths(nominal, nominal_path, plants), along, lambda i: along(i, state_path(plants[i], states))
+        len(plants),
+        _state_limits(nominal, nominal_path, plants),
+        lambda i, point: furthest(plants[i], Cy, [point]),
+        lambda i: furthest(plants[i], Cy, state_path(plants[i], states)),
     )
 
 
@@ -72,16 +71,20 @@ def two_step_designs(
     checked = [measurement(plant, each) for plant, each in zip(plants, Cys, strict=True)]
     rows = [each[independent] for each, independent in checked]
 
-    def along(i: int, path: Path) -> Design:
+    def at(i: int, point: CentralPoint) -> Design:
         full, independent = checked[i]
-        return widened(furthest(plants[i], rows[i], path), independent, len(full), 0.0)
+        return widened(furthest(plants[i], rows[i], [point]), independent, len(full), 0.0)
 
-    paths = _output_paths(nominal, nominal_path, Cy[kept], plants, rows)
-    return _each(len(plants), paths, along, lambda i: two_step_design(plants[i], Cys[i], states=states))
+    return _each(
+        len(plants),
+        _output_limits(nominal, nominal_path, Cy[kept], plants, rows),
+        at,
+        lambda i: two_step_design(plants[i], Cys[i], states=states),
+    )
 
 
-def _state_paths(nominal: GeneralizedPlant, nominal_path: Path, plants: Sequence[GeneralizedPlant]) -> dict[int, Path]:
-    """The central paths of (22), by index of the plant."""
+def _state_limits(nominal: GeneralizedPlant, nominal_path: Path, plants: Sequence[GeneralizedPlant]) -> dict[int, CentralPoint]:
+    """The optima of (22), by index of the plant."""
     n, m = nominal.B.shape
     alike = [
         i
@@ -89,42 +92,44 @@ def _state_paths(nominal: GeneralizedPlant, nominal_path: Path, plants: Sequence
         if (plant.B.shape, plant.Dw.shape) == (nominal.B.shape, nominal.Dw.shape) and plant.independent_inputs().shape == (m, m)
     ]
     count = len(alike)
-    return _paths(plants, alike, np.zeros((count, n, 0)), np.broadcast_to(np.eye(n), (count, n, n)), nominal_path)
+    return _limits(plants, alike, np.zeros((count, n, 0)), np.broadcast_to(np.eye(n), (count, n, n)), nominal_path)
 
 
-def _output_paths(
+def _output_limits(
     nominal: GeneralizedPlant, nominal_path: Path, nominal_Cy: Array, plants: Sequence[GeneralizedPlant], Cys: Sequence[Array]
-) -> dict[int, Path]:
-    """The central paths of (25) with L (14) from the optimum of (22), by index of the plant."""
+) -> dict[int, CentralPoint]:
+    """The optima of (25), with L (14) from the optimum of (22), by index of the plant."""
     Q = nullspace(nominal_Cy)
     try:
-        nominal_second = output_feedback(nominal, nominal_Cy, l_matrix(nominal_path[-1].X, nominal_Cy, Q), Q)
+        second_path = output_feedback(nominal, nominal_Cy, l_matrix(nominal_path[-1].X, nominal_Cy, Q), Q)
     except DesignError:
         return {}
-    first = {i: path for i, path in _state_paths(nominal, nominal_path, plants).items() if Cys[i].shape == nominal_Cy.shape}
-    Qs, Rs = [], []
-    for i, path in first.items():
-        Q = nullspace(Cys[i])
-        Qs.append(Q)
-        Rs.append(r_matrix(Cys[i], Q, l_matrix(path[-1].X, Cys[i], Q)))
-    return _paths(plants, list(first), np.array(Qs), np.array(Rs), nominal_second)
+    first = {i: point for i, point in _state_limits(nominal, nominal_path, plants).items() if Cys[i].shape == nominal_Cy.shape}
+    Qs = [nullspace(Cys[i]) for i in first]
+    Rs = [r_matrix(Cys[i], Q, l_matrix(point.X, Cys[i], Q)) for (i, point), Q in zip(first.items(), Qs, strict=True)]
+    return _limits(plants, list(first), np.array(Qs), np.array(Rs), second_path)
 
 
-def _paths(plants: Sequence[GeneralizedPlant], which: Sequence[int], Q: Array, R: Array, nominal: Path) -> dict[int, Path]:
-    """`central_paths` of some of the plants, by their index among all."""
-    start = min(nominal, key=lambda point: abs(np.log(point.mu / SHORT)))
-    return {which[i]: path for i, path in central_paths([plants[i] for i in which], Q, R, start).items()}
+def _limits(
+    plants: Sequence[GeneralizedPlant], which: Sequence[int], Q: Array, R: Array, nominal_path: Path
+) -> dict[int, CentralPoint]:
+    """`path_limits` of some of the plants, by their index among all."""
+    nominal = min(nominal_path, key=lambda point: abs(np.log(point.mu / SHORT)))
+    return {which[i]: point for i, point in path_limits([plants[i] for i in which], Q, R, nominal).items()}
 
 
 def _each(
-    count: int, paths: Mapping[int, Path], along: Callable[[int, Path], Design], alone: Callable[[int], Design]
+    count: int,
+    limits: Mapping[int, CentralPoint],
+    at: Callable[[int, CentralPoint], Design],
+    alone: Callable[[int], Design],
 ) -> list[Design]:
-    """A design from the path of each plant, or from the plant alone where there is no path, or none of its certificates holds."""
+    """The design at the limit of each plant's path; of the plant alone where there is none, or its certificate fails."""
     designs: dict[int, Design] = {}
-    for i, path in paths.items():
+    for i, point in limits.items():
         with suppress(DesignError):
-            designs[i] = along(i, path)
-    failures = {}
+            designs[i] = at(i, point)
+    failures: dict[int, DesignError] = {}
     for i in sorted(set(range(count)) - set(designs)):
         try:
             designs[i] = alone(i)
@@ -133,5 +138,5 @@ def _each(
     if failures:
         first, error = next(iter(failures.items()))
         which = ", ".join(str(i) for i in failures)
-        raise type(error)(f"{len(failures)} of {count} cannot be designed, by index: {which}; {first}: {error}")
+        raise type(error)(f"{len(failures)} of {count} cannot be designed, by index: {which}; {first}: {error}") from error
     return [designs[i] for i in range(count)]
