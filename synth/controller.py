@@ -143,10 +143,10 @@ class Designer:
         return _designed(entry, design)
 
     def redesign(self, vehicles: Sequence[Vehicle], name: str) -> list[Controller]:
-        """A controller of this vehicle for many others like it: `design` for each, in a tenth of the time.
+        """A controller of this vehicle for many others like it: `design` for each, side by side, which is several times as fast.
 
         The others lend their parameters and weights; what is measured says this one. The gains are those of `design`, up to where
-        the central path is stopped. Without a lower bound: `Designer(vehicle).best_possible(measured)` has it.
+        the central path is stopped. They come without a lower bound: `Designer(vehicle).best_possible(measured)` has it.
 
         Args:
             vehicles: of this vehicle's kind.
