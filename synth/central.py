@@ -126,7 +126,7 @@ class _Path:
         self.K = np.zeros((plant.B.shape[1], R.shape[1]))  # the gain absorbed so far, in those of the beginning
         self.eta = 0.0
         self.mu = np.inf
-        self.basis = Basis(self.plant, self.free)
+        self.basis = self._basis()
 
     def find_feasible_point(self) -> None:
         """A strictly feasible point, or the proof that there is none.
@@ -199,13 +199,7 @@ class _Path:
                 yield self.point(X, Y)
             if arrived:
                 return
-            # Hundredfold steps where the path is nearly straight, and rests at the same mu for every plant.
-            ratio = 0.1
-            if self.eta > 0:
-                rests = [mu_end, *(rest for rest in RESTS if rest > mu_end)]
-                ratio = min(
-                    max(rest for rest in rests if rest < 0.5 * self.mu / self.eta or rest == mu_end) * self.eta / self.mu, 0.5
-                )
+            ratio = next_rest(self.mu / self.eta, mu_end) if self.eta > 0 else 0.1
             # Along the tangent of the path in mu, but inside.
             step = here.solve(here.half(_direction(basis.size, 1 / self.mu)))
             length = min(1 - ratio, INSIDE * boundary(here, step))
@@ -250,7 +244,10 @@ class _Path:
         S: Any = linalg.block_diag(np.linalg.cholesky(X[:a, :a]), np.linalg.cholesky(X[a:, a:]))
         self.plant = self.plant.closed_loop(gain).in_coordinates(S)
         self.V = self.V @ S
-        self.basis = Basis(self.plant, a)
+        self.basis = self._basis()
+
+    def _basis(self) -> "Basis":
+        return Basis.of(self.plant, self.free)
 
     def _gain(self, X: Array, Y: Array) -> Array:
         """Y_R X_R^-1 with all the gain absorbed before, in the coordinates of the beginning."""
@@ -258,38 +255,60 @@ class _Path:
         return self.K + Y[:, a:] @ np.linalg.inv(X[a:, a:]) @ np.linalg.inv(self.V[a:, a:])
 
 
+def next_rest(mu: Any, mu_end: float) -> Any:
+    """Where the path rests next, as a share of mu: hundredfold steps where it is nearly straight, the same rests for every plant.
+
+    Args:
+        mu: relative to eta; one, or an array of them.
+        mu_end: where the path ends, likewise.
+    """
+    rests = np.array([mu_end, *(rest for rest in RESTS if rest > mu_end)])
+    below = np.maximum(np.searchsorted(rests, 0.5 * mu) - 1, 0)
+    return np.minimum(rests[below] / mu, 0.5)
+
+
 class Basis:
     """The N unknowns p = (X_Q, X_R, Y_R, eta), and the matrices they multiply, in coordinates where (12) is block diagonal.
 
+    Of one plant, or of many of the same shape side by side along leading axes (...).
+
+    Args:
+        system: [A B Bw; C D Dw], shape (..., k, n + m + r).
+        n, m, free: number of states, of inputs, and of columns of Q.
+
     Attributes:
-        X: shape (N, n, n).    Y: shape (N, m, n).    F0, F: the matrix (24) is F0 + sum_i p_i F_i, shapes (k, k), (N, k, k).
+        X: shape (N, n, n).    Y: shape (N, m, n).    F0, F: the matrix (24) is F0 + sum_i p_i F_i, shapes (k, k), (..., N, k, k).
     """
 
-    def __init__(self, plant: GeneralizedPlant, free: int) -> None:
-        n, m = plant.B.shape
-        d = len(plant.C)
+    def __init__(self, system: Array, n: int, m: int, free: int) -> None:
+        k = system.shape[-2]
         self.n, self.free = n, free
         self.rows, self.columns, self.X, self.Y = _unknowns(n, m, free)
         self.size = len(self.X)
 
-        top = plant.A @ self.X + plant.B @ self.Y
-        low = plant.C @ self.X + plant.D @ self.Y
-        self.F = np.zeros((self.size, n + d, n + d))
-        self.F[:, :n, :n] = top + top.transpose(0, 2, 1)
-        self.F[:, n:, :n] = low
-        self.F[:, :n, n:] = low.transpose(0, 2, 1)
-        disturbance = np.vstack([plant.Bw, plant.Dw])
-        self.F[-1] = disturbance @ disturbance.T
-        self.F0 = np.zeros((n + d, n + d))
-        self.F0[n:, n:] = -np.eye(d)
+        # [A B; C D] [X; Y] for every unknown: the left columns of (24), and its upper rows.
+        left = system[..., None, :, : n + m] @ np.concatenate([self.X, self.Y], axis=1)
+        self.F = np.zeros((*system.shape[:-2], self.size, k, k))
+        self.F[..., :n] = left
+        self.F[..., :n, :] += left.swapaxes(-1, -2)
+        disturbance = system[..., n + m :]
+        self.F[..., -1, :, :] = disturbance @ disturbance.swapaxes(-1, -2)
+        self.F0 = np.zeros((k, k))
+        self.F0[n:, n:] = -np.eye(k - n)
+
+    @classmethod
+    def of(cls, plant: GeneralizedPlant, free: int) -> "Basis":
+        """The unknowns of one plant."""
+        n, m = plant.B.shape
+        return cls(plant.system_matrix, n, m, free)
 
     def pack(self, X: Array, Y: Array, last: float) -> Array:
         """The unknowns of X, Y and the last."""
         return np.concatenate([X[self.rows, self.columns], Y[:, self.free :].ravel(), [last]])
 
-    def unpack(self, p: Array) -> tuple[Array, Array, float]:
-        """X, Y and the last of the unknowns."""
-        return np.tensordot(p, self.X, 1), np.tensordot(p, self.Y, 1), float(p[-1])
+    def unpack(self, p: Array) -> tuple[Array, Array, Any]:
+        """X, Y and the last of the unknowns, of p of shape (..., N)."""
+        return np.tensordot(p, self.X, 1), np.tensordot(p, self.Y, 1), p.T[-1]
 
 
 @functools.cache

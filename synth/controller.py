@@ -12,11 +12,12 @@ from models.linear_model import LinearModel
 from models.vehicle import ControllerEntry, Vehicle
 from synth.central import CentralPoint
 from synth.certificate import Certificate, certify
-from synth.design import furthest, state_path, two_step_design, zero_l_design
+from synth.design import Design, furthest, state_path, two_step_design, zero_l_design
 from synth.errors import DesignError
 from synth.full_order import best_possible
 from synth.lower_bound import LowerBound
 from synth.plant import GeneralizedPlant
+from synth.redesign import state_designs, two_step_designs
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,17 +126,12 @@ class Designer:
             InputError: no controller has that name.
             DesignError: it could not be designed, or its certificate fails. A gain from the file is reported as it is.
         """
-        vehicle, model = self.vehicle, self.vehicle.linear_model
-        if name == "passive":
-            return self._given(ControllerEntry(name, (), np.zeros((len(model.inputs), 0))))
-        if name not in vehicle.controller_names:
-            raise InputError(f"unknown controller {name!r}; this vehicle has {known(vehicle.controller_names)}")
-        measured = model.states if name == "state" else vehicle.controllers[name].measured
-        if name != "state" and vehicle.controllers[name].gain is not None:
-            return self._given(vehicle.controllers[name])
-        Cy, _ = model.rows(measured)
+        entry, model = self._entry(name), self.vehicle.linear_model
+        if entry.gain is not None:
+            return self._given(entry)
+        Cy, _ = model.rows(entry.measured)
         try:
-            lower = self.best_possible(measured)
+            lower = self.best_possible(entry.measured)
             if name == "state":
                 design = furthest(self.plant, Cy, self.state_path, lower)
             elif zero_l:
@@ -144,14 +140,66 @@ class Designer:
                 design = two_step_design(self.plant, Cy, self.state_path, lower, model.states)
         except DesignError as error:
             raise type(error)(f"controller {name!r}: {error}") from error
-        redundant = tuple(measured[i] for i in design.redundant)
-        return Controller(name, measured, design.gain, True, design.certificate, design.short, design.stopped, redundant)
+        return _designed(entry, design)
+
+    def redesign(self, vehicles: Sequence[Vehicle], name: str) -> list[Controller]:
+        """A controller of this vehicle for many others like it: `design` for each, side by side, which is several times as fast.
+
+        The others lend their parameters and weights; what is measured says this one. The gains are those of `design`, up to where
+        the central path is stopped. They come without a lower bound: `Designer(vehicle).best_possible(measured)` has it.
+
+        Args:
+            vehicles: of this vehicle's kind.
+            name: `state`, or a controller of this vehicle that its file gives no gain for.
+
+        Returns:
+            A controller for each vehicle, in their order.
+
+        Raises:
+            InputError: no controller has that name, its gain is given, or a vehicle is of another kind.
+            DesignError: some vehicles have no such controller; the message names them by index.
+        """
+        entry = self._entry(name)
+        if entry.gain is not None:
+            raise InputError(f"controller {name!r} has its gain and is not designed; `design` certifies it for a vehicle")
+        for i, vehicle in enumerate(vehicles):
+            if vehicle.kind.name != self.vehicle.kind.name:
+                raise InputError(
+                    f"vehicle {i} is a {vehicle.kind.name}; expected {self.vehicle.kind.name}, as the vehicle that is redesigned"
+                )
+        plants = [generalized_plant(vehicle) for vehicle in vehicles]
+        states = self.vehicle.linear_model.states
+        try:
+            if name == "state":
+                designs = state_designs(self.plant, self.state_path, plants, states)
+            else:
+                Cy, *Cys = (each.linear_model.rows(entry.measured)[0] for each in (self.vehicle, *vehicles))
+                designs = two_step_designs(self.plant, self.state_path, Cy, plants, Cys, states)
+        except DesignError as error:
+            raise type(error)(f"controller {name!r}: {error}") from error
+        return [_designed(entry, design) for design in designs]
+
+    def _entry(self, name: str) -> ControllerEntry:
+        """What is to be designed or certified under a name."""
+        model = self.vehicle.linear_model
+        if name == "passive":
+            return ControllerEntry(name, (), np.zeros((len(model.inputs), 0)))
+        if name == "state":
+            return ControllerEntry(name, model.states)
+        if name not in self.vehicle.controllers:
+            raise InputError(f"unknown controller {name!r}; this vehicle has {known(self.vehicle.controller_names)}")
+        return self.vehicle.controllers[name]
 
     def _given(self, entry: ControllerEntry) -> Controller:
         assert entry.gain is not None
         Cy, _ = self.vehicle.linear_model.rows(entry.measured)
         certificate = certify(self.plant, entry.gain @ Cy, lower=self.best_possible(entry.measured))
         return Controller(entry.name, entry.measured, entry.gain, designed=False, certificate=certificate)
+
+
+def _designed(entry: ControllerEntry, design: Design) -> Controller:
+    redundant = tuple(entry.measured[i] for i in design.redundant)
+    return Controller(entry.name, entry.measured, design.gain, True, design.certificate, design.short, design.stopped, redundant)
 
 
 def given(vehicle: Vehicle, name: str, measured: Sequence[str], gain: Sequence[Sequence[float]]) -> Controller:

@@ -106,7 +106,7 @@ def two_step_design(
         except DesignError as error:
             failures.append(error)
             continue
-        return _widened(found, kept, len(Cy), start.gamma / path[-1].gamma - 1)
+        return widened(found, kept, len(Cy), start.gamma / path[-1].gamma - 1)
     reasons = "; ".join(obstacles(plant, Cy, states)) or f"{failures[0]} (from {len(failures)} points of the central path)"
     raise type(failures[0])(reasons)
 
@@ -120,7 +120,7 @@ def zero_l_design(plant: GeneralizedPlant, Cy: Array, lower: LowerBound | None =
     Cy, kept = measurement(plant, Cy)
     Q = nullspace(Cy[kept])
     path = output_feedback(plant, Cy[kept], np.zeros((Q.shape[1], len(kept))), Q)
-    return _widened(furthest(plant, Cy[kept], path, lower), kept, len(Cy), 0.0)
+    return widened(furthest(plant, Cy[kept], path, lower), kept, len(Cy), 0.0)
 
 
 def measurement(plant: GeneralizedPlant, Cy: Array) -> tuple[Array, list[int]]:
@@ -142,7 +142,8 @@ def measurement(plant: GeneralizedPlant, Cy: Array) -> tuple[Array, list[int]]:
     return Cy, independent_rows(Cy)
 
 
-def _widened(design: Design, kept: Sequence[int], q: int, short: float) -> Design:
+def widened(design: Design, kept: Sequence[int], q: int, short: float) -> Design:
+    """A design from some of q measurements as one from all of them, with a gain of zero for the others."""
     gain = np.zeros((len(design.gain), q))
     gain[:, kept] = design.gain
     return Design(gain, design.certificate, short, design.stopped, tuple(i for i in range(q) if i not in kept))

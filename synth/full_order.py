@@ -127,7 +127,7 @@ class _Side:
         self.plant, self.K, self.T = plant, K, np.linalg.cholesky(X)
 
     def basis(self) -> Basis:
-        return Basis(self.plant.closed_loop(self.K).in_coordinates(self.T), 0)
+        return Basis.of(self.plant.closed_loop(self.K).in_coordinates(self.T), 0)
 
     def witness(self, X: Array, Y: Array, eta: float, unit: float) -> Witness:
         return Witness(self.T @ X @ self.T.T * unit, self.K + Y @ np.linalg.inv(self.T @ X), eta)

@@ -54,6 +54,11 @@ class GeneralizedPlant:
             if not np.isfinite(matrix).all():
                 raise InputError(f"{name} has an entry that is not finite; give numbers")
 
+    @property
+    def system_matrix(self) -> Array:
+        """[A B Bw; C D Dw], shape (n + d, n + m + r)."""
+        return np.vstack([np.hstack([self.A, self.B, self.Bw]), np.hstack([self.C, self.D, self.Dw])])
+
     def closed_loop(self, G: Array) -> "GeneralizedPlant":
         """The plant under u = G x + (a new u), equations (16)-(17).
 

@@ -71,6 +71,13 @@ def test_any_plant(capsys):
     assert capsys.readouterr().out.endswith("()\n")
 
 
+def test_many_vehicles(capsys):
+    """The README's hundred vehicles are redesigned."""
+    snippet = README.split("there is `redesign`")[1].split("```python\n")[1].split("```")[0]
+    exec(snippet, {})
+    assert capsys.readouterr().out.startswith("[[")
+
+
 def test_vehicle_file_snippets():
     """The README's controllers, limits and implementation are accepted in a vehicle file."""
     snippets = re.findall(r"^```toml\n(\[.*?)^```", README, re.M | re.S)

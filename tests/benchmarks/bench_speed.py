@@ -155,17 +155,25 @@ def test_design(benchmark):
 
 
 def test_redesign(benchmark):
-    """Designing for vehicles with other parameters, +-30 %, takes at most 3 plain cvxpy solves of (22) each."""
-    vehicles = random_vehicles(read_vehicle("quarter_car"), 30, 0.3)
-    plants = [generalized_plant(vehicle) for vehicle in vehicles]
-    ratio = paired_ratio(
-        benchmark,
-        lambda: [Designer(vehicle).design("I") for vehicle in vehicles],
-        lambda: [solve_lmi(plant, np.zeros((4, 0)), np.eye(4)) for plant in plants],
-        3,
-    )
-    print(f"{1e3 * benchmark.stats['median'] * ratio / (1 + ratio) / len(vehicles):.0f} ms each")
-    assert ratio <= 3
+    """Redesigning for 1000 vehicles, +-30 %, takes at most 0.55 plain cvxpy solves of (22) each: 15 ms where one takes 27."""
+    vehicle = read_vehicle("quarter_car")
+    vehicles = random_vehicles(vehicle, 1000, 0.3)
+    plants = [generalized_plant(each) for each in vehicles[::4]]
+    ours, plain = [], []
+
+    def turn():
+        for each in vehicles:
+            vars(each).pop("linear_model", None)  # it is part of the work
+        ours.append(seconds(lambda: Designer(vehicle).redesign(vehicles, "I")) / len(vehicles))
+        plain.append(seconds(lambda: [solve_lmi(plant, np.zeros((4, 0)), np.eye(4)) for plant in plants]) / len(plants))
+
+    solve_lmi(plants[0], np.zeros((4, 0)), np.eye(4))
+    benchmark.pedantic(turn, rounds=3, iterations=1)
+    ratio = statistics.median(np.divide(ours, plain))
+    benchmark.extra_info["ratio"] = ratio
+    times = f"{1e3 * statistics.median(ours):.1f} ms each, a plain solve {1e3 * statistics.median(plain):.1f} ms"
+    print(f"\n{benchmark.name}: {ratio:.2f} ({times})")
+    assert ratio <= 0.55
 
 
 @pytest.mark.parametrize(("name", "runs", "claim"), [("quarter_car", 2048, 0.85), ("full_car", 512, 0.65)])

@@ -1,0 +1,142 @@
+"""The designs of `design.py` for many plants like one that is designed already: side by side, a few milliseconds each.
+
+Where that does not lead to the limit of the central path and a certificate that holds, a plant is designed by itself: if it has
+another shape, if (25) is infeasible from the optimal X of (22), or if the optimum is reached only by gains beyond any actuator.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+
+import numpy as np
+
+from models.arrays import Array
+from synth.central import CentralPoint
+from synth.design import Design, furthest, measurement, state_path, two_step_design, widened
+from synth.errors import DesignError
+from synth.many import path_limits
+from synth.output_feedback import l_matrix, nullspace, output_feedback, r_matrix
+from synth.plant import GeneralizedPlant
+
+SHORT = 0.1  # mu / eta of the point on the nominal plant's path that says where the others begin
+
+Path = Sequence[CentralPoint]
+
+
+def state_designs(
+    nominal: GeneralizedPlant, nominal_path: Path, plants: Sequence[GeneralizedPlant], states: Sequence[str] = ()
+) -> list[Design]:
+    """The state feedback (22) of each plant, without a lower bound.
+
+    Args:
+        nominal: a plant like them, n states.
+        nominal_path: its central path of (22).
+        plants: any number of them.
+        states: names of the states, for messages.
+
+    Raises:
+        DesignError: some have none; the message names them by index.
+    """
+    Cy = np.eye(len(nominal.A))
+    return _each(
+        len(plants),
+        _state_limits(nominal, nominal_path, plants),
+        lambda i, point: furthest(plants[i], Cy, [point]),
+        lambda i: furthest(plants[i], Cy, state_path(plants[i], states)),
+    )
+
+
+def two_step_designs(
+    nominal: GeneralizedPlant,
+    nominal_path: Path,
+    nominal_Cy: Array,
+    plants: Sequence[GeneralizedPlant],
+    Cys: Sequence[Array],
+    states: Sequence[str] = (),
+) -> list[Design]:
+    """What `two_step_design` finds for each plant, without a lower bound.
+
+    Args:
+        nominal: a plant like them, n states.
+        nominal_path: its central path of (22).
+        nominal_Cy: its C_y, shape (q, n).
+        plants: any number of them.
+        Cys: the C_y of each, shape (q, n).
+        states: names of the states, for messages.
+
+    Raises:
+        InputError: a C_y does not fit its plant, or is empty.
+        DesignError: some cannot be designed; the message names them by index.
+    """
+    Cy, kept = measurement(nominal, nominal_Cy)
+    checked = [measurement(plant, each) for plant, each in zip(plants, Cys, strict=True)]
+    rows = [each[independent] for each, independent in checked]
+
+    def at(i: int, point: CentralPoint) -> Design:
+        full, independent = checked[i]
+        return widened(furthest(plants[i], rows[i], [point]), independent, len(full), 0.0)
+
+    return _each(
+        len(plants),
+        _output_limits(nominal, nominal_path, Cy[kept], plants, rows),
+        at,
+        lambda i: two_step_design(plants[i], Cys[i], states=states),
+    )
+
+
+def _state_limits(nominal: GeneralizedPlant, nominal_path: Path, plants: Sequence[GeneralizedPlant]) -> dict[int, CentralPoint]:
+    """The optima of (22), by index of the plant."""
+    n, m = nominal.B.shape
+    alike = [
+        i
+        for i, plant in enumerate(plants)
+        if (plant.B.shape, plant.Dw.shape) == (nominal.B.shape, nominal.Dw.shape) and plant.independent_inputs().shape == (m, m)
+    ]
+    count = len(alike)
+    return _limits(plants, alike, np.zeros((count, n, 0)), np.broadcast_to(np.eye(n), (count, n, n)), nominal_path)
+
+
+def _output_limits(
+    nominal: GeneralizedPlant, nominal_path: Path, nominal_Cy: Array, plants: Sequence[GeneralizedPlant], Cys: Sequence[Array]
+) -> dict[int, CentralPoint]:
+    """The optima of (25), with L (14) from the optimum of (22), by index of the plant."""
+    Q = nullspace(nominal_Cy)
+    try:
+        second_path = output_feedback(nominal, nominal_Cy, l_matrix(nominal_path[-1].X, nominal_Cy, Q), Q)
+    except DesignError:
+        return {}
+    first = {i: point for i, point in _state_limits(nominal, nominal_path, plants).items() if Cys[i].shape == nominal_Cy.shape}
+    Qs = [nullspace(Cys[i]) for i in first]
+    Rs = [r_matrix(Cys[i], Q, l_matrix(point.X, Cys[i], Q)) for (i, point), Q in zip(first.items(), Qs, strict=True)]
+    return _limits(plants, list(first), np.array(Qs), np.array(Rs), second_path)
+
+
+def _limits(
+    plants: Sequence[GeneralizedPlant], which: Sequence[int], Q: Array, R: Array, nominal_path: Path
+) -> dict[int, CentralPoint]:
+    """`path_limits` of some of the plants, by their index among all."""
+    nominal = min(nominal_path, key=lambda point: abs(np.log(point.mu / SHORT)))
+    return {which[i]: point for i, point in path_limits([plants[i] for i in which], Q, R, nominal).items()}
+
+
+def _each(
+    count: int,
+    limits: Mapping[int, CentralPoint],
+    at: Callable[[int, CentralPoint], Design],
+    alone: Callable[[int], Design],
+) -> list[Design]:
+    """The design at the limit of each plant's path; of the plant alone where there is none, or its certificate fails."""
+    designs: dict[int, Design] = {}
+    for i, point in limits.items():
+        with suppress(DesignError):
+            designs[i] = at(i, point)
+    failures: dict[int, DesignError] = {}
+    for i in sorted(set(range(count)) - set(designs)):
+        try:
+            designs[i] = alone(i)
+        except DesignError as error:
+            failures[i] = error
+    if failures:
+        first, error = next(iter(failures.items()))
+        which = ", ".join(str(i) for i in failures)
+        raise type(error)(f"{len(failures)} of {count} cannot be designed, by index: {which}; {first}: {error}") from error
+    return [designs[i] for i in range(count)]
