@@ -47,21 +47,34 @@ class Sampler:
         for i, one in enumerate(how):
             if np.any(rms[i]):
                 self.noise[:, i] = rms[i] * np.random.default_rng(one.seed).standard_normal((samples, len(names)))
+        self.noisy, self.coarse = bool(np.any(rms)), bool(np.any(self.resolution))
         self.queue = np.zeros((int(self.delay.max()) + 1, *gain.shape[:2]))  # forces by sample, in a ring
         self.force = np.zeros(gain.shape[:2])
+        self.all = np.arange(len(how))
+        self.together = bool(np.all(self.period == 1))
 
     def __call__(self, k: int, signals: Array) -> Array:
         """The forces of step k, shape (N, m), from the signals at its start, shape (N, S)."""
-        due = np.flatnonzero(k % self.period == 0)
-        if len(due):
-            seen = signals[due] + self.noise[k if len(self.noise) > 1 else 0, due]
-            resolution = self.resolution[due]
-            coarse = resolution > 0
-            if np.any(coarse):
-                steps = np.where(coarse, resolution, 1.0)
-                seen = np.where(coarse, steps * np.round(seen / steps), seen)
-            sample = k // self.period[due]
-            self.queue[sample % len(self.queue), due] = np.matvec(self.gain[due], seen)
-            ripe = sample - self.delay[due]
-            self.force[due] = np.where(ripe[:, None] >= 0, self.queue[ripe % len(self.queue), due], 0.0)
+        # This runs between any two steps of the physics, where a call of numpy costs as much as stepping a run: no call in vain.
+        due = self.all if self.together else (k % self.period == 0).nonzero()[0]
+        if len(due) == len(self.all):
+            self._sample(slice(None), due, k, signals, self.gain)
+        elif len(due):
+            self._sample(due, due, k, signals[due], self.gain[due])
         return self.force if self.at_once is None else self.force + np.matvec(self.at_once, signals)
+
+    def _sample(self, due: Array | slice, which: Array, k: int, seen: Array, gain: Array) -> None:
+        """Those that are due measure, and take the force that is."""
+        if self.noisy:
+            seen = seen + self.noise[k, due]
+        if self.coarse:
+            resolution = self.resolution[due]
+            steps = np.where(resolution > 0, resolution, 1.0)
+            seen = np.where(resolution > 0, steps * np.round(seen / steps), seen)
+        if len(self.queue) == 1:
+            self.force[due] = np.matvec(gain, seen)
+            return
+        sample = k // self.period[due]
+        self.queue[sample % len(self.queue), which] = np.matvec(gain, seen)
+        # Before the first force arrives it is a place in the ring that is still zero.
+        self.force[due] = self.queue[(sample - self.delay[due]) % len(self.queue), which]
