@@ -87,14 +87,18 @@ def find_margins(
     loops = {"": list(range(len(names)))}
     if each and len(names) > 1:
         loops |= {name: [i] for i, name in enumerate(names)}
-    found = {name: searches(vehicle, controller, actuators, timestep) for name, actuators in loops.items()}
+    cuts = [searches(vehicle, controller, actuators, timestep) for actuators in loops.values()]
+    return dict(zip(loops, find_all(cuts, timestep, progress), strict=True))
 
-    every = [search for one in found.values() for search in (one.gain, one.gain_lower, one.delay, one.sample_period)]
-    run_searches(every, timestep, progress)
+
+def find_all(loops: Sequence[LoopMargins], timestep: float, progress: Callable[[str], None] = silent) -> list[LoopMargins]:
+    """Runs the searches of any loops, of several controllers too, to their ends: those of one round in one batch."""
+    run_searches([s for one in loops for s in (one.gain, one.gain_lower, one.delay, one.sample_period)], timestep, progress)
     # Where only the sampling ends the gain, half the timestep lets it go twice as far. A loop's own end stays where it is.
-    doubtful = [name for name, one in found.items() if math.isinf(one.predicted.gain) and math.isfinite(one.gain.unstable)]
-    still = grow([found[name].gain.trial(1.5 * found[name].gain.found) for name in doubtful], timestep / 2) if doubtful else []
-    return found | {name: replace(found[name], bears=not one.grows) for name, one in zip(doubtful, still, strict=True)}
+    doubtful = [i for i, one in enumerate(loops) if math.isinf(one.predicted.gain) and math.isfinite(one.gain.unstable)]
+    still = grow([loops[i].gain.trial(1.5 * loops[i].gain.found) for i in doubtful], timestep / 2) if doubtful else []
+    bears = {i: not one.grows for i, one in zip(doubtful, still, strict=True)}
+    return [replace(one, bears=bears[i]) if i in bears else one for i, one in enumerate(loops)]
 
 
 def searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int], timestep: float) -> LoopMargins:

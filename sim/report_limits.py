@@ -9,7 +9,7 @@ from models.reality import Implementation
 from sim.broken import ENDS
 from sim.envelope import grid, read_axes
 from sim.envelope_picture import envelope_figure
-from sim.loop_margins import find_margins
+from sim.loop_margins import find_all, searches
 from sim.margins_picture import margins_figure
 from sim.page import Section, Table
 from sim.report_scope import BUMP_DURATION, Scope, number
@@ -25,9 +25,11 @@ def margins_section(scope: Scope) -> Section:
     """What the loops bear, predicted and found."""
     rows, figures, robust = [], [], []
     vehicle = replace(scope.vehicle, implementation=Implementation())
-    for one in scope.active:
-        scope.progress(f"margins of {one.name}")
-        loop = find_margins(vehicle, one, scope.timestep, each=False)[""]
+    scope.progress("margins")
+    actuators = range(len(vehicle.linear_model.inputs))
+    loops = find_all([searches(vehicle, one, actuators, scope.timestep) for one in scope.active], scope.timestep)
+    for one, loop in zip(scope.active, loops, strict=True):
+        scope.progress(f"other vehicles with {one.name}")
         box = robustness(vehicle, one, scope.timestep)
         predicted = loop.predicted
         pairs = [
