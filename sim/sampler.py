@@ -43,11 +43,11 @@ class Sampler:
         self.delay = np.array([one.delay for one in how])
         self.resolution = np.array([[one.quantisation.get(name, 0.0) for name in names] for one in how])
         rms = np.array([[one.noise.get(name, 0.0) for name in names] for one in how])
-        self.noise = np.zeros((samples if np.any(rms) else 1, *rms.shape))
+        self.noise = np.zeros((samples if np.any(rms) else 0, *rms.shape))
         for i, one in enumerate(how):
             if np.any(rms[i]):
                 self.noise[:, i] = rms[i] * np.random.default_rng(one.seed).standard_normal((samples, len(names)))
-        self.noisy, self.coarse = bool(np.any(rms)), bool(np.any(self.resolution))
+        self.coarse = bool(np.any(self.resolution))
         self.queue = np.zeros((int(self.delay.max()) + 1, *gain.shape[:2]))  # forces by sample, in a ring
         self.force = np.zeros(gain.shape[:2])
         self.all = np.arange(len(how))
@@ -65,7 +65,7 @@ class Sampler:
 
     def _sample(self, due: Array | slice, which: Array, k: int, seen: Array, gain: Array) -> None:
         """Those that are due measure, and take the force that is."""
-        if self.noisy:
+        if len(self.noise):
             seen = seen + self.noise[k, due]
         if self.coarse:
             resolution = self.resolution[due]

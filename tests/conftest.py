@@ -11,6 +11,7 @@ from sim.road import Bump
 from sim.run import run_all, sample_times
 from sim.run_log import RunLog
 from synth.controller import Designer
+from synth.plant import GeneralizedPlant
 
 
 @pytest.fixture(scope="session")
@@ -51,3 +52,17 @@ def recorded_runs(mcap: str) -> set[str]:
     """Names of the runs in a log."""
     with open(mcap, "rb") as stream:
         return {item.name.removeprefix("run/") for item in make_reader(stream).iter_metadata()} - {"roadproof"}
+
+
+def plant_with_feedthrough(seed: int) -> GeneralizedPlant:
+    """A random plant of five states, several inputs and disturbances, a D_w and, as a rule, an unstable A."""
+    rng = np.random.default_rng(seed)
+    n, m, r, d = 5, 2, 2, 4
+    return GeneralizedPlant(
+        A=rng.standard_normal((n, n)),
+        B=rng.standard_normal((n, m)),
+        Bw=rng.standard_normal((n, r)),
+        C=np.vstack([rng.standard_normal((2, n)), np.zeros((2, n))]),
+        D=np.vstack([np.zeros((2, m)), np.eye(m)]),
+        Dw=0.3 * rng.standard_normal((d, r)),
+    )

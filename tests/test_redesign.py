@@ -16,7 +16,7 @@ from synth.errors import DesignError
 from synth.many import path_limits
 from synth.plant import GeneralizedPlant
 from synth.redesign import two_step_designs
-from tests.conftest import random_vehicles
+from tests.conftest import plant_with_feedthrough, random_vehicles
 
 
 @pytest.mark.parametrize(
@@ -63,18 +63,9 @@ def near(plant: GeneralizedPlant, count: int, seed: int = 0) -> list[Generalized
 @pytest.mark.parametrize("seed", range(3))
 def test_plants_with_feedthrough(seed):
     """Several inputs and disturbances, a D_w, an unstable A: each limit is that of the plant's own central path."""
-    rng = np.random.default_rng(seed)
-    n, m, r, d = 5, 2, 2, 4
-    nominal = GeneralizedPlant(
-        A=rng.standard_normal((n, n)),
-        B=rng.standard_normal((n, m)),
-        Bw=rng.standard_normal((n, r)),
-        C=np.vstack([rng.standard_normal((2, n)), np.zeros((2, n))]),
-        D=np.vstack([np.zeros((2, m)), np.eye(m)]),
-        Dw=0.3 * rng.standard_normal((d, r)),
-    )
+    nominal = plant_with_feedthrough(seed)
     plants = near(nominal, 4)
-    Q, R = np.zeros((4, n, 0)), np.tile(np.eye(n), (4, 1, 1))
+    Q, R = np.zeros((4, 5, 0)), np.tile(np.eye(5), (4, 1, 1))
     limits = path_limits(plants, Q, R, central_path(nominal, Q[0], R[0])[0])
     assert sorted(limits) == [0, 1, 2, 3]
     for i, plant in enumerate(plants):
