@@ -73,8 +73,8 @@ def controller_lines(controller: Controller) -> list[str]:
         lines.append(
             f"  bound {100 * controller.stopped:.2g} % short of the optimum, which only a gain beyond any actuator reaches"
         )
-    for failure in certificate.failures:
-        lines.append(f"  {failure}")
+    for sentence in (*certificate.remarks, *certificate.failures):
+        lines.append(f"  {sentence}")
     return lines
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from models.arrays import Array
 from models.errors import InputError
 from synth.central import CentralPoint
-from synth.certificate import Certificate, certify
+from synth.certificate import FASTEST, Certificate, certify
 from synth.errors import DesignError, InfeasibleError
 from synth.lower_bound import LowerBound
 from synth.modes import obstacles
@@ -56,17 +56,25 @@ def state_path(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[Cent
 
 
 def furthest(plant: GeneralizedPlant, Cy: Array, path: Sequence[CentralPoint], lower: LowerBound | None = None) -> Design:
-    """The gain furthest along a central path whose certificate holds.
+    """The gain furthest along a central path whose certificate holds, short of those beyond any actuator.
+
+    Where every proof is of a gain beyond them, as with a plant that hardly moves by itself, the slowest stands for the plant.
 
     Raises:
-        DesignError: none of them holds.
+        DesignError: no certificate holds.
     """
-    first = None
+    first, beyond = None, []
     for point in reversed(path):
         certificate = certify(plant, point.K @ Cy, point.X, point.eta, lower)
         if not certificate.failures:
-            return Design(point.K, certificate, stopped=point.gamma / path[-1].gamma - 1)
+            design = Design(point.K, certificate, stopped=point.gamma / path[-1].gamma - 1)
+            if not certificate.beyond_actuators:
+                return design
+            beyond.append(design)
         first = first or certificate
+    if beyond:
+        slowest = min(design.certificate.speed_up for design in beyond)
+        return next(design for design in beyond if design.certificate.speed_up <= FASTEST * slowest)
     reasons = "; ".join(first.failures) if first is not None else "the path has no point"
     raise DesignError(f"its certificate fails: {reasons}")
 
@@ -99,6 +107,7 @@ def two_step_design(
     path = path or state_path(plant, states)
     Q = nullspace(Cy[kept])
     failures: list[DesignError] = []
+    beyond: list[Design] = []
     for start in reversed(path):
         L = l_matrix(start.X, Cy[kept], Q)
         try:
@@ -106,7 +115,12 @@ def two_step_design(
         except DesignError as error:
             failures.append(error)
             continue
-        return widened(found, kept, len(Cy), start.gamma / path[-1].gamma - 1)
+        found = widened(found, kept, len(Cy), start.gamma / path[-1].gamma - 1)
+        if not found.certificate.beyond_actuators:
+            return found
+        beyond.append(found)
+    if beyond:
+        return min(beyond, key=lambda design: design.certificate.speed_up)
     reasons = "; ".join(obstacles(plant, Cy, states)) or f"{failures[0]} (from {len(failures)} points of the central path)"
     raise type(failures[0])(reasons)
 

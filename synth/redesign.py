@@ -124,11 +124,13 @@ def _each(
     at: Callable[[int, CentralPoint], Design],
     alone: Callable[[int], Design],
 ) -> list[Design]:
-    """The design at the limit of each plant's path; of the plant alone where there is none, or its certificate fails."""
+    """The design at the limit of each plant's path; of the plant alone where there is none, or it is none to build."""
     designs: dict[int, Design] = {}
     for i, point in limits.items():
         with suppress(DesignError):
-            designs[i] = at(i, point)
+            design = at(i, point)
+            if not design.certificate.beyond_actuators:
+                designs[i] = design
     failures: dict[int, DesignError] = {}
     for i in sorted(set(range(count)) - set(designs)):
         try:

@@ -49,7 +49,7 @@ def row_object(row: Row) -> dict[str, Any]:
         "gap": certificate.gap,
         "lmi": {"X_smallest": _finite(certificate.X_smallest), "largest": _finite(certificate.lmi_largest)},
         "certificate": to_record(certificate),
-        "notes": list(row.notes),
+        "notes": [*row.notes, *certificate.remarks],
         "failures": list(row.failures),
     }
 
@@ -94,7 +94,8 @@ def detail_lines(row: Row) -> list[str]:
         )
     if certificate.gap is not None:
         lines.append(f"  within {percent(certificate.gap)} of the best any controller could do")
-    return [*lines, *(f"  {note}" for note in row.notes), *(f"  FAILS: {failure}" for failure in row.failures)]
+    said = (*row.notes, *certificate.remarks)
+    return [*lines, *(f"  {note}" for note in said), *(f"  FAILS: {failure}" for failure in row.failures)]
 
 
 def notes(controller: Controller) -> tuple[str, ...]:

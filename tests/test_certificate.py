@@ -5,9 +5,15 @@ import dataclasses
 import numpy as np
 import pytest
 
-from synth.certificate import certify
-from synth.design import furthest
+from sim.verdict import controller_lines
+from synth.certificate import FASTEST, certify
+from synth.controller import given
+from synth.design import furthest, state_path, two_step_design
 from synth.errors import DesignError
+from synth.plant import GeneralizedPlant
+from synth.redesign import state_designs
+from synth.riccati import proved
+from synth.table import Row, detail_lines, row_object
 
 NAMES = ["state", "I", "II"]
 
@@ -53,3 +59,63 @@ def test_given_gain_is_reported_as_it_is(designer):
     unstable = certify(designer.plant, np.array([[0.0, 0.0, 5000.0, 0.0]]))
     assert unstable.failures[0].startswith("unstable: a pole at")
     assert unstable.norm.value == np.inf
+
+
+def slow_plant(rate: float) -> GeneralizedPlant:
+    """A unit mass on a spring and a damper that hardly act, pushed by w."""
+    return GeneralizedPlant(
+        A=np.array([[0.0, 1.0], [-(rate**2), -rate]]),
+        B=np.array([[0.0], [1.0]]),
+        Bw=np.array([[0.0], [1.0]]),
+        C=np.array([[1.0, 0.0], [0.0, 0.0]]),
+        D=np.array([[0.0], [1.0]]),
+        Dw=np.zeros((2, 1)),
+    )
+
+
+def test_no_actuator_withholds_a_proof():
+    """A gain that makes the loop a thousand times as fast as the plant is proved like any other; its speed is remarked on."""
+    plant = slow_plant(1e-3)
+    certificate = proved(plant, np.array([[-3.0, -3.0]]))
+    assert certificate.failures == ()
+    assert certificate.bound is not None
+    assert certificate.speed_up > FASTEST
+    assert "beyond any actuator" in certificate.remarks[0]
+    assert f"{certificate.speed_up:.2g} times" in certificate.remarks[0]
+    assert proved(slow_plant(1.0), np.array([[-3.0, -3.0]])).remarks == ()
+
+
+@pytest.mark.parametrize("seed", [0, 1])  # the optimum at an infinite gain, and at a finite one
+def test_design_of_what_hardly_moves(seed):
+    """Where every proof along the path is beyond any actuator, the design is proved all the same, alone and side by side."""
+    rng = np.random.default_rng(seed)
+    A = rng.standard_normal((2, 2))
+    plant = GeneralizedPlant(
+        A=1e-4 * (A - (np.linalg.eigvals(A).real.max() + 0.2) * np.eye(2)),
+        B=rng.standard_normal((2, 1)),
+        Bw=rng.standard_normal((2, 1)),
+        C=np.vstack([rng.standard_normal((1, 2)), np.zeros((1, 2))]),
+        D=np.array([[0.0], [1.0]]),
+        Dw=0.5 * rng.standard_normal((2, 1)),
+    )
+    path, both = state_path(plant), np.eye(2)
+    design = furthest(plant, both, path)
+    proofs = [each for each in (certify(plant, point.K, point.X, point.eta) for point in path) if not each.failures]
+    slowest = min(each.speed_up for each in proofs)
+    assert slowest > FASTEST
+    assert design.certificate.failures == ()
+    assert design.certificate.bound == min(each.bound or np.inf for each in proofs if each.speed_up <= FASTEST * slowest)
+    (beside,) = state_designs(plant, path, [plant])
+    np.testing.assert_array_equal(beside.gain, design.gain)
+    assert two_step_design(plant, both, path).certificate.bound == pytest.approx(
+        design.certificate.bound, rel=1e-2
+    )  # where each stops
+
+
+def test_speed_is_printed(paper):
+    """A gain beyond any actuator is said so on the terminal of both commands and in the JSON."""
+    controller = given(paper, "stiff", ["sprung_velocity"], [[-1e7]])
+    (remark,) = controller.certificate.remarks
+    assert f"  {remark}" in detail_lines(Row("stiff", controller, (), ()))
+    assert f"  {remark}" in controller_lines(controller)
+    assert row_object(Row("stiff", controller, ("a note",), ()))["notes"] == ["a note", remark]
