@@ -10,13 +10,14 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
+from models import interrupt
 from models.errors import InputError
 
 BAD_INPUT = 2
 
 
 class Parser(argparse.ArgumentParser):
-    """An ArgumentParser whose help shows defaults and whose errors are one line."""
+    """The one door for options: errors are one line, no option is empty, and none is given twice unless it says so."""
 
     def __init__(self, prog: str, description: str, epilog: str = "") -> None:
         super().__init__(
@@ -28,6 +29,16 @@ class Parser(argparse.ArgumentParser):
         )
         # What tells -1e-3 from an option; argparse itself knows no exponent before Python 3.14.
         self._negative_number_matcher = re.compile(r"-\.?\d")
+        self.register("type", None, _text)
+        self.register("type", Path, _path)
+        self.register("action", None, _Once)
+        self.register("action", "store", _Once)
+
+    def parse_args(self, args=None, namespace=None):  # pyright: ignore[reportIncompatibleMethodOverride] - its overloads
+        """The options; `given` of them names those that were given, not left at their defaults."""
+        start = namespace or argparse.Namespace()
+        start.given = set()
+        return super().parse_args(args, start)
 
     def error(self, message: str) -> NoReturn:
         """Bad options: one line, exit code 2."""
@@ -49,13 +60,38 @@ class Parser(argparse.ArgumentParser):
         """An option that takes a finite number."""
         self.add_argument(option, type=_number, default=default, metavar=unit, help=f"{meaning} [{unit}] (default: {default:g})")
 
+    def add_count(self, option: str, meaning: str, default: str, low: int, high: int, unset: int | None = None) -> None:
+        """An option that takes a whole number from `low` to `high`; `unset` is what it is where it is not given."""
+
+        def count(text: str) -> int:
+            try:
+                value = int(text)
+            except ValueError:
+                raise argparse.ArgumentTypeError(f"{text!r} is not a whole number; give one from {low} to {high}") from None
+            if not low <= value <= high:
+                raise argparse.ArgumentTypeError(f"{text} is not allowed; give a whole number from {low} to {high}")
+            return value
+
+        self.add_argument(option, type=count, default=unset, metavar="N", help=f"{meaning} (default: {default})")
+
     def add_logs(self, what: str) -> None:
         """--logs, for a command that records only when asked to."""
         self.add_argument("--logs", type=Path, metavar="DIR", help=f"record {what} in this folder (default: record nothing)")
 
 
+class _Once(argparse.Action):
+    """An option that is given once; twice, nobody knows which was meant."""
+
+    def __call__(self, parser, namespace, values, option_string=None) -> None:
+        if option_string and self.dest in namespace.given:
+            raise argparse.ArgumentError(self, "is given twice; give it once")
+        namespace.given.add(self.dest)
+        setattr(namespace, self.dest, values)
+
+
 def run_command(main: Callable[[], int]) -> NoReturn:
     """Runs a command and exits as every command does: its own code, 2 on bad input, 130 on Ctrl-C."""
+    interrupt.raise_from_now_on()
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # a vehicle file's name may have what the terminal has not
     try:
@@ -68,7 +104,7 @@ def run_command(main: Callable[[], int]) -> NoReturn:
         code = BAD_INPUT
     except KeyboardInterrupt:
         _complain("interrupted")
-        code = 130
+        code = interrupt.CODE
     except BrokenPipeError:  # the reader has gone, as in `| head`
         _forget_output()
         code = 0
@@ -76,6 +112,7 @@ def run_command(main: Callable[[], int]) -> NoReturn:
         _complain(f"cannot write the output: {error.strerror or error}; mend that or write it elsewhere")
         _forget_output()
         code = BAD_INPUT
+    interrupt.ignore_from_now_on()
     sys.exit(code)
 
 
@@ -97,6 +134,16 @@ def _check_encoding(arguments: Sequence[str]) -> None:
             argument.encode()
         except UnicodeEncodeError:
             raise InputError(f"argument {argument!r} is not text in UTF-8; rename the file") from None
+
+
+def _text(text: str) -> str:
+    if not text.strip():
+        raise argparse.ArgumentTypeError("is empty; give it a value or leave the option out")
+    return text
+
+
+def _path(text: str) -> Path:
+    return Path(_text(text))
 
 
 def _number(text: str) -> Any:

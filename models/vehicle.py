@@ -14,6 +14,7 @@ from models.arrays import Array
 from models.errors import InputError, known
 from models.kind import HERE, LARGEST, VehicleKind, kind, kinds
 from models.linear_model import LinearModel
+from models.read_file import TEXT, read_text
 from models.reality import Implementation, Limits, read_implementation, read_limits
 
 SECTIONS = ("type", "parameters", "performance", "controllers", "limits", "implementation")
@@ -85,13 +86,7 @@ def read_vehicle(file: str | Path) -> Vehicle:
     path = Path(file)
     if str(file) in kinds() and not path.is_file():
         path = HERE / f"{file}.toml"
-    try:
-        text = path.read_text(encoding="utf-8-sig")  # some editors begin a file with a byte order mark
-    except UnicodeDecodeError as error:
-        raise InputError(f"vehicle file {path}: not a text file in UTF-8 ({error.reason})") from error
-    except OSError as error:
-        shipped = f"give a TOML file or one of: {known(kinds())}"
-        raise InputError(f"vehicle file {path}: cannot be read ({error.strerror}); {shipped}") from error
+    text = read_text(path, "vehicle file", TEXT, f"give a TOML file or one of: {known(kinds())}")
     try:
         return parse_vehicle(text, source=str(path), folder=path.parent)
     except InputError as error:

@@ -1,28 +1,162 @@
-"""Files that are written whole or not at all."""
+"""The one door for files that are written: whole or not at all, through links, and over nothing that is not a plain file.
 
+A file is written beside its place under a hidden name, flushed to the disk, and renamed. A link keeps being one: what it points
+to is written. A file that was there keeps its permissions and its owner.
+"""
+
+import errno
+import os
+import secrets
+import shutil
+import stat
+import sys
+import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from models.errors import InputError
 
+STDOUT = Path("/dev/stdout")  # the one name that is no file and may be written: the command's own output
+WRITABLE = stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH
+
 
 @contextmanager
-def whole_file(path: Path, what: str) -> Iterator[Path]:
-    """A place beside the file to write to, of the same kind; what is written there gets its name when it is whole.
+def whole_file(path: Path, what: str, instead: str = "give another") -> Iterator[Path]:
+    """A place to write to, of the same suffix; what is written there gets its name when it is whole.
 
     Args:
-        path: the file.
+        path: the file, a link to it, or `/dev/stdout`.
         what: it is, for the message.
+        instead: what to do where it cannot be written, for the message.
 
     Raises:
         InputError: it cannot be written.
     """
-    beside = path.with_name(f".{path.stem}.part{path.suffix}")
+    target, before = _target(path, what, instead)
+    folder = Path(tempfile.gettempdir()) if target == STDOUT else target.parent
+    beside = folder / f".{target.stem[:100]}.{secrets.token_hex(4)}.part{target.suffix}"
     try:
         yield beside
-        beside.replace(path)
+        if target == STDOUT:
+            sys.stdout.flush()
+            with beside.open("rb") as written:
+                shutil.copyfileobj(written, sys.stdout.buffer)
+            sys.stdout.buffer.flush()
+            return
+        with beside.open("rb+") as written:
+            os.fsync(written.fileno())
+        if before is None or _like(beside, before):
+            beside.replace(target)
+            _settle(target.parent)
+        else:  # other names of the file, or an owner that cannot be kept: its content is all that changes
+            shutil.copyfile(beside, target)
+    except BrokenPipeError:
+        raise  # the reader of /dev/stdout has gone
     except OSError as error:
-        raise InputError(f"{what} {path}: cannot be written ({error.strerror or error}); give another") from error
+        raise _refused(path, what, f"cannot be written ({error.strerror or error})", instead) from error
     finally:
-        beside.unlink(missing_ok=True)
+        with suppress(OSError):
+            beside.unlink(missing_ok=True)
+
+
+def check_file(path: Path, what: str, instead: str = "give another") -> None:
+    """Proves that a file can be written: ask before a long run, not after it.
+
+    Raises:
+        InputError: it cannot.
+    """
+    target, _ = _target(path, what, instead)
+    probe = target.with_name(f".{secrets.token_hex(8)}.part")
+    if target == STDOUT:
+        return
+    try:  # permission bits do not tell (root, read-only mounts, quotas): writing does
+        probe.write_bytes(b"roadproof")
+    except OSError as error:
+        raise _refused(path, what, f"cannot be written ({error.strerror or error})", instead) from error
+    finally:
+        with suppress(OSError):
+            probe.unlink(missing_ok=True)
+
+
+def check_folder(path: Path, what: str, instead: str = "give another folder") -> None:
+    """Makes a folder and proves that files can be written there.
+
+    Raises:
+        InputError: it cannot be made, or not written.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except FileExistsError as error:
+        raise _refused(path, what, "is no folder", instead) from error
+    except OSError as error:
+        raise _refused(path, what, f"cannot be made ({error.strerror or error})", instead) from error
+    check_file(path / ".probe", what, instead)
+
+
+def _target(path: Path, what: str, instead: str) -> tuple[Path, os.stat_result | None]:
+    """Where a path leads to through links, and what is there now; None where there is nothing.
+
+    Raises:
+        InputError: it leads to something that may not be written.
+    """
+    if path == STDOUT:
+        return STDOUT, None
+    try:
+        target = Path(os.path.realpath(path))
+        if not target.parent.is_dir():
+            raise _refused(path, what, f"there is no folder {target.parent}", f"make it or {instead}")
+        try:
+            found = target.stat()
+        except FileNotFoundError:
+            return target, None
+    except OSError as error:
+        reason = "a loop of links" if error.errno == errno.ELOOP else error.strerror or str(error)
+        raise _refused(path, what, f"cannot be written ({reason})", instead) from error
+    if stat.S_ISDIR(found.st_mode):
+        raise _refused(path, what, "is a folder", "give the name of a file")
+    if not stat.S_ISREG(found.st_mode):
+        raise _refused(path, what, f"is {kind_of(found.st_mode)}, not a plain file", instead)
+    if not found.st_mode & WRITABLE or not os.access(target, os.W_OK):
+        raise _refused(path, what, "is read-only", f"make it writable or {instead}")
+    return target, found
+
+
+def kind_of(mode: int) -> str:
+    """What a file is that is no plain file, in words."""
+    if stat.S_ISDIR(mode):
+        return "a folder"
+    if stat.S_ISFIFO(mode):
+        return "a pipe"
+    if stat.S_ISSOCK(mode):
+        return "a socket"
+    return "a device"
+
+
+def _like(beside: Path, before: os.stat_result) -> bool:
+    """Gives a new file the permissions and the owner of the one that it replaces; whether it may take its place."""
+    if before.st_nlink > 1:
+        return False
+    with_owner = getattr(os, "chown", None)  # not on Windows
+    now = beside.stat()
+    if with_owner is not None and (now.st_uid, now.st_gid) != (before.st_uid, before.st_gid):
+        try:
+            with_owner(beside, before.st_uid, before.st_gid)
+        except PermissionError:
+            return False
+    beside.chmod(stat.S_IMODE(before.st_mode))
+    return True
+
+
+def _settle(folder: Path) -> None:
+    """A new name is on the disk when its folder is; only some systems can be told so."""
+    with suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+
+def _refused(path: Path, what: str, reason: str, instead: str) -> InputError:
+    return InputError(f"{what} {path}: {reason}; {instead}")

@@ -13,6 +13,7 @@ import numpy as np
 from models.arrays import Array
 from models.errors import InputError, known
 from models.kind import Parameter
+from models.read_file import TEXT, read_text
 from models.vehicle import Vehicle, read_vehicle
 from sim.iso8608 import check_seed
 from sim.roads import RoadChoice, choose_road
@@ -111,12 +112,7 @@ def read_campaign(path: Path) -> Campaign:
     Raises:
         InputError: the file cannot be read, something in it is missing, unknown or not allowed, or it makes no runs.
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(f"campaign file {path}: not a text file in UTF-8 ({error.reason})") from error
-    except OSError as error:
-        raise InputError(f"campaign file {path}: cannot be read ({error.strerror}); give a TOML file") from error
+    text = read_text(path, "campaign file", TEXT, "give a TOML file")
     try:
         return _parse(text, path.parent)
     except InputError as error:

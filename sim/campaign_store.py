@@ -8,7 +8,6 @@ import contextlib
 import fcntl
 import hashlib
 import json
-import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -18,6 +17,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from models.errors import InputError
+from models.whole_file import whole_file
 from synth.controller import Controller
 
 MANIFEST, RESULTS = "campaign.json", "results.parquet"
@@ -63,7 +63,7 @@ class Store:
             InputError: they cannot be written.
         """
         table = pa.Table.from_pylist([dict(row) for row in rows], schema=self.schema)
-        with _publishing(self.folder / f"part-{start:09d}-{start + len(rows):09d}.parquet") as path:
+        with whole_file(self.folder / f"part-{start:09d}-{start + len(rows):09d}.parquet", "results", FULL) as path:
             pq.write_table(table, path)
 
     def finish(self) -> None:
@@ -73,7 +73,7 @@ class Store:
             InputError: the file cannot be written.
         """
         if not self.results.exists():
-            with _publishing(self.results) as path, pq.ParquetWriter(path, self.schema) as writer:
+            with whole_file(self.results, "results", FULL) as path, pq.ParquetWriter(path, self.schema) as writer:
                 for _, _, part in self._parts():
                     writer.write_table(pq.read_table(part, schema=self.schema))
         for _, _, part in self._parts():
@@ -121,7 +121,7 @@ def held(folder: Path) -> Iterator[None]:
             raise InputError(
                 f"another campaign is running in {folder}; wait for it, or name another folder with --results"
             ) from error
-        for left in folder.glob(".*.writing"):
+        for left in folder.glob(".*.part*"):
             left.unlink()
         yield
 
@@ -161,7 +161,7 @@ def begun(folder: Path, sources: str, versions: Mapping[str, str]) -> dict[str, 
 def begin(folder: Path, sources: str, versions: Mapping[str, str], text: str, controllers: Mapping[str, Any]) -> dict[str, Any]:
     """Writes down what campaign a folder holds."""
     manifest = {"digest": digest(sources), "versions": dict(versions), "campaign": text, "controllers": controllers}
-    with _publishing(folder / MANIFEST) as path:
+    with whole_file(folder / MANIFEST, "results", FULL) as path:
         path.write_text(json.dumps(manifest, indent=1), encoding="utf-8")
     return manifest
 
@@ -169,23 +169,3 @@ def begin(folder: Path, sources: str, versions: Mapping[str, str], text: str, co
 def digest(sources: str) -> str:
     """What tells one campaign from another."""
     return hashlib.sha256(sources.encode()).hexdigest()
-
-
-@contextlib.contextmanager
-def _publishing(final: Path) -> Iterator[Path]:
-    """A name to write to; the file gets its own when it is whole and on the disk."""
-    path = final.with_name(f".{final.name}.writing")
-    try:
-        yield path
-        with path.open("rb") as written:
-            os.fsync(written.fileno())
-        path.replace(final)
-        folder = os.open(final.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
-    except OSError as error:
-        raise InputError(f"cannot write {final}: {error.strerror or error}; {FULL}") from error
-    finally:
-        path.unlink(missing_ok=True)

@@ -9,6 +9,7 @@ from models.arrays import Array
 from models.command import Parser
 from models.errors import InputError
 from models.vehicle import Vehicle
+from models.whole_file import check_folder
 from sim.road import Road
 from sim.run import Run, run_all
 from sim.verdict import controller_lines, run_lines, verdict_lines
@@ -19,8 +20,9 @@ def add_how(parser: Parser, duration: float) -> None:
     """`--duration`, with a default [s], `--timestep`, `--logs`, `--no-logs`, `--open`, `--serve` and `--json`."""
     parser.add_number("--duration", duration, "s", "how long to run")
     parser.add_number("--timestep", 1e-3, "s", "integration step and sample period of the controller")
-    parser.add_argument("--logs", type=Path, default=Path("logs"), metavar="DIR", help="folder for the log files (default: logs)")
-    parser.add_argument("--no-logs", dest="logs", action="store_const", const=None, help="write no log files")
+    logs = parser.add_mutually_exclusive_group()
+    logs.add_argument("--logs", type=Path, default=Path("logs"), metavar="DIR", help="folder for the log files (default: logs)")
+    logs.add_argument("--no-logs", dest="logs", action="store_const", const=None, help="write no log files")
     view = parser.add_mutually_exclusive_group()
     view.add_argument(
         "--open", action="store_true", help="open the recording in Rerun's window, which stays when the command ends"
@@ -96,9 +98,7 @@ def run_chosen(vehicle: Vehicle, names: Sequence[str], road: Road, time: Array, 
     with_passive = [*names, *(["passive"] if "passive" not in names else [])]
     controllers = [designer.design(name) for name in with_passive]
     if logs is not None:  # after the last bad input, so that nothing is written
-        from sim.recording import check_folder
-
-        check_folder(logs)
+        check_folder(logs, "logs")
     everything = run_all(vehicle, controllers, road, time)
     return everything[: len(names)], everything[with_passive.index("passive")]
 

@@ -16,7 +16,7 @@ from models.arrays import Array
 from models.command import Parser, run_command
 from models.errors import InputError, known
 from models.vehicle import Vehicle, read_vehicle
-from models.whole_file import whole_file
+from models.whole_file import check_file, check_folder, whole_file
 from sim.broken import ENDS
 from sim.picture import check_picture, draw
 from sim.progress import bar
@@ -67,14 +67,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     bumps = grid(axes, {name: getattr(options, name) for name in UNITS})
     time = sample_times(vehicle, options.duration, options.timestep)
     _check(bumps, options.duration, options.timestep, options.threshold)
-    if options.csv is not None and not options.csv.parent.is_dir():
-        raise InputError(f"csv {options.csv}: there is no folder {options.csv.parent}; make it or give another")
+    if options.csv is not None:
+        check_file(options.csv, "csv")
     if options.picture is not None:
         check_picture(options.picture)
     if options.logs is not None:
-        from sim.recording import check_folder
-
-        check_folder(options.logs)
+        check_folder(options.logs, "logs")
     controller = design(vehicle, options.controller)
 
     cells, complete = validity(vehicle, controller, bumps, time, bar(len(bumps), "cells"))
@@ -96,7 +94,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.json:
         print(json.dumps({**result, "logs": logs}, allow_nan=False))
     else:
-        print("\n".join([f"{vehicle.kind.name} ({vehicle.source}), controller {controller.name}", *_text(cells, options)]))
+        written = [f"{name} {path}" for name, path in (("csv", options.csv), ("picture", options.picture)) if path is not None]
+        lines = [f"{vehicle.kind.name} ({vehicle.source}), controller {controller.name}", *_text(cells, options)]
+        print("\n".join([*lines, *(["", *written] if written else [])]))
         if options.logs is not None:
             print("\n".join(["", *log_lines(logs)]))
     if not complete:

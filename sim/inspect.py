@@ -8,6 +8,7 @@ from typing import Any
 
 from models.command import Parser, run_command
 from models.errors import InputError
+from models.whole_file import check_file
 from sim.claims import HOLDS, NOTE, Finding
 from sim.proof import Inspected, Proof, prove
 from sim.recorded import Recorded, RecordedRun, read_json, read_log
@@ -41,6 +42,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     log = read_log(options.log)
     if options.csv is not None and options.csv.exists() and options.csv.samefile(options.log):
         raise InputError(f"csv {options.csv} is the log itself; give another file")
+    if options.csv is not None:
+        check_file(options.csv, "csv")
     proof = prove(log, options.kinds)
     if options.csv is not None:
         write_signals(options.csv, proof)

@@ -13,6 +13,7 @@ from models.command import Parser, run_command
 from models.errors import InputError
 from models.reality import Implementation
 from models.vehicle import Vehicle, read_vehicle
+from models.whole_file import check_folder
 from sim.growth import BUMP, LONGEST, SHORTEST
 from sim.linear import sampled_radius
 from sim.loop_margins import LoopMargins, find_margins
@@ -53,9 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.picture is not None:
         check_picture(options.picture)
     if options.logs is not None:
-        from sim.recording import check_folder
-
-        check_folder(options.logs)
+        check_folder(options.logs, "logs")
     # What is asked is how much the loop bears beyond an ideal implementation.
     vehicle = replace(read_vehicle(options.vehicle), implementation=Implementation())
     controller = _with_loop(vehicle, options.controller, options.timestep)

@@ -26,7 +26,9 @@ from mcap.records import Attachment, Channel, Chunk, DataEnd, Footer, McapRecord
 
 from models.arrays import Array
 from models.errors import InputError
+from models.read_file import open_plain
 
+GIVE = "give an .mcap file that a run has written"
 MAGIC = b"\x89MCAP0\r\n"
 MIB = 2**20
 MOST_RECORD = 64 * MIB  # of the file, and of a decompressed chunk; writers end a chunk at 1 to 8 MiB
@@ -91,11 +93,9 @@ def read_mcap(path: Path, package: str) -> McapFile:
         InputError: it cannot be opened, or is no MCAP file.
     """
     try:
-        if not path.is_file():
-            raise InputError(f"log {path}: there is no such file; give an .mcap file that a run has written")
-        with path.open("rb") as stream:
+        with open_plain(path, "log", GIVE) as stream:
             if stream.read(len(MAGIC)) != MAGIC:
-                raise InputError(f"log {path}: no MCAP file; give an .mcap file that a run has written")
+                raise InputError(f"log {path}: no MCAP file; {GIVE}")
             reader = _Reader(package, os.fstat(stream.fileno()).st_size)
             reader.read(stream)
     except OSError as error:

@@ -8,6 +8,7 @@ import numpy as np
 
 from models.arrays import Array
 from models.errors import InputError
+from models.read_file import open_plain
 from sim.profile import Profile
 
 
@@ -60,6 +61,7 @@ def read_surface(path: Path) -> Surface:
         from pyopencrg import CrgRoad  # pyright: ignore[reportMissingImports] - an extra
     except ImportError as error:
         raise InputError(f"road file {path} needs PyOpenCRG; install it with: pip install -e '.[opencrg]'") from error
+    open_plain(path, "road file", "give an OpenCRG file").close()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # what its checks find and a profile does not need

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from models.errors import InputError
-from models.whole_file import whole_file
+from models.whole_file import check_file, whole_file
 from sim.figure import Figure, Kinds, Panel, Shades
 
 SUFFIXES = (".png", ".svg")
@@ -28,8 +28,7 @@ def check_picture(path: Path) -> None:
     """
     if path.suffix.lower() not in SUFFIXES:
         raise InputError(f"picture {path}: not a kind of picture that is drawn; give a name that ends in {' or '.join(SUFFIXES)}")
-    if not path.parent.is_dir():
-        raise InputError(f"picture {path}: there is no folder {path.parent}; make it or give another")
+    check_file(path, "picture")
     try:
         import matplotlib  # noqa: F401
     except ImportError:

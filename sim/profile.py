@@ -11,6 +11,7 @@ from scipy.interpolate import CubicSpline
 
 from models.arrays import Array
 from models.errors import InputError
+from models.read_file import TABLE, read_text
 from sim.road import LIMITS, Road, check_numbers
 
 GAP = 10.0  # times the median spacing; more is a gap, and what a curve does there is invented
@@ -123,13 +124,11 @@ def read_profile(path: Path, speed: float) -> Profile:
     Raises:
         InputError: the file cannot be read, a line has no such numbers, or they make no profile. The message names the file.
     """
+    text = read_text(path, "road file", TABLE, FORMAT)
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            lines = [(number, row) for number, row in enumerate(csv.reader(file), 1) if any(cell.strip() for cell in row)]
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"road file {path}: not a CSV file in UTF-8 ({error}); {FORMAT}") from error
-    except OSError as error:
-        raise InputError(f"road file {path}: cannot be read ({error.strerror}); {FORMAT}") from error
+        lines = [(number, row) for number, row in enumerate(csv.reader(text.splitlines()), 1) if any(map(str.strip, row))]
+    except csv.Error as error:
+        raise InputError(f"road file {path}: not a CSV file ({error}); {FORMAT}") from error
     if lines and not _is_number(lines[0][1][0]):
         lines = lines[1:]
     columns = len(lines[0][1]) if lines else 2

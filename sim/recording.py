@@ -7,28 +7,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from models.errors import InputError
+from models.whole_file import check_folder
 from sim.foxglove_layout import foxglove_layout
 from sim.recording_mcap import write_mcap
 from sim.recording_rerun import write_rrd
 from sim.run_log import RunLog
 
 SUFFIXES = {"mcap": "mcap", "layout": "layout.json", "rerun": "rrd"}
-
-
-def check_folder(folder: Path) -> None:
-    """Makes the folder and proves that files can be written there: ask before a long run, not after it.
-
-    Raises:
-        InputError: the folder cannot be made, or not written.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        # Permission bits do not tell (root, read-only mounts, quotas): writing does.
-        with tempfile.NamedTemporaryFile(dir=folder, prefix=".") as probe:
-            probe.write(b"roadproof")
-            probe.flush()
-    except OSError as error:
-        raise _not_writable(folder, error) from error
 
 
 def record(
@@ -60,7 +45,7 @@ def record(
     names = [run.name for run in runs]
     if len(set(names)) < len(names):
         raise ValueError(f"runs are told apart by their names, and these are not distinct: {', '.join(names)}")
-    check_folder(folder)
+    check_folder(folder, "logs")
     try:
         # Within the folder, so that giving the final name moves no data, and fails or succeeds at once.
         with tempfile.TemporaryDirectory(dir=folder, prefix=f".{stem}-") as temporary:

@@ -11,7 +11,7 @@ from pathlib import Path
 from models.command import Parser, run_command
 from models.errors import InputError
 from models.vehicle import Vehicle, read_vehicle
-from models.whole_file import whole_file
+from models.whole_file import check_file, check_folder, whole_file
 from sim.page import Page, check_page, write_page
 from sim.picture import check_picture, draw
 from sim.progress import show
@@ -42,10 +42,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     sample_times(vehicle, 1.0, options.timestep)
     if options.out.suffix.lower() not in (".html", ".htm"):
         raise InputError(f"report {options.out}: a report is HTML; give a name that ends in .html")
-    if not options.out.parent.is_dir():
-        raise InputError(f"report {options.out}: there is no folder {options.out.parent}; make it or give another")
+    check_file(options.out, "report")
     if options.figures is not None:
-        _make_folder(options.figures)
+        check_folder(options.figures, "figures")
         check_picture(options.figures / "figure.png")
 
     from sim.provenance import versions
@@ -75,7 +74,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         figures = str(options.figures) if options.figures else None
         print(json.dumps({**report_object(result), "report": str(options.out), "figures": figures}, allow_nan=False))
     else:
-        print("\n".join([*result.answer, "", f"report {options.out}"]))
+        figures = [f"figures {options.figures}"] if options.figures else []
+        print("\n".join([*result.answer, "", f"report {options.out}", *figures]))
     return 0
 
 
@@ -95,13 +95,6 @@ def _chosen(vehicle: Vehicle, asked: Sequence[str] | None) -> list[str]:
     usual = [name for name in USUAL if name in vehicle.controller_names] if asked is None else []
     names = [name for choice in asked or usual for name in (vehicle.controller_names if choice == "all" else [choice])]
     return list(dict.fromkeys(names))
-
-
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"figures {folder}: cannot be made ({error.strerror}); give another folder") from error
 
 
 def _write_figures(page: Page, folder: Path) -> None:

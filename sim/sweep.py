@@ -10,6 +10,7 @@ from typing import Any
 from models.command import Parser, run_command
 from models.errors import InputError
 from models.vehicle import Vehicle, read_vehicle
+from models.whole_file import check_folder
 from sim.extremes import DURATION, Extremes, extremes
 from sim.identification import HIGHEST, LOWEST, Lines, ideal_measurements, identify
 from sim.multisine import sinusoid
@@ -58,9 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.picture is not None:
         check_picture(options.picture)
     if options.logs is not None:
-        from sim.recording import check_folder
-
-        check_folder(options.logs)
+        check_folder(options.logs, "logs")
     designer = Designer(vehicle)
     controllers = [designer.design(name) for name in names]
     sweeps = sweep(vehicle, controllers, options.amplitude, options.timestep, options.speed)

@@ -10,6 +10,7 @@ import numpy as np
 from models.command import Parser, run_command
 from models.errors import InputError, known
 from models.vehicle import Vehicle, read_vehicle
+from models.whole_file import check_file
 from synth.check import check
 from synth.controller import Controller, Designer
 from synth.errors import DesignError
@@ -45,6 +46,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     if options.check and (options.zero_l or options.refine or options.save or options.vehicle != DEFAULT):
         raise InputError("--check reads its own file and designs nothing; it goes with --controller and --json only")
+    if options.save:
+        check_file(options.save, "--save")
     vehicle = read_vehicle(options.check or options.vehicle)
     designer = Designer(vehicle)
     if options.check:
@@ -61,6 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             "controllers": [row_object(row) for row in rows],
             "invariant_limit": {"norm": limit, "frequency": at},
             "flat": {"gamma": FLAT, "gain_down_up": moved},
+            "saved": str(options.save) if options.save else None,
         }
         print(json.dumps(result, allow_nan=False))
     else:
@@ -74,6 +78,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if moved:
             lines.append(f"flat: for {FLAT:g} of gamma each state's largest gain may move by itself")
             lines += [f"  {state:22s} {_range(*values)}" for state, values in moved.items()]
+        if options.save:
+            lines += ["", f"saved {options.save}"]
         print("\n".join(lines))
     return 1 if any(row.failures for row in rows) else 0
 

@@ -57,10 +57,10 @@ UNITS = {
 BAD_OPTIONS = [
     ([], ["no controller", "all, passive, state, I, II"]),
     (["--controller", "III"], ["'III'", "I, II, II_printed, I_printed, passive, state, state_printed"]),
-    (["--controller", ""], ["''", "passive"]),
+    (["--controller", ""], ["--controller", "is empty"]),
     (["--controller", "I", "--controller", "a\nb"], [r"'a\nb'"]),
     (["--controller", "I", "--colour"], ["--colour", "--help"]),
-    (["--controller", "I", "--vehicle", "mine.toml"], ["mine.toml", "No such file", "quarter_car"]),
+    (["--controller", "I", "--vehicle", "mine.toml"], ["mine.toml", "no such file", "quarter_car"]),
     (["--controller", "I", "--height", "high"], ["--height", "'high' is not a number"]),
     (["--controller", "I", "--height", "nan"], ["--height", "'nan' is not a finite number"]),
     (["--controller", "I", "--height", "-1e3"], ["height = -1000", "from -100 to 100"]),
@@ -231,7 +231,7 @@ def test_exit_code_2_and_one_line(tmp_path):
     out, err = process.communicate()
     assert process.returncode == 2
     assert out == ""
-    assert err.startswith("roadproof: vehicle file no file: cannot be read")
+    assert err.startswith("roadproof: vehicle file no file: there is no such file")
     assert err.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
 

@@ -12,8 +12,9 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from models.errors import InputError
 from models.signals import CONTROL_FORCE, ROAD_DISPLACEMENT, SPRUNG_ACCELERATION, SUSPENSION_DEFLECTION
+from models.whole_file import check_folder
 from sim import recording
-from sim.recording import check_folder, opening_lines, record
+from sim.recording import opening_lines, record
 from sim.recording_mcap import write_mcap
 from sim.recording_rerun import write_rrd
 from sim.response import Response
@@ -291,8 +292,8 @@ def test_a_folder_that_cannot_be_written_is_named(run: RunLog, tmp_path: Path) -
     """A file in the folder's place, or above it, is an error of one line, before a run and after."""
     (tmp_path / "file").touch()
     for folder in (tmp_path / "file", tmp_path / "file" / "below"):
-        with pytest.raises(InputError, match=f"cannot write recordings in {folder}") as caught:
-            check_folder(folder)
+        with pytest.raises(InputError, match=f"logs {folder}") as caught:
+            check_folder(folder, "logs")
         assert "\n" not in str(caught.value)
         with pytest.raises(InputError):
             record(folder, "bump", [run], {}, {})
@@ -300,7 +301,7 @@ def test_a_folder_that_cannot_be_written_is_named(run: RunLog, tmp_path: Path) -
 
 def test_a_folder_is_made(tmp_path: Path) -> None:
     """A folder that is missing is made, parents too, and the trial file is gone."""
-    check_folder(tmp_path / "deep" / "logs")
+    check_folder(tmp_path / "deep" / "logs", "logs")
     assert list((tmp_path / "deep" / "logs").iterdir()) == []
 
 

@@ -289,7 +289,7 @@ def test_bad_profiles(tmp_path, text, said):
         ("watts_hump:height=2", "watts_hump height = 2 is not allowed"),
         ("step:speed=3", "'speed=3' is not NAME=VALUE"),
         ("sweep:highest=0.1", "sweep highest"),
-        ("nowhere.csv", "cannot be read"),
+        ("nowhere.csv", "there is no such file"),
     ],
 )
 def test_bad_roads(text, said):

@@ -139,9 +139,9 @@ def test_a_saved_file_is_whole_or_not_there(capsys, tmp_path):
     [
         (["--controller", "nobody"], "unknown controller 'nobody'"),
         (["--zero-l", "--controller", "state"], "--zero-l: 'state' is not designed from measurements"),
-        (["--controller", "I", "--save", "/no/such/folder/car.toml"], "cannot be written"),
+        (["--controller", "I", "--save", "/no/such/folder/car.toml"], "there is no folder"),
         (["--controller", "passive", "--save", "car.toml"], "nothing to write"),
-        (["--vehicle", "/no/such/file"], "cannot be read"),
+        (["--vehicle", "/no/such/file"], "there is no such file"),
         (["--check", "models/quarter_car.toml", "--refine"], "designs nothing"),
         (["--check", "models/half_car.toml"], "holds no controller with a gain"),
         (["--check", "models/quarter_car.toml", "--controller", "I"], "'I' has no gain"),

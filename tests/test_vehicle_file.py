@@ -168,8 +168,8 @@ def test_a_file_is_read_by_path_and_by_name(paper, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        (None, "No such file"),
-        ("folder", "Is a directory"),
+        (None, "there is no such file"),
+        ("folder", "is a folder"),
         (bytes(range(256)), "not a text file in UTF-8"),
         (b"", "'type' is missing"),
     ],

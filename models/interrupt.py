@@ -1,0 +1,50 @@
+"""Ctrl-C, from the first import to the last line: one word, exit code 130, no traceback."""
+
+import _thread
+import os
+import signal
+import sys
+import threading
+from contextlib import suppress
+from types import FrameType
+from typing import Any
+
+CODE = 130
+
+
+def quiet_start() -> None:
+    """While `python -m` is still importing a command nothing has begun, so the process may simply end.
+
+    An exception would not do: compiled packages turn it into errors of their own, or drop it. For a library that is imported by
+    anything else this does nothing.
+    """
+    # Only until it knows where the module lies, `python -m` says "-m" there.
+    if sys.argv[:1] == ["-m"] and threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, _leave)
+
+
+def raise_from_now_on() -> None:
+    """From here on Ctrl-C is a KeyboardInterrupt, so that what was begun is cleaned up."""
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        sys.unraisablehook = _again
+
+
+def ignore_from_now_on() -> None:
+    """The work is done; what is left takes a moment and is not worth a traceback."""
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _leave(number: int, frame: FrameType | None) -> None:
+    with suppress(OSError):  # stderr may be closed
+        os.write(2, b"roadproof: interrupted\n")
+    os._exit(CODE)
+
+
+def _again(unraisable: Any) -> None:
+    """Where Python can raise nothing, as in a finaliser, it drops an interrupt: it comes again a moment later."""
+    if issubclass(unraisable.exc_type, KeyboardInterrupt):
+        threading.Timer(0.005, _thread.interrupt_main).start()
+    else:
+        sys.__unraisablehook__(unraisable)

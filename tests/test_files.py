@@ -1,0 +1,205 @@
+"""The two doors for files: what is written is whole and stays what it was, what is read is a plain file of a stated size."""
+
+import os
+import socket
+import stat
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from models.errors import InputError
+from models.read_file import MIB, read_bytes, read_text
+from models.whole_file import check_file, check_folder, whole_file
+
+POSIX = pytest.mark.skipif(os.name == "nt", reason="modes, pipes and links of POSIX")
+
+
+def write(path: Path, text: str = "new") -> None:
+    with whole_file(path, "csv") as beside:
+        beside.write_text(text)
+
+
+def alone(folder: Path, *names: str) -> bool:
+    """Whether a folder holds just these."""
+    return sorted(path.name for path in folder.iterdir()) == sorted(names)
+
+
+def test_a_file_is_whole_or_as_it_was(tmp_path):
+    """An error or an interruption while it is written leaves the old file and nothing beside it."""
+    file = tmp_path / "out.csv"
+    write(file, "old")
+    for error in (KeyboardInterrupt, ZeroDivisionError):
+        with pytest.raises(error), whole_file(file, "csv") as beside:  # noqa: PT012 - the block is what is interrupted
+            beside.write_text("half")
+            raise error
+    assert file.read_text() == "old"
+    write(file)
+    assert file.read_text() == "new"
+    assert alone(tmp_path, "out.csv")
+
+
+@POSIX
+def test_a_link_stays_a_link(tmp_path):
+    """What a link points to is written, through links to links, also where it is not there yet; hard links stay one file."""
+    target = tmp_path / "target.csv"
+    (tmp_path / "first").symlink_to("second")
+    (tmp_path / "second").symlink_to(target)
+    write(tmp_path / "first", "one")
+    assert target.read_text() == "one"
+    os.link(target, tmp_path / "other")
+    write(tmp_path / "first", "two")
+    assert (tmp_path / "other").read_text() == target.read_text() == "two"
+    assert (tmp_path / "first").is_symlink()
+    assert (tmp_path / "second").is_symlink()
+    assert alone(tmp_path, "first", "second", "target.csv", "other")
+
+
+@POSIX
+def test_mode_and_owner_stay(tmp_path):
+    """A file keeps its permissions and, as far as the system lets us, its owner; a new one gets what the umask says."""
+    file = tmp_path / "out.csv"
+    write(file)
+    umask = os.umask(0)
+    os.umask(umask)
+    assert stat.S_IMODE(file.stat().st_mode) == 0o666 & ~umask
+    file.chmod(0o640)
+    if os.geteuid() == 0:
+        os.chown(file, 1234, 2345)
+    before = file.stat()
+    write(file, "again")
+    after = file.stat()
+    assert file.read_text() == "again"
+    assert (after.st_mode, after.st_uid, after.st_gid) == (before.st_mode, before.st_uid, before.st_gid)
+
+
+@POSIX
+@pytest.mark.parametrize("kind", ["folder", "fifo", "socket", "read-only", "loop", "link to a fifo", "no folder", "below a file"])
+def test_what_is_no_plain_file_is_refused_and_left(tmp_path, monkeypatch, kind):
+    """Before the work and after it, in one line that says what was found; what was there is there, and as it was."""
+    path, found = tmp_path / "out.csv", {"folder": "is a folder", "fifo": "is a pipe", "socket": "is a socket"}.get(kind, "")
+    held = None
+    if kind == "folder":
+        path.mkdir()
+    elif kind == "fifo":
+        os.mkfifo(path)
+    elif kind == "socket":
+        held = socket.socket(socket.AF_UNIX)
+        monkeypatch.chdir(tmp_path)  # names of sockets are short
+        held.bind("out.csv")
+    elif kind == "read-only":
+        path.write_text("old")
+        path.chmod(0o444)
+        found = "is read-only"
+    elif kind == "loop":
+        path.symlink_to("other")
+        (tmp_path / "other").symlink_to("out.csv")
+        found = "loop"
+    elif kind == "link to a fifo":
+        os.mkfifo(tmp_path / "pipe")
+        path.symlink_to("pipe")
+        found = "is a pipe"
+    elif kind == "no folder":
+        path, found = tmp_path / "not there" / "out.csv", "there is no folder"
+    else:
+        (tmp_path / "file").touch()
+        path, found = tmp_path / "file" / "out.csv", "there is no folder"
+    before = sorted((each.name, each.lstat().st_mode, each.lstat().st_ino) for each in tmp_path.iterdir())
+    for act in (lambda: check_file(path, "csv"), lambda: write(path)):
+        with pytest.raises(InputError, match=found) as caught:
+            act()
+        assert str(path) in str(caught.value)
+        assert "\n" not in str(caught.value)
+    assert sorted((each.name, each.lstat().st_mode, each.lstat().st_ino) for each in tmp_path.iterdir()) == before
+    if held:
+        held.close()
+
+
+@POSIX
+def test_standard_output_may_be_written(tmp_path):
+    """`/dev/stdout` is the command's own output, be it a pipe or a file, and it stays what it is."""
+    code = (
+        "from pathlib import Path\nfrom models.whole_file import check_file, whole_file\npath = Path('/dev/stdout')\n"
+        "check_file(path, 'csv')\nprint('before')\n"
+        "with whole_file(path, 'csv') as b: b.write_text('content\\n')\nprint('after')\n"
+    )
+    piped = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert piped.stdout == "before\ncontent\nafter\n"
+    with (tmp_path / "out").open("w") as out:
+        subprocess.run([sys.executable, "-c", code], stdout=out, check=True)
+    assert (tmp_path / "out").read_text() == "before\ncontent\nafter\n"
+
+
+def test_a_folder_is_made_or_refused(tmp_path):
+    """A folder is made with those above it; a file in its place is named."""
+    check_folder(tmp_path / "a" / "b", "figures")
+    assert alone(tmp_path / "a" / "b")
+    (tmp_path / "file").touch()
+    for path in (tmp_path / "file", tmp_path / "file" / "below"):
+        with pytest.raises(InputError, match=f"figures {path}"):
+            check_folder(path, "figures")
+
+
+def test_a_plain_file_is_read(tmp_path):
+    """Text comes without a byte order mark and with Unix line ends, of at most the stated size."""
+    file = tmp_path / "car.toml"
+    file.write_bytes(b"\xef\xbb\xbfa = 1\r\nb = 2\n")
+    assert read_text(file, "vehicle file", MIB, "give one") == "a = 1\nb = 2\n"
+    assert read_bytes(file, "vehicle file", 16, "give one").endswith(b"b = 2\n")
+    with pytest.raises(InputError, match="too large"):
+        read_bytes(file, "vehicle file", 15, "give one")
+    file.write_bytes(b"\xff\xfe")
+    with pytest.raises(InputError, match=r"UTF-8 .*at byte 0\); give one"):
+        read_text(file, "vehicle file", MIB, "give one")
+
+
+@POSIX
+@pytest.mark.parametrize(
+    ("kind", "found"),
+    [
+        ("folder", "is a folder"),
+        ("fifo", "is a pipe"),
+        ("zero", "is a device"),
+        ("sparse", "too large"),
+        ("memory", "cannot be read"),
+        ("loop", "loop of links"),
+        ("dangling", "link to nothing"),
+        ("missing", "no such file"),
+    ],
+)
+def test_nothing_else_is_read_or_waited_for(tmp_path, kind, found):
+    """One line at once, whatever a name leads to: no memory is filled and no pipe is waited for."""
+    path = tmp_path / "car.toml"
+    if kind == "folder":
+        path.mkdir()
+    elif kind == "fifo":
+        os.mkfifo(path)
+    elif kind == "zero":
+        path = Path("/dev/zero")
+    elif kind == "sparse":
+        with path.open("wb") as file:
+            file.truncate(20 * 1024 * MIB)
+    elif kind == "memory":
+        path = Path("/proc/self/mem")
+        if not path.exists():
+            pytest.skip("only Linux shows a process's memory as a file")
+    elif kind == "loop":
+        path.symlink_to("car.toml")
+    elif kind == "dangling":
+        path.symlink_to("nowhere")
+    answers: list[str] = []
+
+    def ask() -> None:
+        with pytest.raises(InputError) as caught:
+            read_text(path, "vehicle file", MIB, "give a TOML file")
+        answers.append(str(caught.value))
+
+    asked = threading.Thread(target=ask, daemon=True)
+    asked.start()
+    asked.join(5.0)
+    assert len(answers) == 1
+    assert found in answers[0]
+    assert answers[0].startswith(f"vehicle file {path}: ")
+    assert answers[0].endswith("give a TOML file")
