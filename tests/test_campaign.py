@@ -265,7 +265,7 @@ def test_a_full_disk(tmp_path, monkeypatch):
 
     with monkeypatch.context() as patch:
         patch.setattr(campaign_store.pq, "write_table", fills)
-        with pytest.raises(InputError, match="No space left on device.*free some space"):
+        with pytest.raises(InputError, match=r"No space left on device.*free some space"):
             main([str(file), "--results", str(tmp_path / "results"), "--batch", "2"])
     assert len(list((tmp_path / "results").glob("part-*"))) == 1
     assert not list((tmp_path / "results").glob(".*part*"))
