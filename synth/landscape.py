@@ -12,12 +12,11 @@ import numpy as np
 from scipy import linalg
 
 from models.arrays import Array
-from synth.norm import balance, level_crossings, transfer_matrix
+from synth.norm import ILL_CONDITIONED, balance, largest_singular_values, level_crossings, transfer_matrix
 from synth.plant import GeneralizedPlant
 
 NEAR = 1e-9  # relative; a level set this much higher that is empty ends the search for the peak
 ALIKE = 0.02  # relative; eigenvalues closer than this count as one
-ILL_CONDITIONED = 1e6  # of the eigenvectors; beyond it the modes give fewer than ten digits
 MOST_ALIKE = 3  # singular values of one frequency that are looked at
 
 
@@ -246,8 +245,4 @@ class Landscape:
         else:
             poles, left, right = modes
             T = (left / (1j * omega[:, None, None] - poles)) @ right + self.Dw
-        if 1 in T.shape[1:]:
-            return np.linalg.norm(T.reshape(len(T), -1), axis=1)
-        adjoint = T.conj().transpose(0, 2, 1)
-        square = T @ adjoint if T.shape[1] < T.shape[2] else adjoint @ T
-        return np.sqrt(np.maximum(np.linalg.eigvalsh(square)[:, -1], 0.0))
+        return largest_singular_values(T)

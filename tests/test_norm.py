@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy import linalg, signal
 
-from synth.norm import hinf_norm, level_set_norm, sweep_norm
+from synth.norm import hinf_norm, level_crossings, level_set_norm, sweep_norm
 from synth.plant import GeneralizedPlant
 
 
@@ -187,3 +187,71 @@ def test_scaling_of_the_states_does_not_matter():
 def test_routes_agree_on_the_paper(designer, name):
     """On every configuration of the paper the two routes agree to rounding."""
     assert designer.design(name).certificate.norm.gap < 1e-10
+
+
+def large_system(seed: int, states: int, feedthrough: float, least_damping: float) -> GeneralizedPlant:
+    """Resonances from 1e-2 to 1e3 rad/s, each with a damping up to 1, seen from coordinates that mix them all."""
+    rng = np.random.default_rng(seed)
+    omega, damping = 10 ** rng.uniform(-2, 3, states // 2), least_damping ** rng.uniform(0, 1, states // 2)
+    A = linalg.block_diag(*[[[0, w], [-w, -2 * z * w]] for w, z in zip(omega, damping, strict=True)])
+    T = np.linalg.qr(rng.standard_normal((states, states)))[0]
+    plant = system(A, rng.standard_normal((states, 2)), rng.standard_normal((2, states)), feedthrough * np.eye(2))
+    return plant.in_coordinates(T)
+
+
+@pytest.mark.parametrize(("seed", "states", "feedthrough"), [(0, 50, 0.0), (1, 60, 0.5), (2, 80, 0.0), (3, 100, 0.5)])
+def test_large_systems(seed, states, feedthrough):
+    """With 50 to 100 states, none damped so little that python-control stops short, the routes agree, and with python-control."""
+    plant = large_system(seed, states, feedthrough, 0.1)
+    norm = hinf_norm(plant)
+    assert norm.gap < 1e-8  # rounding of poles six orders of magnitude apart
+    space = control.ss(plant.A, plant.Bw, plant.C, plant.Dw)
+    assert norm.value == pytest.approx(control.system_norm(space, "inf", tol=1e-6), rel=1e-5)  # its tolerance  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_no_frequency_is_higher(seed):
+    """On 50 to 100 states no frequency of a sweep by scipy's Schur form exceeds the norm, and at the peak it is reached."""
+    plant = large_system(seed, 50 + 24 * seed, 0.0, 1e-4)
+    norm = hinf_norm(plant)
+    poles = np.linalg.eigvals(plant.A)
+    near = np.abs(np.imag(poles))[:, None] + np.abs(np.real(poles))[:, None] * np.linspace(-2, 2, 9)
+    T, Z = linalg.schur(plant.A, output="complex")[:2]
+    into, out, eye = Z.conj().T @ plant.Bw, plant.C @ Z, np.eye(len(T))
+    omega = np.concatenate([np.logspace(-3, 4, 300), near.ravel(), [norm.peak_frequency]])
+    gains = [np.linalg.norm(out @ linalg.solve_triangular(1j * w * eye - T, into), 2) for w in omega]
+    assert max(gains) <= norm.value * (1 + 1e-8)  # conditioning of the pole: 1e-16 over its damping and a range of 1e5
+    assert gains[-1] == pytest.approx(norm.value, rel=1e-8)
+
+
+def test_modes_that_coincide():
+    """Twenty equal lags in a row have one eigenvector: where the modes say nothing the norm is found without them."""
+    n = 20
+    plant = system(-np.eye(n) + np.eye(n, k=-1), np.eye(n)[:, [0]], np.vstack([np.eye(n)[-1], np.eye(n)[0]]))
+    norm = hinf_norm(plant)
+    assert norm.value == pytest.approx(2**0.5, rel=1e-12)  # both outputs pass what does not change
+    assert norm.peak_frequency == pytest.approx(0.0, abs=1e-5)
+    assert norm.gap < 1e-12
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_level_crossings_with_feedthrough(seed):
+    """Far above the gain at infinity a Hamiltonian, near it a pencil: at every crossing they propose, the gain is the level."""
+    rng = np.random.default_rng(seed)
+    A = rng.standard_normal((8, 8))
+    plant = system(
+        A - (np.linalg.eigvals(A).real.max() + 0.3) * np.eye(8),
+        rng.standard_normal((8, 2)),
+        rng.standard_normal((3, 8)),
+        rng.standard_normal((3, 2)),
+    )
+    at_infinity, top = float(np.linalg.norm(plant.Dw, 2)), hinf_norm(plant).value
+    for level in (1.01 * at_infinity, 0.5 * (1.2 * at_infinity + top), 0.99 * top):
+        crossings = level_crossings(plant.A, plant.Bw, plant.C, plant.Dw, level)
+        dense = np.concatenate([[0.0], np.geomspace(1e-3, 1e3, 4000)])
+        values = np.linalg.svd(plant.frequency_response(dense), compute_uv=False) - level
+        for i, k in np.argwhere(values[:-1] * values[1:] < 0):
+            inside = crossings[(crossings >= dense[i]) & (crossings <= dense[i + 1])]
+            assert len(inside), (level, dense[i], k)
+            found = np.linalg.svd(plant.frequency_response(inside), compute_uv=False)
+            assert np.abs(found / level - 1).min() < 1e-8  # rounding of a crossing that may be steep

@@ -32,6 +32,8 @@ from sim.road import Bump
 from sim.validity import validity
 from synth.controller import Designer, generalized_plant
 from synth.lmi import solve_lmi
+from synth.norm import hinf_norm
+from tests.benchmarks.states import chain
 from tests.conftest import random_vehicles
 
 
@@ -131,6 +133,13 @@ def test_envelope(benchmark):
         for bumps in parts
     ]
     assert summed_ratio(benchmark, pairs) <= 1.2
+
+
+def test_norm_of_a_large_system(benchmark):
+    """Both routes to the norm at 100 states take at most 5 times the eigenvalues of one Hamiltonian, which the first needs."""
+    plant, _ = chain(100)
+    hamiltonian = np.block([[plant.A, plant.Bw @ plant.Bw.T], [-plant.C.T @ plant.C, -plant.A.T]])
+    assert paired_ratio(benchmark, lambda: hinf_norm(plant), lambda: np.linalg.eigvals(hamiltonian), 15) <= 5
 
 
 def test_design_of_the_full_car(benchmark):
