@@ -6,30 +6,35 @@ the frequency response H of the loop as it is implemented,
 
     S_ik(omega) = G_v sum over sources of (H e)_i conj(H e)_k,    cov(i, k) = integral of Re S_ik df.
 
-Signals are Gaussian, and the rest follows: shares of time beyond a threshold, the VDV by E a^4 = 3 sigma^4, the energy by the
-mean positive part of a product of two Gaussians. Largest values over the window T are Davenport's, with the rate of independent
-crossings of A. Der Kiureghian (1980), Earthq. Eng. Struct. Dyn. 8, 583-587; the largest running mean square is taken to be that
-of 3 T / (1 s) independent gamma variates. Those two are approximations, good to some 5 %; the others are exact for a linear run
-that has forgotten its beginning.
+The band is that of the road's lines, half a line further out at both ends: a sum over lines is the integral over it, to second
+order in their distance. Signals are Gaussian, and the rest follows (`sim/gaussian.py`): the metrics that are means (mean squares,
+of the tyre's load as it is, never negative; shares of time, power, energy) and the VDV, by E a^4 = 3 sigma^4, are exact for a
+linear run that has forgotten its beginning. Largest values are approximate. Against linear responses over 200 roads each, of the
+three vehicles as they ship with `passive`, `I` and `II`, at 10, 20 and 35 m/s for 10 s: MTVV within 2.5 %, crest factors within 5
+%, peaks within 7 %, but 11 % too large for the travel of the passive quarter-car, of whose memory a window has few.
 """
 
 import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import special
+from scipy import linalg
 
 from models.arrays import Array
 from models.vehicle import Vehicle
 from sim.frequency import as_met, sampled_frequency_response
-from sim.iso8608 import HIGHEST, LOWEST, N0, Iso8608, coherency, roughness
-from sim.linear import driven, sampled_radius
+from sim.gaussian import Gaussian, positive_part
+from sim.iso8608 import N0, Iso8608, coherency, roughness
+from sim.linear import driven, implemented_loop, sampled_radius
 from sim.metrics import RUNNING, dynamic_load, energy, off_ground, points, power
-from sim.weighting import wk
+from sim.quadrature import sample_band
+from sim.sampler import steps_per_sample
+from sim.weighting import POLES, sampled_wk
 from synth.controller import Controller
 
-LINES = 1500  # on a logarithmic scale: 0.5 % apart, where vehicles' resonances are 5 % wide or more
-FORGOTTEN = 0.01  # share of its variance that a vehicle from rest may still miss when measuring begins
+FORGOTTEN = 0.01  # share of its variance that the slowest mode of a vehicle from rest may still miss when measuring begins
+EXACT = 1e-4  # what an expectation may be off for its integral
+APPROXIMATE = ("_mtvv", "_crest", "_peak")  # endings of the metrics whose expectation is approximate
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,17 +44,82 @@ class Expected:
     Attributes:
         mean: by metric; for those that are roots of mean squares, the root of the expected mean square.
         spread: standard deviation of the metric from road to road over the window, for those roots; by metric.
+        error: estimate of what the integrals are off, relative, at most; above `EXACT`, say so beside the numbers.
     """
 
     mean: dict[str, float]
     spread: dict[str, float]
+    error: float
 
 
 def settling_time(vehicle: Vehicle, controller: Controller) -> float:
-    """When a vehicle from rest has all but `FORGOTTEN` of its variance [s]; infinite where the loop is unstable."""
+    """When the slowest mode of a vehicle from rest has all but `FORGOTTEN` of its variance [s]; infinite for an unstable loop."""
     model, G = driven(vehicle, controller)
     slowest = float(np.linalg.eigvals(model.A + model.B @ G).real.max())
     return math.log(FORGOTTEN) / (2 * slowest) if slowest < 0 else math.inf
+
+
+@dataclass(frozen=True)
+class Settled:
+    """How much of its final variance a vehicle from rest has.
+
+    Attributes:
+        share: of the signal that has least.
+        signal: which it is.
+    """
+
+    share: float
+    signal: str
+
+
+def settled(vehicle: Vehicle, controller: Controller, speed: float, timestep: float, start: float) -> Settled | None:
+    """How much of its variance is there when measuring begins, of the measured signal that has least; None for an unstable loop.
+
+    On white road velocity, tracks apart, the variance at a time is the energy of the response to an impulse until then: a sum of
+    Gramians over the loop as it is sampled, one from each axle's impulse to the next.
+
+    Args:
+        vehicle: the vehicle.
+        controller: its controller.
+        speed: of the vehicle [m/s].
+        timestep: of the sampled loop [s].
+        start: when measuring begins [s].
+    """
+    if sampled_radius(vehicle, controller, timestep) >= 1:
+        return None
+    model, _ = driven(vehicle, controller)
+    loop, _, acting = implemented_loop(vehicle, controller, timestep)
+    rows = np.hstack([model.C, np.zeros((len(model.C), len(loop) - model.C.shape[1]))]) + model.D @ acting
+    period = timestep * steps_per_sample(vehicle.implementation, timestep)
+    steps, wheels = round(start / period), vehicle.kind.wheels
+    late = np.array([round(wheel.behind(vehicle.parameters) / speed / period) for wheel in wheels])
+    there, missing = np.zeros(len(rows)), np.zeros(len(rows))
+    for side in {wheel.side for wheel in wheels}:
+        mine = np.array([wheel.side == side for wheel in wheels])
+        kick, before = np.zeros(len(loop)), 0
+        arrivals = sorted(set(late[mine].tolist()))
+        for at, until in zip(arrivals, [*arrivals[1:], None], strict=True):
+            kick = np.linalg.matrix_power(loop, at - before) @ kick
+            kick[: len(model.A)] += model.Bw[:, mine & (late == at)].sum(axis=1)
+            before = at
+            energy_from = linalg.solve_discrete_lyapunov(loop, np.outer(kick, kick), method="bilinear")
+
+            def left(after: int | None, P: Array = energy_from) -> Array:
+                """What of the energy comes later than so many steps, by signal."""
+                if after is None:
+                    return np.zeros(len(rows))
+                free = rows @ np.linalg.matrix_power(loop, after)
+                return np.einsum("si,ij,sj->s", free, P, free)
+
+            whole, end = left(0), None if until is None else until - at
+            there += whole - left(end)
+            missing += np.maximum(left(min(max(steps - at, 0), end or 2**62)) - left(end), 0.0)
+    where = points(vehicle)
+    measured = {*where.accelerations, *where.suspensions, *where.tyres, *(name for name, *_ in where.actuators)}
+    moving = there > 1e-12 * there.max()
+    shares = {name: float(1 - missing[i] / there[i]) for i, name in enumerate(model.outputs) if name in measured and moving[i]}
+    least = min(shares, key=lambda name: shares[name])
+    return Settled(max(shares[least], 0.0), least)
 
 
 def sources(vehicle: Vehicle, road: Iso8608, omega: Array) -> Array:
@@ -72,108 +142,93 @@ def expect(vehicle: Vehicle, controller: Controller, road: Iso8608, timestep: fl
     """
     if sampled_radius(vehicle, controller, timestep) >= 1:
         return None
-    omega = 2 * np.pi * road.speed * np.geomspace(LOWEST, HIGHEST, LINES)
-    response = sampled_frequency_response(vehicle, controller, omega, timestep)
+    low, high = (2 * np.pi * road.speed * n for n in road.band)
+    poles, doubt = _poles(vehicle, controller, timestep, high)
     density = (2 * np.pi * N0) ** 2 * roughness(road.road_class) * road.factor**2 * road.speed
-    amplitudes = math.sqrt(density) * (response @ sources(vehicle, road, omega))
+    where, static = points(vehicle), vehicle.kind.static_tyre_deflection(vehicle.parameters)
     index = {name: i for i, name in enumerate(vehicle.linear_model.outputs)}
-    share = np.gradient(np.log(omega)) * omega / (2 * np.pi)  # df of every line; the trapezoidal rule in log omega
-    share[[0, -1]] /= 2
+    ride, weigh = [index[name] for name in where.accelerations], sampled_wk(timestep)
+
+    def response(omega: Array) -> Array:
+        """Every signal's amplitudes by source, shape (F, p, 2)."""
+        return math.sqrt(density) * (
+            sampled_frequency_response(vehicle, controller, omega, timestep) @ sources(vehicle, road, omega)
+        )
+
+    def checked(omega: Array, amplitudes: Array) -> Array:
+        """Spectra of all signals, and those of the weighted accelerations, shape (F, p + a)."""
+        spectra = _power(amplitudes)
+        weighted = np.abs(weigh.response(omega, timestep)[:, None]) ** 2 * spectra[:, ride]
+        return np.concatenate([spectra, weighted], axis=1)
+
+    delay = max(wheel.behind(vehicle.parameters) for wheel in vehicle.kind.wheels) / road.speed
+    band = sample_band(response, checked, low, high, poles, 2 * np.pi / delay if delay else math.inf)
+    omega = band.omega
+    # A sum over lines is the integral as long as a resonance is wider than the lines are apart.
+    damping, rate = -np.real(poles), np.abs(np.imag(poles))
+    narrowest = float(damping[(rate > low) & (rate < high)].min(initial=math.inf))
+    grain = 2 * math.exp(-narrowest * road.length / road.speed)
+    error = max(band.error, grain, doubt)
 
     def amplitude(name: str) -> Array:
-        return amplitudes[:, index[name]]
+        return band.values[:, index[name]]
 
     mean, spread = {}, {}
 
     # A road's lines have fixed amplitudes: over its whole length it has no spread.
     rest = max(1 - window * road.speed / road.length, 0.0)
 
-    def root(metric: str, spectrum: Array, scale: float = 1.0) -> _Moments:
-        moments = _Moments(spectrum, omega, share)
-        mean[metric] = moments.sigma * scale
-        # The variance of a mean square over T is the integral of S^2 df / T, and half of it, relatively, that of the root.
-        spread[metric] = mean[metric] * math.sqrt(rest * moments.relative_variance(window)) / 2
-        return moments
+    def root(metric: str, spectrum: Array, clip: float = math.inf, scale: float = 1.0) -> Gaussian:
+        signal = Gaussian(spectrum, omega, band.share)
+        square = signal.clipped_mean_square(clip)
+        mean[metric] = math.sqrt(square) * scale
+        # Half of the relative spread of a mean square is that of its root.
+        variance = signal.mean_square_variance(window, clip)
+        spread[metric] = mean[metric] * math.sqrt(rest * variance) / (2 * square) if square else 0.0
+        return signal
 
-    where, static = points(vehicle), vehicle.kind.static_tyre_deflection(vehicle.parameters)
     for name in where.accelerations:
         spectrum = _power(amplitude(name))
         root(f"{name}_rms", spectrum)
-        weighted = root(f"{name}_weighted", np.abs(wk(omega)) ** 2 * spectrum)
+        weighted = root(f"{name}_weighted", np.abs(weigh.response(omega, timestep)) ** 2 * spectrum)
         mean[f"{name}_vdv"] = (3 * window) ** 0.25 * weighted.sigma
-        mean[f"{name}_mtvv"] = weighted.largest_running(window)
+        mean[f"{name}_mtvv"] = weighted.largest_running(window, RUNNING)
         mean[f"{name}_crest"] = weighted.largest(window)
     for name in where.suspensions:
-        moments = root(f"{name}_rms", _power(amplitude(name)))
-        mean[f"{name}_peak"] = moments.largest(window) * moments.sigma
+        signal = root(f"{name}_rms", _power(amplitude(name)))
+        mean[f"{name}_peak"] = signal.largest(window) * signal.sigma
         if vehicle.limits.suspension_stroke is not None:
-            mean[f"{name}_at_stops"] = 2 * moments.beyond(vehicle.limits.suspension_stroke)
+            mean[f"{name}_at_stops"] = 2 * signal.beyond(vehicle.limits.suspension_stroke)
     for name in where.tyres:
-        moments = root(dynamic_load(name), _power(amplitude(name)), 1 / static[name])
-        mean[off_ground(name)] = moments.beyond(static[name])
+        signal = root(dynamic_load(name), _power(amplitude(name)), static[name], 1 / static[name])
+        mean[off_ground(name)] = signal.beyond(static[name])
     for name, *ends in where.actuators:
         force = amplitude(name)
-        moments = root(f"{name}_rms", _power(force))
-        mean[f"{name}_peak"] = moments.largest(window) * moments.sigma
+        signal = root(f"{name}_rms", _power(force))
+        mean[f"{name}_peak"] = signal.largest(window) * signal.sigma
         if ends:
             closing = amplitude(ends[0]) - amplitude(ends[1])
-            net = float(share @ np.sum(np.real(force * np.conj(closing)), axis=-1))
-            size = moments.sigma * _Moments(_power(closing), omega, share).sigma
-            mean[power(name)], mean[energy(name)] = net, _positive_part(net, size) * window
-    return Expected(mean, spread)
+            net = float(band.share @ np.sum(np.real(force * np.conj(closing)), axis=-1))
+            size = signal.sigma * float(band.share @ _power(closing)) ** 0.5
+            mean[power(name)], mean[energy(name)] = net, positive_part(net, size) * window
+    return Expected(mean, spread, error)
 
 
-@dataclass(frozen=True, eq=False)
-class _Moments:
-    """A Gaussian signal of one-sided spectrum S(omega) per Hz, shape (F,), at lines of `share` Hz each."""
+def _poles(vehicle: Vehicle, controller: Controller, timestep: float, high: float) -> tuple[Array, float]:
+    """Poles of the sampled loop and of the weighting up to a frequency [rad/s], and what rounding leaves open of the slowest.
 
-    spectrum: Array
-    omega: Array
-    share: Array
-
-    @property
-    def sigma(self) -> float:
-        return float(self.share @ self.spectrum) ** 0.5
-
-    def relative_variance(self, window: float) -> float:
-        """Of the mean square over a window [s], relative to its square. No slower than a constant, whose square varies by 2."""
-        return min(float(self.share @ self.spectrum**2) / (window * (self.sigma or 1.0) ** 4), 2.0)
-
-    def beyond(self, threshold: float) -> float:
-        """Share of time above a threshold."""
-        return float(special.erfc(threshold / (self.sigma * math.sqrt(2)))) / 2 if self.sigma else 0.0
-
-    def largest(self, window: float) -> float:
-        """Expected largest magnitude within a window [s], over sigma."""
-        if not self.sigma:
-            return 0.0
-        m0, m1, m2 = (float(self.share @ (self.omega**k * self.spectrum)) for k in range(3))
-        width = math.sqrt(max(1 - m1**2 / (m0 * m2), 0.0))
-        crossings = math.sqrt(m2 / m0) / math.pi * window
-        if width < 0.69:
-            crossings *= 1.63 * max(width, 0.1) ** 0.45 - 0.38
-        level = math.sqrt(2 * math.log(max(crossings, 2.0)))
-        return level + 0.5772 / level
-
-    def largest_running(self, window: float) -> float:
-        """Expected root of the largest running mean square."""
-        if not self.sigma:
-            return 0.0
-        # The exponential mean over 1 s varies as the plain one over twice as long.
-        shape = 1 / self.relative_variance(2 * RUNNING)
-        count = 3 * max(
-            window / RUNNING, 1.0
-        )  # it comes back about so often: with the square of the level, in sigmas, that it reaches
-        likely = math.exp(-math.exp(-0.5772) / count)
-        return self.sigma * math.sqrt(float(special.gammaincinv(shape, likely)) / shape)
+    A loop that is sampled has every pole again at every multiple of its sampling frequency.
+    """
+    loop, _, _ = implemented_loop(vehicle, controller, timestep)
+    period = timestep * steps_per_sample(vehicle.implementation, timestep)
+    values = np.linalg.eigvals(loop)
+    found = np.log(values[np.abs(values) > 1e-12].astype(complex)) / period
+    again = np.arange(0, math.ceil(high * period / (2 * np.pi)) + 1) * (2j * np.pi / period)
+    weighting = [2 * np.pi * f * (-1 / (2 * q) + 1j * math.sqrt(1 - 1 / (4 * q**2))) for f, q in POLES]
+    doubt = np.finfo(float).eps * len(loop) / (-float(found.real.max()) * period)
+    return np.concatenate([np.add.outer(again, found).ravel(), np.add.outer(again, weighting).ravel()]), doubt
 
 
 def _power(amplitude: Array) -> Array:
-    """Spectrum of a signal from its amplitudes by source, shape (F, 2) to (F,)."""
+    """Spectrum of a signal from its amplitudes by source, shape (..., 2) to (...)."""
     return np.sum(np.abs(amplitude) ** 2, axis=-1)
-
-
-def _positive_part(covariance: float, size: float) -> float:
-    """E max(x y, 0) of two Gaussians of this covariance and this product of standard deviations."""
-    r = min(max(covariance / size, -1.0), 1.0) if size else 0.0
-    return size * (math.sqrt(1 - r**2) + r * math.acos(-r)) / math.pi

@@ -144,6 +144,11 @@ class Iso8608(Road):
         """Spatial frequencies of its lines [cycle/m], shape (K,)."""
         return _frequencies(self.length)
 
+    @property
+    def band(self) -> tuple[float, float]:
+        """The spatial frequencies that its lines stand for [cycle/m]: half a line further out than the first and the last."""
+        return float(self.n[0]) - 0.5 / self.length, float(self.n[-1]) + 0.5 / self.length
+
     @cached_property
     def _left(self) -> Array:
         """exp(i phase) of every line of the left track, shape (K,)."""

@@ -4,14 +4,14 @@ import dataclasses
 
 import numpy as np
 import pytest
-from scipy import linalg
+from scipy import integrate, linalg
 
-import sim.expected
 from models.reality import Limits
 from models.vehicle import read_vehicle
-from sim.expected import expect, settling_time
-from sim.iso8608 import Iso8608
-from sim.linear import driven
+from sim.expected import APPROXIMATE, EXACT, expect, settling_time, sources
+from sim.frequency import sampled_frequency_response
+from sim.iso8608 import Iso8608, long_enough
+from sim.linear import driven, sampled_responses
 from sim.metrics import Meter, measure, metrics_of
 from sim.physics import simulate
 from sim.response import Response
@@ -129,10 +129,8 @@ def test_blocks_and_neighbours_do_not_matter(paper):
 
 @pytest.fixture
 def wide_band(monkeypatch):
-    """Roads with spectra from 1e-6 to 10 000 cycles/m, so that white velocity is white."""
-    monkeypatch.setattr(sim.expected, "LOWEST", 1e-6)
-    monkeypatch.setattr(sim.expected, "HIGHEST", 1e4)
-    monkeypatch.setattr(sim.expected, "LINES", 25_000)
+    """Roads with spectra from 1e-6 to 500 cycles/m, so that white velocity is white, and of endless lines."""
+    monkeypatch.setattr(Iso8608, "band", (1e-6, 500.0))
 
 
 def closed_forms(p, intensity):
@@ -141,6 +139,17 @@ def closed_forms(p, intensity):
     k_s, c_s, k_u = p["suspension_stiffness"], p["suspension_damping"], p["tyre_stiffness"]
     stroke = intensity * (m_s + m_u) / (2 * c_s)
     return stroke, intensity / 2 * ((m_s + m_u) * k_s**2 / (c_s * m_s**2) + k_u * c_s / m_s**2)
+
+
+def clipped_mean_square(sigma):
+    """E min(x, 1)^2 of a Gaussian x, by adaptive quadrature of its definition."""
+
+    def density(x):
+        return np.exp(-((x / sigma) ** 2) / 2) / (sigma * np.sqrt(2 * np.pi))
+
+    below, _ = integrate.quad(lambda x: x**2 * density(x), -12 * sigma, min(1, 12 * sigma), points=[0.0], epsabs=0, epsrel=1e-10)
+    above, _ = integrate.quad(density, 1, 1 + 40 * sigma, epsabs=1e-14)
+    return below + above
 
 
 def white_covariance(vehicle, controller, road):
@@ -178,7 +187,8 @@ def test_closed_forms(textbook, wide_band):
     four_times = expect(textbook, passive, dataclasses.replace(road, road_class="C"), 1e-6, 10.0)
     assert four_times is not None
     for name in found.spread:
-        assert four_times.mean[name] == pytest.approx(4 * found.mean[name])
+        if name != "dynamic_load":  # it stops at 1
+            assert four_times.mean[name] == pytest.approx(4 * found.mean[name])
 
 
 @pytest.mark.parametrize("name", ["quarter_car", "half_car"])
@@ -197,7 +207,9 @@ def test_lyapunov(name, controller, wide_band):
     checked = 0
     for metric in metrics_of(vehicle):
         if metric.name.endswith("_rms") or metric.name.startswith("dynamic_load"):
-            expected = rms[metric.source] / static.get(metric.source, 1.0)
+            expected = rms[metric.source]
+            if metric.source in static:
+                expected = np.sqrt(clipped_mean_square(expected / static[metric.source]))
             assert found.mean[metric.name] == pytest.approx(expected, rel=2e-4, abs=1e-12), metric.name  # the band's ends
             checked += 1
         if metric.name.startswith("control_power") and controller != "passive":
@@ -209,11 +221,115 @@ def test_lyapunov(name, controller, wide_band):
     assert checked > 3
 
 
-def test_one_track_and_two(wide_band):
+@pytest.mark.parametrize("damping", [1e-2, 2e-3, 2e-4, 2e-5])
+def test_lightly_damped(paper, wide_band, damping):
+    """However light the damping of the body, the spectral integral is the Lyapunov equation's covariance."""
+    p = paper.parameters
+    rate = np.sqrt(p["suspension_stiffness"] / p["sprung_mass"])
+    light = dataclasses.replace(paper, parameters=p | {"suspension_damping": 2 * damping * rate * p["sprung_mass"]})
+    passive, road = Designer(light).design("passive"), Iso8608("A", 0, 20.0, length=1e6)
+    found = expect(light, passive, road, 1e-4, 10.0)
+    assert found is not None
+    model, G, P = white_covariance(light, passive, road)
+    rows = model.C + model.D @ G
+    P *= (2 * np.pi * 0.1) ** 2 * 16e-6 * 20 / 2
+    for name in ("suspension_deflection", "sprung_acceleration"):
+        row = rows[model.outputs.index(name)]
+        # The road held over a step: (omega h)^2 / 24 of the wheel's 65 rad/s, 2e-6; and the band's ends
+        assert found.mean[f"{name}_rms"] == pytest.approx(np.sqrt(row @ P @ row), rel=1e-4)
+
+
+@pytest.mark.parametrize(("damping", "short"), [(0.07, False), (2e-4, True)])
+def test_what_an_expectation_is_off_is_said(paper, damping, short):
+    """Where resonances are narrower than the lines of the road are apart, the error says that a sum is no integral."""
+    p = paper.parameters
+    rate = np.sqrt(p["suspension_stiffness"] / p["sprung_mass"])
+    light = dataclasses.replace(paper, parameters=p | {"suspension_damping": 2 * damping * rate * p["sprung_mass"]})
+    found = expect(light, Designer(light).design("passive"), Iso8608("A", 0, 20.0), 1e-3, 10.0)
+    assert found is not None
+    assert (found.error > EXACT) == short
+
+
+def sums_over_lines(vehicle, designed, road):
+    """Root of the mean square of every output over all phases of the road's lines: what linear responses have in the mean."""
+    squares = 0.0
+    density = (2 * np.pi * 0.1) ** 2 * 1024e-6 * road.speed
+    for n in np.array_split(road.n, 1 + len(road.n) // 50_000):
+        omega = 2 * np.pi * road.speed * n
+        amplitudes = sampled_frequency_response(vehicle, designed, omega, 1e-3) @ sources(vehicle, road, omega)
+        squares = squares + density * road.speed / road.length * np.sum(np.abs(amplitudes) ** 2, axis=(0, 2))
+    return dict(zip(vehicle.linear_model.outputs, np.sqrt(squares), strict=True))
+
+
+@pytest.mark.parametrize("name", ["quarter_car", "half_car", "full_car"])
+@pytest.mark.parametrize("controller", ["passive", "I"])
+def test_expected_is_the_sum_over_the_roads_lines(name, controller):
+    """Every rms is the root of the sum over the lines that are driven, from the first to the last."""
+    vehicle = read_vehicle(name)
+    designed, road = Designer(vehicle).design(controller), Iso8608("D", 0, 20.0, track_width(vehicle))
+    found = expect(vehicle, designed, road, 1e-3, 10.0)
+    assert found is not None
+    assert found.error < EXACT
+    for signal, rms in sums_over_lines(vehicle, designed, road).items():
+        if f"{signal}_rms" in found.mean and rms > 1e-9:
+            # second order in the distance of the lines, largest for a force that is large at the lowest: measured 1.2e-4
+            assert found.mean[f"{signal}_rms"] == pytest.approx(rms, rel=2e-4)
+
+
+def test_lightly_damped_sum_over_the_roads_lines(paper):
+    """At a damping of 0.002 of critical, too, if the road is so long that its lines resolve the resonance."""
+    p = paper.parameters
+    rate = np.sqrt(p["suspension_stiffness"] / p["sprung_mass"])
+    light = dataclasses.replace(paper, parameters=p | {"suspension_damping": 4e-3 * rate * p["sprung_mass"]})
+    passive, road = Designer(light).design("passive"), Iso8608("D", 0, 20.0, length=2.0**15)
+    found = expect(light, passive, road, 1e-3, 10.0)
+    assert found is not None
+    assert found.error < EXACT
+    for signal, rms in sums_over_lines(light, passive, road).items():
+        if f"{signal}_rms" in found.mean and rms > 1e-9:
+            assert found.mean[f"{signal}_rms"] == pytest.approx(rms, rel=1e-5)  # lines 32 times closer
+
+
+def linear_metrics(vehicle, designed, road_class, h, window, seeds):
+    """The metrics of linear responses over roads of these seeds, shape (N,) each, and what is expected of them."""
+    first = round(settling_time(vehicle, designed) / h)
+    time = np.arange(first + round(window / h)) * h
+    length = long_enough(20.0 * float(time[-1]))
+    roads = [Iso8608(road_class, seed, 20.0, track_width(vehicle), length) for seed in seeds]
+    meter = Meter([vehicle] * len(roads), h, first)
+    meter.update(np.moveaxis(sampled_responses(vehicle, designed, roads, time).values, 0, -1))
+    expected = expect(vehicle, designed, roads[0], h, window)
+    assert expected is not None
+    return meter.result(), expected
+
+
+@pytest.mark.parametrize("road_class", "DE")
+@pytest.mark.parametrize(("name", "controller"), [("quarter_car", "passive"), ("quarter_car", "I"), ("half_car", "II")])
+def test_linear_response_over_many_seeds(name, controller, road_class):
+    """On roads that tyres leave, too, mean squares of linear responses are those expected, within the spread that is expected."""
+    vehicle = read_vehicle(name)
+    found, expected = linear_metrics(vehicle, Designer(vehicle).design(controller), road_class, 4e-3, 8.0, range(64))
+    for metric, mean in expected.mean.items():
+        if metric in expected.spread and mean:
+            # The spread of a mean square is twice that of its root. 3.5 of the mean's: 99.95 %; a start with 1 % missing
+            allowed = 3.5 * 2 * expected.spread[metric] * mean / np.sqrt(64) + 0.01 * mean**2
+            assert abs((found[metric] ** 2).mean() - mean**2) < allowed, metric
+            assert allowed < 0.25 * mean**2
+            assert found[metric].std(ddof=1) == pytest.approx(expected.spread[metric], rel=0.35)  # of 64: 9 %, four times
+        elif metric.startswith("off_ground"):
+            assert found[metric].mean() == pytest.approx(mean, rel=0.1)
+        elif metric.endswith(APPROXIMATE) and mean:
+            # As `sim/expected.py` says, and three deviations of the mean of 64
+            kind = metric.rsplit("_", 1)[1]
+            off = {"mtvv": 0.025, "crest": 0.05, "peak": 0.11 if (name, controller) == CASES[0][:2] else 0.07}[kind]
+            assert abs(found[metric].mean() - mean) < off * mean + 3 * found[metric].std(ddof=1) / 8, metric
+
+
+def test_one_track_and_two():
     """A full car's two sides fare alike; the further apart its tracks are, the less they cohere and the less it heaves."""
     vehicle = read_vehicle("full_car")
     passive = Designer(vehicle).design("passive")
-    found = [expect(vehicle, passive, Iso8608("C", 0, 20.0, width), 1e-6, 10.0) for width in (0.0, 1.5, 10.0)]
+    found = [expect(vehicle, passive, Iso8608("C", 0, 20.0, width), 1e-3, 10.0) for width in (0.0, 1.5, 10.0)]
     heaves = []
     for one in found:
         assert one is not None
