@@ -31,6 +31,7 @@ from synth.errors import DesignError, InfeasibleError
 from synth.plant import GeneralizedPlant
 from synth.scaling import reachable, size
 from synth.threads import one_thread
+from synth.unseen import unseen
 
 LIMIT = 1e-9
 """Distance mu / eta at which the path counts as having arrived: gains are within 3e-6 of the limit for the paper's problem."""
@@ -51,12 +52,14 @@ class CentralPoint:
         K: gain Y_R X_R^-1, shape (m, q), by (13). It acts on the q coordinates that R spans.
         eta: gamma^-2 of the point; the optimum lies above it, by at most (2 n + d) mu.
         mu: the parameter of the path, relative to eta.
+        proof: an X that proves the bound where X itself does not, for what z does not see only follows the rest in it; else None.
     """
 
     X: Array
     K: Array
     eta: float
     mu: float
+    proof: Array | None = None
 
     @property
     def gamma(self) -> float:
@@ -90,6 +93,12 @@ def along_path(plant: GeneralizedPlant, Q: Array, R: Array, mu: float = LIMIT) -
         raise InputError("the plant has no disturbance: Bw and Dw are zero; name one, or there is nothing to design against")
     if not (np.any(plant.C) or np.any(plant.D)):
         raise InputError("the controlled output is zero: C and D are; give at least one signal a weight above zero")
+    part = unseen(plant, Q, R)
+    if part is not None:  # X may grow there without bound: the path is that of the rest
+        for point in along_path(part.rest, part.Q, part.R, mu):
+            proof = part.proof(point.K, point.X if point.proof is None else point.proof, point.eta)
+            yield CentralPoint(part.followed(point.K, point.X, point.eta), part.gain(point.K), point.eta, point.mu, proof)
+        return
     with one_thread():
         path = _Path(plant, Q, R)
         path.find_feasible_point()

@@ -7,7 +7,7 @@ import numpy as np
 from models.arrays import Array
 from synth.bounded_real import bounded_real_matrix
 from synth.lower_bound import LowerBound
-from synth.norm import Norm, hinf_norm
+from synth.norm import Norm, balance, hinf_norm
 from synth.plant import GeneralizedPlant
 
 FASTEST = 100.0  # times the plant: an actuator of such a speed hardly exists
@@ -136,14 +136,16 @@ def certify(
 
 
 def _norm_rounding(loop: GeneralizedPlant) -> float:
-    """What rounding makes of a transfer function that is zero: its terms, C V and V^-1 Bw over the poles, no longer cancel."""
-    poles, vectors = np.linalg.eig(loop.A)
+    """What rounding makes of a transfer function that is zero: a mode that z does not see, or w does not drive, is seen a little."""
+    A, scale = balance(loop.A)
+    poles, vectors = np.linalg.eig(A)
     try:
-        driven = np.linalg.solve(vectors, loop.Bw.astype(complex))
+        left = np.linalg.inv(vectors)
     except np.linalg.LinAlgError:  # a double pole without a second eigenvector
         return 0.0
-    size = np.linalg.norm(loop.C @ vectors, axis=0) * np.linalg.norm(driven, axis=1) / np.maximum(-np.real(poles), 1e-300)
-    return float(100 * np.finfo(float).eps * size.sum()) if len(poles) else 0.0
+    passes = np.linalg.norm(loop.C * scale) * np.linalg.norm(loop.Bw / scale[:, None])
+    size = np.linalg.norm(vectors, axis=0) * np.linalg.norm(left, axis=1) / np.maximum(-np.real(poles), 1e-300)
+    return float(100 * np.finfo(float).eps * passes * size.sum()) if len(poles) else 0.0
 
 
 def _pole(pole: complex) -> str:

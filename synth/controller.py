@@ -12,7 +12,7 @@ from models.linear_model import LinearModel
 from models.vehicle import ControllerEntry, Vehicle
 from synth.central import CentralPoint
 from synth.certificate import Certificate, certify
-from synth.design import Design, furthest, state_path, two_step_design, zero_l_design
+from synth.design import Design, state_design, state_path, two_step_design, zero_l_design
 from synth.errors import DesignError
 from synth.full_order import best_possible
 from synth.lower_bound import LowerBound
@@ -35,6 +35,7 @@ class Controller:
             optimum is reached only by gains beyond any actuator.
         redundant: the signals among `measured` that follow from the others; their gain is zero.
         certificate: what is true of it.
+        case: what is the case where (22) has no optimum, or every gain is one, in words; else empty.
     """
 
     name: str
@@ -45,6 +46,7 @@ class Controller:
     short: float = 0.0
     stopped: float = 0.0
     redundant: tuple[str, ...] = ()
+    case: str = ""
 
     def state_gain(self, vehicle: Vehicle) -> Array:
         """G = K C_y (6) for a vehicle that has these signals, shape (m, n)."""
@@ -133,7 +135,7 @@ class Designer:
         try:
             lower = self.best_possible(entry.measured)
             if name == "state":
-                design = furthest(self.plant, Cy, self.state_path, lower)
+                design = state_design(self.plant, self.state_path, lower)
             elif zero_l:
                 design = zero_l_design(self.plant, Cy, lower)
             else:
@@ -199,7 +201,17 @@ class Designer:
 
 def _designed(entry: ControllerEntry, design: Design) -> Controller:
     redundant = tuple(entry.measured[i] for i in design.redundant)
-    return Controller(entry.name, entry.measured, design.gain, True, design.certificate, design.short, design.stopped, redundant)
+    return Controller(
+        entry.name,
+        entry.measured,
+        design.gain,
+        designed=True,
+        certificate=design.certificate,
+        short=design.short,
+        stopped=design.stopped,
+        redundant=redundant,
+        case=design.case,
+    )
 
 
 def given(vehicle: Vehicle, name: str, measured: Sequence[str], gain: Sequence[Sequence[float]]) -> Controller:

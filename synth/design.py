@@ -1,7 +1,7 @@
 """A design with its certificate, for any plant: state feedback, and the two steps from where on the path they lead to a gain."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,7 +14,11 @@ from synth.lower_bound import LowerBound
 from synth.modes import obstacles
 from synth.output_feedback import independent_rows, l_matrix, nullspace, output_feedback
 from synth.plant import GeneralizedPlant
+from synth.posed import no_path, posed
+from synth.riccati import proved
 from synth.state_feedback import state_feedback
+
+SAME = 1e-9  # relative: how far rounding takes a gain from one that is made of measurements
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +33,7 @@ class Design:
         stopped: how far from the optimum of its own problem the gain was taken, relative in gamma: 0 at the limit, more where the
             optimum is reached only by gains beyond any actuator.
         redundant: rows of C_y that follow from others, by index; their gain is zero.
+        case: what is the case where (22) has no optimum, or every gain is one, in words; else empty.
     """
 
     gain: Array
@@ -36,10 +41,11 @@ class Design:
     short: float = 0.0
     stopped: float = 0.0
     redundant: tuple[int, ...] = ()
+    case: str = ""
 
 
 def state_path(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[CentralPoint]:
-    """The central path of (22).
+    """The central path of (22), or of the problem beside it where that has no optimum (`posed.py`).
 
     Args:
         plant: n states, m inputs.
@@ -47,12 +53,34 @@ def state_path(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[Cent
 
     Raises:
         InfeasibleError: the plant cannot be stabilised; the message names the mode.
-        DesignError: the path could not be followed.
+        DesignError: there is no path, and the message says why, or it could not be followed.
     """
     try:
-        return state_feedback(plant)
+        return state_feedback(posed(plant).plant)
     except InfeasibleError as error:
         raise InfeasibleError("; ".join(obstacles(plant, None, states)) or str(error)) from error
+    except DesignError as error:
+        raise DesignError("; ".join(no_path(plant, states)) or str(error)) from error
+
+
+def state_design(
+    plant: GeneralizedPlant, path: Sequence[CentralPoint] = (), lower: LowerBound | None = None, states: Sequence[str] = ()
+) -> Design:
+    """State feedback, the optimum of (22).
+
+    Args:
+        plant: n states, m inputs.
+        path: of `state_path`, if it is there already.
+        lower: what no controller of this kind can beat, for the certificate.
+        states: names of the states, for messages.
+
+    Raises:
+        InfeasibleError, DesignError: as `state_path`, or no certificate holds.
+    """
+    problem, everything = posed(plant), np.eye(len(plant.A))
+    if problem.best is not None:
+        return Design(problem.best, proved(plant, problem.best, lower), case=problem.case)
+    return replace(furthest(plant, everything, path or state_path(plant, states), lower), case=problem.case)
 
 
 def furthest(plant: GeneralizedPlant, Cy: Array, path: Sequence[CentralPoint], lower: LowerBound | None = None) -> Design:
@@ -65,7 +93,7 @@ def furthest(plant: GeneralizedPlant, Cy: Array, path: Sequence[CentralPoint], l
     """
     first, beyond = None, []
     for point in reversed(path):
-        certificate = certify(plant, point.K @ Cy, point.X, point.eta, lower)
+        certificate = certify(plant, point.K @ Cy, point.X if point.proof is None else point.proof, point.eta, lower)
         if not certificate.failures:
             design = Design(point.K, certificate, stopped=point.gamma / path[-1].gamma - 1)
             if not certificate.beyond_actuators:
@@ -104,6 +132,11 @@ def two_step_design(
         DesignError: no certificate holds.
     """
     Cy, kept = measurement(plant, Cy)
+    problem = posed(plant)
+    K = problem.best @ np.linalg.pinv(Cy[kept]) if problem.best is not None else None
+    if K is not None and np.allclose(K @ Cy[kept], problem.best, rtol=0, atol=SAME * np.linalg.norm(problem.best)):
+        best = Design(K, proved(plant, K @ Cy[kept], lower), case=problem.case)
+        return widened(best, kept, len(Cy), 0.0)
     path = path or state_path(plant, states)
     Q = nullspace(Cy[kept])
     failures: list[DesignError] = []
@@ -111,11 +144,11 @@ def two_step_design(
     for start in reversed(path):
         L = l_matrix(start.X, Cy[kept], Q)
         try:
-            found = furthest(plant, Cy[kept], output_feedback(plant, Cy[kept], L, Q), lower)
+            found = furthest(plant, Cy[kept], output_feedback(problem.plant, Cy[kept], L, Q), lower)
         except DesignError as error:
             failures.append(error)
             continue
-        found = widened(found, kept, len(Cy), start.gamma / path[-1].gamma - 1)
+        found = widened(replace(found, case=problem.case), kept, len(Cy), start.gamma / path[-1].gamma - 1)
         if not found.certificate.beyond_actuators:
             return found
         beyond.append(found)
@@ -160,4 +193,4 @@ def widened(design: Design, kept: Sequence[int], q: int, short: float) -> Design
     """A design from some of q measurements as one from all of them, with a gain of zero for the others."""
     gain = np.zeros((len(design.gain), q))
     gain[:, kept] = design.gain
-    return Design(gain, design.certificate, short, design.stopped, tuple(i for i in range(q) if i not in kept))
+    return replace(design, gain=gain, short=short, redundant=tuple(i for i in range(q) if i not in kept))

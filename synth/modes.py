@@ -47,23 +47,24 @@ def obstacles(plant: GeneralizedPlant, Cy: Array | None = None, states: Sequence
     """
     names = list(states) or [f"x{i + 1}" for i in range(len(plant.A))]
     found = [
-        f"the plant cannot be stabilised: no input reaches the mode at {_rate(pole)}, which does not decay and shows most in "
-        f"{_largest(vector, names)}; add an actuator that acts on it, or take it out of the model"
+        f"the plant cannot be stabilised: no input reaches the mode at {rate(pole)}, which does not decay and shows most in "
+        f"{largest(vector, names)}; add an actuator that acts on it, or take it out of the model"
         for pole, vector in unreached(plant.A, plant.B)
     ]
     if Cy is not None:
         found += [
-            f"the plant cannot be stabilised from what is measured: no measurement shows the mode at {_rate(pole)}, which does "
-            f"not decay and moves most in {_largest(vector, names)}; measure a signal that it is seen in"
+            f"the plant cannot be stabilised from what is measured: no measurement shows the mode at {rate(pole)}, which does "
+            f"not decay and moves most in {largest(vector, names)}; measure a signal that it is seen in"
             for pole, vector in unreached(plant.A.T, Cy.T)
         ]
     return found
 
 
-def _largest(vector: Array, names: Sequence[str]) -> str:
+def largest(vector: Array, names: Sequence[str]) -> str:
     """The state with the largest part of an eigenvector."""
     return names[int(np.argmax(np.abs(vector)))]
 
 
-def _rate(pole: complex) -> str:
+def rate(pole: complex) -> str:
+    """An eigenvalue in words."""
     return f"{pole.real:.4g}{abs(pole.imag):+.4g}j rad/s" if pole.imag else f"{pole.real:.4g} rad/s"

@@ -11,7 +11,7 @@ import numpy as np
 
 from models.arrays import Array
 from synth.central import CentralPoint
-from synth.design import Design, furthest, measurement, state_path, two_step_design, widened
+from synth.design import Design, furthest, measurement, state_design, two_step_design, widened
 from synth.errors import DesignError
 from synth.many import path_limits
 from synth.output_feedback import l_matrix, nullspace, output_feedback, r_matrix
@@ -41,7 +41,7 @@ def state_designs(
         len(plants),
         _state_limits(nominal, nominal_path, plants),
         lambda i, point: furthest(plants[i], Cy, [point]),
-        lambda i: furthest(plants[i], Cy, state_path(plants[i], states)),
+        lambda i: state_design(plants[i], states=states),
     )
 
 
@@ -113,7 +113,9 @@ def _output_limits(
 def _limits(
     plants: Sequence[GeneralizedPlant], which: Sequence[int], Q: Array, R: Array, nominal_path: Path
 ) -> dict[int, CentralPoint]:
-    """`path_limits` of some of the plants, by their index among all."""
+    """`path_limits` of some of the plants, by their index among all; of none where the nominal one shows z only some states."""
+    if any(point.proof is not None for point in nominal_path):
+        return {}
     nominal = min(nominal_path, key=lambda point: abs(np.log(point.mu / SHORT)))
     return {which[i]: point for i, point in path_limits([plants[i] for i in which], Q, R, nominal).items()}
 

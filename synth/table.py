@@ -99,8 +99,8 @@ def detail_lines(row: Row) -> list[str]:
 
 
 def notes(controller: Controller) -> tuple[str, ...]:
-    """How far from its optimum a design had to stop, and what it measures in vain."""
-    found = []
+    """What is the case where there is no one optimum, how far from it a design had to stop, and what it measures in vain."""
+    found = [controller.case] if controller.case else []
     if controller.short > SHORT:
         found.append(f"from an X {percent(controller.short)} short of the best state feedback; from the best there is no design")
     if controller.stopped > SHORT:

@@ -1,0 +1,126 @@
+"""Plants that leave problem (22) without an optimum, or every gain one: what is the case, and a problem beside it that has one.
+
+- **w does not reach z**, or some gain keeps it out: a norm of 0 is reached, and eta has no bound. Then every state that z sees is
+  disturbed by itself, too.
+- **No control force reaches z**: the norm is the same for all gains. Then every state and every force counts, too.
+
+The gain is certified for the plant as it is: an X that proves a bound with more disturbances and outputs proves it with fewer.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.arrays import Array
+from synth.modes import largest, rate
+from synth.norm import balance, is_stable
+from synth.plant import GeneralizedPlant
+from synth.scaling import size
+from synth.unseen import RANK, hidden, nulling, unseen
+
+
+@dataclass(frozen=True, eq=False)
+class Posed:
+    """A problem that has an optimum.
+
+    Attributes:
+        plant: to be designed for; the given one, but in the two cases above.
+        case: what is the case, in words; empty where neither is.
+        best: a state gain that nothing beats, shape (m, n), where one is known.
+    """
+
+    plant: GeneralizedPlant
+    case: str = ""
+    best: Array | None = None
+
+
+def posed(plant: GeneralizedPlant) -> Posed:
+    """The problem (22) of a plant, or one beside it."""
+    if not (np.any(plant.Bw) or np.any(plant.Dw)) or not (np.any(plant.C) or np.any(plant.D)):
+        return Posed(plant)  # bad input, and the central path says so
+    scale = balance(plant.A)[1]
+    balanced, nothing = plant.in_coordinates(np.diag(scale)), np.zeros_like(plant.B.T)
+    blind = hidden(balanced, nothing)[1]  # what z does not see without control
+    alone = nothing if is_stable(plant.A) else None
+    everything = _counting(_disturbed(plant, np.diag(scale)), scale)
+
+    if not np.any(plant.D) and not _leaves(balanced.B, blind):
+        said = "no control force reaches z: its norm is the same for every gain"
+        return Posed(everything, f"{said}, also for none" if alone is not None else f"{said} that stabilises the plant", alone)
+
+    kept, rest, F = _seen(balanced)
+    direct = bool(np.any(plant.Dw))
+    if len(rest.A) and (direct or _leaves(balanced.Bw, blind, kept @ rest.Bw)):
+        return Posed(plant)
+    beside = _disturbed(plant, scale[:, None] * kept) if len(rest.A) else everything
+    how = "only through Dw" if direct else "in no way"
+    if not _leaves(balanced.Bw, blind):
+        said = f"w reaches z {how} without control"
+        return Posed(beside, f"{said}, and none is best" if alone is not None else f"{said}, but the plant is not stable", alone)
+    keeps = F / scale
+    best = keeps if is_stable(plant.closed_loop(keeps).A) else None
+    return Posed(beside, f"with the right state feedback w reaches z {how}", best)
+
+
+def no_path(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[str]:
+    """Why (22) has no central path although the plant can be stabilised, in words; empty where no reason is known.
+
+    Args:
+        plant: n states, m inputs.
+        states: names of the states; x1, x2, ... without them.
+    """
+    scale = balance(plant.A)[1]
+    balanced, names = plant.in_coordinates(np.diag(scale)), list(states) or [f"x{i + 1}" for i in range(len(plant.A))]
+    _, rest, _ = _seen(balanced)
+    W = rest.independent_inputs()
+    rank = int(np.linalg.matrix_rank(rest.D @ W, RANK * size(rest.D))) if W.shape[1] else 0
+    if rank < W.shape[1]:
+        return [
+            f"some control force costs nothing: z weighs {rank} of {W.shape[1]} independent ones, so that the gain of the optimum "
+            "has no bound; give every control force a weight"
+        ]
+    for F in nulling(balanced):
+        V, A = hidden(balanced, F)[1], balanced.closed_loop(F).A
+        poles, vectors = np.linalg.eig(V.T @ A @ V) if V.shape[1] else (np.zeros(0), V)
+        for pole, vector in zip(poles, vectors.T, strict=True):
+            if abs(pole.real) <= RANK * size(A):
+                return [
+                    f"z does not see the mode at {rate(pole)}, which does not decay and moves most in "
+                    f"{largest(scale * (V @ vector), names)}: the optimum would let it be, and is not stable; weigh a signal that "
+                    "it is seen in, or take it out of the model"
+                ]
+    return []
+
+
+def _seen(plant: GeneralizedPlant) -> tuple[Array, GeneralizedPlant, Array]:
+    """What `unseen` leaves of a plant for (22): its coordinates, shape (n, k), its plant, and the gain that keeps the rest out of z."""
+    kept, parts = np.eye(len(plant.A)), []
+    while (part := unseen(plant, np.zeros((len(plant.A), 0)), np.eye(len(plant.A)))) is not None:
+        kept, plant, parts = kept @ part.Z[:, : len(part.rest.A)], part.rest, [*parts, part]
+    F = np.zeros_like(plant.B.T)
+    for part in reversed(parts):
+        F = part.gain(F)
+    return kept, plant, F
+
+
+def _leaves(inputs: Array, inside: Array, what: Array | None = None) -> bool:
+    """Whether inputs drive anything outside a set of states; or `what` of them does, where that is given."""
+    outside = inputs - inside @ (inside.T @ inputs) if what is None else what
+    return bool(np.any(np.linalg.norm(outside, axis=0) > RANK * np.linalg.norm(inputs, axis=0)))
+
+
+def _disturbed(plant: GeneralizedPlant, where: Array) -> GeneralizedPlant:
+    """With disturbances that act on the states as the columns of `where` say."""
+    Bw = np.hstack([plant.Bw, size(plant.Bw) * where])
+    return GeneralizedPlant(plant.A, plant.B, Bw, plant.C, plant.D, np.hstack([plant.Dw, np.zeros((len(plant.C), where.shape[1]))]))
+
+
+def _counting(plant: GeneralizedPlant, scale: Array) -> GeneralizedPlant:
+    """With every state and every input in z, each in its own size."""
+    n, m = plant.B.shape
+    states, inputs = np.diag(1 / scale), np.eye(m) * size(plant.B / scale[:, None]) / size(plant.A)
+    weight = size(plant.C * scale)
+    C = np.vstack([plant.C, weight * states, np.zeros((m, n))])
+    D = np.vstack([plant.D, np.zeros((n, m)), weight * inputs])
+    return GeneralizedPlant(plant.A, plant.B, plant.Bw, C, D, np.vstack([plant.Dw, np.zeros((n + m, plant.Dw.shape[1]))]))
