@@ -93,6 +93,8 @@ def along_path(plant: GeneralizedPlant, Q: Array, R: Array, mu: float = LIMIT) -
         raise InputError("the plant has no disturbance: Bw and Dw are zero; name one, or there is nothing to design against")
     if not (np.any(plant.C) or np.any(plant.D)):
         raise InputError("the controlled output is zero: C and D are; give at least one signal a weight above zero")
+    if not len(plant.A):
+        raise DesignError("z sees no state that a gain does not keep out of it: every such gain is an optimum")
     part = unseen(plant, Q, R)
     if part is not None:  # X may grow there without bound: the path is that of the rest
         for point in along_path(part.rest, part.Q, part.R, mu):

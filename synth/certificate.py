@@ -136,7 +136,7 @@ def certify(
 
 
 def _norm_rounding(loop: GeneralizedPlant) -> float:
-    """What rounding makes of a transfer function that is zero: a mode that z does not see, or w does not drive, is seen a little."""
+    """What rounding makes of a transfer function that is zero: the parts that are 0 are not quite."""
     A, scale = balance(loop.A)
     poles, vectors = np.linalg.eig(A)
     try:

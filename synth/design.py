@@ -79,7 +79,7 @@ def state_design(
     """
     problem, everything = posed(plant), np.eye(len(plant.A))
     if problem.best is not None:
-        return Design(problem.best, proved(plant, problem.best, lower), case=problem.case)
+        return Design(problem.best, proved(plant, problem.best, lower), case=problem.best_case)
     return replace(furthest(plant, everything, path or state_path(plant, states), lower), case=problem.case)
 
 
@@ -133,10 +133,11 @@ def two_step_design(
     """
     Cy, kept = measurement(plant, Cy)
     problem = posed(plant)
-    K = problem.best @ np.linalg.pinv(Cy[kept]) if problem.best is not None else None
-    if K is not None and np.allclose(K @ Cy[kept], problem.best, rtol=0, atol=SAME * np.linalg.norm(problem.best)):
-        best = Design(K, proved(plant, K @ Cy[kept], lower), case=problem.case)
-        return widened(best, kept, len(Cy), 0.0)
+    if problem.best is not None:
+        K = problem.best @ np.linalg.pinv(Cy[kept])
+        if np.linalg.norm(K @ Cy[kept] - problem.best) <= SAME * np.linalg.norm(problem.best):
+            best = Design(K, proved(plant, K @ Cy[kept], lower), case=problem.best_case)
+            return widened(best, kept, len(Cy), 0.0)
     path = path or state_path(plant, states)
     Q = nullspace(Cy[kept])
     failures: list[DesignError] = []

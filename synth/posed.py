@@ -19,6 +19,8 @@ from synth.plant import GeneralizedPlant
 from synth.scaling import size
 from synth.unseen import RANK, hidden, nulling, unseen
 
+INSTEAD = "designed against a disturbance of every state that z sees"
+
 
 @dataclass(frozen=True, eq=False)
 class Posed:
@@ -26,13 +28,15 @@ class Posed:
 
     Attributes:
         plant: to be designed for; the given one, but in the two cases above.
-        case: what is the case, in words; empty where neither is.
+        case: what is the case of a gain designed for it, in words; empty where neither is.
         best: a state gain that nothing beats, shape (m, n), where one is known.
+        best_case: what is the case of that gain.
     """
 
     plant: GeneralizedPlant
     case: str = ""
     best: Array | None = None
+    best_case: str = ""
 
 
 def posed(plant: GeneralizedPlant) -> Posed:
@@ -47,7 +51,7 @@ def posed(plant: GeneralizedPlant) -> Posed:
 
     if not np.any(plant.D) and not _leaves(balanced.B, blind):
         said = "no control force reaches z: its norm is the same for every gain"
-        return Posed(everything, f"{said}, also for none" if alone is not None else f"{said} that stabilises the plant", alone)
+        return Posed(everything, f"{said} that stabilises the plant", alone, f"{said}; none is applied")
 
     kept, rest, F = _seen(balanced)
     direct = bool(np.any(plant.Dw))
@@ -56,11 +60,10 @@ def posed(plant: GeneralizedPlant) -> Posed:
     beside = _disturbed(plant, scale[:, None] * kept) if len(rest.A) else everything
     how = "only through Dw" if direct else "in no way"
     if not _leaves(balanced.Bw, blind):
-        said = f"w reaches z {how} without control"
-        return Posed(beside, f"{said}, and none is best" if alone is not None else f"{said}, but the plant is not stable", alone)
-    keeps = F / scale
-    best = keeps if is_stable(plant.closed_loop(keeps).A) else None
-    return Posed(beside, f"with the right state feedback w reaches z {how}", best)
+        said = f"without control w reaches z {how}"
+        return Posed(beside, f"{said}, but the plant is not stable; {INSTEAD}", alone, f"{said}; none is applied")
+    best = F / scale if is_stable(plant.closed_loop(F / scale).A) else None
+    return Posed(beside, f"with the right state feedback w reaches z {how}; {INSTEAD}", best, f"with this gain w reaches z {how}")
 
 
 def no_path(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[str]:
@@ -77,8 +80,8 @@ def no_path(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[str]:
     rank = int(np.linalg.matrix_rank(rest.D @ W, RANK * size(rest.D))) if W.shape[1] else 0
     if rank < W.shape[1]:
         return [
-            f"some control force costs nothing: z weighs {rank} of {W.shape[1]} independent ones, so that the gain of the optimum "
-            "has no bound; give every control force a weight"
+            f"some control force costs nothing: z weighs {rank} of {W.shape[1]} independent ones, so that nothing bounds the "
+            "gain of the optimum; give every control force a weight"
         ]
     for F in nulling(balanced):
         V, A = hidden(balanced, F)[1], balanced.closed_loop(F).A
@@ -87,14 +90,14 @@ def no_path(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[str]:
             if abs(pole.real) <= RANK * size(A):
                 return [
                     f"z does not see the mode at {rate(pole)}, which does not decay and moves most in "
-                    f"{largest(scale * (V @ vector), names)}: the optimum would let it be, and is not stable; weigh a signal that "
-                    "it is seen in, or take it out of the model"
+                    f"{largest(scale * (V @ vector), names)}: the optimum would let it be, and is not stable; weigh a signal "
+                    "that it is seen in, or take it out of the model"
                 ]
     return []
 
 
 def _seen(plant: GeneralizedPlant) -> tuple[Array, GeneralizedPlant, Array]:
-    """What `unseen` leaves of a plant for (22): its coordinates, shape (n, k), its plant, and the gain that keeps the rest out of z."""
+    """What `unseen` leaves of a plant for (22): its coordinates, shape (n, k), its plant; and the gain that hides the rest."""
     kept, parts = np.eye(len(plant.A)), []
     while (part := unseen(plant, np.zeros((len(plant.A), 0)), np.eye(len(plant.A)))) is not None:
         kept, plant, parts = kept @ part.Z[:, : len(part.rest.A)], part.rest, [*parts, part]
@@ -113,7 +116,9 @@ def _leaves(inputs: Array, inside: Array, what: Array | None = None) -> bool:
 def _disturbed(plant: GeneralizedPlant, where: Array) -> GeneralizedPlant:
     """With disturbances that act on the states as the columns of `where` say."""
     Bw = np.hstack([plant.Bw, size(plant.Bw) * where])
-    return GeneralizedPlant(plant.A, plant.B, Bw, plant.C, plant.D, np.hstack([plant.Dw, np.zeros((len(plant.C), where.shape[1]))]))
+    return GeneralizedPlant(
+        plant.A, plant.B, Bw, plant.C, plant.D, np.hstack([plant.Dw, np.zeros((len(plant.C), where.shape[1]))])
+    )
 
 
 def _counting(plant: GeneralizedPlant, scale: Array) -> GeneralizedPlant:

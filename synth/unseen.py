@@ -103,15 +103,13 @@ def unseen(plant: GeneralizedPlant, Q: Array, R: Array) -> Unseen | None:
         k, left = out_q.shape[1], in_q.shape[1] + in_r.shape[1]
         if not left:
             continue
-        Z = np.hstack([linalg.block_diag(out_q, out_r), in_q, in_r])
+        Z = np.hstack([np.asarray(linalg.block_diag(out_q, out_r)), in_q, in_r])
         F_r = F @ in_r @ in_r.T
         whole = moved.closed_loop(F_r).in_coordinates(Z)
         n = len(whole.A) - left
         rest = GeneralizedPlant(whole.A[:n, :n], whole.B[:n], whole.Bw[:n], whole.C[:, :n], whole.D, whole.Dw)
         kept = np.eye(n)
-        return Unseen(
-            rest, kept[:, :k], kept[:, k:], T / lengths @ Z, whole, out_r.T * lengths[a:], F_r[:, a:] * lengths[a:]
-        )
+        return Unseen(rest, kept[:, :k], kept[:, k:], T / lengths @ Z, whole, out_r.T * lengths[a:], F_r[:, a:] * lengths[a:])
     return None
 
 
@@ -146,20 +144,18 @@ def hidden(plant: GeneralizedPlant, F: Array) -> tuple[Array, Array]:
     if not V.shape[1]:
         return V, V
     slow = RANK * size  # to rounding such a mode does not decay
-    _, vectors, count = linalg.schur(V.T @ loop.A @ V, sort=lambda real, imaginary: real < -slow)
+    _, vectors, count = linalg.schur(V.T @ loop.A @ V, sort=lambda real, imaginary: real < -slow)  # pyright: ignore[reportAssignmentType]
     return V @ vectors[:, :count], V
 
 
 def _structured(plant: GeneralizedPlant, F: Array, V: Array, a: int) -> tuple[Array, Array]:
-    """The largest part of V that A + B F keeps and that is a sum of one in the first `a` coordinates, where F is 0, and the rest."""
+    """The largest part of V that A + B F keeps, a sum of one in the first `a` coordinates, where F is 0, and another."""
     loop, size = plant.closed_loop(F), float(np.linalg.norm(plant.A)) or 1.0
     in_q, in_r = V @ _null(V[a:]), V @ _null(V[:a])
     in_q = in_q @ _null(F @ in_q / (np.linalg.norm(F) or 1.0))
     while True:
         both = np.hstack([in_q, in_r])
-        less_q, less_r = (
-            part @ _null((loop.A @ part - both @ (both.T @ loop.A @ part)) / size) for part in (in_q, in_r)
-        )
+        less_q, less_r = (part @ _null((loop.A @ part - both @ (both.T @ loop.A @ part)) / size) for part in (in_q, in_r))
         if less_q.shape == in_q.shape and less_r.shape == in_r.shape:
             return in_q, in_r
         in_q, in_r = less_q, less_r

@@ -55,6 +55,21 @@ def test_text_names_the_flat_optimum_and_the_limit(capsys):
     assert "limit: no control force changes z's answer to the road at 63.757 rad/s, 7.836458 (invariant point)" in text
 
 
+def test_the_case_is_said(capsys, tmp_path):
+    """Where nothing but the force counts none is best, and every designed controller's row says so, in text as in JSON."""
+    file = tmp_path / "car.toml"
+    head, _, tail = read_vehicle("quarter_car").text.partition("[performance]")
+    file.write_text(f"{head}[performance]\ncontrol_force = 1e-4\n[controllers.I]{tail.partition('[controllers.I]')[2]}")
+    code, found = table(capsys, "--vehicle", str(file), "--controller", "state", "--controller", "I")
+    assert code == 0
+    for row in found["controllers"]:
+        assert row["notes"] == ["without control w reaches z in no way; none is applied"]
+        assert row["norm"] == 0
+        assert not any(map(any, row["gain"]))
+    assert main(["--vehicle", str(file), "--controller", "I"]) == 0
+    assert "\n  without control w reaches z in no way; none is applied\n" in capsys.readouterr().out
+
+
 def test_remark_4(capsys):
     """With L = 0 neither controller can be designed, and each says why."""
     code, found = table(capsys, "--zero-l")

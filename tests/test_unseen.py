@@ -1,8 +1,9 @@
 """Plants with states that z does not see, and with nothing to be gained: a certified gain, or a reason that is true."""
 
+import contextlib
+
 import numpy as np
 import pytest
-from scipy import linalg
 
 from synth.design import Design, state_design, state_path, two_step_design
 from synth.errors import DesignError
@@ -48,7 +49,12 @@ def drawn(seed: int) -> tuple[str, GeneralizedPlant, np.ndarray]:
     C = np.vstack([rng.standard_normal((2, n)), np.zeros((m, n))])
     D = np.vstack([np.zeros((2, m)), np.eye(m)])
     plant = GeneralizedPlant(
-        A, rng.standard_normal((n, m)), rng.standard_normal((n, r)), C, D, rng.choice([0.0, 0.2]) * rng.standard_normal((2 + m, r))
+        A,
+        rng.standard_normal((n, m)),
+        rng.standard_normal((n, r)),
+        C,
+        D,
+        rng.choice([0.0, 0.2]) * rng.standard_normal((2 + m, r)),
     )
     A2 = rng.standard_normal((k, k))
     A2 -= (np.linalg.eigvals(A2).real.max() + rng.uniform(0.1, 3)) * np.eye(k)
@@ -75,7 +81,116 @@ def drawn(seed: int) -> tuple[str, GeneralizedPlant, np.ndarray]:
     plant = GeneralizedPlant(**parts)
     if family != "plain":
         plant = beside(plant, A2, *drives)
-    T = linalg.block_diag(*[np.eye(0)]) if family == "low-pass" else rng.standard_normal((len(plant.A),) * 2)
-    if T.size:
-        plant = plant.in_coordinates(T)
+    if family != "low-pass":
+        plant = plant.in_coordinates(rng.standard_normal((len(plant.A),) * 2))
     return family, plant, rng.standard_normal((int(rng.integers(1, len(plant.A) + 1)), len(plant.A)))
+
+
+@pytest.mark.parametrize("driven", [(0, 0, 0), (1, 0, 0), (1, 1, 0), (1, 1, 1), (0, 1, 0), (0, 0, 1)])
+def test_a_state_that_z_does_not_see_changes_nothing(driven, designer):
+    """Beside a plant it gets no gain, and the other gains, the bound and the norm are those of the plant without it."""
+    rng = np.random.default_rng(1)
+    for plant, Cy in ((README, np.array([[0.0, 1.0]])), (designer.plant, np.eye(4)[[0, 2]])):
+        n, m, r = len(plant.A), plant.B.shape[1], plant.Bw.shape[1]
+        drives = [on * rng.standard_normal((2, size)) for on, size in zip(driven, (n, m, r), strict=True)]
+        wide = beside(plant, np.array([[-3.0, 1.0], [-1.0, -3.0]]), *drives)
+        path, without = state_path(wide), state_path(plant)
+        assert path[-1].gamma == pytest.approx(without[-1].gamma, rel=1e-9)
+        assert not np.any(path[-1].K[:, n:])
+        np.testing.assert_allclose(
+            path[-1].K[:, :n], without[-1].K, rtol=1e-4
+        )  # where the path is stopped: 3e-6, relative to all
+        found, alone = two_step_design(wide, np.hstack([Cy, np.zeros((len(Cy), 2))])), two_step_design(plant, Cy)
+        np.testing.assert_allclose(found.gain, alone.gain, rtol=1e-4)  # likewise
+        assert found.certificate.failures == ()
+        assert found.certificate.bound == pytest.approx(alone.certificate.bound, rel=1e-7)
+
+
+@pytest.mark.parametrize("measured", [[[0.0, 0, 1]], [[0.0, 1, 1]], [[0.0, 1, 0], [0, 0, 1]]])
+def test_a_lag_that_is_measured(measured):
+    """A sensor's own state, which z does not see but y does: the gain on it is certified and beats no control."""
+    plant = beside(README, np.array([[-3.0]]), np.array([[0.0, 1.0]]), np.array([[0.0]]), np.array([[1.0]]))
+    design = two_step_design(plant, np.array(measured))
+    assert design.certificate.failures == ()
+    assert design.certificate.norm.value < 0.5 * gain_at(plant, np.linspace(0, 10, 2001)).max()
+
+
+@pytest.mark.parametrize("seed", range(len(FAMILIES)))
+def test_a_gain_or_the_truth(seed):
+    """Of every family: a certified gain, or a reason that an independent computation confirms."""
+    check(*drawn(seed))
+
+
+@pytest.mark.attack
+@pytest.mark.parametrize("first", range(0, 400, 50))
+def test_hundreds_of_plants(first):
+    """So of 400 random plants."""
+    for seed in range(first, first + 50):
+        check(*drawn(seed))
+
+
+def check(family: str, plant: GeneralizedPlant, Cy: np.ndarray) -> None:
+    """One plant: state feedback, and output feedback from what is measured."""
+    for y, find in ((np.eye(len(plant.A)), lambda: state_design(plant)), (Cy, lambda: two_step_design(plant, Cy))):
+        try:
+            design = find()
+        except DesignError as error:
+            assert_true(str(error), plant, y)
+        else:
+            assert_certified(design, plant, y)
+
+
+def assert_certified(design: Design, plant: GeneralizedPlant, Cy: np.ndarray) -> None:
+    """Poles, a sweep below the bound, and what is said of the case."""
+    assert design.certificate.failures == ()
+    G = design.gain @ Cy
+    loop = plant.closed_loop(G)
+    assert np.linalg.eigvals(loop.A).real.max() < 0
+    omega = np.geomspace(1e-3, 1e3, 400)
+    heights, size = gain_at(loop, omega), gain_at(plant, omega)
+    if design.certificate.bound is not None:
+        assert heights.max() <= design.certificate.bound
+    passed_on = np.linalg.norm(plant.C) * np.linalg.norm(plant.Bw) + np.linalg.norm(plant.Dw)
+    nothing = 1e-9 * float(passed_on)  # rounding
+    if "none is applied" in design.case:
+        assert not np.any(design.gain)
+    if "w reaches z in no way" in design.case and "right" not in design.case:
+        assert (heights if "this gain" in design.case else size).max() <= nothing
+    if "only through Dw" in design.case and "right" not in design.case:
+        shown = heights if "this gain" in design.case else size
+        np.testing.assert_allclose(shown, np.linalg.norm(plant.Dw, 2), atol=nothing)
+    if "the same for every gain" in design.case:
+        np.testing.assert_allclose(heights, size, atol=nothing)
+
+
+def assert_true(reason: str, plant: GeneralizedPlant, Cy: np.ndarray) -> None:
+    """The reason why there is no design, by the ranks of matrices and by Clarabel."""
+    n, m = plant.B.shape
+    eye = np.eye(n)
+    modes = [pole for pole in np.linalg.eigvals(plant.A) if pole.real > -1e-6]
+    if "no input reaches the mode" in reason:
+        assert any(smallest(np.hstack([plant.A - pole * eye, plant.B])) < 1e-7 for pole in modes)
+    elif "no measurement shows the mode" in reason:
+        assert any(smallest(np.vstack([plant.A - pole * eye, Cy])) < 1e-7 for pole in modes)
+    elif "costs nothing" in reason:
+        assert np.linalg.matrix_rank(plant.D) < m == np.linalg.matrix_rank(np.vstack([plant.B, plant.D]))
+    elif "z does not see the mode" in reason:  # an invariant zero on the imaginary axis
+        zeros = np.linalg.eigvals(plant.A - plant.B @ np.linalg.pinv(plant.D) @ plant.C)
+        system = [np.block([[plant.A - s * eye, plant.B], [plant.C, plant.D]]) for s in zeros if abs(s.real) < 1e-6]
+        assert any(smallest(pencil) < 1e-7 for pencil in system)
+    elif "problem (25) has no solution" in reason:
+        Q, path = nullspace(Cy), state_path(plant)
+        with contextlib.suppress(DesignError):
+            solved = solve_lmi(posed(plant).plant, Q, r_matrix(Cy, Q, l_matrix(path[-1].X, Cy, Q)))
+            G = solved.Y @ np.linalg.inv(solved.X)  # within Clarabel's tolerance, with an X that is singular to it
+            assert np.linalg.eigvals(plant.A + plant.B @ G).real.max() > 0
+    else:
+        pytest.fail(f"unknown reason: {reason}")
+
+
+def smallest(pencil: np.ndarray) -> float:
+    """Smallest singular value of a matrix whose rows and columns have a length of about one."""
+    for axis in (0, 1):
+        lengths = np.linalg.norm(pencil, axis=axis, keepdims=True)
+        pencil = pencil / np.maximum(lengths, 1e-6 * lengths.max())
+    return float(np.linalg.svd(pencil, compute_uv=False)[min(pencil.shape) - 1])
