@@ -8,7 +8,7 @@ import pytest
 from synth.design import Design, state_design, state_path, two_step_design
 from synth.errors import DesignError
 from synth.lmi import solve_lmi
-from synth.norm import gain_at
+from synth.norm import hinf_norm
 from synth.output_feedback import l_matrix, nullspace, r_matrix
 from synth.plant import GeneralizedPlant
 from synth.posed import posed
@@ -112,7 +112,7 @@ def test_a_lag_that_is_measured(measured):
     plant = beside(README, np.array([[-3.0]]), np.array([[0.0, 1.0]]), np.array([[0.0]]), np.array([[1.0]]))
     design = two_step_design(plant, np.array(measured))
     assert design.certificate.failures == ()
-    assert design.certificate.norm.value < 0.5 * gain_at(plant, np.linspace(0, 10, 2001)).max()
+    assert design.certificate.norm.value < 0.5 * hinf_norm(plant).value
 
 
 @pytest.mark.parametrize("seed", range(len(FAMILIES)))
@@ -147,7 +147,7 @@ def assert_certified(design: Design, plant: GeneralizedPlant, Cy: np.ndarray) ->
     loop = plant.closed_loop(G)
     assert np.linalg.eigvals(loop.A).real.max() < 0
     omega = np.geomspace(1e-3, 1e3, 400)
-    heights, size = gain_at(loop, omega), gain_at(plant, omega)
+    heights, size = (np.linalg.norm(each.frequency_response(omega), 2, axis=(1, 2)) for each in (loop, plant))
     if design.certificate.bound is not None:
         assert heights.max() <= design.certificate.bound
     passed_on = np.linalg.norm(plant.C) * np.linalg.norm(plant.Bw) + np.linalg.norm(plant.Dw)
