@@ -31,6 +31,18 @@ class Limits:
     actuator_force: float | None = None
     actuator_bandwidth: float | None = None
 
+    @property
+    def words(self) -> tuple[str, ...]:
+        """What there is of them, a phrase each."""
+        found = []
+        if self.suspension_stroke is not None:
+            found.append(f"bump stops at ±{self.suspension_stroke:g} m")
+        if self.actuator_force is not None:
+            found.append(f"forces up to ±{self.actuator_force:g} N")
+        if self.actuator_bandwidth is not None:
+            found.append(f"actuators that lag with {self.actuator_bandwidth:g} rad/s")
+        return tuple(found)
+
 
 @dataclass(frozen=True)
 class Implementation:
@@ -53,8 +65,29 @@ class Implementation:
     @property
     def ideal(self) -> bool:
         """Whether the controller acts at every timestep, at once, on what is."""
-        noise = any(self.noise.values()) or any(self.quantisation.values())
-        return self.sample_period is None and self.delay == 0 and not noise
+        return self.prompt and not self.blurred
+
+    @property
+    def prompt(self) -> bool:
+        """Whether the controller acts at every timestep, at once."""
+        return self.sample_period is None and self.delay == 0
+
+    @property
+    def blurred(self) -> bool:
+        """Whether it measures with noise, or in steps."""
+        return any(self.noise.values()) or any(self.quantisation.values())
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """What there is of it, a phrase each."""
+        found = []
+        if self.sample_period is not None:
+            found.append(f"a sample every {1e3 * self.sample_period:g} ms")
+        if self.delay:
+            found.append(f"forces that act {self.delay} sample{'s' if self.delay > 1 else ''} late")
+        found += [f"noise of {rms:g} rms on {name}" for name, rms in self.noise.items() if rms]
+        found += [f"{name} read in steps of {step:g}" for name, step in self.quantisation.items() if step]
+        return tuple(found)
 
 
 def read_limits(section: Mapping[str, Any]) -> Limits:

@@ -29,7 +29,6 @@ from synth.controller import Controller, design
 
 UNITS = {"height": "m", "length": "m", "speed": "m/s"}
 MOST_CELLS = 100_000
-ENOUGH = 0.99  # of the cells have to break as predicted; the others lie at a boundary
 
 EPILOG = """
 exit code: 0 physics breaks first what linear analysis predicts, 1 it does not, 2 bad input, 130 interrupted: what is done is kept
@@ -102,7 +101,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not complete:
         print(f"roadproof: interrupted after {int(cells.done.sum())} of {len(bumps)} cells; they are kept", file=sys.stderr)
         return 130
-    return 0 if cells.agreement >= ENOUGH and not cells.unexplained else 1
+    return 0 if cells.as_predicted else 1
 
 
 def read_axes(texts: Sequence[str]) -> tuple[Axis, Axis]:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -19,6 +19,9 @@ PLOTLY_DASHES = {"solid": "solid", "dash": "dash", "dot": "dot", "dashdot": "das
 SVG_DASHES = {"solid": "", "dash": "6 3", "dot": "2 2", "dashdot": "7 2 2 2", "longdash": "10 3", "none": ""}
 SYMBOLS = {"": "circle", "o": "circle-open", "x": "x-thin-open", "s": "square", "+": "cross-thin-open"}
 FONT = {"family": "system-ui, sans-serif", "size": 12, "color": "#222222"}
+
+
+State = Literal["holds", "ends", "fails"]
 
 
 @dataclass(frozen=True)
@@ -66,11 +69,14 @@ class Page:
         title: above all.
         answer: what the reader came for, a sentence each.
         sections: in order.
+        state: what the answer amounts to, and the colour of its box: green where all holds, amber where something ended before
+            its time, red where something fails.
     """
 
     title: str
     answer: tuple[str, ...]
     sections: tuple[Section, ...]
+    state: State = "holds"
 
 
 def check_page() -> None:

@@ -15,7 +15,6 @@ from models.whole_file import check_file, check_folder, whole_file
 from sim.page import Page, check_page, write_page
 from sim.picture import check_picture, draw
 from sim.progress import show
-from sim.run import sample_times
 
 USUAL = ("passive", "state", "I", "II")
 
@@ -39,18 +38,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     check_page()
     vehicle = read_vehicle(options.vehicle)
     names = _chosen(vehicle, options.controller)
-    sample_times(vehicle, 1.0, options.timestep)
     if options.out.suffix.lower() not in (".html", ".htm"):
         raise InputError(f"report {options.out}: a report is HTML; give a name that ends in .html")
     check_file(options.out, "report")
+    from sim.provenance import versions
+    from sim.report_content import page, report_object
+    from sim.report_scope import Scope, check_scope
+    from synth.controller import Designer
+
+    check_scope(vehicle, options.timestep)
     if options.figures is not None:
         check_folder(options.figures, "figures")
         check_picture(options.figures / "figure.png")
-
-    from sim.provenance import versions
-    from sim.report_content import page, report_object
-    from sim.report_scope import Scope
-    from synth.controller import Designer
 
     show("designs")
     designer = Designer(vehicle)
@@ -60,8 +59,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "written": datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC"),
         "command": shlex.join(["python", *sys.orig_argv[1:]]),
         "vehicle file": vehicle.source,
-        "timestep": f"{options.timestep:g} s",
-        "seeds": "1, of the random road that the norm is tried on; 0 to 3, of the random roads of the ride",
         "versions": ", ".join(f"{name} {version}" for name, version in versions().items()),
     }
     result = page(scope, written)

@@ -2,18 +2,22 @@
 
 import json
 import math
-from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Any
 
-from sim.identification import Lines, identify
+from sim import report_answer
+from sim.identification import ideal_measurements, identify
 from sim.page import Page, Section, Table
 from sim.paper import PRINTED, entry_of, is_the_papers, ours
-from sim.report_agreement import agreement_section, bump_section, design_section, frequency_section
-from sim.report_limits import margins_section, validity_section
-from sim.report_ride import ride_section
+from sim.regime import regime_end
+from sim.report_agreement import agreement_section, bump_section
+from sim.report_designs import design_section, frequency_section
+from sim.report_limits import margins_section, regime_section, validity_section
+from sim.report_ride import SEEDS, ride_section
 from sim.report_scope import AMPLITUDE, BUMP_DURATION, Scope
-from sim.run import Run, run_all, sample_times
-from sim.sweep import Sweep, failures, sweep
+from sim.road import Bump
+from sim.run import run_all, sample_times
+from sim.sweep import sweep
 
 
 def page(scope: Scope, provenance: dict[str, str]) -> Page:
@@ -23,63 +27,45 @@ def page(scope: Scope, provenance: dict[str, str]) -> Page:
         scope: what it is about.
         provenance: where it comes from, in words.
     """
-    from sim.road import Bump
-
-    vehicle = scope.vehicle
+    vehicle, road, h = scope.vehicle, Bump(), scope.timestep
     scope.progress("a bump")
-    road = Bump()
-    time = sample_times(vehicle, BUMP_DURATION, scope.timestep)
+    time, halves = (sample_times(vehicle, BUMP_DURATION, step) for step in (h, h / 2))
     runs = run_all(vehicle, scope.controllers, road, time)
-    finer = run_all(vehicle, scope.controllers, road, sample_times(vehicle, BUMP_DURATION, scope.timestep / 2))
+    finer = run_all(vehicle, scope.controllers, road, halves)
     scope.progress("frequency responses")
-    stable = [one for one in scope.controllers if one.certificate.stable]
     if scope.quick:
-        sweeps, lines = [], identify(vehicle, stable, AMPLITUDE, scope.timestep, road.speed)
+        sweeps, lines = [], identify(vehicle, scope.stable, AMPLITUDE, h, road.speed) if scope.stable else []
     else:
-        sweeps = sweep(vehicle, stable, AMPLITUDE, scope.timestep, road.speed)
+        sweeps = sweep(vehicle, scope.stable, AMPLITUDE, h, road.speed) if scope.stable else []
         lines = [one.lines for one in sweeps]
+    scope.progress("where the linear regime ends")
+    ends = [(one, regime_end(ideal_measurements(vehicle), one, road, time)) for one in scope.stable]
 
-    sections = [
-        design_section(scope),
-        frequency_section(scope, lines, sweeps, road.speed),
-        bump_section(scope, runs),
-        agreement_section(scope, runs, finer),
+    answer = [
+        *report_answer.loops(scope),
+        *report_answer.norms(scope),
+        *report_answer.over_the_bump(scope, runs),
+        *report_answer.responses(scope, lines, sweeps),
+        *report_answer.regime(scope, road, ends),
     ]
-    answer = _answer(scope, runs, lines, sweeps)
-    if not scope.quick:
-        sections.append(margins_section(scope))
-        mapped, sentence = validity_section(scope)
-        sections.append(mapped)
-        answer.append(sentence)
+    sections = [design_section(scope)]
+    if lines:
+        sections.append(frequency_section(scope, lines, sweeps, road.speed))
+    sections += [bump_section(scope, runs, road), agreement_section(scope, runs, finer)]
+    if ends:
+        sections.append(regime_section(scope, road, ends))
+    if not scope.quick and scope.active:
+        for section, findings in (margins_section(scope), validity_section(scope, road)):
+            sections.append(section)
+            answer += findings
+    if not scope.quick and scope.stable:
         scope.progress("random roads")
-        sections.append(ride_section(vehicle, stable, scope.timestep))
+        sections.append(ride_section(vehicle, scope.stable, h))
     if is_the_papers(vehicle):
         sections.append(_paper(scope))
     sections.append(_provenance(scope, provenance))
     title = f"{vehicle.kind.name.replace('_', ' ').capitalize()}: suspension control from linear analysis to physics"
-    return Page(title, tuple(answer), tuple(sections))
-
-
-def _answer(scope: Scope, runs: Sequence[Run], lines: Sequence[Lines], sweeps: Sequence[Sweep]) -> list[str]:
-    best = min(scope.active, key=lambda one: one.certificate.norm.value, default=None)
-    sentences = []
-    if best is not None:
-        passive = scope.designer.design("passive").certificate.norm.value
-        norms = ", ".join(f"{one.name} {one.certificate.norm.value:.4g}" for one in scope.controllers if one.certificate.stable)
-        sentences.append(
-            f"H-infinity norms: {norms}. The least is {best.name}'s, {100 * (1 - best.certificate.norm.value / passive):.0f} % "
-            "below the passive suspension's."
-        )
-    good = [run.controller.name for run in runs if run.agreement.agrees]
-    bad = [run.controller.name for run in runs if not run.agreement.agrees]
-    worst = max(one.error(one.sampled).max() for one in lines)
-    sentences.append(
-        f"MuJoCo agrees with the linear analysis over the paper's bump for {', '.join(good) or 'no controller'}"
-        + (f"; it DOES NOT for {', '.join(bad)}" if bad else "")
-        + f". Every frequency response is within {worst:.0e} of the sampled loop's."
-    )
-    failed = [f"{one.lines.controller.name}: {text}" for one in sweeps if not one.ended for text in failures(one)]
-    return sentences + [f"A claim fails. {text}." for text in failed]
+    return Page(title, tuple(one.text for one in answer), tuple(sections), report_answer.worst(answer))
 
 
 def _paper(scope: Scope) -> Section:
@@ -105,12 +91,28 @@ def _paper(scope: Scope) -> Section:
 
 
 def _provenance(scope: Scope, provenance: dict[str, str]) -> Section:
-    rows = tuple(provenance.items())
-    vehicle = scope.vehicle
-    settings: list[tuple[str, str]] = [(f"{name}", f"{value:g}") for name, value in vehicle.parameters.items()]
+    """What the page was made from: every number of the vehicle file that it depends on, and every setting."""
+    vehicle, how = scope.vehicle, scope.vehicle.implementation
+    rows = dict(provenance)
+    h = 1e3 * scope.timestep
+    rows["timestep"] = f"{h:g} ms, and {h / 2:g} ms for the orders of convergence"
+    seeds = [f"{how.seed}, of the noise on measurements"] if how.blurred else []
+    if not scope.quick:
+        rows["timestep"] += f"; {1e3 * scope.map_timestep:g} ms for the map"
+        seeds.append("1, of the random road that the norm is tried on")
+        seeds.append(f"{SEEDS[0]} to {SEEDS[-1]}, of the random roads of the ride")
+    rows["seeds"] = "; ".join(seeds) or "none: nothing is random"
+    settings = [(name, f"{value:g}") for name, value in vehicle.parameters.items()]
     settings += [(f"weight of {name}", f"{value:g}") for name, value in vehicle.performance.items()]
+    limits = {name: value for name, value in asdict(vehicle.limits).items() if value is not None}
+    settings += [(f"[limits] {name}", f"{value:g}") for name, value in limits.items()] or [("[limits]", "none")]
+    built = {"sample_period": how.sample_period, "delay": how.delay or None}
+    built |= {f"noise of {name}": rms for name, rms in how.noise.items()}
+    built |= {f"quantisation of {name}": step for name, step in how.quantisation.items()}
+    there = [(f"[implementation] {name}", f"{value:g}") for name, value in built.items() if value is not None]
+    settings += there or [("[implementation]", "none")]
     tables = (
-        Table("provenance", ("what", "value"), rows, words=2),
+        Table("provenance", ("what", "value"), tuple(rows.items()), words=2),
         Table("vehicle", ("parameter [SI]", "value"), tuple(settings)),
     )
     return Section("Where this comes from", (), tables)
@@ -123,4 +125,4 @@ def report_object(page: Page) -> dict[str, Any]:
         for section in page.sections
         for table in section.tables
     }
-    return json.loads(json.dumps({"title": page.title, "answer": page.answer, "tables": tables}))
+    return json.loads(json.dumps({"title": page.title, "answer": page.answer, "verdict": page.state, "tables": tables}))

@@ -1,6 +1,7 @@
 """The sections of a report on where the analysis ends: margins, other vehicles, the map of validity."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,21 +10,26 @@ from models.reality import Implementation
 from sim.broken import ENDS
 from sim.envelope import grid, read_axes
 from sim.envelope_picture import envelope_figure
+from sim.identification import ideal_measurements
 from sim.loop_margins import find_all, searches
 from sim.margins_picture import margins_figure
 from sim.page import Section, Table
+from sim.regime import RegimeEnd
+from sim.report_answer import Finding
 from sim.report_scope import BUMP_DURATION, Scope, number
+from sim.road import Bump
 from sim.robustness import robustness
 from sim.run import sample_times
-from sim.validity import Cells, validity
+from sim.validity import validity
+from synth.controller import Controller
 
 MAP = ("height:0.02:0.3:20", "speed:3:30:20")
 THRESHOLD = 0.05  # of a peak, where linear analysis is said to hold
 
 
-def margins_section(scope: Scope) -> Section:
-    """What the loops bear, predicted and found."""
-    rows, figures, robust = [], [], []
+def margins_section(scope: Scope) -> tuple[Section, list[Finding]]:
+    """What the loops bear, predicted and found; and those of whom physics says something else."""
+    rows, figures, robust, found = [], [], [], []
     vehicle = replace(scope.vehicle, implementation=Implementation())
     scope.progress("margins")
     actuators = range(len(vehicle.linear_model.inputs))
@@ -41,6 +47,11 @@ def margins_section(scope: Scope) -> Section:
         for name, first, second in pairs:
             rows.append((one.name, name, _margin(first), _margin(second)))
         verdict = "agrees" if loop.agrees else "DOES NOT AGREE"
+        if not loop.agrees:
+            found.append(Finding(f"MuJoCo DOES NOT AGREE with {one.name}'s predicted margins: see the table.", "fails"))
+        if not box.holds:
+            text = f"MuJoCo and analysis DO NOT AGREE on other vehicles with {one.name}: see the table of margins."
+            found.append(Finding(text, "fails"))
         robust.append(
             (
                 one.name,
@@ -63,46 +74,88 @@ def margins_section(scope: Scope) -> Section:
     text = (
         "How much more gain, phase lag, delay or sample period the loop bears, all its actuators at once: predicted from the "
         f"loop transfer function, found in MuJoCo by bisection on growth and decay at {1e3 * scope.timestep:g} ms. The worst "
-        "norm is over sprung masses from -30 to +40 % and tyre stiffnesses of +-25 %.",
+        "norm is over sprung masses from -30 to +40 % and tyre stiffnesses of +-25 %, of the ideal loop.",
     )
-    return Section("Margins", text, tables, tuple(figures))
+    if not scope.plain:
+        about = f"without [implementation]{scope.lag}: what is asked is how much of a delay or sample period it would bear"
+        text = (*text, f"Margins are those of the loop {about}. The nominal norm is the ideal loop's, too.")
+    return Section("Margins", text, tables, tuple(figures)), found
 
 
-def validity_section(scope: Scope) -> tuple[Section, str]:
-    """The map of every controller, and where to stop trusting the line, in a sentence."""
-    axes, timestep = read_axes(MAP), 2 * scope.timestep
-    fixed = {"height": 0.1, "length": 5.0, "speed": 12.5}
-    time = sample_times(scope.vehicle, BUMP_DURATION, timestep)
-    figures, rows, sentences = [], [], []
+def regime_section(scope: Scope, bump: Bump, ends: Sequence[tuple[Controller, RegimeEnd | None]]) -> Section:
+    """Up to which height of one bump the linear regime holds: predicted, and the two runs of MuJoCo that enclose it."""
+    rows = []
+    for one, end in ends:
+        if end is None:
+            rows.append((one.name, "at no height", *("-",) * 5))
+            continue
+        rows.append(
+            (
+                one.name,
+                end.predicted_end,
+                f"{end.predicted:.5g}",
+                f"{end.stays:.5g}",
+                f"{end.error:.1e}",
+                number(end.leaves, ".5g"),
+                end.end or "nothing",
+            )
+        )
+    headings = (
+        "controller",
+        "predicted end",
+        "at [m]",
+        "MuJoCo stays linear at [m]",
+        "off by, of a peak",
+        "and not at [m]",
+        "ended by",
+    )
+    text = (
+        f"Bumps of {bump.length:g} m at {bump.speed:g} m/s, over {BUMP_DURATION:g} s at {1e3 * scope.timestep:g} ms"
+        f"{', without noise' if scope.blurred else ''}: up to which height nothing breaks, from one linear run of the loop as it "
+        "runs, and the two nearest heights in MuJoCo, of which the first breaks nothing and the second does.",
+    )
+    return Section("Where the linear regime ends", text, (Table("regime", headings, tuple(rows), words=2),))
+
+
+def validity_section(scope: Scope, bump: Bump) -> tuple[Section, list[Finding]]:
+    """The map of every controller; and those that break otherwise than predicted."""
+    axes, timestep, vehicle = read_axes(MAP), scope.map_timestep, ideal_measurements(scope.vehicle)
+    fixed = {"height": bump.height, "length": bump.length, "speed": bump.speed}
+    time = sample_times(vehicle, BUMP_DURATION, timestep)
+    figures, rows, found = [], [], []
     for one in scope.active:
         scope.progress(f"map of {one.name}")
-        cells, _ = validity(scope.vehicle, one, grid(axes, fixed), time)
-        figure = envelope_figure(scope.vehicle, one, cells, axes, {"length": 5.0}, THRESHOLD)
+        cells, _ = validity(vehicle, one, grid(axes, fixed), time)
+        figure = envelope_figure(vehicle, one, cells, axes, {"length": bump.length}, THRESHOLD)
         figures.append(replace(figure, name=f"map-{one.name}"))
-        shares = [np.mean(cells.first == end) for end in range(len(ENDS))]
+        shares = [np.mean(cells.first == end) for end in (-1, *range(len(ENDS)))]
         rows.append(
             (
                 one.name,
                 f"{100 * np.mean(cells.error <= THRESHOLD):.1f} %",
                 *(f"{100 * share:.1f} %" for share in shares),
                 f"{100 * cells.agreement:.2f} %",
+                f"{cells.unexplained}",
             )
         )
-        sentences.append(f"{one.name} {_highest(cells)}")
-    headings = ("controller", "linear analysis holds", *(f"{end} first" for end in ENDS), "as predicted")
-    text = (
-        "Bumps of 5 m length, 20 heights by 20 speeds, each run in MuJoCo: what breaks first, and where the linear prediction is "
-        f"off by more than {100 * THRESHOLD:g} % of a peak.",
+        if not cells.as_predicted:
+            text = f"MuJoCo DOES NOT break as predicted in {100 * (1 - cells.agreement):.2g} % of {one.name}'s map."
+            found.append(Finding(text, "fails"))
+    headings = (
+        "controller",
+        "linear analysis holds",
+        "nothing breaks",
+        *(f"{end} first" for end in ENDS),
+        "as predicted",
+        "of the others not at a boundary",
     )
-    answer = f"Stop trusting the line, over bumps of 5 m at 12.5 m/s, above: {'; '.join(sentences)}."
-    return Section("The map of validity", text, (Table("validity", headings, tuple(rows)),), tuple(figures)), answer
-
-
-def _highest(cells: Cells) -> str:
-    """Up to which height nothing breaks at the paper's speed, from the linear peaks."""
-    i = min(range(len(cells.bumps)), key=lambda k: (abs(cells.bumps[k].speed - 12.5), cells.bumps[k].height))
-    used = cells.used[i]
-    return f"{cells.bumps[i].height / used.max():.3g} m ({ENDS[int(used.argmax())]})" if used.max() > 0 else "any height"
+    without = ", without noise" if scope.blurred else ""
+    text = (
+        f"Bumps of {bump.length:g} m length, {len(axes[0].values)} heights by {len(axes[1].values)} speeds, each run in MuJoCo "
+        f"at {1e3 * timestep:g} ms{without}: what breaks first, and where the linear prediction is off by more than "
+        f"{100 * THRESHOLD:g} % of a peak.",
+    )
+    return Section("The map of validity", text, (Table("validity", headings, tuple(rows)),), tuple(figures)), found
 
 
 def _margin(value: float) -> str:

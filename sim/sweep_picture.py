@@ -1,12 +1,16 @@
-"""Frequency responses drawn as in the paper's Fig. 3: lines are analysis, points are MuJoCo."""
+"""Frequency responses drawn as in the paper's Fig. 3: lines are analysis, points are MuJoCo.
+
+The lines are of the paper's continuous loop, or, where the controller is slower or later than the timestep, of the loop as built.
+"""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from models.vehicle import Vehicle
 from sim.figure import Curve, Figure, Panel, styles
-from sim.frequency import as_met, continuous_frequency_response
+from sim.frequency import as_met, continuous_frequency_response, sampled_frequency_response
 from sim.identification import HIGHEST, LOWEST, Lines
 from sim.response import SILENT
 
@@ -23,7 +27,7 @@ def sweep_figure(vehicle: Vehicle, sweeps: Sequence[Lines], amplitude: float, ti
         timestep: [s], for the caption.
         speed: forward velocity [m/s].
     """
-    fine = 2 * np.pi * np.geomspace(LOWEST, HIGHEST, 600)
+    fine, how = 2 * np.pi * np.geomspace(LOWEST, HIGHEST, 600), vehicle.implementation
     met = as_met(vehicle, fine, speed)[..., None]
     style = styles(tuple(one.controller.name for one in sweeps))
     signals = [name for name, weight in vehicle.performance.items() if weight > 0]
@@ -31,7 +35,11 @@ def sweep_figure(vehicle: Vehicle, sweeps: Sequence[Lines], amplitude: float, ti
     for one in sweeps:
         name = one.controller.name
         color, dash = style[name]
-        predicted = np.abs(continuous_frequency_response(vehicle, one.controller, fine) @ met)[..., 0]
+        if how.prompt:
+            response = continuous_frequency_response(vehicle, one.controller, fine)
+        else:  # no step makes this loop continuous
+            response = sampled_frequency_response(vehicle, one.controller, fine, timestep)
+        predicted = np.abs(response @ met)[..., 0]
         for signal in signals:
             i = one.outputs.index(signal)
             alike = [k for k, unit in enumerate(one.units) if unit == one.units[i]]
@@ -61,8 +69,9 @@ def sweep_figure(vehicle: Vehicle, sweeps: Sequence[Lines], amplitude: float, ti
         )
     ended = sorted({name for one in sweeps for name in one.ended})
     regime = f"; outside the linear regime: {', '.join(ended)}" if ended else ""
+    loop = "continuous" if how.prompt else f"as built, {', '.join(replace(how, noise={}, quantisation={}).words)}"
     title = (
-        f"{vehicle.kind.name.replace('_', ' ')}: response to road velocity. Lines: linear analysis, continuous. Points: MuJoCo "
+        f"{vehicle.kind.name.replace('_', ' ')}: response to road velocity. Lines: linear analysis, {loop}. Points: MuJoCo "
         f"at {1e3 * timestep:g} ms,\nidentified on roads of {1e3 * amplitude:g} mm{regime}"
     )
     return Figure("sweep", title, tuple(panels), columns=2 if len(signals) <= 4 else 3 if len(signals) <= 9 else 4)

@@ -21,6 +21,7 @@ from sim.physics import BLOCK, in_blocks, runs_at_once
 from sim.road import Bump, under_wheels
 from synth.controller import Controller
 
+ENOUGH = 0.99  # of the cells have to break as predicted; the others lie at a boundary
 EDGE = 0.01  # relative height; a cell whose prediction changes within that lies at a boundary
 
 
@@ -64,6 +65,11 @@ class Cells:
     def unexplained(self) -> int:
         """Cells whose prediction was wrong though they lie at no boundary."""
         return int(np.sum(self.done & ~self.agrees & ~self.edge))
+
+    @property
+    def as_predicted(self) -> bool:
+        """Whether physics breaks first what is predicted: in all but a few cells, and those at a boundary."""
+        return self.agreement >= ENOUGH and not self.unexplained
 
 
 def validity(

@@ -1,0 +1,283 @@
+"""What a report prints is so: every headline, table and sentence against the commands' own JSON, with the same parameters."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from models.errors import InputError
+from models.vehicle import read_vehicle
+from sim.bump import main as bump
+from sim.envelope import main as envelope
+from sim.margins import main as margins
+from sim.report import main as report
+from sim.sweep import main as sweep
+from synth.__main__ import main as synth
+from tests.reading import PageRead
+
+pytest.importorskip("plotly", reason="a report needs the extra [report]")
+
+README = (Path(__file__).parent.parent / "README.md").read_text(encoding="utf-8")
+REALITY = re.findall(r"^```toml\n(\[limits\].*?)^```", README, re.M | re.S)[0]
+NAMES = ("passive", "state", "I", "II")
+STEP = ("--timestep", "0.0025")  # divides the README's sample period, and a run takes less than half the time of one at 1 ms
+
+
+def printed(capsys, command, *arguments) -> dict:
+    """What a command prints with --json."""
+    capsys.readouterr()
+    command([*arguments, "--json"])
+    return json.loads(capsys.readouterr().out)
+
+
+def page(folder: Path, *arguments: str) -> PageRead:
+    """The page of a report, read."""
+    path = folder / "report.html"
+    assert report(["--quick", *STEP, "--out", str(path), *arguments]) == 0
+    return PageRead(path)
+
+
+def vehicle_file(folder: Path, extra: str, kind: str = "quarter_car") -> str:
+    """A vehicle that ships, with more sections."""
+    path = folder / f"{kind}.toml"
+    path.write_text(read_vehicle(kind).text + "\n" + extra)
+    return str(path)
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory) -> PageRead:
+    """Of the paper's vehicle as it ships."""
+    return page(tmp_path_factory.mktemp("plain"))
+
+
+@pytest.fixture(scope="module")
+def real_file(tmp_path_factory) -> str:
+    """The README's example: limits, a sample period, a delay, noise and quantisation."""
+    return vehicle_file(tmp_path_factory.mktemp("real"), REALITY)
+
+
+@pytest.fixture(scope="module")
+def real(tmp_path_factory, real_file) -> PageRead:
+    """Of that."""
+    return page(tmp_path_factory.mktemp("page"), "--vehicle", real_file)
+
+
+def test_norms(plain, capsys):
+    """The norms at the top and the table of designs are what `synth` says."""
+    found = {one["name"]: one for one in printed(capsys, synth)["controllers"]}
+    for name in NAMES:
+        row, one = plain.row("designs", controller=name), found[name]
+        assert row["norm"] == f"{one['norm']:.7g}"
+        assert row["peak [rad/s]"] == f"{one['peak_frequency']:.5g}"
+        assert row["bound"] == (f"{one['bound']:.7g}" if one["bound"] else "-")
+        assert f"{name} {one['norm']:.4g}" in plain.answer[0]
+    norms = [found[name]["norm"] for name in NAMES]
+    assert f"{100 * (1 - min(norms) / norms[0]):.0f} % below the passive" in plain.answer[0]
+
+
+@pytest.mark.parametrize("which", ["plain", "real"])
+def test_bump_table(which, request, real_file, capsys):
+    """Peaks, rms and differences over the paper's bump are what `sim.bump` says."""
+    read = request.getfixturevalue(which)
+    vehicle = ["--vehicle", real_file] if which == "real" else []
+    asked = [part for name in NAMES for part in ("--controller", name)]
+    result = printed(capsys, bump, *asked, *vehicle, *STEP, "--no-logs")
+    rows = 0
+    for run in result["runs"]:
+        name = run["controller"]["name"]
+        for signal, one in run["signals"].items():
+            agreement = read.row("agreement", controller=name, signal=signal.replace("_", " "))
+            assert agreement["to sampled"] == f"{one['error']['sampled']:.1e}"
+            assert agreement["to continuous"] == f"{one['error']['continuous']:.1e}"
+            if signal in read_vehicle("quarter_car").performance:
+                row = read.row("bump", controller=name, signal=signal.replace("_", " "))
+                for kind in ("peak", "rms"):
+                    for mine, theirs in (("MuJoCo", "mujoco"), ("sampled", "sampled"), ("continuous", "continuous")):
+                        assert row[f"{kind}, {mine}"] == f"{one[kind][theirs]:.5g}"
+                rows += 1
+    assert rows == len(read.tables["bump"]) == 16
+
+
+@pytest.mark.parametrize("which", ["plain", pytest.param("real", marks=pytest.mark.slow)])
+def test_frequency_responses(which, request, real_file, capsys):
+    """The errors of the lines, and the headline's bound on them, are what `sim.sweep` says."""
+    read = request.getfixturevalue(which)
+    vehicle = ["--vehicle", real_file] if which == "real" else []
+    result = printed(capsys, sweep, *vehicle, *STEP)
+    errors = []
+    for one in result["sweeps"]:
+        row = read.row("frequency-responses", controller=one["controller"])
+        largest = {key: max(signal["error"][key] for signal in one["signals"].values()) for key in ("sampled", "continuous")}
+        assert row["error to sampled"] == f"{largest['sampled']:.1e}"
+        assert row["to continuous"] == f"{largest['continuous']:.1e}"
+        assert row["order of the two"] == (f"{one['order']:.2f}" if one["order"] is not None else "-")
+        errors.append(largest["sampled"])
+        if which == "real":
+            assert read.row("norms", controller=one["controller"])["norm, as built"] == f"{one['norm']['sampled']:.7g}"
+    (bound,) = [float(re.search(r"within (\S+) of the exact", text)[1]) for text in read.answer if "frequency response" in text]
+    assert max(errors) <= bound <= 1.1 * max(errors)
+
+
+@pytest.mark.parametrize("which", ["plain", "real"])
+def test_end_of_the_linear_regime(which, request, real_file, tmp_path, capsys):
+    """The height at the top is the table's, and on either side of it the other commands see nothing break, and that break."""
+    read = request.getfixturevalue(which)
+    (headline,) = [text for text in read.answer if "m at 12.5 m/s" in text]
+    said = re.findall(r"(\w+) ([\d.]+) m \(([a-z -]+)\)", headline)
+    assert [name for name, *_ in said] == list(NAMES)
+    noiseless = vehicle_file(tmp_path, re.sub(r"(?m)^(noise|quantisation).*\n", "", REALITY))
+    vehicle = ["--vehicle", noiseless] if which == "real" else []
+    for name, height, end in said:
+        row = read.row("regime", controller=name)
+        stays, leaves = float(row["MuJoCo stays linear at [m]"]), float(row["and not at [m]"])
+        assert height == f"{(stays + leaves) / 2:.3g}"
+        assert stays < float(row["at [m]"]) < leaves < 1.0025 * stays
+        assert row["predicted end"] == row["ended by"] == end
+        # The linear prediction of another command, at heights that the page does not have, at the page's very speed.
+        axes = ("--vary", f"height:{0.995 * stays}:{1.005 * leaves}:2", "--vary", "speed:12.5:13:2")
+        cells = printed(capsys, envelope, "--controller", name, *axes, *STEP, *vehicle)["cells"]
+        below, above = (cell for cell in cells if cell["speed"] == 12.5)
+        assert (below["broke_first"], below["predicted"]) == (None, None)
+        assert (above["broke_first"], above["predicted"]) == (end, end)
+
+
+def test_passive_by_hand(plain, capsys):
+    """The height at which the passive car lifts off is its static tyre deflection over that of a bump of a metre."""
+    result = printed(capsys, bump, "--controller", "passive", "--height", "0.2", "--no-logs", *STEP)
+    (run,) = result["runs"]
+    # Its tyre is longest, not shortest, at its peak: 6.42 mm against 6.13 mm over the paper's bump.
+    per_metre = run["signals"]["tyre_deflection"]["peak"]["sampled"] / 0.2
+    static = (504.5 + 62.0) * 9.81 / 252000.0
+    assert float(plain.row("regime", controller="passive")["at [m]"]) == pytest.approx(static / per_metre, rel=1e-4)
+
+
+def test_green_only_throughout(plain, real):
+    """A box is green where the comparison held throughout, and says so; amber where it ended, and says when and why."""
+    assert plain.state == "holds"
+    assert "throughout its 3 s for passive, state, I and II" in plain.text
+    assert real.state == "ends"
+    for name in NAMES:
+        row = real.row("bump", controller=name, signal="tyre deflection")
+        until = float(row["linear until [s]"])
+        assert until < 0.2
+        sentence = (
+            f"{name} agrees with the linear analysis of the loop as built until {until:.3g} s of 3 s: a suspension meets its bump"
+        )
+        assert sentence in " ".join(real.answer)
+        assert f"{name}: bump stop: a suspension is at the end of its stroke first at {until:.4g} s." in real.text
+        # What ended over 0.1 m has to end below 0.1 m.
+        assert float(real.row("regime", controller=name)["MuJoCo stays linear at [m]"]) < 0.1
+
+
+def test_every_number_names_its_loop(plain, real):
+    """With limits and an implementation the page says what is of which loop, and lists their values."""
+    assert "The ideal loop is continuous, with no limits and no computer" in real.answer[0]
+    for words in (
+        "±0.08 m",
+        "±2000 N",
+        "60 rad/s",
+        "every 5 ms",
+        "1 sample late",
+        "0.005 rms on sprung_velocity",
+        "steps of 0.001",
+    ):
+        assert words in real.answer[0]
+    assert real.answer[1].startswith("H-infinity norms of the ideal loop: passive 35.07")
+    assert "As built, at a step of 2.5 ms: passive 35.07" in real.answer[1]
+    listed = {row["parameter [SI]"]: row["value"] for row in real.tables["vehicle"]}
+    assert listed["[limits] suspension_stroke"] == "0.08"
+    assert listed["[limits] stop_stiffness"] == "100000"
+    assert listed["[limits] actuator_force"] == "2000"
+    assert listed["[limits] actuator_bandwidth"] == "60"
+    assert listed["[implementation] sample_period"] == "0.005"
+    assert listed["[implementation] delay"] == "1"
+    assert listed["[implementation] noise of sprung_velocity"] == "0.005"
+    assert listed["[implementation] quantisation of sprung_velocity"] == "0.001"
+    listed = {row["parameter [SI]"]: row["value"] for row in plain.tables["vehicle"]}
+    assert listed["[limits]"] == listed["[implementation]"] == "none"
+    assert "as built" not in plain.text
+
+
+def test_no_sentence_stands_above_noise(plain, real):
+    """What RK4 and the step make is said of runs without noise only; seeds are listed where something is random."""
+    assert plain.row("provenance", what="seeds")["value"] == "none: nothing is random"
+    assert real.row("provenance", what="seeds")["value"] == "0, of the noise on measurements"
+    for row in real.tables["agreement"]:
+        assert (row["its order"] == "-") or row["controller"] == "passive"
+    assert "tends to the continuous one with order 1" in plain.text
+    assert "tends to the continuous one with order 1" not in real.text
+    assert "does not tend to the continuous one" in real.text
+    assert "held to six of the standard deviations" in real.text
+    assert "standard deviations that the noise" not in plain.text
+    (bumps,) = [caption for caption in real.captions if caption.startswith("Response to the bump")]
+    assert "Lines: linear analysis of the loop as it runs, a sample every 5 ms, forces that act 1 sample late" in bumps
+
+
+def test_orders(plain):
+    """MuJoCo is the sampled response to order 4, and that the continuous one to order 1, or 2 without a force."""
+    for row in plain.tables["agreement"]:
+        if row["its order"] != "-":
+            assert float(row["its order"]) == pytest.approx(4, abs=0.15)
+        if row["order of that"] != "-":
+            expected = 2 if row["controller"] == "passive" else 1
+            # At 2.5 ms the wheel's velocity still has a good part of its difference from the road, of order 2.
+            assert expected - 0.2 < float(row["order of that"]) < 2.2
+        assert float(row["to sampled"]) <= float(row["allowed"])
+
+
+def test_sample_period_is_checked_first(tmp_path, monkeypatch):
+    """A timestep that does not divide the controller's sample period is refused in a line, before any design."""
+    monkeypatch.setattr("synth.controller.Designer.design", None)
+    file = vehicle_file(tmp_path, "[implementation]\nsample_period = 0.005\n")
+    with pytest.raises(InputError, match=r"sample_period = 0\.005 s is no multiple of the timestep, 0\.002 s"):
+        report(["--vehicle", file, "--timestep", "0.002", "--out", str(tmp_path / "r.html")])
+
+
+def test_unstable_as_built(tmp_path):
+    """A loop that only its computer makes unstable is named at the top, and is no reason not to write the rest."""
+    read = page(tmp_path, "--vehicle", vehicle_file(tmp_path, "[implementation]\ndelay = 60\n"))  # 150 ms; II bears 87
+    assert read.state == "ends"
+    assert "II is stable ideally and UNSTABLE as built" in read.text
+    assert {row["controller"] for row in read.tables["frequency-responses"]} == {"passive", "state", "I"}
+    assert {row["controller"] for row in read.tables["regime"]} == {"passive", "state", "I"}
+
+
+def test_nothing_stable(tmp_path):
+    """A report of nothing but an unstable loop is written, and says so."""
+    file = vehicle_file(tmp_path, '[controllers.bad]\nmeasured = ["sprung_velocity"]\ngain = [[1e5]]\n')
+    read = page(tmp_path, "--vehicle", file, "--controller", "bad")
+    assert "bad's loop is UNSTABLE" in read.text
+    assert read.state == "ends"
+    assert "frequency-responses" not in read.tables
+
+
+@pytest.mark.slow
+def test_whole_report_of_the_readme_example(tmp_path, real_file, capsys):
+    """The whole report of the README's example finishes, and its margins and its map are what the commands say."""
+    path = tmp_path / "report.html"
+    assert report(["--vehicle", real_file, "--controller", "II", "--out", str(path), "--timestep", "0.001"]) == 0
+    read = PageRead(path)
+    assert read.state == "ends"
+    found = printed(capsys, margins, "--controller", "II", "--vehicle", real_file, "--timestep", "0.001")
+    for name, key, factor in (
+        ("delay [ms]", "delay", 1e3),
+        ("sample period [ms]", "sample_period", 1e3),
+        ("phase [rad]", "phase", 1),
+    ):
+        row = read.row("margins", controller="II", margin=name)
+        for mine, theirs in (("predicted", "predicted"), ("MuJoCo", "found")):
+            assert row[mine] == f"{factor * found[key][theirs]:.5g}"
+    assert read.row("robustness", controller="II")["worst norm"] == f"{found['robustness']['worst_norm']:.5g}"
+
+    axes = ("--vary", "height:0.02:0.3:20", "--vary", "speed:3:30:20", "--timestep", "0.001")
+    noiseless = vehicle_file(tmp_path, re.sub(r"(?m)^(noise|quantisation).*\n", "", REALITY))
+    cells = printed(capsys, envelope, "--controller", "II", "--vehicle", noiseless, *axes)["cells"]
+    row = read.row("validity", controller="II")
+    assert row["linear analysis holds"] == f"{100 * np.mean([cell['holds'] for cell in cells]):.1f} %"
+    assert row["nothing breaks"] == f"{100 * np.mean([cell['broke_first'] is None for cell in cells]):.1f} %"
+    for end in ("lift-off", "bump stop", "force saturation", "flat tyre"):
+        assert row[f"{end} first"] == f"{100 * np.mean([cell['broke_first'] == end for cell in cells]):.1f} %"
+    assert row["as predicted"] == f"{100 * np.mean([cell['agrees'] for cell in cells]):.2f} %"
+    assert "each run in MuJoCo at 1 ms, without noise" in read.text  # twice the step does not divide 5 ms
