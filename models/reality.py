@@ -1,7 +1,7 @@
 """What a real car has and the analysis has not: `[limits]` and `[implementation]` of a vehicle file, each off where absent."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from models.errors import InputError, known
@@ -76,6 +76,11 @@ class Implementation:
     def blurred(self) -> bool:
         """Whether it measures with noise, or in steps."""
         return any(self.noise.values()) or any(self.quantisation.values())
+
+    def scaled(self, factor: float) -> "Implementation":
+        """The same where all signals are so many times as large: its noise and its resolution are, too."""
+        noise = {name: factor * rms for name, rms in self.noise.items()}
+        return replace(self, noise=noise, quantisation={name: factor * step for name, step in self.quantisation.items()})
 
     @property
     def words(self) -> tuple[str, ...]:

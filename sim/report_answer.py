@@ -156,8 +156,8 @@ def regime(scope: Scope, bump: Bump, ends: Sequence[tuple[Controller, RegimeEnd 
             found.append(Finding(text, "fails"))
         else:
             height = (end.stays + end.leaves) / 2
-            other = f", predicted {end.predicted:.3g}" if not end.stays <= end.predicted <= end.leaves else ""
-            heights.append(f"{one.name} {height:.3g} m ({end.end}{other})")
+            predicted = f", predicted {end.predicted:.3g}" if f"{end.predicted:.3g}" != f"{height:.3g}" else ""
+            heights.append(f"{one.name} {height:.3g} m ({end.end}{predicted})")
     errors = [end.error for _, end in ends if end is not None and end.confirmed]
     without = ", without noise," if scope.blurred else ""
     text = (

@@ -127,10 +127,10 @@ def run_all(vehicle: Vehicle, controllers: Sequence[Controller], road: Road, tim
                 ),
             )
         )
-    doubtful = [i for i, run in enumerate(runs) if not run.agreement.agrees and not run.agreement.blurred]
+    doubtful = [i for i, run in enumerate(runs) if not run.agreement.agrees]
     if doubtful:
-        again = [controllers[i] for i in doubtful]
-        small = simulate([vehicle] * len(again), again, [road.scaled(SMALL)] * len(again), time).response
+        again, quiet = [controllers[i] for i in doubtful], replace(vehicle, implementation=vehicle.implementation.scaled(SMALL))
+        small = simulate([quiet] * len(again), again, [road.scaled(SMALL)] * len(again), time).response
         for k, i in enumerate(doubtful):
             runs[i] = replace(runs[i], agreement=look_closer(runs[i].agreement, small.run(k), runs[i].sampled))
     return runs

@@ -108,9 +108,13 @@ def verdict_lines(run: Run) -> list[str]:
     if agreement.agrees and error.small is not None:
         worst = max(agreement.signals, key=lambda name: agreement.signals[name].sampled)
         error = agreement.signals[worst]
+        made, noise, is_it = ("geometry makes", "", "the exact sampled response to")
+        if agreement.blurred:
+            made, noise, is_it = ("geometry and noise make", " and noise", "within")
+        off = error.sampled - (0.0 if agreement.blurred else error.allowed / SLACK)
         lines.append(
-            f"agrees to first order: geometry makes up to {error.sampled - error.allowed / SLACK:.1e} of a peak ({worst}), "
-            f"{when}; at {SMALL:g} of this road's height MuJoCo is the exact sampled response to {error.small:.1e} of it"
+            f"agrees to first order: {made} up to {off:.1e} of a peak ({worst}), "
+            f"{when}; at {SMALL:g} of this road's height{noise} MuJoCo is {is_it} {error.small:.1e} of it"
         )
     elif agreement.agrees and agreement.blurred:
         lines.append(f"agrees: MuJoCo stays within the predicted spread of the noise on its measurements, {when} ({numbers})")

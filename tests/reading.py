@@ -10,8 +10,7 @@ class PageRead:
 
     def __init__(self, path: Path) -> None:
         own = re.sub(r"<(script|style)\b.*?</\1>", "", path.read_text(encoding="utf-8"), flags=re.S)
-        state, box = re.search(r'<div class="answer (\w+)">(.*?)</div>', own, re.S).groups()
-        self.state = state
+        ((self.state, box),) = re.findall(r'<div class="answer (\w+)">(.*?)</div>', own, re.S)
         self.answer = [_text(sentence) for sentence in re.findall(r"<p>(.*?)</p>", box, re.S)]
         self.captions = [_text(caption) for caption in re.findall(r"<figcaption>(.*?)</figcaption>", own, re.S)]
         self.text = _text(own)
@@ -27,7 +26,7 @@ class PageRead:
 
 def _rows(table: str) -> list[dict[str, str]]:
     headings = [_text(cell) for cell in re.findall(r"<th[^>]*>(.*?)</th>", table, re.S)]
-    body = re.search(r"<tbody>(.*?)</tbody>", table, re.S)[1]
+    (body,) = re.findall(r"<tbody>(.*?)</tbody>", table, re.S)
     cells = [
         [_text(cell) for cell in re.findall(r"<td[^>]*>(.*?)</td>", row, re.S)]
         for row in re.findall(r"<tr>(.*?)</tr>", body, re.S)

@@ -9,10 +9,11 @@ from models.errors import InputError
 from models.kind import GRAVITY
 from models.reality import Implementation, Limits
 from models.vehicle import parse_vehicle, read_vehicle
-from sim.linear import continuous_response, sampled_radius, sampled_response, taylor4
+from sim.linear import continuous_response, noise_spread, sampled_radius, sampled_response, taylor4
 from sim.physics import simulate
 from sim.road import Bump
-from sim.run import sample_times
+from sim.run import run_all, sample_times
+from sim.verdict import verdict_lines
 from synth.controller import Designer
 
 
@@ -114,6 +115,37 @@ def test_noise_has_its_predicted_variance(paper, designer):
     assert measured == pytest.approx(predicted, rel=0.1)  # 64 runs of a slow mode, a dozen independent values each: 4 %
     again = simulate(vehicles[:1], [controller], [Bump(height=0.0)], time).response
     np.testing.assert_array_equal(again.values[0], response.values[0])  # the seed fixes it
+
+
+def test_noise_of_what_symmetry_keeps_silent():
+    """A full car's gains are symmetric to eight digits, so noise on heave makes it roll: hardly, and as much as is predicted."""
+    car = with_reality(read_vehicle("full_car"), None, Implementation(noise={"heave_velocity": 0.005}))
+    controller, time = Designer(car).design("I"), sample_times(car, 3.0, 2e-3)
+    spread = noise_spread(car, controller, 2e-3)
+    assert 0 < spread["roll_rate"] < 1e-6 * spread["heave_velocity"]
+    predicted = sampled_response(car, controller, Bump(height=0.0), time)
+    assert predicted.peak("roll_rate") == 0
+    (run,) = run_all(car, [controller], Bump(), time)
+    assert run.agreement.agrees  # within six of those standard deviations, roll too
+
+
+def test_noise_and_geometry_together():
+    """Where noise is small beside what turning makes, that is told from error as it is without noise."""
+    half = with_reality(read_vehicle("half_car"), None, Implementation(noise={"heave_velocity": 1e-7}))
+    (run,) = run_all(half, [Designer(half).design("I")], Bump(), sample_times(half, 1.0, 1e-3))
+    assert run.agreement.agrees
+    (line,) = verdict_lines(run)
+    assert line.startswith("agrees to first order: geometry and noise make up to")
+    assert "exact" not in line
+
+
+def test_spread_is_the_lyapunov_equation(paper, designer):
+    """The covariance summed by doubling is that of SciPy's solver."""
+    vehicle = with_reality(paper, None, Implementation(noise={"sprung_velocity": 0.01}))
+    found = noise_spread(vehicle, designer.design("II"), 2e-3)
+    expected = noise_rms(paper, designer.design("II"), 2e-3, {"sprung_velocity": 0.01})
+    for name in ("suspension_deflection", "tyre_deflection", "sprung_velocity"):
+        assert found[name] == pytest.approx(expected[name], rel=1e-9)  # rounding of a solve, and of 14 doublings
 
 
 def noise_rms(vehicle, controller, step, noise):
