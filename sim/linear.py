@@ -247,5 +247,6 @@ def _stationary(loop: Array, shock: Array) -> Array:
     """
     root, step = shock, loop
     while np.abs(step).max() > DECAYED:
-        root, step = linalg.qr(np.hstack([root, step @ root]).T, mode="economic")[1].T, step @ step
+        _, upper = np.linalg.qr(np.hstack([root, step @ root]).T)
+        root, step = upper.T, step @ step
     return root
