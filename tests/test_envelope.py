@@ -12,6 +12,8 @@ from models.reality import Limits
 from models.vehicle import read_vehicle
 from sim.broken import ENDS, first_end, reached, utilisation
 from sim.envelope import grid, main, read_axes
+from sim.envelope_picture import envelope_figure
+from sim.figure import Kinds
 from sim.linear import sampled_response
 from sim.road import Bump
 from sim.validity import validity
@@ -124,6 +126,88 @@ def test_command(capsys, tmp_path):
         assert row["broke_first"] == (cell["broke_first"] or "")
     assert picture.read_text().startswith("<?xml")
     assert recorded_runs(result["logs"]["mcap"]) == {"II_nothing_breaks", "II_lift_off"}
+
+
+def test_words_are_the_cells(tmp_path, capsys):
+    """Every share and count that the command prints, and every line of its CSV, is that of the cells of its JSON."""
+    vehicle = tmp_path / "limited.toml"
+    section = "".join(f"{name} = {value}\n" for name, value in dataclasses.asdict(LIMITS).items() if value is not None)
+    vehicle.write_text(f"{read_vehicle('quarter_car').text}\n[limits]\n{section}")
+    axes = ["--vary", "height:0.02:0.3:6", "--vary", "speed:3:30:5"]
+    arguments = ["--vehicle", str(vehicle), "--controller", "I", *axes, "--timestep", "0.002"]
+    assert main([*arguments, "--json"]) == 0
+    cells = json.loads(capsys.readouterr().out)["cells"]
+    assert main([*arguments, "--csv", str(tmp_path / "map.csv")]) == 0
+    printed = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
+
+    def share(one) -> str:
+        return f"{100 * sum(map(one, cells)) / len(cells):.1f} % of the cells"
+
+    firsts = {cell["broke_first"] for cell in cells} - {None}
+    assert len(firsts) >= 2
+    expected = [f"{share(lambda cell: cell['holds'])}: linear analysis holds to 0.05 of every signal's peak"]
+    expected.append(f"{share(lambda cell: cell['broke_first'] is None)}: nothing breaks")
+    expected += [f"{share(lambda cell, end=end: cell['broke_first'] == end)}: {end} comes first" for end in ENDS if end in firsts]
+    agree = sum(cell["agrees"] for cell in cells)
+    expected.append(
+        f"{100 * agree / 30:.2f} % of 30 cells break as linear analysis predicts; of the others 0 do not lie at a boundary"
+    )
+    assert printed[1 : 1 + len(expected)] == expected
+
+    rows = list(csv.DictReader((tmp_path / "map.csv").open()))
+    assert len(rows) == len(cells) == 30
+    for row, cell in zip(rows, cells, strict=True):
+        for name in ("height", "length", "speed", "error", "at", "predicted_at"):
+            assert row[name] == ("" if cell[name] is None else repr(cell[name]))
+        assert (row["broke_first"], row["predicted"]) == (cell["broke_first"] or "", cell["predicted"] or "")
+        assert (row["holds"], row["agrees"]) == (str(cell["holds"]), str(cell["agrees"]))
+        shares = {end: float(row[f"linear_share_of_{end.replace(' ', '_').replace('-', '_')}"]) for end in ENDS}
+        assert (max(shares.values()) >= 1) == (cell["predicted"] is not None)
+        assert cell["predicted"] is None or shares[cell["predicted"]] >= 1
+
+
+@pytest.mark.parametrize("axes", [("height:0.02:0.3:14", "speed:3:30:14"), ("speed:3:30:14", "height:0.02:0.3:14")])
+def test_picture_is_the_cells(limited, designer, cells, axes):
+    """Every cell of the picture has the colour of what broke there first, whatever order the axes were asked for in."""
+    found, _ = cells
+    if axes[0].startswith("speed"):
+        order = np.arange(len(found.bumps)).reshape(14, 14).T.ravel()
+        arrays = {name: getattr(found, name)[order] for name in found.__dataclass_fields__ if name != "bumps"}
+        found = dataclasses.replace(found, bumps=tuple(found.bumps[i] for i in order), **arrays)
+    figure = envelope_figure(limited, designer.design("I"), found, read_axes(axes), {"length": 5.0}, 0.05)
+    (panel,) = figure.panels
+    ground = panel.ground
+    assert isinstance(ground, Kinds)
+    assert (panel.xlabel, panel.ylabel) == ("speed [m/s]", "bump height [m]")
+    legend = {curve.label: curve.color for curve in panel.curves}
+    for bump, first in zip(found.bumps, found.first, strict=True):
+        color = ground.colors[ground.kind[list(ground.y).index(bump.height), list(ground.x).index(bump.speed)]]
+        (label,) = [text for text, its in legend.items() if its == color and ("breaks" in text)]
+        assert label.startswith("nothing breaks" if first < 0 else f"{ENDS[first]} breaks first")
+    assert "force saturation breaks first (at ±1400 N)" in legend
+    assert "100 % of 196 MuJoCo runs end the linear regime as predicted" in figure.title
+    # The line lies where the linear share is one: at the height that the column's own linear run says.
+    (line,) = [curve for curve in panel.curves if curve.label == "predicted end, from one linear run"]
+    for speed in ground.x[1:-1]:
+        column = [i for i, bump in enumerate(found.bumps) if bump.speed == speed]
+        end = found.bumps[column[0]].height / found.used[column[0]].max()
+        heights = line.y[np.isclose(line.x, speed)]
+        assert np.any(np.isclose(heights, end, rtol=0.02))  # between two cells the logarithm is taken to be straight
+
+
+@pytest.mark.parametrize(
+    ("refused", "allowed", "words"),
+    [
+        ("speed:12:834:2", "speed:12:833:2", "less than two timesteps"),  # 5 m in 6 ms, two timesteps of 3 ms
+        ("speed:1.66:12:2", "speed:1.67:12:2", "more than the run of 3 s"),  # 5 m in 3 s
+    ],
+)
+def test_bumps_fit_the_run(refused, allowed, words):
+    """A bump of a little less than two timesteps, or a little more than the run, is refused; else it is not."""
+    arguments = ["--controller", "passive", "--vary", "height:0.02:0.03:2", "--timestep", "0.003"]
+    with pytest.raises(InputError, match=words):
+        main([*arguments, "--vary", refused])
+    assert main([*arguments, "--vary", allowed]) in (0, 1)
 
 
 @pytest.mark.parametrize(

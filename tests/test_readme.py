@@ -1,8 +1,11 @@
 """The README's recipes work as they stand there."""
 
 import re
+import subprocess
+import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from models.vehicle import parse_vehicle, read_vehicle
@@ -96,6 +99,27 @@ def test_campaign_snippet(tmp_path):
     assert len(campaign.seeds) == 100
     assert len(campaign.samples["quarter_car"]) == 16
     assert campaign.settle == 5.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("picture", ["sweep", "margins", "envelope"])
+def test_picture_is_what_its_command_draws(picture, tmp_path):
+    """Beside a picture stands the command that draws it, to the pixel but for the edges of letters."""
+    pytest.importorskip("matplotlib", reason="needs the extra [report]")
+    from matplotlib.image import imread
+
+    section = README.split(f".github/pictures/{picture}.png")[1].split("\n## ")[0]
+    lines = re.findall(r"^```sh\n(.*?)^```", section, re.M | re.S)[0].splitlines()
+    (drawing,) = [i for i, line in enumerate(lines) if f"--picture {picture}.png" in line]
+    script = (
+        "\n".join(lines[: drawing + 1]).replace("/tmp/", f"{tmp_path}/").replace(f"{picture}.png", str(tmp_path / "drawn.png"))
+    )
+    root = Path(__file__).parent.parent
+    subprocess.run(["sh", "-ec", script.replace("python -m", f"{sys.executable} -m")], cwd=root, check=True)
+    drawn, shown = (imread(path) for path in (tmp_path / "drawn.png", root / f".github/pictures/{picture}.png"))
+    assert drawn.shape == shown.shape
+    # Other fonts and versions of Matplotlib move letters by a pixel; another curve, or another cell, is more than that.
+    assert np.mean(np.abs(drawn - shown).max(axis=-1) > 0.1) < 0.01
 
 
 def test_notebook_snippet(tmp_path, monkeypatch, capsys):
