@@ -1,35 +1,48 @@
-"""Static output feedback for any plant: the two steps where they lead to a gain, and what to do where they do not.
+"""Static output feedback for any plant: the smallest norm that a fixed amount of search finds, at most a largest gain.
 
-The paper's two steps take L (14) from the X of the *optimal* state feedback. That X often fits no output feedback. So:
+No quick method finds the best static gain for sure. Three things make a poor one, and each has its remedy:
 
-1. X is also taken from the central path short of the optimum, where state feedback is less sharp.
-2. The X of the second step is fed back into (14). For L from its own X, (25) has (X_Q, X_R, Y_R) = the X and K it came from as a
-   solution: X = Q X_Q Q' + R X_R R' holds exactly. So the bound never grows, and any stabilising gain starts the iteration.
-3. Where no X leads anywhere, a stabilising gain is searched for (`stabilise.py`).
-4. From the gains of all starts the norm itself is minimised (`descent.py`).
+- *Where a descent starts.* Samples of every size (`survey.py`), stabilising gains where samples are too few (`stabilise.py`), and
+  the paper's two steps, refined. Of many starts few are followed long: heats of short descents, after each of which those that
+  are behind, and those that ended where another did, are left.
+- *Narrow valleys.* Descents take turns in the landscape's coordinates and in those where measurements are uncorrelated
+  (`coordinates.py`), and one kind (`descent.py`) knows edges and curvature.
+- *The bound on the gain.* It counts at the smallest of all gains that make the same loop (`symmetry.py`).
+
+From the winner's surroundings further descents start. Nothing found is ever given up for something worse, so the result is not
+worse than the two steps refined. The same plant gives the same gain: all samples have fixed seeds.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from models.arrays import Array
-from synth.central import CentralPoint, central_path
 from synth.certificate import Certificate
+from synth.coordinates import uncorrelated
 from synth.descent import along_edges, quasi_newton
+from synth.design import Design, two_step_design
 from synth.errors import DesignError
 from synth.landscape import Landscape
-from synth.output_feedback import l_matrix, nullspace, r_matrix
+from synth.lower_bound import LowerBound
 from synth.plant import GeneralizedPlant
+from synth.refine import refine
 from synth.riccati import proved
+from synth.scaling import size
 from synth.stabilise import stabilising_starts
-from synth.state_feedback import state_feedback
+from synth.survey import around, survey
+from synth.symmetry import Symmetry
 
-SHORT_OF_OPTIMUM = (3.0, 1e-2, 1e-4)  # where on the path X is taken from, relative to eta
-STARTS = 6  # random stabilising gains
-MORE_STARTS = 18  # with those of before, where the first lead to none
 LARGEST_GAIN = 1e5
-AGREE = 1e-6  # relative; two starts that end this close have found the same minimum
+ENOUGH_SAMPLES = 4  # decades of size with a stable sample; then a few stabilising starts will do
+FEW, MANY, MOST = 2, 6, 18  # stabilising starts: with enough samples, with fewer, and where nothing else is found
+SAME = 1e-4  # relative; two descents that end this close have found the same minimum
+REACHED = 1e-4  # relative; this close to what no controller beats, the search ends
+ZERO = 1e-9  # of the size of the plant's matrices; a norm this small is zero
+IDLE = 3  # descents from the winner's surroundings in a row that find nothing better: enough
+SURROUNDINGS = (0.03, 0.1, 0.3, 1.0, 0.03, 0.1, 0.3, 1.0)  # how far from the winner further descents start, in logarithms
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,119 +51,173 @@ class StaticDesign:
 
     Attributes:
         gain: K, shape (m, q).
-        certificate: what is true of it.
-        two_steps: the best of the two steps, with X from along the path; None where they find no gain.
-        two_step_norm: the norm of its gain; None likewise.
+        certificate: what is true of it, with the gap to what no controller beats if that is known.
+        two_steps: the paper's two steps; None where they find no gain.
         origin: the start that led to the gain, in words.
+        starts: how many stable starts there were.
     """
 
     gain: Array
     certificate: Certificate
-    two_steps: CentralPoint | None
-    two_step_norm: float | None
+    two_steps: Design | None
+    origin: str
+    starts: int
+
+
+class Candidate(NamedTuple):
+    """A stable point, its norm, and the start that led to it."""
+
+    x: Array
+    norm: float
     origin: str
 
 
-def two_steps(plant: GeneralizedPlant, Cy: Array, mu: float, rounds: int = 1) -> CentralPoint:
-    """The paper's two steps with X from the central path at mu, (14) iterated.
-
-    Args:
-        plant: n states, m inputs.
-        Cy: shape (q, n), full row rank.
-        mu: where on the path of (22) X is taken from, relative to eta; (25) is solved as closely.
-        rounds: how often (25) is solved; from the second time on with the X of the time before.
-
-    Raises:
-        DesignError: (25) is infeasible with the first L, or a path could not be followed.
-    """
-    Q = nullspace(Cy)
-    X = state_feedback(plant, mu)[-1].X
-    point = None
-    for _ in range(rounds):
-        try:
-            found = central_path(plant, Q, r_matrix(Cy, Q, l_matrix(X, Cy, Q)), max(mu, 1e-5))[-1]
-        except DesignError:
-            if point is None:
-                raise
-            break
-        if point is not None and found.gamma > point.gamma * (1 - 1e-3):
-            break
-        point, X = found, found.X
-    assert point is not None
-    return point
+Descent = Callable[[Array, int], Array]
 
 
 @np.errstate(over="ignore", divide="ignore", invalid="ignore")  # a step too far; what is not finite is refused where it is tried
-def static_output_feedback(plant: GeneralizedPlant, Cy: Array, largest_gain: float = LARGEST_GAIN) -> StaticDesign:
-    """The best static gain that the whole strategy finds, no entry larger than `largest_gain`.
+def static_output_feedback(
+    plant: GeneralizedPlant, Cy: Array, largest_gain: float = LARGEST_GAIN, lower: LowerBound | None = None
+) -> StaticDesign:
+    """The best static gain that the search finds, no entry larger than `largest_gain`.
 
     Args:
         plant: n states, m inputs.
         Cy: shape (q, n), full row rank.
         largest_gain: bound on |K_ij|. Where the infimum lies at infinity, this is what keeps the gain finite.
+        lower: what no controller of this kind can beat, if it is known: it ends the search early, and goes into the certificate.
 
     Raises:
         DesignError: no stabilising gain was found.
     """
-    landscape = Landscape(plant, Cy)
-    limit = landscape.point(np.full(landscape.shape, largest_gain))
-    points = _along_the_path(plant, Cy)
-    starts = [(landscape.point(point.K), f"two steps, X at mu = {mu:g}") for mu, point in points]
-    starts = [(x, origin) for x, origin in starts if np.all(np.abs(x) <= limit) and np.isfinite(landscape.norm(x)[0])]
-    norms = [landscape.norm(x)[0] for x, _ in starts]
-    found = [(x, "a stabilising start") for x in stabilising_starts(landscape, limit, range(STARTS))]
-    if not starts and not found:
-        found = [(x, "a stabilising start") for x in _first(stabilising_starts(landscape, limit, range(STARTS, MORE_STARTS)), 2)]
-    if not starts and not found:
+    search = _Search(plant, Cy, largest_gain, lower.gamma if lower is not None else 0.0)
+    two_steps = search.two_steps()
+    candidates = search.starts()
+    starts = len(candidates)
+    if two_steps is not None:
+        candidates += search.refined(two_steps)
+    if not candidates:
         raise DesignError(
-            f"no stabilising static gain was found from {MORE_STARTS} starts; measure more signals, or allow a larger gain "
+            f"no stabilising static gain was found from {MOST} starts; measure more signals, or allow a larger gain "
             f"than {largest_gain:g}"
         )
-
-    # Many quick descents, fewer and longer ones from the best.
-    ranked = sorted((_quick(landscape, x, limit) + (origin,) for x, origin in starts + found), key=lambda each: each[1])
-    for keep, rounds in ((3, 30), (1, 150)):
-        ranked = [(*along_edges(landscape, x, limit, rounds), origin) for x, _, origin in ranked[:keep]]
-        ranked.sort(key=lambda each: each[1])
-        if len(ranked) > 1 and ranked[1][1] <= ranked[0][1] * (1 + AGREE):
-            break
-    x, _, origin = ranked[0]
-    best = min(range(len(points)), key=lambda i: points[i][1].gamma) if norms else None
-    K = landscape.gain(x)
-    return StaticDesign(
-        gain=K,
-        certificate=proved(plant, K @ Cy),
-        two_steps=points[best][1] if best is not None else None,
-        two_step_norm=min(norms) if norms else None,
-        origin=origin,
-    )
+    best = search.best(candidates)
+    K = search.landscape.gain(best.x)
+    return StaticDesign(K, proved(plant, K @ Cy, lower), two_steps, best.origin, starts)
 
 
-def _along_the_path(plant: GeneralizedPlant, Cy: Array) -> list[tuple[float, CentralPoint]]:
-    points = []
-    for mu in SHORT_OF_OPTIMUM:
+class _Search:
+    """The search for one plant."""
+
+    def __init__(self, plant: GeneralizedPlant, Cy: Array, largest_gain: float, beaten_by_none: float) -> None:
+        self.plant, self.Cy, self.beaten_by_none = plant, Cy, beaten_by_none
+        self.landscape = Landscape(plant, Cy)
+        self.limit = self.landscape.point(np.full(self.landscape.shape, largest_gain))
+        self.symmetry = Symmetry(self.landscape)
+        self.nothing = ZERO * (
+            float(np.linalg.norm(plant.Dw, 2)) + size(self.landscape.C) * size(self.landscape.Bw) / size(self.landscape.A)
+        )
+
+    def two_steps(self) -> Design | None:
+        """The paper's two steps; None where they find no gain."""
         try:
-            points.append((mu, two_steps(plant, Cy, mu)))
-        except (DesignError, ValueError, np.linalg.LinAlgError):  # this X leads nowhere; another, or another start, may
-            continue
-    return points
+            return two_step_design(self.plant, self.Cy)
+        except (DesignError, ValueError, np.linalg.LinAlgError):
+            return None
 
+    def refined(self, two_steps: Design) -> list[Candidate]:
+        """The two steps, refined."""
+        try:
+            gain = refine(self.plant, self.Cy, two_steps.gain).gain
+        except DesignError:  # stable by its proof, but for the landscape's rounding not
+            return []
+        return self.admitted(self.landscape.point(gain), "the two steps, refined")
 
-def _quick(landscape: Landscape, x: Array, limit: Array) -> tuple[Array, float]:
-    """A quick descent of log norm."""
+    def starts(self) -> list[Candidate]:
+        """Stable points of many sizes."""
+        sampled = survey(self.landscape, self.limit)
+        found = [
+            each for x in sampled for each in self.admitted(x, f"a sample of size {10 ** np.floor(np.log10(abs(x).max())):.0e}")
+        ]
+        numbers = range(FEW if len(found) >= ENOUGH_SAMPLES else MANY)
+        while True:
+            for x in stabilising_starts(self.landscape, self.limit, numbers):
+                found += self.admitted(x, "a stabilising start")
+            if found or numbers.stop >= MOST:
+                return found
+            numbers = range(numbers.stop, MOST)
 
-    def log_norm(x: Array, above: float) -> tuple[float, Array | None]:
-        if np.any(np.abs(x) > limit):
-            return np.inf, None
-        norm, at = landscape.norm(x, float(np.exp(min(above, 700.0))))
-        value = float(np.log(max(norm, 1e-300)))
-        return value, landscape.slope(x, at) / norm if value <= above and norm > 0 else None
+    def admitted(self, x: Array, origin: str) -> list[Candidate]:
+        """A candidate, if the point is stable within the limit."""
+        x = np.clip(self.symmetry.smallest(x), -self.limit, self.limit)
+        norm, _ = self.landscape.norm(x)
+        return [Candidate(x, norm, origin)] if np.isfinite(norm) else []
 
-    if landscape.norm(x)[0] == 0:
-        return x, 0.0
-    x, value = quasi_newton(log_norm, x, 30)
-    return x, float(np.exp(value))
+    def best(self, candidates: list[Candidate]) -> Candidate:
+        """The winner of all heats, and of the descents from its surroundings."""
+        heats = ((self.plain, 30, 8), (self.whitened, 40, 5), (self.edges, 30, 3), (self.whitened, 60, 2), (self.edges, 60, 1))
+        for descent, rounds, keep in heats:
+            candidates = self.heat(candidates, descent, rounds, keep)
+            if self.reached(candidates[0]):
+                return candidates[0]
+        best, idle = candidates[0], 0
+        for number, factor in enumerate(SURROUNDINGS):
+            near = around(self.landscape, best.x, self.limit, factor, number)
+            if near is None:
+                continue
+            start = Candidate(near, self.landscape.norm(near)[0], best.origin)
+            found = self.step(start, self.plain if number % 2 else self.whitened, 60)
+            if found.norm < best.norm * (1 + 10 * SAME):
+                found = self.step(found, self.edges, 60)
+            idle = idle + 1 if found.norm > best.norm * (1 - SAME) else 0
+            best = min(best, found, key=lambda each: each.norm)
+            if self.reached(best) or idle == IDLE:
+                break
+        return self.step(best, self.edges, 150)
 
+    def heat(self, candidates: Sequence[Candidate], descent: Descent, rounds: int, keep: int) -> list[Candidate]:
+        """The best of the candidates after a descent each, best first, no two at the same minimum."""
+        left: list[Candidate] = []
+        for each in sorted((self.step(each, descent, rounds) for each in candidates), key=lambda each: each.norm):
+            if not left or each.norm > left[-1].norm * (1 + SAME):
+                left.append(each)
+        return left[:keep]
 
-def _first(items, count: int):
-    return [item for item, _ in zip(items, range(count), strict=False)]
+    def step(self, candidate: Candidate, descent: Descent, rounds: int) -> Candidate:
+        """A candidate after a descent; as it was where that led no lower."""
+        if self.reached(candidate):
+            return candidate
+        try:
+            moved = self.admitted(descent(candidate.x, rounds), candidate.origin)
+        except np.linalg.LinAlgError:  # a loop on the border of stability
+            return candidate
+        return min([candidate, *moved], key=lambda each: each.norm)
+
+    def reached(self, candidate: Candidate) -> bool:
+        """Whether nothing is left to gain."""
+        return candidate.norm <= max(self.beaten_by_none * (1 + REACHED), self.nothing)
+
+    def edges(self, x: Array, rounds: int) -> Array:
+        """A descent that knows edges and curvature."""
+        return along_edges(self.landscape, x, self.limit, rounds)[0]
+
+    def plain(self, x: Array, rounds: int) -> Array:
+        """A quick descent in the landscape's coordinates."""
+        return self._quick(x, rounds, np.eye(len(x)))
+
+    def whitened(self, x: Array, rounds: int) -> Array:
+        """A quick descent in coordinates where measurements count alike."""
+        return self._quick(x, rounds, uncorrelated(self.landscape, x))
+
+    def _quick(self, start: Array, rounds: int, M: Array) -> Array:
+        """A descent of log norm over t, from start + M t."""
+
+        def log_norm(t: Array, above: float) -> tuple[float, Array | None]:
+            x = start + M @ t
+            if np.any(np.abs(x) > self.limit):
+                return np.inf, None
+            norm, at = self.landscape.norm(x, float(np.exp(min(above, 700.0))))
+            value = float(np.log(max(norm, 1e-300)))
+            return value, M.T @ self.landscape.slope(x, at) / norm if value <= above and norm > 0 else None
+
+        return start + M @ quasi_newton(log_norm, np.zeros(len(start)), rounds)[0]

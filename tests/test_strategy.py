@@ -1,0 +1,163 @@
+"""The strategy for static output feedback: never worse than its parts, always proved, and at home in narrow valleys."""
+
+import numpy as np
+import pytest
+
+from synth.certificate import certify
+from synth.coordinates import uncorrelated
+from synth.design import two_step_design
+from synth.errors import DesignError
+from synth.full_order import best_possible
+from synth.landscape import Landscape
+from synth.plant import GeneralizedPlant
+from synth.refine import refine
+from synth.riccati import proved
+from synth.static import static_output_feedback
+from synth.survey import survey
+from synth.symmetry import Symmetry
+from tests.test_static import random_plant
+
+LARGEST = 1e5
+
+
+def follower() -> tuple[GeneralizedPlant, np.ndarray]:
+    """A mass that is to follow a reference which wanders slowly, by a controller with one state of its own.
+
+    States: position, speed, reference, memory. Inputs: force, and what the memory is fed. Measured: position, reference, memory.
+    Only the difference of position and reference is small: gains may grow in it, and must cancel in all else to 1e-4.
+    """
+    A = np.zeros((4, 4))
+    A[0, 1], A[2, 2] = 1.0, -1e-4
+    B = np.zeros((4, 2))
+    B[1, 0] = B[3, 1] = 1.0
+    Bw = np.zeros((4, 2))
+    Bw[1, 0], Bw[2, 1] = 1.0, 0.01
+    plant = GeneralizedPlant(A, B, Bw, np.array([[1.0, 0.0, -1.0, 0.0]]), np.zeros((1, 2)), np.zeros((1, 2)))
+    return plant, np.eye(4)[[0, 2, 3]]
+
+
+def lead(stiffness: float, zero: float, pole: float) -> np.ndarray:
+    """The gain of `follower` that a course in control teaches: -stiffness (s + zero) / (s + pole) of the error."""
+    return np.array([[-stiffness, stiffness, stiffness], [pole - zero, zero - pole, -pole]])
+
+
+def assert_not_worse_and_proved(seed: int, n: int, m: int) -> None:
+    plant, Cy = random_plant(seed, n=n, m=m)
+    lower = best_possible(plant, Cy)
+    try:
+        design = static_output_feedback(plant, Cy, LARGEST, lower)
+    except DesignError:
+        with pytest.raises(DesignError):
+            two_step_design(plant, Cy)
+        return
+    certificate = design.certificate
+    assert certificate.failures == ()
+    assert certificate.bound is not None
+    assert certificate.norm.value <= certificate.bound <= certificate.norm.value * (1 + 1e-4)  # the second of MARGINS
+    assert np.abs(design.gain).max() <= LARGEST * (1 + 1e-12)  # rounding of the scales
+    if design.two_steps is not None:
+        refined = refine(plant, Cy, design.two_steps.gain)
+        if np.abs(refined.gain).max() <= LARGEST:
+            assert certificate.norm.value <= refined.after * (1 + 1e-8)  # where each norm stops
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_not_worse_than_the_two_steps_refined(seed):
+    """On random plants the strategy's gain is proved within 1e-4, in bounds, and no worse than the two steps refined."""
+    assert_not_worse_and_proved(seed, 3, 1)
+
+
+@pytest.mark.attack
+@pytest.mark.parametrize("seed", range(20))
+def test_attack_not_worse_than_the_two_steps_refined(seed):
+    """The same on 20 larger plants, with two inputs."""
+    assert_not_worse_and_proved(seed, 5, 2)
+
+
+@pytest.mark.slow
+def test_narrow_valley():
+    """Where gains must cancel to 1e-4 in all but one direction, the strategy beats the lead compensators of a textbook."""
+    plant, Cy = follower()
+    design = static_output_feedback(plant, Cy)
+    norms = [
+        certify(plant, lead(stiffness, ratio * stiffness**0.5 / 3, 3 * ratio * stiffness**0.5) @ Cy).norm.value
+        for stiffness in np.geomspace(1e2, LARGEST, 7)
+        for ratio in (0.5, 1.0, 2.0)
+    ]
+    assert design.certificate.failures == ()
+    assert design.certificate.bound is not None
+    assert design.certificate.norm.value <= min(norms)
+
+
+def test_same_gain_again():
+    """The same plant gives the same gain, to the last bit."""
+    plant, Cy = random_plant(3, n=3, m=1)
+    np.testing.assert_array_equal(static_output_feedback(plant, Cy).gain, static_output_feedback(plant, Cy).gain)
+
+
+def test_gains_that_make_the_same_loop():
+    """The unit of a controller's memory changes the gain, not the norm; the smallest of these gains is found from any of them."""
+    plant, Cy = follower()
+    landscape = Landscape(plant, Cy)
+    symmetry = Symmetry(landscape)
+    sizes = []
+    for unit in (1e-3, 1.0, 1e3):
+        K = lead(1e3, 10.0, 100.0) * np.outer([1.0, unit], [1.0, 1.0, 1 / unit])
+        found = symmetry.smallest(landscape.point(K))
+        assert landscape.norm(found)[0] == pytest.approx(landscape.norm(landscape.point(K))[0], rel=1e-9)  # what it accepts
+        sizes.append(np.abs(landscape.gain(found)).max())
+    np.testing.assert_allclose(sizes, 1e3, rtol=1e-3)  # its stiffness, which no unit changes
+    other, its_Cy = random_plant(0)
+    point = np.ones(4)
+    np.testing.assert_array_equal(Symmetry(Landscape(other, its_Cy)).smallest(point), point)
+
+
+def test_measurements_count_alike():
+    """In the coordinates that `uncorrelated` gives, the covariance of what is measured is a multiple of the unit matrix."""
+    plant, Cy = follower()
+    landscape = Landscape(plant, Cy)
+    x = landscape.point(lead(1e3, 10.0, 100.0))
+    M = uncorrelated(landscape, x)
+    # A unit of t changes the force by y'root: for white noise that has the same power in every direction of t.
+    A, _ = landscape.loop(x)
+    frequencies = np.concatenate([-np.geomspace(1e-7, 1e5, 20001)[::-1], np.geomspace(1e-7, 1e5, 20001)])
+    answers = np.array([landscape.Cy @ np.linalg.solve(1j * w * np.eye(4) - A, landscape.Bw) for w in frequencies])
+    density = np.real(answers @ answers.conj().transpose(0, 2, 1))
+    covariance = np.trapezoid(density, frequencies, axis=0) / (2 * np.pi)
+    change = (M.T.reshape(6, 2, 3) * landscape.scale)[:3, 0]
+    power = change @ covariance @ change.T
+    np.testing.assert_allclose(power / power[0, 0], np.eye(3), atol=0.02)  # the trapezoids over twelve decades, the ends cut off
+
+
+def test_samples_are_stable():
+    """Every sample that the search starts from makes a stable loop, within the bound."""
+    plant, Cy = random_plant(0)
+    landscape = Landscape(plant, Cy)
+    limit = landscape.point(np.full(landscape.shape, 1e3))
+    samples = survey(landscape, limit)
+    assert len(samples) >= 3
+    for x in samples:
+        assert np.linalg.eigvals(landscape.loop(x)[0]).real.max() < 0
+        assert np.all(np.abs(x) <= limit)
+
+
+@pytest.mark.parametrize("stiffness", [1e2, 1e4, 1e5])
+def test_proof_of_stiff_and_slow(stiffness):
+    """A loop whose poles are seven decades apart has its norm proved to a hundredth, by an X from a Riccati equation."""
+    plant, Cy = follower()
+    certificate = proved(plant, lead(stiffness, stiffness**0.5 / 3, 3 * stiffness**0.5) @ Cy)
+    assert certificate.failures == ()
+    assert certificate.bound is not None
+    assert certificate.bound <= 1.01 * certificate.norm.value * (1 + 1e-9)  # the third of MARGINS
+
+
+def test_norm_of_zero_is_proved():
+    """Where w does not reach z, an absolute bound is proved: a millionth of what the plant's matrices could do."""
+    plant = GeneralizedPlant(
+        np.diag([-1.0, -2.0]), np.eye(2), np.array([[1.0], [0.0]]), np.array([[0.0, 1.0]]), np.zeros((1, 2)), np.zeros((1, 1))
+    )
+    certificate = proved(plant, np.zeros((2, 2)))
+    assert certificate.norm.value == 0
+    assert certificate.failures == ()
+    assert certificate.bound is not None
+    assert certificate.bound <= 1e-6
