@@ -1,6 +1,6 @@
 """A batch of a campaign: many runs at once, measured and compared with their linear twins as they go, one row each."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -16,7 +16,7 @@ from sim.expected import expect
 from sim.iso8608 import Iso8608
 from sim.linear import driven, held_inputs
 from sim.metrics import Meter, metrics_of
-from sim.physics import BLOCK, DIVERGED, RUNS_AT_ONCE, in_blocks, runs_at_once
+from sim.physics import BLOCK, DIVERGED, in_blocks, runs_at_once
 from sim.readout import reads_out
 from sim.response import SILENT
 from sim.road import Road, under_wheels
@@ -77,18 +77,37 @@ class Plan:
         sample, seed = divmod(run - start, seeds)
         return RunKey(v, k, r, s, sample, seed)
 
-    def batches(self, start: int, stop: int, most: int = RUNS_AT_ONCE) -> list[tuple[int, int]]:
-        """Runs from start to stop, cut into batches of one vehicle that fit into memory, of so many runs at most."""
-        found = []
+    def batches(self, gaps: Iterable[tuple[int, int]], most: Callable[[], int]) -> Iterator[tuple[int, int]]:
+        """The runs of gaps (start, stop), cut into batches of one vehicle that fit into memory.
+
+        Args:
+            gaps: ascending.
+            most: asked before each batch how many runs it may have.
+        """
         vehicles = list(self.campaign.vehicles.values())
-        while start < stop:
-            v = self.key(start).vehicle
-            same = next((block[0] for block in self._blocks if block[0] > start and block[1] != v), self.count)
-            size = runs_at_once(len(self.campaign.time), len(vehicles[v].kind.wheels))
-            end = min(stop, same, start + min(size, most))
-            found.append((start, end))
-            start = end
-        return found
+        for start, stop in gaps:
+            while start < stop:
+                v = self.key(start).vehicle
+                same = next((block[0] for block in self._blocks if block[0] > start and block[1] != v), self.count)
+                size = runs_at_once(len(self.campaign.time), len(vehicles[v].kind.wheels))
+                end = min(stop, same, start + min(size, most()))
+                yield start, end
+                start = end
+
+    def inputs(self, key: RunKey) -> dict[str, Any]:
+        """What a run is, as its row says."""
+        c = self.campaign
+        name, road = list(c.vehicles)[key.vehicle], c.roads[key.road]
+        sample = c.samples[name][key.sample]
+        return {
+            "vehicle": name,
+            "controller": c.controllers[key.controller],
+            "road": road.text,
+            "speed": c.speeds[key.speed],
+            "seed": c.seeds[key.seed] if road.random else None,
+            "sample": key.sample if sample else None,
+            **{f"parameter_{parameter}": value for parameter, value in sample.items()},
+        }
 
 
 def columns(plan: Plan) -> dict[str, type]:
@@ -153,19 +172,7 @@ class _Run:
         self.choice, self.speed, self.seed = c.roads[key.road], c.speeds[key.speed], c.seeds[key.seed]
         self.road: Road = self.choice.build(vehicle, self.speed, self.seed, self.speed * c.duration)
         self.system = (id(vehicle), key.controller)
-
-    def row(self, campaign: Campaign) -> dict[str, Any]:
-        """Its inputs."""
-        sample = campaign.samples[self.name][self.key.sample]
-        return {
-            "vehicle": self.name,
-            "controller": self.controller.name,
-            "road": self.choice.text,
-            "speed": self.speed,
-            "seed": self.seed if self.choice.random else None,
-            "sample": self.key.sample if sample else None,
-            **{f"parameter_{name}": value for name, value in sample.items()},
-        }
+        self.inputs = plan.inputs(key)
 
 
 def _drive(campaign: Campaign, runs: Sequence[_Run], stopped: Callable[[], bool]) -> list[dict[str, Any]] | None:
@@ -199,7 +206,7 @@ def _drive(campaign: Campaign, runs: Sequence[_Run], stopped: Callable[[], bool]
     for i, run in enumerate(runs):
         broken = bool(np.isfinite(diverged[i]))
         ended = min(diverged[i], ends.first[i])
-        row = run.row(campaign)
+        row = dict(run.inputs)
         row["reason"] = f"diverged: a signal is beyond {DIVERGED:g} at {diverged[i]:.4g} s" if broken else None
         row["diverged_at"] = float(diverged[i]) if broken else None
         row["ended_by"] = None if np.isinf(ended) else "divergence" if diverged[i] <= ends.first[i] else ENDS[ends.which[i]]

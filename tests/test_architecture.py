@@ -27,7 +27,8 @@ OWNERS = {
     "plotly": {"sim/page.py"},
     "jinja2": {"sim/page.py"},
     "pyopencrg": {"sim/opencrg.py"},
-    "pyarrow": {"sim/campaign_store.py"},
+    "filelock": {"sim/campaign_manifest.py"},
+    "pyarrow": {"sim/campaign_store.py", "sim/campaign_verify.py"},
     "ray": {"sim/campaign_workers.py"},
 }
 

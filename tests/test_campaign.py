@@ -1,6 +1,7 @@
 """`python -m sim.campaign`: every run once, the same numbers whatever runs them, and nothing lost however it ends."""
 
 import contextlib
+import dataclasses
 import errno
 import json
 import os
@@ -20,6 +21,7 @@ from models.vehicle import read_vehicle
 from sim import campaign_store
 from sim.campaign import main
 from sim.campaign_file import read_campaign
+from sim.campaign_manifest import held, read_manifest
 from sim.expected import expect
 from sim.iso8608 import Iso8608
 from sim.linear import sampled_response
@@ -255,16 +257,18 @@ def test_a_full_disk(tmp_path, monkeypatch):
     """A disk that fills up is one line, exit code 2; what is done is kept, nothing half-written, and later it goes on."""
     file = tmp_path / "campaign.toml"
     file.write_text(QUICK.replace("seeds = 60", "seeds = 3"))
-    real, writes = pq.write_table, []
+    real, writes = campaign_store.whole_file, []
 
-    def fills(table, path):
-        real(table, path)
-        writes.append(path)
-        if len(writes) == 2:
-            raise OSError(errno.ENOSPC, "No space left on device")
+    @contextlib.contextmanager
+    def fills(path, what, instead):
+        with real(path, what, instead) as beside:
+            yield beside
+            writes.append(path)
+            if len(writes) == 2:
+                raise OSError(errno.ENOSPC, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr(campaign_store.pq, "write_table", fills)
+        patch.setattr(campaign_store, "whole_file", fills)
         with pytest.raises(InputError, match=r"No space left on device.*free some space"):
             main([str(file), "--results", str(tmp_path / "results"), "--batch", "2"])
     assert len(list((tmp_path / "results").glob("part-*"))) == 1
@@ -280,13 +284,13 @@ def test_another_campaign_is_left_alone(tmp_path):
     rows, _ = run(tmp_path, text)
     with pytest.raises(InputError, match="holds another campaign"):
         run(tmp_path, text.replace("10.0", "11.0"))
-    manifest = tmp_path / "results" / "campaign.json"
-    content = json.loads(manifest.read_text())
-    manifest.write_text(json.dumps(content | {"versions": content["versions"] | {"mujoco": "1.0"}}))
+    manifest = read_manifest(tmp_path / "results")
+    assert manifest is not None
+    dataclasses.replace(manifest, versions={**manifest.versions, "mujoco": "1.0"}).write(tmp_path / "results")
     with pytest.raises(InputError, match=r"begun with mujoco 1\.0"):
         run(tmp_path, text)
-    manifest.write_text(json.dumps(content))
-    with campaign_store.held(tmp_path / "results"), pytest.raises(InputError, match="another campaign is running"):
+    manifest.write(tmp_path / "results")
+    with held(tmp_path / "results"), pytest.raises(InputError, match="another campaign is running"):
         run(tmp_path, text)
     (tmp_path / "photos").mkdir()
     (tmp_path / "photos" / "cat.png").touch()
@@ -309,7 +313,7 @@ def test_on_a_cluster(small, tmp_path):
         while not victims:
             for process in psutil.Process().children(recursive=True):
                 with contextlib.suppress(psutil.Error):  # it has gone meanwhile
-                    if "run_batch" in " ".join(process.cmdline()):
+                    if "run_timed" in " ".join(process.cmdline()):
                         process.kill()
                         victims.append(process.pid)
                         return

@@ -22,8 +22,10 @@ import pytest
 
 from models.mjcf import build_model
 from models.vehicle import read_vehicle
+from sim.campaign import FEWEST
 from sim.campaign_batch import Plan, columns
 from sim.campaign_file import read_campaign
+from sim.campaign_manifest import Manifest
 from sim.campaign_store import Store
 from sim.campaign_workers import run_batches
 from sim.envelope import grid, read_axes
@@ -192,20 +194,23 @@ def test_campaign(benchmark, tmp_path, name, runs, claim):
     What a full car's controller measures is not linear in its state: its sensors are evaluated before every step as well, which
     takes a fifth to a quarter of a native step.
     """
-    workers = len(os.sched_getaffinity(0))
+    workers = os.cpu_count() or 1
     file = tmp_path / "campaign.toml"
     what = f'vehicles = ["{name}"]\ncontrollers = ["I"]\nroads = ["iso8608:class=A"]\n'
     file.write_text(what + f"speeds = [20.0]\nseeds = {runs}\nduration = 10.0\n")
     campaign = read_campaign(file)
     vehicle = campaign.vehicles[name]
     plan = Plan(campaign, {name: {"I": Designer(vehicle).design("I")}})
-    store = Store(tmp_path, columns(plan), {}, plan.count)
+    manifest = Manifest(str(file), "", {}, "", {}, plan.count)
+    store = Store(tmp_path, columns(plan), {}, manifest)
     native = native_steps(build_model(vehicle, 1e-3), workers)
-    run_batches(plan, [(0, 2)], 1, None, False, lambda start, rows: None)
-    batches = plan.batches(0, plan.count)
+    run_batches(plan, iter([(0, 2)]), 1, None, False, lambda start, rows, took: None)
+    batches = list(plan.batches([(0, plan.count)], lambda: FEWEST))
     pairs = [
         (
-            lambda some=batches[i : i + workers]: run_batches(plan, some, workers, None, False, store.write),
+            lambda some=batches[i : i + workers]: run_batches(
+                plan, iter(some), workers, None, False, lambda start, rows, took: store.write(start, rows)
+            ),
             lambda some=batches[i : i + workers]: native((some[-1][1] - some[0][0]) * len(campaign.time)),
         )
         for i in range(0, len(batches), workers)

@@ -1,0 +1,296 @@
+"""A campaign's folder: what is damaged, copied, edited or of another campaign is found, named, and no number in the results."""
+
+import dataclasses
+import hashlib
+import json
+import os
+import shutil
+import threading
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from models.errors import InputError
+from sim import campaign, campaign_store
+from sim.campaign import main
+from sim.campaign_manifest import read_manifest
+
+QUICK = """
+vehicles = ["quarter_car"]
+controllers = ["passive", "I_printed"]
+roads = ["iso8608:class=B", "bump:height=0.02"]
+speeds = [10.0, 20.0]
+seeds = 12
+duration = 0.2
+settle = 0.0
+timestep = 2e-3
+"""
+RUNS = 2 * 2 * (12 + 1)
+
+
+def start(folder, *arguments):
+    """Runs the campaign in a folder; its exit code."""
+    (folder / "campaign.toml").write_text(QUICK)
+    return main([str(folder / "campaign.toml"), "--results", str(folder / "results"), *arguments])
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A finished campaign's folder, and its bytes."""
+    folder = tmp_path_factory.mktemp("whole")
+    assert start(folder) == 0
+    return folder / "results", (folder / "results" / "results.parquet").read_bytes()
+
+
+@pytest.fixture(scope="module")
+def begun(tmp_path_factory):
+    """A campaign's folder with parts and no end."""
+    folder = tmp_path_factory.mktemp("begun")
+
+    class EndError(Exception):
+        pass
+
+    def ends(self):
+        raise EndError
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(campaign_store.Store, "finish", ends)
+        with pytest.raises(EndError):
+            start(folder, "--batch", "8")
+    assert len(list((folder / "results").glob("part-*"))) >= RUNS // 8
+    return folder / "results"
+
+
+def again(begun, folder):
+    """A copy of the folder with parts, to be damaged."""
+    shutil.copytree(begun, folder / "results")
+    return sorted((folder / "results").glob("part-*"))
+
+
+def flip(path, at):
+    content = bytearray(path.read_bytes())
+    content[at % len(content)] ^= 0x10
+    path.write_bytes(content)
+
+
+@pytest.mark.parametrize("arguments", [("--batch", "1"), ("--batch", "7", "--workers", "1"), ()], ids=" ".join)
+def test_bytes_do_not_depend_on_batches(whole, tmp_path, monkeypatch, arguments):
+    """The finished file is the same to the last byte, whatever its runs were batched in, also in many groups."""
+    assert start(tmp_path, *arguments) == 0
+    assert (tmp_path / "results" / "results.parquet").read_bytes() == whole[1]
+
+
+def test_groups_and_joined_parts(whole, tmp_path, monkeypatch):
+    """Parts are joined while it runs, and groups cut, at places that are no batch's; the rows stay the same."""
+    monkeypatch.setattr(campaign_store, "JOINED", 3)
+    monkeypatch.setattr(campaign_store, "GROUP", 11)
+    assert start(tmp_path, "--batch", "2") == 0
+    file = pq.ParquetFile(tmp_path / "results" / "results.parquet")
+    assert [file.metadata.row_group(i).num_rows for i in range(file.metadata.num_row_groups)] == [11, 11, 11, 11, 8]
+    assert file.read().to_pylist() == pq.read_table(whole[0] / "results.parquet").to_pylist()
+
+
+def cut(parts):
+    parts[1].write_bytes(parts[1].read_bytes()[:-100])
+
+
+def emptied(parts):
+    parts[1].write_bytes(b"")
+
+
+def renamed(parts):  # its runs under the numbers of others
+    parts[1].rename(parts[1].with_name(parts[1].name.replace("part-000000008-000000016", "part-000000016-000000024")))
+
+
+def copied(parts):
+    shutil.copy(parts[1], parts[1].with_name("part-000000030-000000038-" + parts[1].name.split("-")[-1]))
+
+
+def another_row(parts):
+    table = pq.read_table(parts[1])
+    pq.write_table(table.slice(0, 3), parts[1])
+
+
+def stray(parts):
+    parts[1].with_name("part-notes.txt").write_text("mine")
+
+
+def a_pipe(parts):
+    parts[1].unlink()
+    if not hasattr(os, "mkfifo"):
+        pytest.skip("pipes are POSIX's")
+    os.mkfifo(parts[1])
+
+
+@pytest.mark.parametrize("damage", [cut, emptied, renamed, copied, another_row, stray, a_pipe], ids=lambda one: one.__name__)
+def test_a_bad_part_is_run_again_and_said(whole, begun, tmp_path, capsys, damage):
+    """Whatever happened to a part, the finished file is the same to the last byte, and what was found is named."""
+    damage(again(begun, tmp_path))
+    capsys.readouterr()
+    assert start(tmp_path, "--json") == 0
+    printed = capsys.readouterr()
+    assert (tmp_path / "results" / "results.parquet").read_bytes() == whole[1]
+    named = json.loads(printed.out)["damaged"]
+    assert len(named) == 1
+    assert printed.err == f"roadproof: {named[0]}\n"
+    assert "run again" in named[0]
+
+
+@pytest.mark.attack
+def test_random_damage_to_parts(whole, begun, tmp_path):
+    """Forty random flips of a bit or cuts, in any file of a campaign that has begun: complete and the same, or named."""
+    rng = np.random.default_rng(8)
+    for trial in range(40):
+        folder = tmp_path / str(trial)
+        shutil.copytree(begun, folder / "results")
+        files = sorted(path for path in (folder / "results").iterdir() if path.name != ".lock")
+        victim = files[rng.integers(len(files))]
+        size = victim.stat().st_size
+        if rng.random() < 0.5:
+            flip(victim, int(rng.integers(size)))
+        else:
+            victim.write_bytes(victim.read_bytes()[: rng.integers(size)])
+        try:
+            assert start(folder) == 0
+        except InputError as error:
+            assert "campaign.json" in str(error)  # noqa: PT017 - either is right
+            assert victim.name == "campaign.json"
+        else:
+            assert (folder / "results" / "results.parquet").read_bytes() == whole[1]
+
+
+@pytest.mark.parametrize("at", [4, 1000, -3])
+def test_a_damaged_result_is_named(whole, tmp_path, at):
+    """A flipped bit in the finished file is found when it is read, by the command and by --verify; nothing is removed."""
+    (tmp_path / "campaign.toml").write_text(QUICK)
+    shutil.copytree(whole[0], tmp_path / "results")
+    flip(tmp_path / "results" / "results.parquet", at)
+    damaged = (tmp_path / "results" / "results.parquet").read_bytes()
+    for arguments in (
+        [str(tmp_path / "campaign.toml"), "--results", str(tmp_path / "results")],
+        [str(tmp_path / "campaign.toml"), "--verify", str(tmp_path / "results")],
+    ):
+        with pytest.raises(InputError, match=r"results\.parquet: is not the file that the campaign wrote"):
+            main(arguments)
+    assert (tmp_path / "results" / "results.parquet").read_bytes() == damaged
+
+
+@pytest.mark.parametrize("edit", ["gain", "key", "text", "not json", "empty", "list"])
+def test_an_edited_manifest_is_not_driven(begun, tmp_path, edit):
+    """A gain that was edited, a key that is gone, a file that is cut: one line, and nothing is driven."""
+    again(begun, tmp_path)
+    path = tmp_path / "results" / "campaign.json"
+    content = json.loads(path.read_text())
+    if edit == "gain":
+        content["controllers"]["quarter_car"]["I_printed"]["gain"][0][0] = 20000.0
+    elif edit == "key":
+        del content["versions"]
+    elif edit == "text":
+        content["campaign"] += "\n"
+    path.write_text({"not json": "{", "empty": "", "list": "[]"}.get(edit, json.dumps(content)))
+    with pytest.raises(InputError, match="was changed since the campaign began, or is damaged") as caught:
+        start(tmp_path)
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "results" / "results.parquet").exists()
+
+
+def test_parts_of_another_campaign(whole, begun, tmp_path):
+    """Parts of a campaign with another gain are no parts of this one, though their names and shapes fit."""
+    again(begun, tmp_path)
+    manifest = read_manifest(tmp_path / "results")
+    assert manifest is not None
+    gains = json.loads(json.dumps(manifest.controllers))
+    gains["quarter_car"]["I_printed"]["gain"] = [[20000.0, -2071.0]]
+    dataclasses.replace(manifest, controllers=gains).write(tmp_path / "results")
+    store_runs = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(campaign, "run_batches", lambda plan, batches, *rest: store_runs.extend(batches))
+        patch.setattr(campaign_store.Store, "finish", lambda self: None)
+        patch.setattr(campaign, "summarise", lambda plan, store: [])
+        patch.setattr(campaign, "summary_lines", lambda entries: [])
+        start(tmp_path)
+    assert store_runs[0][0] == 0
+    assert store_runs[-1][1] == RUNS
+
+
+def test_verify(whole, capsys):
+    """A finished folder holds: rows, inputs, and a sample of runs, driven again to the last bit; in words and in JSON."""
+    assert main(["--verify", str(whole[0]), "--runs", "3", "--seed", "5"]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith(f"{RUNS} rows are one for every run")
+    assert "3 of them, drawn with seed 5" in out
+    assert main(["--verify", str(whole[0]), "--runs", "3", "--seed", "5", "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert (result["holds"], len(result["again"]), result["rows"], result["faults"]) == (True, 3, RUNS, [])
+
+
+@pytest.mark.parametrize("forgery", ["number", "inputs", "rows", "gain", "order"])
+def test_verify_finds_what_checksums_cannot(whole, tmp_path, capsys, forgery):
+    """Somebody who makes every checksum anew around other numbers is found by computing them."""
+    shutil.copytree(whole[0], tmp_path / "results")
+    file = tmp_path / "results" / "results.parquet"
+    table, manifest = pq.read_table(file), read_manifest(tmp_path / "results")
+    assert manifest is not None
+    rows = table.to_pylist()
+    gains = json.loads(json.dumps(manifest.controllers))
+    if forgery == "number":
+        for row in rows:
+            row["sprung_acceleration_rms"] *= 1 + 1e-15
+    elif forgery == "inputs":
+        rows[7]["speed"] = 30.0
+    elif forgery == "rows":
+        rows = rows[:-1]
+    elif forgery == "order":
+        rows[0], rows[1] = rows[1], rows[0]
+    else:
+        gains["quarter_car"]["I_printed"]["gain"] = [[20000.0, -2071.0]]
+    pq.write_table(type(table).from_pylist(rows, schema=table.schema), file)
+    forged = hashlib.sha256(file.read_bytes()).hexdigest()
+    dataclasses.replace(manifest, results=forged, controllers=gains).write(tmp_path / "results")
+    assert main(["--verify", str(tmp_path / "results"), "--runs", "4"]) == 1
+    out = capsys.readouterr().out
+    said = {"number": "when driven again", "inputs": "run 7: speed is 30.0", "rows": f"{RUNS - 1} rows for {RUNS} runs"}
+    said |= {"gain": "is not the one that the vehicle file makes", "order": "not one a run"}
+    assert said[forgery] in out
+    assert "DOES NOT HOLD" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ([], "no campaign was named"),
+        (["--verify", "{begun}"], "runs are not there yet"),
+        (["--verify", "{empty}"], "is empty"),
+        (["--verify", "{empty}/none"], "there is no such folder"),
+        (["--verify", "{whole}", "--workers", "2"], "--workers does not go with it"),
+        (["campaign.toml", "--seed", "1"], "--seed says what --verify drives again"),
+        (["campaign.toml", "--workers", "0"], "from 1 to 1024"),
+        (["campaign.toml", "--workers", "1000000000"], "from 1 to 1024"),
+        (["campaign.toml", "--batch", "0"], "from 1 to 256"),
+        (["campaign.toml", "--results", ""], "--results: is empty"),
+    ],
+)
+def test_bad_options(whole, begun, tmp_path, arguments, said):
+    """Options that do not go together, or are no numbers that can be: one line."""
+    places = {"begun": begun, "whole": whole[0], "empty": tmp_path}
+    with pytest.raises(InputError, match=said):
+        main([argument.format(**places) for argument in arguments])
+
+
+def test_the_disk_may_not_change_under_it(begun, tmp_path):
+    """A part that is damaged after it was checked, while the campaign runs, is named; it never becomes rows."""
+    parts = again(begun, tmp_path)
+    real, once = campaign_store.Store._groups, threading.Event()
+
+    def damaging(self):
+        if not once.is_set():
+            once.set()
+            flip(parts[0], 200)
+        return real(self)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(campaign_store.Store, "_groups", damaging)
+        with pytest.raises(InputError, match="was damaged while the campaign ran"):
+            start(tmp_path)
+    assert start(tmp_path) == 0
