@@ -3,8 +3,8 @@
 import errno
 import os
 import stat
+from io import BufferedReader
 from pathlib import Path
-from typing import BinaryIO
 
 from models.errors import InputError
 from models.whole_file import kind_of
@@ -38,7 +38,7 @@ def read_bytes(path: Path, what: str, most: int, give: str) -> bytes:
     return content
 
 
-def open_plain(path: Path, what: str, give: str) -> BinaryIO:
+def open_plain(path: Path, what: str, give: str) -> BufferedReader:
     """A plain file, open to be read.
 
     Args:
