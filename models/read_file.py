@@ -11,7 +11,7 @@ from models.whole_file import kind_of
 
 MIB = 2**20
 TEXT = 4 * MIB  # most bytes of a vehicle, campaign or MJCF file
-TABLE = 256 * MIB  # of a measured road
+TABLE = 64 * MIB  # of a measured road
 
 
 def read_bytes(path: Path, what: str, most: int, give: str) -> bytes:

@@ -28,6 +28,7 @@ examples:
   python -m sim.drive --controller I --class C --speed 20
   python -m sim.drive --controller passive --controller I --road pothole:depth=0.06:length=1.5 --speed 10
   python -m sim.drive --controller I --road measured.csv --speed 15 --json
+  python -m sim.drive --controller I --road survey.txt:separator=semicolon:columns=1,3:height_unit=mm --speed 15
   python -m sim.drive --vehicle full_car --controller I --class B --seed 7
 """
 
@@ -147,6 +148,8 @@ def _road(vehicle: Vehicle, options: argparse.Namespace) -> Road:
             raise InputError("give --class or --road, not both: --class C is --road iso8608:class=C")
         text = f"iso8608:class={options.road_class}"
     choice = choose_road(text or "iso8608:class=C")
+    if "seed" in options.given and not choice.random:
+        raise InputError(f"--seed says which random road, and {choice.text!r} is none; leave it out")
     road = choice.build(vehicle, options.speed, options.seed, options.speed * options.duration)
     passed = getattr(road, "duration", math.inf)
     if passed < 2 * options.timestep:

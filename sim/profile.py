@@ -1,24 +1,20 @@
 """A measured road: heights over distance from a file, and the smooth curve through them."""
 
-import csv
 import io
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from models.arrays import Array
 from models.errors import InputError
-from models.read_file import TABLE, read_text
 from sim.road import LIMITS, Road, check_numbers
 
 GAP = 10.0  # times the median spacing; more is a gap, and what a curve does there is invented
-HIGHEST = 100.0  # m
+HIGHEST = 100.0  # m, from where it begins
 FEWEST = 4  # points
-
-FORMAT = "give two columns, distance and height [m], or three, distance, left and right"
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,25 +40,7 @@ class Profile(Road):
 
     def __post_init__(self) -> None:
         check_numbers("profile", self, {"speed": LIMITS["speed"]})
-        if len(self.distance) < FEWEST:
-            raise InputError(f"a profile of {len(self.distance)} points is none; give at least {FEWEST}")
-        for row in np.flatnonzero(~np.isfinite(self.distance) | ~np.all(np.isfinite(self.heights), axis=1))[:1]:
-            raise InputError(f"point {row + 1} is not finite: distance {self.distance[row]:g} m, heights {self.heights[row]} m")
-        spacing = np.diff(self.distance)
-        for row in np.flatnonzero(spacing <= 0)[:1]:
-            a, b = self.distance[row], self.distance[row + 1]
-            raise InputError(
-                f"distance falls or repeats, {a:g} m, then {b:g} m (points {row + 1} and {row + 2}); sort the points"
-            )
-        usual = float(np.median(spacing))
-        for row in np.flatnonzero(spacing > GAP * usual)[:1]:
-            a, b = self.distance[row], self.distance[row + 1]
-            raise InputError(
-                f"there is a gap from {a:g} m to {b:g} m (points {row + 1} and {row + 2}): more than {GAP:g} times the usual "
-                f"spacing of {usual:g} m; fill it, or cut the profile there"
-            )
-        for row in np.flatnonzero(np.abs(self.heights).max(axis=1) > HIGHEST)[:1]:
-            raise InputError(f"point {row + 1} has heights {self.heights[row]} m; metres within {HIGHEST:g} are allowed")
+        check_points(self.distance, self.heights)
 
     @property
     def duration(self) -> float:
@@ -85,7 +63,7 @@ class Profile(Road):
         return (0.0, self.duration)
 
     def to_csv(self) -> str:
-        """Its points to the last bit, as a file that `read_profile` reads: distance, left, right [m]."""
+        """Its points to the last bit, as a file that is read again: distance, left, right [m]."""
         rows = np.column_stack([self.distance, self.heights]).tolist()
         return "distance,left,right\n" + "".join(",".join(map(repr, row)) + "\n" for row in rows)
 
@@ -118,32 +96,39 @@ class Profile(Road):
         return self._splines[side == "right"]
 
 
-def read_profile(path: Path, speed: float) -> Profile:
-    """A profile from a CSV file: distance and height, or distance, left and right height [m]; a line of headings may come first.
+def check_points(distance: Array, heights: Array, where: Callable[[int], str] = lambda i: f"point {i + 1}") -> None:
+    """Whether points make a profile.
+
+    Args:
+        distance: [m], shape (P,).
+        heights: of the left and the right track [m], shape (P, 2).
+        where: index -> what a message calls the point.
 
     Raises:
-        InputError: the file cannot be read, a line has no such numbers, or they make no profile. The message names the file.
+        InputError: distances that do not ascend or leave a gap, numbers that are not finite, absurd heights, too few points.
     """
-    text = read_text(path, "road file", TABLE, FORMAT)
-    try:
-        lines = [(number, row) for number, row in enumerate(csv.reader(text.splitlines()), 1) if any(map(str.strip, row))]
-    except csv.Error as error:
-        raise InputError(f"road file {path}: not a CSV file ({error}); {FORMAT}") from error
-    if lines and not _is_number(lines[0][1][0]):
-        lines = lines[1:]
-    columns = len(lines[0][1]) if lines else 2
-    if columns not in (2, 3):
-        raise InputError(f"road file {path}: {columns} column(s); {FORMAT}")
-    points = []
-    for number, row in lines:
-        if len(row) != columns or not all(_is_number(cell) for cell in row):
-            raise InputError(f"road file {path}, line {number}: {','.join(row)!r} is not {columns} numbers; {FORMAT}")
-        points.append([float(cell) for cell in row])
-    table = np.array(points, dtype=float).reshape(len(points), columns)
-    try:
-        return Profile(table[:, 0], table[:, [1, -1]], speed, str(path))
-    except InputError as error:
-        raise InputError(f"road file {path}: {error}") from error
+    if len(distance) < FEWEST:
+        raise InputError(f"a profile of {len(distance)} points is none; give at least {FEWEST}")
+    for i in np.flatnonzero(~np.isfinite(distance) | ~np.all(np.isfinite(heights), axis=1))[:1]:
+        raise InputError(f"{where(i)} is not finite: distance {distance[i]:g}, heights {heights[i, 0]:g} and {heights[i, 1]:g}")
+    spacing = np.diff(distance)
+    for i in np.flatnonzero(spacing <= 0)[:1]:
+        raise InputError(
+            f"distance falls or repeats, {distance[i]:g} m, then {distance[i + 1]:g} m ({where(i)} and {where(i + 1)}); sort the "
+            "points"
+        )
+    usual = float(np.median(spacing))
+    for i in np.flatnonzero(spacing > GAP * usual)[:1]:
+        raise InputError(
+            f"there is a gap from {distance[i]:g} m to {distance[i + 1]:g} m ({where(i)} and {where(i + 1)}): more than {GAP:g} "
+            f"times the usual spacing of {usual:g} m; fill it, or cut the profile there"
+        )
+    rises = heights - heights[0]  # a road begins at its first height, be that of the sea or of the bench
+    for i in np.flatnonzero(np.abs(rises).max(axis=1) > HIGHEST)[:1]:
+        raise InputError(
+            f"{where(i)} lies {np.abs(rises[i]).max():g} m from the height of the first; {HIGHEST:g} m are allowed. Heights in "
+            "mm? then say :height_unit=mm"
+        )
 
 
 def from_csv(content: bytes, speed: float, source: str) -> Profile:
@@ -161,11 +146,3 @@ def from_csv(content: bytes, speed: float, source: str) -> Profile:
     if table.shape[1] != 3:
         raise InputError(f"points of a road in {table.shape[1]} column(s); distance, left and right are three")
     return Profile(table[:, 0], table[:, 1:], speed, source)
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True

@@ -1,7 +1,8 @@
 """Roads by name: the text `KIND[:NAME=VALUE...]`, as on a command line or in a campaign file, becomes a road."""
 
 import math
-from collections.abc import Mapping
+import re
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,8 @@ from models.vehicle import Vehicle
 from sim.iso8608 import Iso8608, long_enough, roughness
 from sim.obstacles import Pothole, SineSweep, Step, WattsHump
 from sim.opencrg import Surface, read_surface
-from sim.profile import Profile, read_profile
+from sim.profile import Profile
+from sim.profile_file import read_profile, read_table
 from sim.road import Bump, Road, track_width
 
 OBSTACLES: Mapping[str, type] = {
@@ -23,8 +25,11 @@ OBSTACLES: Mapping[str, type] = {
 }
 KINDS = ("iso8608", *OBSTACLES)
 SYNTAX = (
-    f"give {', '.join(KINDS)}, each with :NAME=VALUE for its numbers, as in pothole:depth=0.03:length=2, or a .csv or .crg file"
+    f"give {', '.join(KINDS)}, each with :NAME=VALUE for its numbers, as in pothole:depth=0.03:length=2, or a .csv, .txt or .crg "
+    "file, as in road.csv:height_unit=mm"
 )
+TABLE = ("distance_unit", "height_unit", "separator", "columns")  # of a .csv or .txt file
+FILE = re.compile(r"(?P<path>.+\.(?P<suffix>csv|txt|crg))(?P<settings>(:\w+=[^:]*|:[^:\\/]*)*)", re.IGNORECASE | re.DOTALL)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,20 +86,28 @@ def choose_road(text: str, folder: Path = Path()) -> RoadChoice:
     Raises:
         InputError: an unknown kind or name, a value that is not allowed, a file that is no profile.
     """
-    if text.lower().endswith((".csv", ".txt")):
-        return RoadChoice(text, "profile", {}, read_profile(folder / text, 20.0))
-    if text.lower().endswith(".crg"):
-        return RoadChoice(text, "profile", {}, surface=read_surface(folder / text))
-    kind, *settings = text.split(":")
+    file = FILE.fullmatch(text)
+    if file and file["suffix"].lower() == "crg":
+        if file["settings"]:
+            raise InputError(f"road {text!r}: an OpenCRG file says its own units; leave {file['settings']!r} out")
+        return RoadChoice(text, "profile", {}, surface=read_surface(folder / file["path"]))
+    if file:
+        try:
+            table = read_table(_settings(file["settings"], TABLE))
+        except InputError as error:
+            raise InputError(f"road {text!r}: {error}") from error
+        return RoadChoice(text, "profile", {}, read_profile(folder / file["path"], 20.0, table))
+    kind, colon, rest = text.partition(":")
     if kind not in KINDS:
         raise InputError(f"unknown road {text!r}; {SYNTAX}")
-    values: dict[str, Any] = {}
     allowed = {"class": "C"} if kind == "iso8608" else _defaults(OBSTACLES[kind])
-    for setting in settings:
-        name, equals, value = setting.partition("=")
-        if not equals or name not in allowed:
-            raise InputError(f"road {text!r}: {setting!r} is not NAME=VALUE with a NAME out of {known(allowed)}")
-        values[name] = value if isinstance(allowed[name], str) else _number(text, name, value)
+    try:
+        settings = _settings(colon + rest, allowed)
+    except InputError as error:
+        raise InputError(f"road {text!r}: {error}") from error
+    values: dict[str, Any] = {
+        name: value if isinstance(allowed[name], str) else _number(text, name, value) for name, value in settings.items()
+    }
     if values.get("track", "both") not in ("left", "right", "both"):
         raise InputError(f"road {text!r}: track = {values['track']!r} is not allowed; give left, right or both")
     if kind == "iso8608":
@@ -103,6 +116,23 @@ def choose_road(text: str, folder: Path = Path()) -> RoadChoice:
     else:
         OBSTACLES[kind](**values)  # numbers that are not allowed at any speed
     return RoadChoice(text, kind, values)
+
+
+def _settings(text: str, allowed: Iterable[str]) -> dict[str, str]:
+    """`:NAME=VALUE:NAME=VALUE`, each name once.
+
+    Raises:
+        InputError: it is not that.
+    """
+    found: dict[str, str] = {}
+    for setting in text.split(":")[1:]:
+        name, equals, value = setting.partition("=")
+        if not equals or name not in allowed:
+            raise InputError(f"{setting!r} is not NAME=VALUE with a NAME out of {known(allowed)}")
+        if name in found:
+            raise InputError(f"{name} is given twice, {found[name]!r} and {value!r}; give it once")
+        found[name] = value
+    return found
 
 
 def _defaults(road: type) -> dict[str, Any]:

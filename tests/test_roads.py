@@ -14,7 +14,8 @@ from sim.described import described_road
 from sim.iso8608 import CLASSES, Iso8608, coherency, long_enough, roughness
 from sim.multisine import random_road, sinusoid
 from sim.obstacles import Pothole, SineSweep, Step, WattsHump
-from sim.profile import Profile, read_profile
+from sim.profile import Profile
+from sim.profile_file import read_profile
 from sim.road import Bump, track_width, under_wheels
 from sim.roads import choose_road
 
@@ -248,20 +249,52 @@ def test_opencrg(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("content", "settings"),
+    [
+        ("0;0\n0,5;0,02\n1;-0,01\n1,5;0\n", ""),
+        ("0\t0\n0.5\t0.02\n1\t-0.01\n1.5\t0\n", ""),
+        ("0\t0\n0,5\t0,02\n1\t-0,01\n1,5\t0\n", ":separator=tab"),
+        ("  0 0\n  0.5   0.02\n1 -0.01\n1.5 0\n", ""),
+        ("surveyed by hand\nA 8\ndistance, height\n# in metres\n0,0\n0.5,0.02\n\n1,-0.01\n1.5,0\n", ""),
+        ("0,0\n0.5,20\n1,-10\n1.5,0\n", ":height_unit=mm"),
+        ("0;0\n0.0005;2\n0.001;-1\n0.0015;0\n", ":distance_unit=km:height_unit=cm"),
+        ("0,431\n0.5,431.02\n1,430.99\n1.5,431\n", ""),
+        ("7,0,9,0\n7,.5,9,.02\n7,1,9,-.01\n7,1.5,9,0\n", ":columns=2,4"),
+        ("0,0,9,0,\n.5,.02,9,.02,\n1,-.01,9,-.01,\n1.5,0,9,0,\n", ":columns=1,2,4"),
+        ("0\r\n".replace("0", "0,0") + "0.5,0.02\r\n1,-0.01\r\n1.5,0\r\n", ""),
+    ],
+)
+def test_a_file_as_people_have_them(tmp_path, content, settings):
+    """Separators, decimal commas, headings, units, columns and heights above the sea: all the same road."""
+    (tmp_path / "road.csv").write_bytes(content.encode())
+    plain = Profile(np.array([0, 0.5, 1, 1.5]), np.array([0, 0.02, -0.01, 0])[:, None] * np.ones(2), 20.0)
+    found = choose_road(f"road.csv{settings}", tmp_path).profile
+    assert found is not None
+    t = np.linspace(0, 0.1, 50)
+    for side in ("left", "right"):
+        assert found.displacement(t, side) == pytest.approx(plain.displacement(t, side), abs=1e-12)
+
+
+@pytest.mark.parametrize(
     ("text", "said"),
     [
         ("0,0\n1,0\n2,0\n1.5,0\n3,0\n", "distance falls or repeats, 2 m, then 1.5 m"),
         ("0,0\n1,0\n1,0\n3,0\n", "distance falls or repeats, 1 m, then 1 m"),
         ("0,0\n1,0\n2,0\n3,0\n40,0\n", "gap from 3 m to 40 m"),
-        ("0,0\n1,nan\n2,0\n3,0\n", "point 2 is not finite"),
-        ("0,0\n1,inf\n2,0\n3,0\n", "point 2 is not finite"),
-        ("0,0\n1,\n2,0\n3,0\n", "line 2: '1,' is not 2 numbers"),
+        ("0,0\n1,nan\n2,0\n3,0\n", "line 2 is not finite"),
+        ("distance,height\n0,0\n1,inf\n2,0\n3,0\n", "line 3 is not finite"),
+        ("0,0\n1,\n2,0\n3,0\n", "line 2: '1' is not 2 numbers"),
         ("0,0\n1,high\n2,0\n", "line 2"),
         ("0,0\n1,0,3\n2,0\n", "line 2"),
         ("0\n1\n2\n3\n", "1 column(s)"),
         ("0,0\n1,0\n", "a profile of 2 points"),
         ("", "a profile of 0 points"),
-        ("0,0\n1,0\n2,1e5\n3,0\n", "point 3 has heights"),
+        ("0,0\n1,0\n2,1e5\n3,0\n", "line 3 lies 100000 m from the height of the first"),
+        ("0,0\n.001,.02\n.002,-.01\n.003,0\n", "heights from -0.01 to 0.02 m: an rms slope of 21.6"),
+        ("0,0\n1,20\n2,-10\n3,0\n", "heights in mm? then say"),
+        ("0,0\n100,20\n200,-10\n300,0\n", "in steps of 100 m, heights from -10 to 20 m: too coarse for a road; distances in mm"),
+        ("a,b\n" * 60 + "0,0\n", "no line of numbers among the first 50"),
+        ("0,5,1,2\n", "line 1 has 4 column(s)"),
     ],
 )
 def test_bad_profiles(tmp_path, text, said):
@@ -290,6 +323,13 @@ def test_bad_profiles(tmp_path, text, said):
         ("step:speed=3", "'speed=3' is not NAME=VALUE"),
         ("sweep:highest=0.1", "sweep highest"),
         ("nowhere.csv", "there is no such file"),
+        ("road.csv:height_unit=yard", "height_unit = 'yard' is unknown; give one of cm, ft, in, km, m, mm"),
+        ("road.csv:columns=0,1", "columns = '0,1' is none"),
+        ("road.csv:columns=1", "as in columns=1,3"),
+        ("road.csv:offset=3", "'offset=3' is not NAME=VALUE with a NAME out of columns, distance_unit"),
+        ("road.crg:height_unit=mm", "says its own units"),
+        ("bump:height=0.1:height=0.2", "height is given twice, '0.1' and '0.2'"),
+        ("road.csv:height_unit=mm:height_unit=m", "height_unit is given twice"),
     ],
 )
 def test_bad_roads(text, said):
