@@ -56,13 +56,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         rows = [_row(designer, name, options) for name in _names(vehicle, options)]
     if options.save:
         save(options.save, vehicle, [row.controller for row in rows if row.controller is not None])
-    limit, at = invariant_limit(designer.plant)
+    limit = invariant_limit(designer.plant)
     moved = {} if options.check else _flatness(designer)
     if options.json:
         result = {
             "vehicle": vehicle.kind.name,
             "controllers": [row_object(row) for row in rows],
-            "invariant_limit": {"norm": limit, "frequency": at},
+            "invariant_limit": {"norm": limit[0], "frequency": limit[1]} if limit else None,
             "flat": {"gamma": FLAT, "gain_down_up": moved},
             "saved": str(options.save) if options.save else None,
         }
@@ -71,10 +71,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         lines = [f"{vehicle.kind.name} ({vehicle.source})", "", *table_lines(rows)]
         for row in rows:
             lines += ["", *detail_lines(row)]
-        lines += [
-            "",
-            f"limit: no control force changes z's answer to the road at {at:.5g} rad/s, {limit:.7g} (invariant point)",
-        ]
+        lines += ["", _limit(limit)]
         if moved:
             lines.append(f"flat: for {FLAT:g} of gamma each state's largest gain may move by itself")
             lines += [f"  {state:22s} {_range(*values)}" for state, values in moved.items()]
@@ -166,6 +163,13 @@ def _flatness(designer: Designer) -> dict[str, list[float | None]]:
         state: [float(value) if np.isfinite(value) else None for value in values]
         for state, values in zip(states, moves.T, strict=True)
     }
+
+
+def _limit(limit: tuple[float, float] | None) -> str:
+    """What no control force changes, in words."""
+    if limit is None:
+        return "limit: none; at every frequency control forces can change all of z's answer to the road"
+    return f"limit: no control force changes z's answer to the road at {limit[1]:.5g} rad/s, {limit[0]:.7g} (invariant point)"
 
 
 def _range(gain: float | None, down: float | None, up: float | None) -> str:

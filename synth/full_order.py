@@ -1,33 +1,36 @@
 """How good output feedback of any order can be: the Gahinet-Apkarian LMIs, their central path, and the bound that it proves.
 
-    minimise t   over (21) for (X, Y, eta), the same for the `observer_plant` for (S11, S12, t), and
-                 [S11 N'; N X] > 0,  [eta 1; 1 t] > 0
+    minimise t   over the inequality of the plant's `Side` for (X, eta), that of the transposed plant for (S, t), and
+                 [S J2 J1'; J1 J2' X] > 0,  [eta 1; 1 t] > 0
 
-(`lower_bound.py` derives them and proves the bound). They are followed as in `central.py`, in coordinates where X = S11 = I.
+(`side.py` and `lower_bound.py` derive them, and prove the bound). They are followed as in `central.py`, in coordinates where
+X = S = I. For state feedback the second side is absent.
 """
 
 import contextlib
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from fractions import Fraction
 
 import numpy as np
+from scipy import linalg
 
 from models.arrays import Array
-from models.errors import InputError
 from synth.barrier import Barrier, Block, boundary, newton
-from synth.central import CENTRED, INSIDE, Basis, CentralPoint, along_path
+from synth.central import CENTRED, INSIDE, CentralPoint
+from synth.exact import floats
 from synth.limit import invariant_limit
-from synth.lower_bound import LowerBound, Witness, lower_bound, meeting, observer_plant, reduced_plant
+from synth.lower_bound import LowerBound, Witness, proved
+from synth.norm import balance
 from synth.plant import GeneralizedPlant
 from synth.scaling import size
-from synth.state_feedback import state_feedback
+from synth.side import Side, meeting, transposed
 from synth.threads import one_thread
 
 STATE_END = 1e-5  # mu over eta; the bound for state feedback is then within (2 n + d) mu / 2 of the best
 ENOUGH = 1e-8  # relative; closer to what state feedback reaches no bound need be
 END = 1e-6  # mu over t; the bound is then within (2 n + d + n - q) mu / 2 of the best
+SHARP = 1e-3  # relative; a proof this close to its point of the path has lost nothing to rounding
 ENTER = 1e2  # mu over t at the entry of the joint path, which starts far from its centre
-ENTRY = 0.1  # mu over eta from which a point of the separate paths is near enough to start from
 
 
 @one_thread()
@@ -42,123 +45,178 @@ def best_possible(plant: GeneralizedPlant, Cy: Array | None = None, path: Sequen
     Returns:
         The bound; 0 with no witness where nothing is proved.
     """
-    gamma, at = invariant_limit(plant)
-    best = LowerBound(gamma, limit_at=at)
-    reduced = reduced_plant(plant)
-    if reduced is not plant or not path:
-        path = _as_far_as_it_goes(reduced)
-    if not path or best.gamma < path[-1].gamma * (1 - ENOUGH):
-        proofs = (
-            lower_bound(plant, Witness(point.X, point.K, point.eta)) for point in reversed(path) if point.mu > 0.5 * STATE_END
-        )
-        best = max(
-            best, next((proof for proof in proofs if proof.gamma), best), key=lambda bound: bound.gamma
-        )  # the sharpest is first
-    if Cy is None or not path:
-        return best
-    # Where the observer's problem has no solution, or none at a finite gain, there is nothing to add.
-    with contextlib.suppress(InputError, np.linalg.LinAlgError), np.errstate(all="ignore"):
-        for state, observer in _walk(plant, Cy, min(path, key=lambda point: abs(np.log(point.mu / ENTRY)))):
-            found = lower_bound(plant, state, Cy, observer)
-            best = found if found.gamma > best.gamma else best
+    limit = invariant_limit(plant)
+    best = LowerBound(limit[0], limit_at=limit[1]) if limit is not None else LowerBound(0.0)
+    other = Side.of(transposed(plant, Cy)) if Cy is not None else None
+    if other is None or not len(other.J):
+        other = None  # y shows, with its derivatives, all that state feedback knows
+        if path and best.gamma >= path[-1].gamma * (1 - ENOUGH):
+            return best
+    one = Side.of(plant)
+    if other is None and len(one.J) == len(plant.A) and path:
+        points = [(Witness(point.X, point.eta), None, point.gamma) for point in path if point.mu > 0.5 * STATE_END]
+    else:
+        points = []
+        # Where the problem has no solution, or none at a finite gain, what was found before counts.
+        with contextlib.suppress(np.linalg.LinAlgError, ValueError), np.errstate(all="ignore"):
+            for point in _walk(plant, Cy, one, other):
+                points.append(point)
+    return max(best, _sharpest(one, other, points), key=_gamma)
+
+
+def _gamma(bound: LowerBound) -> float:
+    return bound.gamma
+
+
+def _sharpest(one: Side, other: Side | None, points: Sequence[tuple[Witness, Witness | None, float]]) -> LowerBound:
+    """The best bound that points of a path prove, from its end back to the first that loses nothing to rounding."""
+    best = LowerBound(0.0)
+    for state, observer, gamma in reversed(points):
+        best = max(best, proved(one, other, state, observer), key=_gamma)
+        if best.gamma >= gamma * (1 - SHARP):
+            break
     return best
 
 
-def _as_far_as_it_goes(plant: GeneralizedPlant) -> list[CentralPoint]:
-    """The path of (22), also where its end cannot be reached."""
-    n, points = len(plant.A), []
-    if n:  # where every state is steered at no cost nothing is proved
-        with contextlib.suppress(InputError, np.linalg.LinAlgError), np.errstate(all="ignore"):
-            for point in along_path(plant, np.zeros((n, 0)), np.eye(n), STATE_END):
-                points.append(point)  # one by one: what was found before an error counts
-    return points
-
-
-def _walk(plant: GeneralizedPlant, Cy: Array, point: CentralPoint) -> Iterator[tuple[Witness, Witness]]:
-    """Pairs of witnesses along the joint path, ever closer to the optimum, until it ends or cannot be followed."""
-    # Units of time and of w in which A and eta have size one.
-    rate, unit = size(plant.A), point.eta**0.5
-    plant = GeneralizedPlant(plant.A / rate, plant.B / rate, plant.Bw * unit / rate, plant.C, plant.D, plant.Dw * unit)
-    observer = observer_plant(plant, Cy)
-    if not len(observer.A):
-        return
-    # With more noise than there is, so that there is some: what is feasible then is so without.
-    noise = np.hstack([observer.Bw, max(size(observer.Bw), 1.0) * np.eye(len(observer.A))])
-    noisy = replace(observer, Bw=noise, Dw=np.hstack([observer.Dw, np.zeros((len(observer.C), len(observer.A)))]))
-    other = state_feedback(noisy, ENTRY)[-1]
-    first = _Side(reduced_plant(plant), point.X / rate, point.K)
-    second = _Side(observer, other.X / other.eta, other.K)
-    # S and t grow together until [S11 N'; N X] > 0 and eta t > 1.
-    fits = float(np.linalg.norm(meeting(plant, Cy, second.T, first.T), 2)) ** 2
-    grow = 2 * max(1.0, fits, other.eta)
-    second.T *= grow**0.5
-    eta, t = 0.9, grow / other.eta
+def _walk(
+    plant: GeneralizedPlant, Cy: Array | None, one: Side, other: Side | None
+) -> Iterator[tuple[Witness, Witness | None, float]]:
+    """Witnesses along the path with the gamma that it has come to, ever closer to the optimum, until it cannot be followed."""
+    first, second, between = _Face(one, _inside(plant)), None, np.zeros((0, len(one.J)))
+    eta = first.room()
+    weight, grow = eta, 2.0
+    if other is not None and Cy is not None:
+        second = _Face(other, _inside(transposed(plant, Cy)))
+        weight = second.room()
+        second.T = second.T / weight**0.5
+        whole, over = meeting(one, other)
+        between = floats(whole, Fraction(1, over))
+        # S and t grow together until [S J2 J1'; J1 J2' X] > 0 and eta t > 1.
+        fits = float(np.linalg.norm(_met(first, second, between), 2)) ** 2 if between.size else 0.0
+        grow = 2 * max(1.0, fits, weight / eta)
+        second.T = second.T * grow**0.5
+    t = grow / weight if weight else np.inf
     mu = ENTER * t
-    while True:
-        one, two = first.basis(), second.basis()
-        k = one.size
-        barrier = Barrier(_blocks(one, two, meeting(plant, Cy, second.T, first.T)))
-        p = np.concatenate([one.pack(np.eye(one.n), 0 * first.K, eta), two.pack(np.eye(two.n), 0 * second.K, t)])
+    while eta > 0 and np.isfinite(mu):
+        blocks, k = _blocks(first, second, between)
+        p = np.concatenate([first.start(eta), second.start(t) if second is not None else [t]])
         c = np.zeros(len(p))
         c[-1] = 1 / mu
+        barrier = Barrier(blocks)
+        if barrier.at(p) is None:
+            return
         p, decrement, here = newton(barrier, p, c, CENTRED)
         if decrement > 0.5:
             return
-        X, Y, eta = one.unpack(p[:k])
-        S, L, t = two.unpack(p[k:])
-        yield first.witness(X, Y, eta * unit**2, rate), second.witness(S / t, L / t, unit**2 / t, unit**2 / rate)
+        t = float(p[-1])
+        yield first.witness(p[: k - 1], p[k - 1]), second.witness(p[k:-1] / t, 1 / t) if second is not None else None, t**0.5
         if mu <= END * t:
             return
-        ratio = 0.1 if mu > 1e-2 * t else 1e-2
+        ratio = 0.1
         c[-1] *= -1
         step = here.solve(here.half(c))
         p = p + min(1 - ratio, INSIDE * boundary(here, step)) * step
         mu *= ratio
-        X, Y, eta = one.unpack(p[:k])
-        S, L, t = two.unpack(p[k:])
-        first.move_to(X, Y)
-        second.move_to(S, L)
+        eta, t = float(p[k - 1]), float(p[-1])
+        first.move_to(p[: k - 1])
+        if second is not None:
+            second.move_to(p[k:-1])
 
 
-class _Side:
-    """A plant and where its X stands: X = T T', in coordinates in which it is I and the gain K is absorbed."""
+def _inside(plant: GeneralizedPlant) -> Array:
+    """X inside the inequality of the plant's `Side`, for some eta.
 
-    def __init__(self, plant: GeneralizedPlant, X: Array, K: Array) -> None:
-        self.plant, self.K, self.T = plant, K, np.linalg.cholesky(X)
+    It is the inverse of the solution of a Riccati equation in which z is joined by the states and the inputs, in balanced
+    coordinates and units in which they are of the size of what there is: what is inside then is so without.
 
-    def basis(self) -> Basis:
-        return Basis.of(self.plant.closed_loop(self.K).in_coordinates(self.T), 0)
+    Raises:
+        LinAlgError: there is none, as where the plant cannot be stabilised.
+    """
+    n = len(plant.A)
+    _, scale = balance(plant.A)
+    plant = plant.in_coordinates(np.diag(scale))
+    used = np.linalg.norm(plant.B, axis=0)
+    cost = size(plant.C) / size(plant.A) * np.where(used > 0, used, 1.0)
+    states = plant.C.T @ plant.C + size(plant.C) ** 2 * np.eye(n)
+    P = linalg.solve_continuous_are(plant.A, plant.B, states, plant.D.T @ plant.D + np.diag(cost**2), s=plant.C.T @ plant.D)
+    X = np.linalg.inv(np.linalg.cholesky(P)) * scale
+    return X.T @ X
 
-    def witness(self, X: Array, Y: Array, eta: float, unit: float) -> Witness:
-        return Witness(self.T @ X @ self.T.T * unit, self.K + Y @ np.linalg.inv(self.T @ X), eta)
 
-    def move_to(self, X: Array, Y: Array) -> None:
-        self.K = self.K + Y @ np.linalg.inv(self.T @ X)
-        self.T = self.T @ np.linalg.cholesky(X)
+class _Face:
+    """A side and where its X stands: X = T T', in coordinates in which it is I."""
+
+    def __init__(self, side: Side, X: Array) -> None:
+        J = floats(side.J) / floats(side.J[np.arange(len(side.J)), side.coordinates])[:, None]
+        self.n, self.coordinates = len(X), side.coordinates
+        self.U, self.Q, self.b, self.c = side.floats()
+        self.T = np.linalg.cholesky(J @ X @ J.T) if len(J) else np.zeros((0, 0))
+        self.rows, self.columns = np.triu_indices(len(J))
+
+    def start(self, last: float) -> Array:
+        """The unknowns: I, and the last."""
+        return np.append((self.rows == self.columns).astype(float), last)
+
+    def room(self) -> float:
+        """Half the largest eta at X = I; 1 where any will do."""
+        moved = (self.Q @ self.T) @ (self.U @ self.T).T
+        inside = np.linalg.cholesky(self.c @ self.c.T - moved - moved.T)
+        return 0.5 / (float(np.linalg.norm(np.linalg.solve(inside, self.b), 2)) ** 2 or 0.5)
+
+    def steps(self) -> Array:
+        """What each unknown of X multiplies in -He(Q X U'), shape (N, k, k)."""
+        U, Q = self.U @ self.T, self.Q @ self.T
+        half = np.einsum("ki,li->ikl", Q[:, self.rows], U[:, self.columns])
+        half[self.rows != self.columns] += np.einsum("ki,li->ikl", Q[:, self.columns], U[:, self.rows])[self.rows != self.columns]
+        return -half - half.swapaxes(1, 2)
+
+    def units(self) -> Array:
+        """What each unknown multiplies in X, shape (N, a, a)."""
+        index, E = np.arange(len(self.rows)), np.zeros((len(self.rows), *self.T.shape))
+        E[index, self.rows, self.columns] = E[index, self.columns, self.rows] = 1
+        return E
+
+    def witness(self, unknowns: Array, last: float) -> Witness:
+        X = np.zeros((self.n, self.n))
+        X[np.ix_(self.coordinates, self.coordinates)] = self.T @ np.tensordot(unknowns, self.units(), 1) @ self.T.T
+        return Witness((X + X.T) / 2, float(last))
+
+    def move_to(self, unknowns: Array) -> None:
+        self.T = self.T @ np.linalg.cholesky(np.tensordot(unknowns, self.units(), 1))
 
 
-def _blocks(one: Basis, two: Basis, coupling: Array) -> list[Block]:
-    """The four constraints over the unknowns (X, Y, eta, S11, S12, t)."""
-    n, a = one.n, two.n
+def _met(first: _Face, second: _Face, between: Array) -> Array:
+    """J2 J1' in the coordinates of both."""
+    return np.linalg.solve(second.T, np.linalg.solve(first.T, between.T).T)
 
-    def all_unknowns(first: Array | None, second: Array | None) -> Array:
-        size = len((first if first is not None else second)[0])  # pyright: ignore[reportOptionalSubscript]
-        first = np.zeros((one.size, size, size)) if first is None else first
-        second = np.zeros((two.size, size, size)) if second is None else second
-        return np.concatenate([first, second])
 
-    # In the observer's inequality t multiplies -I, and its disturbance stands alone.
-    observer = two.F.copy()
-    observer[-1] = two.F0
-    X, S = np.zeros((one.size, a + n, a + n)), np.zeros((two.size, a + n, a + n))
-    X[:, a:, a:], S[:, :a, :a] = one.X, two.X
-    joint = np.zeros((a + n, a + n))
-    joint[:a, a:], joint[a:, :a] = coupling, coupling.T
-    etas, ts = np.zeros((one.size, 2, 2)), np.zeros((two.size, 2, 2))
-    etas[-1, 0, 0] = ts[-1, 1, 1] = 1
-    return [
-        (-one.F0, all_unknowns(-one.F, None)),
-        (-two.F[-1], all_unknowns(None, -observer)),
-        (joint, all_unknowns(X, S)),
-        (np.array([[0.0, 1.0], [1.0, 0.0]]), all_unknowns(etas, ts)),
+def _blocks(first: _Face, second: _Face | None, between: Array) -> tuple[list[Block], int]:
+    """The constraints over the unknowns (X, eta, S, t), and how many of them are those of (X, eta)."""
+    one = [first.steps(), -(first.b @ first.b.T)[None]]
+    k = sum(map(len, one))
+    none = np.zeros((0, len(between), len(between)))
+    two = [second.steps() if second is not None else none, (second.c @ second.c.T)[None] if second is not None else none]
+    size = k + (sum(map(len, two)) if second is not None else 1)
+
+    def over_all(parts: list[tuple[int, Array]], rows: int) -> Array:
+        whole = np.zeros((size, rows, rows))
+        for at, part in parts:
+            whole[at : at + len(part), : part.shape[1], : part.shape[1]] += part
+        return whole
+
+    corner = np.zeros((size, 2, 2))
+    corner[k - 1, 0, 0] = corner[-1, 1, 1] = 1
+    blocks = [
+        (first.c @ first.c.T, over_all([(0, np.concatenate(one))], len(first.c))),
+        (np.array([[0.0, 1.0], [1.0, 0.0]]), corner),
     ]
+    a, b = len(first.T), len(between)
+    joint, X = np.zeros((b + a, b + a)), np.zeros((size, b + a, b + a))
+    X[: k - 1, b:, b:] = first.units()
+    if second is not None:
+        blocks.append((-(second.b @ second.b.T), over_all([(k, np.concatenate(two))], len(second.b))))
+        X[k:-1, :b, :b] = second.units()
+        joint[:b, b:] = _met(first, second, between)
+        joint[b:, :b] = joint[:b, b:].T
+    blocks.append((joint, X))
+    return [block for block in blocks if len(block[0])], k

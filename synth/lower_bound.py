@@ -1,54 +1,53 @@
-"""What no controller can beat: lower bounds on the norm, proved by dual solutions and recomputed with numpy.
+"""What no controller can beat: lower bounds on the norm, proved by dual solutions in exact arithmetic.
 
-**State feedback**, problem (22). Any positive semidefinite Z with [B' D'] Z[:, :n] = 0 and
-H = A' Z11 + Z11 A + C' Z21 + Z12 C >= 0 pairs with (21) to
+A controller of any order from y = C_y x, y free of w, reaches a norm below gamma only if there are X > 0 and S > 0 with
+[X I; I S] >= 0, of which X solves the `Side` of the plant with eta = gamma^-2, and S that of the transposed plant (Gahinet,
+Apkarian 1994) with a disturbance of weight one and gamma^2 in the place of I:
 
-    0 >= <Z, F(X, Y, eta)> = -tr Z22 + <H, X> + eta <Z, E>,     E = [Bw; Dw] [Bw; Dw]',
+    He(Q X U') + eta b b' - c c' < 0,         He(Q2 S U2') + b2 b2' - gamma^2 c2 c2' < 0.
 
-so eta <= tr Z22 / <Z, E>. A controller that knows x and more, dynamic or nonlinear, does no better (Khargonekar, Petersen, Rotea
-1988): the bound holds for every controller.
+Positive semidefinite W1, W2 and V = [V2, V12; V12', V1] with V1 = He(U' W1 Q) >= 0, V2 likewise, pair with the three to
 
-**Inputs that cost nothing**, D v = 0, let X grow without bound along B v, and along A B v, ... as far as C does not see it
-(`steered`, an orthonormal F). Of X remains M'X = X1 M' + X2 F', M a basis of the complement: (21) again, for the `reduced_plant`
-whose states are M'x and whose inputs are u and F'x, with X1 and Y = [M'Y.., X2] in their places.
+    (t1 - e1 / gamma^2) + (t2 gamma^2 - e2) > 2 f,     e = tr b' W b,  t = tr c' W c,  f = -tr(V12 (J2 J1')'),
 
-**Output feedback** of any order from y = C_y x. By Gahinet and Apkarian (1994) gamma is reached only if there are R, S with
-[R I; I S] >= 0, of which R solves (21) and S the same inequality of the transposed plant, both without the controller's terms.
-As y is free of w, the same reduction, transposed, leaves N'S = S11 N' + S12 N_y', N_y what y shows (`shown`): (21) for the
-`observer_plant` of the states that y does not show, with X = S11 / gamma^2. The two are coupled by [S11 N'M; M'N X1] >= 0. Each
-has dual matrices Z as above, and with V = H of each and the best off-diagonal block, <V, [S11 N'M; M'N X1]> >= 0 gives
+and as W1 and W2 may be scaled each by itself gamma^2 is at least the largest eigenvalue of
 
-    gamma^2 >= largest eigenvalue of [ e1 / t1, . ; f (e1 / t2)^1/2 / t1, (f^2 / t1 + e2) / t2 ],
+    [ e1 / t1, . ; f (e1 / t1)^1/2 / (t1 t2)^1/2, f^2 / (t1 t2) + e2 / t2 ].
 
-e = <Z, E>, t = tr Z22, f the sum of the singular values of H2^1/2 N'M H1^1/2. The first entry is the bound for state feedback.
+Its first entry is the bound for state feedback, which no controller that knows x and more, dynamic or nonlinear, beats
+(Khargonekar, Petersen, Rotea 1988). On the central path W = (c c' - He(Q X U') - eta b b')^-1 is such a solution, so a point
+(X, eta) says it all.
 
-On the central path (-F)^-1 is such a Z: stationarity in Y is the first condition, and H > 0 the second. What rounding and an
-early stop leave of the first is taken out by a projection, and numpy computes the bound from what is left.
+**What is proved, and what rounding may do.** W = L L' and V12 = Y2 K Y1' are *defined* by factors that floats proposed; any
+factors will do. From them on all is exact: e, t, f and the entries of V are computed in integers, from the numbers of the plant
+as they stand, without a tolerance. Only whether V is positive definite is asked in floats, of entries that were rounded once,
+with an allowance that is proved (`exact.surely_positive`); what fails it proves nothing. The last eigenvalue is rounded down.
 """
 
 from dataclasses import dataclass
+from fractions import Fraction
 
 import numpy as np
 
 from models.arrays import Array
-from synth.bounded_real import bounded_real_matrix
+from synth.exact import floats, integers, product, root_below, surely_positive
 from synth.plant import GeneralizedPlant
+from synth.side import Side, meeting, transposed
 
-RANK = 1e-9  # relative; a direction that is smaller counts as none
+SHRINK = (1e-9, 1e-6, 1e-3)  # how much shorter than the best V12 is taken, so that V can be proved positive
+DOWN = 1 - 2.0**-45  # more than the dozen operations of the last eigenvalue can round up
 
 
 @dataclass(frozen=True, eq=False)
 class Witness:
-    """A strictly feasible point of (21) whose inverse matrix is the dual solution.
+    """A strictly feasible point of the inequality of a `Side`; its inverse matrix is the dual solution.
 
     Attributes:
-        X: shape (n, n).
-        K: shape (m, n).
+        X: shape (n, n); only J X J' matters.
         eta: gamma^-2.
     """
 
     X: Array
-    K: Array
     eta: float
 
 
@@ -58,9 +57,9 @@ class LowerBound:
 
     Attributes:
         gamma: the bound; 0, which is always true, where nothing is proved.
-        state: witness of (21) for the `reduced_plant`; None where the limit alone proves the bound.
-        observer: witness for the `observer_plant`; None where the bound is that of state feedback.
-        limit_at: frequency [rad/s] where `limit.uncontrolled` proves the bound; None where the witnesses do.
+        state: witness of state feedback; None where the limit alone proves the bound.
+        observer: witness of the transposed plant; None where the bound is that of state feedback.
+        limit_at: frequency [rad/s] where `limit.limit_at` proves the bound; None where the witnesses do.
     """
 
     gamma: float
@@ -70,142 +69,116 @@ class LowerBound:
 
 
 def lower_bound(plant: GeneralizedPlant, state: Witness, Cy: Array | None = None, observer: Witness | None = None) -> LowerBound:
-    """The bound that witnesses prove. Short of the limit of the path it is weaker, by (2 n + d) mu, and rounds less.
+    """The bound that witnesses prove. Short of the limit of the path it is weaker, by (2 n + d) mu, and easier to prove.
 
     Args:
         plant: n states, m inputs.
-        state: of the `reduced_plant`.
+        state: of the plant.
         Cy: shape (q, n); given with an observer.
-        observer: of the `observer_plant`.
+        observer: of the transposed plant.
+
+    Raises:
+        ValueError: a witness is not of the plant's shape.
     """
-    first = _dual(reduced_plant(plant), state)
+    one = Side.of(plant)
+    if observer is None or Cy is None:
+        return proved(one, None, state, None)
+    return proved(one, Side.of(transposed(plant, Cy)), state, observer)
+
+
+def proved(one: Side, other: Side | None, state: Witness, observer: Witness | None) -> LowerBound:
+    """The same for sides that are there already."""
+    first = _dual(one, state)
     if first is None:
         return LowerBound(0.0, state, observer)
-    alone = first.e / first.t
-    if observer is None or Cy is None:
-        return LowerBound(alone**0.5, state)
-    second = _dual(observer_plant(plant, Cy), observer)
-    if second is None:
-        return LowerBound(alone**0.5, state)
-    joined = second.root.T @ meeting(plant, Cy, second.T, first.T) @ first.root
-    f = float(np.linalg.svd(joined, compute_uv=False).sum())
-    corner = f * (first.e / second.t) ** 0.5 / first.t
-    both = np.array([[alone, corner], [corner, (f**2 / first.t + second.e) / second.t]])
-    return LowerBound(float(np.linalg.eigvalsh(both)[-1]) ** 0.5, state, observer)
-
-
-def meeting(plant: GeneralizedPlant, Cy: Array, observer: Array, state: Array) -> Array:
-    """N'M in other coordinates of the observer's states and of the state's: T_o^-1 N'M T_s^-T."""
-    N, M = complement(shown(plant, Cy)), complement(steered(plant))
-    return np.linalg.solve(observer, np.linalg.solve(state, M.T @ N).T)
-
-
-def shown(plant: GeneralizedPlant, Cy: Array) -> Array:
-    """What y and those of its derivatives show that are free of w: orthonormal rows, shape (q' >= q, n).
-
-    G C_y Bw = 0 makes G y' = G C_y A x + (known) another measurement, and so on.
-    """
-    return _closed(Cy, plant.A, plant.Bw)
-
-
-def steered(plant: GeneralizedPlant) -> Array:
-    """F': what inputs steer at no cost, and what they steer through it, likewise: orthonormal rows, shape (f, n)."""
-    strengths, directions = np.linalg.svd(plant.D)[1:]
-    costly = int(np.sum(strengths > RANK * strengths.max(initial=0.0)))
-    return _closed((plant.B @ directions[costly:].T).T, plant.A.T, plant.C.T)
-
-
-def _closed(rows: Array, A: Array, Bw: Array) -> Array:
-    """The smallest row space that holds rows and, with any g of it for which g Bw = 0, also g A. Orthonormal, shape (k, n).
-
-    A direction too many by rounding only weakens a bound.
-    """
-    n = len(A)
-    while True:
-        lengths = np.linalg.norm(rows, axis=1)
-        rows = rows[lengths > 0] / lengths[lengths > 0, None]
-        if not len(rows):
-            return np.zeros((0, n))
-        _, sizes, directions = np.linalg.svd(rows)
-        rows = directions[: int(np.sum(sizes > RANK * sizes[0]))]
-        if len(rows) == n:
-            return rows
-        left, sizes, _ = np.linalg.svd(rows @ Bw)
-        free = left[:, int(np.sum(sizes > RANK * np.linalg.norm(Bw))) :].T
-        more = free @ rows @ A
-        more = more - more @ rows.T @ rows
-        more = more[np.linalg.norm(more, axis=1) > RANK * np.linalg.norm(A)]
-        if not len(more):
-            return rows
-        rows = np.vstack([rows, more])
-
-
-def complement(rows: Array) -> Array:
-    """An orthonormal basis of the nullspace of orthonormal rows of shape (k, n), shape (n, n - k), by numpy alone."""
-    return np.linalg.svd(rows)[2][len(rows) :].T if len(rows) else np.eye(rows.shape[1])
-
-
-def reduced_plant(plant: GeneralizedPlant) -> GeneralizedPlant:
-    """The plant of the states that are not steered at no cost; those that are act as inputs, beside u."""
-    rows = steered(plant)
-    M = complement(rows)
-    reduced = GeneralizedPlant(
-        A=M.T @ plant.A @ M,
-        B=np.hstack([M.T @ plant.B, M.T @ plant.A @ rows.T]),
-        Bw=M.T @ plant.Bw,
-        C=plant.C @ M,
-        D=np.hstack([plant.D, plant.C @ rows.T]),
-        Dw=plant.Dw,
-    )
-    return reduced.with_inputs(reduced.independent_inputs()) if len(rows) else plant
-
-
-def observer_plant(plant: GeneralizedPlant, Cy: Array) -> GeneralizedPlant:
-    """The transposed plant of the states that y = C_y x does not show; its inputs are corrections by what y shows."""
-    rows = shown(plant, Cy)
-    N = complement(rows)
-    observer = GeneralizedPlant(
-        A=(N.T @ plant.A @ N).T,
-        B=(rows @ plant.A @ N).T,
-        Bw=(plant.C @ N).T,
-        C=(N.T @ plant.Bw).T,
-        D=(rows @ plant.Bw).T,
-        Dw=plant.Dw.T,
-    )
-    return observer.with_inputs(observer.independent_inputs())
+    alone = LowerBound(root_below(first.e / first.t), state)
+    second = _dual(other, observer) if other is not None and observer is not None else None
+    if other is None or second is None:
+        return alone
+    f = _joined(first, second, *meeting(one, other))
+    share = f * f / (first.t * second.t)
+    try:
+        p, q, s = float(first.e / first.t), float(share), float(second.e / second.t)
+        largest = float(np.linalg.eigvalsh([[p, (p * q) ** 0.5], [(p * q) ** 0.5, q + s]])[-1]) * DOWN
+    except (OverflowError, np.linalg.LinAlgError):
+        return alone
+    return LowerBound(largest**0.5, state, observer) if largest**0.5 > alone.gamma else alone
 
 
 @dataclass(frozen=True, eq=False)
 class _Dual:
-    """e = <Z, E>, t = tr Z22, and H = T^-T root root' T^-1."""
+    """e, t and V = T^-T V_T T^-1 of a dual solution.
 
-    e: float
-    t: float
-    root: Array
+    Attributes:
+        e, t: exact.
+        V: V_T in floats, every entry rounded once; near I on the path.
+        T: floats that are taken as they are, shape (a, a).
+        Y: floats near T^-T, likewise.
+    """
+
+    e: Fraction
+    t: Fraction
+    V: Array
     T: Array
+    Y: Array
 
 
-def _dual(plant: GeneralizedPlant, witness: Witness) -> _Dual | None:
+@np.errstate(all="ignore")  # what is not finite proves nothing
+def _dual(side: Side, witness: Witness) -> _Dual | None:
     """What a witness proves; None where it proves nothing."""
-    n = len(plant.A)
+    a, n = side.J.shape
+    if witness.X.shape != (n, n):
+        raise ValueError(f"a witness has X of shape {witness.X.shape}; expected {(n, n)}")
     try:
-        # In the coordinates of the witness X is I, Y is 0 and on the path H is I: there a projection leaves H positive.
-        T = np.linalg.cholesky(witness.X)
-        moved = plant.closed_loop(witness.K).in_coordinates(T)
-        S = -bounded_real_matrix(moved, np.eye(n), np.zeros_like(witness.K), witness.eta)
-        if np.diagonal(S).min() <= 0:
+        J = floats(side.J) / floats(side.J[np.arange(a), side.coordinates])[:, None]
+        T = np.linalg.cholesky(J @ witness.X @ J.T) if a else np.zeros((0, 0))
+        Y = np.linalg.inv(T).T
+        L = _factor(side.floats(), T, witness.eta)
+        if not (np.all(np.isfinite(L)) and np.all(np.isfinite(T)) and np.all(np.isfinite(Y))):
             return None
-        size = 1 / np.sqrt(np.diagonal(S))
-        Z = size[:, None] * np.linalg.inv(size[:, None] * S * size) * size
-        # Z loses its part along the inputs in its own metric, a Schur complement: the rest stays positive semidefinite.
-        inputs = np.vstack([moved.B, moved.D])
-        along = np.linalg.qr(inputs / np.maximum(np.linalg.norm(inputs, axis=0), 1e-300))[0]
-        Z = Z - Z @ along @ np.linalg.solve(along.T @ Z @ along, along.T @ Z)
-        Z = (Z + Z.T) / 2
-        H = moved.A.T @ Z[:n, :n] + Z[:n, n:] @ moved.C
-        root = np.linalg.cholesky(H + H.T)
-    except np.linalg.LinAlgError:
+        return _evaluated(side, L, T, Y)
+    except (np.linalg.LinAlgError, OverflowError):
         return None
-    disturbance = np.vstack([moved.Bw, moved.Dw])
-    e, t = float(np.sum(disturbance * (Z @ disturbance))), float(np.trace(Z[n:, n:]))
-    return _Dual(e, t, root, T) if e >= 0 and t > 0 and np.isfinite(e / t) else None
+
+
+def _factor(parts: tuple[Array, Array, Array, Array], T: Array, eta: float) -> Array:
+    """L with L L' = (c c' - He(Q X U') - eta b b')^-1, X = T T'."""
+    U, Q, b, c = parts
+    moved = (Q @ T) @ (U @ T).T
+    inside = c @ c.T - moved - moved.T - eta * b @ b.T
+    diagonal = np.diagonal(inside)
+    if not np.all(diagonal > 0):
+        raise np.linalg.LinAlgError("not inside")
+    size = 1 / np.sqrt(diagonal)
+    return size[:, None] * np.linalg.inv(np.linalg.cholesky(size[:, None] * inside * size)).T
+
+
+def _evaluated(side: Side, L: Array, T: Array, Y: Array) -> _Dual | None:
+    """e, t and V_T of W = L L', exactly; None if V is not proved positive definite, or t is zero."""
+    (factor, over), (coordinates, under) = integers(L), integers(T)
+    low, steep = product(factor.T, product(side.U, coordinates)), product(factor.T, product(side.Q, coordinates))
+    half = product(low.T, steep)
+    size = side.scale * over
+    V = floats(half + half.T, Fraction(1, side.unit * (size * under) ** 2))
+    t = Fraction(int(np.sum(product(factor.T, side.c) ** 2)), size**2)
+    e = Fraction(int(np.sum(product(factor.T, side.b) ** 2)), (size * side.unit) ** 2)
+    return _Dual(e, t, V, T, Y) if t > 0 and surely_positive(V) else None
+
+
+def _joined(first: _Dual, second: _Dual, between: Array, over: int) -> Fraction:
+    """f of the best V12 that is proved to leave V positive definite; 0 where there is none."""
+    if not between.size:
+        return Fraction(0)
+    (Y1, over1), (Y2, over2), (T1, under1), (T2, under2) = map(integers, (first.Y, second.Y, first.T, second.T))
+    moved, size = product(product(Y1.T, between.T), Y2), over * over1 * over2  # Y1' J1 J2' Y2
+    R1, R2 = np.linalg.cholesky(first.V), np.linalg.cholesky(second.V)
+    left, _, right = np.linalg.svd(R1.T @ floats(moved, Fraction(1, size)) @ R2)
+    k = min(left.shape[1], right.shape[0])
+    best = R2 @ right[:k].T @ left[:, :k].T @ R1.T
+    near2, near1 = product(T2.T, Y2), product(Y1.T, T1)
+    for shrink in SHRINK:
+        K, step = integers(-(1 - shrink) * best)
+        off = floats(product(product(near2, K), near1), Fraction(1, step * over1 * over2 * under1 * under2))
+        if surely_positive(np.block([[second.V, off], [off.T, first.V]])):
+            return max(-Fraction(np.trace(product(K, moved)), step * size), Fraction(0))
+    return Fraction(0)

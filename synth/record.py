@@ -13,7 +13,7 @@ import numpy as np
 from models.arrays import Array
 from models.errors import InputError, known
 from synth.certificate import Certificate
-from synth.limit import uncontrolled
+from synth.limit import limit_at as proved_at
 from synth.lower_bound import LowerBound, Witness, lower_bound
 from synth.plant import GeneralizedPlant
 
@@ -37,7 +37,7 @@ def to_record(certificate: Certificate) -> dict[str, Any]:
     for name in ("state", "observer"):
         witness = getattr(lower, name, None)
         if witness is not None:
-            record[name] = {"X": witness.X.tolist(), "K": witness.K.tolist(), "eta": float(witness.eta)}
+            record[name] = {"X": witness.X.tolist(), "eta": float(witness.eta)}
     return {
         key: value for key, value in record.items() if value is not None and (not isinstance(value, float) or np.isfinite(value))
     }
@@ -64,7 +64,7 @@ def read_proof(record: Mapping[str, Any], plant: GeneralizedPlant, Cy: Array) ->
     lower = LowerBound(0.0)
     limit_at = _number(record, "limit_at")
     if limit_at is not None:
-        lower = LowerBound(float(uncontrolled(plant, np.array([limit_at]))[0]), limit_at=limit_at)
+        lower = LowerBound(proved_at(plant, limit_at), limit_at=limit_at)
     state, observer = _witness(record, "state"), _witness(record, "observer")
     if state is not None:
         try:
@@ -120,8 +120,6 @@ def _witness(record: Mapping[str, Any], key: str) -> Witness | None:
     if not isinstance(value, Mapping):
         value = {}
     X, eta = _matrix(value, "X"), _number(value, "eta")
-    # Where there are no inputs K has no rows, and a list of none does not say how many columns.
-    K = np.zeros((0, len(X))) if X is not None and value.get("K") == [] else _matrix(value, "K")
-    if X is None or K is None or eta is None or X.shape[0] != X.shape[1] or K.shape[1] != len(X):
-        raise InputError(f"{key} = {reprlib.repr(value)} in a certificate is no witness with X, K and eta")
-    return Witness(X, K, eta)
+    if X is None or eta is None or X.shape[0] != X.shape[1]:
+        raise InputError(f"{key} = {reprlib.repr(value)} in a certificate is no witness with X and eta")
+    return Witness(X, eta)

@@ -70,6 +70,18 @@ def test_the_case_is_said(capsys, tmp_path):
     assert "\n  without control w reaches z in no way; none is applied\n" in capsys.readouterr().out
 
 
+def test_text_says_where_there_is_no_limit(capsys, tmp_path):
+    """Of the deflection alone, one signal and one force, control can change all; it is said, and in JSON it is null."""
+    text = read_vehicle("quarter_car").text
+    weights = text.split("[performance]")[1].split("[")[0]
+    file = tmp_path / "car.toml"
+    file.write_text(text.replace(weights, "\nsuspension_deflection = 1.0\n\n"))
+    main(["--vehicle", str(file), "--controller", "passive"])
+    assert "limit: none; at every frequency control forces can change all of z's answer to the road\n" in capsys.readouterr().out
+    _, found = table(capsys, "--vehicle", str(file), "--controller", "passive")
+    assert found["invariant_limit"] is None
+
+
 def test_remark_4(capsys):
     """With L = 0 neither controller can be designed, and each says why."""
     code, found = table(capsys, "--zero-l")
@@ -175,8 +187,8 @@ def test_bad_input(arguments, message):
         ("norms = 1.0", "unknown key 'norms' in a certificate"),
         ("X = [[1.0, 2.0]]", "is not a matrix of finite numbers of shape"),
         ('norm = "7"', "is not a finite number"),
-        ("state = { X = [[1.0]] }", "is no witness with X, K and eta"),
-        ("state = { X = [[1.0]], K = [[1.0]], eta = 1.0 }", "do not fit the vehicle"),
+        ("state = { X = [[1.0]] }", "is no witness with X and eta"),
+        ("state = { X = [[1.0]], eta = 1.0 }", "do not fit the vehicle"),
     ],
 )
 def test_malformed_certificate(tmp_path, certificate, message):
