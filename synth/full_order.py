@@ -15,8 +15,9 @@ import numpy as np
 from scipy import linalg
 
 from models.arrays import Array
+from models.errors import InputError
 from synth.barrier import Barrier, Block, boundary, newton
-from synth.central import CENTRED, INSIDE, CentralPoint
+from synth.central import CENTRED, INSIDE, CentralPoint, along_path
 from synth.exact import floats
 from synth.limit import invariant_limit
 from synth.lower_bound import LowerBound, Witness, proved
@@ -53,15 +54,27 @@ def best_possible(plant: GeneralizedPlant, Cy: Array | None = None, path: Sequen
         if path and best.gamma >= path[-1].gamma * (1 - ENOUGH):
             return best
     one = Side.of(plant)
-    if other is None and len(one.J) == len(plant.A) and path:
-        points = [(Witness(point.X, point.eta), None, point.gamma) for point in path if point.mu > 0.5 * STATE_END]
-    else:
+    if other is not None or len(one.J) < len(plant.A) or not path:
         points = []
         # Where the problem has no solution, or none at a finite gain, what was found before counts.
         with contextlib.suppress(np.linalg.LinAlgError, ValueError), np.errstate(all="ignore"):
             for point in _walk(plant, Cy, one, other):
                 points.append(point)
-    return max(best, _sharpest(one, other, points), key=_gamma)
+        found = _sharpest(one, other, points)
+        if found.gamma:
+            return max(best, found, key=_gamma)
+    return max(best, _sharpest(one, None, _of_state_feedback(plant, path)), key=_gamma)
+
+
+def _of_state_feedback(plant: GeneralizedPlant, path: Sequence[CentralPoint]) -> list[tuple[Witness, None, float]]:
+    """The witnesses of the path of (22), also where its end cannot be reached."""
+    points = [point for point in path if point.mu > 0.5 * STATE_END]
+    if not path:
+        n = len(plant.A)
+        with contextlib.suppress(InputError, np.linalg.LinAlgError), np.errstate(all="ignore"):
+            for point in along_path(plant, np.zeros((n, 0)), np.eye(n), STATE_END):
+                points.append(point)
+    return [(Witness(point.X, point.eta), None, point.gamma) for point in points]
 
 
 def _gamma(bound: LowerBound) -> float:
