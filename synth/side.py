@@ -8,6 +8,8 @@ not see it. Let F hold these directions (`steered`). No dual solution can weigh 
 [A F; C F], and of X only J X J' remains, J a basis of all rows with J F = 0. Of the transposed plant with inputs C_y', F is what
 y and those of its derivatives show that are free of w (`shown`).
 
+The same goes for states that z does not see and that decay by themselves: in them, too, X grows at no price.
+
 All of this is decided on the numbers of the plant as they stand, by integers: no tolerance tells a rank, so a direction that is
 small counts, and units of states, inputs, time, w and z as a whole mean nothing.
 """
@@ -21,6 +23,8 @@ import numpy as np
 from models.arrays import Array
 from synth.exact import Nullspace, floats, identity, integers, product, without_factors
 from synth.plant import GeneralizedPlant
+
+GROWTH = 1e-9  # of |A|; less is rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +53,8 @@ class Side:
         n, (system, unit) = len(plant.A), integers(plant.system_matrix)
         m = plant.B.shape[1]
         states, inputs = system[:, :n], system[:, n : n + m]
-        F = _closure(states, inputs)
+        F = np.hstack([_closure(states, inputs), _hidden(plant, states)])
+        F = F[:, Nullspace(F).independent]
         steered = Nullspace(F)
         J, _ = without_factors(steered.complete(identity(len(steered.free))))
         columns = np.hstack([inputs, np.vstack([F, 0 * system[n:, : F.shape[1]]]), product(states, F)])
@@ -114,3 +119,24 @@ def _closure(states: Array, inputs: Array) -> Array:
         if wider.shape[1] == F.shape[1]:
             return F
         F = wider
+
+
+def _hidden(plant: GeneralizedPlant, states: Array) -> Array:
+    """The states that z does not see without control, columns of shape (n, h); none where some of them grow by themselves.
+
+    Were that misjudged, the bound would be weaker, and no less true: fewer dual solutions remain.
+    """
+    n = len(plant.A)
+    silent = Nullspace(states[n:].T)
+    V, _ = without_factors(silent.complete(identity(len(silent.free))))
+    while V.shape[1]:
+        staying = Nullspace(np.hstack([product(states[:n], V), V]).T)  # A V c = -V e
+        kept = product(V, staying.complete(identity(len(staying.free)))[: V.shape[1]])
+        kept = kept[:, Nullspace(kept).independent]
+        if kept.shape[1] == V.shape[1]:
+            break
+        V, _ = without_factors(kept)
+    directions = V / np.max(np.abs(V), axis=0, initial=1)
+    within = np.linalg.lstsq(directions.astype(float), plant.A @ directions.astype(float))[0]
+    grows = np.any(np.linalg.eigvals(within).real > GROWTH * np.linalg.norm(plant.A))
+    return V[:, :0] if grows else V

@@ -269,3 +269,21 @@ def test_positive_means_positive():
         assert not surely_positive(M - shift * np.eye(k))
         assert surely_positive(M + max(shift, 1e-11 * float(np.trace(M))) * np.eye(k))
     assert Fraction(*integers(np.array([[0.1]]))[0][0]) * Fraction(1, integers(np.array([[0.1]]))[1]) == Fraction(0.1)
+
+
+def test_states_that_z_does_not_see_cost_no_bound():
+    """A sensor's lag, a mode beside the plant: the bound of the plant without them, though they let X grow for ever."""
+    plant, _ = a_plant("unstable", 5)
+    n, m = plant.B.shape
+    beside = np.array([[-3.0, 0.0, 0.0], [0.0, -0.1, 1.0], [0.0, -2.0, -0.1]])
+    longer = GeneralizedPlant(
+        A=np.block([[plant.A, np.zeros((n, 3))], [np.ones((3, n)), beside]]),
+        B=np.vstack([plant.B, np.zeros((3, m))]),
+        Bw=np.vstack([plant.Bw, np.zeros((3, plant.Bw.shape[1]))]),
+        C=np.hstack([plant.C, np.zeros((len(plant.C), 3))]),
+        D=plant.D,
+        Dw=plant.Dw,
+    )
+    short = best_possible(plant).gamma
+    assert short > 3  # 1.2 is left where they are not seen to be hidden
+    assert best_possible(longer).gamma == pytest.approx(short, rel=1e-5)  # where the paths end: (2 n + d) 1e-6 / 2
