@@ -105,7 +105,7 @@ def write_page(page: Page, path: Path) -> None:
         InputError: it cannot be written.
     """
     with whole_file(path, "report") as beside:
-        beside.write_text(render(page), encoding="utf-8")
+        beside.write_text(render(page), encoding="utf-8", newline="\n")
 
 
 @dataclass(frozen=True)

@@ -51,7 +51,7 @@ def record(
         with tempfile.TemporaryDirectory(dir=folder, prefix=f".{stem}-") as temporary:
             written = {kind: Path(temporary, f"run.{suffix}") for kind, suffix in SUFFIXES.items()}
             write_mcap(written["mcap"], runs, metadata, attachments)
-            written["layout"].write_text(foxglove_layout(runs), encoding="utf-8")
+            written["layout"].write_text(foxglove_layout(runs), encoding="utf-8", newline="\n")
             write_rrd(written["rerun"], runs, metadata)
             return _published(written, folder, stem)
     except OSError as error:

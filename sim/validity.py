@@ -6,7 +6,6 @@ every cell, says whether that is so.
 """
 
 import math
-import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -14,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from models.arrays import Array
+from models.cores import cores
 from models.vehicle import Vehicle
 from sim.broken import ENDS, Ends, first_end, reached, utilisation
 from sim.linear import sampled_responses
@@ -94,10 +94,10 @@ def validity(
     # One linear response serves all heights, so they lie side by side. Every core takes batches of its own, on one thread, as
     # many and as large as the others': faster than one batch on all, whose threads wait while Python has its turn.
     order = sorted(range(len(bumps)), key=lambda i: (bumps[i].length, bumps[i].speed))
-    cores = len(os.sched_getaffinity(0))
-    rounds = math.ceil(len(bumps) / (cores * runs_at_once(len(time), len(vehicle.kind.wheels))))
-    chunks = [chunk for chunk in np.array_split(order, cores * rounds) if len(chunk)]
-    parts, workers = [], ThreadPoolExecutor(cores)
+    workers_at_once = cores()
+    rounds = math.ceil(len(bumps) / (workers_at_once * runs_at_once(len(time), len(vehicle.kind.wheels))))
+    chunks = [chunk for chunk in np.array_split(order, workers_at_once * rounds) if len(chunk)]
+    parts, workers = [], ThreadPoolExecutor(workers_at_once)
     try:
         running = [workers.submit(_run, vehicle, controller, [bumps[i] for i in chunk], time) for chunk in chunks]
         for part in running:

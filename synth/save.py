@@ -33,7 +33,7 @@ def save(path: Path, vehicle: Vehicle, controllers: Sequence[Controller]) -> Non
         text += "\n" + "\n".join(_entry(name, controller)) + "\n"
     parse_vehicle(text, folder=path.parent)  # what is written can be read
     with whole_file(path, "--save") as beside:
-        beside.write_text(text, encoding="utf-8")
+        beside.write_text(text, encoding="utf-8", newline="\n")
 
 
 def _entry(name: str, controller: Controller) -> list[str]:

@@ -99,7 +99,7 @@ def test_reached_scales(limited, designer):
 def test_interrupted(limited, designer, monkeypatch):
     """Ctrl-C keeps what is done."""
     monkeypatch.setattr("sim.validity.runs_at_once", lambda samples, wheels: 4)
-    monkeypatch.setattr("os.sched_getaffinity", lambda process: {0, 1})
+    monkeypatch.setattr("sim.validity.cores", lambda: 2)
 
     def stop(done: int) -> None:
         if done >= 8:

@@ -1,0 +1,81 @@
+"""Python is all that it needs: no source counts on what only one system has, on its paths, or on its encoding."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+SOURCES = sorted(path for floor in ("models", "synth", "sim") for path in (ROOT / floor).rglob("*.py"))
+
+ONE_SYSTEM = {"fcntl", "termios", "pwd", "grp", "resource", "pty", "tty", "syslog", "msvcrt", "winreg", "winsound", "_winapi"}
+# What os and signal have on some systems only. Where it is worth having all the same, getattr asks for it.
+SOME_OS = {"fork", "forkpty", "killpg", "getpgid", "setsid", "getsid", "sched_getaffinity", "sched_setaffinity", "mkfifo", "getuid"}
+SOME_OS |= {"geteuid", "getgid", "chown", "fchown", "fchmod", "chroot", "nice", "uname", "getloadavg", "sysconf", "statvfs", "wait"}
+SOME_OS |= {"O_NONBLOCK", "O_CLOEXEC", "O_DIRECTORY", "O_BINARY", "wait3", "wait4", "WIFEXITED", "setpgid", "openpty"}
+SOME_SIGNALS = {"SIGKILL", "SIGHUP", "SIGALRM", "SIGPIPE", "SIGUSR1", "SIGUSR2", "SIGCHLD", "SIGSTOP", "SIGCONT", "SIGQUIT"}
+SOME_SIGNALS |= {"alarm", "setitimer", "pause", "sigwait", "pthread_kill", "pthread_sigmask", "CTRL_C_EVENT", "CTRL_BREAK_EVENT"}
+ROOTED = ("/dev/", "/proc/", "/tmp", "/var/", "/etc/", "/usr/", "C:\\")
+# The one path of POSIX, which is only ever compared with what the user gave.
+KNOWN = {("models/whole_file.py", "/dev/stdout")}
+
+
+def found(tree: ast.AST) -> Iterator[str]:
+    """What only one system has, in a source."""
+    docstrings = set()
+    for node in ast.walk(tree):
+        if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef)) and node.body and isinstance(node.body[0], ast.Expr):
+            docstrings.add(id(node.body[0].value))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (f"import {alias.name}" for alias in node.names if alias.name.split(".")[0] in ONE_SYSTEM)
+        elif isinstance(node, ast.ImportFrom):
+            module = node.module or ""
+            yield from [f"import {module}"] if module.split(".")[0] in ONE_SYSTEM else []
+            some = {"os": SOME_OS, "signal": SOME_SIGNALS}.get(module, set())
+            yield from (f"{module}.{alias.name}" for alias in node.names if alias.name in some)
+        elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+            if node.attr in {"os": SOME_OS, "signal": SOME_SIGNALS}.get(node.value.id, set()):
+                yield f"{node.value.id}.{node.attr}"
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in docstrings:
+            yield from [node.value] if node.value.startswith(ROOTED) else []
+        elif isinstance(node, ast.Call):
+            yield from _text_without_encoding(node)
+
+
+def _text_without_encoding(call: ast.Call) -> Iterator[str]:
+    """Text files whose encoding, or whose line ends, the system would choose."""
+    name = call.func.attr if isinstance(call.func, ast.Attribute) else call.func.id if isinstance(call.func, ast.Name) else ""
+    keywords = {keyword.arg for keyword in call.keywords}
+    texts = [argument.value for argument in call.args if isinstance(argument, ast.Constant) and isinstance(argument.value, str)]
+    if name == "write_text" and not {"encoding", "newline"} <= keywords:
+        yield f"line {call.lineno}: write_text without encoding or newline"
+    if name == "open" and any(text in ("w", "a", "r", "x") for text in texts) and not {"encoding", "newline"} <= keywords:
+        yield f"line {call.lineno}: open without encoding or newline"
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_a_source_counts_on_no_system(path):
+    """No module, function, signal or path that Linux, macOS or Windows lacks; no text in the system's own encoding."""
+    own = path.relative_to(ROOT).as_posix()
+    assert [one for one in found(ast.parse(path.read_text(encoding="utf-8"))) if (own, one) not in KNOWN] == []
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "import fcntl",
+        "def f():\n    from resource import getrusage",
+        "import os\nos.killpg(1, 2)",
+        "from os import fork",
+        "import signal\nsignal.SIGKILL",
+        "open('/proc/self/status')",
+        "path.write_text('x')",
+        "open(path, 'w')",
+        "path.open('w', encoding='utf-8')",
+    ],
+)
+def test_the_walk_sees_it(source):
+    """What the walk is for, it finds."""
+    assert list(found(ast.parse(source)))
