@@ -14,6 +14,7 @@ from models import interrupt
 from models.errors import InputError
 
 BAD_INPUT = 2
+LONGEST = 1000  # characters of a complaint
 
 
 class Parser(argparse.ArgumentParser):
@@ -117,9 +118,12 @@ def run_command(main: Callable[[], int]) -> NoReturn:
 
 
 def _complain(message: str) -> None:
-    """One line on stderr, whatever names and values the message quotes."""
+    """One line on stderr that a terminal can show, whatever names and values the message quotes."""
+    line = " ".join(message.splitlines())
+    if len(line) > LONGEST:
+        line = f"{line[: LONGEST // 2]} ... {line[-LONGEST // 2 :]}"  # what was found comes first, what to do last
     if sys.stderr:  # closed, as in `2>&-`, it is None
-        print(f"roadproof: {' '.join(message.splitlines())}", file=sys.stderr)
+        print(f"roadproof: {line}", file=sys.stderr)
 
 
 def _forget_output() -> None:

@@ -2,13 +2,13 @@
 
 import argparse
 import json
-import os
 import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
 
 from models.command import Parser, run_command
+from models.cores import cores
 from models.errors import InputError
 from sim.campaign_batch import Plan, columns
 from sim.campaign_file import MOST_RUNS, Campaign, read_campaign
@@ -73,7 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             run_batches(
                 plan,
                 plan.batches(gaps, progress.next_batch),
-                options.workers or os.cpu_count() or 1,
+                options.workers or cores(),
                 options.ray or None,
                 options.ray is not None,
                 write,

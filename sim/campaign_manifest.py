@@ -63,7 +63,7 @@ class Manifest:
         whole = asdict(self)
         whole["seal"] = _sealed(whole)
         with whole_file(folder / NAME, "results", FULL) as path:
-            path.write_text(json.dumps(whole, indent=1), encoding="utf-8")
+            path.write_text(json.dumps(whole, indent=1), encoding="utf-8", newline="\n")
 
 
 def read_manifest(folder: Path) -> Manifest | None:
