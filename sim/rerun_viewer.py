@@ -1,5 +1,6 @@
 """Rerun's viewer on a recording: its window, or its web page on this machine alone, which ends with the command."""
 
+import importlib.util
 import os
 import shlex
 import signal
@@ -64,7 +65,7 @@ def serve_viewer(recording: Path) -> None:
     ]
     source = urllib.parse.quote(f"rerun+http://{LOOPBACK}:{data}/proxy", safe="")
     try:
-        with _ended_by_signals(), _process_group(command) as process:
+        with _ended_by_signals(), _ended_with(command) as process:
             _wait_until_up(process, f"http://{LOOPBACK}:{page}")
             print(f"serving http://{LOOPBACK}:{page}?url={source}   Ctrl-C ends it", file=sys.stderr, flush=True)
             process.wait()
@@ -74,8 +75,13 @@ def serve_viewer(recording: Path) -> None:
 
 
 def _command() -> list[str]:
-    """Rerun's own program, of the package that wrote the recording."""
-    return [sys.executable, "-m", "rerun_cli"]
+    """Rerun's own program, of the package that wrote the recording; without its Python wrapper, which would end without it."""
+    spec = importlib.util.find_spec("rerun_cli")
+    if spec is None or not spec.submodule_search_locations:
+        return ["rerun"]
+    folder = Path(spec.submodule_search_locations[0])
+    places = [folder / "Rerun.app" / "Contents" / "MacOS" / "Rerun", folder / "rerun.exe", folder / "rerun"]
+    return [str(next((place for place in places if place.is_file()), "rerun"))]
 
 
 def _free_ports(count: int) -> list[int]:
@@ -88,36 +94,25 @@ def _free_ports(count: int) -> list[int]:
 
 
 @contextmanager
-def _process_group(command: list[str]) -> Iterator[subprocess.Popen]:
-    """A program in a process group of its own, which ends as a whole: Rerun's program starts another one."""
+def _ended_with(command: list[str]) -> Iterator[subprocess.Popen]:
+    """A program that Ctrl-C does not reach, and that is ended with the block."""
     process = subprocess.Popen(
         command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
     )
     try:
         yield process
     finally:
-        for how in (signal.SIGTERM, signal.SIGKILL):
-            deadline = time.monotonic() + ENDING
-            while _alive(process) and time.monotonic() < deadline:
-                with suppress(ProcessLookupError):
-                    os.killpg(process.pid, how)
-                time.sleep(0.02)
-
-
-def _alive(process: subprocess.Popen) -> bool:
-    """Whether anything of its group is."""
-    process.poll()  # or it would count after it has ended
-    try:
-        os.killpg(process.pid, 0)
-    except ProcessLookupError:
-        return False
-    return True
+        for end in (process.terminate, process.kill):
+            end()
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(ENDING)
+                break
 
 
 @contextmanager
 def _ended_by_signals() -> Iterator[None]:
     """SIGTERM and the end of the terminal count as Ctrl-C, so that what was started is ended."""
-    wanted = [signal.SIGTERM, *([signal.SIGHUP] if hasattr(signal, "SIGHUP") else [])]
+    wanted = [one for name in ("SIGTERM", "SIGHUP") if (one := getattr(signal, name, None)) is not None]
     before = {one: signal.signal(one, signal.default_int_handler) for one in wanted}
     try:
         yield
