@@ -10,8 +10,10 @@ checks of its usual wrappers cost more than its work.
 # scipy.linalg.lapack is made by f2py and carries no stubs.
 
 import functools
-from collections.abc import Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from scipy.linalg import lapack
@@ -48,7 +50,7 @@ class Barrier:
         G = np.concatenate(rows, axis=1)
         scale = 1 / np.sqrt(np.einsum("ij,ij->i", G, G))
         triangle = lapack.dgeqrf((G * scale[:, None]).T, overwrite_a=1)[0][: len(p)]
-        return Local(np.asarray(trace), W, scale, np.asfortranarray(triangle))
+        return Local(np.asarray(trace), scale, np.asfortranarray(triangle), W)
 
 
 @functools.cache
@@ -59,18 +61,16 @@ def _upper(size: int) -> tuple[Array, Array, Array]:
 
 
 @dataclass(frozen=True, eq=False)
-class Local:
+class Factored(ABC):
     """Derivatives of sum log det at a point: its gradient, and the Hessian as S^-1 R' R S^-1.
 
     Attributes:
         trace: the gradient, shape (N,).
-        W: L^-1 F_i L^-T of every block, shapes (N, k k).
         scale: S, shape (N,).
         triangle: R, shape (N, N); what lies below its diagonal means nothing.
     """
 
     trace: Array
-    W: list[Array]
     scale: Array
     triangle: Array
 
@@ -82,9 +82,28 @@ class Local:
         """S R^-1 half, which with `half` above is the inverse Hessian times c."""
         return self.scale * lapack.dtrtrs(self.triangle, half)[0]
 
+    @abstractmethod
     def rates(self, step: Array) -> Array:
         """Eigenvalues r of the blocks' change in their own metric: along p + t step, log det changes by sum log(1 + t r)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Local(Factored):
+    """Derivatives at a point; L^-1 F_i L^-T of every block, shapes (N, k k)."""
+
+    W: list[Array]
+
+    def rates(self, step: Array) -> Array:
+        """As `Factored.rates`."""
         return np.concatenate([_eigenvalues(step @ W) for W in self.W])
+
+
+class Derivatives(Protocol):
+    """What gives the derivatives at a point: `Barrier`, or `structured.StructuredBarrier`."""
+
+    def at(self, p: Array) -> Factored | None:
+        """The derivatives at a point, or None outside the feasible set."""
+        ...
 
 
 def _eigenvalues(flat: Array) -> Array:
@@ -92,8 +111,17 @@ def _eigenvalues(flat: Array) -> Array:
     return lapack.dsyevd(flat.reshape(size, size), compute_v=0)[0]
 
 
-def newton(barrier: Barrier, p: Array, c: Array, tolerance: float) -> tuple[Array, float, Local]:
+def newton(
+    barrier: Derivatives, p: Array, c: Array, tolerance: float, leave: Callable[[Array], bool] = lambda p: False
+) -> tuple[Array, float, Factored]:
     """Minimises from a feasible p until the Newton decrement is below the tolerance, or rounding stops it.
+
+    Args:
+        barrier: of the feasible set.
+        p: the start.
+        c: the slope of what is minimised beside the barrier.
+        tolerance: of the Newton decrement.
+        leave: whether a point that short steps led to is too far away for these coordinates.
 
     Returns:
         The minimiser, its Newton decrement, and the derivatives there. The caller looks at the decrement.
@@ -116,6 +144,8 @@ def newton(barrier: Barrier, p: Array, c: Array, tolerance: float) -> tuple[Arra
         if moved is None:
             break
         p, here = p + length * step, moved
+        if decrement >= QUADRATIC and leave(p):
+            break
     return p, decrement, here
 
 
@@ -139,7 +169,7 @@ def _lowest(slope: float, rates: Array) -> float:
     return t
 
 
-def boundary(here: Local, step: Array) -> float:
+def boundary(here: Factored, step: Array) -> float:
     """How far a step may go before a block becomes singular: the largest t with p + t step feasible."""
     smallest = float(here.rates(step).min())
     return -1 / smallest if smallest < 0 else np.inf

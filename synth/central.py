@@ -25,11 +25,12 @@ from scipy.linalg import lapack
 
 from models.arrays import Array
 from models.errors import InputError
-from synth.barrier import Barrier, boundary, newton
+from synth.barrier import Barrier, Derivatives, boundary, newton
 from synth.bounded_real import bounded_real_matrix
 from synth.errors import DesignError, InfeasibleError
 from synth.plant import GeneralizedPlant
 from synth.scaling import reachable, size
+from synth.structured import Constraint, StructuredBarrier, path_constraints, start_constraints
 from synth.threads import one_thread
 from synth.unseen import unseen
 
@@ -40,6 +41,9 @@ LIMIT = 1e-9
 CENTRED = 1e-6  # Newton decrement at the points of the path: close enough for the duals that prove lower bounds
 RESTS = (1e-7, 1e-5, *(10.0**exponent for exponent in range(-3, 20)))  # mu over eta
 FROM = 1e3  # where the path is entered: mu over the eta of the first feasible point, far from any optimum
+FAR = 1e7  # condition of X from which the coordinates, in which it was I, no longer fit
+DENSE = 200  # unknowns; up to so many a dense basis is quicker, for it takes fewer calls
+LARGEST_Y = 10.0  # in the search for a feasible point
 INSIDE = 0.95  # of the way to the boundary, where a step along the path would leave
 
 
@@ -143,24 +147,15 @@ class _Path:
         """A strictly feasible point, or the proof that there is none.
 
         Feasible points exist if and only if He(A X + B Y) < 0 has a solution of the structure (12): scaled down far enough, any
-        such pair satisfies (24) with some eta > 0. So: minimise s over He(A X + B Y) < s I, 0 < X < I, |Y| < 10, until s < 0.
+        such pair satisfies (24) with some eta > 0. So: minimise s over He(A X + B Y) < s I, 0 < X < I, |Y| < LARGEST_Y, until
+        s < 0.
         """
         basis, n, m = self.basis, len(self.plant.A), self.plant.B.shape[1]
-        lyapunov = basis.F[:, :n, :n].copy()
-        lyapunov[-1] = -np.eye(n)  # the last unknown is s here, eta later
-        box = np.zeros((basis.size, m + n, m + n))
-        box[:, :m, m:], box[:, m:, :m] = basis.Y, basis.Y.transpose(0, 2, 1)
-        blocks = [
-            (np.zeros((n, n)), -lyapunov),
-            (np.zeros((n, n)), basis.X),
-            (np.eye(n), -basis.X),
-            (10 * np.eye(m + n), box),
-        ]
         p = basis.pack(np.eye(n) / 2, np.zeros((m, n)), 0.0)
-        s = np.linalg.eigvalsh(np.tensordot(p, lyapunov, 1))[-1]
+        s = np.linalg.eigvalsh((self.plant.A + self.plant.A.T) / 2)[-1]
         mu = max(abs(s), 1e-3)
         p[-1] = s + mu
-        barrier = Barrier(blocks)
+        barrier = self._start_barrier()
         while True:
             p, _, _ = newton(barrier, p, _direction(basis.size, 1 / mu), tolerance=0.3)
             if p[-1] < 0:
@@ -189,7 +184,8 @@ class _Path:
         shrink = 0.5 / max(linalg.eigh(low.T @ low, -F[:n, :n], eigvals_only=True)[-1], 1e-12)
         X, Y = shrink * X, shrink * Y
         F = bounded_real_matrix(self.plant, X, Y, 0.0)
-        return X, Y, 1 / linalg.eigh(self.basis.F[-1], -F, eigvals_only=True)[-1]
+        disturbance = np.vstack([self.plant.Bw, self.plant.Dw])
+        return X, Y, 1 / linalg.eigh(disturbance @ disturbance.T, -F, eigvals_only=True)[-1]
 
     def follow(self, mu_end: float) -> Iterator[CentralPoint]:
         """Walks along the path until mu = mu_end eta; yields the points it rests at."""
@@ -197,9 +193,10 @@ class _Path:
         while True:
             arrived = self.eta > 0 and self.mu <= mu_end * self.eta * 1.001
             basis = self.basis
-            barrier = Barrier([(-basis.F0, -basis.F), (np.zeros((n, n)), basis.X)])
-            p = basis.pack(np.eye(n), np.zeros((m, n)), self.eta)
-            p, decrement, here = newton(barrier, p, _direction(basis.size, -1 / self.mu), CENTRED)
+            start = basis.pack(np.eye(n), np.zeros((m, n)), self.eta)
+            p, decrement, here = newton(self._barrier(), start, _direction(basis.size, -1 / self.mu), CENTRED, self._far)
+            if decrement > 0.5 and self._far(p) and self._feasible_at(p):
+                continue  # from there, in its own coordinates
             if decrement > 0.5:
                 raise DesignError(
                     f"the central path could not be followed below mu = {self.mu / abs(p[-1]):.1e} (Newton decrement "
@@ -229,13 +226,45 @@ class _Path:
             self._move_to(X, Y)
         except np.linalg.LinAlgError:
             return False
-        basis, (m, n) = self.basis, Y.shape
-        here = basis.pack(np.eye(n), np.zeros((m, n)), eta)
-        if lapack.dpotrf(-basis.F0 - np.tensordot(here, basis.F, 1))[1] != 0:  # pyright: ignore[reportAttributeAccessIssue]
+        m, n = Y.shape
+        if lapack.dpotrf(-bounded_real_matrix(self.plant, np.eye(n), np.zeros((m, n)), eta))[1] != 0:  # pyright: ignore[reportAttributeAccessIssue]
             self.plant, self.V, self.K, self.basis = before
             return False
         self.eta = eta
         return True
+
+    def _far(self, p: Array) -> bool:
+        """Whether X has become so different from I that other coordinates are needed."""
+        return bool(np.linalg.cond(self.basis.unpack(p)[0]) > FAR)
+
+    def _barrier(self) -> Derivatives:
+        """The barrier of (24) and X > 0."""
+        basis, n = self.basis, len(self.plant.A)
+        if basis.size > DENSE:
+            return self._structured(path_constraints(self.plant))
+        return Barrier([(-basis.F0, -basis.F), (np.zeros((n, n)), basis.X)])
+
+    def _start_barrier(self) -> Derivatives:
+        """The barrier of the search for a feasible point, in which the last unknown is s."""
+        basis, n, m = self.basis, len(self.plant.A), self.plant.B.shape[1]
+        if basis.size > DENSE:
+            return self._structured(start_constraints(self.plant, LARGEST_Y))
+        lyapunov = basis.F[:, :n, :n].copy()
+        lyapunov[-1] = -np.eye(n)
+        box = np.zeros((basis.size, m + n, m + n))
+        box[:, :m, m:], box[:, m:, :m] = basis.Y, basis.Y.transpose(0, 2, 1)
+        return Barrier(
+            [
+                (np.zeros((n, n)), -lyapunov),
+                (np.zeros((n, n)), basis.X),
+                (np.eye(n), -basis.X),
+                (LARGEST_Y * np.eye(m + n), box),
+            ]
+        )
+
+    def _structured(self, constraints: list[Constraint]) -> StructuredBarrier:
+        n, m = self.plant.B.shape
+        return StructuredBarrier(constraints, *self.basis.places, n, m)
 
     def point(self, X: Array, Y: Array) -> CentralPoint:
         """A pair of the current coordinates as a point in the user's coordinates and units."""
@@ -288,22 +317,15 @@ class Basis:
         n, m, free: number of states, of inputs, and of columns of Q.
 
     Attributes:
-        X: shape (N, n, n).    Y: shape (N, m, n).    F0, F: the matrix (24) is F0 + sum_i p_i F_i, shapes (k, k), (..., N, k, k).
+        places: where the unknowns but the last stand in [X; Y], those of X above its diagonal: rows and columns, shapes (N - 1,).
+        size: N.
     """
 
     def __init__(self, system: Array, n: int, m: int, free: int) -> None:
+        self.system, self.n, self.m, self.free = system, n, m, free
+        self.places = _places(n, m, free)
+        self.size = len(self.places[0]) + 1
         k = system.shape[-2]
-        self.n, self.free = n, free
-        self.rows, self.columns, self.X, self.Y = _unknowns(n, m, free)
-        self.size = len(self.X)
-
-        # [A B; C D] [X; Y] for every unknown: the left columns of (24), and its upper rows.
-        left = system[..., None, :, : n + m] @ np.concatenate([self.X, self.Y], axis=1)
-        self.F = np.zeros((*system.shape[:-2], self.size, k, k))
-        self.F[..., :n] = left
-        self.F[..., :n, :] += left.swapaxes(-1, -2)
-        disturbance = system[..., n + m :]
-        self.F[..., -1, :, :] = disturbance @ disturbance.swapaxes(-1, -2)
         self.F0 = np.zeros((k, k))
         self.F0[n:, n:] = -np.eye(k - n)
 
@@ -313,29 +335,67 @@ class Basis:
         n, m = plant.B.shape
         return cls(plant.system_matrix, n, m, free)
 
+    @property
+    def X(self) -> Array:
+        """What each unknown multiplies in X, shape (N, n, n)."""
+        return _units(self.n, self.m, self.free)[0]
+
+    @property
+    def Y(self) -> Array:
+        """What each unknown multiplies in Y, shape (N, m, n)."""
+        return _units(self.n, self.m, self.free)[1]
+
+    @functools.cached_property
+    def F(self) -> Array:
+        """The matrix (24) is F0 + sum_i p_i F_i, with F0 of shape (k, k) and F of (..., N, k, k)."""
+        n, m, k = self.n, self.m, self.system.shape[-2]
+        # [A B; C D] [X; Y] for every unknown: the left columns of (24), and its upper rows.
+        left = self.system[..., None, :, : n + m] @ np.concatenate([self.X, self.Y], axis=1)
+        F = np.zeros((*self.system.shape[:-2], self.size, k, k))
+        F[..., :n] = left
+        F[..., :n, :] += left.swapaxes(-1, -2)
+        disturbance = self.system[..., n + m :]
+        F[..., -1, :, :] = disturbance @ disturbance.swapaxes(-1, -2)
+        return F
+
     def pack(self, X: Array, Y: Array, last: float) -> Array:
         """The unknowns of X, Y and the last."""
-        return np.concatenate([X[self.rows, self.columns], Y[:, self.free :].ravel(), [last]])
+        return np.append(np.concatenate([X, Y])[self.places], last)
 
     def unpack(self, p: Array) -> tuple[Array, Array, Any]:
         """X, Y and the last of the unknowns, of p of shape (..., N)."""
-        return np.tensordot(p, self.X, 1), np.tensordot(p, self.Y, 1), p.T[-1]
+        rows, columns = self.places
+        unknown = np.zeros((*p.shape[:-1], self.n + self.m, self.n))
+        unknown[..., rows, columns] = p[..., :-1]
+        of_x = rows < self.n
+        unknown[..., columns[of_x], rows[of_x]] = p[..., :-1][..., of_x]
+        return unknown[..., : self.n, :], unknown[..., self.n :, :], p.T[-1]
 
 
 @functools.cache
-def _unknowns(n: int, m: int, free: int) -> tuple[Array, Array, Array, Array]:
-    """Where the entries of X_Q and X_R stand in X, shapes (k,), and what each unknown multiplies in X and in Y."""
+def _places(n: int, m: int, free: int) -> tuple[Array, Array]:
+    """Where the unknowns but the last stand in [X; Y]: those of X_Q and X_R above the diagonal, then those of Y_R, by rows."""
     rows, columns = np.triu_indices(n)
     inside = (rows >= free) | (columns < free)  # no unknown couples the two blocks
-    rows, columns = rows[inside], columns[inside]
-    k, q = len(rows), n - free
-    X, Y = np.zeros((k + m * q + 1, n, n)), np.zeros((k + m * q + 1, m, n))
-    X[np.arange(k), rows, columns] = X[np.arange(k), columns, rows] = 1
-    index = np.arange(m * q)
-    Y[k + index, index // q, free + index % q] = 1
-    for matrix in (rows, columns, X, Y):
-        matrix.flags.writeable = False  # all paths of this size share them
-    return rows, columns, X, Y
+    index, q = np.arange(m * (n - free)), max(n - free, 1)
+    places = np.concatenate([rows[inside], n + index // q]), np.concatenate([columns[inside], free + index % q])
+    for each in places:
+        each.flags.writeable = False  # all paths of this size share them
+    return places
+
+
+@functools.cache
+def _units(n: int, m: int, free: int) -> tuple[Array, Array]:
+    """What each unknown multiplies in X and in Y."""
+    rows, columns = _places(n, m, free)
+    units, index = np.zeros((len(rows) + 1, n + m, n)), np.arange(len(rows))
+    units[index, rows, columns] = 1
+    of_x = rows < n
+    units[index[of_x], columns[of_x], rows[of_x]] = 1
+    X, Y = np.ascontiguousarray(units[:, :n]), np.ascontiguousarray(units[:, n:])
+    for each in (X, Y):
+        each.flags.writeable = False  # all paths of this size share them
+    return X, Y
 
 
 def _direction(size: int, value: float) -> Array:

@@ -1,0 +1,162 @@
+"""The barrier by sums of products of entries: the derivatives of the dense one, and the same designs."""
+
+import numpy as np
+import pytest
+from scipy import linalg
+
+from synth import central, structured
+from synth.barrier import Barrier, Factored
+from synth.bounded_real import bounded_real_matrix
+from synth.central import Basis, central_path
+from synth.design import two_step_design
+from synth.plant import GeneralizedPlant
+from synth.structured import StructuredBarrier, path_constraints, start_constraints
+from tests.benchmarks.states import chain
+
+
+def a_plant(seed: int, n: int, m: int, feedthrough: float) -> GeneralizedPlant:
+    """A random plant in coordinates in which X = I and Y = 0 satisfy (24) with an eta of 0.1."""
+    rng = np.random.default_rng(seed)
+    A = rng.standard_normal((n, n))
+    return GeneralizedPlant(
+        A=A - (np.linalg.eigvalsh(A + A.T)[-1] + 4) * np.eye(n),
+        B=rng.standard_normal((n, m)),
+        Bw=0.3 * rng.standard_normal((n, 2)),
+        C=0.3 * rng.standard_normal((3, n)),
+        D=rng.standard_normal((3, m)),
+        Dw=feedthrough * rng.standard_normal((3, 2)),
+    )
+
+
+def both(plant: GeneralizedPlant, free: int, phase: str) -> tuple[Barrier, StructuredBarrier, Basis]:
+    """The two barriers of a plant, the dense one from the matrices that the unknowns multiply."""
+    basis = Basis.of(plant, free)
+    n, m = plant.B.shape
+    if phase == "path":
+        dense = Barrier([(-basis.F0, -basis.F), (np.zeros((n, n)), basis.X)])
+        constraints = path_constraints(plant)
+    else:
+        lyapunov, box = -basis.F[:, :n, :n], np.zeros((basis.size, m + n, m + n))
+        lyapunov[-1] = np.eye(n)
+        box[:, :m, m:], box[:, m:, :m] = basis.Y, basis.Y.transpose(0, 2, 1)
+        zero = np.zeros((n, n))
+        dense = Barrier([(zero, lyapunov), (zero, basis.X), (np.eye(n), -basis.X), (10 * np.eye(m + n), box)])
+        constraints = start_constraints(plant, 10.0)
+    return dense, StructuredBarrier(constraints, *basis.places, n, m), basis
+
+
+def hessian(here: Factored) -> np.ndarray:
+    R = np.triu(here.triangle) / here.scale
+    return R.T @ R
+
+
+def somewhere(basis: Basis, rng: np.random.Generator) -> np.ndarray:
+    """A feasible point of both phases."""
+    n, m = basis.n, basis.m
+    X = np.eye(n) / 2 + 0.02 * np.diag(rng.uniform(-1, 1, n))
+    return basis.pack(X, 0.05 * rng.standard_normal((m, n)), 0.1) + 0.01 * rng.uniform(-1, 1, basis.size)
+
+
+@pytest.mark.parametrize("nearly_singular", [0.0, 1e-5, 0.2, 1.0])
+@pytest.mark.parametrize("phase", ["path", "start"])
+@pytest.mark.parametrize(("seed", "n", "m", "free", "feedthrough"), [(0, 6, 2, 0, 0.3), (1, 7, 1, 4, 0.3), (2, 5, 3, 2, 0.0)])
+def test_derivatives_are_those_of_the_dense_basis(monkeypatch, seed, n, m, free, feedthrough, phase, nearly_singular):
+    """Gradient, Hessian, solutions and rates are those of `Barrier`, whatever share of S is taken by reflections."""
+    monkeypatch.setattr(structured, "NEARLY_SINGULAR", nearly_singular)
+    dense, quick, basis = both(a_plant(seed, n, m, feedthrough), free, phase)
+    rng = np.random.default_rng(seed)
+    p, step = somewhere(basis, rng), rng.standard_normal(basis.size)
+    expected, found = dense.at(p), quick.at(p)
+    assert expected is not None
+    assert found is not None
+    np.testing.assert_allclose(found.trace, expected.trace, rtol=1e-10, atol=1e-10)  # rounding of inverses of size 10
+    exact = hessian(expected)
+    np.testing.assert_allclose(hessian(found), exact, rtol=0, atol=1e-11 * np.abs(exact).max())  # likewise, and SHIFTS[0]
+    np.testing.assert_allclose(np.sort(found.rates(step)), np.sort(expected.rates(step)), atol=1e-10)
+    solved = found.solve(found.half(step))
+    np.testing.assert_allclose(solved, expected.solve(expected.half(step)), rtol=0, atol=1e-9 * np.abs(solved).max())
+
+
+@pytest.mark.parametrize("phase", ["path", "start"])
+@pytest.mark.parametrize("seed", range(3))
+def test_hessian_is_the_difference_quotient_of_the_gradient(seed, phase):
+    """And the gradient that of the sum of log-determinants."""
+    _, quick, basis = both(a_plant(seed, 5, 2, 0.3), 2, phase)
+    p = somewhere(basis, np.random.default_rng(seed))
+
+    def gradient(p):
+        here = quick.at(p)
+        assert here is not None
+        return here.trace
+
+    def value(p):
+        unknown = quick.matrix(p)
+        halves = [(part, part.left @ unknown @ part.right.T) for part in quick.constraints]
+        return sum(np.linalg.slogdet(part.S0 + half + half.T + p[-1] * part.last)[1] for part, half in halves)
+
+    here = quick.at(p)
+    assert here is not None
+    for i, direction in enumerate(1e-5 * np.eye(basis.size)):
+        # Third derivatives of size 1e3 times 1e-10; rounding 1e-15 over 1e-5.
+        assert (value(p + direction) - value(p - direction)) / 2e-5 == pytest.approx(here.trace[i], rel=1e-6, abs=1e-6)
+        quotient = -(gradient(p + direction) - gradient(p - direction)) / 2e-5
+        np.testing.assert_allclose(quotient, hessian(here)[i], rtol=1e-5, atol=1e-5 * np.abs(hessian(here)).max())
+
+
+def test_outside_there_is_nothing():
+    """Where a constraint does not hold there are no derivatives."""
+    _, quick, basis = both(a_plant(0, 5, 2, 0.0), 0, "path")
+    assert quick.at(basis.pack(-np.eye(5), np.zeros((2, 5)), 0.0)) is None
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_nearly_singular_constraints_keep_their_digits(seed):
+    """1e-9 short of the largest eta, the Newton step in the directions that S does not bend is still that of the dense basis."""
+    plant = a_plant(seed, 6, 2, 0.0)
+    dense, quick, basis = both(plant, 0, "path")
+    X, Y = np.eye(6), np.zeros((2, 6))
+    F = bounded_real_matrix(plant, X, Y, 0.0)
+    largest = 1 / linalg.eigh(-path_constraints(plant)[0].last, -F, eigvals_only=True)[-1]
+    p = basis.pack(X, Y, largest * (1 - 1e-9))
+    expected, found = dense.at(p), quick.at(p)
+    assert expected is not None
+    assert found is not None
+    R = np.triu(expected.triangle)
+    slow = np.linalg.svd(R / expected.scale)[2][
+        -20:
+    ]  # where the second derivatives are of order one, 1e18 times below the largest
+    for c in slow:
+        step = expected.solve(expected.half(c))
+        np.testing.assert_allclose(
+            found.solve(found.half(c)), step, rtol=0, atol=1e-4 * np.abs(step).max()
+        )  # 1e-16 / 1e-9, of both
+
+
+@pytest.mark.parametrize("name", ["I", "II"])
+def test_same_path(designer, monkeypatch, name):
+    """The paper's design by this barrier is that by the dense one."""
+    plant, Cy = designer.plant, np.eye(4)[[0, 2] if name == "I" else [2]]
+    expected = designer.design(name)
+    monkeypatch.setattr(central, "DENSE", 0)
+    design = two_step_design(plant, Cy)
+    np.testing.assert_allclose(design.gain, expected.gain, rtol=1e-7)  # rounding at the end of the path: 2e-9
+    assert design.certificate.bound == pytest.approx(expected.certificate.bound, rel=1e-9)
+
+
+def test_coordinates_that_no_longer_fit(monkeypatch):
+    """Where X grows by orders of magnitude the path goes on in other coordinates, to the same limit."""
+    plant, _ = chain(8)
+    Q, R = np.zeros((8, 0)), np.eye(8)
+    expected = central_path(plant, Q, R)[-1]
+    monkeypatch.setattr(central, "FAR", 1e2)
+    found = central_path(plant, Q, R)[-1]
+    assert found.eta == pytest.approx(expected.eta, rel=1e-9)  # rounding
+    np.testing.assert_allclose(found.K, expected.K, rtol=0, atol=1e-5 * np.abs(expected.K).max())  # where the path is stopped
+
+
+@pytest.mark.slow
+def test_forty_states():
+    """A chain of 40 states has a design by the two steps, certified."""
+    design = two_step_design(*chain(40))
+    assert design.certificate.failures == ()
+    assert design.certificate.norm.value < 1.453  # measured 1.45257; a chain of 26 has 1.61
