@@ -26,7 +26,7 @@ from models.arrays import Array
 from synth.barrier import Factored
 from synth.plant import GeneralizedPlant
 
-NEARLY_SINGULAR = 1e-5  # eigenvalues of S, relative to its largest: smaller ones square to what Cholesky's method would lose
+NEARLY_SINGULAR = 1e-7  # eigenvalues of S, relative to its largest: smaller ones square to what Cholesky's method would lose
 SHIFTS = (1e-14, 1e-12, 1e-10, 1e-8, 1e-6)  # of the diagonal, relative: the first with which the sums have a Cholesky factor
 PANEL = 32  # columns that are reflected together
 
