@@ -42,6 +42,7 @@ CENTRED = 1e-6  # Newton decrement at the points of the path: close enough for t
 RESTS = (1e-7, 1e-5, *(10.0**exponent for exponent in range(-3, 20)))  # mu over eta
 FROM = 1e3  # where the path is entered: mu over the eta of the first feasible point, far from any optimum
 FAR = 1e5  # condition of X from which the coordinates, in which it was I, no longer fit
+MOST_MOVES = 12  # to other coordinates off the path; a larger X grows without end, and there is no centre
 DENSE = 200  # unknowns; up to so many a dense basis is quicker, for it takes fewer calls
 LARGEST_Y = 10.0  # in the search for a feasible point
 INSIDE = 0.95  # of the way to the boundary, where a step along the path would leave
@@ -190,12 +191,14 @@ class _Path:
     def follow(self, mu_end: float) -> Iterator[CentralPoint]:
         """Walks along the path until mu = mu_end eta; yields the points it rests at."""
         n, m = len(self.plant.A), self.plant.B.shape[1]
+        moves = 0
         while True:
             arrived = self.eta > 0 and self.mu <= mu_end * self.eta * 1.001
             basis = self.basis
             start = basis.pack(np.eye(n), np.zeros((m, n)), self.eta)
             p, decrement, here = newton(self._barrier(), start, _direction(basis.size, -1 / self.mu), CENTRED, self._far)
-            if decrement > 0.5 and self._far(p) and self._feasible_at(p):
+            if decrement > 0.5 and moves < MOST_MOVES and self._far(p) and self._feasible_at(p):
+                moves += 1
                 continue  # from there, in its own coordinates
             if decrement > 0.5:
                 raise DesignError(
