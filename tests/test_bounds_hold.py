@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy import linalg
 
+from models.errors import InputError
 from synth.errors import DesignError
 from synth.exact import Nullspace, identity, integers, product, surely_positive
 from synth.full_order import best_possible
@@ -123,10 +124,10 @@ def refuse_false_bounds(kind: str, seed: int, search: bool = False) -> None:
     bounds = [(best_possible(each).gamma, best_possible(each, y).gamma) for each, y in ((plant, Cy), (moved, Cy_moved))]
     reached: list[tuple[bool, float]] = [(knows, hinf_norm(loop).value) for knows, loop in loops(plant, Cy)]
     if search and np.linalg.matrix_rank(Cy) == len(Cy):
-        with contextlib.suppress(DesignError):
+        with contextlib.suppress(InputError):
             reached.append((False, static_output_feedback(plant, Cy).certificate.norm.value))
     if search:
-        with contextlib.suppress(DesignError):
+        with contextlib.suppress(InputError):
             reached += [(True, hinf_norm(plant.closed_loop(point.K)).value) for point in state_feedback(plant, 1e-6)]
     size = np.linalg.norm(plant.C) * np.linalg.norm(plant.Bw)
     for knows_all, norm in reached:
