@@ -65,11 +65,12 @@ class Ends:
     Attributes:
         first: when [s], infinite for never, shape (N,).
         which: what, as an index into `ENDS`, -1 for nothing, shape (N,). Of two at one sample, the one that is named first.
+        flat: when a tyre is first flat, whatever came before, shape (N,).
     """
 
     def __init__(self, vehicles: Sequence[Vehicle], time: Array) -> None:
         self.time, count = time, len(vehicles)
-        self.first, self.which = np.full(count, np.inf), np.full(count, -1)
+        self.first, self.which, self.flat = np.full(count, np.inf), np.full(count, -1), np.full(count, np.inf)
         names = [signal.name for signal in vehicles[0].kind.signals]
         each = [thresholds(vehicle) for vehicle in vehicles]
         # (end, signal, sign, value of every run)
@@ -85,6 +86,8 @@ class Ends:
             reached = sign * values[:, signal] if sign else np.abs(values[:, signal])
             for i in np.flatnonzero(reached.max(axis=0) >= limit):
                 when = self.time[start + int(np.argmax(reached[:, i] >= limit[i]))]
+                if ENDS[end] == "flat tyre":
+                    self.flat[i] = min(self.flat[i], when)
                 if when < self.first[i]:
                     self.first[i], self.which[i] = when, end
 

@@ -9,6 +9,7 @@ import numpy as np
 from scipy import linalg
 
 from models.arrays import Array
+from models.kind import MOST_SQUEEZE
 from models.vehicle import Vehicle
 from sim.broken import ENDS, Ends
 from sim.campaign_file import Campaign, with_sample
@@ -207,13 +208,22 @@ def _drive(campaign: Campaign, runs: Sequence[_Run], stopped: Callable[[], bool]
         broken = bool(np.isfinite(diverged[i]))
         ended = min(diverged[i], ends.first[i])
         row = dict(run.inputs)
-        row["reason"] = f"diverged: a signal is beyond {DIVERGED:g} at {diverged[i]:.4g} s" if broken else None
+        flat = float(ends.flat[i])
+        row["reason"] = (
+            f"flat: a tyre is squeezed by more than {MOST_SQUEEZE:g} m at {flat:.4g} s"
+            if flat < diverged[i]
+            else f"diverged: a signal is beyond {DIVERGED:g} at {diverged[i]:.4g} s"
+            if broken
+            else None
+        )
+        absent = row["reason"] is not None
         row["diverged_at"] = float(diverged[i]) if broken else None
         row["ended_by"] = None if np.isinf(ended) else "divergence" if diverged[i] <= ends.first[i] else ENDS[ends.which[i]]
         row["ended_at"] = float(ended) if np.isfinite(ended) else None
         row["linear_error"] = _finite(errors[i])
-        row |= {name: None if broken else _finite(values[i]) for name, values in measured.items()}
-        prediction = expected(run) if run.choice.random else {name: values[i] for name, values in linear.items()}
+        row |= {name: None if absent else _finite(values[i]) for name, values in measured.items()}
+        # Over a road without a spectrum the linear response is that of this run, and ends with it.
+        prediction = expected(run) if run.choice.random else {n: np.nan if absent else values[i] for n, values in linear.items()}
         row |= {f"{EXPECTED}{name}": _finite(value) for name, value in prediction.items()}
         rows.append(row)
     return rows

@@ -170,7 +170,7 @@ def _metrics(again: Reproduction, run: Run, start: Any) -> dict[str, Any]:
             "unit": one.unit,
             **{key: _finite(getattr(one, key)) for key in ("mujoco", "linear", "expected", "spread")},
         }
-        for name, one in measured.items()
+        for name, one in measured.metrics.items()
     }
 
 

@@ -76,7 +76,8 @@ def settled(vehicle: Vehicle, controller: Controller, speed: float, timestep: fl
     """How much of its variance is there when measuring begins, of the measured signal that has least; None for an unstable loop.
 
     On white road velocity, tracks apart, the variance at a time is the energy of the response to an impulse until then: a sum of
-    Gramians over the loop as it is sampled, one from each axle's impulse to the next.
+    Gramians over the loop as it is sampled, one from each axle's impulse to the next. A road has a band: a signal that has much
+    below it, such as a force that follows the body's slow velocity, is further than this says.
 
     Args:
         vehicle: the vehicle.

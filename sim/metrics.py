@@ -131,7 +131,10 @@ class Meter:
         statics = [vehicle.kind.static_tyre_deflection(vehicle.parameters) for vehicle in vehicles]
         self.static = {name: np.array([static[name] for static in statics]) for name in self.where.tyres}
         self.filter = sampled_wk(timestep)
-        self.memory = {name: np.zeros((4, count, 4)) for name in self.where.accelerations}
+        self.memory = {
+            name: np.zeros((*np.shape(self.filter.denominators)[:1], count, self.filter.numerators.shape[1] - 1))
+            for name in self.where.accelerations
+        }
         self.running = {name: np.zeros((count, 1)) for name in self.where.accelerations}
         self.sums: dict[str, Array] = {}
         self.largest: dict[str, Array] = {}

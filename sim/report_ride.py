@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from models.vehicle import Vehicle
+from sim.broken import ENDS, reached
 from sim.expected import expect, settling_time
 from sim.iso8608 import Iso8608, long_enough
 from sim.metrics import dynamic_load, measure, off_ground, points
@@ -28,7 +29,8 @@ def ride_section(vehicle: Vehicle, controllers: Sequence[Controller], timestep: 
         f"Random roads of ISO 8608 at {SPEED:g} m/s, {len(SEEDS)} of each class, {WINDOW:g} s each. Weighted is ISO 2631-1's rms "
         "acceleration, Wk; dynamic load is the rms of the tyre's force over its static value. Predicted is from the road's "
         "spectrum through the sampled closed loop, for a vehicle without limits; road to road is by how much one such road "
-        "differs from that, one standard deviation, so the mean of MuJoCo's differs by half of it.",
+        "differs from that, one standard deviation, so the mean of MuJoCo's differs by half of it. Runs that diverged or "
+        "squeezed a tyre flat are not in the mean.",
     )
     rows = sorted(found, key=lambda row: (row[0], row[2]))
     return Section("Ride", text, (Table("ride", names, tuple(rows), words=4),))
@@ -41,7 +43,9 @@ def _rows(vehicle: Vehicle, controller: Controller, timestep: float) -> list[tup
     length, width = long_enough(SPEED * float(time[-1])), track_width(vehicle)
     roads = [Iso8608(name, seed, SPEED, width, length) for name in CLASSES for seed in SEEDS]
     count = len(roads)
-    response = simulate([vehicle] * count, [controller] * count, roads, time, threads=0).response
+    physics = simulate([vehicle] * count, [controller] * count, roads, time, threads=0)
+    response = physics.response
+    ended = np.minimum(physics.diverged, reached(vehicle, response)[:, ENDS.index("flat tyre")])
     measured = [measure(vehicle, response.run(i), first) for i in range(count)]
     ideal = replace(vehicle, implementation=replace(vehicle.implementation, noise={}, quantisation={}))
 
@@ -51,9 +55,13 @@ def _rows(vehicle: Vehicle, controller: Controller, timestep: float) -> list[tup
     metrics += [(dynamic_load(name), "-") for name in where.tyres]
     metrics += [(f"{name}_rms", "N") for name, *_ in where.actuators if np.any(controller.gain)]
     for k, road_class in enumerate(CLASSES):
-        some = measured[k * len(SEEDS) : (k + 1) * len(SEEDS)]
+        runs = range(k * len(SEEDS), (k + 1) * len(SEEDS))
+        some = [measured[i] for i in runs if np.isinf(ended[i])]
         expected = expect(ideal, controller, roads[k * len(SEEDS)], timestep, WINDOW)
-        lifted = max(one[off_ground(tyre)] for one in some for tyre in where.tyres)
+        lifted = max((one[off_ground(tyre)] for one in some for tyre in where.tyres), default=0.0)
+        events = f"{100 * lifted:.2f} %" if lifted else "none"
+        if len(some) < len(SEEDS):
+            events = f"{len(SEEDS) - len(some)} of {len(SEEDS)} flat or diverged" + (f", else {events}" if some else "")
         for name, unit in metrics:
             mean, spread = (expected.mean[name], expected.spread.get(name)) if expected else (None, None)
             rows.append(
@@ -62,10 +70,10 @@ def _rows(vehicle: Vehicle, controller: Controller, timestep: float) -> list[tup
                     controller.name,
                     name.replace("_", " "),
                     unit,
-                    f"{np.mean([one[name] for one in some]):.4g}",
+                    f"{np.mean([one[name] for one in some]):.4g}" if some else "-",
                     f"{mean:.4g}" if mean is not None else "-",
                     f"+-{100 * spread / mean:.0f} %" if mean and spread is not None else "-",
-                    f"{100 * lifted:.2f} %" if lifted else "none",
+                    events,
                 )
             )
     return rows

@@ -44,6 +44,13 @@ class Run:
     sampled_radius: float
     agreement: Agreement
 
+    @property
+    def broke_off(self) -> tuple[str, float] | None:
+        """What ended the vehicle, and when [s]: from there on no number of the run means anything. None where it came through."""
+        ends = {"flat tyre": self.agreement.flat, "divergence": self.diverged}
+        first = min(ends, key=lambda name: ends[name])
+        return (first, ends[first]) if math.isfinite(ends[first]) else None
+
 
 def sample_times(vehicle: Vehicle, duration: float, timestep: float) -> Array:
     """Sample times 0, h, 2 h, ... up to the duration [s].

@@ -8,9 +8,9 @@ Constants of ISO 8041. With w_i = 2 pi f_i,
 the band limits, the step from acceleration to velocity, and the upward step.
 
 Sampled, it is H on the straight lines between samples (first-order hold), exactly: each pair of its poles is one recursion of
-second order, side by side. Lines between samples lose high frequencies, by sinc(f h)^2: 2 % at 80 Hz and 1 ms. Before them stands
-1 + (2 - 2 cos(omega h)) / 12, three taps, that gives this back to (omega h)^4 / 240. A bilinear transform would be 3 % off
-there.
+second order, side by side. Lines between samples lose high frequencies, by d / (omega h)^2 with d = 2 - 2 cos(omega h). Before
+them stand seven taps, 1 + d/12 + d^2/90 + d^3/560, the series of arcsine squared, that give this back to (omega h)^8 / 3150. At
+80 Hz it is off by 3e-6 at 1 ms and by 1e-4 at 2 ms. At 5 ms, where 100 Hz is the end, it is 5 % high there, and 0.3 % at 40 Hz.
 """
 
 from dataclasses import dataclass
@@ -21,7 +21,13 @@ from models.arrays import Array
 
 F1, F2, F3, F4, F5, F6 = 0.4, 100.0, 12.5, 12.5, 2.37, 3.35  # Hz
 Q1, Q2, Q4, Q5, Q6 = 1 / np.sqrt(2), 1 / np.sqrt(2), 0.63, 0.91, 0.91
-RESTORE = np.array([-1 / 12, 1 + 1 / 6, -1 / 12])
+DIFFERENCE = np.array([-1.0, 2.0, -1.0])  # 2 - 2 cos(omega h), one sample late
+RESTORE = np.zeros(7)  # three samples late
+for power, share in enumerate((1.0, 1 / 12, 1 / 90, 1 / 560)):
+    taps = np.array([1.0])
+    for _ in range(power):
+        taps = np.convolve(taps, DIFFERENCE)
+    RESTORE[3 - power : 4 + power] += share * taps
 POLES = ((F1, Q1), (F2, Q2), (F4, Q4), (F6, Q6))  # frequency [Hz] and quality of each pair
 
 
@@ -45,10 +51,10 @@ def _pair(s: Array, f: float, q: float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class SampledWk:
-    """W_k on samples, as four filters side by side whose outputs are summed; the sum is one sample late.
+    """W_k on samples, as four filters side by side whose outputs are summed; the sum is three samples late.
 
     Attributes:
-        numerators: shape (4, 5), by powers of 1/z.
+        numerators: shape (4, 9), by powers of 1/z.
         denominators: shape (4, 3).
     """
 

@@ -113,3 +113,32 @@ def test_bad_options(capsys, tmp_path, monkeypatch, arguments, said):
     assert len(str(error.value).splitlines()) == 1
     assert capsys.readouterr().out == ""
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_run_that_ends_early_has_no_metrics(capsys):
+    """On a flat tyre a run breaks off: what and when is said, no number of it is printed as a metric, and JSON has nulls."""
+    arguments = ["--controller", "I", "--road", "step:height=1", "--duration", "1", "--no-logs"]
+    code, result = run_json(capsys, *arguments)
+    (run,) = result["runs"]
+    assert code == 0  # until then physics is what the analysis says
+    assert run["broke_off"]["by"] == "flat tyre"
+    assert all(metric["mujoco"] is None and metric["linear"] is None for metric in run["metrics"].values())
+    assert main(arguments) == 0
+    out = capsys.readouterr().out
+    assert f"no metrics of this run: flat tyre at {run['broke_off']['at']:.4g} s" in out
+    assert not any(line.split()[:1] == ["dynamic_load"] for line in out.splitlines())
+
+
+def test_what_metrics_rest_on_is_said(capsys):
+    """How much of the variance is there when measuring begins, and what expectations are off, in words as in JSON."""
+    arguments = ["--controller", "passive", "--class", "C", "--duration", "4", "--no-logs"]
+    _, result = run_json(capsys, *arguments)
+    (run,) = result["runs"]
+    assert run["broke_off"] is None
+    assert 0.7 < run["settled"]["share"] < 0.9  # half of the run, 2 s, is a third of its settling time
+    assert run["expected_error"] < 1e-4
+    main(arguments)
+    out = capsys.readouterr().out
+    assert f"{100 * run['settled']['share']:.3g} % of the variance, of white road velocity, is there" in out
+    assert "approximate" in out
+    assert "may be off" not in out
