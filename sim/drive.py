@@ -144,8 +144,8 @@ def metric_lines(run: Run, found: RunMetrics, start: float, end: float) -> list[
         notes.append(f"no metrics of this run: {run.broke_off[0]} at {run.broke_off[1]:.4g} s, and what follows is no vehicle's")
     if found.settled is not None:
         notes.append(
-            f"{100 * found.settled.share:.3g} % of the variance, of white road velocity, is there when measuring begins ({found.settled.signal}; of all "
-            "other signals more)"
+            f"{100 * found.settled.share:.3g} % of the variance, of white road velocity, is there when measuring begins "
+            f"({found.settled.signal}; of all other signals more)"
         )
     if found.error is not None:
         notes.append(f"expected {', '.join(APPROXIMATE)} are approximate: some 5 %, 11 % for the travel of a passive quarter-car")
