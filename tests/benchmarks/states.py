@@ -18,7 +18,7 @@ from synth.errors import DesignError
 from synth.plant import GeneralizedPlant
 
 SIZES = (4, 6, 8, 12, 16, 20, 26, 32, 40, 50, 60)
-MOST = 40  # by default: half a minute; 60 take minutes
+MOST = 40  # by default; 60 did not end within five minutes on a busy machine
 
 
 def chain(states: int) -> tuple[GeneralizedPlant, np.ndarray]:
