@@ -37,6 +37,11 @@ class Parser(argparse.ArgumentParser):
 
     def parse_args(self, args=None, namespace=None):  # pyright: ignore[reportIncompatibleMethodOverride] - its overloads
         """The options; `given` of them names those that were given, not left at their defaults."""
+        for argument in sys.argv[1:] if args is None else args:
+            if re.fullmatch(
+                r"--[\w-]+=--", argument
+            ):  # argparse would take it for the end of the options, and give an empty list
+                self.error(f"argument {argument[:-3]}: '--' is no value")
         start = namespace or argparse.Namespace()
         start.given = set()
         return super().parse_args(args, start)

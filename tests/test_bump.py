@@ -60,6 +60,8 @@ BAD_OPTIONS = [
     (["--controller", ""], ["--controller", "is empty"]),
     (["--controller", "I", "--controller", "a\nb"], [r"'a\nb'"]),
     (["--controller", "I", "--colour"], ["--colour", "--help"]),
+    (["--controller", "I", "--height=--"], ["--height", "'--' is no value"]),
+    (["--controller", "I", "--height", "1", "--height", "2"], ["--height", "is given twice"]),
     (["--controller", "I", "--vehicle", "mine.toml"], ["mine.toml", "no such file", "quarter_car"]),
     (["--controller", "I", "--height", "high"], ["--height", "'high' is not a number"]),
     (["--controller", "I", "--height", "nan"], ["--height", "'nan' is not a finite number"]),

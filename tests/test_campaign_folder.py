@@ -81,6 +81,15 @@ def test_bytes_do_not_depend_on_batches(whole, tmp_path, monkeypatch, arguments)
     assert (tmp_path / "results" / "results.parquet").read_bytes() == whole[1]
 
 
+def test_a_name_with_colons(whole, tmp_path, monkeypatch):
+    """A folder's name is a name, also where a library would take it for an address."""
+    (tmp_path / "campaign.toml").write_text(QUICK)
+    monkeypatch.chdir(tmp_path)
+    assert main(["campaign.toml", "--results", "s3:0:1"]) == 0
+    assert (tmp_path / "s3:0:1" / "results.parquet").read_bytes() == whole[1]
+    assert main(["--verify", "s3:0:1", "--runs", "1"]) == 0
+
+
 def test_groups_and_joined_parts(whole, tmp_path, monkeypatch):
     """Parts are joined while it runs, and groups cut, at places that are no batch's; the rows stay the same."""
     monkeypatch.setattr(campaign_store, "JOINED", 3)
