@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from models import rigid_body, signals
-from models.kind import Parameter, Parameters, VehicleKind, Wheel
+from models.kind import Parameter, Parameters, Variation, VehicleKind, Wheel
 from models.linear_model import LinearModel
 from models.rigid_body import Corner, RigidBody
 
@@ -26,12 +26,14 @@ MODES = {
 TWIST = np.array([1.0, -1.0, -1.0, 1.0])
 
 
-def _per_axle(name: str, unit: str, meaning: str, positive: bool = True) -> tuple[Parameter, ...]:
-    return tuple(Parameter(f"{name}_{axle}", unit, f"{meaning}, {axle}", positive) for axle in AXLES)
+def _per_axle(
+    name: str, unit: str, meaning: str, positive: bool = True, varied: Variation | None = None
+) -> tuple[Parameter, ...]:
+    return tuple(Parameter(f"{name}_{axle}", unit, f"{meaning}, {axle}", positive, varied) for axle in AXLES)
 
 
 PARAMETERS = (
-    Parameter("sprung_mass", "kg", "m_s, the body"),
+    Parameter("sprung_mass", "kg", "m_s, the body", varied=Variation("sprung mass", 0.7, 1.4)),
     Parameter("pitch_inertia", "kg m2", "I_y of the body about its centre of mass"),
     Parameter("roll_inertia", "kg m2", "I_x of the body about its centre of mass"),
     Parameter("track", "m", "from a left wheel to the right one"),
@@ -39,7 +41,7 @@ PARAMETERS = (
     *_per_axle("unsprung_mass", "kg", "m_u of one wheel with hub and brake"),
     *_per_axle("suspension_stiffness", "N/m", "k_s at one wheel"),
     *_per_axle("suspension_damping", "N s/m", "c_s at one wheel", positive=False),
-    *_per_axle("tyre_stiffness", "N/m", "k_u of one tyre"),
+    *_per_axle("tyre_stiffness", "N/m", "k_u of one tyre", varied=Variation("tyre stiffness", 0.75, 1.25)),
 )
 
 

@@ -3,25 +3,27 @@
 import numpy as np
 
 from models import rigid_body, signals
-from models.kind import Parameter, Parameters, VehicleKind, Wheel
+from models.kind import Parameter, Parameters, Variation, VehicleKind, Wheel
 from models.linear_model import LinearModel
 from models.rigid_body import Corner, RigidBody
 
 CORNERS = ("front", "rear")
 
 
-def _per_corner(name: str, unit: str, meaning: str, positive: bool = True) -> tuple[Parameter, ...]:
-    return tuple(Parameter(f"{name}_{corner}", unit, f"{meaning}, {corner}", positive) for corner in CORNERS)
+def _per_corner(
+    name: str, unit: str, meaning: str, positive: bool = True, varied: Variation | None = None
+) -> tuple[Parameter, ...]:
+    return tuple(Parameter(f"{name}_{corner}", unit, f"{meaning}, {corner}", positive, varied) for corner in CORNERS)
 
 
 PARAMETERS = (
-    Parameter("sprung_mass", "kg", "m_s, half of the body"),
+    Parameter("sprung_mass", "kg", "m_s, half of the body", varied=Variation("sprung mass", 0.7, 1.4)),
     Parameter("pitch_inertia", "kg m2", "I_y of that half about its centre of mass"),
     *_per_corner("axle_distance", "m", "from the centre of mass to the axle"),
     *_per_corner("unsprung_mass", "kg", "m_u, wheel, hub and brake"),
     *_per_corner("suspension_stiffness", "N/m", "k_s"),
     *_per_corner("suspension_damping", "N s/m", "c_s", positive=False),
-    *_per_corner("tyre_stiffness", "N/m", "k_u"),
+    *_per_corner("tyre_stiffness", "N/m", "k_u", varied=Variation("tyre stiffness", 0.75, 1.25)),
 )
 
 

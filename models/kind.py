@@ -20,6 +20,34 @@ Parameters = Mapping[str, float]
 
 
 @dataclass(frozen=True)
+class Variation:
+    """How far other vehicles of a kind may be from the one that a controller was designed for.
+
+    Attributes:
+        name: of what varies, in words. Parameters with the same variation vary together.
+        smallest, largest: factors on the parameter, at most 1 and at least 1.
+
+    Raises:
+        InputError: they are none.
+    """
+
+    name: str
+    smallest: float
+    largest: float
+
+    def __post_init__(self) -> None:
+        if not (0 < self.smallest <= 1 <= self.largest <= LARGEST and self.smallest < self.largest):
+            raise InputError(
+                f"{self.name} varies by factors from {self.smallest:g} to {self.largest:g}; give one above 0 and at most 1, and "
+                "a larger one that is at least 1"
+            )
+
+    def __str__(self) -> str:
+        low, high = (100 * (factor - 1) for factor in (self.smallest, self.largest))
+        return f"{self.name} {low:+.4g} to {high:+.4g} %"
+
+
+@dataclass(frozen=True)
 class Parameter:
     """One number of a vehicle file.
 
@@ -28,12 +56,14 @@ class Parameter:
         unit: SI unit.
         meaning: one line.
         positive: whether zero is refused too. Negative, infinite, NaN and absurdly large values always are.
+        varied: how far it varies where a controller's robustness is asked for; None where it is taken as it is.
     """
 
     name: str
     unit: str
     meaning: str
     positive: bool = True
+    varied: Variation | None = None
 
     def check(self, value: Any) -> float:
         """The value as a float.
@@ -101,6 +131,12 @@ class VehicleKind:
     folder: Path = HERE
     check_together: Callable[[Parameters], None] = lambda p: None
     combined: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+
+    @property
+    def variations(self) -> dict[Variation, tuple[str, ...]]:
+        """What varies from vehicle to vehicle of this kind, and the parameters that do, in their order."""
+        varied = dict.fromkeys(one.varied for one in self.parameters if one.varied is not None)
+        return {each: tuple(one.name for one in self.parameters if one.varied == each) for each in varied}
 
     @property
     def mjcf(self) -> Path:

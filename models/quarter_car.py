@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 
 from models import signals
-from models.kind import GRAVITY, Parameter, Parameters, VehicleKind, Wheel
+from models.kind import GRAVITY, Parameter, Parameters, Variation, VehicleKind, Wheel
 from models.linear_model import LinearModel
 
 PARAMETERS = (
-    Parameter("sprung_mass", "kg", "m_s, the share of the body that one wheel carries"),
+    Parameter("sprung_mass", "kg", "m_s, what one wheel carries of the body", varied=Variation("sprung mass", 0.7, 1.4)),
     Parameter("unsprung_mass", "kg", "m_u, wheel, hub and brake"),
     Parameter("suspension_stiffness", "N/m", "k_s"),
     Parameter("suspension_damping", "N s/m", "c_s", positive=False),
-    Parameter("tyre_stiffness", "N/m", "k_u"),
+    Parameter("tyre_stiffness", "N/m", "k_u", varied=Variation("tyre stiffness", 0.75, 1.25)),
 )
 
 STATES = (

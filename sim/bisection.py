@@ -54,7 +54,9 @@ class Search:
             if math.isfinite(self.expected):
                 near = 1.2 * self.step or GAIN_WIDTH / 2.1 * self.expected
                 amounts = [share * self.expected for share in (0.25, 0.6, 0.9, 0.98, 1.02, 1.2)]
-                return self._multiples([*amounts, self.expected - near, self.expected, self.expected + near])
+                # On the verge itself nothing is to be seen, and its two neighbours are near enough to each other.
+                verge = [self.expected] if self.step else []
+                return self._multiples([*amounts, self.expected - near, *verge, self.expected + near])
             smallest = self.step or self.most / 32
             return self._multiples(np.geomspace(smallest, self.most, 7).tolist())
         if math.isinf(self.unstable):

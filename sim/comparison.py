@@ -12,7 +12,7 @@ from models.vehicle import Vehicle
 from models.whole_file import check_folder
 from sim.road import Road
 from sim.run import Run, run_all
-from sim.verdict import controller_lines, run_lines, verdict_lines
+from sim.verdict import controller_lines, energy_lines, run_lines, verdict_lines
 from synth.controller import Designer
 
 
@@ -106,4 +106,10 @@ def run_chosen(vehicle: Vehicle, names: Sequence[str], road: Road, time: Array, 
 def compared_lines(vehicle: Vehicle, run: Run, passive: Run) -> list[str]:
     """One run: its controller, its table, its verdict."""
     table = run_lines(vehicle, run, passive if run is not passive else None)
-    return [*controller_lines(run.controller), "", *table, "", *(f"  {line}" for line in verdict_lines(run))]
+    return [
+        *controller_lines(run.controller),
+        "",
+        *table,
+        "",
+        *(f"  {line}" for line in [*verdict_lines(run), *energy_lines(run)]),
+    ]

@@ -1,5 +1,7 @@
 """Ways out: responses and designs as the objects that notebooks start from."""
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -77,18 +79,30 @@ def vehicle_system(vehicle: Vehicle) -> "control.StateSpace":
 
 
 def closed_loop(vehicle: Vehicle, controller: Controller) -> "control.StateSpace":
-    """The closed loop (16), continuous, from the disturbances w to the weighted output z. Its norm is the certificate's.
+    """The closed loop (16), continuous, from the roads to every output of the vehicle, each by its name and in its unit.
 
-    Outputs are called like the weighted signals. The first inputs are the road velocities; where the road's height acts as such,
-    as in a full car, its twists follow.
+    The first inputs are the road velocities [m/s]. Where the road's height acts as such, as in a full car, its twists follow,
+    each as a velocity: its height times the model's `twist_rate`.
     """
+    outputs = vehicle.linear_model.outputs
+    return _loop(replace(vehicle, performance=dict.fromkeys(outputs, 1.0)), controller, outputs)
+
+
+def weighted_loop(vehicle: Vehicle, controller: Controller) -> "control.StateSpace":
+    """The same to the weighted output z (34) alone: its norm is the certificate's.
+
+    Each output is a signal times its weight in `[performance]`, and is called `z[signal]`.
+    """
+    return _loop(vehicle, controller, [f"z[{signal}]" for signal, weight in vehicle.performance.items() if weight > 0])
+
+
+def _loop(vehicle: Vehicle, controller: Controller, outputs: Sequence[str]) -> "control.StateSpace":
+    """The closed loop to a vehicle's z, whose entries are called so."""
     from control import StateSpace, ss
 
-    plant = generalized_plant(vehicle)
-    loop = plant.closed_loop(controller.state_gain(vehicle))
+    loop = generalized_plant(vehicle).closed_loop(controller.state_gain(vehicle))
     roads = [wheel.road_velocity for wheel in vehicle.kind.wheels]
     more = [f"road_twist_{k}" for k in range(1, loop.Bw.shape[1] - len(roads) + 1)]
-    weighted = [signal for signal, weight in vehicle.performance.items() if weight > 0]
     system = ss(
         loop.A,
         loop.Bw,
@@ -97,7 +111,7 @@ def closed_loop(vehicle: Vehicle, controller: Controller) -> "control.StateSpace
         name=f"{vehicle.kind.name}_{controller.name}",
         states=list(vehicle.linear_model.states),
         inputs=[*roads, *more],
-        outputs=weighted,
+        outputs=list(outputs),
     )
     assert isinstance(system, StateSpace)
     return system

@@ -13,13 +13,16 @@ from models.arrays import Array
 from models.vehicle import Vehicle
 from sim.physics import simulate
 from sim.road import Bump
+from sim.slowest_mode import slowest_rate
 from synth.controller import Controller
 
 BUMP = Bump(height=2e-3, length=20.0, speed=100.0, track="left")  # body and wheels, every roll; soon over for all wheels
+TIMESTEP = 5e-4  # s, unless another is asked for
 SHORTEST, LONGEST = 4.0, 32.0  # s; how long a run is first, and at most
 HOLDS = 24  # of its controller's sample periods, or delays, a run has at least: what alternates from one to the next grows slowly
 CERTAIN, EXPONENTIAL = 0.02, 0.3  # of the logarithm of energy from window to window: its size, its spread
-PURE, LINEAR = 0.1, 25.0  # the spread with which a rate is one; growth of energy before a wheel may lift
+FREE = 0.125  # of a run, after which the bump is over
+LINEAR = 25.0  # growth of energy before a wheel may lift
 GONE, ESCAPED = 1e-12, 1e4  # of the energy that the bump has left: nothing, and what no decaying run has between
 ENTRIES = 2e7  # numbers in a batch's record; more run in turns
 
@@ -46,7 +49,7 @@ class Growth:
 
     Attributes:
         grows: whether it grows; else it decays.
-        rate: of its exponential [1/s]; NaN where it was gone, had escaped, or was still another before that could be read.
+        rate: of the slowest mode in it [1/s]; NaN where too little of it was free and linear.
     """
 
     grows: bool
@@ -74,8 +77,10 @@ def grow(trials: Sequence[Trial], timestep: float, progress: Callable[[str], Non
             states = _states([trials[i] for i in some], time)
             for i, one in zip(some, states, strict=True):
                 enough = HOLDS * _hold(trials[i], timestep)
-                growth = _growth(one, timestep, last=duration >= max(LONGEST, enough))
-                found[i] = growth if growth and (growth.grows or duration >= enough) else None
+                rate = _rate(one, timestep, round(_hold(trials[i], timestep) / timestep))
+                grows = _grows(one, rate, last=duration >= max(LONGEST, enough))
+                if grows or (grows is False and duration >= enough):
+                    found[i] = Growth(grows, rate)
         duration *= 2
     progress("")
     return [growth for growth in found if growth is not None]
@@ -97,13 +102,23 @@ def _states(trials: Sequence[Trial], time: Array) -> Array:
     return np.nan_to_num(states / np.where(peaks > 0, peaks, 1.0), nan=np.inf)
 
 
-def _growth(states: Array, timestep: float, last: bool) -> Growth | None:
-    """Whether a run grows, and how fast; None where it has not settled yet.
+def _rate(states: Array, timestep: float, hold: int) -> float:
+    """The rate of a run's slowest mode [1/s], see `sim.slowest_mode`, from when the bump is over until a wheel may lift."""
+    free = states[:, round(FREE * states.shape[1]) :]
+    with np.errstate(over="ignore"):
+        energy = (free**2).sum(axis=0)
+    far = ~(energy < LINEAR * energy[: len(energy) // 4].max())
+    return slowest_rate(free[:, : int(far.argmax())] if far.any() else free, timestep, hold)
+
+
+def _grows(states: Array, rate: float, last: bool) -> bool | None:
+    """Whether a run grows; None where it has not settled yet.
 
     Its energy is taken in three windows, without the first quarter. A Hann window does not see the oscillation within it, so what
     is left of a run that has settled is an exponential: the same ratio from window to window. Two kinds of growth the bump hardly
     excites, so that they hide behind what decays: to one side, and from one side to the other with every step. They are told by
-    the mean over a window, plain and with alternating sign, and nothing decays while they grow.
+    the mean over a window, plain and with alternating sign, and nothing decays while they grow. A run that has not settled by
+    that is told by the rate of its slowest mode, where that is known.
     """
     length = states.shape[-1] // 4
     hann = np.hanning(length)
@@ -111,19 +126,20 @@ def _growth(states: Array, timestep: float, last: bool) -> Growth | None:
     with np.errstate(over="ignore"):
         energy = (states**2).sum(axis=0)
     if not np.all(np.isfinite(energy)) or energy[-length:].max() > ESCAPED * energy[:length].max():
-        return Growth(True)
+        return True
     gone = GONE * energy[:length].max()
     windows = [slice(k * length, (k + 1) * length) for k in (1, 2, 3)]
     first, second, third = (float(hann @ energy[window]) for window in windows)
     if third <= gone:
-        return Growth(False)
+        return False
     early, late = math.log(second / first), math.log(third / second)
-    pure = abs(late - early) < PURE * abs(late) and energy.max() < LINEAR * energy[:length].max()
-    rate = late / (2 * length * timestep) if pure else math.nan  # energy goes with the square
     settled = abs(late) > CERTAIN and abs(late - early) < EXPONENTIAL * abs(late)
     if last or (settled and late > 0):
-        return Growth(late > 0, rate)
+        return late > 0
     for sign in (np.ones(length), (-1.0) ** np.arange(length)):
         before, after = (float(((states[:, window] @ (sign * hann)) ** 2).sum()) for window in windows[1:])
-        settled = settled and (after < before or after < gone)
-    return Growth(False, rate) if settled else None
+        if after >= max(before, gone):
+            return True if rate > 0 else None
+    if settled:
+        return False
+    return None if math.isnan(rate) else rate > 0

@@ -14,12 +14,12 @@ from models.errors import InputError
 from models.reality import Implementation
 from models.vehicle import Vehicle, read_vehicle
 from models.whole_file import check_folder
-from sim.growth import BUMP, LONGEST, SHORTEST
+from sim.growth import BUMP, LONGEST, SHORTEST, TIMESTEP
 from sim.linear import sampled_radius
-from sim.loop_margins import LoopMargins, find_margins
+from sim.loop_margins import GainMargin, LoopMargins, find_margins
 from sim.picture import check_picture, draw
 from sim.progress import show
-from sim.robustness import Robustness, robustness
+from sim.robustness import Robustness, robustness, varied_text
 from sim.run import run_all, sample_times
 from sim.run_log import RunLog
 from sim.verdict import log_lines
@@ -46,7 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--vehicle", default="quarter_car", metavar="FILE", help="vehicle file, or one that ships (default: quarter_car)"
     )
-    parser.add_number("--timestep", 5e-4, "s", "integration step; delays and sample periods are its multiples")
+    parser.add_number("--timestep", TIMESTEP, "s", "integration step; delays and sample periods are its multiples")
     parser.add_logs("MuJoCo on either side of the delay margin")
     parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the margins, as .png or .svg; needs matplotlib")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
@@ -79,7 +79,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if options.picture is not None:
             lines += ["", f"picture {options.picture}"]
         print("\n".join([*lines, *(["", *log_lines(logs)] if options.logs is not None else [])]))
-    return 0 if box.holds and all(one.agrees for one in found.values()) else 1
+    return 0 if (box is None or box.holds) and all(one.agrees for one in found.values()) else 1
 
 
 def _with_loop(vehicle: Vehicle, name: str | None, timestep: float) -> Controller:
@@ -123,16 +123,19 @@ def _delayed_runs(vehicle: Vehicle, controller: Controller, loop: LoopMargins, t
     return found
 
 
-def _object(controller: Controller, found: dict[str, LoopMargins], box: Robustness) -> dict[str, Any]:
-    """The result as JSON has it: SI units, None for what is infinite."""
+def _object(controller: Controller, found: dict[str, LoopMargins], box: Robustness | None) -> dict[str, Any]:
+    """The result as JSON has it: SI units, None for what is infinite or does not exist."""
     result = {"controller": controller.name, **_loop_object(found[""])}
     if len(found) > 1:
         result["loops"] = {name: _loop_object(one) for name, one in found.items() if name}
+    if box is None:
+        return {**result, "robustness": None}
+    varied = {one.name: [one.smallest, one.largest] for one in box.varied}
     corners = [
         {**corner.parameters, "norm": _finite(corner.norm), "stable": corner.decays, "agrees": corner.agrees}
         for corner in box.corners
     ]
-    result["robustness"] = {"worst_norm": _finite(box.norm), "at": box.at, "corners": corners}
+    result["robustness"] = {"varied": varied, "worst_norm": _finite(box.norm), "at": box.at, "corners": corners}
     return result
 
 
@@ -140,9 +143,13 @@ def _loop_object(one: LoopMargins) -> dict[str, Any]:
     predicted = one.predicted
     gain = {
         "predicted": _finite(predicted.gain),
-        "found": _finite(one.found_gain),
+        "found": _finite(one.gain.found),
         "lower": {"predicted": predicted.gain_lower or None, "found": one.found_gain_lower or None},
-        "sampled": {"predicted": _finite(one.sampled_gain), "found": _finite(one.gain.found)},
+        "sampled": [
+            {"timestep": one.timestep / k, "predicted": _finite(at), "found": _finite(search.found)}
+            for k, at, search in zip((1, 2), one.gain.sampled, (one.gain.search, one.gain.finer), strict=True)
+            if search.tried
+        ],
     }
     phase = {
         "predicted": _finite(predicted.phase),
@@ -158,15 +165,19 @@ def _loop_object(one: LoopMargins) -> dict[str, Any]:
     }
 
 
-def _text(vehicle: Vehicle, controller: Controller, found: dict[str, LoopMargins], box: Robustness, timestep: float) -> list[str]:
+def _text(
+    vehicle: Vehicle, controller: Controller, found: dict[str, LoopMargins], box: Robustness | None, timestep: float
+) -> list[str]:
     lines = [f"{vehicle.kind.name} ({vehicle.source}), controller {controller.name}; MuJoCo at {timestep:g} s"]
     for name, one in found.items():
         what = f"the loop of {name}, the others closed" if name else ("all loops at once" if len(found) > 1 else "the loop")
         lines += ["", f"{what:32}{'predicted':>12}{'MuJoCo':>12}", *_loop_lines(one)]
         lines.append("  agrees" if one.agrees else "  DOES NOT AGREE; where the timestep is too coarse, give a smaller one")
 
+    if box is None:
+        return [*lines, "", f"other vehicles: {varied_text(vehicle.kind)}"]
     at = ", ".join(f"{name} {value:.5g}" for name, value in box.at.items())
-    lines += ["", f"sprung mass -30 to +40 %, tyre stiffness -25 to +25 %: worst norm {box.norm:.6g} at {at}"]
+    lines += ["", f"{varied_text(vehicle.kind)}: worst norm {box.norm:.6g} at {at}"]
     for corner in box.corners:
         at = ", ".join(f"{name} {value:.5g}" for name, value in corner.parameters.items())
         physics = f"MuJoCo {'settles' if corner.decays else 'GROWS'}, {'agrees' if corner.agrees else 'DOES NOT AGREE'}"
@@ -176,11 +187,10 @@ def _text(vehicle: Vehicle, controller: Controller, found: dict[str, LoopMargins
 
 def _loop_lines(one: LoopMargins) -> list[str]:
     predicted, h = one.predicted, one.timestep
-    rows = [("gain, factor", predicted.gain, one.found_gain, "")]
-    if one.bears:
-        rows.append(("  of the sampled loop", one.sampled_gain, one.gain.found, "it doubles when the timestep is halved"))
+    rows = [("gain, factor", predicted.gain, one.gain.found, ""), *_sampled_rows(one.gain, h, 1)]
     if predicted.gain_lower or one.found_gain_lower:
         rows.append(("gain, lower factor", predicted.gain_lower, one.found_gain_lower, ""))
+        rows += _sampled_rows(one.gain_lower, h, -1)
     where = f"at {predicted.frequency:.5g} rad/s" if predicted.crossovers else ""
     if predicted.smallest_phase < predicted.phase * (1 - 1e-9):
         where += f"; another crossover needs less, {predicted.smallest_phase:.4g}, but more delay"
@@ -191,6 +201,16 @@ def _loop_lines(one: LoopMargins) -> list[str]:
     rows.append(("delay, ms", 1e3 * predicted.delay, 1e3 * one.delay.unstable, samples))
     rows.append(("sample period, ms", 1e3 * predicted.sample_period, 1e3 * one.found_sample_period, ""))
     return [f"  {name:30}{_cell(first)}{_cell(second)}  {note}".rstrip() for name, first, second, note in rows]
+
+
+def _sampled_rows(gain: GainMargin, h: float, power: int) -> list[tuple[str, float, float, str]]:
+    """What the sampled loop bears at both timesteps, where that is not what the loop itself does; a lower factor has power -1."""
+    searches = zip((h, h / 2), gain.sampled, (gain.search, gain.finer), strict=True)
+    return [
+        (f"  sampled every {1e3 * step:g} ms", at**power, search.found**power, "" if step == h else "above: what these tend to")
+        for step, at, search in searches
+        if gain.finer.tried
+    ]
 
 
 def _cell(value: float) -> str:

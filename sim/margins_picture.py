@@ -13,7 +13,7 @@ from sim.bisection import Search
 from sim.figure import Curve, Figure, Marker, Panel, Shades
 from sim.linear import sampled_radius
 from sim.loop_margins import LoopMargins
-from sim.robustness import BOX, MASS, TYRES, Robustness
+from sim.robustness import Robustness
 from synth.controller import Controller
 
 POINTS = 30  # of a predicted curve
@@ -24,14 +24,18 @@ MARKERS: tuple[tuple[bool, str, Marker, str], ...] = (
 )
 
 
-def margins_figure(vehicle: Vehicle, controller: Controller, loop: LoopMargins, box: Robustness, timestep: float) -> Figure:
-    """Lines are the poles of the implemented linear loop, points are MuJoCo's runs: where both cross zero is the margin.
+def margins_figure(
+    vehicle: Vehicle, controller: Controller, loop: LoopMargins, box: Robustness | None, timestep: float
+) -> Figure:
+    """How fast the slowest mode grows or decays: lines by the poles of the implemented linear loop, points in MuJoCo's runs.
+
+    Where both cross zero is the margin.
 
     Args:
         vehicle: the vehicle, its controller ideal.
         controller: its controller.
         loop: all its loops at once.
-        box: the controller on other vehicles.
+        box: the controller on other vehicles; None where there are none.
         timestep: of the physics [s].
     """
 
@@ -48,24 +52,25 @@ def margins_figure(vehicle: Vehicle, controller: Controller, loop: LoopMargins, 
         held = max(1, round(seconds / timestep)) * timestep
         return rate(replace(vehicle, implementation=Implementation(sample_period=held)), controller)
 
-    title = "more gain: any; what ends it is the sampling" if loop.bears else "more gain, all loops at once"
+    gain = loop.gain
+    ended = math.isinf(gain.found) and math.isfinite(gain.search.unstable)
+    title = "more gain: any; what ends it here is the sampling" if ended else "more gain, all loops at once"
     searches: list[tuple[str, Search, Callable[[float], float], float, str, str]] = [
-        (title, loop.gain, of_gain, 1.0, "factor on the gain", ""),
+        (title, gain.search, of_gain, 1.0, "factor on the gain", ""),
         ("delay from measurement to force", loop.delay, of_delay, 1e3, "delay [ms]", " ms"),
         ("sample period of the controller", loop.sample_period, of_period, 1e3, "sample period [ms]", " ms"),
     ]
-    predicted = [loop.sampled_gain, loop.predicted.delay, loop.predicted.sample_period]
-    found = [loop.gain.found, loop.delay.unstable, loop.found_sample_period]
+    predicted = [gain.sampled[0], loop.predicted.delay, loop.predicted.sample_period]
+    found = [gain.search.found, loop.delay.unstable, loop.found_sample_period]
     panels = []
     for (title, search, growth, scale, label, unit), at, seen in zip(searches, predicted, found, strict=True):
         numbers = [f"{scale * value:.4g}{unit}" if math.isfinite(value) else "any" for value in (at, seen)]
         title = f"{title}\nbears, predicted: {numbers[0]}; in MuJoCo: {numbers[1]}"
         panels.append(_search_panel(title, label, search, growth, scale))
-    panels.append(_box_panel(controller, box))
-    title = (
-        f"{vehicle.kind.name.replace('_', ' ')}, controller {controller.name}: what its loop bears. Lines: poles of the sampled "
-        f"linear loop. Points: MuJoCo runs at {1e3 * timestep:g} ms"
-    )
+    if box is not None:
+        panels.append(_box_panel(controller, box))
+    about = f"{vehicle.kind.name.replace('_', ' ')}, controller {controller.name}: what its loop bears"
+    title = f"{about}. Lines: slowest pole of the sampled loop. Points: MuJoCo at {1e3 * timestep:g} ms"
     return Figure("margins", title, tuple(panels))
 
 
@@ -73,7 +78,8 @@ def _search_panel(title: str, label: str, search: Search, growth: Callable[[floa
     """The predicted rate over the amount, and that of the runs near where it changes its sign."""
     # Far from the margin nothing is to be seen, and the rates are large.
     end = 1.35 * search.unstable if math.isfinite(search.unstable) else max(search.tried)
-    amounts: Array = np.linspace(0.0, end, POINTS)
+    known = [amount for amount in (search.stable, search.unstable) if math.isfinite(amount)]
+    amounts: Array = np.unique([*np.linspace(0.0, end, POINTS), *known])
     rates = np.array([growth(amount) for amount in amounts])
     curves = [Curve(scale * amounts, rates, "linear analysis", LINE)]
     for grows, color, marker, name in MARKERS:
@@ -85,16 +91,23 @@ def _search_panel(title: str, label: str, search: Search, growth: Callable[[floa
 
 
 def _box_panel(controller: Controller, box: Robustness) -> Panel:
-    """The norm over sprung mass and tyre stiffness, with what physics did at the corners."""
-    mass, tyres = (100 * (factors - 1) for factors in box.factors)
-    ground = Shades(mass, tyres, np.where(np.isfinite(box.norms), box.norms, np.nan).T, "H-infinity norm")
-    at = 100 * (np.array([(m, k) for m in BOX[MASS] for k in BOX[TYRES]]) - 1)
+    """The norm over what varies, with what physics did at the corners; over more than two such things, the worst of the rest."""
+    percent = [100 * (factors - 1) for factors in box.factors]
+    labels = [f"{one.name} [% off]" for one in box.varied]
+    norms = np.where(np.isfinite(box.norms), box.norms, np.nan)
+    at = 100 * (np.array([corner.factors for corner in box.corners]) - 1)
     fine = np.array([corner.decays and corner.agrees for corner in box.corners])
-    curves = [Curve(np.zeros(1), np.zeros(1), "as designed", "#000000", "none", "+")]
-    for good, color, marker, _ in MARKERS:
-        corners = at[fine != good]
-        curves.append(Curve(corners[:, 0], corners[:, 1], "", color, "none", marker))
     verdict = "agrees and settles at every corner" if box.holds else "and analysis do not say the same at every corner"
     nominal = controller.certificate.norm.value
     title = f"other vehicles: worst norm {box.norm:.4g}, designed {nominal:.4g}\nMuJoCo {verdict}"
-    return Panel(title, "sprung mass [% off]", "tyre stiffness [% off]", tuple(curves), ground)
+    if len(percent) == 1:
+        curves, ground, height = [Curve(percent[0], norms, "H-infinity norm", LINE)], None, np.array([nominal])
+        heights = np.array([corner.norm for corner in box.corners])
+    else:
+        worst = norms.max(axis=tuple(range(2, norms.ndim)))
+        curves, ground, height, heights = [], Shades(percent[0], percent[1], worst.T, "H-infinity norm"), np.zeros(1), at[:, 1]
+    curves.append(Curve(np.zeros(1), height, "as designed", "#000000", "none", "+"))
+    for good, color, marker, _ in MARKERS:
+        some = fine != good
+        curves.append(Curve(at[some, 0], heights[some], "", color, "none", marker))
+    return Panel(title, labels[0], labels[1] if ground else "H-infinity norm", tuple(curves), ground)

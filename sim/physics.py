@@ -45,11 +45,13 @@ class PhysicsRuns:
     Attributes:
         response: every signal, values of shape (N, T, S). From where a run diverged on, its values are NaN.
         qpos: generalized positions, shape (N, T, nq), to draw a run.
+        qvel: generalized velocities, shape (N, T, nv).
         diverged: when each run diverged [s], shape (N,); infinite where it did not.
     """
 
     response: Response
     qpos: Array
+    qvel: Array
     diverged: Array
 
 
@@ -81,7 +83,8 @@ def simulate(
     recorded[:, [names.index(wheel.road_velocity) for wheel in wheels]] = np.moveaxis(velocity, 1, 2)
     diverged = block.diverged(time)
     recorded[np.broadcast_to((time[:, None] >= diverged)[:, None], recorded.shape)] = np.nan
-    return PhysicsRuns(Response(time, signals, np.moveaxis(recorded, 2, 0)), block.qpos.swapaxes(0, 1), diverged)
+    qpos, qvel = block.qpos.swapaxes(0, 1), block.qvel.swapaxes(0, 1)
+    return PhysicsRuns(Response(time, signals, np.moveaxis(recorded, 2, 0)), qpos, qvel, diverged)
 
 
 def _on_each(vehicles: Sequence[Vehicle], roads: Sequence[Road], what: str, time: Array) -> Array:
@@ -101,12 +104,14 @@ class Block:
         start: index of the first.
         values: every signal but the road's velocity, which is left 0, shape (B, S, N): runs lie side by side.
         qpos: generalized positions, shape (B, N, nq).
+        qvel: generalized velocities, shape (B, N, nv).
         largest: largest magnitude of any signal, and of any force that was asked for, shape (B, N).
     """
 
     start: int
     values: Array
     qpos: Array
+    qvel: Array
     largest: Array
 
     def diverged(self, time: Array) -> Array:
@@ -187,7 +192,7 @@ def in_blocks(
     inside = readout.stage > stage
     with _quiet():
         steps = _step(batch, readout.mocap, gain, offset, midway, now if readout.felt else None, stage, law, size)
-        for start, sensed, qpos, asked in steps:
+        for start, sensed, qpos, qvel, asked in steps:
             some = slice(start, start + len(sensed))
             recorded = np.zeros((len(sensed), len(signals), len(vehicles)))
             mix(place @ readout.of_sensors, sensed, recorded)
@@ -201,7 +206,7 @@ def in_blocks(
             largest = np.maximum(recorded.max(axis=1), -recorded.min(axis=1))
             for force in np.moveaxis(asked, 2, 0):
                 largest = np.maximum(largest, np.abs(force))
-            yield Block(start, recorded, qpos, largest)
+            yield Block(start, recorded, qpos, qvel, largest)
 
 
 _quiet_lock, _quiet_users = threading.Lock(), [0]
@@ -244,7 +249,7 @@ def _step(
     stage: int,
     law: Callable[[int, Array], Array] | None,
     size: int,
-) -> Iterator[tuple[int, Array, Array, Array]]:
+) -> Iterator[tuple[int, Array, Array, Array, Array]]:
     """The loop: read, control, move the road, step.
 
     Args:
@@ -260,7 +265,8 @@ def _step(
 
     Yields:
         Of every block its first sample, and `sensordata`, shape (B, nsensordata, N): that of the samples; else up to the stage
-        from before the step, the rest from inside it. Then qpos, shape (B, N, nq), and the forces asked for, (B, N, m).
+        from before the step, the rest from inside it. Then qpos, shape (B, N, nq), qvel, shape
+        (B, N, nv), and the forces asked for, shape (B, N, m).
     """
     samples, count, m = offset.shape
     # The motors, in the order of the linear model's inputs, are all there is in ctrl.
@@ -302,7 +308,7 @@ def _step(
         if stage and at_samples is None:
             # The evaluation after a step has overwritten what the step itself had sensed.
             sensed[:, early] = np.moveaxis(seen[..., moved:width][..., early], 1, 2)
-        yield start, sensed, seen[..., :positions], asked
+        yield start, sensed, seen[..., :positions], seen[..., positions:moved], asked
 
 
 def _motion(batch: Batch) -> Array:

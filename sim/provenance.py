@@ -21,7 +21,7 @@ from sim.recording import record
 from sim.road import Road
 from sim.run import Run
 from sim.run_log import RunLog
-from sim.verdict import controller_object, events, summary
+from sim.verdict import controller_object, energy_object, events, summary
 from synth.record import to_record
 
 PACKAGES = ("roadproof", "mujoco", "numpy", "scipy", "mcap", "rerun-sdk")
@@ -112,6 +112,7 @@ def run_log(vehicle: Vehicle, road: Road, run: Run, name: str | None = None) -> 
         "poles": [[float(pole.real), float(pole.imag)] for pole in certificate.poles],
         "certificate": to_record(certificate),
         "agrees": agreement.agrees,
+        "energy": energy_object(run.energy) if run.energy is not None else None,
         "lift_off": [list(interval) for interval in agreement.lift_off],
         "errors": {name: signal.sampled if math.isfinite(signal.sampled) else None for name, signal in agreement.signals.items()},
     }

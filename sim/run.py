@@ -10,6 +10,7 @@ from models.arrays import Array
 from models.errors import InputError, known
 from models.vehicle import Vehicle
 from sim.agreement import SMALL, Agreement, compare, look_closer
+from sim.energy import Energy, energy
 from sim.linear import continuous_response, largest_timestep, noise_spread, sampled_radius, sampled_response, taylor4
 from sim.physics import simulate
 from sim.response import Response
@@ -33,6 +34,7 @@ class Run:
         diverged: when the physics diverged [s]; infinite where it did not.
         sampled_radius: spectral radius of the sampled loop; above 1 it is unstable.
         agreement: physics against analysis.
+        energy: its balance; None where it is not known, as of a run that is read from a log.
     """
 
     controller: Controller
@@ -43,6 +45,7 @@ class Run:
     diverged: float
     sampled_radius: float
     agreement: Agreement
+    energy: Energy | None = None
 
     @property
     def broke_off(self) -> tuple[str, float] | None:
@@ -132,6 +135,7 @@ def run_all(vehicle: Vehicle, controllers: Sequence[Controller], road: Road, tim
                 agreement=compare(
                     vehicle, measured, sampled, integrated, continuous, diverged, noise_spread(vehicle, controller, timestep)
                 ),
+                energy=energy(vehicle, physics, i, road),
             )
         )
     doubtful = [i for i, run in enumerate(runs) if not run.agreement.agrees]

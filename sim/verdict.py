@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from models.arrays import Array
 from models.kind import MOST_SQUEEZE
 from models.vehicle import Vehicle
 from sim.agreement import COARSEST, SLACK, SMALL
+from sim.energy import Energy
 from sim.run import Run
 from synth.controller import Controller
 
@@ -35,7 +37,24 @@ def run_object(vehicle: Vehicle, run: Run) -> dict[str, Any]:
         },
         "lift_off": [list(interval) for interval in agreement.lift_off],
         "agrees": agreement.agrees,
-    }
+    } | ({"energy": energy_object(run.energy)} if run.energy is not None else {})
+
+
+def energy_object(energy: Energy) -> dict[str, float | None]:
+    """An energy balance as JSON has it [J]; its residual is a share of `put_in`."""
+    return {name: _finite(value) for name, value in asdict(energy).items()}
+
+
+def energy_lines(run: Run) -> list[str]:
+    """A run's energy balance in a sentence; none where it is not known."""
+    energy = run.energy
+    if energy is None:
+        return []
+    put_in = f"road and actuators put in up to {energy.put_in:.4g} J"
+    if energy.balances:
+        return [f"energy: {put_in}, found again as stored or dissipated to {energy.residual:.1e} of it"]
+    why = "a force does work that is none of the vehicle's, or the timestep is too coarse"
+    return [f"energy DOES NOT BALANCE: {put_in}, and {energy.residual:.1e} of it is not found again: {why}"]
 
 
 def controller_object(controller: Controller) -> dict[str, Any]:
@@ -162,7 +181,7 @@ def summary(vehicle: Vehicle, run: Run) -> str:
     lines = [f"# {run.controller.name}", ""]
     lines += [f"- {line.strip()}" for line in controller_lines(run.controller)[1:]]
     lines += [f"- measures {', '.join(run.controller.measured) or 'nothing'}", "", "## Verdict", ""]
-    lines += [f"- {line}" for line in verdict_lines(run)]
+    lines += [f"- {line}" for line in [*verdict_lines(run), *energy_lines(run)]]
     lines += ["", "| signal | peak MuJoCo | peak linear | error |", "|---|---|---|---|"]
     for name, signal in run.agreement.signals.items():
         unit = vehicle.kind.signal(name).unit

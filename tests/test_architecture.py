@@ -12,7 +12,7 @@ FILES = [path for floor in FLOORS for path in sorted((ROOT / floor).glob("*.py")
 # Who may import what is heavy, or replaceable.
 OWNERS = {
     "cvxpy": {"synth/lmi.py"},
-    "mujoco": {"models/mjcf.py", "sim/readout.py", "sim/physics.py", "sim/drawing.py"},
+    "mujoco": {"models/mjcf.py", "sim/readout.py", "sim/physics.py", "sim/energy.py", "sim/drawing.py"},
     "mcap": {"sim/recording_mcap.py", "sim/mcap_file.py"},
     "zstandard": {"sim/mcap_file.py"},
     "lz4": {"sim/mcap_file.py"},

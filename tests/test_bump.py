@@ -135,7 +135,7 @@ def test_json_has_this_shape(everything):
     assert everything["logs"] == {"mcap": None, "layout": None, "rerun": None}
     assert [run["controller"]["name"] for run in everything["runs"]] == CONTROLLERS
     for run in everything["runs"]:
-        assert set(run) == {"controller", "signals", "lift_off", "agrees"}
+        assert set(run) == {"controller", "signals", "lift_off", "agrees", "energy"}
         assert set(run["controller"]) == {"name", "measured", "gain", "bound", "norm", "peak_frequency"}
         assert {name: entry["unit"] for name, entry in run["signals"].items()} == UNITS
         for entry in run["signals"].values():

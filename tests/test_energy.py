@@ -1,0 +1,155 @@
+"""What road and actuators put into a run is found again: stored, or dissipated."""
+
+import dataclasses
+import json
+import re
+
+import numpy as np
+import pytest
+
+from models.vehicle import parse_vehicle, read_vehicle
+from sim.bump import main
+from sim.energy import Energy, energy
+from sim.physics import PhysicsRuns, simulate
+from sim.response import Response
+from sim.road import Bump
+from synth.controller import design
+
+LAG = "\n[limits]\nactuator_bandwidth = 60.0\n"
+ALL = (
+    "\n[limits]\nsuspension_stroke = 0.08\nstop_stiffness = 1e5\nactuator_force = 500.0\nactuator_bandwidth = 60.0\n"
+    "[implementation]\nsample_period = 0.004\ndelay = 1\n"
+)
+
+
+def run(vehicle, controller, road, timestep, duration=1.5):
+    """One run."""
+    time = np.arange(round(duration / timestep) + 1) * timestep
+    return simulate([vehicle], [controller], [road], time)
+
+
+def balance(kind, reality, name, road, timestep) -> Energy:
+    """The energy of a run of a vehicle that ships, with limits and implementation."""
+    vehicle = parse_vehicle(read_vehicle(kind).text + reality)
+    return energy(vehicle, run(vehicle, design(vehicle, name), road, timestep), 0, road)
+
+
+@pytest.mark.parametrize(
+    ("kind", "reality", "name", "track"),
+    [
+        ("half_car", "", "I", "both"),
+        ("full_car", "", "I", "left"),
+        ("half_car", "", "passive", "both"),
+        ("half_car", LAG, "I", "both"),
+        ("half_car", "\n[implementation]\nsample_period = 0.004\ndelay = 2\n", "I", "both"),
+    ],
+)
+def test_residual_is_of_the_integrators_order(kind, reality, name, track):
+    """While every wheel is on the road the residual shrinks with the fourth power of the step, as RK4's error does."""
+    coarse, fine = (balance(kind, reality, name, Bump(track=track), timestep) for timestep in (2e-3, 1e-3))
+    assert coarse.residual < 1e-5  # measured up to 2.6e-6
+    assert coarse.residual / fine.residual > 2**3.3  # order 4 as the step goes to 0; measured 13 to 15
+
+
+def test_quarter_car(paper, designer):
+    """The paper's run balances to 1e-7, and from 1 ms to 0.5 ms ten times better: two errors of order 4 partly cancel in it."""
+    controller, road = designer.design("I"), Bump()
+    coarse, fine = (energy(paper, run(paper, controller, road, h), 0, road).residual for h in (1e-3, 5e-4))
+    assert coarse < 1e-7  # measured 1.1e-8
+    assert fine < coarse / 8  # measured 11.7
+
+
+@pytest.mark.parametrize(
+    ("kind", "reality", "road"),
+    [
+        ("quarter_car", "", Bump(height=0.2, speed=20.0)),
+        ("half_car", "", Bump(height=0.2, speed=20.0)),
+        ("quarter_car", ALL, Bump()),
+        ("half_car", ALL, Bump()),
+    ],
+)
+def test_with_kinks_it_balances_to_less(kind, reality, road):
+    """Tyres off the road, bump stops, saturation, lag, hold and delay: it still balances, and better with a smaller step."""
+    coarse, fine = (balance(kind, reality, "I", road, timestep) for timestep in (4e-3, 5e-4))
+    assert coarse.balances
+    assert fine.residual < 1e-5  # measured up to 3.6e-6
+    assert coarse.residual / fine.residual > 8  # at least first order over an eighth of the step; measured 22 to 250
+    for one in (coarse, fine):  # what is left over at the end is no more than at its largest
+        left = one.road + one.actuators - one.stored - one.dissipated
+        assert abs(left) <= one.residual * one.put_in * (1 + 1e-9)
+
+
+def test_what_is_put_in_is_what_the_signals_say(paper, designer):
+    """By another route: the controller's work is u times the suspension's stroke, the damper's c times its speed squared."""
+    controller, road, timestep = designer.design("I"), Bump(), 1e-3
+    runs = run(paper, controller, road, timestep, 3.0)
+    found, response = energy(paper, runs, 0, road), runs.response.run(0)
+    speed = response["sprung_velocity"] - response["unsprung_velocity"]
+    by_force = float(np.sum(response["control_force"][:-1] * np.diff(response["suspension_deflection"])))
+    lost = float(np.sum(paper.parameters["suspension_damping"] * speed**2) * timestep)
+    assert found.dissipated == pytest.approx(lost, rel=1e-3)  # a sum of rectangles, from rest to rest
+    assert found.actuators == pytest.approx(by_force, rel=1e-9)  # rounding
+    assert found.put_in > found.road > 0
+
+
+def hidden(tmp_path, paper, change):
+    """The paper's quarter-car with another MJCF."""
+    text = paper.kind.mjcf.read_text()
+    changed = change(text)
+    assert changed != text
+    (tmp_path / "quarter_car.xml").write_text(changed)
+    return dataclasses.replace(paper, kind=dataclasses.replace(paper.kind, folder=tmp_path))
+
+
+FAULTS = {
+    "a body that floats": lambda text: text.replace('<body name="sprung"', '<body name="sprung" gravcomp="0.01"'),
+    "air that drags": lambda text: text.replace('gravity="0 0 -9.81"', 'gravity="0 0 -9.81" density="2000"'),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_hidden_forces_show(tmp_path, paper, designer, fault):
+    """A force that is neither weight, spring, damper nor actuator is left over."""
+    road, controller = Bump(), designer.design("I")
+    clean, found = (
+        energy(vehicle, run(vehicle, controller, road, 1e-3), 0, road)
+        for vehicle in (paper, hidden(tmp_path, paper, FAULTS[fault]))
+    )
+    assert clean.balances
+    assert not found.balances
+
+
+def test_wrong_steps_forces_and_dampers_show(paper, designer):
+    """Physics that ran with another step, actuator force or damper than it says does not balance."""
+    road = Bump()
+    runs = run(paper, designer.design("I"), road, 1e-3)
+    response = runs.response
+    assert energy(paper, runs, 0, road).balances
+    slower = dataclasses.replace(runs, response=Response(1.02 * response.time, response.signals, response.values))
+    assert not energy(paper, slower, 0, Bump(speed=12.5 / 1.02)).balances
+    values = response.values.copy()
+    values[..., response.names.index("control_force")] *= 1.1
+    stronger = PhysicsRuns(Response(response.time, response.signals, values), runs.qpos, runs.qvel, runs.diverged)
+    assert not energy(paper, stronger, 0, road).balances
+    other = dataclasses.replace(paper, parameters={**paper.parameters, "suspension_damping": 410.0})
+    assert not energy(other, runs, 0, road).balances
+
+
+def test_at_rest_nothing_is_left_over(paper, designer):
+    """On a flat road nothing is put in, and rounding is not taken for a fault."""
+    found = energy(paper, run(paper, designer.design("I"), Bump(height=0.0), 1e-3), 0, Bump(height=0.0))
+    assert found.put_in < 1e-9  # J; of 5 kJ at rest, rounded a thousand times
+    assert found.balances
+
+
+def test_it_is_printed_and_in_json(capsys):
+    """The sentence under the verdict has the numbers of --json."""
+    assert main(["--controller", "I", "--no-logs"]) == 0
+    printed = capsys.readouterr().out
+    assert main(["--controller", "I", "--no-logs", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["runs"][0]["energy"]
+    ((put_in, residual),) = re.findall(r"energy: .* put in up to (\S+) J, found again .* to (\S+) of it", printed)
+    assert float(put_in) == pytest.approx(found["put_in"], rel=1e-3)  # printed with 4 digits
+    assert float(residual) == pytest.approx(found["residual"], rel=0.05)  # with 2
+    left = found["road"] + found["actuators"] - found["stored"] - found["dissipated"]
+    assert abs(left) <= found["residual"] * found["put_in"] * (1 + 1e-9)
