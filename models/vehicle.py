@@ -71,6 +71,11 @@ class Vehicle:
         return self.kind.linear_model(self.parameters)
 
     @property
+    def ideal(self) -> bool:
+        """Whether the file says nothing of limits and of the controller as it would be built."""
+        return self.limits == Limits() and self.implementation.ideal
+
+    @property
     def controller_names(self) -> tuple[str, ...]:
         """Every controller that can be asked for."""
         return (*RESERVED, *self.controllers)

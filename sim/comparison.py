@@ -107,7 +107,7 @@ def compared_lines(vehicle: Vehicle, run: Run, passive: Run) -> list[str]:
     """One run: its controller, its table, its verdict."""
     table = run_lines(vehicle, run, passive if run is not passive else None)
     return [
-        *controller_lines(run.controller),
+        *controller_lines(vehicle, run.controller),
         "",
         *table,
         "",

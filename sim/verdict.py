@@ -15,8 +15,7 @@ from sim.agreement import COARSEST, SLACK, SMALL
 from sim.energy import Energy
 from sim.run import Run
 from synth.controller import Controller
-
-SHORT = 1e-6  # relative in gamma; less is the path's own end
+from synth.table import ideal_lines, notes
 
 
 @np.errstate(over="ignore")  # an unstable loop's squares overflow; what is infinite is None
@@ -70,7 +69,7 @@ def controller_object(controller: Controller) -> dict[str, Any]:
     }
 
 
-def controller_lines(controller: Controller) -> list[str]:
+def controller_lines(vehicle: Vehicle, controller: Controller) -> list[str]:
     """A controller and what is known of it."""
     certificate = controller.certificate
     norm = certificate.norm
@@ -84,15 +83,7 @@ def controller_lines(controller: Controller) -> list[str]:
     if certificate.stable:
         where = f" at {norm.peak_frequency:.5g} rad/s" if math.isfinite(norm.peak_frequency) else ""
         lines.append(f"  {proof}norm {norm.value:.7g}{where}   stable, slowest pole {slowest:.4g} rad/s")
-    if controller.short > SHORT:
-        lines.append(
-            f"  from an X {100 * controller.short:.2g} % short of the best state feedback; from the best there is no design"
-        )
-    if controller.stopped > SHORT:
-        lines.append(
-            f"  bound {100 * controller.stopped:.2g} % short of the optimum, which only a gain beyond any actuator reaches"
-        )
-    for sentence in (*certificate.remarks, *certificate.failures):
+    for sentence in (*ideal_lines(vehicle), *notes(controller), *certificate.remarks, *certificate.failures):
         lines.append(f"  {sentence}")
     return lines
 
@@ -179,7 +170,7 @@ def events(run: Run) -> tuple[tuple[float, str], ...]:
 def summary(vehicle: Vehicle, run: Run) -> str:
     """Design and verdict as Markdown."""
     lines = [f"# {run.controller.name}", ""]
-    lines += [f"- {line.strip()}" for line in controller_lines(run.controller)[1:]]
+    lines += [f"- {line.strip()}" for line in controller_lines(vehicle, run.controller)[1:]]
     lines += [f"- measures {', '.join(run.controller.measured) or 'nothing'}", "", "## Verdict", ""]
     lines += [f"- {line}" for line in [*verdict_lines(run), *energy_lines(run)]]
     lines += ["", "| signal | peak MuJoCo | peak linear | error |", "|---|---|---|---|"]

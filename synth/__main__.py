@@ -12,16 +12,13 @@ from models.errors import InputError, known
 from models.vehicle import Vehicle, read_vehicle
 from models.whole_file import check_file
 from synth.check import check
-from synth.controller import Controller, Designer
+from synth.controller import Designer
 from synth.errors import DesignError
 from synth.flat import free_moves
 from synth.limit import invariant_limit
-from synth.output_feedback import independent_rows
-from synth.refine import refine
-from synth.riccati import proved
 from synth.save import save
-from synth.static import static_output_feedback
-from synth.table import Row, detail_lines, notes, row_object, table_lines
+from synth.table import Row, detail_lines, ideal_lines, notes, refine_lines, row_object, table_lines
+from synth.witness import cross_check
 
 FLAT = 1e-4  # of gamma: how far the gains may move for it is printed
 
@@ -34,6 +31,7 @@ examples:
   python -m synth --controller I --refine --save my_car.toml
   python -m synth --check my_car.toml
   python -m synth --zero-l
+  python -m synth --vehicle full_car --cross-check
 """
 
 
@@ -44,6 +42,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         InputError: bad options or vehicle file.
     """
     options = _parser().parse_args(arguments)
+    if options.cross_check and (options.check or options.refine):
+        why = "--check designs nothing" if options.check else "--refine leaves their optima"
+        raise InputError(f"--cross-check solves the LMI problems of designs anew, and {why}; leave one of them out")
     if options.check and (options.zero_l or options.refine or options.save or options.vehicle != DEFAULT):
         raise InputError("--check reads its own file and designs nothing; it goes with --controller and --json only")
     if options.save:
@@ -54,6 +55,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         rows = check(designer, options.controller)
     else:
         rows = [_row(designer, name, options) for name in _names(vehicle, options)]
+    if options.cross_check and not any(row.witness for row in rows) and not any(row.controller is None for row in rows):
+        raise InputError("--cross-check has nothing to solve: no controller asked for comes from an LMI problem; ask for one")
     if options.save:
         save(options.save, vehicle, [row.controller for row in rows if row.controller is not None])
     limit = invariant_limit(designer.plant)
@@ -68,7 +71,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         }
         print(json.dumps(result, allow_nan=False))
     else:
-        lines = [f"{vehicle.kind.name} ({vehicle.source})", "", *table_lines(rows)]
+        lines = [f"{vehicle.kind.name} ({vehicle.source})", *ideal_lines(vehicle), "", *table_lines(rows)]
         for row in rows:
             lines += ["", *detail_lines(row)]
         lines += ["", _limit(limit)]
@@ -77,6 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             lines += [f"  {state:22s} {_range(*values)}" for state, values in moved.items()]
         if options.save:
             lines += ["", f"saved {options.save}"]
+        lines += refine_lines(rows, options.vehicle)
         print("\n".join(lines))
     return 1 if any(row.failures for row in rows) else 0
 
@@ -92,6 +96,11 @@ def _parser() -> Parser:
         "--refine",
         action="store_true",
         help="then lower the norm itself, as long as it is worth a larger gain; says what it traded",
+    )
+    parser.add_argument(
+        "--cross-check",
+        action="store_true",
+        help="solve (22) and (25) by Clarabel, too: how far apart the optima are, and whether the gain attains both",
     )
     parser.add_argument(
         "--save", type=Path, metavar="FILE", help="write the vehicle file with each designed gain added, as NAME_designed"
@@ -116,39 +125,31 @@ def _names(vehicle: Vehicle, options: Namespace) -> list[str]:
 
 def _row(designer: Designer, name: str, options: Namespace) -> Row:
     """A controller, designed as asked for, or why it could not be."""
+    if options.refine and name != "passive":
+        return _refined_row(designer, name, options.zero_l)
     try:
         controller = designer.design(name, options.zero_l)
     except DesignError as error:
-        if not options.refine:
-            return Row(name, None, (), (str(error),))
-        controller = None
-    said = notes(controller) if controller is not None else ("the two steps find no gain",)
-    if options.refine and name != "passive":
+        return Row(name, None, (), (str(error),))
+    failures, witness = controller.certificate.failures, None
+    if options.cross_check:
+        witness = cross_check(designer, controller, options.zero_l)
+        failures += witness.failures if witness is not None else ()
+    return Row(name, controller, notes(controller), failures, designer.worth_refining(controller), witness)
+
+
+def _refined_row(designer: Designer, name: str, zero_l: bool) -> Row:
+    """A controller with a lower norm, and what was traded for it; where there is none, the one that is refined."""
+    try:
+        refined = designer.refine(name, zero_l)
+    except DesignError as error:
         try:
-            controller, traded = _refined(designer, name, controller)
-        except DesignError as error:
-            return Row(name, controller, (*said, f"not refined: {error}"), ())
-        said = (*said, traded)
-    assert controller is not None
-    return Row(name, controller, said, controller.certificate.failures)
-
-
-def _refined(designer: Designer, name: str, controller: Controller | None) -> tuple[Controller, str]:
-    """A controller with a smaller norm, and what was traded for it; where there is none yet, the best that any start leads to."""
-    measured = designer.vehicle.controllers[name].measured if controller is None else controller.measured
-    Cy, _ = designer.vehicle.linear_model.rows(measured)
-    kept = independent_rows(Cy)
-    Cy = Cy[kept]
-    if controller is None:
-        found = static_output_feedback(designer.plant, Cy)
-        start, origin = found.gain, f"from {found.origin}; "
-    else:
-        start, origin = controller.gain[:, kept], ""
-    refined = refine(designer.plant, Cy, start)
-    certificate = proved(designer.plant, refined.gain @ Cy, designer.best_possible(measured))
-    gain = np.zeros((len(refined.gain), len(measured)))
-    gain[:, kept] = refined.gain
-    return Controller(name, measured, gain, True, certificate), f"refined: {origin}{refined.traded}"
+            controller = designer.design(name, zero_l)
+        except DesignError:
+            return Row(name, None, (), ("the two steps find no gain", f"not refined: {error}"))
+        return Row(name, controller, (*notes(controller), f"not refined: {error}"), ())
+    said = notes(refined.start) if refined.start is not None else ("the two steps find no gain",)
+    return Row(name, refined.controller, (*said, refined.traded), refined.controller.certificate.failures)
 
 
 def _flatness(designer: Designer) -> dict[str, list[float | None]]:

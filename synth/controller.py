@@ -16,8 +16,12 @@ from synth.design import Design, state_design, state_path, two_step_design, zero
 from synth.errors import DesignError
 from synth.full_order import best_possible
 from synth.lower_bound import LowerBound
+from synth.output_feedback import independent_rows
 from synth.plant import GeneralizedPlant
 from synth.redesign import state_designs, two_step_designs
+from synth.refine import SEEN, Refinement, refine, worth_refining
+from synth.riccati import proved
+from synth.static import static_output_feedback
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +56,28 @@ class Controller:
         """G = K C_y (6) for a vehicle that has these signals, shape (m, n)."""
         Cy, _ = vehicle.linear_model.rows(self.measured)
         return self.gain @ Cy
+
+
+@dataclass(frozen=True, eq=False)
+class Refined:
+    """A controller whose norm was lowered, and what that took.
+
+    Attributes:
+        controller: the refined one, with its certificate.
+        start: what it was refined from; None where the two steps find no gain.
+        origin: where the descent began instead, in words; empty where at `start`.
+        refinement: the norms before and after, the growth of the gain, and what was refused.
+    """
+
+    controller: Controller
+    start: Controller | None
+    origin: str
+    refinement: Refinement
+
+    @property
+    def traded(self) -> str:
+        """What was traded, in words."""
+        return f"refined: {f'from {self.origin}; ' if self.origin else ''}{self.refinement.traded}"
 
 
 def generalized_plant(vehicle: Vehicle) -> GeneralizedPlant:
@@ -144,6 +170,55 @@ class Designer:
             raise type(error)(f"controller {name!r}: {error}") from error
         return _designed(entry, design)
 
+    def refine(self, name: str, zero_l: bool = False) -> Refined:
+        """The controller of that name with a lower norm, as far as it is worth a larger gain (`synth.refine`).
+
+        Where the two steps find no gain, it is the best that any start leads to.
+
+        Args:
+            name: of the controller.
+            zero_l: as for `design`.
+
+        Raises:
+            InputError: no controller has that name, or it has no gain to change, as `passive`.
+            DesignError: it does not stabilise the vehicle, or no start leads to a gain.
+        """
+        measured = self._entry(name).measured
+        if not measured:
+            raise InputError(f"controller {name!r} measures nothing, so that it has no gain to refine; give one that does")
+        try:
+            start = self.design(name, zero_l)
+        except DesignError:
+            start = None
+        rows, _ = self.vehicle.linear_model.rows(measured)
+        kept = independent_rows(rows)
+        Cy, origin = rows[kept], ""
+        if start is None:
+            found = static_output_feedback(self.plant, Cy)
+            K, origin = found.gain, found.origin
+        else:
+            K = _from_some(start.gain, rows, kept)
+        refinement = refine(self.plant, Cy, K)
+        gain = np.zeros((len(K), len(measured)))
+        gain[:, kept] = refinement.gain
+        certificate = proved(self.plant, refinement.gain @ Cy, self.best_possible(measured))
+        return Refined(Controller(name, measured, gain, True, certificate), start, origin, refinement)
+
+    def worth_refining(self, controller: Controller) -> float:
+        """By how much `refine` lowers a designed controller's norm at least, relative; 0 where not by what seven digits show."""
+        gap = controller.certificate.gap
+        if (
+            not controller.designed
+            or not controller.measured
+            or not controller.certificate.stable
+            or (gap is not None and gap <= SEEN)
+        ):
+            return 0.0
+        rows, _ = self.vehicle.linear_model.rows(controller.measured)
+        kept = independent_rows(rows)
+        share = worth_refining(self.plant, rows[kept], _from_some(controller.gain, rows, kept))
+        return share if share > SEEN else 0.0
+
     def redesign(self, vehicles: Sequence[Vehicle], name: str) -> list[Controller]:
         """A controller of this vehicle for many others like it: `design` for each, side by side, which is several times as fast.
 
@@ -212,6 +287,12 @@ def _designed(entry: ControllerEntry, design: Design) -> Controller:
         redundant=redundant,
         case=design.case,
     )
+
+
+def _from_some(gain: Array, rows: Array, kept: Sequence[int]) -> Array:
+    """The same force from those of the measurements that the others follow from, shape (m, len(kept))."""
+    left_out = [i for i in range(len(rows)) if i not in kept]
+    return gain[:, kept] + gain[:, left_out] @ rows[left_out] @ np.linalg.pinv(rows[kept]) if left_out else gain
 
 
 def given(vehicle: Vehicle, name: str, measured: Sequence[str], gain: Sequence[Sequence[float]]) -> Controller:

@@ -21,11 +21,13 @@ class LmiSolution:
         X: shape (n, n).
         Y: shape (m, n).
         eta: gamma^-2.
+        status: the solver's own word, "optimal" or "optimal_inaccurate".
     """
 
     X: Array
     Y: Array
     eta: float
+    status: str
 
     @property
     def gamma(self) -> float:
@@ -33,7 +35,7 @@ class LmiSolution:
         return self.eta**-0.5
 
 
-def solve_lmi(plant: GeneralizedPlant, Q: Array, R: Array) -> LmiSolution:
+def solve_lmi(plant: GeneralizedPlant, Q: Array, R: Array, gain: Array | None = None) -> LmiSolution:
     """Solves (25): maximise eta subject to (24) with X = Q X_Q Q' + R X_R R', Y = Y_R R' (12), X_Q > 0, X_R > 0.
 
     With an empty Q and R = I it is (22); if the plant is a closed loop whose B is zero, it is (27).
@@ -42,6 +44,7 @@ def solve_lmi(plant: GeneralizedPlant, Q: Array, R: Array) -> LmiSolution:
         plant: n states, m inputs.
         Q: shape (n, n - q).
         R: shape (n, q).
+        gain: K, shape (m, q): then Y_R = K X_R, and the optimum is the best bound that (25) has for that gain.
 
     Raises:
         InfeasibleError: the solver says so, or answers "optimal" with an eta that is zero to its tolerance.
@@ -52,7 +55,7 @@ def solve_lmi(plant: GeneralizedPlant, Q: Array, R: Array) -> LmiSolution:
     m = plant.B.shape[1]
     d = len(plant.C)
     X_R = cp.Variable((R.shape[1], R.shape[1]), symmetric=True)
-    Y_R = cp.Variable((m, R.shape[1]))
+    Y_R = cp.Variable((m, R.shape[1])) if gain is None else gain @ X_R
     eta = cp.Variable()
     X, positive = R @ X_R @ R.T, [X_R >> 0]
     if Q.shape[1]:
@@ -79,4 +82,4 @@ def solve_lmi(plant: GeneralizedPlant, Q: Array, R: Array) -> LmiSolution:
         raise InfeasibleError(
             f"the LMI problem has no solution with eta > 0: Clarabel reports {problem.status!r} with eta = {eta_value:.1e}"
         )
-    return LmiSolution(X_value, Y_value, eta_value)
+    return LmiSolution(X_value, Y_value, eta_value, problem.status)

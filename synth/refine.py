@@ -18,6 +18,8 @@ from synth.plant import GeneralizedPlant
 WORTH = 1e-3  # of gamma, relative: what a growing gain must buy
 STAGES = 20  # a growth of 2^20; nothing is worth more
 ROUNDS = 60  # of descent within a stage; it usually ends sooner
+GLANCE = 5  # rounds that tell whether there is anything to gain
+SEEN = 1e-6  # relative: what a table of seven digits shows
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +67,8 @@ def refine(plant: GeneralizedPlant, Cy: Array, K: Array) -> Refinement:
     before, _ = landscape.norm(x)
     if not np.isfinite(before):
         raise DesignError("a gain that does not stabilise the plant cannot be refined; design one first")
+    if before == 0:
+        return Refinement(K, before, before, 1.0, None)
     size = first = float(np.abs(x).max())
     norm, refused = before, None
     # First without any growth, then twofold at a time.
@@ -82,3 +86,27 @@ def refine(plant: GeneralizedPlant, Cy: Array, K: Array) -> Refinement:
     if np.array_equal(x, start):
         return Refinement(K, before, before, 1.0, refused)
     return Refinement(landscape.gain(x), before, norm, size / first if first else 1.0, refused)
+
+
+def worth_refining(plant: GeneralizedPlant, Cy: Array, K: Array) -> float:
+    """What `refine` lowers the norm by at least, relative: as far as its first rounds go, which are quick.
+
+    Args:
+        plant: n states, m inputs.
+        Cy: shape (q, n).
+        K: a stabilising gain, shape (m, q).
+    """
+    landscape = Landscape(plant, Cy)
+    x = landscape.point(K)
+    before, _ = landscape.norm(x)
+    if not 0 < before < np.inf:
+        return 0.0
+    size = float(np.abs(x).max())
+    _, reached = along_edges(landscape, x, np.full(len(x), size), GLANCE)
+    if reached < before * (1 - SEEN):
+        return 1 - reached / before
+    # Nothing without growth: then what the first twofold growth buys, where it is worth it.
+    landscape = Landscape(plant, Cy)
+    x, norm = along_edges(landscape, x, np.full(len(x), size), ROUNDS)
+    _, reached = along_edges(landscape, x, np.full(len(x), 2 * float(np.abs(x).max())), GLANCE)
+    return 1 - reached / before if reached < norm * (1 - WORTH) else 1 - norm / before

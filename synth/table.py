@@ -1,14 +1,19 @@
 """Designs in words and numbers: the table on the terminal and the object for `--json`."""
 
+import math
+import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
+from models.vehicle import Vehicle
 from synth.controller import Controller
 from synth.record import to_record
+from synth.witness import Witness
 
+IDEAL_LOOP = "of the ideal loop, continuous and without [limits] and [implementation]"
 SHORT = 1e-6  # relative in gamma; less is the path's own end
 
 
@@ -21,12 +26,16 @@ class Row:
         controller: None where it could not be designed.
         notes: what else there is to say of it.
         failures: claims that do not hold, or why there is no design; empty where all is well.
+        worth: what `--refine` lowers the norm by at least, relative; 0 where it is nothing to speak of.
+        witness: what a second solver says of the design, where it was asked.
     """
 
     name: str
     controller: Controller | None
     notes: tuple[str, ...]
     failures: tuple[str, ...]
+    worth: float = 0.0
+    witness: Witness | None = None
 
 
 def row_object(row: Row) -> dict[str, Any]:
@@ -51,6 +60,8 @@ def row_object(row: Row) -> dict[str, Any]:
         "certificate": to_record(certificate),
         "notes": [*row.notes, *certificate.remarks],
         "failures": list(row.failures),
+        "refine_lowers_by_at_least": row.worth or None,
+        "cross_check": _witness_object(row.witness) if row.witness is not None else None,
     }
 
 
@@ -94,8 +105,45 @@ def detail_lines(row: Row) -> list[str]:
         )
     if certificate.gap is not None:
         lines.append(f"  within {percent(certificate.gap)} of the best any controller could do")
+    if row.witness is not None:
+        lines.append(f"  {row.witness.text}")
     said = (*row.notes, *certificate.remarks)
     return [*lines, *(f"  {note}" for note in said), *(f"  FAILS: {failure}" for failure in row.failures)]
+
+
+def _witness_object(witness: Witness) -> dict[str, Any]:
+    """A witness as JSON has it."""
+    return {**asdict(witness), "apart": witness.apart, "above": witness.above}
+
+
+def refine_lines(rows: Sequence[Row], vehicle: str) -> list[str]:
+    """Which norms `--refine` lowers by more than the table's last digit, and the command for it; empty where none.
+
+    Args:
+        rows: of the table.
+        vehicle: as `--vehicle` was given.
+    """
+    worth = [row for row in rows if row.worth]
+    if not worth:
+        return []
+    shares = ", ".join(f"{row.name} by {_at_least(row.worth)} or more" for row in worth)
+    what = " ".join(f"--controller {shlex.quote(row.name)}" for row in worth)
+    return [
+        f"refine: --refine lowers the norm of {shares}:",
+        f"  python -m synth --vehicle {shlex.quote(vehicle)} {what} --refine",
+    ]
+
+
+def ideal_lines(vehicle: Vehicle) -> list[str]:
+    """Which loop the numbers are of, where the vehicle file has another one, too."""
+    return [] if vehicle.ideal else [f"bound, norm and poles are {IDEAL_LOOP}"]
+
+
+def _at_least(share: float) -> str:
+    """A share in percent, cut after two digits."""
+    percents = 100 * share
+    digit = 10.0 ** (math.floor(math.log10(percents)) - 1)
+    return f"{math.floor(percents / digit) * digit:.2g} %"
 
 
 def notes(controller: Controller) -> tuple[str, ...]:

@@ -117,5 +117,5 @@ def test_speed_is_printed(paper):
     controller = given(paper, "stiff", ["sprung_velocity"], [[-1e7]])
     (remark,) = controller.certificate.remarks
     assert f"  {remark}" in detail_lines(Row("stiff", controller, (), ()))
-    assert f"  {remark}" in controller_lines(controller)
+    assert f"  {remark}" in controller_lines(paper, controller)
     assert row_object(Row("stiff", controller, ("a note",), ()))["notes"] == ["a note", remark]

@@ -1,15 +1,22 @@
 """`python -m synth`: what it prints, saves and checks."""
 
+import dataclasses
 import json
+import re
+import shlex
 import subprocess
 import sys
 
 import pytest
 
+import synth.witness
 from models.errors import InputError
 from models.vehicle import read_vehicle
 from sim.bump import main as bump
 from synth.__main__ import main
+from synth.controller import Designer
+from synth.errors import DesignError
+from synth.witness import cross_check
 
 
 def table(capsys, *arguments) -> tuple[int, dict]:
@@ -100,6 +107,113 @@ def test_refine_is_bounded_and_says_what_it_traded(capsys):
     assert any(note.startswith("refined: gamma 7.843188 -> ") and "refused" in note for note in row["notes"])
 
 
+@pytest.mark.parametrize("vehicle", ["quarter_car", "half_car", pytest.param("full_car", marks=pytest.mark.slow)])
+def test_the_table_says_what_refine_would_gain(capsys, vehicle):
+    """What the table promises is kept by the command that it names: each norm falls by at least as much; none for state."""
+    assert main(["--vehicle", vehicle]) == 0
+    text = capsys.readouterr().out
+    promised = {name: float(share) for name, share in re.findall(r"(\w+) by ([\d.e+-]+) % or more", text)}
+    code, before = table(capsys, "--vehicle", vehicle)
+    assert code == 0
+    for row in before["controllers"]:
+        share = row["refine_lowers_by_at_least"]
+        assert (share is not None) == (row["name"] in promised)
+        if share is not None:
+            assert 0.9 * share <= promised[row["name"]] / 100 <= share  # cut after two digits
+    assert set(promised) == {"I", "II"}
+    (command,) = re.findall(r"^  python -m synth (.*)$", text, flags=re.MULTILINE)
+    code, after = table(capsys, *shlex.split(command))
+    assert code == 0
+    norms = {row["name"]: row["norm"] for row in before["controllers"]}
+    for row in after["controllers"]:
+        assert row["norm"] <= norms[row["name"]] * (1 - promised[row["name"]] / 100)
+        assert row["refine_lowers_by_at_least"] is None
+
+
+def test_refine_belongs_to_the_designer(designer, capsys):
+    """`Designer.refine` is what the command prints: the gain, where it came from, what was traded."""
+    refined = designer.refine("II")
+    _, found = table(capsys, "--controller", "II", "--refine")
+    (row,) = found["controllers"]
+    assert row["gain"] == refined.controller.gain.tolist()
+    assert row["notes"] == [refined.traded]
+    assert refined.start is not None
+    assert refined.start.certificate.norm.value == pytest.approx(refined.refinement.before, rel=1e-9)  # where the search stops
+    assert refined.controller.certificate.norm.value == pytest.approx(refined.refinement.after, rel=1e-8)  # likewise
+    with pytest.raises(InputError, match="has no gain to refine"):
+        designer.refine("passive")
+
+
+def test_refine_from_nothing():
+    """Where the two steps find no gain, as with L = 0, it starts from what stabilises the car, and says from where."""
+    refined = Designer(read_vehicle("quarter_car")).refine("II", zero_l=True)
+    assert refined.start is None
+    assert refined.traded.startswith(f"refined: from {refined.origin}; gamma ")
+    assert refined.controller.certificate.failures == ()
+
+
+@pytest.mark.parametrize("vehicle", ["quarter_car", "half_car", pytest.param("full_car", marks=pytest.mark.slow)])
+def test_cross_check(capsys, vehicle):
+    """Clarabel's optimum of every LMI problem is ours, and with our gain fixed it reaches the same: to its tolerance."""
+    code, found = table(capsys, "--vehicle", vehicle, "--cross-check")
+    assert code == 0
+    witnesses = {row["name"]: row["cross_check"] for row in found["controllers"] if row["cross_check"] is not None}
+    assert {name: each["problem"] for name, each in witnesses.items()} == {"state": "(22)", "I": "(25)", "II": "(25)"}
+    for name, each in witnesses.items():
+        bound = next(row["bound"] for row in found["controllers"] if row["name"] == name)
+        assert each["ours"] == pytest.approx(bound, rel=1e-12)  # the path's end
+        assert each["said"] == ""
+        assert abs(each["apart"]) < 2e-6  # measured 7e-7 for I of the quarter-car, 3e-8 for the rest
+        assert abs(each["above"]) < 2e-6
+        assert each["theirs"] == pytest.approx(each["ours"] * (1 + each["apart"]), rel=1e-12)
+    main(["--vehicle", vehicle, "--cross-check", "--controller", "I"])
+    said = re.search(r"optimum of \(25\) is (.*), ours (.*), .* apart; our gain attains (.*) there", capsys.readouterr().out)
+    assert said is not None
+    assert [float(number) for number in said.groups()] == pytest.approx(
+        [witnesses["I"][key] for key in ("theirs", "ours", "attained")], rel=1e-8
+    )  # printed with nine digits
+
+
+def test_a_witness_against_is_a_failure(designer, monkeypatch):
+    """A gain that is off the face, an optimum that is another, an inaccurate or missing answer: each is said."""
+    state = designer.design("state")
+    other = dataclasses.replace(state, gain=0.9 * state.gain)
+    witness = cross_check(designer, other)
+    assert witness is not None
+    assert "our gain attains" in witness.failures[0]
+    moved = dataclasses.replace(state, certificate=dataclasses.replace(state.certificate, bound=7.0))
+    witness = cross_check(designer, moved)
+    assert witness is not None
+    assert "ours is 7" in witness.failures[0]
+    solve = synth.witness.solve_lmi
+    monkeypatch.setattr(
+        synth.witness, "solve_lmi", lambda *given: dataclasses.replace(solve(*given), status="optimal_inaccurate")
+    )
+    witness = cross_check(designer, state)
+    assert witness is not None
+    assert "Clarabel itself says 'optimal_inaccurate'" in witness.text
+
+    def gives_up(*given):
+        raise DesignError("Clarabel gave up")
+
+    monkeypatch.setattr(synth.witness, "solve_lmi", gives_up)
+    witness = cross_check(designer, state)
+    assert witness is not None
+    assert witness.text == "no second witness: (22): Clarabel gave up; (22) with our gain: Clarabel gave up"
+
+
+@pytest.mark.parametrize("section", ["", "[limits]\nactuator_bandwidth = 60.0\n", "[implementation]\ndelay = 3\n"])
+def test_which_loop_is_said(capsys, tmp_path, section):
+    """That bound, norm and poles are of the ideal loop is said in both commands when, and only when, there is another."""
+    file = tmp_path / "car.toml"
+    file.write_text(read_vehicle("quarter_car").text + "\n" + section)
+    said = "bound, norm and poles are of the ideal loop, continuous and without [limits] and [implementation]"
+    main(["--vehicle", str(file), "--controller", "I"])
+    assert (said in capsys.readouterr().out) == bool(section)
+    bump(["--vehicle", str(file), "--controller", "I", "--no-logs", "--duration", "0.2"])
+    assert (f"  {said}\n" in capsys.readouterr().out) == bool(section)
+
+
 def test_save_and_check(capsys, tmp_path):
     """A saved design reads back with a certificate that holds, and every other command drives it."""
     file = tmp_path / "car.toml"
@@ -170,6 +284,9 @@ def test_a_saved_file_is_whole_or_not_there(capsys, tmp_path):
         (["--controller", "passive", "--save", "car.toml"], "nothing to write"),
         (["--vehicle", "/no/such/file"], "there is no such file"),
         (["--check", "models/quarter_car.toml", "--refine"], "designs nothing"),
+        (["--check", "models/quarter_car.toml", "--cross-check"], "--check designs nothing; leave one of them out"),
+        (["--refine", "--cross-check"], "--refine leaves their optima; leave one of them out"),
+        (["--controller", "passive", "--cross-check"], "has nothing to solve"),
         (["--check", "models/half_car.toml"], "holds no controller with a gain"),
         (["--check", "models/quarter_car.toml", "--controller", "I"], "'I' has no gain"),
     ],
