@@ -1,6 +1,7 @@
 """Plants with states that z does not see, and with nothing to be gained: a certified gain, or a reason that is true."""
 
 import contextlib
+import dataclasses
 
 import numpy as np
 import pytest
@@ -36,6 +37,7 @@ def beside(plant: GeneralizedPlant, A2, A21, B2, Bw2) -> GeneralizedPlant:
     )
 
 
+NAMES = ("position", "velocity", "lag")
 FAMILIES = ("plain", "low-pass", "mixed", "no output", "w apart", "u apart", "free force", "integrator", "copies", "kept out")
 
 
@@ -113,6 +115,55 @@ def test_a_lag_that_is_measured(measured):
     design = two_step_design(plant, np.array(measured))
     assert design.certificate.failures == ()
     assert design.certificate.norm.value < 0.5 * hinf_norm(plant).value
+
+
+def test_a_force_that_hides_a_state():
+    """z = (x1, u1, u2 + x2): u2 = -x2 hides x2, whatever else is best, and u1 is that of the plant without x2."""
+    plant = GeneralizedPlant(
+        A=np.diag([-1.0, -2.0]),
+        B=np.eye(2),
+        Bw=np.ones((2, 1)),
+        C=np.array([[1.0, 0], [0, 0], [0, 1]]),
+        D=np.array([[0.0, 0], [1, 0], [0, 1]]),
+        Dw=np.zeros((3, 1)),
+    )
+    alone = GeneralizedPlant(plant.A[:1, :1], [[1.0]], [[1.0]], plant.C[:2, :1], plant.D[:2, :1], np.zeros((2, 1)))
+    without = state_design(alone).gain[0, 0]
+    for gain in (state_design(plant).gain, two_step_design(plant, np.eye(2)).gain):
+        np.testing.assert_allclose(gain, [[without, 0], [0, -1]], rtol=1e-6, atol=1e-9)  # where the path is stopped; rounding
+
+
+def test_what_is_left_out_follows():
+    """In the X that L (14) comes from, the states left out are as correlated with the others as the closed loop makes them."""
+    plant = beside(README, np.array([[-3.0]]), np.array([[1.0, 2.0]]), np.array([[0.5]]), np.array([[1.0]]))
+    point = state_path(plant)[-1]
+    loop = plant.closed_loop(point.K)
+    noise = -(loop.A @ point.X + point.X @ loop.A.T)
+    driven = point.eta * loop.Bw @ loop.Bw.T
+    np.testing.assert_allclose(noise[2, :2], driven[2, :2], atol=1e-9 * np.abs(noise).max())  # rounding
+    assert noise[2, 2] == pytest.approx(driven[2, 2], rel=1e-3)  # a millionth of X is added
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"D": np.zeros((2, 1))}, "some control force costs nothing: z weighs 0 of 1 independent ones"),
+        ({"A2": [[0.0]], "A21": [[1.0, 0.0]]}, "z does not see the mode at 0 rad/s, which does not decay and moves most in lag"),
+        (
+            {"A2": [[0.0]], "A21": [[0.0, 0.0]]},
+            "no input reaches the mode at 0 rad/s, which does not decay and shows most in lag",
+        ),
+    ],
+)
+def test_reasons(change, reason):
+    """Why there is none: a force that costs nothing, an integrator that z does not see, one that no force reaches."""
+    plant = beside(README, np.array(change.get("A2", [[-3.0]])), np.array(change.get("A21", [[1.0, 0.0]])), [[0.0]], [[0.0]])
+    plant = dataclasses.replace(plant, D=change.get("D", plant.D))
+    for find in (lambda: state_path(plant, NAMES), lambda: two_step_design(plant, np.eye(3)[:2], states=NAMES)):
+        with pytest.raises(DesignError, match=reason) as caught:
+            find()
+        assert "\n" not in str(caught.value)
+        assert_true(str(caught.value), plant, np.eye(3))
 
 
 @pytest.mark.parametrize("seed", range(len(FAMILIES)))
