@@ -127,7 +127,9 @@ def test_a_force_that_hides_a_state():
         D=np.array([[0.0, 0], [1, 0], [0, 1]]),
         Dw=np.zeros((3, 1)),
     )
-    alone = GeneralizedPlant(plant.A[:1, :1], [[1.0]], [[1.0]], plant.C[:2, :1], plant.D[:2, :1], np.zeros((2, 1)))
+    alone = GeneralizedPlant(
+        plant.A[:1, :1], np.ones((1, 1)), np.ones((1, 1)), plant.C[:2, :1], plant.D[:2, :1], np.zeros((2, 1))
+    )
     without = state_design(alone).gain[0, 0]
     for gain in (state_design(plant).gain, two_step_design(plant, np.eye(2)).gain):
         np.testing.assert_allclose(gain, [[without, 0], [0, -1]], rtol=1e-6, atol=1e-9)  # where the path is stopped; rounding
