@@ -14,7 +14,7 @@ from synth.lower_bound import LowerBound
 from synth.modes import obstacles
 from synth.output_feedback import independent_rows, l_matrix, nullspace, output_feedback
 from synth.plant import GeneralizedPlant
-from synth.posed import no_path, posed
+from synth.posed import free_force, posed, standing
 from synth.riccati import proved
 from synth.state_feedback import state_feedback
 
@@ -52,15 +52,19 @@ def state_path(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[Cent
         states: names of the states, for messages.
 
     Raises:
-        InfeasibleError: the plant cannot be stabilised; the message names the mode.
+        InfeasibleError: the plant cannot be stabilised, or z does not see an integrator; the message names the mode.
         DesignError: there is no path, and the message says why, or it could not be followed.
     """
+    problem = posed(plant).plant
+    modes = standing(problem, states)
+    if modes:  # a path without an end may be followed for a while
+        raise InfeasibleError("; ".join(obstacles(plant, None, states)) or modes[0])
     try:
-        return state_feedback(posed(plant).plant)
+        return state_feedback(problem)
     except InfeasibleError as error:
         raise InfeasibleError("; ".join(obstacles(plant, None, states)) or str(error)) from error
     except DesignError as error:
-        raise DesignError("; ".join(no_path(plant, states)) or str(error)) from error
+        raise DesignError("; ".join(free_force(plant)) or str(error)) from error
 
 
 def state_design(

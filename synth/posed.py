@@ -66,16 +66,9 @@ def posed(plant: GeneralizedPlant) -> Posed:
     return Posed(beside, f"with the right state feedback w reaches z {how}; {INSTEAD}", best, f"with this gain w reaches z {how}")
 
 
-def no_path(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[str]:
-    """Why (22) has no central path although the plant can be stabilised, in words; empty where no reason is known.
-
-    Args:
-        plant: n states, m inputs.
-        states: names of the states; x1, x2, ... without them.
-    """
-    scale = balance(plant.A)[1]
-    balanced, names = plant.in_coordinates(np.diag(scale)), list(states) or [f"x{i + 1}" for i in range(len(plant.A))]
-    _, rest, _ = _seen(balanced)
+def free_force(plant: GeneralizedPlant) -> list[str]:
+    """Why (22) has no optimum where a control force costs nothing, in words; empty where each does."""
+    _, rest, _ = _seen(plant.in_coordinates(np.diag(balance(plant.A)[1])))
     W = rest.independent_inputs()
     rank = int(np.linalg.matrix_rank(rest.D @ W, RANK * size(rest.D))) if W.shape[1] else 0
     if rank < W.shape[1]:
@@ -83,6 +76,18 @@ def no_path(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[str]:
             f"some control force costs nothing: z weighs {rank} of {W.shape[1]} independent ones, so that nothing bounds the "
             "gain of the optimum; give every control force a weight"
         ]
+    return []
+
+
+def standing(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[str]:
+    """Why (22) has no optimum where z does not see a mode that neither decays nor grows, in words; empty where it sees all.
+
+    Args:
+        plant: n states, m inputs.
+        states: names of the states; x1, x2, ... without them.
+    """
+    scale = balance(plant.A)[1]
+    balanced, names = plant.in_coordinates(np.diag(scale)), list(states) or [f"x{i + 1}" for i in range(len(plant.A))]
     for F in nulling(balanced):
         V, A = hidden(balanced, F)[1], balanced.closed_loop(F).A
         poles, vectors = np.linalg.eig(V.T @ A @ V) if V.shape[1] else (np.zeros(0), V)
