@@ -15,7 +15,7 @@ from synth.check import check
 from synth.controller import Designer
 from synth.errors import DesignError
 from synth.flat import free_moves
-from synth.limit import invariant_limit
+from synth.lower_bound import LowerBound
 from synth.save import save
 from synth.table import Row, detail_lines, ideal_lines, notes, refine_lines, row_object, table_lines
 from synth.witness import cross_check
@@ -59,13 +59,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         raise InputError("--cross-check has nothing to solve: no controller asked for comes from an LMI problem; ask for one")
     if options.save:
         save(options.save, vehicle, [row.controller for row in rows if row.controller is not None])
-    limit = invariant_limit(designer.plant)
+    limit = designer.beyond_control
     moved = {} if options.check else _flatness(designer)
     if options.json:
         result = {
             "vehicle": vehicle.kind.name,
             "controllers": [row_object(row) for row in rows],
-            "invariant_limit": {"norm": limit[0], "frequency": limit[1]} if limit else None,
+            "invariant_limit": {"norm": limit.gamma, "frequency": limit.limit_at} if limit.gamma else None,
             "flat": {"gamma": FLAT, "gain_down_up": moved},
             "saved": str(options.save) if options.save else None,
         }
@@ -166,11 +166,11 @@ def _flatness(designer: Designer) -> dict[str, list[float | None]]:
     }
 
 
-def _limit(limit: tuple[float, float] | None) -> str:
+def _limit(limit: LowerBound) -> str:
     """What no control force changes, in words."""
-    if limit is None:
+    if not limit.gamma:
         return "limit: none; at every frequency control forces can change all of z's answer to the road"
-    return f"limit: no control force changes z's answer to the road at {limit[1]:.5g} rad/s, {limit[0]:.7g} (invariant point)"
+    return f"limit: no control force changes z's answer to the road at {limit.limit_at:.5g} rad/s, {limit.gamma:.7g} (invariant point)"
 
 
 def _range(gain: float | None, down: float | None, up: float | None) -> str:

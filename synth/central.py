@@ -238,7 +238,8 @@ class _Path:
 
     def _far(self, p: Array) -> bool:
         """Whether X has become so different from I that other coordinates are needed."""
-        return bool(np.linalg.cond(self.basis.unpack(p)[0]) > FAR)
+        sizes = lapack.dsyevd(self.basis.unpack(p)[0], compute_v=0)[0]  # pyright: ignore[reportAttributeAccessIssue]
+        return bool(sizes[-1] > FAR * sizes[0])
 
     def _barrier(self) -> Derivatives:
         """The barrier of (24) and X > 0."""

@@ -14,7 +14,7 @@ from synth.central import CentralPoint
 from synth.certificate import Certificate, certify
 from synth.design import Design, state_design, state_path, two_step_design, zero_l_design
 from synth.errors import DesignError
-from synth.full_order import best_possible
+from synth.full_order import best_possible, bound_beyond_control
 from synth.lower_bound import LowerBound
 from synth.output_feedback import independent_rows
 from synth.plant import GeneralizedPlant
@@ -127,6 +127,11 @@ class Designer:
         return self.state_path[-1]
 
     @cached_property
+    def beyond_control(self) -> LowerBound:
+        """What no control force changes, whatever is measured."""
+        return bound_beyond_control(self.plant)
+
+    @cached_property
     def _bounds(self) -> dict[tuple[str, ...], LowerBound]:
         return {}
 
@@ -140,7 +145,7 @@ class Designer:
                 path = self.state_path
             except DesignError:  # what cannot be designed may be checked
                 path = []
-            self._bounds[key] = best_possible(self.plant, Cy, path)
+            self._bounds[key] = best_possible(self.plant, Cy, path, self.beyond_control)
         return self._bounds[key]
 
     def design(self, name: str, zero_l: bool = False) -> Controller:

@@ -35,19 +35,21 @@ ENTER = 1e2  # mu over t at the entry of the joint path, which starts far from i
 
 
 @one_thread()
-def best_possible(plant: GeneralizedPlant, Cy: Array | None = None, path: Sequence[CentralPoint] = ()) -> LowerBound:
+def best_possible(
+    plant: GeneralizedPlant, Cy: Array | None = None, path: Sequence[CentralPoint] = (), beyond_control: LowerBound | None = None
+) -> LowerBound:
     """A norm that no controller reaches: the larger of what the dual proves and of what no control force changes.
 
     Args:
         plant: n states, m inputs.
         Cy: shape (q, n): the bound is for output feedback from y = C_y x, of any order. Without it, for state feedback and more.
         path: of `state_feedback` of the plant, if it is there already.
+        beyond_control: the bound of that name, likewise.
 
     Returns:
         The bound; 0 with no witness where nothing is proved.
     """
-    limit = invariant_limit(plant)
-    best = LowerBound(limit[0], limit_at=limit[1]) if limit is not None else LowerBound(0.0)
+    best = bound_beyond_control(plant) if beyond_control is None else beyond_control
     other = Side.of(transposed(plant, Cy)) if Cy is not None else None
     if other is None or not len(other.J):
         other = None  # y shows, with its derivatives, all that state feedback knows
@@ -64,6 +66,12 @@ def best_possible(plant: GeneralizedPlant, Cy: Array | None = None, path: Sequen
         if found.gamma:
             return max(best, found, key=_gamma)
     return max(best, _sharpest(one, None, _of_state_feedback(plant, path)), key=_gamma)
+
+
+def bound_beyond_control(plant: GeneralizedPlant) -> LowerBound:
+    """What no control force changes, as a bound; 0 at no frequency where control can change all."""
+    limit = invariant_limit(plant)
+    return LowerBound(limit[0], limit_at=limit[1]) if limit is not None else LowerBound(0.0)
 
 
 def _of_state_feedback(plant: GeneralizedPlant, path: Sequence[CentralPoint]) -> list[tuple[Witness, None, float]]:

@@ -14,7 +14,9 @@ from scipy import linalg, optimize
 
 from models.arrays import Array
 from synth.landscape import Landscape
+from synth.plant import GeneralizedPlant
 from synth.scaling import size
+from synth.unseen import hidden
 
 RANK = 1e-10  # relative; a singular value this small counts as none
 
@@ -27,27 +29,22 @@ class Symmetry:
         landscape: of the plant.
         """
         self.landscape = landscape
-        A, B, Cy, C, Bw = (
-            matrix / size(matrix) for matrix in (landscape.A, landscape.B, landscape.Cy, landscape.C, landscape.Bw)
-        )
-        n, m, q = len(A), B.shape[1], len(Cy)
-
-        def rows(of_T: Array, of_R: Array | None = None, of_S: Array | None = None) -> Array:
-            """Equations for T, R and S, each flattened row by row."""
-            nothing = [np.zeros((len(of_T), k * k)) for k in (m, q)]
-            return np.hstack([of_T, nothing[0] if of_R is None else of_R, nothing[1] if of_S is None else of_S])
-
-        equations = [
-            rows(np.kron(np.eye(n), A.T) - np.kron(A, np.eye(n))),
-            rows(np.kron(np.eye(n), B.T), of_R=-np.kron(B, np.eye(m))),
-            rows(np.kron(Cy, np.eye(n)), of_S=-np.kron(np.eye(q), Cy.T)),
-            rows(np.kron(C, np.eye(n))),
-            rows(np.kron(np.eye(n), Bw.T)),
+        A, B, Cy = (matrix / size(matrix) for matrix in (landscape.A, landscape.B, landscape.Cy))
+        m = B.shape[1]
+        # Of C T = 0 and A T = T A follows that z sees nothing of T x, and of T Bw = 0 that T vanishes where w drives the state.
+        into, out = _silent(landscape.A, landscape.C), _silent(landscape.A.T, landscape.Bw.T)
+        shape = into.shape[1], out.shape[1]
+        within, without = into.T @ A @ into, out.T @ A.T @ out
+        blind = linalg.null_space(Cy)
+        pairs = [
+            (np.kron(np.eye(shape[0]), without) - np.kron(within, np.eye(shape[1])), np.zeros((shape[0] * shape[1], m * m))),
+            (np.kron(into, B.T @ out), -np.kron(B, np.eye(m))),
+            (np.kron(Cy @ into, blind.T @ out), np.zeros((len(Cy) * blind.shape[1], m * m))),
         ]
-        _, sizes, directions = np.linalg.svd(np.vstack(equations))
-        free = directions[int(np.sum(sizes > RANK * sizes[0])) :]
-        self.R = free[:, n * n : n * n + m * m].reshape(-1, m, m)
-        self.S = free[:, n * n + m * m :].reshape(-1, q, q)
+        free = linalg.null_space(np.vstack([np.hstack(pair) for pair in pairs]), RANK).T
+        T = into @ free[:, : shape[0] * shape[1]].reshape(len(free), *shape) @ out.T
+        self.R = free[:, shape[0] * shape[1] :].reshape(len(free), m, m)
+        self.S = Cy @ T @ np.linalg.pinv(Cy)
 
     def smallest(self, x: Array) -> Array:
         """The point alike to a point whose gain has the smallest entries, or the point itself, shape (m q,)."""
@@ -64,3 +61,10 @@ class Symmetry:
         smaller = np.abs(alike(found.x)).max() < np.abs(K).max()
         same = abs(self.landscape.norm(other)[0] / self.landscape.norm(x)[0] - 1) < 1e-9  # rounding where the units differ much
         return other if smaller and same else x
+
+
+def _silent(A: Array, C: Array) -> Array:
+    """An orthonormal basis of the states that C never shows while A moves them, shape (n, k)."""
+    n = len(A)
+    nothing = np.zeros((n, 1))
+    return hidden(GeneralizedPlant(A, nothing, nothing, C, np.zeros((len(C), 1)), np.zeros((len(C), 1))), nothing.T)[1]
