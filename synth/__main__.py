@@ -170,7 +170,8 @@ def _limit(limit: LowerBound) -> str:
     """What no control force changes, in words."""
     if not limit.gamma:
         return "limit: none; at every frequency control forces can change all of z's answer to the road"
-    return f"limit: no control force changes z's answer to the road at {limit.limit_at:.5g} rad/s, {limit.gamma:.7g} (invariant point)"
+    at = f"at {limit.limit_at:.5g} rad/s, {limit.gamma:.7g} (invariant point)"
+    return f"limit: no control force changes z's answer to the road {at}"
 
 
 def _range(gain: float | None, down: float | None, up: float | None) -> str:

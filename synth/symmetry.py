@@ -19,6 +19,9 @@ from synth.scaling import size
 from synth.unseen import hidden
 
 RANK = 1e-10  # relative; a singular value this small counts as none
+SMALL = (
+    16  # states; with more, T is sought where it must lie: C T = 0 and T A = A T keep it where z sees nothing, T Bw = 0 likewise
+)
 
 
 class Symmetry:
@@ -29,19 +32,22 @@ class Symmetry:
         landscape: of the plant.
         """
         self.landscape = landscape
-        A, B, Cy = (matrix / size(matrix) for matrix in (landscape.A, landscape.B, landscape.Cy))
-        m = B.shape[1]
-        # Of C T = 0 and A T = T A follows that z sees nothing of T x, and of T Bw = 0 that T vanishes where w drives the state.
-        into, out = _silent(landscape.A, landscape.C), _silent(landscape.A.T, landscape.Bw.T)
-        shape = into.shape[1], out.shape[1]
-        within, without = into.T @ A @ into, out.T @ A.T @ out
-        blind = linalg.null_space(Cy)
-        pairs = [
-            (np.kron(np.eye(shape[0]), without) - np.kron(within, np.eye(shape[1])), np.zeros((shape[0] * shape[1], m * m))),
-            (np.kron(into, B.T @ out), -np.kron(B, np.eye(m))),
-            (np.kron(Cy @ into, blind.T @ out), np.zeros((len(Cy) * blind.shape[1], m * m))),
+        A, B, Cy, C, Bw = (
+            matrix / size(matrix) for matrix in (landscape.A, landscape.B, landscape.Cy, landscape.C, landscape.Bw)
+        )
+        n, m = B.shape
+        into, out = (np.eye(n), np.eye(n)) if n <= SMALL else (_silent(A, C), _silent(A.T, Bw.T))
+        # T = into M out', and S follows from T.
+        shape, blind = (into.shape[1], out.shape[1]), linalg.null_space(Cy)
+        of_M = [
+            np.kron(np.eye(shape[0]), out.T @ A.T @ out) - np.kron(into.T @ A @ into, np.eye(shape[1])),
+            np.kron(C @ into, np.eye(shape[1])),
+            np.kron(np.eye(shape[0]), Bw.T @ out),
+            np.kron(Cy @ into, blind.T @ out),
         ]
-        free = linalg.null_space(np.vstack([np.hstack(pair) for pair in pairs]), RANK).T
+        with_R = np.hstack([np.kron(into, B.T @ out), -np.kron(B, np.eye(m))])
+        alone = np.vstack(of_M)
+        free = linalg.null_space(np.vstack([np.hstack([alone, np.zeros((len(alone), m * m))]), with_R]), RANK).T
         T = into @ free[:, : shape[0] * shape[1]].reshape(len(free), *shape) @ out.T
         self.R = free[:, shape[0] * shape[1] :].reshape(len(free), m, m)
         self.S = Cy @ T @ np.linalg.pinv(Cy)

@@ -2,7 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy import linalg
 
+from synth import symmetry
 from synth.certificate import certify
 from synth.coordinates import uncorrelated
 from synth.design import two_step_design
@@ -15,6 +17,7 @@ from synth.riccati import proved
 from synth.static import static_output_feedback
 from synth.survey import survey
 from synth.symmetry import Symmetry
+from tests.benchmarks.states import chain
 from tests.test_static import random_plant
 
 LARGEST = 1e5
@@ -99,17 +102,61 @@ def test_gains_that_make_the_same_loop():
     """The unit of a controller's memory changes the gain, not the norm; the smallest of these gains is found from any of them."""
     plant, Cy = follower()
     landscape = Landscape(plant, Cy)
-    symmetry = Symmetry(landscape)
+    alike = Symmetry(landscape)
     sizes = []
     for unit in (1e-3, 1.0, 1e3):
         K = lead(1e3, 10.0, 100.0) * np.outer([1.0, unit], [1.0, 1.0, 1 / unit])
-        found = symmetry.smallest(landscape.point(K))
+        found = alike.smallest(landscape.point(K))
         assert landscape.norm(found)[0] == pytest.approx(landscape.norm(landscape.point(K))[0], rel=1e-9)  # what it accepts
         sizes.append(np.abs(landscape.gain(found)).max())
     np.testing.assert_allclose(sizes, 1e3, rtol=1e-3)  # its stiffness, which no unit changes
     other, its_Cy = random_plant(0)
     point = np.ones(4)
     np.testing.assert_array_equal(Symmetry(Landscape(other, its_Cy)).smallest(point), point)
+
+
+@pytest.mark.parametrize("small", [16, 0])
+@pytest.mark.parametrize("wide", [0, 1, 2])
+def test_all_gains_that_make_the_same_loop_are_known(monkeypatch, wide, small):
+    """R and S of the reduced equations span what the null space of all n^2 + m^2 + q^2 unknowns does; 60 states take no time."""
+    monkeypatch.setattr(symmetry, "SMALL", small)
+    plant, Cy = follower() if small else random_plant(0, n=4, m=2)
+    own = 1 if small else 0  # the unit of the follower's memory
+    rng = np.random.default_rng(wide)
+    k, n = wide, len(plant.A) + wide  # states that z does not see and w does not drive, measured
+    T = rng.standard_normal((n, n))
+    plant = GeneralizedPlant(
+        np.block([[plant.A, np.zeros((n - k, k))], [np.zeros((k, n - k)), -3.0 * np.eye(k)]]),
+        np.vstack([plant.B, np.zeros((k, 2))]),
+        np.vstack([plant.Bw, np.zeros((k, plant.Bw.shape[1]))]),
+        np.hstack([plant.C, np.zeros((len(plant.C), k))]),
+        plant.D,
+        plant.Dw,
+    ).in_coordinates(T)
+    Cy = np.asarray(linalg.block_diag(Cy, np.eye(k))) @ T
+    landscape = Landscape(plant, Cy)
+    found = Symmetry(landscape)
+    A, B, Cy, C, Bw = (
+        each / np.linalg.norm(each, 2) for each in (landscape.A, landscape.B, landscape.Cy, landscape.C, landscape.Bw)
+    )
+    m, q, one = 2, len(Cy), np.eye
+    of_T = np.vstack(
+        [
+            np.kron(one(n), A.T) - np.kron(A, one(n)),
+            np.kron(one(n), B.T),
+            np.kron(Cy, one(n)),
+            np.kron(C, one(n)),
+            np.kron(one(n), Bw.T),
+        ]
+    )
+    of_R, of_S = np.zeros((len(of_T), m * m)), np.zeros((len(of_T), q * q))
+    of_R[n * n : n * (n + m)], of_S[n * (n + m) : n * (n + m + q)] = -np.kron(B, one(m)), -np.kron(one(q), Cy.T)
+    expected = linalg.null_space(np.hstack([of_T, of_R, of_S]), 1e-10)[n * n :].T
+    spanned = np.hstack([found.R.reshape(len(found.R), m * m), found.S.reshape(len(found.S), q * q)])
+    assert len(spanned) == len(expected) == own + wide**2
+    projected = [each.T @ np.linalg.pinv(each.T) for each in (spanned, expected)]
+    np.testing.assert_allclose(*projected, atol=1e-8)  # rounding of null spaces of random coordinates
+    assert not len(Symmetry(Landscape(*chain(60))).R)
 
 
 def test_measurements_count_alike():

@@ -13,9 +13,11 @@ import synth.witness
 from models.errors import InputError
 from models.vehicle import read_vehicle
 from sim.bump import main as bump
+from synth import full_order
 from synth.__main__ import main
 from synth.controller import Designer
 from synth.errors import DesignError
+from synth.limit import invariant_limit
 from synth.witness import cross_check
 
 
@@ -75,6 +77,21 @@ def test_the_case_is_said(capsys, tmp_path):
         assert not any(map(any, row["gain"]))
     assert main(["--vehicle", str(file), "--controller", "I"]) == 0
     assert "\n  without control w reaches z in no way; none is applied\n" in capsys.readouterr().out
+
+
+def test_the_limit_is_computed_once(capsys, monkeypatch):
+    """What no control force changes is the same for every controller and the last line: exact arithmetic is done once."""
+    counted = []
+
+    def counting(plant):
+        counted.append(plant)
+        return invariant_limit(plant)
+
+    monkeypatch.setattr(full_order, "invariant_limit", counting)
+    code, found = table(capsys)
+    assert code == 0
+    assert len(counted) == 1
+    assert found["invariant_limit"]["norm"] == invariant_limit(counted[0])[0]
 
 
 def test_text_says_where_there_is_no_limit(capsys, tmp_path):
