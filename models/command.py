@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from models import interrupt
-from models.errors import InputError
+from models.errors import InputError, known
 
 BAD_INPUT = 2
 LONGEST = 1000  # characters of a complaint
+ALL = "all"  # in place of a controller's name
 
 
 class Parser(argparse.ArgumentParser):
@@ -34,6 +35,7 @@ class Parser(argparse.ArgumentParser):
         self.register("type", Path, _path)
         self.register("action", None, _Once)
         self.register("action", "store", _Once)
+        self.register("action", "store_true", _Flag)
 
     def parse_args(self, args=None, namespace=None):  # pyright: ignore[reportIncompatibleMethodOverride] - its overloads
         """The options; `given` of them names those that were given, not left at their defaults."""
@@ -58,6 +60,14 @@ class Parser(argparse.ArgumentParser):
             metavar="NAME",
             help=f"passive, state, one of the vehicle file's, or all; may be repeated ({default})",
         )
+        self._add_vehicle()
+
+    def add_one(self, which: str) -> None:
+        """The options `--controller`, which is needed and given once, and `--vehicle`."""
+        self.add_argument("--controller", metavar="NAME", help=f"{which}. Required")
+        self._add_vehicle()
+
+    def _add_vehicle(self) -> None:
         self.add_argument(
             "--vehicle", default="quarter_car", metavar="FILE", help="vehicle file, or one that ships (default: quarter_car)"
         )
@@ -85,6 +95,49 @@ class Parser(argparse.ArgumentParser):
         self.add_argument("--logs", type=Path, metavar="DIR", help=f"record {what} in this folder (default: record nothing)")
 
 
+def chosen(names: Sequence[str], asked: Sequence[str] | None, usual: Sequence[str] = ()) -> list[str]:
+    """The controllers that `--controller`, given any number of times, asks for, in that order.
+
+    Args:
+        names: of all that the vehicle has.
+        asked: as it was given.
+        usual: what is meant where it was not.
+
+    Raises:
+        InputError: none is asked for, one is unknown or asked for twice, or `all` and another.
+    """
+    for name in asked or ():
+        if name not in (ALL, *names):
+            raise InputError(f"unknown controller {name!r}; this vehicle has {known(names)}")
+        if (asked or []).count(name) > 1:
+            raise InputError(f"--controller {name} is given twice; give it once")
+    if not asked and not usual:
+        raise InputError(f"no controller was asked for; give --controller with one of: {ALL}, {', '.join(names)}")
+    if asked and ALL in asked and len(asked) > 1:
+        raise InputError(f"--controller {ALL} has every controller in it; give it alone, or without it those that you want")
+    return list(names if asked == [ALL] else asked or usual)
+
+
+def one_chosen(names: Sequence[str], asked: str | None) -> str:
+    """The controller that a `--controller` asks for which is given once.
+
+    Args:
+        names: of all that can be asked for.
+        asked: as it was given.
+
+    Raises:
+        InputError: none is asked for, or an unknown one.
+    """
+    allowed = f"give --controller with one of: {', '.join(names)}"
+    if asked is None:
+        raise InputError(f"no controller was asked for; {allowed}")
+    if asked == ALL:
+        raise InputError(f"--controller {ALL} is too many, as one is looked at at a time; {allowed}")
+    if asked not in names:
+        raise InputError(f"unknown controller {asked!r}; {allowed}")
+    return asked
+
+
 class _Once(argparse.Action):
     """An option that is given once; twice, nobody knows which was meant."""
 
@@ -93,6 +146,17 @@ class _Once(argparse.Action):
             raise argparse.ArgumentError(self, "is given twice; give it once")
         namespace.given.add(self.dest)
         setattr(namespace, self.dest, values)
+
+
+class _Flag(argparse.Action):
+    """An option without a value."""
+
+    def __init__(self, option_strings, dest, help=None) -> None:
+        super().__init__(option_strings, dest, nargs=0, default=False, help=help)
+
+    def __call__(self, parser, namespace, values, option_string=None) -> None:
+        namespace.given.add(self.dest)
+        setattr(namespace, self.dest, True)
 
 
 def run_command(main: Callable[[], int]) -> NoReturn:

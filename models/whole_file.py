@@ -80,18 +80,45 @@ def check_file(path: Path, what: str, instead: str = "give another") -> None:
 
 
 def check_folder(path: Path, what: str, instead: str = "give another folder") -> None:
-    """Makes a folder and proves that files can be written there.
+    """Proves that files can be written in a folder, or that it can be made; nothing is left of the proof.
 
     Raises:
         InputError: it cannot be made, or not written.
     """
     try:
-        path.mkdir(parents=True, exist_ok=True)
-    except FileExistsError as error:
+        for there in (path, *path.parents):
+            with suppress(FileNotFoundError):
+                is_folder = stat.S_ISDIR(there.stat().st_mode)
+                break
+            if there.is_symlink():
+                raise _refused(path, what, f"{there} is a link to nothing" if there != path else "is a link to nothing", instead)
+        else:
+            raise _refused(path, what, "cannot be made", instead)
+        if not is_folder:
+            raise _refused(path, what, "is no folder" if there == path else f"{there} is no folder", instead)
+        if there == path:
+            check_file(path / ".probe", what, instead)
+        else:
+            probe = there / f".{secrets.token_hex(8)}.part"
+            probe.mkdir()
+            probe.rmdir()
+    except NotADirectoryError as error:
         raise _refused(path, what, "is no folder", instead) from error
     except OSError as error:
         raise _refused(path, what, f"cannot be made ({error.strerror or error})", instead) from error
-    check_file(path / ".probe", what, instead)
+
+
+def make_folder(path: Path, what: str, instead: str = "give another folder") -> None:
+    """Makes a folder, with those above it, where it is not there yet.
+
+    Raises:
+        InputError: it cannot be made, or not written.
+    """
+    check_folder(path, what, instead)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise _refused(path, what, f"cannot be made ({error.strerror or error})", instead) from error
 
 
 def _target(path: Path, what: str, instead: str) -> tuple[Path, os.stat_result | None]:

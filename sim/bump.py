@@ -3,10 +3,11 @@
 import json
 from collections.abc import Sequence
 
-from models.command import Parser, run_command
+from models.command import Parser, chosen, run_command
 from models.errors import InputError
 from models.vehicle import Vehicle, read_vehicle
-from sim.comparison import add_how, check_view, chosen, compared_lines, run_chosen, view
+from sim.comparison import add_how, check_view, compared_lines, run_chosen, view
+from sim.outputs import check_outputs
 from sim.road import Bump
 from sim.run import Run, check_road, sample_times
 from sim.verdict import log_lines, run_object
@@ -31,7 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = _parser()
     options = parser.parse_args(arguments)
     vehicle = read_vehicle(options.vehicle)
-    names = chosen(vehicle, options.controller)
+    names = chosen(vehicle.controller_names, options.controller)
     road = Bump(options.height, options.length, options.speed, options.track)
     if road.track != "both" and not any(wheel.side for wheel in vehicle.kind.wheels):
         raise InputError(f"--track {road.track}: a {vehicle.kind.name} has only one track; leave the option out")
@@ -43,8 +44,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         )
     check_road(vehicle, road, time)
     check_view(options)
+    check_outputs({"logs": options.logs}, [vehicle.source])
 
-    runs, passive = run_chosen(vehicle, names, road, time, options.logs)
+    runs, passive = run_chosen(vehicle, names, road, time)
     result = {
         "runs": [run_object(vehicle, run) for run in runs],
         "road": road.describe(),

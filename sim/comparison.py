@@ -9,7 +9,6 @@ from models.arrays import Array
 from models.command import Parser
 from models.errors import InputError
 from models.vehicle import Vehicle
-from models.whole_file import check_folder
 from sim.road import Road
 from sim.run import Run, run_all
 from sim.verdict import controller_lines, energy_lines, run_lines, verdict_lines
@@ -29,20 +28,6 @@ def add_how(parser: Parser, duration: float) -> None:
     )
     view.add_argument("--serve", action="store_true", help="serve the recording to a browser on this machine, until Ctrl-C")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
-
-
-def chosen(vehicle: Vehicle, asked: Sequence[str] | None) -> list[str]:
-    """The controllers to run, each once, in the order asked for.
-
-    Raises:
-        InputError: none was asked for.
-    """
-    if not asked:
-        raise InputError(
-            f"no controller was asked for; give --controller with one of: all, {', '.join(vehicle.controller_names)}"
-        )
-    names = [name for choice in asked for name in (vehicle.controller_names if choice == "all" else [choice])]
-    return list(dict.fromkeys(names))
 
 
 def check_view(options: argparse.Namespace) -> None:
@@ -78,7 +63,7 @@ def view(options: argparse.Namespace, logs: Mapping[str, str | None]) -> None:
     (open_viewer if options.open else serve_viewer)(Path(recording))
 
 
-def run_chosen(vehicle: Vehicle, names: Sequence[str], road: Road, time: Array, logs: Path | None) -> tuple[list[Run], Run]:
+def run_chosen(vehicle: Vehicle, names: Sequence[str], road: Road, time: Array) -> tuple[list[Run], Run]:
     """Runs controllers over a road.
 
     Args:
@@ -86,19 +71,16 @@ def run_chosen(vehicle: Vehicle, names: Sequence[str], road: Road, time: Array, 
         names: of its controllers.
         road: the road.
         time: equidistant sample times from 0 [s].
-        logs: folder for the log files, or None; proved before the long work.
 
     Returns:
         A run for every name, and that of `passive`, with which they are compared.
 
     Raises:
-        InputError: a controller that is unknown or cannot be designed; a folder that cannot be written.
+        InputError: a controller that cannot be designed.
     """
     designer = Designer(vehicle)
     with_passive = [*names, *(["passive"] if "passive" not in names else [])]
     controllers = [designer.design(name) for name in with_passive]
-    if logs is not None:  # after the last bad input, so that nothing is written
-        check_folder(logs, "logs")
     everything = run_all(vehicle, controllers, road, time)
     return everything[: len(names)], everything[with_passive.index("passive")]
 

@@ -9,13 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from models.command import Parser, run_command
+from models.command import Parser, chosen, run_command
 from models.errors import InputError
 from models.vehicle import Vehicle, read_vehicle
-from sim.comparison import add_how, check_view, chosen, compared_lines, run_chosen, view
+from sim.comparison import add_how, check_view, compared_lines, run_chosen, view
 from sim.expected import APPROXIMATE, EXACT, Expected, Settled, expect, settled, settling_time
 from sim.iso8608 import CLASSES, Iso8608
 from sim.metrics import measure, metrics_of
+from sim.outputs import check_outputs
 from sim.road import Road
 from sim.roads import SYNTAX, choose_road
 from sim.run import Run, check_road, sample_times
@@ -42,13 +43,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     options = _parser().parse_args(arguments)
     vehicle = read_vehicle(options.vehicle)
-    names = chosen(vehicle, options.controller)
+    names = chosen(vehicle.controller_names, options.controller)
     time = sample_times(vehicle, options.duration, options.timestep)
     road = _road(vehicle, options)
     check_road(vehicle, road, time)
     check_view(options)
+    check_outputs({"logs": options.logs}, [vehicle.source])
 
-    runs, passive = run_chosen(vehicle, names, road, time, options.logs)
+    runs, passive = run_chosen(vehicle, names, road, time)
     first = _first(vehicle, runs, road, options.duration, options.timestep)
     measured = [measure_run(vehicle, run, road, first) for run in runs]
     result = {
@@ -196,7 +198,7 @@ def _road(vehicle: Vehicle, options: argparse.Namespace) -> Road:
     if options.road_class is not None:
         if text is not None:
             raise InputError("give --class or --road, not both: --class C is --road iso8608:class=C")
-        text = f"iso8608:class={options.road_class}"
+        text = f"iso8608:class={options.road_class.upper()}"
     choice = choose_road(text or "iso8608:class=C")
     if "seed" in options.given and not choice.random:
         raise InputError(f"--seed says which random road, and {choice.text!r} is none; leave it out")

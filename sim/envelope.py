@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 
 from models.arrays import Array
-from models.command import Parser, run_command
+from models.command import Parser, one_chosen, run_command
 from models.errors import InputError, known
 from models.vehicle import Vehicle, read_vehicle
-from models.whole_file import check_file, check_folder, whole_file
+from models.whole_file import whole_file
 from sim.broken import ENDS
-from sim.picture import check_picture, draw
+from sim.outputs import check_outputs, written, written_lines
+from sim.picture import draw
 from sim.progress import bar
 from sim.road import LIMITS, Bump
 from sim.run import LOWEST, run_all, sample_times
@@ -59,20 +60,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         InputError: bad options, vehicle file or output file.
     """
     options = _parser().parse_args(arguments)
-    if options.controller is None:
-        raise InputError("no controller was asked for; give --controller NAME")
     vehicle = read_vehicle(options.vehicle)
+    name = one_chosen(vehicle.controller_names, options.controller)
     axes = read_axes(options.vary or [])
+    for axis in axes:
+        if axis.name in options.given:
+            raise InputError(f"--{axis.name} is of what is not varied, and --vary {axis.name} varies it; leave one of them out")
     bumps = grid(axes, {name: getattr(options, name) for name in UNITS})
     time = sample_times(vehicle, options.duration, options.timestep)
     _check(bumps, options.duration, options.timestep, options.threshold)
-    if options.csv is not None:
-        check_file(options.csv, "csv")
-    if options.picture is not None:
-        check_picture(options.picture)
-    if options.logs is not None:
-        check_folder(options.logs, "logs")
-    controller = design(vehicle, options.controller)
+    outputs = {"csv": options.csv, "picture": options.picture}
+    check_outputs(outputs | {"logs": options.logs}, [vehicle.source], options.json)
+    controller = design(vehicle, name)
 
     cells, complete = validity(vehicle, controller, bumps, time, bar(len(bumps), "cells"))
     if not cells.done.any():
@@ -93,9 +92,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.json:
         print(json.dumps({**result, "logs": logs}, allow_nan=False))
     else:
-        written = [f"{name} {path}" for name, path in (("csv", options.csv), ("picture", options.picture)) if path is not None]
         lines = [f"{vehicle.kind.name} ({vehicle.source}), controller {controller.name}", *_text(cells, options)]
-        print("\n".join([*lines, *(["", *written] if written else [])]))
+        print("\n".join([*lines, *written_lines(outputs)]))
         if options.logs is not None:
             print("\n".join(["", *log_lines(logs)]))
     if not complete:
@@ -170,8 +168,7 @@ def envelope_object(cells: Cells, axes: Sequence[Axis], options: Any) -> dict[st
         "cells": [
             {name: getattr(cells.bumps[i], name) for name in UNITS} | _cell(cells, int(i), options.threshold) for i in done
         ],
-        "csv": str(options.csv) if options.csv else None,
-        "picture": str(options.picture) if options.picture else None,
+        **written({"csv": options.csv, "picture": options.picture}),
     }
 
 
@@ -245,10 +242,7 @@ def _parser() -> Parser:
     parser = Parser(
         "sim.envelope", "Maps where linear analysis holds over bumps, and what breaks first where it does not.", EPILOG
     )
-    parser.add_argument("--controller", metavar="NAME", help="passive, state, or one of the vehicle file's. Required")
-    parser.add_argument(
-        "--vehicle", default="quarter_car", metavar="FILE", help="vehicle file, or one that ships (default: quarter_car)"
-    )
+    parser.add_one("passive, state, or one of the vehicle file's")
     parser.add_argument(
         "--vary", action="append", metavar="NAME:LOW:HIGH:COUNT", help="an axis of the map: height, length or speed; give two"
     )

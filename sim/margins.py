@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from models.command import Parser, run_command
+from models.command import Parser, one_chosen, run_command
 from models.errors import InputError
 from models.reality import Implementation
 from models.vehicle import Vehicle, read_vehicle
-from models.whole_file import check_folder
 from sim.growth import BUMP, LONGEST, SHORTEST, TIMESTEP
 from sim.linear import sampled_radius
 from sim.loop_margins import GainMargin, LoopMargins, find_margins
-from sim.picture import check_picture, draw
+from sim.outputs import check_outputs, written, written_lines
+from sim.picture import draw
 from sim.progress import show
 from sim.robustness import Robustness, robustness, varied_text
 from sim.run import run_all, sample_times
@@ -42,22 +42,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         InputError: bad options or vehicle file, or a controller that has no loop to speak of.
     """
     parser = Parser("sim.margins", "Finds how much gain, phase, delay and sample period a loop bears.", EPILOG)
-    parser.add_argument("--controller", metavar="NAME", help="state, or one of the vehicle file's. Required")
-    parser.add_argument(
-        "--vehicle", default="quarter_car", metavar="FILE", help="vehicle file, or one that ships (default: quarter_car)"
-    )
+    parser.add_one("state, or one of the vehicle file's")
     parser.add_number("--timestep", TIMESTEP, "s", "integration step; delays and sample periods are its multiples")
     parser.add_logs("MuJoCo on either side of the delay margin")
     parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the margins, as .png or .svg; needs matplotlib")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     options = parser.parse_args(arguments)
-    if options.picture is not None:
-        check_picture(options.picture)
-    if options.logs is not None:
-        check_folder(options.logs, "logs")
     # What is asked is how much the loop bears beyond an ideal implementation.
     vehicle = replace(read_vehicle(options.vehicle), implementation=Implementation())
-    controller = _with_loop(vehicle, options.controller, options.timestep)
+    name = one_chosen([each for each in vehicle.controller_names if each != "passive"], options.controller)
+    outputs = {"picture": options.picture}
+    check_outputs(outputs | {"logs": options.logs}, [vehicle.source])
+    controller = _with_loop(vehicle, name, options.timestep)
 
     found = find_margins(vehicle, controller, options.timestep, show)
     box = robustness(vehicle, controller, options.timestep, show)
@@ -72,25 +68,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
         runs = _delayed_runs(vehicle, controller, found[""], options.timestep)
         logs = record_runs(options.logs, "margins", vehicle, [controller.name], runs, result)
     if options.json:
-        picture = str(options.picture) if options.picture else None
-        print(json.dumps({**result, "picture": picture, "logs": logs}, allow_nan=False))
+        print(json.dumps({**result, **written(outputs), "logs": logs}, allow_nan=False))
     else:
-        lines = _text(vehicle, controller, found, box, options.timestep)
-        if options.picture is not None:
-            lines += ["", f"picture {options.picture}"]
+        lines = [*_text(vehicle, controller, found, box, options.timestep), *written_lines(outputs)]
         print("\n".join([*lines, *(["", *log_lines(logs)] if options.logs is not None else [])]))
     return 0 if (box is None or box.holds) and all(one.agrees for one in found.values()) else 1
 
 
-def _with_loop(vehicle: Vehicle, name: str | None, timestep: float) -> Controller:
+def _with_loop(vehicle: Vehicle, name: str, timestep: float) -> Controller:
     """The controller of that name, if its loop is one that has margins.
 
     Raises:
-        InputError: it is not there, has no gain, or is unstable as it is.
+        InputError: it has no gain, or is unstable as it is.
     """
-    if name is None:
-        names = ", ".join(each for each in vehicle.controller_names if each != "passive")
-        raise InputError(f"no controller was asked for; give --controller with one of: {names}")
     sample_times(vehicle, LONGEST, timestep)
     controller = design(vehicle, name)
     if not np.any(controller.gain):

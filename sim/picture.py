@@ -29,6 +29,15 @@ def check_picture(path: Path) -> None:
     if path.suffix.lower() not in SUFFIXES:
         raise InputError(f"picture {path}: not a kind of picture that is drawn; give a name that ends in {' or '.join(SUFFIXES)}")
     check_file(path, "picture")
+    check_drawing()
+
+
+def check_drawing() -> None:
+    """Whether pictures can be drawn at all.
+
+    Raises:
+        InputError: matplotlib is not installed.
+    """
     try:
         import matplotlib  # noqa: F401
     except ImportError:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from models.errors import InputError
-from models.whole_file import check_folder
+from models.whole_file import make_folder
 from sim.foxglove_layout import foxglove_layout
 from sim.recording_mcap import write_mcap
 from sim.recording_rerun import write_rrd
@@ -45,7 +45,7 @@ def record(
     names = [run.name for run in runs]
     if len(set(names)) < len(names):
         raise ValueError(f"runs are told apart by their names, and these are not distinct: {', '.join(names)}")
-    check_folder(folder, "logs")
+    make_folder(folder, "logs")
     try:
         # Within the folder, so that giving the final name moves no data, and fails or succeeds at once.
         with tempfile.TemporaryDirectory(dir=folder, prefix=f".{stem}-") as temporary:

@@ -8,12 +8,13 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from models.command import Parser, run_command
+from models.command import Parser, chosen, run_command
 from models.errors import InputError
-from models.vehicle import Vehicle, read_vehicle
-from models.whole_file import check_file, check_folder, whole_file
+from models.vehicle import read_vehicle
+from models.whole_file import make_folder, whole_file
+from sim.outputs import check_outputs, written, written_lines
 from sim.page import Page, check_page, write_page
-from sim.picture import check_picture, draw
+from sim.picture import check_drawing, draw
 from sim.progress import show
 
 USUAL = ("passive", "state", "I", "II")
@@ -37,42 +38,41 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     check_page()
     vehicle = read_vehicle(options.vehicle)
-    names = _chosen(vehicle, options.controller)
+    usual = [name for name in USUAL if name in vehicle.controller_names]
+    names = chosen(vehicle.controller_names, options.controller, usual)
     if options.out.suffix.lower() not in (".html", ".htm"):
         raise InputError(f"report {options.out}: a report is HTML; give a name that ends in .html")
-    check_file(options.out, "report")
+    outputs = {"report": options.out, "figures": options.figures}
+    check_outputs(outputs, [vehicle.source], options.json)
+    if options.figures is not None:
+        check_drawing()
     from sim.provenance import versions
     from sim.report_content import page, report_object
     from sim.report_scope import Scope, check_scope
     from synth.controller import Designer
 
     check_scope(vehicle, options.timestep)
-    if options.figures is not None:
-        check_folder(options.figures, "figures")
-        check_picture(options.figures / "figure.png")
 
     show("designs")
     designer = Designer(vehicle)
     controllers = tuple(designer.design(name) for name in names)
     scope = Scope(vehicle, designer, controllers, options.timestep, options.quick, show)
-    written = {
+    about = {
         "written": datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC"),
         "command": shlex.join(["python", *sys.orig_argv[1:]]),
         "vehicle file": vehicle.source,
         "versions": ", ".join(f"{name} {version}" for name, version in versions().items()),
     }
-    result = page(scope, written)
+    result = page(scope, about)
     show("the page")
     write_page(result, options.out)
     if options.figures is not None:
         _write_figures(result, options.figures)
     show("")
     if options.json:
-        figures = str(options.figures) if options.figures else None
-        print(json.dumps({**report_object(result), "report": str(options.out), "figures": figures}, allow_nan=False))
+        print(json.dumps({**report_object(result), **written(outputs)}, allow_nan=False))
     else:
-        figures = [f"figures {options.figures}"] if options.figures else []
-        print("\n".join([*result.answer, "", f"report {options.out}", *figures]))
+        print("\n".join([*result.answer, *written_lines(outputs)]))
     return 0
 
 
@@ -87,15 +87,9 @@ def _parser() -> Parser:
     return parser
 
 
-def _chosen(vehicle: Vehicle, asked: Sequence[str] | None) -> list[str]:
-    """The controllers to report, each once."""
-    usual = [name for name in USUAL if name in vehicle.controller_names] if asked is None else []
-    names = [name for choice in asked or usual for name in (vehicle.controller_names if choice == "all" else [choice])]
-    return list(dict.fromkeys(names))
-
-
 def _write_figures(page: Page, folder: Path) -> None:
     """Every figure as SVG and PNG, every table as CSV, each whole or not at all."""
+    make_folder(folder, "figures")
     for section in page.sections:
         for figure in section.figures:
             draw(figure, folder / f"{figure.name}.svg", folder / f"{figure.name}.png")

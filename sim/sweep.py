@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from models.command import Parser, run_command
+from models.command import Parser, chosen, run_command
 from models.errors import InputError
 from models.vehicle import Vehicle, read_vehicle
-from models.whole_file import check_folder
 from sim.extremes import DURATION, Extremes, extremes
 from sim.identification import HIGHEST, LOWEST, Lines, ideal_measurements, identify
 from sim.multisine import sinusoid
-from sim.picture import check_picture, draw
+from sim.outputs import check_outputs, written, written_lines
+from sim.picture import draw
 from sim.run import run_all, sample_times
 from sim.run_log import RunLog
 from sim.verdict import log_lines
@@ -53,13 +53,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
 
     vehicle = read_vehicle(options.vehicle)
-    names = _chosen(vehicle, options.controller)
+    usual = [name for name in FIGURE_3 if name in vehicle.controller_names]
+    names = chosen(vehicle.controller_names, options.controller, usual)
     if not 1e-3 <= options.speed <= 1e3:
         raise InputError(f"speed = {options.speed:g} m/s is not allowed; give a number from 0.001 to 1000")
-    if options.picture is not None:
-        check_picture(options.picture)
-    if options.logs is not None:
-        check_folder(options.logs, "logs")
+    if "speed" in options.given and not any(wheel.behind(vehicle.parameters) for wheel in vehicle.kind.wheels):
+        raise InputError(f"--speed matters to rear wheels only, and a {vehicle.kind.name} has none; leave it out")
+    outputs = {"picture": options.picture}
+    check_outputs(outputs | {"logs": options.logs}, [vehicle.source])
     designer = Designer(vehicle)
     controllers = [designer.design(name) for name in names]
     sweeps = sweep(vehicle, controllers, options.amplitude, options.timestep, options.speed)
@@ -81,8 +82,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         logs = record_runs(options.logs, "sweep", vehicle, names, _worst_runs(vehicle, sweeps, options), result)
     if options.json:
-        picture = str(options.picture) if options.picture else None
-        print(json.dumps({**result, "picture": picture, "logs": logs}, allow_nan=False))
+        print(json.dumps({**result, **written(outputs), "logs": logs}, allow_nan=False))
     else:
         count = len(sweeps[0].lines.omega)
         print(
@@ -91,8 +91,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         )
         for one in sweeps:
             print("\n".join(["", *sweep_lines(one)]))
-        if options.picture is not None:
-            print(f"\npicture {options.picture}")
+        print("\n".join(written_lines(outputs)), end="\n" if options.picture else "")
         if options.logs is not None:
             print("\n".join(["", *log_lines(logs)]))
     return 0 if all(one.ended or not failures(one) for one in sweeps) else 1
@@ -232,13 +231,6 @@ def _norm(one: Sweep) -> float:
 
 def _finite(value: Any) -> float | None:
     return float(value) if math.isfinite(value) else None
-
-
-def _chosen(vehicle: Vehicle, asked: Sequence[str] | None) -> list[str]:
-    """The controllers to sweep, each once, in the order asked for."""
-    usual = [name for name in FIGURE_3 if name in vehicle.controller_names]
-    names = [name for choice in asked or usual for name in (vehicle.controller_names if choice == "all" else [choice])]
-    return list(dict.fromkeys(names))
 
 
 if __name__ == "__main__":

@@ -7,16 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
-from models.command import Parser, run_command
+from models.command import ALL, Parser, chosen, run_command
 from models.errors import InputError, known
 from models.vehicle import Vehicle, read_vehicle
-from models.whole_file import check_file
 from synth.check import check
 from synth.controller import Designer
 from synth.errors import DesignError
 from synth.flat import free_moves
 from synth.lower_bound import LowerBound
-from synth.save import save
+from synth.save import check_save, save
 from synth.table import Row, detail_lines, ideal_lines, notes, refine_lines, row_object, table_lines
 from synth.witness import cross_check
 
@@ -45,16 +44,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.cross_check and (options.check or options.refine):
         why = "--check designs nothing" if options.check else "--refine leaves their optima"
         raise InputError(f"--cross-check solves the LMI problems of designs anew, and {why}; leave one of them out")
-    if options.check and (options.zero_l or options.refine or options.save or options.vehicle != DEFAULT):
+    if options.check and options.given & {"zero_l", "refine", "save", "vehicle"}:
         raise InputError("--check reads its own file and designs nothing; it goes with --controller and --json only")
-    if options.save:
-        check_file(options.save, "--save")
     vehicle = read_vehicle(options.check or options.vehicle)
+    names = [] if options.check else _names(vehicle, options)
+    if options.save:
+        check_save(options.save, vehicle, [name for name in names if _designs(vehicle, name, options)])
     designer = Designer(vehicle)
-    if options.check:
-        rows = check(designer, options.controller)
-    else:
-        rows = [_row(designer, name, options) for name in _names(vehicle, options)]
+    rows = check(designer, options.controller) if options.check else [_row(designer, name, options) for name in names]
     if options.cross_check and not any(row.witness for row in rows) and not any(row.controller is None for row in rows):
         raise InputError("--cross-check has nothing to solve: no controller asked for comes from an LMI problem; ask for one")
     if options.save:
@@ -85,9 +82,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 1 if any(row.failures for row in rows) else 0
 
 
-DEFAULT = "quarter_car"
-
-
 def _parser() -> Parser:
     parser = Parser("synth", "Designs the controllers of a vehicle file, certifies them, and says how good they are.", EPILOG)
     parser.add_what("default: all")
@@ -111,16 +105,29 @@ def _parser() -> Parser:
 
 
 def _names(vehicle: Vehicle, options: Namespace) -> list[str]:
-    """The controllers asked for, each once."""
+    """The controllers asked for, each once.
+
+    Raises:
+        InputError: `chosen` says so, or what is asked of them does not go with them.
+    """
     designed = [name for name, entry in vehicle.controllers.items() if entry.gain is None]
     everything = designed if options.zero_l else vehicle.controller_names
-    names = [name for choice in options.controller or ["all"] for name in (everything if choice == "all" else [choice])]
+    if options.zero_l and not designed:
+        raise InputError(f"--zero-l is of a design from measurements, and {vehicle.source} asks for none; leave it out")
+    names = everything if options.controller == [ALL] else chosen(vehicle.controller_names, options.controller, everything)
     for name in names:
-        if name not in vehicle.controller_names:
-            raise InputError(f"unknown controller {name!r}; this vehicle has {known(vehicle.controller_names)}")
         if options.zero_l and name not in designed:
             raise InputError(f"--zero-l: {name!r} is not designed from measurements; this vehicle has {known(designed)}")
-    return list(dict.fromkeys(names))
+    if options.refine and list(names) == ["passive"]:
+        raise InputError("--refine: passive has no gain to refine; name another controller, or leave --refine out")
+    return list(names)
+
+
+def _designs(vehicle: Vehicle, name: str, options: Namespace) -> bool:
+    """Whether a controller of that name is given a gain here, which can be saved."""
+    if name == "passive":
+        return False
+    return options.refine or name == "state" or vehicle.controllers[name].gain is None
 
 
 def _row(designer: Designer, name: str, options: Namespace) -> Row:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from models.command import chosen
 from models.errors import InputError, known
 from models.vehicle import ControllerEntry
 from synth.certificate import certify
@@ -20,11 +21,10 @@ def check(designer: Designer, names: Sequence[str] | None) -> list[Row]:
     gains = [name for name, entry in vehicle.controllers.items() if entry.gain is not None]
     if not gains:
         raise InputError(f"{vehicle.source} holds no controller with a gain to check; write one with --save")
-    chosen = list(dict.fromkeys(name for choice in names or ["all"] for name in (gains if choice == "all" else [choice])))
-    for name in chosen:
-        if name not in gains:
+    for name in names or ():
+        if name in vehicle.controller_names and name not in gains:
             raise InputError(f"--check: {name!r} has no gain in {vehicle.source}; with a gain there are {known(gains)}")
-    return [_checked(designer, vehicle.controllers[name]) for name in chosen]
+    return [_checked(designer, vehicle.controllers[name]) for name in chosen(gains, names, gains)]
 
 
 def _checked(designer: Designer, entry: ControllerEntry) -> Row:

@@ -7,11 +7,27 @@ from typing import Any
 
 from models.errors import InputError
 from models.vehicle import Vehicle, parse_vehicle
-from models.whole_file import whole_file
+from models.whole_file import check_file, whole_file
 from synth.controller import Controller
 from synth.record import to_record
 
 SUFFIX = "_designed"
+
+
+def check_save(path: Path, vehicle: Vehicle, names: Sequence[str]) -> None:
+    """Whether designs of these names can be added: asked before the work.
+
+    Raises:
+        InputError: there is nothing to write, a name is taken, or the file cannot be written.
+    """
+    if not names:
+        raise InputError(
+            "--save has nothing to write: no controller was designed; ask for one that the vehicle file gives no gain"
+        )
+    for name in names:
+        if name + SUFFIX in vehicle.controllers:
+            raise InputError(f"--save: {vehicle.source} has a controller {name + SUFFIX!r} already; rename or remove that one")
+    check_file(path, "--save")
 
 
 def save(path: Path, vehicle: Vehicle, controllers: Sequence[Controller]) -> None:
@@ -21,16 +37,10 @@ def save(path: Path, vehicle: Vehicle, controllers: Sequence[Controller]) -> Non
         InputError: there is nothing to write, a name is taken, or the file cannot be written.
     """
     designed = [controller for controller in controllers if controller.designed and controller.measured]
-    if not designed:
-        raise InputError(
-            "--save has nothing to write: no controller was designed; ask for one that the vehicle file gives no gain"
-        )
+    check_save(path, vehicle, [controller.name for controller in designed])
     text = vehicle.text.rstrip("\n") + "\n"
     for controller in designed:
-        name = controller.name + SUFFIX
-        if name in vehicle.controllers:
-            raise InputError(f"--save: {vehicle.source} has a controller {name!r} already; rename or remove that one")
-        text += "\n" + "\n".join(_entry(name, controller)) + "\n"
+        text += "\n" + "\n".join(_entry(controller.name + SUFFIX, controller)) + "\n"
     parse_vehicle(text, folder=path.parent)  # what is written can be read
     with whole_file(path, "--save") as beside:
         beside.write_text(text, encoding="utf-8", newline="\n")

@@ -12,7 +12,7 @@ import pytest
 
 from models.errors import InputError
 from models.read_file import MIB, read_bytes, read_text
-from models.whole_file import check_file, check_folder, whole_file
+from models.whole_file import check_file, check_folder, make_folder, whole_file
 
 POSIX = pytest.mark.skipif(os.name == "nt", reason="modes, pipes and links of POSIX")
 
@@ -135,6 +135,8 @@ def test_standard_output_may_be_written(tmp_path):
 def test_a_folder_is_made_or_refused(tmp_path):
     """A folder is made with those above it; a file in its place is named."""
     check_folder(tmp_path / "a" / "b", "figures")
+    assert alone(tmp_path)
+    make_folder(tmp_path / "a" / "b", "figures")
     assert alone(tmp_path / "a" / "b")
     (tmp_path / "file").touch()
     for path in (tmp_path / "file", tmp_path / "file" / "below"):

@@ -1,0 +1,144 @@
+"""Options that contradict one another, or have no effect together, are refused; so are outputs that cannot be written.
+
+Both before any work: nothing is designed, nothing is left behind.
+"""
+
+import importlib
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from models.errors import InputError
+from models.vehicle import read_vehicle
+from synth.controller import Designer
+
+MAP = ("--vary", "height:0.1:0.2:2", "--vary", "speed:5:10:2")
+COMMANDS = {  # with the least that each needs
+    "sim.bump": ("--controller", "I", "--duration", "1"),
+    "sim.drive": ("--controller", "I", "--duration", "1"),
+    "sim.sweep": (),
+    "sim.envelope": ("--controller", "I", *MAP),
+    "sim.margins": ("--controller", "I"),
+    "sim.report": ("--quick",),
+    "synth": (),
+}
+OUTPUTS = {
+    "sim.bump": ("--logs",),
+    "sim.drive": ("--logs",),
+    "sim.sweep": ("--picture", "--logs"),
+    "sim.envelope": ("--csv", "--picture", "--logs"),
+    "sim.margins": ("--picture", "--logs"),
+    "sim.report": ("--out", "--figures"),
+    "synth": ("--save",),
+}
+FOLDERS = ("--logs", "--figures")
+NAMES = {"--picture": "out.png", "--out": "out.html"}
+
+
+def command(name: str) -> Callable[[list[str]], int]:
+    """The `main` of a command."""
+    return importlib.import_module("synth.__main__" if name == "synth" else name).main
+
+
+def tree(folder: Path) -> list[str]:
+    """Everything below a folder."""
+    return sorted(str(path) for path in folder.rglob("*"))
+
+
+@pytest.fixture
+def nothing_designed(monkeypatch):
+    """A design would fail the test."""
+
+    def design(self, *arguments):
+        raise AssertionError("the work was begun")
+
+    monkeypatch.setattr(Designer, "design", design)
+
+
+REFUSED = [
+    ("sim.bump", ["--controller", "all", "--controller", "I"], "all has every controller in it"),
+    ("sim.bump", ["--controller", "I", "--controller", "II", "--controller", "I"], "--controller I is given twice"),
+    ("sim.bump", ["--controller", "nobody"], "unknown controller 'nobody'"),
+    ("sim.bump", ["--controller", "I", "--no-logs", "--logs", "x"], "--logs: not allowed with argument --no-logs"),
+    ("sim.bump", ["--controller", "I", "--open", "--serve"], "--serve: not allowed with argument --open"),
+    ("sim.bump", ["--controller", "I", "--serve", "--no-logs"], "--no-logs makes none"),
+    ("sim.bump", ["--controller", "I", "--track", "left"], "only one track"),
+    ("sim.drive", ["--controller", "I", "--class", "C", "--road", "step"], "--class or --road, not both"),
+    ("sim.drive", ["--controller", "I", "--road", "watts_hump", "--seed", "0"], "--seed says which random road"),
+    ("sim.drive", ["--controller", "I", "--controller", "all"], "all has every controller in it"),
+    ("sim.sweep", ["--speed", "12.5"], "--speed matters to rear wheels only"),
+    ("sim.sweep", ["--controller", "I", "--controller", "I"], "--controller I is given twice"),
+    ("sim.envelope", ["--controller", "I", *MAP, "--height", "0.1"], "--vary height varies it"),
+    ("sim.envelope", ["--controller", "I", *MAP, "--speed", "12.5"], "--vary speed varies it"),
+    ("sim.envelope", ["--controller", "I", "--controller", "II", *MAP], "--controller: is given twice"),
+    ("sim.envelope", ["--controller", "all", *MAP], "all is too many"),
+    ("sim.envelope", MAP, "no controller was asked for"),
+    ("sim.envelope", ["--controller", "I", *MAP, "--csv", "m.png", "--picture", "m.png"], "is the file of --csv too"),
+    ("sim.envelope", ["--controller", "I", *MAP, "--csv", "car.toml", "--vehicle", "car.toml"], "is what is read"),
+    ("sim.envelope", ["--controller", "I", *MAP, "--csv", "/dev/stdout", "--json"], "print into one another"),
+    ("sim.margins", ["--controller", "passive", "--controller", "I"], "--controller: is given twice"),
+    ("sim.margins", ["--controller", "passive"], "unknown controller 'passive'; give --controller with one of: state, I"),
+    ("sim.report", ["--controller", "all", "--controller", "I"], "all has every controller in it"),
+    ("sim.report", ["--controller", "nobody"], "unknown controller 'nobody'"),
+    ("synth", ["--check", "car.toml", "--vehicle", "quarter_car"], "--check reads its own file"),
+    ("synth", ["--check", "car.toml", "--refine"], "--check reads its own file"),
+    ("synth", ["--check", "car.toml", "--save", "x.toml"], "--check reads its own file"),
+    ("synth", ["--check", "car.toml", "--zero-l"], "--check reads its own file"),
+    ("synth", ["--check", "car.toml", "--controller", "I"], "'I' has no gain"),
+    ("synth", ["--refine", "--controller", "passive"], "--refine: passive has no gain"),
+    ("synth", ["--zero-l", "--vehicle", "given.toml"], "--zero-l is of a design from measurements"),
+    ("synth", ["--save", "x.toml", "--controller", "passive"], "--save has nothing to write"),
+    ("synth", ["--save", "x.toml", "--controller", "state", "--controller", "state"], "--controller state is given twice"),
+]
+
+
+@pytest.mark.parametrize(("name", "arguments", "words"), REFUSED, ids=[f"{one[0]} {one[2]}" for one in REFUSED])
+def test_what_makes_no_sense_together_is_refused(name, arguments, words, tmp_path, monkeypatch, nothing_designed):
+    """One line that says what contradicts what, before the work; nothing is left behind."""
+    text = read_vehicle("quarter_car").text
+    (tmp_path / "car.toml").write_text(text)
+    (tmp_path / "given.toml").write_text(
+        text[: text.index("[controllers")] + '[controllers.mine]\nmeasured = ["sprung_velocity"]\ngain = [[-9000.0]]\n'
+    )
+    monkeypatch.chdir(tmp_path)
+    before = tree(tmp_path)
+    with pytest.raises(InputError) as caught:
+        command(name)(list(arguments))
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert tree(tmp_path) == before
+
+
+@pytest.mark.parametrize(("name", "option"), [(name, option) for name, options in OUTPUTS.items() for option in options])
+def test_an_output_that_cannot_be_written_is_said_before_the_work(name, option, tmp_path, monkeypatch, nothing_designed):
+    """Of every output of every command, whatever stands in its way; and what can be written leaves nothing until it is."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").touch()
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "loop").symlink_to("loop")
+    plain = NAMES.get(option, "out")
+    ways = ["file/below", "loop"] if option in FOLDERS else [f"nowhere/{plain}", "file/out", "folder"]
+    if option not in (*FOLDERS, *NAMES):
+        ways.append("loop")
+    if hasattr(os, "mkfifo") and option not in (*FOLDERS, *NAMES):
+        os.mkfifo(tmp_path / "pipe")
+        ways.append("pipe")
+    before = tree(tmp_path)
+    for way in ways:
+        with pytest.raises(InputError) as caught:
+            command(name)([*COMMANDS[name], option, way])
+        assert way in str(caught.value), caught.value
+    with pytest.raises(AssertionError, match="the work was begun"):
+        command(name)([*COMMANDS[name], option, "out" if option in FOLDERS else plain])
+    assert tree(tmp_path) == before
+
+
+def test_a_road_class_in_small_letters_is_that_class(capsys):
+    """`--class c` is `--class C`."""
+    outputs = []
+    for letter in "cC":
+        command("sim.drive")(["--controller", "passive", "--class", letter, "--duration", "1", "--no-logs"])
+        outputs.append(capsys.readouterr().out)
+    assert outputs[0] == outputs[1]
