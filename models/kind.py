@@ -1,9 +1,9 @@
 """A kind of vehicle: what `models/<name>.py` must say so that everything after it works unchanged."""
 
-import importlib.util
+import importlib
 import reprlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -180,7 +180,7 @@ def kind(name: str, folder: Path | None = None) -> VehicleKind:
     """The kind of vehicle of that name: one that ships, or one whose `.py` and `.xml` lie in a folder of the user's.
 
     Raises:
-        InputError: there is none.
+        InputError: there is none, or it is one of the user's own that does not work.
     """
     if name in kinds():
         return importlib.import_module(f"models.{name}").KIND
@@ -188,9 +188,6 @@ def kind(name: str, folder: Path | None = None) -> VehicleKind:
     if folder is None or name not in own:
         beside = f", or beside the vehicle file: {name}.py and {name}.xml" if folder else ""
         raise InputError(f"unknown vehicle type {name!r}; known: {known([*kinds(), *own])}{beside}")
-    spec = importlib.util.spec_from_file_location(f"roadproof_{name}", folder / f"{name}.py")
-    assert spec is not None, "the file exists"
-    assert spec.loader is not None, "it is Python"
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return replace(module.KIND, folder=folder)
+    from models.own_kind import read_kind
+
+    return read_kind(folder, name)

@@ -7,8 +7,11 @@ import mujoco
 
 from models.errors import InputError
 from models.kind import GRAVITY
+from models.read_file import MIB, TEXT, open_plain
 from models.reality import Limits
 from models.vehicle import Vehicle
+
+GIVE = "give the model of the kind of vehicle"
 
 
 def build_spec(vehicle: Vehicle, timestep: float) -> mujoco.MjSpec:
@@ -17,13 +20,27 @@ def build_spec(vehicle: Vehicle, timestep: float) -> mujoco.MjSpec:
     Args:
         vehicle: the vehicle.
         timestep: integration step [s].
+
+    Raises:
+        InputError: the kind's MJCF cannot be read, or is none.
     """
-    spec = mujoco.MjSpec.from_file(str(vehicle.kind.mjcf))
+    open_plain(vehicle.kind.mjcf, "MJCF", GIVE).close()
+    if vehicle.kind.mjcf.stat().st_size > TEXT:
+        raise InputError(f"MJCF {vehicle.kind.mjcf}: is too large; at most {TEXT / MIB:g} MiB is read: {GIVE}")
+    try:
+        spec = mujoco.MjSpec.from_file(str(vehicle.kind.mjcf))
+    except (ValueError, mujoco.FatalError) as error:
+        raise _wrong(vehicle, error) from error
     spec.option.timestep = timestep
     spec.option.gravity = [0.0, 0.0, -GRAVITY]
     vehicle.kind.write_mjcf(spec, vehicle.parameters)
     _write_limits(spec, vehicle.limits)
     return spec
+
+
+def _wrong(vehicle: Vehicle, error: Exception) -> InputError:
+    """What MuJoCo says of an MJCF that it does not take."""
+    return InputError(f"MJCF {vehicle.kind.mjcf}: MuJoCo does not take it ({' '.join(str(error).split())}); mend that")
 
 
 def _write_limits(spec: mujoco.MjSpec, limits: Limits) -> None:
@@ -66,7 +83,32 @@ def build_model(vehicle: Vehicle, timestep: float) -> mujoco.MjModel:
         vehicle: the vehicle.
         timestep: integration step [s].
     """
-    return build_spec(vehicle, timestep).compile()
+    try:
+        model = build_spec(vehicle, timestep).compile()
+    except (ValueError, mujoco.FatalError) as error:
+        raise _wrong(vehicle, error) from error
+    _check_names(vehicle, model)
+    return model
+
+
+def _check_names(vehicle: Vehicle, model: mujoco.MjModel) -> None:
+    """Refuses a model without something that its equations name.
+
+    Raises:
+        InputError: it says what is missing.
+    """
+    kind, missing = vehicle.kind, []
+    sensors = {model.sensor(i).name for i in range(model.nsensor)}
+    parts = [part for name in vehicle.linear_model.outputs for part in kind.combined.get(name, {name: 1.0})]
+    missing += [f"sensor {part!r}" for part in dict.fromkeys(parts) if part not in sensors]
+    if model.nu != len(vehicle.linear_model.inputs):
+        raise InputError(
+            f"MJCF {kind.mjcf}: has {model.nu} actuator(s), and the equations {len(vehicle.linear_model.inputs)}; give as many"
+        )
+    mocap = {model.body(i).name for i in range(model.nbody) if model.body(i).mocapid[0] >= 0}
+    missing += [f"mocap body {wheel.road_body!r}" for wheel in kind.wheels if wheel.road_body not in mocap]
+    if missing:
+        raise InputError(f"MJCF {kind.mjcf}: has no {', no '.join(missing)}, which the equations name; add what is missing")
 
 
 def mjcf_text(vehicle: Vehicle, timestep: float) -> str:

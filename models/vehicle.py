@@ -115,7 +115,8 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
         raise InputError(f"not TOML: {error}") from error
     for section in data:
         if section not in SECTIONS:
-            raise InputError(f"unknown section {section!r}; known: {known(SECTIONS)}")
+            what = "section" if isinstance(data[section], dict) else "key"
+            raise InputError(f"unknown {what} {section!r}; known: {known(SECTIONS)}")
     for section in SECTIONS[:3]:
         if section not in data:
             raise InputError(f"{section!r} is missing; a vehicle file has {known(SECTIONS)}")
@@ -166,7 +167,10 @@ def _controller(name: str, entry: Any, model: LinearModel) -> ControllerEntry:
         raise InputError(f"{where} is not a section with measured = [signals]")
     for key in entry:
         if key not in CONTROLLER_KEYS:
-            raise InputError(f"{where} unknown key {key!r}; known: {known(CONTROLLER_KEYS)}")
+            raise InputError(
+                f"{where} unknown key {key!r}; a controller is a static gain on what it measures, u = K y, designed where none "
+                f"is given; known: {known(CONTROLLER_KEYS)}"
+            )
     if "certificate" in entry and not (isinstance(entry["certificate"], dict) and "gain" in entry):
         raise InputError(f"{where} a certificate is a section of its own, beside the gain that it is about; take it out")
 

@@ -2,11 +2,13 @@
 
 import importlib.util
 import os
+import re
 import shlex
 import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 import urllib.error
 import urllib.parse
@@ -17,8 +19,10 @@ from pathlib import Path
 
 from models.errors import InputError
 
+COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 LOOPBACK = "127.0.0.1"
 STARTING = 60.0  # s that the web viewer may take until it answers
+FAILING = 2.0  # s within which a window that cannot open has said so
 ENDING = 3.0  # s that it may take to end before it is killed
 
 
@@ -33,14 +37,32 @@ def check_display() -> None:
 
 
 def open_viewer(recording: Path) -> None:
-    """Starts the viewer on a recording and leaves it to the user: it stays when the command ends."""
-    subprocess.Popen(
-        [*_command(), "--bind", LOOPBACK, "--port", "auto", str(recording)],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-    )
+    """Starts the viewer on a recording and leaves it to the user: it stays when the command ends.
+
+    Raises:
+        InputError: no window opens; the message has the viewer's own reason.
+    """
+    with tempfile.TemporaryFile() as said:  # a pipe would break under the viewer when the command ends
+        command = [*_command(), "--bind", LOOPBACK, "--port", "auto", str(recording)]
+        try:
+            process = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=said, start_new_session=True
+            )
+        except OSError as error:
+            raise InputError(f"--open: {command[0]} cannot be started ({error.strerror or error}); install rerun-sdk") from error
+        with suppress(subprocess.TimeoutExpired):
+            if process.wait(FAILING):  # closed at once by the user, it ends with 0
+                said.seek(0)
+                raise InputError(
+                    f"--open: Rerun's window did not open ({_reason(said.read())}); the recording is {recording}: give --serve, "
+                    "and open its page"
+                )
+
+
+def _reason(said: bytes) -> str:
+    """The last line of what a program has said, without colours, as a reason."""
+    lines = [COLOUR.sub("", line).strip() for line in said.decode(errors="replace").splitlines()]
+    return next((line.removeprefix("Error: ") for line in reversed(lines) if line), "it says nothing")
 
 
 def serve_viewer(recording: Path) -> None:

@@ -114,6 +114,23 @@ def test_the_window_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     assert told.read_text() == repr((["--bind", "127.0.0.1", "--port", "auto", "x.rrd"], True))
 
 
+@pytest.mark.parametrize(
+    ("ending", "words"),
+    [
+        ("sys.stderr.write('listening\\n\\x1b[31mError: no\\x1b[0m adapter\\n\\n'); sys.exit(1)", r"did not open \(no adapter\)"),
+        ("os.abort()", r"did not open \(it says nothing\)"),
+    ],
+)
+def test_a_window_that_does_not_open_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ending: str, words: str) -> None:
+    """A viewer that ends at once, as without a graphics card, is one line with its own reason and where the recording is."""
+    monkeypatch.setattr(rerun_viewer, "FAILING", 60.0)
+    monkeypatch.setattr(rerun_viewer, "_command", lambda: [sys.executable, "-c", f"import os, sys; {ending}"])
+    with pytest.raises(InputError, match=words) as caught:
+        rerun_viewer.open_viewer(tmp_path / "x.rrd")
+    assert str(tmp_path / "x.rrd") in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
 def test_a_viewer_that_does_not_come_up_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A web viewer that ends at once is an error of one line."""
     monkeypatch.setattr(rerun_viewer, "_command", lambda: [sys.executable, "-c", "raise SystemExit(1)"])

@@ -1,0 +1,106 @@
+"""A kind of vehicle of the user's own: its three files work beside one another, and whatever is wrong with one is one line."""
+
+import os
+import re
+from pathlib import Path
+
+import pytest
+
+from models.errors import InputError
+from models.read_file import TEXT
+from sim.bump import main
+
+BLOCKS = re.findall(r"```(python|xml|toml)\n(.*?)```", (Path(__file__).parent.parent / "README.md").read_text("utf-8"), re.DOTALL)
+BUILD = "def linear_model(p):"
+SENSOR = '<jointvel name="sprung_velocity" joint="sprung" user="1"/>'
+ROAD = '<body name="road" mocap="true">'
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """The hopper of README.md."""
+    for kind, start, suffix in (("python", "import numpy", "py"), ("xml", "<mujoco", "xml"), ("toml", 'type = "hopper"', "toml")):
+        (text,) = [text for language, text in BLOCKS if language == kind and text.startswith(start) and "hopper" in text]
+        (tmp_path / f"hopper.{suffix}").write_text(text)
+    return tmp_path
+
+
+def refusal(folder: Path) -> str:
+    """What the command says of the vehicle."""
+    with pytest.raises(InputError) as caught:
+        main(["--vehicle", str(folder / "hopper.toml"), "--controller", "passive", "--duration", "1", "--no-logs"])
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_it_works(folder):
+    """As README.md has them, they do."""
+    assert main(["--vehicle", str(folder / "hopper.toml"), "--controller", "passive", "--duration", "1", "--no-logs"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("import numpy as np", "1 / 0", r"fails \(ZeroDivisionError: division by zero, line 1\)"),
+        ("import numpy as np", "import nothing_of_that_name", r"fails \(ModuleNotFoundError: .*nothing_of_that_name.*line 1\)"),
+        ("import numpy as np", "raise SystemExit(3)", r"fails \(SystemExit: 3, line 1\)"),
+        ("import numpy as np", "raise ValueError('two\\nlines')", r"ValueError: two lines"),
+        (BUILD, "def linear_model(p:", r"is no Python \(.*line 10\)"),
+        ("KIND = VehicleKind(", "OTHER = VehicleKind(", r"it has no KIND; end it with KIND = VehicleKind"),
+        ("KIND = VehicleKind(", "KIND = dict(", r"its KIND is a dict"),
+        ('name="hopper"', 'name="jumper"', r"its KIND is called 'jumper'; call it 'hopper'"),
+        (BUILD, f"{BUILD}\n    p['weight']", r"linear_model fails \(KeyError: 'weight', line 11\)"),
+        (BUILD, f"{BUILD}\n    return None", r"linear_model gives a NoneType, not a LinearModel"),
+        ("np.array([[-1], [0]])", "np.array([[-1]])", r"linear_model fails \(ValueError: Bw has shape \(1, 1\)"),
+        ('return {"tyre', 'return 0, {"tyre', r"static_tyre_deflection gives a tuple, not a Mapping"),
+        ('spec.body("sprung")', 'spec.body("nobody")', r"write_mjcf fails \(AttributeError: .*line \d+\)"),
+    ],
+)
+def test_equations_that_do_not_work(folder, old, new, said):
+    """Python that fails, at once or later, is no Python, or has no KIND: one line with the file, the reason and its line."""
+    path = folder / "hopper.py"
+    assert old in path.read_text()
+    path.write_text(path.read_text().replace(old, new, 1))
+    found = refusal(folder)
+    assert re.search(said, found), found
+    assert str(path) in found
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("</mujoco>", "", r"MuJoCo does not take it \(.*XML"),
+        ("<mujoco model", "<mojoco model", r"MuJoCo does not take it"),
+        ('site="sprung"', 'site="nowhere"', r"MuJoCo does not take it \(.*nowhere"),
+        (SENSOR, "", r"has no sensor 'sprung_velocity', which the equations name"),
+        (ROAD, '<body name="road">', r"has no mocap body 'road'"),
+        ('<actuator><motor name="control_force" joint="sprung"/></actuator>', "", r"MJCF"),
+        ("</actuator>", '<motor joint="sprung"/></actuator>', r"has 2 actuator\(s\), and the equations 1"),
+    ],
+)
+def test_a_model_that_does_not_work(folder, old, new, said):
+    """An MJCF that is none, or lacks what the equations name: one line with the file and the reason."""
+    path = folder / "hopper.xml"
+    assert old in path.read_text()
+    path.write_text(path.read_text().replace(old, new, 1))
+    found = refusal(folder)
+    assert re.search(said, found), found
+    assert str(path) in found
+
+
+@pytest.mark.parametrize("suffix", ["py", "xml"])
+@pytest.mark.parametrize(("kind", "said"), [("pipe", "is a pipe"), ("folder", "is a folder"), ("huge", "too large")])
+def test_what_is_no_plain_file(folder, suffix, kind, said):
+    """A pipe is not waited for, a folder is none, and what is huge is not read."""
+    path = folder / f"hopper.{suffix}"
+    path.unlink()
+    if kind == "pipe":
+        if not hasattr(os, "mkfifo"):
+            pytest.skip("pipes of POSIX")
+        os.mkfifo(path)
+    elif kind == "folder":
+        path.mkdir()
+    else:
+        with path.open("wb") as file:
+            file.truncate(TEXT + 1)
+    assert said in refusal(folder)
