@@ -50,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     # What is asked is how much the loop bears beyond an ideal implementation.
     vehicle = replace(read_vehicle(options.vehicle), implementation=Implementation())
-    name = one_chosen([each for each in vehicle.controller_names if each != "passive"], options.controller)
+    name = one_chosen(vehicle.controller_names, options.controller)
     outputs = {"picture": options.picture}
     check_outputs(outputs | {"logs": options.logs}, [vehicle.source])
     controller = _with_loop(vehicle, name, options.timestep)
