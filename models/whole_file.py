@@ -11,13 +11,18 @@ import shutil
 import stat
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from contextvars import ContextVar
+from functools import partial
 from pathlib import Path
 
+from models import interrupt
 from models.errors import InputError
 
 STDOUT = Path("/dev/stdout")  # the one name that is no file and may be written: the command's own output
+# Files that are whole and wait for their names, in `together`; None outside it.
+_waiting: ContextVar[list[tuple[Path, Callable[[], None]]] | None] = ContextVar("_waiting", default=None)
 WRITABLE = stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH
 
 
@@ -44,20 +49,57 @@ def whole_file(path: Path, what: str, instead: str = "give another") -> Iterator
                 shutil.copyfileobj(written, sys.stdout.buffer)
             sys.stdout.buffer.flush()
             return
-        with beside.open("rb+") as written:
-            os.fsync(written.fileno())
-        if before is None or _like(beside, before):
-            beside.replace(target)
-            _settle(target.parent)
-        else:  # other names of the file, or an owner that cannot be kept: its content is all that changes
-            shutil.copyfile(beside, target)
+        with beside.open("rb+") as file:
+            os.fsync(file.fileno())
+        waiting = _waiting.get()
+        if waiting is not None:
+            waiting.append((beside, partial(_name, beside, target, before)))
+            return
+        with interrupt.finishing():
+            _name(beside, target, before)
     except BrokenPipeError:
         raise  # the reader of /dev/stdout has gone
     except OSError as error:
         raise _refused(path, what, f"cannot be written ({error.strerror or error})", instead) from error
     finally:
-        with suppress(OSError):
-            beside.unlink(missing_ok=True)
+        if not any(beside == other for other, _ in _waiting.get() or ()):
+            _removed(beside)
+
+
+@contextmanager
+def together() -> Iterator[None]:
+    """Files that are written in here get their names at its end, one right after the other, or none does.
+
+    Raises:
+        InputError: they cannot get their names.
+    """
+    waiting: list[tuple[Path, Callable[[], None]]] = []
+    token = _waiting.set(waiting)
+    try:
+        yield
+        with interrupt.finishing():
+            for _, name in waiting:
+                name()
+    except OSError as error:
+        raise InputError(f"what was written cannot get its name ({error.strerror or error}); mend that") from error
+    finally:
+        _waiting.reset(token)
+        for beside, _ in waiting:
+            _removed(beside)
+
+
+def _name(beside: Path, target: Path, before: os.stat_result | None) -> None:
+    """Gives a whole file its name; what was there is replaced."""
+    if before is None or _like(beside, before):
+        beside.replace(target)
+        _settle(target.parent)
+    else:  # other names of the file, or an owner that cannot be kept: its content is all that changes
+        shutil.copyfile(beside, target)
+
+
+def _removed(beside: Path) -> None:
+    with interrupt.finishing(), suppress(OSError):
+        beside.unlink(missing_ok=True)
 
 
 def check_file(path: Path, what: str, instead: str = "give another") -> None:
@@ -108,17 +150,26 @@ def check_folder(path: Path, what: str, instead: str = "give another folder") ->
         raise _refused(path, what, f"cannot be made ({error.strerror or error})", instead) from error
 
 
-def make_folder(path: Path, what: str, instead: str = "give another folder") -> None:
-    """Makes a folder, with those above it, where it is not there yet.
+@contextmanager
+def made_folder(path: Path, what: str, instead: str = "give another folder") -> Iterator[None]:
+    """A folder, made with those above it where it is not there yet; where the block fails, what was made and is empty goes again.
 
     Raises:
         InputError: it cannot be made, or not written.
     """
     check_folder(path, what, instead)
+    missing = [each for each in (path, *path.parents) if not each.exists()]
     try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise _refused(path, what, f"cannot be made ({error.strerror or error})", instead) from error
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise _refused(path, what, f"cannot be made ({error.strerror or error})", instead) from error
+        yield
+    except BaseException:
+        with interrupt.finishing(), suppress(OSError):  # one that holds something stays
+            for each in missing:
+                each.rmdir()
+        raise
 
 
 def _target(path: Path, what: str, instead: str) -> tuple[Path, os.stat_result | None]:

@@ -15,7 +15,7 @@ import filelock
 
 from models.errors import InputError
 from models.read_file import MIB, read_text
-from models.whole_file import make_folder, whole_file
+from models.whole_file import made_folder, whole_file
 from synth.controller import Controller
 
 NAME, LOCK = "campaign.json", ".lock"
@@ -127,7 +127,8 @@ def held(folder: Path) -> Iterator[None]:
     Raises:
         InputError: it cannot be made or written, or another campaign is running in it.
     """
-    make_folder(folder, "results", "name another folder with --results")
+    with made_folder(folder, "results", "name another folder with --results"):
+        pass
     lock = filelock.FileLock(folder / LOCK, timeout=0)
     try:
         lock.acquire()

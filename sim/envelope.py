@@ -165,6 +165,7 @@ def envelope_object(cells: Cells, axes: Sequence[Axis], options: Any) -> dict[st
         "agreement": cells.agreement,
         "unexplained": cells.unexplained,
         "done": len(done),
+        "complete": len(done) == len(cells.bumps),
         "cells": [
             {name: getattr(cells.bumps[i], name) for name in UNITS} | _cell(cells, int(i), options.threshold) for i in done
         ],

@@ -6,8 +6,9 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from models import interrupt
 from models.errors import InputError
-from models.whole_file import make_folder
+from models.whole_file import made_folder
 from sim.foxglove_layout import foxglove_layout
 from sim.recording_mcap import write_mcap
 from sim.recording_rerun import write_rrd
@@ -45,15 +46,15 @@ def record(
     names = [run.name for run in runs]
     if len(set(names)) < len(names):
         raise ValueError(f"runs are told apart by their names, and these are not distinct: {', '.join(names)}")
-    make_folder(folder, "logs")
     try:
         # Within the folder, so that giving the final name moves no data, and fails or succeeds at once.
-        with tempfile.TemporaryDirectory(dir=folder, prefix=f".{stem}-") as temporary:
+        with made_folder(folder, "logs"), tempfile.TemporaryDirectory(dir=folder, prefix=f".{stem}-") as temporary:
             written = {kind: Path(temporary, f"run.{suffix}") for kind, suffix in SUFFIXES.items()}
             write_mcap(written["mcap"], runs, metadata, attachments)
             written["layout"].write_text(foxglove_layout(runs), encoding="utf-8", newline="\n")
             write_rrd(written["rerun"], runs, metadata)
-            return _published(written, folder, stem)
+            with interrupt.finishing():
+                return _published(written, folder, stem)
     except OSError as error:
         raise _not_writable(folder, error) from error
 

@@ -6,12 +6,13 @@ import json
 import shlex
 import sys
 from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
 from models.command import Parser, chosen, run_command
 from models.errors import InputError
 from models.vehicle import read_vehicle
-from models.whole_file import make_folder, whole_file
+from models.whole_file import made_folder, together, whole_file
 from sim.outputs import check_outputs, written, written_lines
 from sim.page import Page, check_page, write_page
 from sim.picture import check_drawing, draw
@@ -65,9 +66,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     }
     result = page(scope, about)
     show("the page")
-    write_page(result, options.out)
-    if options.figures is not None:
-        _write_figures(result, options.figures)
+    with ExitStack() as stack:  # all of it, or nothing
+        if options.figures is not None:
+            stack.enter_context(made_folder(options.figures, "figures"))
+        stack.enter_context(together())
+        write_page(result, options.out)
+        if options.figures is not None:
+            _write_figures(result, options.figures)
     show("")
     if options.json:
         print(json.dumps({**report_object(result), **written(outputs)}, allow_nan=False))
@@ -89,7 +94,6 @@ def _parser() -> Parser:
 
 def _write_figures(page: Page, folder: Path) -> None:
     """Every figure as SVG and PNG, every table as CSV, each whole or not at all."""
-    make_folder(folder, "figures")
     for section in page.sections:
         for figure in section.figures:
             draw(figure, folder / f"{figure.name}.svg", folder / f"{figure.name}.png")

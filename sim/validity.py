@@ -6,8 +6,9 @@ every cell, says whether that is so.
 """
 
 import math
+import threading
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,6 +23,7 @@ from sim.road import Bump, under_wheels
 from synth.controller import Controller
 
 ENOUGH = 0.99  # of the cells have to break as predicted; the others lie at a boundary
+MOST_AT_ONCE = 64  # runs in a batch: more hardly save time, and an interruption loses the batches at work
 EDGE = 0.01  # relative height; a cell whose prediction changes within that lies at a boundary
 
 
@@ -95,20 +97,29 @@ def validity(
     # many and as large as the others': faster than one batch on all, whose threads wait while Python has its turn.
     order = sorted(range(len(bumps)), key=lambda i: (bumps[i].length, bumps[i].speed))
     workers_at_once = cores()
-    rounds = math.ceil(len(bumps) / (workers_at_once * runs_at_once(len(time), len(vehicle.kind.wheels))))
+    at_once = min(MOST_AT_ONCE, runs_at_once(len(time), len(vehicle.kind.wheels)))
+    rounds = math.ceil(len(bumps) / (workers_at_once * at_once))
     chunks = [chunk for chunk in np.array_split(order, workers_at_once * rounds) if len(chunk)]
-    parts, workers = [], ThreadPoolExecutor(workers_at_once)
+    parts: list[Cells | None] = [None] * len(chunks)
+    stop, workers = threading.Event(), ThreadPoolExecutor(workers_at_once)
+
+    def run(number: int) -> int:
+        some = [bumps[i] for i in chunks[number]]
+        parts[number] = _run(vehicle, controller, some, time, stop.is_set)
+        return len(some)
+
     try:
-        running = [workers.submit(_run, vehicle, controller, [bumps[i] for i in chunk], time) for chunk in chunks]
-        for part in running:
-            parts.append(part.result())
-            progress(sum(len(part.bumps) for part in parts))
+        done = 0
+        for part in as_completed([workers.submit(run, number) for number in range(len(chunks))]):
+            done += part.result()
+            progress(done)
     except KeyboardInterrupt:
         pass
     finally:
+        stop.set()
         workers.shutdown(cancel_futures=True)
-    complete = len(parts) == len(chunks)
-    parts += [_not_run([bumps[i] for i in chunk]) for chunk in chunks[len(parts) :]]
+    complete = None not in parts
+    parts = [part or _not_run([bumps[i] for i in chunk]) for part, chunk in zip(parts, chunks, strict=True)]
     back = np.argsort(order)
     arrays = [name for name in Cells.__dataclass_fields__ if name != "bumps"]
     return Cells(
@@ -116,8 +127,10 @@ def validity(
     ), complete
 
 
-def _run(vehicle: Vehicle, controller: Controller, bumps: Sequence[Bump], time: Array) -> Cells:
-    """Some cells, in one batch that is compared with the linear response as it goes."""
+def _run(
+    vehicle: Vehicle, controller: Controller, bumps: Sequence[Bump], time: Array, stopped: Callable[[], bool]
+) -> Cells | None:
+    """Some cells, in one batch that is compared with the linear response as it goes; None once it is stopped."""
     count, timestep = len(bumps), float(time[1] - time[0])
     heights = np.array([bump.height for bump in bumps])
     keys = [(bump.length, bump.speed) for bump in bumps]
@@ -143,6 +156,8 @@ def _run(vehicle: Vehicle, controller: Controller, bumps: Sequence[Bump], time: 
     road = np.stack([under_wheels(bump.displacement, bump, vehicle, halves) for bump in bumps], axis=1)
     ends, diverged, apart = Ends([vehicle] * count, time), np.full(count, np.inf), np.zeros((len(outputs), count))
     for block in in_blocks([vehicle] * count, [controller] * count, road[::2], road[1::2], timestep, 1, BLOCK):
+        if stopped():
+            return None
         diverged = np.minimum(diverged, block.diverged(time))
         if np.isfinite(diverged).any():
             block.bound()

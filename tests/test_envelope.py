@@ -97,18 +97,20 @@ def test_reached_scales(limited, designer):
 
 
 def test_interrupted(limited, designer, monkeypatch):
-    """Ctrl-C keeps what is done."""
-    monkeypatch.setattr("sim.validity.runs_at_once", lambda samples, wheels: 4)
-    monkeypatch.setattr("sim.validity.cores", lambda: 2)
+    """Ctrl-C keeps what is done, whole batches of it, and no other is begun."""
+    monkeypatch.setattr("sim.validity.MOST_AT_ONCE", 2)
+    monkeypatch.setattr("sim.validity.cores", lambda: 1)
 
     def stop(done: int) -> None:
-        if done >= 8:
+        if done >= 4:
             raise KeyboardInterrupt
 
     bumps = grid(read_axes(["height:0.02:0.1:4", "speed:5:20:4"]), FIXED)
     found, complete = validity(limited, designer.design("I"), bumps, TIME, stop)
     assert not complete
-    assert found.done.tolist() == [True, True, False, False] * 4  # column by column: the two lowest speeds
+    order = found.done.reshape(4, 4).T.ravel()  # column by column of the map, two heights at a time
+    assert 4 <= order.sum() < 16  # on a busy machine another batch may be done before the interruption is heard
+    assert order.tolist() == sorted(order.tolist(), reverse=True)
     assert np.all(np.isnan(found.error) == ~found.done)
 
 

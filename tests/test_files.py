@@ -1,6 +1,7 @@
 """The two doors for files: what is written is whole and stays what it was, what is read is a plain file of a stated size."""
 
 import os
+import signal
 import socket
 import stat
 import subprocess
@@ -10,9 +11,10 @@ from pathlib import Path
 
 import pytest
 
+from models import interrupt
 from models.errors import InputError
 from models.read_file import MIB, read_bytes, read_text
-from models.whole_file import check_file, check_folder, make_folder, whole_file
+from models.whole_file import check_file, check_folder, made_folder, together, whole_file
 
 POSIX = pytest.mark.skipif(os.name == "nt", reason="modes, pipes and links of POSIX")
 
@@ -136,7 +138,8 @@ def test_a_folder_is_made_or_refused(tmp_path):
     """A folder is made with those above it; a file in its place is named."""
     check_folder(tmp_path / "a" / "b", "figures")
     assert alone(tmp_path)
-    make_folder(tmp_path / "a" / "b", "figures")
+    with made_folder(tmp_path / "a" / "b", "figures"):
+        assert (tmp_path / "a" / "b").is_dir()
     assert alone(tmp_path / "a" / "b")
     (tmp_path / "file").touch()
     for path in (tmp_path / "file", tmp_path / "file" / "below"):
@@ -205,3 +208,39 @@ def test_nothing_else_is_read_or_waited_for(tmp_path, kind, found):
     assert found in answers[0]
     assert answers[0].startswith(f"vehicle file {path}: ")
     assert answers[0].endswith("give a TOML file")
+
+
+def test_several_files_get_their_names_together_or_not_at_all(tmp_path):
+    """While one is missing none is there; an error leaves what was, and takes back a folder that was made for them."""
+    folder = tmp_path / "new" / "folder"
+    write(tmp_path / "a.csv", "old")
+
+    def write_both(error: bool) -> None:
+        with made_folder(folder, "figures"), together():
+            write(tmp_path / "a.csv")
+            write(folder / "b.csv")
+            assert (tmp_path / "a.csv").read_text() == "old"
+            assert not (folder / "b.csv").exists()
+            if error:
+                raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_both(error=True)
+    assert alone(tmp_path, "a.csv")
+    assert (tmp_path / "a.csv").read_text() == "old"
+    write_both(error=False)
+    assert (tmp_path / "a.csv").read_text() == (folder / "b.csv").read_text() == "new"
+    assert alone(folder, "b.csv")
+    assert alone(tmp_path, "a.csv", "new")
+
+
+@POSIX
+def test_what_is_being_finished_is_not_interrupted():
+    """One Ctrl-C comes too late for it, a second one is heeded, and afterwards it is as before."""
+    before = signal.getsignal(signal.SIGINT)
+    with interrupt.finishing():
+        signal.raise_signal(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt), interrupt.finishing():  # noqa: PT012 - the block is what is interrupted
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
+    assert signal.getsignal(signal.SIGINT) is before

@@ -12,7 +12,7 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from models.errors import InputError
 from models.signals import CONTROL_FORCE, ROAD_DISPLACEMENT, SPRUNG_ACCELERATION, SUSPENSION_DEFLECTION
-from models.whole_file import check_folder, make_folder
+from models.whole_file import check_folder, made_folder
 from sim import recording
 from sim.recording import opening_lines, record
 from sim.recording_mcap import write_mcap
@@ -301,7 +301,8 @@ def test_a_folder_that_cannot_be_written_is_named(run: RunLog, tmp_path: Path) -
 
 def test_a_folder_is_made(tmp_path: Path) -> None:
     """A folder that is missing is made, parents too, and the trial file is gone."""
-    make_folder(tmp_path / "deep" / "logs", "logs")
+    with made_folder(tmp_path / "deep" / "logs", "logs"):
+        pass
     assert list((tmp_path / "deep" / "logs").iterdir()) == []
 
 
