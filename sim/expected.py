@@ -31,6 +31,7 @@ from sim.quadrature import sample_band
 from sim.sampler import steps_per_sample
 from sim.weighting import POLES, sampled_wk
 from synth.controller import Controller
+from synth.stability import stability
 
 FORGOTTEN = 0.01  # share of its variance that the slowest mode of a vehicle from rest may still miss when measuring begins
 EXACT = 1e-4  # what an expectation may be off for its integral
@@ -55,8 +56,8 @@ class Expected:
 def settling_time(vehicle: Vehicle, controller: Controller) -> float:
     """When the slowest mode of a vehicle from rest has all but `FORGOTTEN` of its variance [s]; infinite for an unstable loop."""
     model, G = driven(vehicle, controller)
-    slowest = float(np.linalg.eigvals(model.A + model.B @ G).real.max())
-    return math.log(FORGOTTEN) / (2 * slowest) if slowest < 0 else math.inf
+    found = stability(model.A + model.B @ G)
+    return math.log(FORGOTTEN) / (2 * found.worst.real) if found.stable else math.inf
 
 
 @dataclass(frozen=True)
@@ -132,7 +133,7 @@ def sources(vehicle: Vehicle, road: Iso8608, omega: Array) -> Array:
 
 
 def expect(vehicle: Vehicle, controller: Controller, road: Iso8608, timestep: float, window: float) -> Expected | None:
-    """The expected metrics; None where the loop is unstable and has no variance.
+    """The expected metrics; None where the loop is not stable and has no variance.
 
     Args:
         vehicle: the vehicle.

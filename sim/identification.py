@@ -185,6 +185,6 @@ def check(vehicle: Vehicle, controllers: Sequence[Controller], amplitude: float,
         radius = sampled_radius(vehicle, controller, timestep)
         if radius >= 1:
             raise InputError(
-                f"controller {controller.name!r} makes an unstable loop at this timestep (it grows by {radius:.6g} every step), "
-                "and that has no frequency response; give another controller, or a smaller timestep"
+                f"controller {controller.name!r} makes a loop that does not decay at this timestep (a step multiplies it by "
+                f"{radius:.6g}), and that has no frequency response; give another controller, or a smaller timestep"
             )

@@ -28,6 +28,7 @@ from sim.response import Response
 from sim.road import Road, delays, under_wheels
 from sim.sampler import steps_per_sample
 from synth.controller import Controller
+from synth.stability import sampled_growth
 
 DECAYED = 1e-12  # of a loop's transition: its square counts in a variance
 
@@ -178,9 +179,9 @@ def _response(vehicle: Vehicle, model: LinearModel, road: Road, time: Array, sta
 
 
 def sampled_radius(vehicle: Vehicle, controller: Controller, timestep: float) -> float:
-    """Growth per timestep of the sampled closed loop, as it is implemented; above 1 it is unstable."""
+    """Growth per timestep of the sampled closed loop, as it is implemented: above 1 it is unstable, at exactly 1 marginal."""
     loop, _, _ = implemented_loop(vehicle, controller, timestep)
-    return float(np.abs(np.linalg.eigvals(loop)).max() ** (1 / steps_per_sample(vehicle.implementation, timestep)))
+    return sampled_growth(loop) ** (1 / steps_per_sample(vehicle.implementation, timestep))
 
 
 def implemented_loop(vehicle: Vehicle, controller: Controller, timestep: float) -> tuple[Array, Array, Array]:

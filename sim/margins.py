@@ -85,16 +85,15 @@ def _with_loop(vehicle: Vehicle, name: str, timestep: float) -> Controller:
     controller = design(vehicle, name)
     if not np.any(controller.gain):
         raise InputError(f"controller {name!r} has no gain, so there is no loop and no margin; give one that has")
-    poles = controller.certificate.poles
     if not controller.certificate.stable:
         raise InputError(
-            f"controller {name!r} is unstable as it is (a pole at {np.real(poles).max():.4g} rad/s), so it has no margin; give a "
-            "stable one"
+            f"controller {name!r} has no margin, for its loop is not stable as it is ({controller.certificate.stability.words}); "
+            "give one that makes it stable"
         )
     radius = sampled_radius(vehicle, controller, timestep)
     if radius >= 1:
         raise InputError(
-            f"controller {name!r} is unstable at a timestep of {timestep:g} s (its sampled loop grows by {radius:.6g} every "
+            f"controller {name!r} is not stable at a timestep of {timestep:g} s (its sampled loop grows by {radius:.6g} every "
             "step) or with its actuators' lag; give a smaller timestep or a larger actuator_bandwidth"
         )
     return controller

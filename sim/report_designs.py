@@ -3,8 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from sim.identification import Lines
 from sim.page import Section, Table
 from sim.report_scope import AMPLITUDE, Scope, number
@@ -29,7 +27,7 @@ def design_section(scope: Scope) -> Section:
                 number(norm.peak_frequency, ".5g"),
                 number(certificate.lower.gamma, ".7g") if certificate.lower is not None and certificate.lower.gamma > 0 else "-",
                 percent(certificate.gap) if certificate.gap is not None else "-",
-                number(float(np.real(certificate.poles).max()), ".4g"),
+                number(certificate.stability.worst.real, ".4g") if certificate.stable else certificate.stability.verdict,
                 "; ".join(certificate.failures) or "holds",
             )
         )

@@ -66,6 +66,7 @@ def controller_object(controller: Controller) -> dict[str, Any]:
         "bound": certificate.bound,
         "norm": _finite(certificate.norm.value),
         "peak_frequency": _finite(certificate.norm.peak_frequency),
+        "stability": certificate.stability.verdict,
     }
 
 
@@ -74,7 +75,6 @@ def controller_lines(vehicle: Vehicle, controller: Controller) -> list[str]:
     certificate = controller.certificate
     norm = certificate.norm
     measured = ", ".join(controller.measured) or "nothing"
-    slowest = float(np.real(certificate.poles).max())
     proof = f"bound {certificate.bound:.7g}   " if certificate.bound is not None else ""
     lines = [
         f"controller {controller.name}: measures {measured}",
@@ -82,7 +82,7 @@ def controller_lines(vehicle: Vehicle, controller: Controller) -> list[str]:
     ]
     if certificate.stable:
         where = f" at {norm.peak_frequency:.5g} rad/s" if math.isfinite(norm.peak_frequency) else ""
-        lines.append(f"  {proof}norm {norm.value:.7g}{where}   stable, slowest pole {slowest:.4g} rad/s")
+        lines.append(f"  {proof}norm {norm.value:.7g}{where}   {certificate.stability.words}")
     for sentence in (*ideal_lines(vehicle), *notes(controller), *certificate.remarks, *certificate.failures):
         lines.append(f"  {sentence}")
     return lines
@@ -93,6 +93,8 @@ def verdict_lines(run: Run) -> list[str]:
     agreement, lines = run.agreement, []
     if run.sampled_radius > 1:
         lines.append(f"unstable: the sampled loop grows by a factor of {run.sampled_radius:.6g} every step")
+    elif run.sampled_radius == 1:
+        lines.append("marginal: to rounding, something in the sampled loop neither grows nor decays")
     if math.isfinite(run.diverged):
         lines.append(f"diverged: MuJoCo was stopped at {run.diverged:.4g} s; there is no vehicle any more")
     for start, end in agreement.lift_off:

@@ -107,9 +107,18 @@ def along_path(plant: GeneralizedPlant, Q: Array, R: Array, mu: float = LIMIT) -
             yield CentralPoint(part.followed(point.K, point.X, point.eta), part.gain(point.K), point.eta, point.mu, proof)
         return
     with one_thread():
-        path = _Path(plant, Q, R)
-        path.find_feasible_point()
-        yield from path.follow(mu)
+        try:
+            path = _Path(plant, Q, R)
+            path.find_feasible_point()
+        except np.linalg.LinAlgError as error:
+            raise InfeasibleError(
+                f"the LMI problem has no feasible point that is one beyond rounding ({error}): at best a mode stays on the "
+                "imaginary axis; measure more signals, or give other units"
+            ) from error
+        try:
+            yield from path.follow(mu)
+        except np.linalg.LinAlgError as error:
+            raise DesignError(f"the central path could not be followed: rounding ends it ({error}); give other units") from error
 
 
 class _Path:
@@ -227,7 +236,7 @@ class _Path:
         X, Y, eta = self.basis.unpack(p)
         try:
             self._move_to(X, Y)
-        except np.linalg.LinAlgError:
+        except (np.linalg.LinAlgError, InputError):  # or where numbers leave all range
             return False
         m, n = Y.shape
         if lapack.dpotrf(-bounded_real_matrix(self.plant, np.eye(n), np.zeros((m, n)), eta))[1] != 0:  # pyright: ignore[reportAttributeAccessIssue]
@@ -283,11 +292,9 @@ class _Path:
     def _move_to(self, X: Array, Y: Array) -> None:
         """Changes the coordinates so that X becomes I and Y becomes 0."""
         a = self.free
-        self.K = self._gain(X, Y)
-        gain = Y @ np.linalg.inv(X)
         S: Any = linalg.block_diag(np.linalg.cholesky(X[:a, :a]), np.linalg.cholesky(X[a:, a:]))
-        self.plant = self.plant.closed_loop(gain).in_coordinates(S)
-        self.V = self.V @ S
+        plant = self.plant.closed_loop(Y @ np.linalg.inv(X)).in_coordinates(S)
+        self.plant, self.K, self.V = plant, self._gain(X, Y), self.V @ S
         self.basis = self._basis()
 
     def _basis(self) -> "Basis":

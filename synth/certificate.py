@@ -1,18 +1,74 @@
-"""What is true of a gain, checked with numpy alone and without the solver that found it."""
+"""What is true of a gain, checked with numpy alone and without the solver that found it.
+
+That the LMI holds is *proved*, in exact arithmetic on the numbers given (`definite.py`), and with it that the loop A + B G is
+stable and that its norm lies below the bound. The norm itself is computed, by two routes.
+"""
 
 from dataclasses import dataclass
+from fractions import Fraction
 
 import numpy as np
 
 from models.arrays import Array
-from synth.bounded_real import bounded_real_matrix
+from models.errors import InputError
+from synth.bounded_real import bounded_real_exactly
+from synth.definite import SMALLEST, Definiteness, definiteness
 from synth.lower_bound import LowerBound
-from synth.norm import Norm, balance, hinf_norm
+from synth.norm import Norm, hinf_norm, largest_singular_values, transfer_matrix
 from synth.plant import GeneralizedPlant
+from synth.stability import Stability, balance, stability
 
 FASTEST = 100.0  # times the plant: an actuator of such a speed hardly exists
 BELOW = 1e-9  # relative; how far rounding may put a norm below what no controller can beat
 ROUTES_AGREE = 1e-6  # relative; the two norms of a well-conditioned plant agree to 1e-12
+PEAKS_AGREE = 1e-9  # relative; how far from the norm the gain at its peak may lie: the peak itself is flat
+
+
+@dataclass(frozen=True, eq=False)
+class LmiProof:
+    """The proof of a bound: X > 0 and LMI (20) < 0.
+
+    Attributes:
+        X: shape (n, n), symmetric.
+        eta: gamma^-2.
+        positive: of X.
+        negative: of (20), with its sign turned.
+    """
+
+    X: Array
+    eta: float
+    positive: Definiteness
+    negative: Definiteness
+
+    @property
+    def holds(self) -> bool:
+        """Whether both are proved."""
+        return self.positive.proved and self.negative.proved
+
+    @property
+    def bound(self) -> float:
+        """eta^-1/2, rounded upwards."""
+        return _inverse_root(self.eta)
+
+    @property
+    def failures(self) -> tuple[str, ...]:
+        """What is not proved, in words."""
+        failures = []
+        if not self.positive.proved:
+            failures.append(_not_proved("X is not positive definite", "X > 0 is not proved", "smallest", 1, self.positive))
+        if not self.negative.proved:
+            failures.append(_not_proved("LMI (20) is violated", "LMI (20) is not proved", "largest", -1, self.negative))
+        return tuple(failures)
+
+
+def _not_proved(false: str, open_: str, which: str, sign: int, found: Definiteness) -> str:
+    """Why an inequality does not count as proved."""
+    if np.isnan(found.smallest):
+        return f"{false}: a diagonal entry has the wrong sign, or an entry is beyond 1e200"
+    if found.smallest <= 0:
+        return f"{false}: balanced, its {which} eigenvalue is {sign * found.smallest:.1e}"
+    needed = f"{'above' if sign > 0 else 'below'} {sign * found.rounding:.0e}"
+    return f"{open_}: balanced, its {which} eigenvalue is {sign * found.smallest:.1e}, and must be {needed} to be beyond rounding"
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,28 +76,37 @@ class Certificate:
     """Everything claimed of a closed loop.
 
     Attributes:
-        poles: eigenvalues of A + B K C_y [rad/s], complex, shape (n,).
+        loop: the closed loop itself.
+        stability: its poles, and where they lie.
         norm: the H-infinity norm by two routes, and where it peaks.
-        bound: gamma = eta^-1/2 of the LMI; None for a gain that came without one.
-        X: the matrix that proves the bound, shape (n, n); None without one.
-        X_smallest: smallest eigenvalue of X, balanced to a unit diagonal.
-        lmi_largest: largest eigenvalue of (20), balanced likewise. Negative proves stability and norm < bound.
-        lmi_rounding: what rounding can add to it.
+        proof: of the bound; None for a gain that came without one.
         speed_up: magnitude of the fastest pole, over that of the plant's fastest pole without control.
         norm_rounding: a norm below this is zero to rounding, and its routes need not agree.
         lower: what no controller of its kind can beat, with its proof; None where nobody asked.
     """
 
-    poles: Array
+    loop: GeneralizedPlant
+    stability: Stability
     norm: Norm
-    bound: float | None
-    X: Array | None
-    X_smallest: float
-    lmi_largest: float
-    lmi_rounding: float
+    proof: LmiProof | None
     speed_up: float
     norm_rounding: float
     lower: LowerBound | None = None
+
+    @property
+    def bound(self) -> float | None:
+        """The gamma that the LMI proves; None for a gain that came without a proof."""
+        return self.proof.bound if self.proof is not None else None
+
+    @property
+    def poles(self) -> Array:
+        """Eigenvalues of A + B K C_y [rad/s], complex, shape (n,)."""
+        return self.stability.poles
+
+    @property
+    def stable(self) -> bool:
+        """Whether all poles lie left of the imaginary axis, by more than rounding."""
+        return self.stability.stable
 
     @property
     def gap(self) -> float | None:
@@ -49,11 +114,6 @@ class Certificate:
         if self.lower is None or self.lower.gamma == 0 or not np.isfinite(self.norm.value):
             return None
         return self.norm.value / self.lower.gamma - 1
-
-    @property
-    def stable(self) -> bool:
-        """Whether all poles lie left of the imaginary axis."""
-        return bool(np.all(np.real(self.poles) < 0))
 
     @property
     def beyond_actuators(self) -> bool:
@@ -75,21 +135,26 @@ class Certificate:
         """The claims that do not hold, in words; empty where all do."""
         failures = []
         if not self.stable:
-            failures.append(f"unstable: a pole at {_pole(self.poles[np.argmax(np.real(self.poles))])} rad/s")
+            failures.append(self.stability.words)
         elif self.norm.gap > ROUTES_AGREE and self.norm.value > self.norm_rounding:
             failures.append(f"the two routes to the norm differ by {self.norm.gap:.0e}")
-        if self.bound is not None:
-            if self.X_smallest <= 0:
-                failures.append(f"X is not positive definite: balanced, its smallest eigenvalue is {self.X_smallest:.1e}")
-            if self.lmi_largest > self.lmi_rounding:
-                failures.append(
-                    f"LMI (20) is violated: its largest eigenvalue is {self.lmi_largest:.1e}, rounding is {self.lmi_rounding:.0e}"
-                )
-            if self.norm.value > self.bound:
-                failures.append(f"the norm {self.norm.value:.7g} exceeds the bound {self.bound:.7g}")
+        if self.proof is not None:
+            failures += self.proof.failures
+            if self.norm.value > self.proof.bound:
+                failures.append(f"the norm {self.norm.value:.7g} exceeds the bound {self.proof.bound:.7g}")
         if self.gap is not None and self.gap < -BELOW:
             failures.append(f"the norm {self.norm.value:.7g} lies below {self.lower.gamma:.7g}, which no controller can beat")  # pyright: ignore[reportOptionalMemberAccess]
         return tuple(failures)
+
+    def peaks_at(self, omega: float) -> bool:
+        """Whether the gain at a frequency [rad/s] is the norm. A peak is flat: its frequency itself is good to 1e-5 only."""
+        if not np.isfinite(self.norm.value):
+            return False
+        A, scale = balance(self.loop.A)
+        T = transfer_matrix(A, self.loop.Bw / scale[:, None], self.loop.C * scale, self.loop.Dw, np.array([omega]))
+        there = float(largest_singular_values(T)[0])
+        allowed = PEAKS_AGREE * self.norm.value if self.norm.value > self.norm_rounding else self.norm_rounding
+        return abs(there - self.norm.value) <= allowed
 
 
 def certify(
@@ -103,36 +168,64 @@ def certify(
         X: the matrix of (20), shape (n, n).
         eta: gamma^-2 of (20); given with X.
         lower: what no controller of the gain's kind can beat.
+
+    Raises:
+        InputError: eta or X is out of range.
     """
     loop = plant.closed_loop(G)
-    X_smallest = lmi_largest = lmi_rounding = float("nan")
-    bound = None
-    if X is not None and eta is not None:
-        bound = float(eta**-0.5)
-        # A congruence changes no sign of an eigenvalue: balanced to a unit diagonal of X, sizes mean something.
-        diagonal = np.diagonal(X)
-        scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-        balanced = loop.in_coordinates(np.diag(scale))
-        unit = X / np.outer(scale, scale)
-        X_smallest = float(np.linalg.eigvalsh(unit)[0])
-        nothing = np.zeros_like(G)
-        F = bounded_real_matrix(balanced, unit, nothing, eta)
-        lmi_largest = float(np.linalg.eigvalsh(F)[-1])
-        terms = np.linalg.norm(balanced.A, 2) * np.linalg.norm(unit, 2) + np.linalg.norm(F, 2)
-        lmi_rounding = float(len(F) * np.finfo(float).eps * terms)
-    poles = np.sort_complex(np.linalg.eigvals(loop.A))
+    found = stability(loop.A)
     return Certificate(
-        poles=poles,
+        loop=loop,
+        stability=found,
         norm=hinf_norm(loop),
-        bound=bound,
-        X=X,
-        X_smallest=X_smallest,
-        lmi_largest=lmi_largest,
-        lmi_rounding=lmi_rounding,
-        speed_up=float(np.abs(poles).max() / (np.abs(np.linalg.eigvals(plant.A)).max() or 1.0)),
+        proof=prove_bound(plant, G, X, eta) if X is not None and eta is not None else None,
+        speed_up=float(np.abs(found.poles).max() / (np.abs(np.linalg.eigvals(plant.A)).max() or 1.0)),
         norm_rounding=_norm_rounding(loop),
         lower=lower,
     )
+
+
+def prove_bound(plant: GeneralizedPlant, G: Array, X: Array, eta: float) -> LmiProof:
+    """Whether X and eta satisfy X > 0 and (20) for the loop A + B G, C + D G.
+
+    All numbers are taken as they are, and the matrix of (20), see `bounded_real.py`, is computed without rounding.
+
+    Args:
+        plant: n states, m inputs.
+        G: shape (m, n).
+        X: shape (n, n); its symmetric part counts.
+        eta: gamma^-2.
+
+    Raises:
+        InputError: eta or X is out of range.
+    """
+    X = (X + X.T) / 2
+    try:
+        if not (SMALLEST <= eta <= 1 / SMALLEST and np.all(np.abs(X) <= 1 / SMALLEST)):
+            raise OverflowError
+        negative = -bounded_real_exactly(plant, G, X, eta)
+    except OverflowError:
+        raise InputError(
+            f"eta = {eta:g} with an X of size {np.abs(X).max(initial=0.0):g} is out of range, and proves no bound; give an eta "
+            f"from {SMALLEST:g} to {1 / SMALLEST:g} and no larger entry of X"
+        ) from None
+    return LmiProof(X, eta, definiteness(X), definiteness(negative))
+
+
+def eta_of(bound: float) -> float:
+    """gamma^-2, rounded upwards: what it proves lies at or below the bound."""
+    eta = bound**-2
+    while Fraction(bound) ** 2 * Fraction(eta) < 1:
+        eta = float(np.nextafter(eta, np.inf))
+    return eta
+
+
+def _inverse_root(eta: float) -> float:
+    """gamma = eta^-1/2, rounded upwards."""
+    bound = float(eta**-0.5)
+    while Fraction(bound) ** 2 * Fraction(eta) < 1:
+        bound = float(np.nextafter(bound, np.inf))
+    return bound
 
 
 def _norm_rounding(loop: GeneralizedPlant) -> float:
@@ -146,7 +239,3 @@ def _norm_rounding(loop: GeneralizedPlant) -> float:
     passes = np.linalg.norm(loop.C * scale) * np.linalg.norm(loop.Bw / scale[:, None])
     size = np.linalg.norm(vectors, axis=0) * np.linalg.norm(left, axis=1) / np.maximum(-np.real(poles), 1e-300)
     return float(100 * np.finfo(float).eps * passes * size.sum()) if len(poles) else 0.0
-
-
-def _pole(pole: complex) -> str:
-    return f"{pole.real:.4g}" if pole.imag == 0 else f"{pole.real:.4g}{abs(pole.imag):+.4g}j"

@@ -13,7 +13,7 @@ from models.vehicle import ControllerEntry, Vehicle
 from synth.central import CentralPoint
 from synth.certificate import Certificate, certify
 from synth.design import Design, state_design, state_path, two_step_design, zero_l_design
-from synth.errors import DesignError
+from synth.errors import BatchError, DesignError
 from synth.full_order import best_possible, bound_beyond_control
 from synth.lower_bound import LowerBound
 from synth.output_feedback import independent_rows
@@ -239,7 +239,8 @@ class Designer:
 
         Raises:
             InputError: no controller has that name, its gain is given, or a vehicle is of another kind.
-            DesignError: some vehicles have no such controller; the message names them by index.
+            BatchError: some vehicles have no such controller; the message names them by index, and the error carries the
+                controllers of the others, `designs`, and why these have none, `failures`, each by index.
         """
         entry = self._entry(name)
         if entry.gain is not None:
@@ -257,6 +258,9 @@ class Designer:
             else:
                 Cy, *Cys = (each.linear_model.rows(entry.measured)[0] for each in (self.vehicle, *vehicles))
                 designs = two_step_designs(self.plant, self.state_path, Cy, plants, Cys, states)
+        except BatchError as error:
+            controllers = {i: _designed(entry, design) for i, design in error.designs.items()}
+            raise BatchError(f"controller {name!r}: {error}", controllers, error.failures) from error
         except DesignError as error:
             raise type(error)(f"controller {name!r}: {error}") from error
         return [_designed(entry, design) for design in designs]

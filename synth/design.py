@@ -6,14 +6,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from models.arrays import Array
-from models.errors import InputError
 from synth.central import CentralPoint
 from synth.certificate import FASTEST, Certificate, certify
 from synth.errors import DesignError, InfeasibleError
 from synth.lower_bound import LowerBound
 from synth.modes import obstacles
 from synth.output_feedback import independent_rows, l_matrix, nullspace, output_feedback
-from synth.plant import GeneralizedPlant
+from synth.plant import GeneralizedPlant, measurement_matrix
 from synth.posed import free_force, posed, standing
 from synth.riccati import proved
 from synth.state_feedback import state_feedback
@@ -179,18 +178,9 @@ def measurement(plant: GeneralizedPlant, Cy: Array) -> tuple[Array, list[int]]:
     """C_y, checked, and which of its rows do not follow from those before them.
 
     Raises:
-        InputError: a wrong shape, an entry that is not finite, no row, or a row of zeros.
+        InputError: see `measurement_matrix`.
     """
-    Cy, n = np.array(Cy, dtype=float), len(plant.A)
-    if Cy.ndim != 2 or Cy.shape[1] != n:
-        raise InputError(f"Cy has shape {Cy.shape}; expected (q, {n}), a row for each measured signal")
-    if not len(Cy):
-        raise InputError("Cy has no rows: nothing is measured; give at least one signal")
-    if not np.all(np.isfinite(Cy)):
-        raise InputError("Cy has an entry that is not finite; give numbers")
-    silent = np.flatnonzero(~np.any(Cy, axis=1))
-    if len(silent):
-        raise InputError(f"row {silent[0]} of Cy is zero: that signal says nothing of the state; leave it out")
+    Cy = measurement_matrix(Cy, len(plant.A))
     return Cy, independent_rows(Cy)
 
 

@@ -1,10 +1,26 @@
 """What can go wrong in a design. A failure is raised, never returned as an empty result."""
 
+from collections.abc import Mapping
+from typing import Any
+
 from models.errors import InputError
 
 
 class DesignError(InputError):
     """No controller could be designed. The message says what happened, what usually causes it, what to do."""
+
+
+class BatchError(DesignError):
+    """Some of many could not be designed. It carries those that were.
+
+    Attributes:
+        designs: what was designed, by index.
+        failures: why the others were not, by index.
+    """
+
+    def __init__(self, message: str, designs: Mapping[int, Any], failures: Mapping[int, InputError]) -> None:
+        super().__init__(message)
+        self.designs, self.failures = dict(designs), dict(failures)
 
 
 class InfeasibleError(DesignError):

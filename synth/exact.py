@@ -10,8 +10,6 @@ import numpy as np
 
 from models.arrays import Array
 
-ABOVE = 4.0  # times the bound below: more than what subtracting it and taking the square roots round
-
 
 def integers(matrix: Array) -> tuple[Array, int]:
     """Integers N and a power of two s with matrix = N / s exactly."""
@@ -118,27 +116,6 @@ def without_factors(columns: Array) -> tuple[Array, int]:
     for j, each in enumerate(bits):
         columns[:, j] *= 1 << (most - each)
     return columns, 1 << most
-
-
-def surely_positive(M: Array) -> bool:
-    """Whether every symmetric matrix whose entries round to those of M is proved positive definite.
-
-    A Cholesky factorisation in floats that runs to its end proves of a matrix M - c I that no eigenvalue lies below
-    -(k + 2) eps tr M (Rump, Verification of positive definiteness, BIT 46, 2006, theorem 2.3).
-    """
-    diagonal = np.diagonal(M)
-    if not len(M):
-        return True
-    if not np.all(np.isfinite(M)) or not np.all((diagonal > 0) & np.isfinite(diagonal)):
-        return False
-    scale = np.ldexp(1.0, -(np.frexp(diagonal)[1] // 2))  # powers of two: exact
-    M = scale[:, None] * M * scale
-    allowance = ABOVE * (len(M) + 2) * np.finfo(float).eps * float(np.trace(M))
-    try:
-        np.linalg.cholesky(M - allowance * np.eye(len(M)))
-    except np.linalg.LinAlgError:
-        return False
-    return True
 
 
 def root_below(square: Fraction) -> float:

@@ -21,10 +21,10 @@ from synth.central import CENTRED, INSIDE, CentralPoint, along_path
 from synth.exact import floats
 from synth.limit import invariant_limit
 from synth.lower_bound import LowerBound, Witness, proved
-from synth.norm import balance
-from synth.plant import GeneralizedPlant
+from synth.plant import GeneralizedPlant, measurement_matrix
 from synth.scaling import size
 from synth.side import Side, meeting, transposed
+from synth.stability import balance
 from synth.threads import one_thread
 
 STATE_END = 1e-5  # mu over eta; the bound for state feedback is then within (2 n + d) mu / 2 of the best
@@ -48,7 +48,12 @@ def best_possible(
 
     Returns:
         The bound; 0 with no witness where nothing is proved.
+
+    Raises:
+        InputError: C_y does not fit the plant, see `measurement_matrix`.
     """
+    if Cy is not None and len(Cy):  # of no row at all: a bound for what measures nothing
+        Cy = measurement_matrix(Cy, len(plant.A))
     best = bound_beyond_control(plant) if beyond_control is None else beyond_control
     other = Side.of(transposed(plant, Cy)) if Cy is not None else None
     if other is None or not len(other.J):

@@ -12,8 +12,9 @@ import numpy as np
 from scipy import linalg
 
 from models.arrays import Array
-from synth.norm import ILL_CONDITIONED, balance, largest_singular_values, level_crossings, transfer_matrix
+from synth.norm import ILL_CONDITIONED, largest_singular_values, level_crossings, transfer_matrix
 from synth.plant import GeneralizedPlant
+from synth.stability import balance
 
 NEAR = 1e-9  # relative; a level set this much higher that is empty ends the search for the peak
 ALIKE = 0.02  # relative; eigenvalues closer than this count as one

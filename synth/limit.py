@@ -18,8 +18,9 @@ import numpy as np
 
 from models.arrays import Array
 from synth.exact import Nullspace, integers, product, root_below
-from synth.norm import balance, largest_singular_values, transfer_matrix
+from synth.norm import largest_singular_values, transfer_matrix
 from synth.plant import GeneralizedPlant
+from synth.stability import balance
 
 PEAKS = 6  # local maxima that are looked at closely
 NONE = 1e-10  # relative; what u does less of, for a proposal, counts as nothing

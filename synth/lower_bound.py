@@ -21,7 +21,7 @@ Its first entry is the bound for state feedback, which no controller that knows 
 **What is proved, and what rounding may do.** W = L L' and V12 = Y2 K Y1' are *defined* by factors that floats proposed; any
 factors will do. From them on all is exact: e, t, f and the entries of V are computed in integers, from the numbers of the plant
 as they stand, without a tolerance. Only whether V is positive definite is asked in floats, of entries that were rounded once,
-with an allowance that is proved (`exact.surely_positive`); what fails it proves nothing. The last eigenvalue is rounded down.
+with an allowance that is proved (`definite.py`); what fails it proves nothing. The last eigenvalue is rounded down.
 """
 
 from dataclasses import dataclass
@@ -30,7 +30,8 @@ from fractions import Fraction
 import numpy as np
 
 from models.arrays import Array
-from synth.exact import floats, integers, product, root_below, surely_positive
+from synth.definite import definiteness
+from synth.exact import floats, integers, product, root_below
 from synth.plant import GeneralizedPlant
 from synth.side import Side, meeting, transposed
 
@@ -162,7 +163,7 @@ def _evaluated(side: Side, L: Array, T: Array, Y: Array) -> _Dual | None:
     V = floats(half + half.T, Fraction(1, side.unit * (size * under) ** 2))
     t = Fraction(int(np.sum(product(factor.T, side.c) ** 2)), size**2)
     e = Fraction(int(np.sum(product(factor.T, side.b) ** 2)), (size * side.unit) ** 2)
-    return _Dual(e, t, V, T, Y) if t > 0 and surely_positive(V) else None
+    return _Dual(e, t, V, T, Y) if t > 0 and definiteness(V).proved else None
 
 
 def _joined(first: _Dual, second: _Dual, between: Array, over: int) -> Fraction:
@@ -179,6 +180,6 @@ def _joined(first: _Dual, second: _Dual, between: Array, over: int) -> Fraction:
     for shrink in SHRINK:
         K, step = integers(-(1 - shrink) * best)
         off = floats(product(product(near2, K), near1), Fraction(1, step * over1 * over2 * under1 * under2))
-        if surely_positive(np.block([[second.V, off], [off.T, first.V]])):
+        if definiteness(np.block([[second.V, off], [off.T, first.V]])).proved:
             return max(-Fraction(np.trace(product(K, moved)), step * size), Fraction(0))
     return Fraction(0)

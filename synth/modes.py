@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from models.arrays import Array
-from synth.norm import balance, rounding
 from synth.plant import GeneralizedPlant
+from synth.stability import balance, stability
 
 UNREACHED = 1e-8  # relative size of what an input does to a mode that it does not reach, up to rounding
 
@@ -26,8 +26,9 @@ def unreached(A: Array, B: Array) -> list[tuple[complex, Array]]:
     size = np.linalg.norm(inputs, axis=0)
     inputs = inputs[:, size > 0] / size[size > 0]
     found: list[tuple[complex, Array]] = []
-    for pole in np.linalg.eigvals(balanced):
-        if pole.real < -rounding(balanced) or pole.imag < 0:
+    where = stability(A)
+    for pole in where.poles[(np.real(where.poles) >= 0) | where.on_axis]:
+        if pole.imag < 0:
             continue
         pencil = np.hstack([balanced - pole * np.eye(len(A)), inputs * (np.linalg.norm(balanced, 2) or 1.0)])
         left, sizes, _ = np.linalg.svd(pencil)

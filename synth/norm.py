@@ -20,6 +20,7 @@ from scipy import linalg
 
 from models.arrays import Array
 from synth.plant import GeneralizedPlant
+from synth.stability import balance, stability_of_balanced
 
 ZOOMS = 6  # of a bracket, tenfold; a maximum is flat: 10^-12 of the gain
 EXACT = 1e-10  # relative; a level set this much higher that is empty ends the search
@@ -34,8 +35,8 @@ class Norm:
     """An H-infinity norm.
 
     Attributes:
-        value: the larger of the two routes; infinite where the system is unstable.
-        peak_frequency: where it is reached [rad/s]; NaN where the system is unstable.
+        value: the larger of the two routes; infinite where the system is not stable.
+        peak_frequency: where it is reached [rad/s]; NaN where the system is not stable.
         level_set: the first route's value.
         sweep: the second route's value.
     """
@@ -61,20 +62,6 @@ def hinf_norm(system: GeneralizedPlant) -> Norm:
     return Norm(max(sweep, level), at_sweep if sweep >= level else at_level, level, sweep)
 
 
-def is_stable(A: Array) -> bool:
-    """Whether every eigenvalue lies left of the imaginary axis, by more than rounding."""
-    A, _ = balance(A)
-    return bool(np.all(np.linalg.eigvals(A).real < -rounding(A)))
-
-
-def balance(A: Array) -> tuple[Array, Array]:
-    """A in the diagonal coordinates that make its rows and columns alike, and that diagonal S: S^-1 A S, S of shape (n,)."""
-    if not len(A):
-        return A, np.ones(0)
-    balanced, (scale, _) = linalg.matrix_balance(A, permute=False, separate=True)
-    return np.asarray(balanced), np.asarray(scale)
-
-
 def transfer_matrix(A: Array, Bw: Array, C: Array, Dw: Array, omega: Array) -> Array:
     """Dw + C (j omega - A)^-1 Bw (19), complex, shape (F, d, r), for finite angular frequencies [rad/s] of shape (F,)."""
     n = len(A)
@@ -98,11 +85,11 @@ class _Gain:
     def __init__(self, system: GeneralizedPlant) -> None:
         self.A, scale = balance(system.A)
         self.Bw, self.C, self.Dw = system.Bw / scale[:, None], system.C * scale, system.Dw
-        self.poles, self.vectors = (np.asarray(part) for part in np.linalg.eig(self.A))
+        found = stability_of_balanced(self.A)
+        self.poles, self.vectors = found.poles, found.vectors
         self.at_infinity = float(np.linalg.norm(self.Dw, 2))
-        self.stable = bool(np.all(np.real(self.poles) < -rounding(self.A)))
-        on_axis = np.abs(np.real(self.poles)) <= rounding(self.A)
-        self.on_axis = float(np.abs(np.imag(self.poles[on_axis])[0])) if np.any(on_axis) else None
+        self.stable = found.stable
+        self.on_axis = float(np.abs(np.imag(self.poles[found.on_axis])[0])) if np.any(found.on_axis) else None
 
     def at(self, omega: Array) -> Array:
         """At angular frequencies [rad/s] of shape (F,), shape (F,)."""
@@ -227,8 +214,3 @@ def _by_sweep(gain: _Gain) -> tuple[float, float]:
     padded = np.concatenate([omega[:1], omega, omega[-1:]])
     best, at = gain.climb(omega[tops], np.maximum(padded[tops + 2] - omega[tops], omega[tops] - padded[tops]))
     return (gain.at_infinity, np.inf) if gain.at_infinity > best else (best, at)
-
-
-def rounding(A: Array) -> float:
-    """How far rounding moves the eigenvalues of a balanced matrix [rad/s]."""
-    return 10 * np.finfo(float).eps * float(np.linalg.norm(A)) if len(A) else 0.0

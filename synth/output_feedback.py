@@ -13,7 +13,7 @@ DEPENDENT = 1e-10  # smallest singular value of rows of length one
 
 def nullspace(Cy: Array) -> Array:
     """Q: an orthonormal basis of the nullspace of C_y, shape (n, n - q). Its signs and order are arbitrary; K is not affected."""
-    return linalg.null_space(Cy)
+    return linalg.null_space(_unit_rows(Cy)[0])
 
 
 def independent_rows(Cy: Array) -> list[int]:
@@ -22,7 +22,7 @@ def independent_rows(Cy: Array) -> list[int]:
     Args:
         Cy: shape (q, n), no row zero.
     """
-    rows = Cy / np.linalg.norm(Cy, axis=1)[:, None]
+    rows, _ = _unit_rows(Cy)
     kept: list[int] = []
     for i in range(len(rows)):
         if np.linalg.svd(rows[[*kept, i]], compute_uv=False)[-1] > DEPENDENT and len(kept) < rows.shape[1]:
@@ -38,12 +38,20 @@ def l_matrix(X: Array, Cy: Array, Q: Array) -> Array:
         Cy: shape (q, n), full row rank.
         Q: shape (n, n - q).
     """
-    return np.linalg.pinv(Q) @ X @ Cy.T @ np.linalg.inv(Cy @ X @ Cy.T)
+    rows, lengths = _unit_rows(Cy)
+    return np.linalg.pinv(Q) @ X @ rows.T @ np.linalg.inv(rows @ X @ rows.T) / lengths
 
 
 def r_matrix(Cy: Array, Q: Array, L: Array) -> Array:
     """R = C_y^+ + Q L, shape (n, q), equation (9)."""
-    return np.linalg.pinv(Cy) + Q @ L
+    rows, lengths = _unit_rows(Cy)
+    return np.linalg.pinv(rows) / lengths + Q @ L
+
+
+def _unit_rows(Cy: Array) -> tuple[Array, Array]:
+    """Rows of length one, so that no unit of a measurement makes another vanish, and the lengths, shape (q,)."""
+    lengths = np.linalg.norm(Cy, axis=1)
+    return Cy / lengths[:, None], lengths
 
 
 def output_feedback(plant: GeneralizedPlant, Cy: Array, L: Array, Q: Array) -> list[CentralPoint]:

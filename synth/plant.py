@@ -7,6 +7,9 @@ import numpy as np
 from models.arrays import Array
 from models.errors import InputError
 
+MOST = 2000  # states, inputs, disturbances, outputs or measurements; more needs methods for large sparse systems
+SMALLEST, LARGEST = 1e-50, 1e50  # of a matrix: beyond, squares of its entries under- or overflow where they meet
+
 SHAPES = {"A": ("n", "n"), "B": ("n", "m"), "Bw": ("n", "r"), "C": ("d", "n"), "D": ("d", "m"), "Dw": ("d", "r")}
 
 
@@ -23,7 +26,8 @@ class GeneralizedPlant:
         Dw: shape (d, r). Zero in the paper.
 
     Raises:
-        InputError: a matrix has the wrong shape or an entry that is not finite; the message names it.
+        InputError: a matrix is not one of real finite numbers, has the wrong shape, more than `MOST` rows or columns, or entries
+            beyond `SMALLEST` or `LARGEST`; the message names it.
     """
 
     A: Array
@@ -35,12 +39,12 @@ class GeneralizedPlant:
 
     def __post_init__(self) -> None:
         for name in SHAPES:
-            try:
-                matrix = np.array(getattr(self, name), dtype=float)
-            except (TypeError, ValueError) as error:
-                raise InputError(f"{name} is not a matrix of numbers ({error}); give an array of floats") from None
-            if matrix.ndim != 2:
-                raise InputError(f"{name} has shape {matrix.shape}; expected a matrix of shape {SHAPES[name]}")
+            matrix = real_matrix(getattr(self, name), name, str(SHAPES[name]))
+            size = float(np.abs(matrix).max(initial=0.0))
+            if 0 < size < SMALLEST:
+                raise InputError(
+                    f"{name} has no entry above {SMALLEST:g} (the largest is {size:g}); give it in other units, or 0"
+                )
             matrix.flags.writeable = False
             object.__setattr__(self, name, matrix)
         size = {"n": len(self.A), "m": self.B.shape[1], "r": self.Bw.shape[1], "d": len(self.C)}
@@ -51,8 +55,6 @@ class GeneralizedPlant:
                     f"{name} has shape {matrix.shape}; expected {shape}, as A says n = {size['n']}, B says m = {size['m']}, Bw "
                     f"says r = {size['r']} and C says d = {size['d']}"
                 )
-            if not np.isfinite(matrix).all():
-                raise InputError(f"{name} has an entry that is not finite; give numbers")
 
     @property
     def system_matrix(self) -> Array:
@@ -106,3 +108,54 @@ class GeneralizedPlant:
         s = 1j * np.asarray(omega, dtype=float)[:, None, None]
         resolvent = np.linalg.solve(s * np.eye(len(self.A)) - self.A, self.Bw.astype(complex)[None])
         return self.C @ resolvent + self.Dw
+
+
+def real_matrix(value: object, name: str, expected: str) -> Array:
+    """A copy of a matrix that is one of real numbers, none beyond `LARGEST`, and of a size that can be worked with.
+
+    Args:
+        value: the matrix, or nested lists.
+        name: of the matrix, for messages.
+        expected: its shape, for messages.
+
+    Raises:
+        InputError: it is none; the message names it.
+    """
+    try:
+        given = np.asarray(value)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name} is not a matrix of numbers ({error}); give rows of the same length") from None
+    if given.ndim != 2:
+        raise InputError(f"{name} has shape {given.shape}; expected a matrix of shape {expected}")
+    if max(given.shape) > MOST:  # before it is copied
+        raise InputError(f"{name} has shape {given.shape}; no more than {MOST} rows or columns are allowed: reduce the model")
+    if np.iscomplexobj(given):
+        raise InputError(f"{name} is complex; give a real matrix")
+    try:
+        matrix = np.array(given, dtype=float)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"{name} is not a matrix of numbers ({error}); give an array of floats") from None
+    if not np.isfinite(matrix).all():
+        raise InputError(f"{name} has an entry that is not finite; give numbers")
+    if np.abs(matrix).max(initial=0.0) > LARGEST:
+        raise InputError(f"{name} has an entry beyond {LARGEST:g}, in size; give it in other units")
+    return matrix
+
+
+def measurement_matrix(Cy: object, n: int) -> Array:
+    """C_y, checked, shape (q, n).
+
+    Raises:
+        InputError: it is not one of real finite numbers with n columns, or has no row, or one that is next to zero.
+    """
+    matrix = real_matrix(Cy, "Cy", f"(q, {n})")
+    if matrix.shape[1] != n:
+        raise InputError(f"Cy has shape {matrix.shape}; expected (q, {n}), a row for each measured signal")
+    if not len(matrix):
+        raise InputError("Cy has no rows: nothing is measured; give at least one signal")
+    sizes = np.abs(matrix).max(axis=1)
+    silent = np.flatnonzero(sizes < SMALLEST)
+    if len(silent):
+        what = "zero" if sizes[silent[0]] == 0 else f"below {SMALLEST:g}"
+        raise InputError(f"row {silent[0]} of Cy is {what}: that signal says nothing of the state; leave it out")
+    return matrix

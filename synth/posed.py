@@ -14,9 +14,9 @@ import numpy as np
 
 from models.arrays import Array
 from synth.modes import largest, rate
-from synth.norm import balance, is_stable
 from synth.plant import GeneralizedPlant
 from synth.scaling import size
+from synth.stability import balance, is_stable
 from synth.unseen import RANK, hidden, nulling, unseen
 
 INSTEAD = "designed against a disturbance of every state that z sees"

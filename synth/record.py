@@ -12,14 +12,15 @@ import numpy as np
 
 from models.arrays import Array
 from models.errors import InputError, known
-from synth.certificate import Certificate
+from synth.certificate import Certificate, eta_of
 from synth.limit import limit_at as proved_at
 from synth.lower_bound import LowerBound, Witness, lower_bound
 from synth.plant import GeneralizedPlant
 
 CLAIMS = ("norm", "peak_frequency", "bound", "lower_bound")
 PROOFS = ("X", "limit_at", "state", "observer")
-LARGEST = float(np.finfo(float).max)  # a whole number may be beyond it
+MAY_BE_ZERO = ("norm", "peak_frequency", "limit_at")
+SMALLEST, LARGEST = 1e-60, 1e60  # of the numbers in a certificate, in SI units: no vehicle has others
 SAME = 1e-9  # relative: how far rounding, on another machine, may move a number
 
 
@@ -32,7 +33,7 @@ def to_record(certificate: Certificate) -> dict[str, Any]:
         "bound": certificate.bound,
         "lower_bound": lower.gamma if lower is not None and lower.gamma > 0 else None,
         "limit_at": lower.limit_at if lower is not None else None,
-        "X": certificate.X.tolist() if certificate.X is not None else None,
+        "X": certificate.proof.X.tolist() if certificate.proof is not None else None,
     }
     for name in ("state", "observer"):
         witness = getattr(lower, name, None)
@@ -44,7 +45,7 @@ def to_record(certificate: Certificate) -> dict[str, Any]:
 
 
 def read_proof(record: Mapping[str, Any], plant: GeneralizedPlant, Cy: Array) -> tuple[Array | None, float | None, LowerBound]:
-    """X and eta for (20), and the lower bound that the record's witnesses prove, recomputed with numpy alone.
+    """X and eta for (20), either None, and the lower bound that the record's witnesses prove, recomputed with numpy alone.
 
     Args:
         record: see `to_record`.
@@ -58,9 +59,20 @@ def read_proof(record: Mapping[str, Any], plant: GeneralizedPlant, Cy: Array) ->
         if key not in CLAIMS + PROOFS:
             raise InputError(f"unknown key {key!r} in a certificate; known: {known(CLAIMS + PROOFS)}")
     n = len(plant.A)
+    for key in ("norm", "peak_frequency", "lower_bound"):
+        _number(record, key)
     X = _matrix(record, "X", (n, n))
+    if X is not None:
+        if not np.all(np.diagonal(X) >= SMALLEST):
+            raise InputError(
+                f"X = {reprlib.repr(record['X'])} in a certificate is not positive definite: no entry of its diagonal may be "
+                f"below {SMALLEST:g}"
+            )
+        size = np.sqrt(np.abs(np.diagonal(X)))
+        if np.any(np.abs(X - X.T) > SAME * np.outer(size, size)):
+            raise InputError("X in a certificate is not symmetric; save it again")
     bound = _number(record, "bound")
-    eta = bound**-2 if bound is not None and bound > 0 else None
+    eta = eta_of(bound) if bound is not None else None
     lower = LowerBound(0.0)
     limit_at = _number(record, "limit_at")
     if limit_at is not None:
@@ -79,14 +91,22 @@ def untrue(record: Mapping[str, Any], certificate: Certificate) -> list[str]:
     """The claims of a record that the recomputed certificate does not confirm, in words."""
     found = to_record(certificate)
     wrong = []
-    for claim in ("norm", "lower_bound"):
+    if certificate.proof is None and "bound" in record:
+        wrong.append(f"the bound is claimed to be {_number(record, 'bound'):.10g} without its proof: there is no X")
+    if certificate.proof is None and "X" in record:
+        wrong.append("there is an X and no bound that it proves")
+    peak = _number(record, "peak_frequency")
+    if peak is not None and not certificate.peaks_at(peak):
+        wrong.append(f"the norm is claimed to be reached at {peak:.10g} rad/s, and is not")
+    for claim in ("norm", "bound", "lower_bound"):
         said, now = _number(record, claim), found.get(claim)
-        if said is None:
+        if said is None or (claim == "bound" and certificate.proof is None):
             continue
-        if now is None or not abs(now - said) <= SAME * abs(said):
-            wrong.append(
-                f"the {claim.replace('_', ' ')} is claimed to be {said:.10g}, and is {f'{now:.10g}' if now else 'unproved'}"
-            )
+        zero = claim == "norm" and certificate.norm.value <= certificate.norm_rounding  # to rounding: no digit of it counts
+        allowed = certificate.norm_rounding if zero else SAME * said
+        if now is None or not abs(now - said) <= allowed:
+            is_now = f"{now:.10g}" if now is not None else "infinite" if claim == "norm" else "unproved"
+            wrong.append(f"the {claim.replace('_', ' ')} is claimed to be {said:.10g}, and is {is_now}")
     return wrong
 
 
@@ -94,8 +114,12 @@ def _number(record: Mapping[str, Any], key: str) -> float | None:
     value = record.get(key)
     if value is None:
         return None
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= LARGEST:
-        raise InputError(f"{key} = {reprlib.repr(value)} in a certificate is not a finite number")
+    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    zero = key in MAY_BE_ZERO and number and value == 0
+    if not number or not (zero or SMALLEST <= value <= LARGEST):
+        raise InputError(
+            f"{key} = {reprlib.repr(value)} in a certificate is not a number from {SMALLEST:g} to {LARGEST:g}; save it again"
+        )
     return float(value)
 
 
@@ -107,9 +131,11 @@ def _matrix(record: Mapping[str, Any], key: str, shape: tuple[int, int] | None =
         matrix = np.array(value, dtype=float)
     except (TypeError, ValueError, OverflowError):
         matrix = np.array(np.nan)
-    if matrix.ndim != 2 or not np.all(np.isfinite(matrix)) or (shape is not None and matrix.shape != shape):
+    if matrix.ndim != 2 or not np.all(np.abs(matrix) <= LARGEST) or (shape is not None and matrix.shape != shape):
         expected = f" of shape {shape}" if shape else ""
-        raise InputError(f"{key} = {reprlib.repr(value)} in a certificate is not a matrix of finite numbers{expected}")
+        raise InputError(
+            f"{key} = {reprlib.repr(value)} in a certificate is not a matrix of finite numbers{expected}, none beyond {LARGEST:g}"
+        )
     return matrix
 
 

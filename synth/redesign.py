@@ -10,9 +10,10 @@ from contextlib import suppress
 import numpy as np
 
 from models.arrays import Array
+from models.errors import InputError
 from synth.central import CentralPoint
 from synth.design import Design, furthest, measurement, state_design, two_step_design, widened
-from synth.errors import DesignError
+from synth.errors import BatchError, DesignError
 from synth.many import path_limits
 from synth.output_feedback import l_matrix, nullspace, output_feedback, r_matrix
 from synth.plant import GeneralizedPlant
@@ -34,7 +35,7 @@ def state_designs(
         states: names of the states, for messages.
 
     Raises:
-        DesignError: some have none; the message names them by index.
+        BatchError: some have none; the message names them by index, and the error carries the designs of the others.
     """
     Cy = np.eye(len(nominal.A))
     return _each(
@@ -64,20 +65,26 @@ def two_step_designs(
         states: names of the states, for messages.
 
     Raises:
-        InputError: a C_y does not fit its plant, or is empty.
-        DesignError: some cannot be designed; the message names them by index.
+        InputError: the nominal C_y does not fit its plant, or is empty.
+        BatchError: some cannot be designed, or their C_y does not fit; the message names them by index, and the error carries the
+            designs of the others.
     """
     Cy, kept = measurement(nominal, nominal_Cy)
-    checked = [measurement(plant, each) for plant, each in zip(plants, Cys, strict=True)]
-    rows = [each[independent] for each, independent in checked]
+    checked: dict[int, tuple[Array, list[int]]] = {}
+    for i, (plant, each) in enumerate(zip(plants, Cys, strict=True)):
+        with suppress(InputError):  # said where the plant is designed alone
+            checked[i] = measurement(plant, each)
+    which = list(checked)
+    rows = {i: full[independent] for i, (full, independent) in checked.items()}
 
     def at(i: int, point: CentralPoint) -> Design:
         full, independent = checked[i]
         return widened(furthest(plants[i], rows[i], [point]), independent, len(full), 0.0)
 
+    limits = _output_limits(nominal, nominal_path, Cy[kept], [plants[i] for i in which], [rows[i] for i in which])
     return _each(
         len(plants),
-        _output_limits(nominal, nominal_path, Cy[kept], plants, rows),
+        {which[i]: point for i, point in limits.items()},
         at,
         lambda i: two_step_design(plants[i], Cys[i], states=states),
     )
@@ -133,14 +140,15 @@ def _each(
             design = at(i, point)
             if not design.certificate.beyond_actuators:
                 designs[i] = design
-    failures: dict[int, DesignError] = {}
+    failures: dict[int, InputError] = {}
     for i in sorted(set(range(count)) - set(designs)):
         try:
             designs[i] = alone(i)
-        except DesignError as error:
+        except InputError as error:
             failures[i] = error
     if failures:
         first, error = next(iter(failures.items()))
         which = ", ".join(str(i) for i in failures)
-        raise type(error)(f"{len(failures)} of {count} cannot be designed, by index: {which}; {first}: {error}") from error
+        message = f"{len(failures)} of {count} cannot be designed, by index: {which}; {first}: {error}"
+        raise BatchError(message, dict(sorted(designs.items())), failures) from error
     return [designs[i] for i in range(count)]

@@ -8,9 +8,9 @@ from scipy import linalg
 from models.arrays import Array
 from synth.certificate import Certificate, certify
 from synth.lower_bound import LowerBound
-from synth.norm import balance
 from synth.plant import GeneralizedPlant
 from synth.scaling import size
+from synth.stability import balance
 
 MARGINS = (1e-6, 1e-4, 1e-2, 0.1)  # how far above the norm the bound lies, the first that can be proved in floating point
 SMALL = (1e-9, 1e-6, 1e-3)  # of the size of the plant's matrices: bounds for norms that are zero, or nearly

@@ -6,6 +6,8 @@ from scipy import linalg
 from models.arrays import Array
 from synth.plant import GeneralizedPlant
 
+SLOW = 1e-6  # of the size of A; poles that are all slower are those of integrators: 0 but for rounding
+
 
 def reachable(plant: GeneralizedPlant, free: int) -> Array:
     """Coordinates of (12)'s block structure in which the inputs and the disturbance reach all states alike.
@@ -17,7 +19,8 @@ def reachable(plant: GeneralizedPlant, free: int) -> Array:
     _, (diagonal, _) = linalg.matrix_balance(plant.A, permute=False, separate=True)
     balanced = plant.in_coordinates(np.diag(diagonal))
     poles = np.linalg.eigvals(balanced.A)
-    shift = poles.real.max() + (np.abs(poles).max() or 1.0)
+    fastest = np.abs(poles).max()
+    shift = poles.real.max() + (fastest if fastest > SLOW * size(balanced.A) else size(balanced.A))
     inputs = np.hstack([balanced.B / size(balanced.B), balanced.Bw / size(balanced.Bw)])
     gramian = linalg.solve_continuous_lyapunov(balanced.A - shift * np.eye(n), -inputs @ inputs.T)
     gramian += 1e-5 * np.trace(gramian) * np.eye(n)  # a state that nothing much reaches keeps a scale

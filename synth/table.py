@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from models.vehicle import Vehicle
+from synth.certificate import LmiProof
 from synth.controller import Controller
 from synth.record import to_record
 from synth.witness import Witness
@@ -56,7 +57,8 @@ def row_object(row: Row) -> dict[str, Any]:
         "poles": [[float(pole.real), float(pole.imag)] for pole in certificate.poles],
         "lower_bound": certificate.lower.gamma if certificate.lower is not None and certificate.lower.gamma > 0 else None,
         "gap": certificate.gap,
-        "lmi": {"X_smallest": _finite(certificate.X_smallest), "largest": _finite(certificate.lmi_largest)},
+        "stability": certificate.stability.verdict,
+        "lmi": _lmi_object(certificate.proof),
         "certificate": to_record(certificate),
         "notes": [*row.notes, *certificate.remarks],
         "failures": list(row.failures),
@@ -74,13 +76,13 @@ def table_lines(rows: Sequence[Row]) -> list[str]:
             continue
         certificate = row.controller.certificate
         if not certificate.stable:
-            lines.append(f"{row.name:18s} UNSTABLE")
+            lines.append(f"{row.name:18s} {certificate.stability.verdict.upper()}")
             continue
         bound = f"{certificate.bound:.7g}" if certificate.bound is not None else "-"
         at = f"{certificate.norm.peak_frequency:.5g}" if np.isfinite(certificate.norm.peak_frequency) else "-"
         lower = f"{certificate.lower.gamma:.7g}" if certificate.gap is not None and certificate.lower is not None else "-"
         gap = percent(certificate.gap) if certificate.gap is not None else "-"
-        slowest = f"{np.real(certificate.poles).max():.4g}"
+        slowest = f"{certificate.stability.worst.real:.4g}"
         lines.append(
             f"{row.name:18s} {bound:>10s} {certificate.norm.value:10.7g} {at:>9s} {lower:>13s} {gap:>11s} {slowest:>13s}"
         )
@@ -98,10 +100,11 @@ def detail_lines(row: Row) -> list[str]:
     lines.append("  poles " + "  ".join(_poles(certificate.poles)))
     if certificate.stable:
         lines.append(f"  norm by level sets and by a sweep, {certificate.norm.gap:.0e} apart")
-    if certificate.bound is not None:
+    if certificate.proof is not None:
+        positive, negative = certificate.proof.positive, certificate.proof.negative
         lines.append(
-            f"  LMI (20): largest eigenvalue {certificate.lmi_largest:.1e}, rounding {certificate.lmi_rounding:.0e}; X > 0 by "
-            f"{certificate.X_smallest:.1e}"
+            f"  balanced, X > 0 by {positive.smallest:.1e}, and LMI (20) < 0 by {negative.smallest:.1e}; rounding is at most "
+            f"{positive.rounding:.0e} and {negative.rounding:.0e}"
         )
     if certificate.gap is not None:
         lines.append(f"  within {percent(certificate.gap)} of the best any controller could do")
@@ -175,3 +178,13 @@ def _poles(poles) -> list[str]:
 
 def _finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
+
+
+def _lmi_object(proof: LmiProof | None) -> dict[str, Any] | None:
+    """Smallest eigenvalues of X and of minus (20), balanced, with what each must exceed, and whether both are proved."""
+    if proof is None:
+        return None
+    parts = {"X": proof.positive, "minus_20": proof.negative}
+    return {"proved": proof.holds} | {
+        name: {"smallest": _finite(part.smallest), "rounding": _finite(part.rounding)} for name, part in parts.items()
+    }

@@ -17,8 +17,8 @@ from scipy import linalg
 
 from models.arrays import Array
 from synth.bounded_real import bounded_real_matrix
-from synth.norm import balance
 from synth.plant import GeneralizedPlant
+from synth.stability import balance
 
 RANK = 1e-9  # relative; a direction that is smaller counts as none
 UNDRIVEN = 1e-6  # of the other states' spread: what a state that nothing drives is given

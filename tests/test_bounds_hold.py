@@ -9,8 +9,9 @@ import pytest
 from scipy import linalg
 
 from models.errors import InputError
+from synth.definite import definiteness
 from synth.errors import DesignError
-from synth.exact import Nullspace, identity, integers, product, surely_positive
+from synth.exact import Nullspace, identity, integers, product
 from synth.full_order import best_possible
 from synth.limit import invariant_limit, limit_at
 from synth.lower_bound import Witness, lower_bound
@@ -266,9 +267,9 @@ def test_positive_means_positive():
         G = np.round(rng.standard_normal((k, k - 1)) * 2**10)
         M = G @ G.T  # exact in floats, singular
         shift = 2.0**exponent * float(np.trace(M))
-        assert not surely_positive(M)
-        assert not surely_positive(M - shift * np.eye(k))
-        assert surely_positive(M + max(shift, 1e-11 * float(np.trace(M))) * np.eye(k))
+        assert not definiteness(M).proved
+        assert not definiteness(M - shift * np.eye(k)).proved
+        assert definiteness(M + max(shift, 1e-11 * float(np.trace(M))) * np.eye(k)).proved
     assert Fraction(*integers(np.array([[0.1]]))[0][0]) * Fraction(1, integers(np.array([[0.1]]))[1]) == Fraction(0.1)
 
 

@@ -136,7 +136,7 @@ def test_json_has_this_shape(everything):
     assert [run["controller"]["name"] for run in everything["runs"]] == CONTROLLERS
     for run in everything["runs"]:
         assert set(run) == {"controller", "signals", "lift_off", "agrees", "energy"}
-        assert set(run["controller"]) == {"name", "measured", "gain", "bound", "norm", "peak_frequency"}
+        assert set(run["controller"]) == {"name", "measured", "gain", "bound", "norm", "peak_frequency", "stability"}
         assert {name: entry["unit"] for name, entry in run["signals"].items()} == UNITS
         for entry in run["signals"].values():
             assert set(entry) == {"unit", "peak", "rms", "error"}

@@ -7,8 +7,9 @@ import pytest
 from models.errors import InputError
 from models.vehicle import parse_vehicle, read_vehicle
 from synth.controller import Designer
-from synth.design import state_path, two_step_design
+from synth.design import state_design, state_path, two_step_design
 from synth.errors import DesignError, InfeasibleError
+from synth.full_order import best_possible
 from synth.lmi import solve_lmi
 from synth.modes import obstacles
 from synth.output_feedback import l_matrix, nullspace, r_matrix
@@ -126,6 +127,40 @@ def test_unseen_mode_is_named():
         two_step_design(plant, np.array([[0.0, 1.0]]))
 
 
+@pytest.mark.parametrize("n", [2, 3])
+def test_integrators(n):
+    """No force from the position alone damps a mass, which is said in one line; from all states two masses in a row are damped.
+
+    Chains of integrators have no time of their own: all poles are 0 but for rounding.
+    """
+    chain = plant_of(np.diag(np.ones(n - 1), 1), np.eye(n)[:, -1:])
+    with pytest.raises(InfeasibleError, match=r"\(25\) has no solution") as caught:
+        two_step_design(chain, np.eye(n)[:1])
+    assert "\n" not in str(caught.value)
+    assert state_design(chain).certificate.failures == ()
+
+
+def test_units_of_a_measurement_change_nothing(designer):
+    """A signal in other units, ten orders of magnitude apart, is the same signal: none vanishes beside another."""
+    alone, Cy = designer.design("I").gain, np.eye(4)[[0, 2]]
+    for units in ([1e5, 1e-5], [1e-8, 1.0]):
+        gain = two_step_design(designer.plant, np.array(units)[:, None] * Cy, designer.state_path).gain
+        np.testing.assert_allclose(gain * units, alone, rtol=1e-6)  # where the path is stopped, twice
+
+
+def test_input_that_costs_nothing_has_a_bound():
+    """A column of zeros in D does not end `best_possible`."""
+    plant = GeneralizedPlant(
+        A=np.diag([-1.0, -2.0]),
+        B=np.array([[1.0, 1.0], [0.0, 1.0]]),
+        Bw=np.ones((2, 1)),
+        C=np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]]),
+        D=np.array([[0.0, 0.0], [0.0, 0.0], [1.0, 0.0]]),
+        Dw=np.zeros((3, 1)),
+    )
+    assert 0 <= best_possible(plant, np.ones((1, 2))).gamma < 1.2  # its norm without control is 1.118
+
+
 def test_no_mode_is_accused_wrongly(designer):
     """The paper's car has no such mode, with any single measurement."""
     for row in np.eye(4):
@@ -176,6 +211,11 @@ def test_a_plant_that_is_fast_by_itself():
         ({"A": np.array([1.0, 2.0])}, r"A has shape \(2,\); expected a matrix of shape \('n', 'n'\)"),
         ({"A": np.array([[np.nan, 0.0], [0.0, 1.0]])}, "A has an entry that is not finite"),
         ({"A": [["a", "b"], ["c", "d"]]}, "A is not a matrix of numbers"),
+        ({"A": [[1.0, 2.0], [3.0]]}, "A is not a matrix of numbers .*rows of the same length"),
+        ({"A": np.diag([-1.0 + 1e-3j, -2.0])}, "A is complex; give a real matrix"),
+        ({"A": np.broadcast_to(0.0, (100_000, 100_000))}, r"A has shape \(100000, 100000\); no more than 2000 rows"),
+        ({"B": np.full((2, 1), 1e200)}, r"B has an entry beyond 1e\+50"),
+        ({"Bw": np.full((2, 1), 1e-200)}, r"Bw has no entry above 1e-50 \(the largest is 1e-200\)"),
     ],
 )
 def test_matrices_that_do_not_fit(change, message):
@@ -207,12 +247,20 @@ def test_nothing_to_design(change, message):
         (np.zeros((0, 2)), "nothing is measured"),
         (np.array([[np.inf, 0.0]]), "Cy has an entry that is not finite"),
         (np.array([[1.0, 0.0], [0.0, 0.0]]), "row 1 of Cy is zero"),
+        (np.array([[1.0, 0.0], [0.0, 1e-200]]), "row 1 of Cy is below 1e-50"),
+        (np.array([[1.0, 0.0], [0.0, 1e200]]), r"Cy has an entry beyond 1e\+50"),
+        (np.array([[1j, 0.0]]), "Cy is complex"),
+        ([[1.0, 0.0], [1.0]], "Cy is not a matrix of numbers"),
     ],
 )
 def test_measurements_that_do_not_fit(Cy, message):
     """So is a measurement that is none."""
-    with pytest.raises(InputError, match=message):
-        two_step_design(GeneralizedPlant(**GOOD), Cy)
+    for use in (two_step_design, best_possible):
+        if use is best_possible and message == "nothing is measured":
+            continue  # of that there is a bound
+        with pytest.raises(InputError, match=message) as caught:
+            use(GeneralizedPlant(**GOOD), Cy)
+        assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(

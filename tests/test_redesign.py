@@ -12,7 +12,7 @@ from synth.barriers import cholesky, inverse, minimise
 from synth.central import central_path
 from synth.controller import Designer, generalized_plant
 from synth.design import two_step_design
-from synth.errors import DesignError
+from synth.errors import BatchError
 from synth.many import path_limits
 from synth.plant import GeneralizedPlant
 from synth.redesign import two_step_designs
@@ -118,9 +118,28 @@ def test_none():
 def test_what_cannot_be_designed_is_named(designer, paper):
     """All vehicles without a controller are named by index in one line, with the reason of the first."""
     lost = dataclasses.replace(paper, performance={"sprung_acceleration": 1.0})
-    with pytest.raises(DesignError, match=r"controller 'I': 2 of 4 cannot be designed, by index: 1, 3; 1: ") as caught:
+    with pytest.raises(BatchError, match=r"controller 'I': 2 of 4 cannot be designed, by index: 1, 3; 1: ") as caught:
         designer.redesign([paper, lost, paper, lost], "I")
     assert "\n" not in str(caught.value)
+    assert list(caught.value.designs) == [0, 2]
+    assert list(caught.value.failures) == [1, 3]
+    for controller in caught.value.designs.values():
+        assert (controller.name, controller.certificate.failures) == ("I", ())
+        np.testing.assert_allclose(controller.gain, designer.design("I").gain, rtol=1e-6)  # where the path is stopped
+
+
+def test_one_plant_that_fails_leaves_the_others(designer):
+    """A double integrator, a C_y of zeros and one that does not fit: each is named, and the batch keeps its other designs."""
+    plant, Cy = designer.plant, np.eye(4)[[0, 2]]
+    masses = GeneralizedPlant(
+        np.eye(4, k=2), np.eye(4)[:, 2:3], plant.Bw, np.vstack([np.eye(4), np.zeros((1, 4))]), np.eye(5)[:, 4:], np.zeros((5, 1))
+    )
+    plants = [plant, masses, plant, plant, plant]
+    with pytest.raises(BatchError, match="3 of 5 cannot be designed, by index: 1, 2, 3; 1: ") as caught:
+        two_step_designs(plant, designer.state_path, Cy, plants, [Cy, Cy[:1], 0 * Cy, np.ones((1, 3)), Cy])
+    assert sorted(caught.value.designs) == [0, 4]
+    assert "row 0 of Cy is zero" in str(caught.value.failures[2])
+    assert "Cy has shape (1, 3)" in str(caught.value.failures[3])
 
 
 @pytest.mark.parametrize(

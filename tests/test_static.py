@@ -136,10 +136,10 @@ def test_a_stabilising_gain_starts_the_iteration_of_14(seed):
     except AssertionError:
         pytest.skip("this start leads to no stabilising gain")
     certificate = proved(plant, landscape.gain(x) @ Cy)
-    assert certificate.X is not None
+    assert certificate.proof is not None
     assert certificate.bound is not None
     Q = nullspace(Cy)
-    point = central_path(plant, Q, r_matrix(Cy, Q, l_matrix(certificate.X, Cy, Q)), 1e-4)[-1]
+    point = central_path(plant, Q, r_matrix(Cy, Q, l_matrix(certificate.proof.X, Cy, Q)), 1e-4)[-1]
     assert point.gamma <= certificate.bound * (1 + 2e-3)  # the path stops (2 n + d) mu short in eta
 
 

@@ -198,7 +198,9 @@ def test_a_witness_against_is_a_failure(designer, monkeypatch):
     witness = cross_check(designer, other)
     assert witness is not None
     assert "our gain attains" in witness.failures[0]
-    moved = dataclasses.replace(state, certificate=dataclasses.replace(state.certificate, bound=7.0))
+    assert state.certificate.proof is not None
+    seven = dataclasses.replace(state.certificate.proof, eta=1 / 49)
+    moved = dataclasses.replace(state, certificate=dataclasses.replace(state.certificate, proof=seven))
     witness = cross_check(designer, moved)
     assert witness is not None
     assert "ours is 7" in witness.failures[0]
@@ -320,7 +322,7 @@ def test_bad_input(arguments, message):
     [
         ("norms = 1.0", "unknown key 'norms' in a certificate"),
         ("X = [[1.0, 2.0]]", "is not a matrix of finite numbers of shape"),
-        ('norm = "7"', "is not a finite number"),
+        ('norm = "7"', r"is not a number from 1e-60 to 1e\+60"),
         ("state = { X = [[1.0]] }", "is no witness with X and eta"),
         ("state = { X = [[1.0]], eta = 1.0 }", "do not fit the vehicle"),
     ],
