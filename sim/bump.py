@@ -13,7 +13,7 @@ from sim.run import Run, check_road, sample_times
 from sim.verdict import log_lines, run_object
 
 EPILOG = """
-exit code: 0 physics and analysis agree for every controller, 1 they do not, 2 bad input
+exit code: 0 physics and analysis agree for every controller and energy balances, 1 not, 2 bad input
 
 examples:
   python -m sim.bump --controller I
@@ -62,7 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     else:
         print("\n".join(_text(vehicle, road, runs, passive, options, logs)))
     view(options, logs)
-    return 0 if all(run.agreement.agrees for run in runs) else 1
+    return 0 if all(run.holds for run in runs) else 1
 
 
 def _parser() -> Parser:

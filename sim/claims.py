@@ -15,7 +15,7 @@ from sim.recorded import Recorded, RecordedRun, read_json
 from sim.reproduction import FEWEST, Reproduction, as_response
 from sim.response import Response
 from sim.run import Run
-from sim.verdict import run_object, verdict_lines
+from sim.verdict import energy_lines, energy_object, run_object, verdict_lines
 from synth.controller import Controller
 from synth.record import untrue
 
@@ -132,6 +132,28 @@ def check_physics(again: Reproduction, recorded: RecordedRun, run: Run, whole: b
         yield from (Finding("physics", HOLDS, text) for text in verdict_lines(run))
 
 
+def check_energy(recorded: RecordedRun, run: Run, anew: Response) -> Iterator[Finding]:
+    """The logged physics against MuJoCo's own, run anew, also where there is no analysis of it; and the energy that this has.
+
+    A balance rests on every position and speed of the model, and the log holds signals: so it is that of the run made anew.
+    """
+    if run.energy is None or "energy" not in recorded.claims:
+        yield Finding("energy", NOTE, "the log claims no balance")
+        return
+    end = run.broke_off[1] if run.broke_off else math.inf
+    far, signal = _apart(run.physics.until(end), anew.until(end))
+    if not far <= SAME:
+        yield Finding("energy", FAILS, f"MuJoCo makes another run of it now: {signal} is {far:.1e} of its peak off")
+        return
+    wrong = list(_different(recorded.claim("energy"), energy_object(run.energy)))
+    for name in wrong:
+        yield Finding("energy", FAILS, f"its {name} is not what was claimed")
+    if not wrong:
+        how = f"to {far:.0e} of a peak" if far else "to the last bit"
+        (balance,) = energy_lines(run)
+        yield Finding("energy", HOLDS, f"MuJoCo makes the same run again, {how}; {balance}")
+
+
 def check_result(log: Recorded, again: Reproduction, recorded: RecordedRun, run: Run) -> Iterator[Finding]:
     """The attached result of the command, where it is of the logged runs alone."""
     if "result.json" not in log.attachments:
@@ -149,7 +171,6 @@ def check_result(log: Recorded, again: Reproduction, recorded: RecordedRun, run:
     now: dict[str, Any] = json.loads(json.dumps(run_object(again.vehicle, run)))
     now["road"], now["timestep"] = recorded.claim("road"), again.timestep
     said = {**mine[0], "road": result.get("road"), "timestep": result.get("timestep")}
-    said.pop("energy", None)  # it rests on every velocity of the model, and the log holds its signals
     if "metrics" in said:
         now["metrics"] = _metrics(again, run, result.get("measured_from"))
     different = list(_different(said, now))

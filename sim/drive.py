@@ -23,8 +23,8 @@ from sim.run import Run, check_road, sample_times
 from sim.verdict import log_lines, run_object
 
 EPILOG = """
-exit code: 0 physics and analysis agree for every controller, 1 they do not, 2 bad input. A run that ends early, diverged or on a
-flat tyre, is judged until then, and has no metrics.
+exit code: 0 physics and analysis agree for every controller and energy balances, 1 not, 2 bad input. A run that ends early,
+diverged or on a flat tyre, is judged until then, and has no metrics.
 
 examples:
   python -m sim.drive --controller I --class C --speed 20
@@ -76,7 +76,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             lines += metric_lines(run, one, float(time[first]), options.duration)
         print("\n".join(lines + (["", *log_lines(logs)] if logs["rerun"] else [])))
     view(options, logs)
-    return 0 if all(run.agreement.agrees for run in runs) else 1
+    return 0 if all(run.holds for run in runs) else 1
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,7 @@ from sim.claims import (
     NOTE,
     Finding,
     check_certificate,
+    check_energy,
     check_linear,
     check_physics,
     check_result,
@@ -164,8 +165,15 @@ def _inspect(log: Recorded, vehicle: Vehicle, recorded: RecordedRun, h: float) -
     whole = samples == claimed_samples(recorded, samples)
     findings += _guarded("physics", FAILS, lambda: check_physics(again, recorded, run, whole))
     if whole:
+        try:
+            run, anew = _balanced_again(again, run)
+        except (ValueError, ArithmeticError, RuntimeError) as error:
+            findings.append(Finding("energy", MISSING, str(error)))
+            return inspected(again, run)
+        findings += _guarded("energy", FAILS, lambda: check_energy(recorded, run, anew))
         findings += _guarded("result", FAILS, lambda: check_result(log, again, recorded, run))
     else:
+        findings.append(Finding("energy", MISSING, "it is of the whole run"))
         findings.append(Finding("result", MISSING, "it is of the whole run"))
     return inspected(again, run)
 
@@ -205,6 +213,16 @@ def _driven_again(again: Reproduction, physics: Response) -> Run:
     return Run(
         controller, physics, again.sampled, again.continuous, np.zeros((len(physics.time), 0)), diverged, radius, agreement
     )
+
+
+def _balanced_again(again: Reproduction, run: Run) -> tuple[Run, Response]:
+    """A run with the energy balance of what MuJoCo makes of it now, and that physics."""
+    from sim.energy import energy
+    from sim.physics import simulate
+
+    vehicle, road = again.vehicle, again.road
+    anew = simulate([vehicle], [again.controller], [road], run.physics.time)
+    return replace(run, energy=energy(vehicle, anew, 0, road, until=run.agreement.flat)), anew.response.run(0)
 
 
 def _differing(vehicle: Vehicle, own: Vehicle) -> str:

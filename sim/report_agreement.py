@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from sim.energy import BALANCED
 from sim.figure import Curve, Figure, Marker, Panel, styles
 from sim.page import Section, Table
 from sim.report_scope import BUMP_DURATION, Scope, number
@@ -142,7 +143,24 @@ def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -
             f"The sampled response does not tend to the continuous one: it has {', '.join(scope.vehicle.implementation.words)}, "
             "whatever the step."
         )
-    return Section("Physics against analysis", tuple(text), (Table("agreement", headings, tuple(rows), words=2),))
+    text.append(
+        "Energy is a check without analysis: what road and actuators put into a run is found again, stored or taken by the "
+        f"dampers. What is left over is a share of what was turned over, and of that {BALANCED:.0e} is allowed."
+    )
+    tables = (Table("agreement", headings, tuple(rows), words=2), _energy(runs))
+    return Section("Physics against analysis", tuple(text), tables)
+
+
+def _energy(runs: Sequence[Run]) -> Table:
+    """Where the energy of every run came from and went to."""
+    rows = []
+    for run in runs:
+        if run.energy is not None:
+            found = run.energy
+            works = (found.road, found.actuators, found.stored, found.dissipated, found.turnover)
+            rows.append((run.controller.name, *(f"{work:.5g}" for work in works), f"{found.residual:.1e}"))
+    headings = ("controller", "road [J]", "actuators [J]", "stored [J]", "dissipated [J]", "turned over [J]", "left over")
+    return Table("energy", headings, tuple(rows))
 
 
 def _settles(scope: Scope, run: Run) -> bool:

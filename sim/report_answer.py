@@ -88,6 +88,10 @@ def over_the_bump(scope: Scope, runs: Sequence[Run]) -> list[Finding]:
     if wrong:
         text = f"Over the paper's bump MuJoCo DOES NOT AGREE with the linear analysis{which} for {joined(wrong)}."
         found.append(Finding(text, "fails"))
+    unbalanced = [run.controller.name for run in runs if run.energy is not None and not run.energy.balances]
+    if unbalanced:
+        text = f"Over the paper's bump energy DOES NOT BALANCE{which} for {joined(unbalanced)}: see the table of energy."
+        found.append(Finding(text, "fails"))
     return found
 
 

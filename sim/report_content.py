@@ -98,7 +98,7 @@ def _provenance(scope: Scope, provenance: dict[str, str]) -> Section:
     rows["timestep"] = f"{h:g} ms, and {h / 2:g} ms for the orders of convergence"
     seeds = [f"{how.seed}, of the noise on measurements"] if how.blurred else []
     if not scope.quick:
-        rows["timestep"] += f"; {1e3 * scope.map_timestep:g} ms for the map"
+        rows["timestep"] += f"; {1e3 * scope.margins_timestep:g} ms for margins, {1e3 * scope.map_timestep:g} ms for the map"
         seeds.append("1, of the random road that the norm is tried on")
         seeds.append(f"{SEEDS[0]} to {SEEDS[-1]}, of the random roads of the ride")
     rows["seeds"] = "; ".join(seeds) or "none: nothing is random"

@@ -10,7 +10,6 @@ from models.reality import Implementation
 from sim.broken import ENDS
 from sim.envelope import grid, read_axes
 from sim.envelope_picture import envelope_figure
-from sim.growth import TIMESTEP
 from sim.identification import ideal_measurements
 from sim.loop_margins import find_all, searches
 from sim.margins_picture import margins_figure
@@ -34,7 +33,7 @@ def margins_section(scope: Scope) -> tuple[Section, list[Finding]]:
     vehicle = replace(scope.vehicle, implementation=Implementation())
     scope.progress("margins")
     actuators = range(len(vehicle.linear_model.inputs))
-    timestep = min(TIMESTEP, scope.timestep)  # that of `python -m sim.margins`
+    timestep = scope.margins_timestep
     loops = [searches(vehicle, one, actuators, timestep) for one in scope.active]
     find_all(loops, timestep)
     for one, loop in zip(scope.active, loops, strict=True):

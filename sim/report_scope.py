@@ -10,6 +10,7 @@ import numpy as np
 from models.reality import Limits
 from models.vehicle import Vehicle
 from sim.frequency import Worst, sampled_frequency_response, worst_sinusoid
+from sim.growth import TIMESTEP
 from sim.identification import check
 from sim.linear import sampled_radius
 from sim.road import Bump
@@ -116,6 +117,11 @@ class Scope:
     def active(self) -> list[Controller]:
         """Those of them that do something."""
         return [one for one in self.stable if np.any(one.gain)]
+
+    @property
+    def margins_timestep(self) -> float:
+        """The step that margins are found with [s]: that of `python -m sim.margins`, or the report's where that is finer."""
+        return min(TIMESTEP, self.timestep)
 
     @property
     def map_timestep(self) -> float:

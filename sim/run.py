@@ -34,7 +34,7 @@ class Run:
         diverged: when the physics diverged [s]; infinite where it did not.
         sampled_radius: spectral radius of the sampled loop; above 1 it is unstable.
         agreement: physics against analysis.
-        energy: its balance; None where it is not known, as of a run that is read from a log.
+        energy: its balance; None where it is not known, as of a part of a run that is read from a log.
     """
 
     controller: Controller
@@ -53,6 +53,11 @@ class Run:
         ends = {"flat tyre": self.agreement.flat, "divergence": self.diverged}
         first = min(ends, key=lambda name: ends[name])
         return (first, ends[first]) if math.isfinite(ends[first]) else None
+
+    @property
+    def holds(self) -> bool:
+        """Whether physics agrees with its analysis, and with itself: its energy balances, where that is known."""
+        return self.agreement.agrees and (self.energy is None or self.energy.balances)
 
 
 def sample_times(vehicle: Vehicle, duration: float, timestep: float) -> Array:
@@ -123,6 +128,8 @@ def run_all(vehicle: Vehicle, controllers: Sequence[Controller], road: Road, tim
         sampled = sampled_response(vehicle, controller, road, time)
         integrated = sampled_response(vehicle, controller, road, time, exponential=taylor4)
         continuous = continuous_response(vehicle, controller, road, time)
+        spread = noise_spread(vehicle, controller, timestep)
+        agreement = compare(vehicle, measured, sampled, integrated, continuous, diverged, spread)
         runs.append(
             Run(
                 controller=controller,
@@ -132,10 +139,8 @@ def run_all(vehicle: Vehicle, controllers: Sequence[Controller], road: Road, tim
                 qpos=physics.qpos[i],
                 diverged=diverged,
                 sampled_radius=sampled_radius(vehicle, controller, timestep),
-                agreement=compare(
-                    vehicle, measured, sampled, integrated, continuous, diverged, noise_spread(vehicle, controller, timestep)
-                ),
-                energy=energy(vehicle, physics, i, road),
+                agreement=agreement,
+                energy=energy(vehicle, physics, i, road, until=agreement.flat),
             )
         )
     doubtful = [i for i, run in enumerate(runs) if not run.agreement.agrees]

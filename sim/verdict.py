@@ -12,7 +12,7 @@ from models.arrays import Array
 from models.kind import MOST_SQUEEZE
 from models.vehicle import Vehicle
 from sim.agreement import COARSEST, SLACK, SMALL
-from sim.energy import Energy
+from sim.energy import BALANCED, Energy
 from sim.run import Run
 from synth.controller import Controller
 from synth.table import ideal_lines, notes
@@ -39,9 +39,9 @@ def run_object(vehicle: Vehicle, run: Run) -> dict[str, Any]:
     } | ({"energy": energy_object(run.energy)} if run.energy is not None else {})
 
 
-def energy_object(energy: Energy) -> dict[str, float | None]:
-    """An energy balance as JSON has it [J]; its residual is a share of `put_in`."""
-    return {name: _finite(value) for name, value in asdict(energy).items()}
+def energy_object(energy: Energy) -> dict[str, float | bool | None]:
+    """An energy balance as JSON has it [J]; its residual is a share of `turnover`."""
+    return {name: _finite(value) for name, value in asdict(energy).items()} | {"balances": energy.balances}
 
 
 def energy_lines(run: Run) -> list[str]:
@@ -49,11 +49,11 @@ def energy_lines(run: Run) -> list[str]:
     energy = run.energy
     if energy is None:
         return []
-    put_in = f"road and actuators put in up to {energy.put_in:.4g} J"
+    of = f"{energy.residual:.1e} of the {energy.turnover:.4g} J turned over"
     if energy.balances:
-        return [f"energy: {put_in}, found again as stored or dissipated to {energy.residual:.1e} of it"]
+        return [f"energy balances: the work of road and actuators is found again, stored or dissipated, to {of}"]
     why = "a force does work that is none of the vehicle's, or the timestep is too coarse"
-    return [f"energy DOES NOT BALANCE: {put_in}, and {energy.residual:.1e} of it is not found again: {why}"]
+    return [f"energy DOES NOT BALANCE: {of} is not found again, {BALANCED:.0e} allowed: {why}"]
 
 
 def controller_object(controller: Controller) -> dict[str, Any]:

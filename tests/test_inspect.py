@@ -92,9 +92,13 @@ def test_bump(log, capsys):
     code, found = inspected(log, capsys)
     assert (code, found["proves"], broken(found)) == (0, True, set())
     passive, controlled = found["runs"]
-    assert {finding["part"] for finding in controlled["findings"]} == {"certificate", "linear response", "physics", "result"}
+    parts = {finding["part"] for finding in controlled["findings"]}
+    assert parts == {"certificate", "linear response", "physics", "energy", "result"}
+    (energy,) = [finding["text"] for finding in controlled["findings"] if finding["part"] == "energy"]
+    assert energy.startswith("MuJoCo makes the same run again, to the last bit; energy balances")
     assert any(finding["text"].startswith("lift-off") for finding in controlled["findings"])
     result = json.loads(dict((name, data) for name, _, data in contents(log).attachments)["result.json"])
+    assert controlled["again"]["energy"] == result["runs"][1]["energy"]
     assert (
         controlled["again"]["signals"]["sprung_acceleration"]["peak"]
         == result["runs"][1]["signals"]["sprung_acceleration"]["peak"]
@@ -211,6 +215,17 @@ def scaled(topic: str, column: int, factor: float) -> Callable[[Contents], Conte
     return lambda parts: parts.with_messages(topic, change)
 
 
+def after(topic: str, sample: int, change: Callable[[Contents], Contents]) -> Callable[[Contents], Contents]:
+    """A change of one topic from a sample on."""
+
+    def later(parts: Contents) -> Contents:
+        changed, whole = change(parts), []
+        parts.with_messages(topic, lambda messages: whole.append(messages) or messages)
+        return changed.with_messages(topic, lambda messages: whole[0][:sample] + messages[sample:])
+
+    return later
+
+
 def claim(key: str, old: str, new: str) -> Callable[[Contents], Contents]:
     """Another claim of run I."""
 
@@ -249,6 +264,10 @@ CHANGES = {
     "samples": (claim("samples", "1001", "1002"), ("samples", "missing")),
     "the physics": (scaled("/I/mujoco", 6, 1 + 1e-4), ("physics", "FAILS")),
     "the physics' road": (scaled("/I/mujoco", 0, 1 + 1e-6), ("physics", "FAILS")),
+    "the physics off the road": (after("/I/mujoco", 500, scaled("/I/mujoco", 6, 1 + 1e-4)), ("energy", "FAILS")),
+    "the energy": (claim("energy", '"dissipated": ', '"dissipated": 1'), ("energy", "FAILS")),
+    "that it balances": (claim("energy", '"balances": true', '"balances": false'), ("energy", "FAILS")),
+    "the result's energy": (attached("result.json", b'"dissipated": ', b'"dissipated": 1'), ("result", "FAILS")),
     "the linear response": (scaled("/I/linear", 2, 1 + 1e-7), ("linear response", "FAILS")),
     "the continuous response": (scaled("/I/continuous", 2, 1 + 1e-7), ("linear response", "FAILS")),
     "a mass": (attached("vehicle.toml", b"504.5", b"504.6"), ("certificate", "FAILS")),
@@ -273,6 +292,15 @@ def test_change_is_found(what, parts, tmp_path, capsys):
     assert code == 1
     assert expected in broken(found)
     assert not any(("file", verdict) in broken(found) for verdict in ("FAILS", "missing"))
+
+
+def test_no_claim_of_energy(parts, tmp_path, capsys):
+    """A log of an older version claims no balance: that is said, and what it does claim is proved."""
+    path = tmp_path / "older.mcap"
+    path.write_bytes(written(parts.without_claim("run/I", "energy")))
+    code, found = inspected(path, capsys)
+    assert (code, broken(found)) == (0, set())
+    assert ("energy", "note") in {(finding["part"], finding["verdict"]) for finding in found["runs"][1]["findings"]}
 
 
 def test_unchanged_is_proved(parts, tmp_path, capsys):

@@ -259,8 +259,8 @@ def test_whole_report_of_the_readme_example(tmp_path, real_file, capsys):
     path = tmp_path / "report.html"
     assert report(["--vehicle", real_file, "--controller", "II", "--out", str(path), "--timestep", "0.001"]) == 0
     read = PageRead(path)
-    assert read.state == ("fails" if "DOES NOT" in " ".join(read.answer) else "ends")
-    found = printed(capsys, margins, "--controller", "II", "--vehicle", real_file, "--timestep", "0.001")
+    assert read.state == "ends", read.answer
+    found = printed(capsys, margins, "--controller", "II", "--vehicle", real_file)
     for name, key, factor in (
         ("delay [ms]", "delay", 1e3),
         ("sample period [ms]", "sample_period", 1e3),
