@@ -62,6 +62,9 @@ def reached(vehicle: Vehicle, response: Response, factor: Array | float = 1.0) -
 class Ends:
     """What ends the linear regime of each of N runs first, and when, from their signals block by block.
 
+    A tyre's length is never below zero, so where a road rises through a hub within a step, the reading is that of a tyre that is
+    long again. Therefore a tyre is flat, too, where the road has risen that far over where the hub was a sample before.
+
     Attributes:
         first: when [s], infinite for never, shape (N,).
         which: what, as an index into `ENDS`, -1 for nothing, shape (N,). Of two at one sample, the one that is named first.
@@ -72,6 +75,9 @@ class Ends:
         self.time, count = time, len(vehicles)
         self.first, self.which, self.flat = np.full(count, np.inf), np.full(count, -1), np.full(count, np.inf)
         names = [signal.name for signal in vehicles[0].kind.signals]
+        roads = {wheel.tyre_deflection: wheel.road_displacement for wheel in vehicles[0].kind.wheels}
+        self.road = {names.index(tyre): names.index(road) for tyre, road in roads.items()}
+        self.hub: dict[int, Array] = {}  # at the last sample, by tyre [m], shape (N,)
         each = [thresholds(vehicle) for vehicle in vehicles]
         # (end, signal, sign, value of every run)
         self.limits = [
@@ -84,12 +90,22 @@ class Ends:
         """Takes the block of signals, shape (B, S, N), that starts at a sample."""
         for end, signal, sign, limit in self.limits:
             reached = sign * values[:, signal] if sign else np.abs(values[:, signal])
+            if ENDS[end] == "flat tyre":
+                reached = np.maximum(reached, self._risen(signal, values))
             for i in np.flatnonzero(reached.max(axis=0) >= limit):
                 when = self.time[start + int(np.argmax(reached[:, i] >= limit[i]))]
                 if ENDS[end] == "flat tyre":
                     self.flat[i] = min(self.flat[i], when)
                 if when < self.first[i]:
                     self.first[i], self.which[i] = when, end
+
+    def _risen(self, tyre: int, values: Array) -> Array:
+        """How far a road has risen over where the hub was a sample before [m], shape (B, N)."""
+        road = values[:, self.road[tyre]]
+        hub = values[:, tyre] + road
+        before = self.hub[tyre] if tyre in self.hub else hub[0]
+        self.hub[tyre] = hub[-1]
+        return road - np.concatenate([before[None], hub[:-1]])
 
 
 def first_end(times: Array) -> Array:

@@ -10,7 +10,7 @@ from sim.comparison import add_how, check_view, compared_lines, run_chosen, view
 from sim.outputs import check_outputs
 from sim.road import Bump
 from sim.run import Run, check_road, sample_times
-from sim.verdict import log_lines, run_object
+from sim.verdict import half_step_object, log_lines, run_object
 
 EPILOG = """
 exit code: 0 physics and analysis agree for every controller and energy balances, 1 not, 2 bad input
@@ -48,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     runs, passive = run_chosen(vehicle, names, road, time)
     result = {
-        "runs": [run_object(vehicle, run) for run in runs],
+        "runs": [run_object(vehicle, run) | half_step_object(run) for run in runs],
         "road": road.describe(),
         "timestep": options.timestep,
     }

@@ -10,7 +10,8 @@ from pathlib import Path
 from models.command import Parser, run_command
 from models.cores import cores
 from models.errors import InputError
-from sim.campaign_batch import Plan, columns
+from sim.campaign_batch import Plan
+from sim.campaign_columns import columns
 from sim.campaign_file import MOST_RUNS, Campaign, read_campaign
 from sim.campaign_manifest import ELSEWHERE, Gains, Manifest, check_same, digest, gains_of, held, read_manifest
 from sim.campaign_store import Store
@@ -177,7 +178,7 @@ def _planned(campaign: Campaign, gains: Gains) -> Plan:
 
 def _store(plan: Plan, folder: Path, manifest: Manifest) -> Store:
     about = {"campaign": plan.campaign.text, "versions": json.dumps(versions()), "controllers": json.dumps(manifest.controllers)}
-    return Store(folder, columns(plan), about, manifest)
+    return Store(folder, columns(plan.campaign), about, manifest)
 
 
 def _versions() -> dict[str, str]:

@@ -12,18 +12,18 @@ from models.arrays import Array
 from models.kind import MOST_SQUEEZE
 from models.vehicle import Vehicle
 from sim.broken import ENDS, Ends
+from sim.campaign_columns import EXPECTED, LINEAR
 from sim.campaign_file import Campaign, with_sample
-from sim.expected import expect
+from sim.expected import Expected, expect
 from sim.iso8608 import Iso8608
 from sim.linear import driven, held_inputs
-from sim.metrics import Meter, metrics_of
+from sim.metrics import Meter
 from sim.physics import BLOCK, DIVERGED, in_blocks, runs_at_once
 from sim.readout import reads_out
 from sim.response import SILENT
 from sim.road import Road, under_wheels
+from sim.settled import Settled, settled
 from synth.controller import Controller
-
-EXPECTED = "expected_"
 
 
 @dataclass(frozen=True)
@@ -109,29 +109,6 @@ class Plan:
             "sample": key.sample if sample else None,
             **{f"parameter_{parameter}": value for parameter, value in sample.items()},
         }
-
-
-def columns(plan: Plan) -> dict[str, type]:
-    """Name and type of every column of the results, in order."""
-    metrics = dict.fromkeys(metric.name for vehicle in plan.campaign.vehicles.values() for metric in metrics_of(vehicle))
-    sampled = dict.fromkeys(name for samples in plan.campaign.samples.values() for name in samples[0])
-    return {
-        "run": int,
-        "vehicle": str,
-        "controller": str,
-        "road": str,
-        "speed": float,
-        "seed": int,
-        "sample": int,
-        **{f"parameter_{name}": float for name in sampled},
-        "reason": str,
-        "diverged_at": float,
-        "ended_by": str,
-        "ended_at": float,
-        "linear_error": float,
-        **dict.fromkeys(metrics, float),
-        **{f"{EXPECTED}{name}": float for name in metrics},
-    }
 
 
 def run_batch(plan: Plan, start: int, stop: int, stopped: Callable[[], bool] = lambda: False) -> list[dict[str, Any]] | None:
@@ -222,26 +199,37 @@ def _drive(campaign: Campaign, runs: Sequence[_Run], stopped: Callable[[], bool]
         row["ended_at"] = float(ended) if np.isfinite(ended) else None
         row["linear_error"] = _finite(errors[i])
         row |= {name: None if absent else _finite(values[i]) for name, values in measured.items()}
-        # Over a road without a spectrum the linear response is that of this run, and ends with it.
-        prediction = expected(run) if run.choice.random else {n: np.nan if absent else values[i] for n, values in linear.items()}
-        row |= {f"{EXPECTED}{name}": _finite(value) for name, value in prediction.items()}
+        row |= {f"{LINEAR}{name}": None if absent else _finite(values[i]) for name, values in linear.items()}
+        if run.choice.random:
+            row |= expected(run)
         rows.append(row)
     return rows
 
 
 class _Expectations:
-    """Linear predictions over random roads, each made once."""
+    """What is expected over random roads, and how far runs are from it when measuring begins, each made once."""
 
     def __init__(self, campaign: Campaign) -> None:
-        self.campaign, self.made = campaign, {}
+        self.campaign = campaign
+        self.made: dict[Any, Expected | None] = {}
+        self.begun: dict[Any, Settled | None] = {}
 
-    def __call__(self, run: _Run) -> Mapping[str, float]:
+    def __call__(self, run: _Run) -> dict[str, Any]:
         assert isinstance(run.road, Iso8608)
-        key = (*run.system, run.road.road_class, run.speed)
+        c, of = self.campaign, (*run.system, run.speed)
+        key = (*of, run.road.road_class)
         if key not in self.made:
-            window = (len(self.campaign.time) - self.campaign.first) * self.campaign.timestep
-            self.made[key] = expect(run.vehicle, run.controller, run.road, self.campaign.timestep, window)
-        return self.made[key].mean if self.made[key] else {}
+            self.made[key] = expect(run.vehicle, run.controller, run.road, c.timestep, (len(c.time) - c.first) * c.timestep)
+        if of not in self.begun:
+            self.begun[of] = settled(run.vehicle, run.controller, run.road, c.timestep, float(c.time[c.first]))
+        expected, begun = self.made[key], self.begun[of]
+        found: dict[str, Any] = {}
+        if expected is not None:
+            found |= {f"{EXPECTED}{name}": _finite(value) for name, value in expected.mean.items()}
+            found["expected_error"] = _finite(expected.error)
+        if begun is not None:
+            found |= {"settled": begun.share, "settled_signal": begun.signal}
+        return found
 
 
 class _Twin:

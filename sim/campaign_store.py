@@ -20,6 +20,7 @@ import pyarrow.parquet as pq
 from models.errors import InputError
 from models.read_file import MIB, open_plain, read_bytes
 from models.whole_file import whole_file
+from sim.campaign_columns import Column
 from sim.campaign_manifest import FULL, Manifest
 
 RESULTS = "results.parquet"
@@ -49,14 +50,14 @@ class Store:
         damaged: what was found in the folder that is not what was written, and so is run again; in words.
     """
 
-    def __init__(self, folder: Path, columns: Mapping[str, type], metadata: Mapping[str, str], manifest: Manifest) -> None:
+    def __init__(self, folder: Path, columns: Mapping[str, Column], metadata: Mapping[str, str], manifest: Manifest) -> None:
         """Opens a folder, and checks every file in it.
 
         Raises:
             InputError: the finished file is not what was written.
         """
         self.folder, self.manifest = folder, manifest
-        fields = [pa.field(name, TYPES[kind]) for name, kind in columns.items()]
+        fields = [pa.field(name, TYPES[one.kind], metadata=one.about or None) for name, one in columns.items()]
         self.schema = pa.schema(fields, metadata=dict(metadata))
         self.damaged: list[str] = []
         self._parts: list[Part] = []

@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 
 from models.arrays import Array
-from sim.campaign_batch import EXPECTED, Plan
+from sim.campaign_batch import Plan
+from sim.campaign_columns import EXPECTED, LINEAR
 from sim.campaign_store import Store
 from sim.metrics import dynamic_load, points
 
@@ -29,13 +30,14 @@ UNITS = {"ride": "m/s2", "travel": "m", "load": "-"}
 def summarise(plan: Plan, store: Store) -> list[dict[str, Any]]:
     """One entry per vehicle, road, speed and controller of what is there, over its samples and seeds.
 
-    Each headline has the mean and the 95th percentile over runs, and the mean of the linear predictions. A run counts as having
-    left the linear regime where a tyre lifted, a stop was reached, an actuator saturated, or it diverged; one that diverged has
-    no metrics.
+    Each headline is of the column that is worst, and has its root mean square and 95th percentile over runs, and the root mean
+    square of what is predicted of the same runs: expected over random roads, the linear response over others. A run counts as
+    having left the linear regime where a tyre lifted, a stop was reached, an actuator saturated, or it broke off, diverged or on
+    a flat tyre; one that broke off has no metrics, and neither it nor its prediction counts.
     """
     lines = {name: headlines(plan, name) for name in plan.campaign.vehicles}
     metrics = list(dict.fromkeys(name for kinds in lines.values() for names in kinds.values() for name in names))
-    predicted = [f"{EXPECTED}{name}" for name in metrics]
+    predicted = [f"{prefix}{name}" for name in metrics for prefix in (EXPECTED, LINEAR)]
     table = store.read([*INPUTS, "ended_by", "reason", *metrics, *predicted])
     # Dictionary-encoded, so that rows are compared by number.
     codes = np.zeros(len(table), dtype=np.int64)
@@ -57,7 +59,7 @@ def summarise(plan: Plan, store: Store) -> list[dict[str, Any]]:
             rest, index = divmod(rest, max(1, len(names)))
             where.append(names[index])
         entry: dict[str, Any] = dict(zip(INPUTS, reversed(where), strict=True))
-        entry |= {"runs": len(some), "left": int(ended[some].sum()), "diverged": int(broken[some].sum())}
+        entry |= {"runs": len(some), "left": int(ended[some].sum()), "broke_off": int(broken[some].sum())}
         for line, names in lines[entry["vehicle"]].items():
             entry[line] = _statistics(columns, names, some)
         found.append(entry)
@@ -66,20 +68,31 @@ def summarise(plan: Plan, store: Store) -> list[dict[str, Any]]:
     return found
 
 
-def _statistics(columns: Mapping[str, Array], names: Sequence[str], some: Array) -> dict[str, float | None]:
-    """Of the worst of some columns over some runs: mean, 95th percentile, and mean prediction."""
-    measured, predicted = (np.max([columns[f"{prefix}{name}"][some] for name in names], axis=0) for prefix in ("", EXPECTED))
-    measured, predicted = (values[np.isfinite(values)] for values in (measured, predicted))
+def _statistics(columns: Mapping[str, Array], names: Sequence[str], some: Array) -> dict[str, Any]:
+    """Of the worst of some columns over those runs that have metrics: root mean square, 95th percentile, and predicted."""
+    there = some[np.isfinite(columns[names[0]][some])]
+    if not len(there):
+        return {"column": None, "rms": None, "p95": None, "predicted": None}
+    rms = {name: _rms(columns[name][there]) for name in names}
+    worst = max(names, key=lambda name: rms[name])
+    # A run over a random road has an expectation, one over another road its own linear response.
+    predicted = [columns[f"{prefix}{worst}"][there] for prefix in (EXPECTED, LINEAR)]
+    known = next((values for values in predicted if np.isfinite(values).all()), None)
     return {
-        "mean": float(measured.mean()) if len(measured) else None,
-        "p95": float(np.percentile(measured, 95)) if len(measured) else None,
-        "predicted": float(predicted.mean()) if len(predicted) else None,
+        "column": worst,
+        "rms": rms[worst],
+        "p95": float(np.percentile(columns[worst][there], 95)),
+        "predicted": None if known is None else _rms(known),
     }
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def summary_lines(entries: Sequence[Mapping[str, Any]]) -> list[str]:
     """The table."""
-    heads = ("mean", "95 %", "linear")
+    heads = ("rms", "95 %", "predicted")
     title = "".join(f"{f'{name} [{UNITS[name]}]':>30}" for name in UNITS)
     width = max([len(str(entry["controller"])) for entry in entries] + [10])
     lines, before = [], None
@@ -90,9 +103,9 @@ def summary_lines(entries: Sequence[Mapping[str, Any]]) -> list[str]:
             lines += [f"  {'':{width}}{'':>8}{title}{'left linear':>14}"]
             lines += [f"  {'controller':{width}}{'runs':>8}" + "".join(f"{head:>10}" for head in heads * len(UNITS))]
             before = where
-        cells = "".join(_cell(entry[name][key]) for name in UNITS for key in ("mean", "p95", "predicted"))
-        diverged = f", {entry['diverged']} diverged" if entry["diverged"] else ""
-        lines.append(f"  {entry['controller']:{width}}{entry['runs']:>8}{cells}{entry['left']:>14}{diverged}")
+        cells = "".join(_cell(entry[name][key]) for name in UNITS for key in ("rms", "p95", "predicted"))
+        broke_off = f", {entry['broke_off']} broke off" if entry["broke_off"] else ""
+        lines.append(f"  {entry['controller']:{width}}{entry['runs']:>8}{cells}{entry['left']:>14}{broke_off}")
     return lines
 
 

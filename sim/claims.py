@@ -11,6 +11,7 @@ import numpy as np
 from models.arrays import Array
 from models.errors import InputError
 from sim.agreement import ROUNDING
+from sim.metrics import DEFINITIONS
 from sim.recorded import Recorded, RecordedRun, read_json
 from sim.reproduction import FEWEST, Reproduction, as_response
 from sim.response import Response
@@ -171,8 +172,11 @@ def check_result(log: Recorded, again: Reproduction, recorded: RecordedRun, run:
     now: dict[str, Any] = json.loads(json.dumps(run_object(again.vehicle, run)))
     now["road"], now["timestep"] = recorded.claim("road"), again.timestep
     said = {**mine[0], "road": result.get("road"), "timestep": result.get("timestep")}
-    if "metrics" in said:
-        now["metrics"] = _metrics(again, run, result.get("measured_from"))
+    if "metrics" in said and result.get("definitions") == DEFINITIONS:
+        now |= json.loads(json.dumps(_metrics(again, run, result.get("measured_from"))))
+    elif "metrics" in said:
+        text = "its metrics are of other definitions than this version's; the version that wrote the log computes them again"
+        yield Finding("result", MISSING, text)
     different = list(_different(said, now))
     for path in different[:5]:
         yield Finding("result", FAILS, f"result.json says otherwise: {path}")
@@ -183,19 +187,12 @@ def check_result(log: Recorded, again: Reproduction, recorded: RecordedRun, run:
 
 
 def _metrics(again: Reproduction, run: Run, start: Any) -> dict[str, Any]:
-    """Ride metrics from the sample at which the log says that measuring began."""
-    from sim.drive import measure_run
+    """Ride metrics, and what they rest on, from the sample at which the log says that measuring began."""
+    from sim.measured import measure_run, metrics_object
 
     if isinstance(start, bool) or not isinstance(start, (int, float)) or not 0 <= start <= run.physics.time[-2]:
         raise InputError("result.json does not say from when its metrics were measured")
-    measured = measure_run(again.vehicle, run, again.road, round(start / again.timestep))
-    return {
-        name: {
-            "unit": one.unit,
-            **{key: _finite(getattr(one, key)) for key in ("mujoco", "linear", "expected", "spread")},
-        }
-        for name, one in measured.metrics.items()
-    }
+    return metrics_object(run, measure_run(again.vehicle, run, again.road, round(start / again.timestep)))
 
 
 def _apart(logged: Response, again: Response) -> tuple[float, str]:

@@ -8,17 +8,17 @@ the frequency response H of the loop as it is implemented,
 
 The band is that of the road's lines, half a line further out at both ends: a sum over lines is the integral over it, to second
 order in their distance. Signals are Gaussian, and the rest follows (`sim/gaussian.py`): the metrics that are means (mean squares,
-of the tyre's load as it is, never negative; shares of time, power, energy) and the VDV, by E a^4 = 3 sigma^4, are exact for a
-linear run that has forgotten its beginning. Largest values are approximate. Against linear responses over 200 roads each, of the
-three vehicles as they ship with `passive`, `I` and `II`, at 10, 20 and 35 m/s for 10 s: MTVV within 2.5 %, crest factors within 5
-%, peaks within 7 %, but 11 % too large for the travel of the passive quarter-car, of whose memory a window has few.
+of the tyre's load as it is, never negative; shares of time, power, energy) and the integral in the VDV, by E a^4 = 3 sigma^4, are
+exact for a linear run that has forgotten its beginning. Largest values are approximate. Against linear responses over 200 roads
+each, of the three vehicles as they ship with `passive`, `I` and `II`, at 10, 20 and 35 m/s for 10 s: MTVV within 2.5 %, crest
+factors within 5 %, peaks within 7 %, but 11 % too large for the travel of the passive quarter-car, of whose memory a window has
+few.
 """
 
 import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg
 
 from models.arrays import Array
 from models.vehicle import Vehicle
@@ -35,7 +35,7 @@ from synth.stability import stability
 
 FORGOTTEN = 0.01  # share of its variance that the slowest mode of a vehicle from rest may still miss when measuring begins
 EXACT = 1e-4  # what an expectation may be off for its integral
-APPROXIMATE = ("_mtvv", "_crest", "_peak")  # endings of the metrics whose expectation is approximate
+APPROXIMATE = ("_vdv", "_mtvv", "_crest", "_peak")  # endings of the metrics whose expectation is approximate
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,8 @@ class Expected:
     """Expected metrics of one run over roads of a kind.
 
     Attributes:
-        mean: by metric; for those that are roots of mean squares, the root of the expected mean square.
+        mean: by metric; for roots of mean squares the root of the expected mean square, for the VDV the fourth root of the
+            expected integral. Means over roads of such roots are lower: by half, and 1.5 times, their relative variance.
         spread: standard deviation of the metric from road to road over the window, for those roots; by metric.
         error: estimate of what the integrals are off, relative, at most; above `EXACT`, say so beside the numbers.
     """
@@ -60,76 +61,16 @@ def settling_time(vehicle: Vehicle, controller: Controller) -> float:
     return math.log(FORGOTTEN) / (2 * found.worst.real) if found.stable else math.inf
 
 
-@dataclass(frozen=True)
-class Settled:
-    """How much of its final variance a vehicle from rest has.
-
-    Attributes:
-        share: of the signal that has least.
-        signal: which it is.
-    """
-
-    share: float
-    signal: str
-
-
-def settled(vehicle: Vehicle, controller: Controller, speed: float, timestep: float, start: float) -> Settled | None:
-    """How much of its variance is there when measuring begins, of the measured signal that has least; None for an unstable loop.
-
-    On white road velocity, tracks apart, the variance at a time is the energy of the response to an impulse until then: a sum of
-    Gramians over the loop as it is sampled, one from each axle's impulse to the next. A road has a band: a signal that has much
-    below it, such as a force that follows the body's slow velocity, is further than this says.
-
-    Args:
-        vehicle: the vehicle.
-        controller: its controller.
-        speed: of the vehicle [m/s].
-        timestep: of the sampled loop [s].
-        start: when measuring begins [s].
-    """
-    if sampled_radius(vehicle, controller, timestep) >= 1:
-        return None
-    model, _ = driven(vehicle, controller)
-    loop, _, acting = implemented_loop(vehicle, controller, timestep)
-    rows = np.hstack([model.C, np.zeros((len(model.C), len(loop) - model.C.shape[1]))]) + model.D @ acting
-    period = timestep * steps_per_sample(vehicle.implementation, timestep)
-    steps, wheels = round(start / period), vehicle.kind.wheels
-    late = np.array([round(wheel.behind(vehicle.parameters) / speed / period) for wheel in wheels])
-    there, missing = np.zeros(len(rows)), np.zeros(len(rows))
-    for side in {wheel.side for wheel in wheels}:
-        mine = np.array([wheel.side == side for wheel in wheels])
-        kick, before = np.zeros(len(loop)), 0
-        arrivals = sorted(set(late[mine].tolist()))
-        for at, until in zip(arrivals, [*arrivals[1:], None], strict=True):
-            kick = np.linalg.matrix_power(loop, at - before) @ kick
-            kick[: len(model.A)] += model.Bw[:, mine & (late == at)].sum(axis=1)
-            before = at
-            energy_from = linalg.solve_discrete_lyapunov(loop, np.outer(kick, kick), method="bilinear")
-
-            def left(after: int | None, P: Array = energy_from) -> Array:
-                """What of the energy comes later than so many steps, by signal."""
-                if after is None:
-                    return np.zeros(len(rows))
-                free = rows @ np.linalg.matrix_power(loop, after)
-                return np.einsum("si,ij,sj->s", free, P, free)
-
-            whole, end = left(0), None if until is None else until - at
-            there += whole - left(end)
-            missing += np.maximum(left(min(max(steps - at, 0), end or 2**62)) - left(end), 0.0)
-    where = points(vehicle)
-    measured = {*where.accelerations, *where.suspensions, *where.tyres, *(name for name, *_ in where.actuators)}
-    moving = there > 1e-12 * there.max()
-    shares = {name: float(1 - missing[i] / there[i]) for i, name in enumerate(model.outputs) if name in measured and moving[i]}
-    least = min(shares, key=lambda name: shares[name])
-    return Settled(max(shares[least], 0.0), least)
+def tracks(vehicle: Vehicle, road: Iso8608, omega: Array) -> Array:
+    """What every wheel's track has of the two independent sources of a road, shape (F, r, 2)."""
+    alike = coherency(omega / (2 * np.pi * road.speed), road.track_width)
+    left, right = np.stack([np.ones_like(alike), np.zeros_like(alike)]), np.stack([alike, np.sqrt(1 - alike**2)])
+    return np.moveaxis(np.stack([right if wheel.side == "right" else left for wheel in vehicle.kind.wheels]), -1, 0)
 
 
 def sources(vehicle: Vehicle, road: Iso8608, omega: Array) -> Array:
     """What every wheel meets of the two independent sources of a road, complex, shape (F, r, 2)."""
-    alike = coherency(omega / (2 * np.pi * road.speed), road.track_width)
-    left, right = np.stack([np.ones_like(alike), np.zeros_like(alike)]), np.stack([alike, np.sqrt(1 - alike**2)])
-    tracks = np.stack([right if wheel.side == "right" else left for wheel in vehicle.kind.wheels])
-    return as_met(vehicle, omega, road.speed)[..., None] * np.moveaxis(tracks, -1, 0)
+    return as_met(vehicle, omega, road.speed)[..., None] * tracks(vehicle, road, omega)
 
 
 def expect(vehicle: Vehicle, controller: Controller, road: Iso8608, timestep: float, window: float) -> Expected | None:
@@ -145,7 +86,7 @@ def expect(vehicle: Vehicle, controller: Controller, road: Iso8608, timestep: fl
     if sampled_radius(vehicle, controller, timestep) >= 1:
         return None
     low, high = (2 * np.pi * road.speed * n for n in road.band)
-    poles, doubt = _poles(vehicle, controller, timestep, high)
+    poles, doubt = loop_poles(vehicle, controller, timestep, high)
     density = (2 * np.pi * N0) ** 2 * roughness(road.road_class) * road.factor**2 * road.speed
     where, static = points(vehicle), vehicle.kind.static_tyre_deflection(vehicle.parameters)
     index = {name: i for i, name in enumerate(vehicle.linear_model.outputs)}
@@ -159,12 +100,11 @@ def expect(vehicle: Vehicle, controller: Controller, road: Iso8608, timestep: fl
 
     def checked(omega: Array, amplitudes: Array) -> Array:
         """Spectra of all signals, and those of the weighted accelerations, shape (F, p + a)."""
-        spectra = _power(amplitudes)
+        spectra = power_of(amplitudes)
         weighted = np.abs(weigh.response(omega, timestep)[:, None]) ** 2 * spectra[:, ride]
         return np.concatenate([spectra, weighted], axis=1)
 
-    delay = max(wheel.behind(vehicle.parameters) for wheel in vehicle.kind.wheels) / road.speed
-    band = sample_band(response, checked, low, high, poles, 2 * np.pi / delay if delay else math.inf)
+    band = sample_band(response, checked, low, high, poles, longest_panel(vehicle, road.speed))
     omega = band.omega
     # A sum over lines is the integral as long as a resonance is wider than the lines are apart.
     damping, rate = -np.real(poles), np.abs(np.imag(poles))
@@ -190,33 +130,39 @@ def expect(vehicle: Vehicle, controller: Controller, road: Iso8608, timestep: fl
         return signal
 
     for name in where.accelerations:
-        spectrum = _power(amplitude(name))
+        spectrum = power_of(amplitude(name))
         root(f"{name}_rms", spectrum)
         weighted = root(f"{name}_weighted", np.abs(weigh.response(omega, timestep)) ** 2 * spectrum)
         mean[f"{name}_vdv"] = (3 * window) ** 0.25 * weighted.sigma
         mean[f"{name}_mtvv"] = weighted.largest_running(window, RUNNING)
         mean[f"{name}_crest"] = weighted.largest(window)
     for name in where.suspensions:
-        signal = root(f"{name}_rms", _power(amplitude(name)))
+        signal = root(f"{name}_rms", power_of(amplitude(name)))
         mean[f"{name}_peak"] = signal.largest(window) * signal.sigma
         if vehicle.limits.suspension_stroke is not None:
             mean[f"{name}_at_stops"] = 2 * signal.beyond(vehicle.limits.suspension_stroke)
     for name in where.tyres:
-        signal = root(dynamic_load(name), _power(amplitude(name)), static[name], 1 / static[name])
+        signal = root(dynamic_load(name), power_of(amplitude(name)), static[name], 1 / static[name])
         mean[off_ground(name)] = signal.beyond(static[name])
     for name, *ends in where.actuators:
         force = amplitude(name)
-        signal = root(f"{name}_rms", _power(force))
+        signal = root(f"{name}_rms", power_of(force))
         mean[f"{name}_peak"] = signal.largest(window) * signal.sigma
         if ends:
             closing = amplitude(ends[0]) - amplitude(ends[1])
             net = float(band.share @ np.sum(np.real(force * np.conj(closing)), axis=-1))
-            size = signal.sigma * float(band.share @ _power(closing)) ** 0.5
+            size = signal.sigma * float(band.share @ power_of(closing)) ** 0.5
             mean[power(name)], mean[energy(name)] = net, positive_part(net, size) * window
     return Expected(mean, spread, error)
 
 
-def _poles(vehicle: Vehicle, controller: Controller, timestep: float, high: float) -> tuple[Array, float]:
+def longest_panel(vehicle: Vehicle, speed: float) -> float:
+    """How far frequencies may be apart that see how much later the last axle meets the road [rad/s]."""
+    delay = max(wheel.behind(vehicle.parameters) for wheel in vehicle.kind.wheels) / speed
+    return 2 * np.pi / delay if delay else math.inf
+
+
+def loop_poles(vehicle: Vehicle, controller: Controller, timestep: float, high: float) -> tuple[Array, float]:
     """Poles of the sampled loop and of the weighting up to a frequency [rad/s], and what rounding leaves open of the slowest.
 
     A loop that is sampled has every pole again at every multiple of its sampling frequency.
@@ -231,6 +177,6 @@ def _poles(vehicle: Vehicle, controller: Controller, timestep: float, high: floa
     return np.concatenate([np.add.outer(again, found).ravel(), np.add.outer(again, weighting).ravel()]), doubt
 
 
-def _power(amplitude: Array) -> Array:
+def power_of(amplitude: Array) -> Array:
     """Spectrum of a signal from its amplitudes by source, shape (..., 2) to (...)."""
     return np.sum(np.abs(amplitude) ** 2, axis=-1)

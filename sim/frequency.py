@@ -22,6 +22,7 @@ import numpy as np
 from scipy import linalg, optimize
 
 from models.arrays import Array
+from models.linear_model import LinearModel
 from models.vehicle import Vehicle
 from sim.linear import driven, held_inputs
 from sim.sampler import steps_per_sample
@@ -60,6 +61,27 @@ def sampled_frequency_response(
         timestep: h [s].
         exponential: the matrix exponential; `taylor4` to predict an RK4 integrator.
     """
+    model, _, mean_x, force = _harmonic(vehicle, controller, omega, timestep, exponential)
+    return (model.C @ mean_x + model.D @ force + model.Cr) / (1j * np.asarray(omega, dtype=float)[:, None, None])
+
+
+def sampled_states(vehicle: Vehicle, controller: Controller, omega: Array, timestep: float) -> Array:
+    """From the road velocity under each wheel to the states of `implemented_loop` at the controller's samples, shape (F, s, r).
+
+    Arguments as for `sampled_frequency_response`.
+    """
+    s = 1j * np.asarray(omega, dtype=float)[:, None, None]
+    how, G = vehicle.implementation, driven(vehicle, controller)[1]
+    _, x, _, _ = _harmonic(vehicle, controller, omega, timestep, linalg.expm)
+    period = timestep * steps_per_sample(how, timestep)
+    waiting = [np.exp(-s * period * late) * (G @ x) for late in range(how.delay, 0, -1)]
+    return np.concatenate([x, *waiting], axis=1) / s
+
+
+def _harmonic(
+    vehicle: Vehicle, controller: Controller, omega: Array, timestep: float, exponential: Callable[[Array], Array]
+) -> tuple[LinearModel, Array, Array, Array]:
+    """What oscillates with omega per unit of Z: model, state at the controller's samples, state and force over a period."""
     (model, G), how, h = driven(vehicle, controller), vehicle.implementation, timestep
     s = 1j * np.asarray(omega, dtype=float)[:, None, None]
     steps = steps_per_sample(how, h)
@@ -74,8 +96,7 @@ def sampled_frequency_response(
         mean_P, mean_Q, mean_held = mean_P + turn * P, mean_Q + turn * Q, mean_held + turn
         P, Q = Phi @ P + Gamma_u @ F, Phi @ Q + Gamma_u @ F @ model.Bw + Gamma_r * np.exp(s * h * (i + 0.5))
     xi = np.linalg.solve(np.exp(s * h * steps) * np.eye(len(model.A)) - P, Q)
-    x, force = mean_P @ xi + mean_Q + model.Bw, mean_held * (F @ (xi + model.Bw))
-    return (model.C @ x + model.D @ force + model.Cr) / s
+    return model, xi + model.Bw, mean_P @ xi + mean_Q + model.Bw, mean_held * (F @ (xi + model.Bw))
 
 
 def as_met(vehicle: Vehicle, omega: Array, speed: float) -> Array:

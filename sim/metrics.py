@@ -24,6 +24,7 @@ from sim.response import Response
 from sim.weighting import sampled_wk
 
 RUNNING = 1.0  # s, of the running rms
+DEFINITIONS = 2  # of the metrics and what is expected of them; one more wherever a number comes out otherwise than before
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import special
 
 from models.arrays import Array
 
@@ -38,6 +39,18 @@ class Band:
     share: Array
     values: Array
     error: float
+
+    def turning(self, time: float) -> Array:
+        """Complex weights, shape (F,): `turning(t) @ f` is the integral of f exp(j omega t) over frequency, however late t [s].
+
+        On a panel f is the polynomial through its nodes, and of a Legendre polynomial that integral is a spherical Bessel
+        function: that of P_l(x) exp(j a x) over -1..1 is 2 j^l j_l(a).
+        """
+        share, middle = self.share.reshape(-1, ORDER), self.omega.reshape(-1, ORDER).mean(axis=1)
+        half, degrees = np.pi * share.sum(axis=1), np.arange(ORDER)  # the weights' sum is 2
+        moments = (2 * degrees + 1) * 1j**degrees * special.spherical_jn(degrees, half[:, None] * time)
+        turned = moments @ np.polynomial.legendre.legvander(NODES, ORDER - 1).T
+        return (share * turned * np.exp(1j * middle * time)[:, None]).ravel()
 
 
 def sample_band(

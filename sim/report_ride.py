@@ -22,15 +22,15 @@ LONGEST = 20.0  # s; more than that no loop is waited for
 
 
 def ride_section(vehicle: Vehicle, controllers: Sequence[Controller], timestep: float) -> Section:
-    """Every controller over every class, mean over the seeds."""
+    """Every controller over every class, root mean square over the seeds."""
     found = [row for one in controllers for row in _rows(vehicle, one, timestep)]
     names = ("class", "controller", "metric", "unit", "MuJoCo", "predicted", "road to road", "lift-off")
     text = (
         f"Random roads of ISO 8608 at {SPEED:g} m/s, {len(SEEDS)} of each class, {WINDOW:g} s each. Weighted is ISO 2631-1's rms "
         "acceleration, Wk; dynamic load is the rms of the tyre's force over its static value. Predicted is from the road's "
-        "spectrum through the sampled closed loop, for a vehicle without limits; road to road is by how much one such road "
-        "differs from that, one standard deviation, so the mean of MuJoCo's differs by half of it. Runs that diverged or "
-        "squeezed a tyre flat are not in the mean.",
+        "spectrum through the sampled closed loop, for a vehicle without limits, noise and quantisation. Both are roots of mean "
+        "squares, over the roads driven and over all roads; road to road is by how much one such road differs from that, one "
+        "standard deviation, so MuJoCo's differs by half of it. Runs that diverged or squeezed a tyre flat are left out.",
     )
     rows = sorted(found, key=lambda row: (row[0], row[2]))
     return Section("Ride", text, (Table("ride", names, tuple(rows), words=4),))
@@ -70,7 +70,7 @@ def _rows(vehicle: Vehicle, controller: Controller, timestep: float) -> list[tup
                     controller.name,
                     name.replace("_", " "),
                     unit,
-                    f"{np.mean([one[name] for one in some]):.4g}" if some else "-",
+                    f"{np.sqrt(np.mean([one[name] ** 2 for one in some])):.4g}" if some else "-",
                     f"{mean:.4g}" if mean is not None else "-",
                     f"+-{100 * spread / mean:.0f} %" if mean and spread is not None else "-",
                     events,

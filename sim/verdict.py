@@ -56,6 +56,12 @@ def energy_lines(run: Run) -> list[str]:
     return [f"energy DOES NOT BALANCE: {of} is not found again, {BALANCED:.0e} allowed: {why}"]
 
 
+def half_step_object(run: Run) -> dict[str, Any]:
+    """What half the step changes after a lift-off, under `half_step`, as JSON has it."""
+    found = run.half_step
+    return {"half_step": {"difference": _finite(found.difference), "signal": found.signal} if found else None}
+
+
 def controller_object(controller: Controller) -> dict[str, Any]:
     """A controller as JSON has it."""
     certificate = controller.certificate
@@ -99,6 +105,13 @@ def verdict_lines(run: Run) -> list[str]:
         lines.append(f"diverged: MuJoCo was stopped at {run.diverged:.4g} s; there is no vehicle any more")
     for start, end in agreement.lift_off:
         lines.append(f"lift-off: a tyre is off the road from {start:.4g} s to {end:.4g} s ({end - start:.3g} s)")
+    if run.half_step is not None and math.isfinite(run.half_step.difference):
+        size, signal = run.half_step.difference, run.half_step.signal
+        lines.append(f"after lift-off the physics holds to about {size:.1e} of a peak: so much half the step changes {signal}")
+    elif run.half_step is not None:
+        lines.append("after lift-off the physics does not hold: at half the step it diverges")
+    elif agreement.lift_off and agreement.blurred:
+        lines.append("how far the physics holds after lift-off is not said: at half the step other noise would be measured")
     if math.isfinite(agreement.stopped):
         lines.append(f"bump stop: a suspension is at the end of its stroke first at {agreement.stopped:.4g} s")
     if math.isfinite(agreement.saturated):

@@ -6,17 +6,22 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from mcap.reader import make_reader
 
 from models.errors import InputError
+from models.vehicle import read_vehicle
 from sim.agreement import ROUNDING, compare
 from sim.bump import main
 from sim.linear import sampled_response, taylor4
+from sim.physics import simulate
 from sim.road import Bump
 from sim.run import run_all, sample_times
+from synth.controller import Designer
 
 ROOT = Path(__file__).parent.parent
 VEHICLE = (ROOT / "models" / "quarter_car.toml").read_text()
@@ -135,7 +140,8 @@ def test_json_has_this_shape(everything):
     assert everything["logs"] == {"mcap": None, "layout": None, "rerun": None}
     assert [run["controller"]["name"] for run in everything["runs"]] == CONTROLLERS
     for run in everything["runs"]:
-        assert set(run) == {"controller", "signals", "lift_off", "agrees", "energy"}
+        assert set(run) == {"controller", "signals", "lift_off", "agrees", "energy", "half_step"}
+        assert run["half_step"] is None  # no tyre lifts
         assert set(run["controller"]) == {"name", "measured", "gain", "bound", "norm", "peak_frequency", "stability"}
         assert {name: entry["unit"] for name, entry in run["signals"].items()} == UNITS
         for entry in run["signals"].values():
@@ -399,3 +405,35 @@ def test_negative_numbers_are_no_options(capsys):
     assert results[0][1]["road"]["height"] == -0.02
     for name in UNITS:
         assert hole[name]["peak"]["continuous"] == bump[name]["peak"]["continuous"]
+
+
+@pytest.mark.parametrize("controller", ["I_printed", "passive"])
+def test_how_far_the_physics_holds_after_lift_off(capsys, controller):
+    """It is said, and within a factor of three is what physics at an eighth of the step makes of it, the force held as long."""
+    arguments = ["--controller", controller, "--height", "0.1", "--length", "1", "--duration", "1", "--no-logs"]
+    assert main([*arguments, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["runs"][0]["half_step"]
+    assert main(arguments) == 0
+    out = capsys.readouterr().out
+    assert f"holds to about {found['difference']:.1e} of a peak: so much half the step changes {found['signal']}" in out
+
+    vehicle = read_vehicle("quarter_car")
+    held = replace(vehicle, implementation=replace(vehicle.implementation, sample_period=1e-3))
+    designed, road = Designer(vehicle).design(controller), Bump(height=0.1, length=1.0)
+    coarse, fine = (simulate([held], [designed], [road], np.arange(1000 * n + 1) * 1e-3 / n).response.run(0) for n in (1, 8))
+    names = [name for name in vehicle.linear_model.outputs if coarse.scale(name)]
+    error = max(np.abs(coarse[name] - fine[name][::8]).max() / coarse.scale(name) for name in names)
+    assert 1e-4 < error < 1e-2
+    assert 1 / 3 < found["difference"] / error < 3
+
+
+def test_with_noise_it_is_not_said_how_far_the_physics_holds(capsys, tmp_path):
+    """Noise at half the step would be other noise: then there is no number, and the reason is said."""
+    (tmp_path / "noisy.toml").write_text(VEHICLE + "\n[implementation]\nnoise = { sprung_velocity = 1e-4 }\n")
+    arguments = ["--vehicle", str(tmp_path / "noisy.toml"), "--controller", "I_printed", "--height", "0.1", "--length", "1"]
+    main([*arguments, "--duration", "0.5", "--no-logs", "--json"])
+    (run,) = json.loads(capsys.readouterr().out)["runs"]
+    assert run["lift_off"]
+    assert run["half_step"] is None
+    main([*arguments, "--duration", "0.5", "--no-logs"])
+    assert "how far the physics holds after lift-off is not said" in capsys.readouterr().out

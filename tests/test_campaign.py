@@ -27,6 +27,7 @@ from sim.iso8608 import Iso8608
 from sim.linear import sampled_response
 from sim.metrics import measure, metrics_of
 from sim.physics import simulate
+from sim.settled import settled
 from synth.controller import Designer
 
 ROOT = Path(__file__).parent.parent
@@ -130,11 +131,18 @@ def test_rows_are_those_runs(small, tmp_path):
             expected = expect(vehicle, controller, road, campaign.timestep, window)
             assert expected is not None
             predicted = expected.mean
+            assert row["expected_error"] == expected.error
+            begun = settled(vehicle, controller, road, campaign.timestep, float(campaign.time[campaign.first]))
+            assert begun is not None
+            assert (row["settled"], row["settled_signal"]) == (pytest.approx(begun.share), begun.signal)
         else:
             predicted = measure(vehicle, linear, 0)
+            assert (row["settled"], row["settled_signal"], row["expected_error"]) == (None, None, None)
         for name in (metric.name for metric in metrics_of(vehicle)):
             assert row[name] == pytest.approx(found[name], rel=1e-9, abs=1e-12), name  # sums in another order, roads to rounding
-            assert row[f"expected_{name}"] == pytest.approx(predicted[name], rel=1e-7, abs=1e-9), name
+            there, absent = ("expected", "linear") if choice.random else ("linear", "expected")
+            assert row[f"{there}_{name}"] == pytest.approx(predicted[name], rel=1e-7, abs=1e-9), name
+            assert row[f"{absent}_{name}"] is None
         apart = max(np.abs(response[name] - linear[name]).max() / linear.scale(name) for name in vehicle.linear_model.states)
         if row["ended_by"] is None:
             assert row["linear_error"] == pytest.approx(apart, rel=0.2)  # scales of states only
@@ -158,8 +166,12 @@ def test_where_it_is_linear_it_agrees(small):
     assert all(row["road"] != "iso8608:class=A" and 0 <= row["ended_at"] <= 0.6 for row in lifted)
 
 
+def root_mean_square(values):
+    return np.sqrt(np.mean(np.square(list(values))))
+
+
 def test_summary(small, tmp_path, capsys):
-    """The table at the end is the mean and percentile of the rows, beside the mean prediction, by road and controller."""
+    """The table at the end is root mean square and percentile of the rows of the worst point, beside what is predicted of it."""
     run(tmp_path, SMALL, "--json")
     result = json.loads(capsys.readouterr().out, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
     assert result["runs"] == result["new"] == RUNS
@@ -169,14 +181,54 @@ def test_summary(small, tmp_path, capsys):
         assert entry["runs"] == len(some)
         assert entry["left"] == sum(row["ended_by"] is not None for row in some)
         columns = ["dynamic_load"] if entry["vehicle"] == "quarter_car" else ["dynamic_load_front", "dynamic_load_rear"]
-        worst = [max(row[name] for name in columns) for row in some]
-        assert entry["load"]["mean"] == pytest.approx(np.mean(worst))
-        assert entry["load"]["p95"] == pytest.approx(np.percentile(worst, 95))
-        assert entry["load"]["predicted"] == pytest.approx(np.mean([max(row[f"expected_{n}"] for n in columns) for row in some]))
+        rms = {name: root_mean_square(row[name] for row in some) for name in columns}
+        assert entry["load"]["column"] == max(rms, key=lambda name: rms[name])
+        assert entry["load"]["rms"] == pytest.approx(max(rms.values()))
+        assert entry["load"]["p95"] == pytest.approx(np.percentile([row[entry["load"]["column"]] for row in some], 95))
+        prefix = "expected" if entry["road"].startswith("iso") else "linear"
+        predicted = root_mean_square(row[f"{prefix}_{entry['load']['column']}"] for row in some)
+        assert entry["load"]["predicted"] == pytest.approx(predicted)
     main([str(tmp_path / "campaign.toml"), "--results", str(tmp_path / "results")])
     out = capsys.readouterr().out
     assert "all of them there already" in out
     assert out.count("quarter_car over iso8608:class=E at 25 m/s") == 1
+
+
+def test_columns_say_what_they_are(small, tmp_path):
+    """Every metric has its unit and definition in the Parquet file, and an expectation that is approximate says so."""
+    run(tmp_path, QUICK.replace("seeds = 60", "seeds = 1"))
+    schema = pq.read_schema(tmp_path / "results" / "results.parquet")
+    for metric in metrics_of(read_vehicle("quarter_car")):
+        for prefix in ("", "expected_", "linear_"):
+            about = schema.field(f"{prefix}{metric.name}").metadata
+            assert about[b"unit"].decode() == metric.unit
+            rough = prefix == "expected_" and metric.name.endswith(("_vdv", "_mtvv", "_crest", "_peak"))
+            assert (b"approximate" in about) == rough
+    definitions = [schema.field(f"{prefix}dynamic_load").metadata[b"definition"] for prefix in ("", "expected_", "linear_")]
+    assert len(set(definitions)) == 3
+
+
+def test_a_flat_tyre_is_a_row(tmp_path, capsys):
+    """A run on a flat tyre has its reason and when, neither metrics nor a linear response, and counts in no mean.
+
+    A road of 1 m is through the hub within a step; one of 0.3 m leaves it above, and the tyre squeezed.
+    """
+    text = 'vehicles = ["quarter_car"]\ncontrollers = ["I_printed"]\n'
+    text += 'roads = ["step:height=1", "step:height=0.3", "bump:height=0.02"]\n'
+    (through_hub, flat, through), _ = run(tmp_path, text + "speeds = [20.0]\nduration = 0.6\n", "--json")
+    assert through["reason"] is None
+    for row in (through_hub, flat):
+        assert row["reason"] == f"flat: a tyre is squeezed by more than 0.25 m at {row['ended_at']:.4g} s"
+        assert (row["ended_by"], row["diverged_at"]) == ("flat tyre", None)
+    for name in (metric.name for metric in metrics_of(read_vehicle("quarter_car"))):
+        assert flat[name] is None
+        assert flat[f"linear_{name}"] is None
+        assert through[f"linear_{name}"] == pytest.approx(through[name], rel=1e-2, abs=1e-9)
+    broken, _, whole = json.loads(capsys.readouterr().out)["summary"]
+    assert (broken["broke_off"], whole["broke_off"]) == (1, 0)
+    assert broken["ride"] == {"column": None, "rms": None, "p95": None, "predicted": None}
+    assert main([str(tmp_path / "campaign.toml"), "--results", str(tmp_path / "results")]) == 0
+    assert "1, 1 broke off" in capsys.readouterr().out
 
 
 def test_a_diverging_run_is_a_row(tmp_path):

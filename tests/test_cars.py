@@ -13,6 +13,7 @@ from models.errors import InputError
 from models.kind import GRAVITY
 from models.mjcf import build_model
 from models.vehicle import parse_vehicle, read_vehicle
+from sim import readout
 from sim.linear import continuous_response, sampled_response
 from sim.physics import simulate
 from sim.road import Bump
@@ -286,3 +287,36 @@ def test_bad_cars_are_refused(name, old, new, words):
         parse_vehicle(text.replace(old, new))
     for word in words:
         assert word in str(refusal.value)
+
+
+@pytest.mark.parametrize("height", [0.05, 0.1])
+def test_the_third_inertia_hardly_counts(monkeypatch, height):
+    """Any yaw inertia that a body can have moves a car that pitches and rolls by 5e-4 of a peak, with the amplitude squared."""
+    vehicle = read_vehicle("full_car")
+    passive, road = Designer(vehicle).design("passive"), Bump(height, 5.0, 12.5, "left")
+    p, time = vehicle.parameters, sample_times(vehicle, 1.5, 1e-3)
+    roll, pitch = p["roll_inertia"], p["pitch_inertia"]
+
+    def driven(yaw):
+        def build(*arguments):
+            model = build_model(*arguments)
+            body = model.body("sprung").id
+            np.testing.assert_allclose(model.body_inertia[body], [roll, pitch, pitch])
+            model.body_inertia[body][2] = yaw
+            mujoco.mj_setConst(model, mujoco.MjData(model))
+            return model
+
+        monkeypatch.setattr(readout, "build_model", build)
+        readout.prepared.cache_clear()
+        return simulate([vehicle], [passive], [road], time).response.run(0)
+
+    try:
+        ours, *others = (driven(yaw) for yaw in (pitch, pitch - roll, pitch + roll))
+    finally:
+        readout.prepared.cache_clear()
+    moved = [
+        max(np.abs(other[name] - ours[name]).max() / np.abs(ours[name]).max() for name in vehicle.linear_model.outputs[:-4])
+        for other in others
+    ]
+    assert max(moved) < 5e-4
+    assert moved == pytest.approx([1.13e-4 * (height / 0.05) ** 2] * 2, rel=0.2)  # measured

@@ -5,6 +5,7 @@ import json
 import pytest
 
 from models.errors import InputError
+from models.vehicle import read_vehicle
 from sim.drive import main
 from sim.metrics import metrics_of
 
@@ -24,7 +25,7 @@ def test_class_c(capsys, tmp_path):
     assert run["agrees"]
     assert result["road"]["class"] == "C"
     assert result["road"]["roughness"] == 256e-6
-    assert set(run["metrics"]["dynamic_load"]) == {"unit", "mujoco", "linear", "expected", "spread"}
+    assert set(run["metrics"]["dynamic_load"]) == {"unit", "mujoco", "linear", "expected", "spread", "approximate"}
     for name in ("sprung_acceleration_weighted", "suspension_deflection_rms", "dynamic_load", "control_force_rms"):
         metric = run["metrics"][name]
         assert metric["mujoco"] == pytest.approx(metric["linear"], rel=0.05)  # it lifts off for moments, if at all
@@ -78,8 +79,6 @@ def test_full_car_in_words(capsys, tmp_path):
     arguments = ["--vehicle", "full_car", "--controller", "passive", "--class", "B", "--duration", "3", "--logs", str(tmp_path)]
     assert main(arguments) == 0
     out = capsys.readouterr().out
-    from models.vehicle import read_vehicle
-
     vehicle = read_vehicle("full_car")
     rows = {line.split()[0] for line in out.splitlines() if line.strip()}
     assert {metric.name for metric in metrics_of(vehicle)} <= rows
@@ -130,15 +129,32 @@ def test_a_run_that_ends_early_has_no_metrics(capsys):
 
 
 def test_what_metrics_rest_on_is_said(capsys):
-    """How much of the variance is there when measuring begins, and what expectations are off, in words as in JSON."""
+    """How much of the variance is there when measuring begins, what is approximate, and what is in one column alone."""
     arguments = ["--controller", "passive", "--class", "C", "--duration", "4", "--no-logs"]
     _, result = run_json(capsys, *arguments)
     (run,) = result["runs"]
     assert run["broke_off"] is None
+    assert run["settled"]["signal"] == "suspension_deflection"
     assert 0.7 < run["settled"]["share"] < 0.9  # half of the run, 2 s, is a third of its settling time
     assert run["expected_error"] < 1e-4
     main(arguments)
     out = capsys.readouterr().out
-    assert f"{100 * run['settled']['share']:.3g} % of the variance, of white road velocity, is there" in out
-    assert "approximate" in out
+    assert f"the variance of suspension_deflection is {100 * run['settled']['share']:.3g} % of what it comes to" in out
+    assert "~ is approximate" in out
     assert "may be off" not in out
+    for name, metric in run["metrics"].items():
+        (line,) = [line for line in out.splitlines() if line.split()[:1] == [name]]
+        assert (f"~{metric['expected']:.4g}" in line) == bool(metric["approximate"] and metric["expected"])
+        assert metric["approximate"] == name.endswith(("vdv", "mtvv", "crest", "peak"))
+    assert "without bump stops" not in out
+    assert "noise" not in out
+
+
+def test_what_linear_numbers_have_not_is_said(capsys, tmp_path):
+    """Of limits, and of noise on what is measured, a sentence says that only MuJoCo's numbers have them."""
+    text = read_vehicle("quarter_car").text + "\n[limits]\nsuspension_stroke = 0.08\nstop_stiffness = 1e5\n[implementation]\n"
+    (tmp_path / "built.toml").write_text(text + "noise = { sprung_velocity = 1e-3 }\n")
+    main(["--vehicle", str(tmp_path / "built.toml"), "--controller", "I", "--class", "B", "--duration", "2", "--no-logs"])
+    out = capsys.readouterr().out
+    assert "linear and expected numbers are of a vehicle without bump stops" in out
+    assert "noise and quantisation of what is measured are in MuJoCo's numbers, not in linear and expected ones" in out

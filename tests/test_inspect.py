@@ -127,6 +127,29 @@ def test_drive(options, tmp_path, capsys):
     assert (code, broken(found)) == (0, set())
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        (b'"definitions": 2', b'"definitions": 1', "its metrics are of other definitions than this version's"),
+        (b'"definitions": 2', b'"other": 2', "its metrics are of other definitions than this version's"),  # older than the word
+        (b'"settled": {"share": 0.', b'"settled": {"share": 1.', "result.json says otherwise: settled.share"),
+        (b'"expected": 0.', b'"expected": 1.', "result.json says otherwise: metrics."),
+    ],
+)
+def test_metrics_of_a_log(tmp_path, capsys, old, new, said):
+    """Metrics of other definitions are not called wrong, and not proved either; those of these, and what they rest on, are."""
+    drive(["--controller", "passive", "--class", "B", "--duration", "2", "--logs", str(tmp_path)])
+    log = next(tmp_path.glob("*.mcap"))
+    whole = contents(log)
+    changed = whole.with_attachment("result.json", lambda data: data.replace(old, new, 1))
+    assert changed != whole
+    log.write_bytes(written(changed))
+    code, found = inspected(log, capsys)
+    verdict = "FAILS" if "says otherwise" in said else "missing"
+    assert (code, broken(found)) == (1, {("result", verdict)})
+    assert any(said in finding["text"] for finding in found["runs"][0]["findings"])
+
+
 def test_limits_and_noise(paper, tmp_path, capsys):
     """Bump stops, saturation, lag, delay and noise are applied again as the log says."""
     vehicle = tmp_path / "limited.toml"

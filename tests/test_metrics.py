@@ -1,6 +1,7 @@
 """Ride metrics: the weighting, what is measured of signals that are known, and the linear predictions by three routes."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from scipy import integrate, linalg
 
 from models.reality import Limits
 from models.vehicle import read_vehicle
-from sim.expected import APPROXIMATE, EXACT, expect, settled, settling_time, sources
+from sim.expected import APPROXIMATE, EXACT, expect, settling_time, sources
 from sim.frequency import sampled_frequency_response
 from sim.iso8608 import Iso8608, long_enough
 from sim.linear import driven, sampled_responses
@@ -16,6 +17,7 @@ from sim.metrics import Meter, measure, metrics_of
 from sim.physics import simulate
 from sim.response import Response
 from sim.road import track_width
+from sim.settled import settled, settled_shares
 from sim.weighting import sampled_wk, wk
 from synth.controller import Designer
 
@@ -317,9 +319,9 @@ def test_linear_response_over_many_seeds(name, controller, road_class):
         elif metric.startswith("off_ground"):
             assert found[metric].mean() == pytest.approx(mean, rel=0.1)
         elif metric.endswith(APPROXIMATE) and mean:
-            # As `sim/expected.py` says, and three deviations of the mean of 64
+            # As `sim/expected.py` says (VDV: of 10 % from road to road), and three deviations of the mean of 64
             kind = metric.rsplit("_", 1)[1]
-            off = {"mtvv": 0.025, "crest": 0.05, "peak": 0.11 if (name, controller) == CASES[0][:2] else 0.07}[kind]
+            off = {"vdv": 0.02, "mtvv": 0.025, "crest": 0.05, "peak": 0.11 if (name, controller) == CASES[0][:2] else 0.07}[kind]
             assert abs(found[metric].mean() - mean) < off * mean + 3 * found[metric].std(ddof=1) / 8, metric
 
 
@@ -371,23 +373,61 @@ def test_physics_over_many_seeds(textbook, name, controller, seeds):
     assert np.median(widths) < 0.05  # the interval could tell a factor of 1.2
 
 
-@pytest.mark.parametrize(("name", "controller"), [("quarter_car", "passive"), ("half_car", "passive")])
-def test_how_much_of_the_variance_is_there_when_measuring_begins(name, controller):
-    """Over many seeds, the mean square of linear responses at that time is the share that is said of what it comes to."""
-    vehicle = read_vehicle(name)
-    designed, h = Designer(vehicle).design(controller), 4e-3
-    roads = [Iso8608("C", seed, 20.0) for seed in range(300)]
-    time = np.arange(3000) * h
-    responses = sampled_responses(vehicle, designed, roads, time)
-    final = settled(vehicle, designed, 20.0, h, 60.0)
-    assert final is not None
-    assert final.share == pytest.approx(1.0, abs=1e-6)
-    for start in (0.5, 1.0, 2.5):
-        found = settled(vehicle, designed, 20.0, h, start)
+class Line:
+    """One line of a random road, from its own height at the start."""
+
+    kinks, speed = (0.0,), 20.0
+
+    def __init__(self, height, omega):
+        self.height, self.omega = height, omega
+
+    def displacement(self, t, side=""):
+        return np.where(t >= 0, np.real(self.height * (np.exp(1j * self.omega * t) - 1)), 0.0)
+
+    def velocity(self, t, side=""):
+        return np.where(t >= 0, np.real(self.height * 1j * self.omega * np.exp(1j * self.omega * t)), 0.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "controller", "how"),
+    [
+        ("quarter_car", "passive", {}),
+        ("quarter_car", "I", {}),  # its force follows the body's slow velocity, and has more at 0.5 s than it comes to
+        ("quarter_car", "II", {"sample_period": 8e-3, "delay": 2}),
+        ("half_car", "passive", {}),
+    ],
+)
+def test_how_much_of_the_variance_is_there_when_measuring_begins(name, controller, how):
+    """At any time it is what the responses to all lines of the road have, each at two phases, of what that comes to."""
+    vehicle, h = read_vehicle(name), 4e-3
+    vehicle = dataclasses.replace(vehicle, implementation=dataclasses.replace(vehicle.implementation, **how))
+    designed, road = Designer(vehicle).design(controller), Iso8608("C", 0, 20.0, length=100.0)
+    omega = 2 * np.pi * road.speed * road.n
+    lines: Any = [Line(phase / w, w) for w in omega for phase in (1, 1j)]
+    responses = sampled_responses(vehicle, designed, lines, np.arange(260) * h)
+    comes_to = expect(vehicle, designed, road, h, 10.0)
+    white = (2 * np.pi * 0.1) ** 2 * 256e-6 * road.speed * road.speed / road.length
+    assert comes_to is not None
+    for start in (0.056, 0.2, 0.504, 1.0):  # s; the half car's rear wheel comes at 0.13 s
+        shares = settled_shares(vehicle, designed, road, h, start)
+        for signal in {*shares} & {metric.removesuffix("_rms") for metric in comes_to.mean}:
+            there = white * np.sum(responses[signal][:, round(start / h)] ** 2) / comes_to.mean[f"{signal}_rms"] ** 2
+            # A sum is no integral for 1 rad/s of lines as far apart; measured 2.5e-2, and 1e-3 with lines a quarter as far
+            assert shares[signal] == pytest.approx(there, abs=0.03)
+        found = settled(vehicle, designed, road, h, start)
         assert found is not None
-        squares = responses[found.signal] ** 2
-        near = abs(time - start) < 0.1  # s; more samples
-        share = squares[:, near].mean() / squares[:, time > 8].mean()
-        error = 3.5 * squares[:, near].mean(axis=1).std(ddof=1) / np.sqrt(len(roads)) / squares[:, time > 8].mean()
-        assert abs(share - found.share) < error + 0.03  # of the white band, and of the final 4 s
-        assert error < 0.35
+        assert abs(found.share - 1) == max(abs(share - 1) for share in shares.values())
+    if controller == "I":
+        slow = settled_shares(vehicle, designed, Iso8608("C", 0, 20.0), h, 0.504)
+        assert slow["control_force"] == pytest.approx(1.12, abs=0.01)  # over 400 seeds 1.17 +- 0.08
+
+
+def test_in_the_end_all_of_the_variance_is_there():
+    """Long after the start every share is 1, on two tracks and four wheels, too; at the start no suspension has moved."""
+    vehicle = read_vehicle("full_car")
+    passive, road = Designer(vehicle).design("passive"), Iso8608("C", 0, 20.0, track_width(vehicle))
+    shares = settled_shares(vehicle, passive, road, 4e-3, 60.0)
+    assert len(shares) == 5 + 4 + 4  # vertical accelerations, suspensions, tyres; no force acts
+    assert all(share == pytest.approx(1.0, abs=1e-6) for share in shares.values())
+    start = settled_shares(vehicle, passive, road, 4e-3, 0.0)
+    assert all(start[name] < 1e-9 for name in start if name.startswith(("suspension", "tyre")))

@@ -11,8 +11,16 @@ import numpy as np
 import pytest
 
 from models.errors import InputError
+from models.vehicle import parse_vehicle, read_vehicle
+from sim import report_ride
+from sim.expected import settling_time
 from sim.figure import Curve, Figure, Kinds, Panel, Shades, level, styles
+from sim.iso8608 import Iso8608
+from sim.linear import sampled_response
+from sim.metrics import measure
 from sim.report import main
+from sim.run import sample_times
+from synth.controller import Designer
 
 pytest.importorskip("plotly", reason="a report needs the extra [report]")
 pytest.importorskip("matplotlib", reason="a report needs the extra [report]")
@@ -181,3 +189,25 @@ def test_styles_tell_controllers_apart():
     found = styles(("passive", "I", "mine", "yours"))
     assert found["I"] == ("#d62728", "dashdot")
     assert len(set(found.values())) == 4
+
+
+def test_ride_is_of_runs_that_came_through(monkeypatch):
+    """MuJoCo's numbers are roots of mean squares over the roads, as predicted ones are; a loop that diverges has none."""
+    monkeypatch.setattr(report_ride, "CLASSES", "B")
+    monkeypatch.setattr(report_ride, "WINDOW", 2.0)
+    vehicle = parse_vehicle(
+        read_vehicle("quarter_car").text + '\n[controllers.wild]\nmeasured = ["sprung_velocity"]\ngain = [[1e6]]\n', source="wild"
+    )
+    designed = [Designer(vehicle).design(name) for name in ("I_printed", "wild")]
+    section = report_ride.ride_section(vehicle, designed, 2e-3)
+    rows = {(row[1], row[2]): row for row in section.tables[0].rows}
+    assert all(row[4:] == ("-", "-", "-", "4 of 4 flat or diverged") for (name, _), row in rows.items() if name == "wild")
+
+    start = settling_time(vehicle, designed[0])
+    time = sample_times(vehicle, start + 2.0, 2e-3)
+    roads = [Iso8608("B", seed, 20.0) for seed in report_ride.SEEDS]
+    found = [measure(vehicle, sampled_response(vehicle, designed[0], road, time), round(start / 2e-3)) for road in roads]
+    for metric in ("sprung_acceleration_weighted", "suspension_deflection_rms", "control_force_rms"):
+        rms = np.sqrt(np.mean([one[metric] ** 2 for one in found]))
+        printed = float(rows["I_printed", metric.replace("_", " ")][4])
+        assert printed == pytest.approx(rms, rel=2e-3)  # 4 digits, RK4, moments in which the wheel lifts

@@ -23,7 +23,8 @@ import pytest
 from models.mjcf import build_model
 from models.vehicle import read_vehicle
 from sim.campaign import FEWEST
-from sim.campaign_batch import Plan, columns
+from sim.campaign_batch import Plan
+from sim.campaign_columns import columns
 from sim.campaign_file import read_campaign
 from sim.campaign_manifest import Manifest
 from sim.campaign_store import Store
@@ -202,7 +203,7 @@ def test_campaign(benchmark, tmp_path, name, runs, claim):
     vehicle = campaign.vehicles[name]
     plan = Plan(campaign, {name: {"I": Designer(vehicle).design("I")}})
     manifest = Manifest(str(file), "", {}, "", {}, plan.count)
-    store = Store(tmp_path, columns(plan), {}, manifest)
+    store = Store(tmp_path, columns(campaign), {}, manifest)
     native = native_steps(build_model(vehicle, 1e-3), workers)
     run_batches(plan, iter([(0, 2)]), 1, None, False, lambda start, rows, took: None)
     batches = list(plan.batches([(0, plan.count)], lambda: FEWEST))
