@@ -130,7 +130,7 @@ class Store:
         if self.finished:
             return
         with whole_file(self.results, "results", FULL) as path:
-            with path.open("wb") as file, pq.ParquetWriter(file, self.schema, write_page_checksum=True) as writer:
+            with pa.OSFile(str(path), "wb") as file, pq.ParquetWriter(file, self.schema, write_page_checksum=True) as writer:
                 for group in self._groups():
                     writer.write_table(group)
             with path.open("rb") as file:
@@ -144,7 +144,7 @@ class Store:
     def read(self, names: Sequence[str]) -> pa.Table:
         """Some columns of what is there so far."""
         if self.finished:
-            with self.results.open("rb") as file:  # a name with a colon would be taken for the address of something remote
+            with pa.OSFile(str(self.results)) as file:  # a name with a colon would be taken for an address elsewhere
                 return pq.read_table(file, columns=list(names))
         tables = [self._read(part).select(list(names)) for part in self._parts]
         return pa.concat_tables(tables) if tables else self.schema.empty_table().select(list(names))

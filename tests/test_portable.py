@@ -1,6 +1,9 @@
 """Python is all that it needs: no source counts on what only one system has, on its paths, or on its encoding."""
 
 import ast
+import os
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -103,3 +106,57 @@ def test_a_source_counts_on_no_system(path):
 def test_the_walk_sees_it(source):
     """What the walk is for, it finds."""
     assert list(found(ast.parse(source)))
+
+
+# Runs a command as if an extra's package were not installed.
+WITHOUT = """
+import runpy, sys
+package, module, *rest = sys.argv[1:]
+class Missing:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] == package:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+sys.meta_path.insert(0, Missing())
+sys.argv = [module, *rest]
+runpy.run_module(module, run_name="__main__")
+"""
+
+
+@pytest.mark.parametrize(
+    ("package", "extra", "arguments"),
+    [
+        ("matplotlib", "report", ["sim.sweep", "--controller", "passive", "--picture", "x.png"]),
+        (
+            "matplotlib",
+            "report",
+            [
+                "sim.envelope",
+                "--controller",
+                "passive",
+                "--vary",
+                "height:0.1:0.2:2",
+                "--vary",
+                "speed:5:9:2",
+                "--picture",
+                "x.png",
+            ],
+        ),
+        ("matplotlib", "report", ["sim.margins", "--controller", "I", "--picture", "x.svg"]),
+        ("jinja2", "report", ["sim.report"]),
+        ("plotly", "report", ["sim.report"]),
+        ("ray", "cluster", ["sim.campaign", "campaign.toml", "--ray"]),
+        ("pyopencrg", "opencrg", ["sim.drive", "--controller", "passive", "--road", "road.crg"]),
+    ],
+)
+def test_an_extra_is_asked_for_by_name(tmp_path, package, extra, arguments):
+    """Without an extra's packages a command that needs them says in one line how to install them, before any work."""
+    (tmp_path / "road.crg").touch()
+    (tmp_path / "campaign.toml").write_text(
+        'vehicles = ["quarter_car"]\ncontrollers = ["passive"]\nroads = ["bump"]\nspeeds = [10.0]\nduration = 1.0\nsettle = 0.0\n'
+    )
+    command = [sys.executable, "-c", WITHOUT, package, *arguments]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.count("\n") == 1
+    assert f"[{extra}]" in done.stderr
