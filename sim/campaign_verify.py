@@ -16,6 +16,7 @@ from sim.campaign_batch import Plan, run_batch
 from sim.campaign_manifest import Gains, gains_of
 from sim.campaign_store import Store
 from synth.controller import Designer
+from synth.threads import one_thread
 
 SAME_GAIN = 1e-9  # relative: how far rounding on another machine may move a designed gain
 
@@ -35,6 +36,7 @@ class Verified:
     faults: tuple[str, ...]
 
 
+@one_thread()
 def verify(plan: Plan, store: Store, count: int, seed: int, progress: Callable[[int], None]) -> Verified:
     """Checks a finished campaign.
 

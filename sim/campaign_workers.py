@@ -10,6 +10,7 @@ from typing import Any
 
 from models.errors import InputError
 from sim.campaign_batch import Plan, run_batch
+from synth.threads import one_thread
 
 Rows = list[dict[str, Any]]
 Done = tuple[int, Rows, float]  # first run of a batch, its rows, and the time that it took [s]
@@ -17,6 +18,7 @@ AHEAD = 2  # batches in flight per worker: one runs, one waits
 RETRIES = 5  # of a batch whose Ray worker dies
 
 
+@one_thread()
 def run_timed(plan: Plan, start: int, stop: int, stopped: Callable[[], bool] = lambda: False) -> tuple[Rows | None, float]:
     """`run_batch`, and how long it took [s]."""
     began = time.monotonic()
@@ -80,6 +82,7 @@ def on_ray(plan: Plan, batches: Iterator[tuple[int, int]], address: str | None) 
             ray.shutdown()
 
 
+@one_thread()
 def run_batches(
     plan: Plan,
     batches: Iterator[tuple[int, int]],

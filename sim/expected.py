@@ -32,6 +32,7 @@ from sim.sampler import steps_per_sample
 from sim.weighting import POLES, sampled_wk
 from synth.controller import Controller
 from synth.stability import stability
+from synth.threads import one_thread
 
 FORGOTTEN = 0.01  # share of its variance that the slowest mode of a vehicle from rest may still miss when measuring begins
 EXACT = 1e-4  # what an expectation may be off for its integral
@@ -73,6 +74,7 @@ def sources(vehicle: Vehicle, road: Iso8608, omega: Array) -> Array:
     return as_met(vehicle, omega, road.speed)[..., None] * tracks(vehicle, road, omega)
 
 
+@one_thread()
 def expect(vehicle: Vehicle, controller: Controller, road: Iso8608, timestep: float, window: float) -> Expected | None:
     """The expected metrics; None where the loop is not stable and has no variance.
 

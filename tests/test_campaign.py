@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from threadpoolctl import threadpool_limits
 
 from models.errors import InputError
 from models.vehicle import read_vehicle
@@ -107,6 +108,15 @@ def test_the_same_numbers_to_the_last_bit(small, tmp_path, arguments):
     """Neither the number of workers nor that of batches changes a single bit of any row."""
     rows, _ = run(tmp_path, SMALL, *arguments)
     assert rows == small[0]
+
+
+def test_threads_of_blas_change_no_bit(tmp_path):
+    """Sums of matrices that BLAS shares out among threads are rounded as by one: a row does not depend on the machine's cores."""
+    rows = []
+    for threads in (1, 2):
+        with threadpool_limits(threads, user_api="blas"):
+            rows.append(run(tmp_path, QUICK.replace("seeds = 60", "seeds = 1"), results=f"by {threads}")[0])
+    assert rows[0] == rows[1]
 
 
 def test_rows_are_those_runs(small, tmp_path):
