@@ -5,6 +5,7 @@ import json
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 
 from models.command import Parser, run_command
@@ -17,7 +18,7 @@ from sim.campaign_manifest import ELSEWHERE, Gains, Manifest, check_same, digest
 from sim.campaign_store import Store
 from sim.campaign_summary import summarise, summary_lines
 from sim.campaign_verify import verify
-from sim.campaign_workers import Rows, run_batches
+from sim.campaign_workers import HERE, Rows, cluster, run_batches
 from sim.physics import RUNS_AT_ONCE
 from sim.progress import bar, show
 from sim.provenance import versions
@@ -58,7 +59,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise InputError(f"--{name} says what --verify drives again; give it with --verify, or leave it out")
     campaign = read_campaign(options.file)
     folder = options.results or options.file.with_name(f"{options.file.stem}-results")
-    with held(folder):
+    if options.ray is not None and "workers" in options.given:
+        raise InputError("--workers are threads of this machine, and --ray has workers of its own; leave one of them out")
+    with cluster(options.ray) if options.ray is not None else nullcontext(), held(folder):
         plan, manifest = _plan(campaign, folder, options.file)
         store = _store(plan, folder, manifest)
         for remark in store.damaged:
@@ -75,7 +78,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 plan,
                 plan.batches(gaps, progress.next_batch),
                 options.workers or cores(),
-                options.ray or None,
                 options.ray is not None,
                 write,
             )
@@ -224,7 +226,7 @@ def _parser() -> Parser:
     parser.add_argument(
         "--ray",
         nargs="?",
-        const="",
+        const=HERE,
         metavar="ADDRESS",
         help="run on a Ray cluster (default address: one of this machine's cores)",
     )

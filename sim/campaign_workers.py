@@ -1,10 +1,14 @@
 """Who runs the batches of a campaign: threads of this machine, or the workers of a Ray cluster. The rows are the same."""
 
 import itertools
+import os
+import socket
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +18,8 @@ from synth.threads import one_thread
 
 Rows = list[dict[str, Any]]
 Done = tuple[int, Rows, float]  # first run of a batch, its rows, and the time that it took [s]
+HERE = "local"  # Ray's own name for it
+ANSWER = 3.0  # s that a cluster's head may take to answer
 AHEAD = 2  # batches in flight per worker: one runs, one waits
 RETRIES = 5  # of a batch whose Ray worker dies
 
@@ -45,8 +51,12 @@ def local(plan: Plan, batches: Iterator[tuple[int, int]], workers: int) -> Itera
             pool.shutdown(cancel_futures=True)
 
 
-def on_ray(plan: Plan, batches: Iterator[tuple[int, int]], address: str | None) -> Iterator[Done]:
-    """Runs batches on a Ray cluster: one that is there, or one of this machine's cores. A batch whose worker dies runs again.
+@contextmanager
+def cluster(address: str) -> Iterator[None]:
+    """A Ray cluster, joined for as long as the block lasts: `HERE` is one of this machine's cores, which ends with it.
+
+    Args:
+        address: `HERE`, `auto` for the cluster that this machine is part of, or HOST:PORT.
 
     Raises:
         InputError: Ray is not installed, or there is no cluster at the address.
@@ -55,13 +65,61 @@ def on_ray(plan: Plan, batches: Iterator[tuple[int, int]], address: str | None) 
         import ray  # pyright: ignore[reportMissingImports] - an extra
     except ImportError as error:
         raise InputError("--ray needs Ray; install it with: pip install -e '.[cluster]'") from error
-    if not ray.is_initialized():
+    if address not in (HERE, "auto"):
+        _check_address(address)
+    joined = not ray.is_initialized()
+    if joined:
+        # Workers on this machine find the project where it is; other machines have it installed.
+        environment = {"env_vars": {"PYTHONPATH": str(Path(__file__).parent.parent)}}
         try:
-            # Workers on this machine find the project where it is; other machines have it installed.
-            environment = {"env_vars": {"PYTHONPATH": str(Path(__file__).parent.parent)}}
-            ray.init(address=address, runtime_env=environment, log_to_driver=False, configure_logging=False)
-        except (ConnectionError, ValueError, RuntimeError) as error:
-            raise InputError(f"--ray {address or ''}: no cluster to be had ({str(error).splitlines()[0]})") from error
+            with _without_stderr():
+                ray.init(address=address, runtime_env=environment, log_to_driver=False, configure_logging=False)
+        except Exception as error:  # Ray raises what it likes, and what its tokens and versions say is no ConnectionError
+            said = str(error).splitlines() or [type(error).__name__]
+            raise InputError(f"--ray {address}: no cluster to be had ({said[0]})") from error
+    try:
+        yield
+    finally:
+        if joined:
+            with _without_stderr():
+                ray.shutdown()
+
+
+def _check_address(address: str) -> None:
+    """Whether anything listens there: Ray itself would look for it for minutes.
+
+    Raises:
+        InputError: nothing does, or it is no address.
+    """
+    host, colon, port = address.removeprefix("ray://").rpartition(":")
+    if not (colon and host and port.isdecimal() and 0 < int(port) < 2**16):
+        raise InputError(f"--ray {address}: is no address; give HOST:PORT of a cluster's head, or auto")
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), timeout=ANSWER).close()
+    except OSError as error:
+        raise InputError(
+            f"--ray {address}: nobody answers there ({error.strerror or error}); give the one that ray start --head printed"
+        ) from error
+
+
+@contextmanager
+def _without_stderr() -> Iterator[None]:
+    """Whatever is written to stderr goes nowhere, also by code that is not Python."""
+    sys.stderr.flush()
+    kept = os.dup(2)
+    try:
+        with open(os.devnull, "w") as nowhere:
+            os.dup2(nowhere.fileno(), 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+
+
+def on_ray(plan: Plan, batches: Iterator[tuple[int, int]]) -> Iterator[Done]:
+    """Runs batches on the Ray cluster that is joined. A batch whose worker dies runs again."""
+    import ray  # pyright: ignore[reportMissingImports] - an extra
+
     remote: Any = ray.remote(num_cpus=1, max_retries=RETRIES)(run_timed)
     shared, running = ray.put(plan), {}
     try:
@@ -78,8 +136,6 @@ def on_ray(plan: Plan, batches: Iterator[tuple[int, int]], address: str | None) 
     finally:
         for reference in running:
             ray.cancel(reference, force=True)
-        if address is None:
-            ray.shutdown()
 
 
 @one_thread()
@@ -87,12 +143,11 @@ def run_batches(
     plan: Plan,
     batches: Iterator[tuple[int, int]],
     workers: int,
-    ray_address: str | None,
     use_ray: bool,
     write: Callable[[int, Rows, float], None],
 ) -> None:
     """Runs batches wherever they are to run and hands their rows on, one batch at a time."""
-    results = on_ray(plan, batches, ray_address) if use_ray else local(plan, batches, workers)
+    results = on_ray(plan, batches) if use_ray else local(plan, batches, workers)
     try:
         for done in results:
             write(*done)

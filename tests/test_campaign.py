@@ -464,3 +464,19 @@ def test_no_file(tmp_path):
     (tmp_path / "none.toml").write_text("vehicles = [")
     with pytest.raises(InputError, match="not TOML"):
         main([str(tmp_path / "none.toml")])
+
+
+@pytest.mark.parametrize(
+    ("address", "words"),
+    [("nowhere.invalid:1", "nobody answers there"), ("127.0.0.1:1", "nobody answers there"), ("head", "is no address")],
+)
+def test_a_cluster_that_is_not_there_is_said_at_once(tmp_path, address, words):
+    """One line, before anything is written, and nothing is waited for."""
+    pytest.importorskip("ray")
+    (tmp_path / "campaign.toml").write_text(
+        'vehicles = ["quarter_car"]\ncontrollers = ["passive"]\nroads = ["bump"]\nspeeds = [9.0]\n'
+    )
+    with pytest.raises(InputError, match=words) as caught:
+        main([str(tmp_path / "campaign.toml"), "--ray", address])
+    assert "\n" not in str(caught.value)
+    assert [path.name for path in tmp_path.iterdir()] == ["campaign.toml"]

@@ -1,0 +1,57 @@
+"""Ctrl-C in the middle of a command's work, as a user sends it: what it ends with, and what it keeps."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.skipif(os.name == "nt", reason="Ctrl-C as POSIX sends it")
+
+ENOUGH = 120.0  # s that a command may take on a busy machine
+AT_ONCE = 20.0  # s to end after Ctrl-C on a busy machine; a second on an idle one
+
+
+def test_an_interrupted_map_is_kept(tmp_path):
+    """Ctrl-C in the middle of a map ends it at once, with exit code 130; what is done is printed and written, the same cells."""
+    arguments = ["--controller", "I", "--vary", "height:0.02:0.2:100", "--vary", "speed:5:20:100", "--csv", "map.csv", "--json"]
+    command = [sys.executable, "-c", CHILD, *arguments]
+    path = os.pathsep.join([str(Path(__file__).parent.parent), os.environ.get("PYTHONPATH", "")])
+    process = subprocess.Popen(
+        command, cwd=tmp_path, env=os.environ | {"PYTHONPATH": path}, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stderr is not None
+    assert process.stderr.readline() == "some are done\n"
+    process.send_signal(signal.SIGINT)
+    sent = time.monotonic()
+    out, err = process.communicate(timeout=ENOUGH)
+    assert time.monotonic() - sent < AT_ONCE
+    assert process.returncode == 130
+    result = json.loads(out)
+    assert not result["complete"]
+    assert 0 < result["done"] == len(result["cells"]) < 10_000
+    assert len((tmp_path / "map.csv").read_text().splitlines()) == 1 + result["done"]
+    assert err == f"roadproof: interrupted after {result['done']} of 10000 cells; they are kept\n"
+
+
+CHILD = """
+import sys
+import sim.envelope
+from models.command import run_command
+
+def bar(total, what):
+    told = []
+    def update(done):
+        if not told:
+            told.append(done)
+            print("some are done", file=sys.stderr, flush=True)
+    return update
+
+sim.envelope.bar = bar
+sys.argv[0] = "envelope"
+run_command(sim.envelope.main)
+"""
