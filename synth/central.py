@@ -27,7 +27,7 @@ from models.arrays import Array
 from models.errors import InputError
 from synth.barrier import Barrier, Derivatives, boundary, newton
 from synth.bounded_real import bounded_real_matrix
-from synth.errors import DesignError, InfeasibleError
+from synth.errors import DesignError, InfeasibleError, TooLargeError
 from synth.plant import GeneralizedPlant
 from synth.scaling import reachable, size
 from synth.structured import Constraint, StructuredBarrier, path_constraints, start_constraints
@@ -44,6 +44,7 @@ FROM = 1e3  # where the path is entered: mu over the eta of the first feasible p
 FAR = 1e5  # condition of X from which the coordinates, in which it was I, no longer fit
 MOST_MOVES = 12  # to other coordinates off the path; a larger X grows without end, and there is no centre
 DENSE = 200  # unknowns; up to so many a dense basis is quicker, for it takes fewer calls
+MOST = 2000  # unknowns, 62 states with one input: half a minute for a path; time grows with the cube, memory with the square
 LARGEST_Y = 10.0  # in the search for a feasible point
 INSIDE = 0.95  # of the way to the boundary, where a step along the path would leave
 
@@ -87,6 +88,7 @@ def central_path(plant: GeneralizedPlant, Q: Array, R: Array, mu: float = LIMIT)
     Raises:
         InputError: nothing disturbs the plant, or nothing is weighed.
         InfeasibleError: there is no feasible point with eta > 0.
+        TooLargeError: the problem has more than MOST unknowns.
         DesignError: Newton's method broke down short of mu.
     """
     return list(along_path(plant, Q, R, mu))
@@ -106,6 +108,7 @@ def along_path(plant: GeneralizedPlant, Q: Array, R: Array, mu: float = LIMIT) -
             proof = part.proof(point.K, point.X if point.proof is None else point.proof, point.eta)
             yield CentralPoint(part.followed(point.K, point.X, point.eta), part.gain(point.K), point.eta, point.mu, proof)
         return
+    fits(unknowns(plant, Q.shape[1]), MOST, "the central path is followed")
     with one_thread():
         try:
             path = _Path(plant, Q, R)
@@ -119,6 +122,19 @@ def along_path(plant: GeneralizedPlant, Q: Array, R: Array, mu: float = LIMIT) -
             yield from path.follow(mu)
         except np.linalg.LinAlgError as error:
             raise DesignError(f"the central path could not be followed: rounding ends it ({error}); give other units") from error
+
+
+def unknowns(plant: GeneralizedPlant, free: int = 0) -> int:
+    """How many entries X, Y and eta of (12) have: of (22), or of (25) with as many columns of Q."""
+    n, m = len(plant.A), plant.independent_inputs().shape[1]
+    q = n - free
+    return free * (free + 1) // 2 + q * (q + 1) // 2 + m * q + 1
+
+
+def fits(count: int, most: int, what: str) -> None:
+    """Raises a TooLargeError for more unknowns than `what` is done with."""
+    if count > most:
+        raise TooLargeError(f"the LMI problem has {count} unknowns, and {what} with at most {most}; take states out of the model")
 
 
 class _Path:

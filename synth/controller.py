@@ -12,8 +12,9 @@ from models.linear_model import LinearModel
 from models.vehicle import ControllerEntry, Vehicle
 from synth.central import CentralPoint
 from synth.certificate import Certificate, certify
-from synth.design import Design, state_design, state_path, two_step_design, zero_l_design
+from synth.design import Design, state_design, state_path, zero_l_design
 from synth.errors import BatchError, DesignError
+from synth.fallback import two_steps_or_descent
 from synth.full_order import best_possible, bound_beyond_control
 from synth.lower_bound import LowerBound
 from synth.output_feedback import independent_rows
@@ -40,6 +41,7 @@ class Controller:
         redundant: the signals among `measured` that follow from the others; their gain is zero.
         certificate: what is true of it.
         case: what is the case where (22) has no optimum, or every gain is one, in words; else empty.
+        instead: how else the gain was found, and why the two steps did not lead to one, in words; empty where they did.
     """
 
     name: str
@@ -51,6 +53,7 @@ class Controller:
     stopped: float = 0.0
     redundant: tuple[str, ...] = ()
     case: str = ""
+    instead: str = ""
 
     def state_gain(self, vehicle: Vehicle) -> Array:
         """G = K C_y (6) for a vehicle that has these signals, shape (m, n)."""
@@ -157,7 +160,8 @@ class Designer:
 
         Raises:
             InputError: no controller has that name.
-            DesignError: it could not be designed, or its certificate fails. A gain from the file is reported as it is.
+            DesignError: it could not be designed, or its certificate fails. A gain from the file is reported as it is. Where the
+                two steps cannot be gone to their end, descent on the norm goes on instead, and the result says so.
         """
         entry, model = self._entry(name), self.vehicle.linear_model
         if entry.gain is not None:
@@ -170,7 +174,7 @@ class Designer:
             elif zero_l:
                 design = zero_l_design(self.plant, Cy, lower)
             else:
-                design = two_step_design(self.plant, Cy, self.state_path, lower, model.states)
+                design = two_steps_or_descent(self.plant, Cy, lambda: self.state_path, lower, model.states)
         except DesignError as error:
             raise type(error)(f"controller {name!r}: {error}") from error
         return _designed(entry, design)
@@ -295,6 +299,7 @@ def _designed(entry: ControllerEntry, design: Design) -> Controller:
         stopped=design.stopped,
         redundant=redundant,
         case=design.case,
+        instead=design.instead,
     )
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from models.arrays import Array
-from synth.central import CentralPoint
+from synth.central import CentralPoint, fits, unknowns
 from synth.certificate import FASTEST, Certificate, certify
 from synth.errors import DesignError, InfeasibleError
 from synth.lower_bound import LowerBound
@@ -17,6 +17,7 @@ from synth.posed import free_force, posed, standing
 from synth.riccati import proved
 from synth.state_feedback import state_feedback
 
+MOST = 1100  # unknowns of (22), 45 states with one input: the second problem is solved from several X, in a minute or less
 SAME = 1e-9  # relative: how far rounding takes a gain from one that is made of measurements
 
 
@@ -33,6 +34,7 @@ class Design:
             optimum is reached only by gains beyond any actuator.
         redundant: rows of C_y that follow from others, by index; their gain is zero.
         case: what is the case where (22) has no optimum, or every gain is one, in words; else empty.
+        instead: how else the gain was found, and why the two steps did not lead to one, in words; empty where they did.
     """
 
     gain: Array
@@ -41,6 +43,7 @@ class Design:
     stopped: float = 0.0
     redundant: tuple[int, ...] = ()
     case: str = ""
+    instead: str = ""
 
 
 def state_path(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[CentralPoint]:
@@ -51,19 +54,22 @@ def state_path(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[Cent
         states: names of the states, for messages.
 
     Raises:
-        InfeasibleError: the plant cannot be stabilised, or z does not see an integrator; the message names the mode.
-        DesignError: there is no path, and the message says why, or it could not be followed.
+        InfeasibleError: the plant cannot be stabilised; the message names the mode.
+        DesignError: there is no path, as where z does not see an integrator or a force costs nothing, and the message says why,
+            or it could not be followed.
     """
     problem = posed(plant).plant
     modes = standing(problem, states)
     if modes:  # a path without an end may be followed for a while
-        raise InfeasibleError("; ".join(obstacles(plant, None, states)) or modes[0])
+        if reached_by_none := "; ".join(obstacles(plant, None, states)):
+            raise InfeasibleError(reached_by_none)
+        raise DesignError(modes[0])
     try:
         return state_feedback(problem)
     except InfeasibleError as error:
         raise InfeasibleError("; ".join(obstacles(plant, None, states)) or str(error)) from error
     except DesignError as error:
-        raise DesignError("; ".join(free_force(plant)) or str(error)) from error
+        raise type(error)("; ".join(free_force(plant)) or str(error)) from error
 
 
 def state_design(
@@ -132,7 +138,8 @@ def two_step_design(
     Raises:
         InputError: C_y does not fit the plant, or is empty.
         InfeasibleError: the plant cannot be stabilised from y, or (25) is infeasible from every X tried; the message says which.
-        DesignError: no certificate holds.
+        TooLargeError: (22) has more than MOST unknowns.
+        DesignError: from some X a path broke off, or no certificate holds.
     """
     Cy, kept = measurement(plant, Cy)
     problem = posed(plant)
@@ -141,6 +148,7 @@ def two_step_design(
         if np.linalg.norm(K @ Cy[kept] - problem.best) <= SAME * np.linalg.norm(problem.best):
             best = Design(K, proved(plant, K @ Cy[kept], lower), case=problem.best_case)
             return widened(best, kept, len(Cy), 0.0)
+    fits(unknowns(problem.plant), MOST, "the two steps are gone")
     path = path or state_path(plant, states)
     Q = nullspace(Cy[kept])
     failures: list[DesignError] = []
@@ -158,8 +166,11 @@ def two_step_design(
         beyond.append(found)
     if beyond:
         return min(beyond, key=lambda design: design.certificate.speed_up)
-    reasons = "; ".join(obstacles(plant, Cy, states)) or f"{failures[0]} (from {len(failures)} points of the central path)"
-    raise type(failures[0])(reasons)
+    if reasons := "; ".join(obstacles(plant, Cy, states)):
+        raise InfeasibleError(reasons)
+    broken = [error for error in failures if not isinstance(error, InfeasibleError)]
+    first, *_ = [*broken, *failures]  # only where all are infeasible it is proved that there is none
+    raise type(first)(f"{first} (from {len(failures)} points of the central path)")
 
 
 def zero_l_design(plant: GeneralizedPlant, Cy: Array, lower: LowerBound | None = None) -> Design:

@@ -25,3 +25,7 @@ class BatchError(DesignError):
 
 class InfeasibleError(DesignError):
     """The LMI problem has no solution with eta > 0."""
+
+
+class TooLargeError(DesignError):
+    """The LMI problem has more unknowns than its central path is followed with."""

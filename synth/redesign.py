@@ -12,8 +12,9 @@ import numpy as np
 from models.arrays import Array
 from models.errors import InputError
 from synth.central import CentralPoint
-from synth.design import Design, furthest, measurement, state_design, two_step_design, widened
+from synth.design import Design, furthest, measurement, state_design, widened
 from synth.errors import BatchError, DesignError
+from synth.fallback import two_steps_or_descent
 from synth.many import path_limits
 from synth.output_feedback import l_matrix, nullspace, output_feedback, r_matrix
 from synth.plant import GeneralizedPlant
@@ -54,7 +55,7 @@ def two_step_designs(
     Cys: Sequence[Array],
     states: Sequence[str] = (),
 ) -> list[Design]:
-    """What `two_step_design` finds for each plant, without a lower bound.
+    """What `two_steps_or_descent` finds for each plant, without a lower bound.
 
     Args:
         nominal: a plant like them, n states.
@@ -86,7 +87,7 @@ def two_step_designs(
         len(plants),
         {which[i]: point for i, point in limits.items()},
         at,
-        lambda i: two_step_design(plants[i], Cys[i], states=states),
+        lambda i: two_steps_or_descent(plants[i], Cys[i], states=states),
     )
 
 

@@ -28,6 +28,7 @@ from synth.errors import DesignError
 from synth.landscape import Landscape
 from synth.lower_bound import LowerBound
 from synth.plant import GeneralizedPlant
+from synth.projected import projected_starts
 from synth.refine import refine
 from synth.riccati import proved
 from synth.scaling import size
@@ -38,6 +39,7 @@ from synth.symmetry import Symmetry
 LARGEST_GAIN = 1e5
 ENOUGH_SAMPLES = 4  # decades of size with a stable sample; then a few stabilising starts will do
 FEW, MANY, MOST = 2, 6, 18  # stabilising starts: with enough samples, with fewer, and where nothing else is found
+LARGE = 30  # states; with more a stabilising start takes minutes, and is for where a Riccati equation leads to none
 SAME = 1e-4  # relative; two descents that end this close have found the same minimum
 REACHED = 1e-4  # relative; this close to what no controller beats, the search ends
 ZERO = 1e-9  # of the size of the plant's matrices; a norm this small is zero
@@ -53,6 +55,7 @@ class StaticDesign:
         gain: K, shape (m, q).
         certificate: what is true of it, with the gap to what no controller beats if that is known.
         two_steps: the paper's two steps; None where they find no gain.
+        without: why they find none; empty where they find one.
         origin: the start that led to the gain, in words.
         starts: how many stable starts there were.
     """
@@ -60,6 +63,7 @@ class StaticDesign:
     gain: Array
     certificate: Certificate
     two_steps: Design | None
+    without: str
     origin: str
     starts: int
 
@@ -90,11 +94,26 @@ def static_output_feedback(
     Raises:
         DesignError: no stabilising gain was found.
     """
+    try:
+        two_steps = two_step_design(plant, Cy)
+    except (DesignError, ValueError, np.linalg.LinAlgError) as error:
+        two_steps = str(error)
+    return descended(plant, Cy, two_steps, largest_gain, lower)
+
+
+@np.errstate(over="ignore", divide="ignore", invalid="ignore")  # as above
+def descended(
+    plant: GeneralizedPlant,
+    Cy: Array,
+    two_steps: Design | str,
+    largest_gain: float = LARGEST_GAIN,
+    lower: LowerBound | None = None,
+) -> StaticDesign:
+    """The same where the two steps are gone already: their design, or why there is none."""
     search = _Search(plant, Cy, largest_gain, lower.gamma if lower is not None else 0.0)
-    two_steps = search.two_steps()
     candidates = search.starts()
     starts = len(candidates)
-    if two_steps is not None:
+    if isinstance(two_steps, Design):
         candidates += search.refined(two_steps)
     if not candidates:
         raise DesignError(
@@ -103,7 +122,8 @@ def static_output_feedback(
         )
     best = search.best(candidates)
     K = search.landscape.gain(best.x)
-    return StaticDesign(K, proved(plant, K @ Cy, lower), two_steps, best.origin, starts)
+    found, without = (two_steps, "") if isinstance(two_steps, Design) else (None, two_steps)
+    return StaticDesign(K, proved(plant, K @ Cy, lower), found, without, best.origin, starts)
 
 
 class _Search:
@@ -117,13 +137,6 @@ class _Search:
         self.nothing = ZERO * (
             float(np.linalg.norm(plant.Dw, 2)) + size(self.landscape.C) * size(self.landscape.Bw) / size(self.landscape.A)
         )
-
-    def two_steps(self) -> Design | None:
-        """The paper's two steps; None where they find no gain."""
-        try:
-            return two_step_design(self.plant, self.Cy)
-        except (DesignError, ValueError, np.linalg.LinAlgError):
-            return None
 
     def refined(self, two_steps: Design) -> list[Candidate]:
         """The two steps, refined."""
@@ -140,6 +153,10 @@ class _Search:
             each for x in sampled for each in self.admitted(x, f"a sample of size {10 ** np.floor(np.log10(abs(x).max())):.0e}")
         ]
         numbers = range(FEW if len(found) >= ENOUGH_SAMPLES else MANY)
+        if len(self.plant.A) > LARGE:
+            for x in projected_starts(self.landscape):
+                found += self.admitted(x, "a projected state feedback")
+            numbers = range(0 if found else MANY)
         while True:
             for x in stabilising_starts(self.landscape, self.limit, numbers):
                 found += self.admitted(x, "a stabilising start")

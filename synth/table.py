@@ -150,8 +150,8 @@ def _at_least(share: float) -> str:
 
 
 def notes(controller: Controller) -> tuple[str, ...]:
-    """What is the case where there is no one optimum, how far from it a design had to stop, and what it measures in vain."""
-    found = [controller.case] if controller.case else []
+    """What is the case where there is no one optimum, what was done instead, how far from it a design is, what is in vain."""
+    found = [text for text in (controller.case, controller.instead) if text]
     if controller.short > SHORT:
         found.append(f"from an X {percent(controller.short)} short of the best state feedback; from the best there is no design")
     if controller.stopped > SHORT:

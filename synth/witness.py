@@ -82,7 +82,12 @@ def cross_check(designer: Designer, controller: Controller, zero_l: bool = False
     """
     bound = controller.certificate.bound
     problem = posed(designer.plant)
-    if not controller.designed or bound is None or (problem.best is not None and controller.case == problem.best_case):
+    if (
+        not controller.designed
+        or controller.instead
+        or bound is None
+        or (problem.best is not None and controller.case == problem.best_case)
+    ):
         return None
     Cy, kept = measurement(designer.plant, designer.vehicle.linear_model.rows(controller.measured)[0])
     Cy, K = Cy[kept], controller.gain[:, kept]

@@ -1,0 +1,52 @@
+"""The two steps, and where they cannot be gone to their end, descent on the norm: a design either way, and said which.
+
+A central path may break off, or have no end at a finite gain, and problems may be too large for it. That says nothing against a
+gain: the strategy of `static.py` needs no path. Where there is no solution, as the second problem proves from every X, it is left
+at that: that is an answer, and the descent has its own door.
+"""
+
+from collections.abc import Callable, Sequence
+
+from models.arrays import Array
+from synth.central import CentralPoint
+from synth.design import Design, measurement, two_step_design, widened
+from synth.errors import DesignError, InfeasibleError
+from synth.lower_bound import LowerBound
+from synth.plant import GeneralizedPlant
+from synth.static import LARGEST_GAIN, descended
+
+
+def two_steps_or_descent(
+    plant: GeneralizedPlant,
+    Cy: Array,
+    path: Callable[[], Sequence[CentralPoint]] = tuple,
+    lower: LowerBound | None = None,
+    states: Sequence[str] = (),
+) -> Design:
+    """What `two_step_design` finds; where that cannot be followed to its end, what descent does, with the reason.
+
+    Args:
+        plant, Cy, lower, states: as for `two_step_design`.
+        path: gives that of (22) if it is there already, or says why there is none.
+
+    Raises:
+        InputError, InfeasibleError: as `two_step_design`.
+        DesignError: neither finds a gain whose certificate holds; the message says why.
+    """
+    try:
+        return two_step_design(plant, Cy, path(), lower, states)
+    except InfeasibleError:
+        raise
+    except DesignError as error:
+        reason = error
+    rows, kept = measurement(plant, Cy)
+    try:
+        found = descended(plant, rows[kept], str(reason), lower=lower)
+    except DesignError as error:
+        raise DesignError(f"{reason}; descent on the norm: {error}") from error
+    certificate = found.certificate
+    if certificate.failures or certificate.bound is None:
+        raise DesignError(f"{reason}; descent on the norm: {'; '.join(certificate.failures) or 'its bound is not proved'}")
+    how = f"by descent on the norm from {found.origin}, no gain larger than {LARGEST_GAIN:g}"
+    instead = f"not by the two steps but {how}, for {reason}"
+    return widened(Design(found.gain, certificate, instead=instead), kept, len(rows), 0.0)

@@ -1,0 +1,139 @@
+"""Where the two steps cannot be gone to their end, descent goes on, and it is said in the table and in JSON."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from models.vehicle import read_vehicle
+from synth import central, design
+from synth.__main__ import main
+from synth.controller import Designer
+from synth.design import state_path, two_step_design
+from synth.errors import DesignError, InfeasibleError, TooLargeError
+from synth.fallback import two_steps_or_descent
+from synth.landscape import Landscape
+from synth.plant import GeneralizedPlant
+from synth.projected import projected_starts
+from synth.static import static_output_feedback
+from synth.table import notes
+from synth.witness import cross_check
+from tests.benchmarks.states import chain
+
+TOO_LARGE = (
+    "the LMI problem has 15 unknowns, and the two steps are gone with at most 14; take states out of the model"  # 10 + 4 + 1
+)
+
+
+def test_too_large_is_said_and_descent_goes_on(capsys, monkeypatch):
+    """Beyond the limit of unknowns the table and JSON say how many there are, and give what descent finds, proved."""
+    monkeypatch.setattr(design, "MOST", 14)
+    assert main(["--controller", "I", "--json"]) == 0
+    (row,) = json.loads(capsys.readouterr().out)["controllers"]
+    note = next(note for note in row["notes"] if note.startswith("not by the two steps but by descent on the norm from "))
+    assert note.endswith(TOO_LARGE)
+    assert row["failures"] == []
+    assert row["lower_bound"] <= row["norm"] <= row["bound"]
+    assert row["norm"] < 7.843188  # the two steps' own, which descent improves upon
+    assert main(["--controller", "I"]) == 0
+    assert f"  {note}\n" in capsys.readouterr().out
+
+
+def test_at_the_limit_the_two_steps_are_gone(designer, monkeypatch):
+    """15 unknowns fit a limit of 15: nothing is done instead."""
+    monkeypatch.setattr(design, "MOST", 15)
+    monkeypatch.setattr(central, "MOST", 15)
+    controller = Designer(designer.vehicle).design("I")
+    assert controller.instead == ""
+    np.testing.assert_array_equal(controller.gain, designer.design("I").gain)
+    assert central.unknowns(designer.plant) == central.Basis.of(designer.plant, 0).size == 15
+    assert central.unknowns(designer.plant, 2) == central.Basis.of(designer.plant, 2).size
+
+
+def test_too_large_for_a_path(designer, monkeypatch):
+    """State feedback has a limit of its own, and nothing to go on with."""
+    monkeypatch.setattr(central, "MOST", 14)
+    with pytest.raises(TooLargeError, match="the LMI problem has 15 unknowns, and the central path is followed with at most 14"):
+        state_path(designer.plant)
+    with pytest.raises(TooLargeError, match="controller 'state': the LMI problem has 15 unknowns"):
+        Designer(designer.vehicle).design("state")
+    assert "the central path is followed with at most 14" in Designer(designer.vehicle).design("I").instead
+
+
+@pytest.mark.parametrize(
+    ("performance", "reason", "best"),
+    [
+        ({"suspension_deflection": 1.0}, "some control force costs nothing", 0.1044),  # the largest gain stops it at 0.10431
+        ({"sprung_acceleration": 1.0}, "z does not see the mode at 0 rad/s", 7.836),  # with a weight on the force: 7.8364
+    ],
+)
+def test_where_there_is_no_path_descent_goes_on(performance, reason, best):
+    """A force that costs nothing, or a mode that z does not see: I is what descent on the norm finds, proved, and said."""
+    designer = Designer(dataclasses.replace(read_vehicle("quarter_car"), performance=performance))
+    controller = designer.design("I")
+    certificate = controller.certificate
+    assert certificate.failures == ()
+    assert certificate.bound is not None
+    assert designer.best_possible(controller.measured).gamma * (1 - 1e-9) <= certificate.norm.value < best  # rounding
+    assert np.abs(controller.gain).max() <= 1e5 * (1 + 1e-12)  # rounding of the scales
+    note = notes(controller)[0]
+    assert note.startswith("not by the two steps but by descent on the norm from ")
+    assert f"no gain larger than 100000, for {reason}" in note
+    assert cross_check(designer, controller) is None  # Clarabel would solve another problem
+    with pytest.raises(DesignError, match=f"controller 'state': {reason}") as caught:
+        designer.design("state")
+    assert not isinstance(caught.value, InfeasibleError)
+
+
+def test_what_has_no_solution_is_not_searched_for():
+    """Where problem (25) has no solution from any X, that is the answer; x'' = x + u from x' has no static gain."""
+    C, D = np.vstack([np.eye(2), np.zeros((1, 2))]), np.array([[0.0], [0.0], [1.0]])
+    plant = GeneralizedPlant(
+        np.array([[0.0, 1.0], [1.0, 0.0]]), np.array([[0.0], [1.0]]), np.ones((2, 1)), C, D, np.zeros((3, 1))
+    )
+    with pytest.raises(InfeasibleError, match=r"problem \(25\) has no solution with eta > 0"):
+        two_steps_or_descent(plant, np.array([[0.0, 1.0]]))
+
+
+def test_one_broken_path_is_no_proof(monkeypatch, designer):
+    """Where (25) is infeasible from some X and its path breaks off from another, there may be a gain: no InfeasibleError."""
+    turns = iter([InfeasibleError("no solution"), DesignError("broke off")])
+
+    def fails(*_):
+        raise next(turns, InfeasibleError("no solution"))
+
+    monkeypatch.setattr(design, "output_feedback", fails)
+    with pytest.raises(DesignError, match="broke off") as caught:
+        two_step_design(designer.plant, np.eye(4)[[0, 2]], designer.state_path)
+    assert not isinstance(caught.value, InfeasibleError)
+
+
+def test_why_there_are_no_two_steps_is_kept(designer, monkeypatch):
+    """The strategy for any plant says what its two steps came to."""
+    monkeypatch.setattr(design, "MOST", 14)
+    found = static_output_feedback(designer.plant, np.eye(4)[[0, 2]])
+    assert found.two_steps is None
+    assert found.without == TOO_LARGE
+
+
+@pytest.mark.parametrize("states", [20, 60])
+def test_projected_starts_are_good(states):
+    """On a chain of masses they are stable, within a third of the best gain known; u = 0 is more than five times as high."""
+    plant, Cy = chain(states)
+    landscape = Landscape(plant, Cy)
+    norms = [landscape.norm(x)[0] for x in projected_starts(landscape)]
+    best_known = {20: 1.70, 60: 1.376}[states]  # by the two steps, and by descent
+    assert min(norms) < 4 / 3 * best_known
+    assert landscape.norm(np.zeros(Cy.shape[0]))[0] > 5 * best_known
+
+
+@pytest.mark.parametrize("states", [pytest.param(60, marks=pytest.mark.slow), pytest.param(100, marks=pytest.mark.attack)])
+def test_large_plants(states):
+    """A chain too large for the two steps has a gain, certified, and said to be by descent."""
+    design = two_steps_or_descent(*chain(states))
+    certificate = design.certificate
+    assert certificate.failures == ()
+    assert certificate.bound is not None
+    assert certificate.norm.value < 1.40  # measured 1.3765 at 60; a chain of 40 has 1.4526 by the two steps
+    assert "unknowns, and the two steps are gone with at most 1100" in design.instead
