@@ -118,14 +118,14 @@ def test_none():
 def test_what_cannot_be_designed_is_named(designer, paper):
     """All vehicles without a controller are named by index in one line, with the reason of the first."""
     lost = dataclasses.replace(paper, performance={"sprung_acceleration": 1.0})
-    with pytest.raises(BatchError, match=r"controller 'I': 2 of 4 cannot be designed, by index: 1, 3; 1: ") as caught:
-        designer.redesign([paper, lost, paper, lost], "I")
+    with pytest.raises(BatchError, match=r"controller 'state': 2 of 4 cannot be designed, by index: 1, 3; 1: ") as caught:
+        designer.redesign([paper, lost, paper, lost], "state")
     assert "\n" not in str(caught.value)
     assert list(caught.value.designs) == [0, 2]
     assert list(caught.value.failures) == [1, 3]
     for controller in caught.value.designs.values():
-        assert (controller.name, controller.certificate.failures) == ("I", ())
-        np.testing.assert_allclose(controller.gain, designer.design("I").gain, rtol=1e-6)  # where the path is stopped
+        assert (controller.name, controller.certificate.failures) == ("state", ())
+        np.testing.assert_allclose(controller.gain, designer.design("state").gain, rtol=1e-6)  # where the path is stopped
 
 
 def test_one_plant_that_fails_leaves_the_others(designer):
