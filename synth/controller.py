@@ -201,16 +201,16 @@ class Designer:
             start = None
         rows, _ = self.vehicle.linear_model.rows(measured)
         kept = independent_rows(rows)
-        Cy, origin = rows[kept], ""
+        Cy, origin, lower = rows[kept], "", self.best_possible(measured)
         if start is None:
-            found = static_output_feedback(self.plant, Cy)
+            found = static_output_feedback(self.plant, Cy, lower=lower)
             K, origin = found.gain, found.origin
         else:
             K = _from_some(start.gain, rows, kept)
         refinement = refine(self.plant, Cy, K)
         gain = np.zeros((len(K), len(measured)))
         gain[:, kept] = refinement.gain
-        certificate = proved(self.plant, refinement.gain @ Cy, self.best_possible(measured))
+        certificate = proved(self.plant, refinement.gain @ Cy, lower)
         return Refined(Controller(name, measured, gain, True, certificate), start, origin, refinement)
 
     def worth_refining(self, controller: Controller) -> float:

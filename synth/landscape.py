@@ -6,6 +6,7 @@ on edges. For all unit vectors u, v the largest singular value is at least Re u'
 (omega, u, v) is a smooth function that supports the norm from below, a cut (Apkarian, Noll 2006).
 """
 
+import contextlib
 from dataclasses import dataclass
 
 import numpy as np
@@ -93,8 +94,10 @@ class Landscape:
             A, C = self.loop(x)
             poles, V = np.linalg.eig(A)
             modes = None
-            if np.linalg.cond(V) < ILL_CONDITIONED:
-                modes = (poles, C @ V, np.linalg.solve(V, self.Bw.astype(complex)))
+            with contextlib.suppress(np.linalg.LinAlgError):
+                inverse = np.linalg.inv(V)
+                if np.linalg.norm(V) * np.linalg.norm(inverse) < ILL_CONDITIONED:
+                    modes = (poles, C @ V, inverse @ self.Bw)
             self.last = (key, poles, modes)
         return self.last[2]
 
@@ -130,7 +133,7 @@ class Landscape:
         """Slope of the largest singular value at a frequency, shape (m q,)."""
         if not np.isfinite(at):
             return np.zeros(self.shape).ravel()
-        _, slopes = self.heights(x, self.cuts(x, np.array([at]), 1.0))
+        _, slopes = self.heights(x, self.cuts(x, np.array([at]), np.inf))
         return slopes[0]
 
     def cuts(self, x: Array, omega: Array, floor: float) -> Cuts:
@@ -142,20 +145,18 @@ class Landscape:
             return Cuts(omega, np.zeros((0, len(self.C)), complex), np.zeros((0, self.Bw.shape[1]), complex))
         A, C = self.loop(x)
         U, S, Vh = np.linalg.svd(transfer_matrix(A, self.Bw, C, self.Dw, omega), full_matrices=False)
-        where, mixtures = [], []
-        count = S.shape[1]
-        for f in range(len(omega)):
-            alike = [k for k in range(min(count, MOST_ALIKE)) if k == 0 or S[f, k] >= floor]
-            for k in alike:
-                where.append(f)
-                mixtures.append(np.eye(count)[k])
-                for other in alike[:k]:
-                    for phase in (1, -1, 1j, -1j):
-                        where.append(f)
-                        mixtures.append((np.eye(count)[k] * phase + np.eye(count)[other]) / np.sqrt(2))
-        mixture = np.array(mixtures)[:, :, None]
-        u, v = U[where] @ mixture, Vh[where].conj().transpose(0, 2, 1) @ mixture
-        return Cuts(omega[where], u[:, :, 0], v[:, :, 0])
+        where, u, v = np.arange(len(omega)), [U[:, :, 0]], [Vh[:, 0].conj()]
+        for k in range(1, min(S.shape[1], MOST_ALIKE)):
+            alike = np.flatnonzero(S[:, k] >= floor)
+            where = np.concatenate([where, *[alike] * (1 + 4 * k)])
+            left, right = U[alike], Vh[alike].conj()
+            u.append(left[:, :, k])
+            v.append(right[:, k])
+            for other in range(k):
+                for phase in (1, -1, 1j, -1j):
+                    u.append((left[:, :, k] * phase + left[:, :, other]) / np.sqrt(2))
+                    v.append((right[:, k] * phase + right[:, other]) / np.sqrt(2))
+        return Cuts(omega[where], np.concatenate(u), np.concatenate(v))
 
     def heights(self, x: Array, cuts: Cuts) -> tuple[Array, Array]:
         """Values of cuts at a point, shape (F,), and slopes, shape (F, m q)."""
@@ -163,10 +164,11 @@ class Landscape:
         n = len(A)
         shifted = np.broadcast_to(-A, (len(cuts.omega), n, n)).astype(complex)
         shifted[:, np.arange(n), np.arange(n)] += 1j * cuts.omega[:, None]
-        driven = np.linalg.solve(shifted, (self.Bw @ cuts.v[:, :, None]))[:, :, 0]  # (j omega - A)^-1 Bw v
-        seen = np.linalg.solve(shifted.transpose(0, 2, 1), C.T @ cuts.u.conj()[:, :, None])[:, :, 0]  # u' C (j omega - A)^-1
-        values = np.real(np.einsum("fd,fd->f", cuts.u.conj(), driven @ C.T + cuts.v @ self.Dw.T))
-        slopes = np.real((seen @ self.B + cuts.u.conj() @ self.D)[:, :, None] * (driven @ self.Cy.T)[:, None, :])
+        adjoint = cuts.u.conj()
+        driven = np.linalg.solve(shifted, (cuts.v @ self.Bw.T)[:, :, None])[:, :, 0]  # (j omega - A)^-1 Bw v
+        seen = np.linalg.solve(shifted.transpose(0, 2, 1), (adjoint @ C)[:, :, None])[:, :, 0]  # u' C (j omega - A)^-1
+        values = np.real(np.sum(adjoint * (driven @ C.T + cuts.v @ self.Dw.T), axis=1))
+        slopes = np.real((seen @ self.B + adjoint @ self.D)[:, :, None] * (driven @ self.Cy.T)[:, None, :])
         return values, (slopes * self.scale).reshape(len(values), self.scale.size)
 
     def curvature(self, x: Array, cuts: Cuts, weights: Array) -> Array:

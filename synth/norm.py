@@ -76,6 +76,9 @@ def largest_singular_values(T: Array) -> Array:
         return np.sqrt(np.sum(np.real(T) ** 2 + np.imag(T) ** 2, axis=(1, 2)))  # of a vector the singular value is its length
     adjoint = T.conj().transpose(0, 2, 1)
     square = T @ adjoint if T.shape[1] < T.shape[2] else adjoint @ T
+    if square.shape[1] == 2:  # a quadratic equation, and nothing cancels in its larger root
+        a, b, c = np.real(square[:, 0, 0]), np.abs(square[:, 0, 1]), np.real(square[:, 1, 1])
+        return np.sqrt((a + c) / 2 + np.hypot((a - c) / 2, b))
     return np.sqrt(np.maximum(np.linalg.eigvalsh(square)[:, -1], 0.0))  # the largest one keeps its digits when squared
 
 
@@ -164,13 +167,16 @@ def level_crossings(A: Array, Bw: Array, C: Array, Dw: Array, level: float) -> A
     Every frequency at which a singular value of Dw + C (s - A)^-1 Bw equals the level is among them.
     """
     n, (d, r) = len(A), Dw.shape
-    if not Dw.any() or level > CLEAR * np.linalg.norm(Dw, 2):
+    through = bool(Dw.any())
+    if not through or level > CLEAR * np.linalg.norm(Dw, 2):
         # [A Bw; -C' -A'] with w and z, unknowns of their own in the pencil below, put in.
-        size = np.linalg.inv(np.eye(r) - (Dw / level).T @ (Dw / level))
-        into, out = Bw @ size / level, C + Dw @ size @ (Dw.T @ C) / level**2
+        into, out, moved = Bw / level, C, A
+        if through:
+            size = np.linalg.inv(np.eye(r) - (Dw / level).T @ (Dw / level))
+            into = into @ size
+            out, moved = C + Dw @ size @ (Dw.T @ C) / level**2, A + into @ (Dw.T @ C) / level
         hamiltonian = np.empty((2 * n, 2 * n))
-        hamiltonian[:n, :n] = A + into @ (Dw.T @ C) / level
-        hamiltonian[n:, n:] = -hamiltonian[:n, :n].T
+        hamiltonian[:n, :n], hamiltonian[n:, n:] = moved, -moved.T
         hamiltonian[:n, n:], hamiltonian[n:, :n] = into @ Bw.T, -C.T @ out / level
         eigenvalues = np.linalg.eigvals(hamiltonian)
     else:

@@ -4,13 +4,14 @@ No quick method finds the best static gain for sure. Three things make a poor on
 
 - *Where a descent starts.* Samples of every size (`survey.py`), stabilising gains where samples are too few (`stabilise.py`), and
   the paper's two steps, refined. Of many starts few are followed long: heats of short descents, after each of which those that
-  are behind, and those that ended where another did, are left.
+  are behind and hardly fall any more, and those that ended where another did, are left.
 - *Narrow valleys.* Descents take turns in the landscape's coordinates and in those where measurements are uncorrelated
   (`coordinates.py`), and one kind (`descent.py`) knows edges and curvature.
 - *The bound on the gain.* It counts at the smallest of all gains that make the same loop (`symmetry.py`).
 
-From the winner's surroundings further descents start. Nothing found is ever given up for something worse, so the result is not
-worse than the two steps refined. The same plant gives the same gain: all samples have fixed seeds.
+The winner is followed as long as it falls, and from its surroundings further descents start. Nothing found is ever given up for
+something worse, so the result is not worse than the two steps refined. The same plant gives the same gain: all samples have fixed
+seeds.
 """
 
 from collections.abc import Callable, Sequence
@@ -43,8 +44,12 @@ LARGE = 30  # states; with more a stabilising start takes minutes, and is for wh
 SAME = 1e-4  # relative; two descents that end this close have found the same minimum
 REACHED = 1e-4  # relative; this close to what no controller beats, the search ends
 ZERO = 1e-9  # of the size of the plant's matrices; a norm this small is zero
-IDLE = 3  # descents from the winner's surroundings in a row that find nothing better: enough
-SURROUNDINGS = (0.03, 0.1, 0.3, 1.0, 0.03, 0.1, 0.3, 1.0)  # how far from the winner further descents start, in logarithms
+MOVING = 0.5  # of its norm; what falls below it in a heat is still on its way, and stays in the race whatever its rank
+CLOSE = 1e-2  # relative; this close to what no controller beats, little is left to look for
+WORTH = 1e-3  # relative; what further descents must gain to count
+LONGEST = 20  # turns of descents from one candidate
+IDLE = 3  # such descents in a row that gain less: enough; one where the winner is close
+SURROUNDINGS = (0.03, 0.1, 0.3, 1.0) * 4  # how far from the winner they start, in logarithms
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,12 +177,13 @@ class _Search:
 
     def best(self, candidates: list[Candidate]) -> Candidate:
         """The winner of all heats, and of the descents from its surroundings."""
-        heats = ((self.plain, 30, 8), (self.whitened, 40, 5), (self.edges, 30, 3), (self.whitened, 60, 2), (self.edges, 60, 1))
+        heats = ((self.plain, 30, 6), (self.whitened, 40, 4), (self.edges, 30, 2), (self.whitened, 60, 1))
         for descent, rounds, keep in heats:
             candidates = self.heat(candidates, descent, rounds, keep)
             if self.reached(candidates[0]):
                 return candidates[0]
-        best, idle = candidates[0], 0
+        best, idle = self.followed(candidates[0]), 0
+        enough = 1 if self.reached(best, CLOSE) else IDLE
         for number, factor in enumerate(SURROUNDINGS):
             near = around(self.landscape, best.x, self.limit, factor, number)
             if near is None:
@@ -186,19 +192,37 @@ class _Search:
             found = self.step(start, self.plain if number % 2 else self.whitened, 60)
             if found.norm < best.norm * (1 + 10 * SAME):
                 found = self.step(found, self.edges, 60)
-            idle = idle + 1 if found.norm > best.norm * (1 - SAME) else 0
+            idle += 1
+            if found.norm < best.norm * (1 - WORTH):
+                found, idle = self.followed(found), 0
             best = min(best, found, key=lambda each: each.norm)
-            if self.reached(best) or idle == IDLE:
+            if self.reached(best) or idle == enough:
                 break
         return self.step(best, self.edges, 150)
 
+    def followed(self, candidate: Candidate) -> Candidate:
+        """A candidate after descents of both kinds by turns, as many as gain something: some valleys are long."""
+        for _ in range(LONGEST):
+            before = candidate.norm
+            candidate = self.step(self.step(candidate, self.edges, 60), self.whitened, 100)
+            if self.reached(candidate) or candidate.norm > before * (1 - WORTH):
+                break
+        return candidate
+
     def heat(self, candidates: Sequence[Candidate], descent: Descent, rounds: int, keep: int) -> list[Candidate]:
-        """The best of the candidates after a descent each, best first, no two at the same minimum."""
+        """The best of the candidates after a descent each, and those still on their way; no two at the same minimum."""
+        after: list[tuple[Candidate, bool]] = []
+        for each in sorted(candidates, key=lambda each: each.norm):
+            moved = self.step(each, descent, rounds)
+            if self.reached(moved):
+                return [moved]
+            after.append((moved, moved.norm < MOVING * each.norm))
         left: list[Candidate] = []
-        for each in sorted((self.step(each, descent, rounds) for each in candidates), key=lambda each: each.norm):
-            if not left or each.norm > left[-1].norm * (1 + SAME):
+        for each, moving in sorted(after, key=lambda pair: pair[0].norm):
+            apart = not left or each.norm > left[-1].norm * (1 + SAME)
+            if apart and (moving or len(left) < keep):
                 left.append(each)
-        return left[:keep]
+        return left
 
     def step(self, candidate: Candidate, descent: Descent, rounds: int) -> Candidate:
         """A candidate after a descent; as it was where that led no lower."""
@@ -210,9 +234,9 @@ class _Search:
             return candidate
         return min([candidate, *moved], key=lambda each: each.norm)
 
-    def reached(self, candidate: Candidate) -> bool:
-        """Whether nothing is left to gain."""
-        return candidate.norm <= max(self.beaten_by_none * (1 + REACHED), self.nothing)
+    def reached(self, candidate: Candidate, to: float = REACHED) -> bool:
+        """Whether a candidate is this close to what no controller beats, or zero."""
+        return candidate.norm <= max(self.beaten_by_none * (1 + to), self.nothing)
 
     def edges(self, x: Array, rounds: int) -> Array:
         """A descent that knows edges and curvature."""

@@ -246,3 +246,23 @@ def test_table_of_plants(tmp_path, capsys):
     assert f"from {rows[1]['origin']}" in printed
     with pytest.raises(InputError, match="unknown plant 'third'"):
         compleib([str(file), "--only", "third"])
+
+
+def test_plant_that_fails_is_a_row(tmp_path, capsys):
+    """A plant whose matrices do not fit, or are no numbers, has a row that says why; the others have theirs as ever."""
+    matrix = {"A": [[-1.0]], "B": [[1.0]], "B1": [[1.0]], "C1": [[1.0], [0.0]], "D12": [[0.0], [1.0]], "D11": [[0.0], [0.0]]}
+    good = {**matrix, "C": [[1.0]], "D21": [[0.0]]}
+    file = tmp_path / "plants.json"
+    file.write_text(json.dumps({"good": good, "misfit": {**good, "B": [[1.0], [2.0]]}, "words": {**good, "C": [["much"]]}}))
+    assert compleib([str(file), "--json"]) == 1
+    fine, *failed = json.loads(capsys.readouterr().out)["plants"]
+    assert fine["norm"] == pytest.approx(0.5**0.5, rel=1e-3)  # |s + 1 - k|^-1 and |k| times it: k = -1, where they are equal
+    assert fine["reason"] is None
+    assert [row["norm"] for row in failed] == [None, None]
+    assert "B has shape (2, 1)" in failed[0]["reason"]
+    assert "could not convert" in failed[1]["reason"]
+    assert compleib([str(file)]) == 1
+    assert "1 of 3 with a certified gain" in capsys.readouterr().out
+    file.write_text(json.dumps({"good": {key: good[key] for key in good if key != "D21"}}))
+    with pytest.raises(InputError, match="plant 'good' has no D21"):
+        compleib([str(file)])

@@ -1,5 +1,7 @@
 """The strategy for static output feedback: never worse than its parts, always proved, and at home in narrow valleys."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from scipy import linalg
@@ -14,7 +16,7 @@ from synth.landscape import Landscape
 from synth.plant import GeneralizedPlant
 from synth.refine import refine
 from synth.riccati import proved
-from synth.static import static_output_feedback
+from synth.static import Candidate, _Search, static_output_feedback
 from synth.survey import survey
 from synth.symmetry import Symmetry
 from tests.benchmarks.states import chain
@@ -92,6 +94,51 @@ def test_narrow_valley():
     assert design.certificate.norm.value <= min(norms)
 
 
+def integrator_with_leak() -> tuple[_Search, Callable[[float], Candidate]]:
+    """The search for x' = -x + u + w, y = z = x, whose norm is 1 / (1 - k), and its candidate at k."""
+    one = np.eye(1)
+    search = _Search(GeneralizedPlant(-one, one, one, one, 0 * one, 0 * one), one, LARGEST, 0.0)
+    return search, lambda k: Candidate(np.array([k]), 1 / (1 - k), str(k))
+
+
+def test_what_still_falls_stays_in_the_race():
+    """A heat keeps the best, whatever fell below half of its norm in it, and one of those at the same minimum."""
+    search, at = integrator_with_leak()
+    led = {-20.0: -20.0, -10.0: -10.0, -9.0: -10.0, 0.0: -4.0, -1.0: -2.0}
+    kept = search.heat([at(k) for k in led], lambda x, _: np.array([led[float(x[0])]]), 1, keep=1)
+    assert [float(each.x[0]) for each in kept] == [-20.0, -4.0]  # 0 came to a fifth of its norm, -1 to two thirds
+    kept = search.heat([at(k) for k in led], lambda x, _: np.array([led[float(x[0])]]), 1, keep=5)
+    assert [float(each.x[0]) for each in kept] == [-20.0, -10.0, -4.0, -2.0]
+
+
+def test_a_heat_ends_where_nothing_is_left():
+    """Once one candidate is at what no controller beats, no other is looked at."""
+    search, at = integrator_with_leak()
+    search.beaten_by_none = 1 / 11
+    asked = []
+
+    def down(x: np.ndarray, _: int) -> np.ndarray:
+        asked.append(float(x[0]))
+        return np.array([-10.0])
+
+    kept = search.heat([at(-1.0), at(-2.0), at(-3.0)], down, 1, keep=3)
+    assert asked == [-3.0]
+    assert [float(each.x[0]) for each in kept] == [-10.0]
+
+
+def test_long_valley_is_followed_to_its_end(monkeypatch):
+    """A candidate is followed as long as a turn of both descents gains a thousandth, and no longer."""
+    search, at = integrator_with_leak()
+    monkeypatch.setattr(search, "edges", lambda x, _: np.maximum(x - 1, -7.0))
+    monkeypatch.setattr(search, "whitened", lambda x, _: x)
+    assert search.followed(at(0.0)).norm == pytest.approx(1 / 8)
+    turns = []
+    monkeypatch.setattr(search, "edges", lambda x, _: turns.append(x) or x * (1 + 5e-4))
+    search.followed(at(-100.0))
+    assert len(turns) == 1
+
+
+@pytest.mark.slow
 def test_same_gain_again():
     """The same plant gives the same gain, to the last bit."""
     plant, Cy = random_plant(3, n=3, m=1)

@@ -13,6 +13,7 @@ import multiprocessing
 import os
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,8 @@ from synth.full_order import best_possible
 from synth.plant import GeneralizedPlant
 from synth.static import LARGEST_GAIN, static_output_feedback
 
+MATRICES = ("A", "B", "B1", "C1", "D12", "D11", "C", "D21")
+
 
 @dataclass(frozen=True)
 class Row:
@@ -35,58 +38,49 @@ class Row:
 
     plant: str
     states: int
-    lower_bound: float | None
-    two_step_bound: float | None
-    two_step_norm: float | None
-    norm: float | None
-    bound: float | None
-    gap: float | None
-    origin: str | None
-    starts: int | None
-    gain: list[list[float]] | None
     seconds: float
     cpu_seconds: float
-    remarks: list[str]
-    reason: str | None
+    lower_bound: float | None = None
+    two_step_bound: float | None = None
+    two_step_norm: float | None = None
+    norm: float | None = None
+    bound: float | None = None
+    gap: float | None = None
+    origin: str | None = None
+    starts: int | None = None
+    gain: list[list[float]] | None = None
+    remarks: tuple[str, ...] = ()
+    reason: str | None = None
 
 
 def solve(task: tuple[str, dict[str, Any]]) -> Row:
-    """The row of one plant."""
+    """The row of one plant. Whatever fails is its reason: one plant must not cost the others their rows."""
     name, data = task
-    matrix = {key: np.array(data[key], dtype=float) for key in ("A", "B", "B1", "C1", "D12", "D11", "C")}
-    plant = GeneralizedPlant(matrix["A"], matrix["B"], matrix["B1"], matrix["C1"], matrix["D12"], matrix["D11"])
     start, cpu_start = time.perf_counter(), time.process_time()
-    two_step_bound = two_step_norm = norm = bound = gap = origin = starts = gain = reason = None
-    remarks: list[str] = []
-    lower = best_possible(plant, matrix["C"])
+    found: dict[str, Any] = {}
     try:
-        design = static_output_feedback(plant, matrix["C"], LARGEST_GAIN, lower)
-    except DesignError as error:
-        reason = str(error)
-    else:
-        if design.two_steps is not None:
-            two_step_bound, two_step_norm = design.two_steps.certificate.bound, design.two_steps.certificate.norm.value
-        gain, certificate, origin, starts = design.gain.tolist(), design.certificate, design.origin, design.starts
-        if not certificate.failures:
-            norm, bound, gap = certificate.norm.value, certificate.bound, certificate.gap
-        reason, remarks = "; ".join(certificate.failures) or None, list(certificate.remarks)
-    return Row(
-        name,
-        len(plant.A),
-        lower.gamma or None,
-        two_step_bound,
-        two_step_norm,
-        norm,
-        bound,
-        gap,
-        origin,
-        starts,
-        gain,
-        time.perf_counter() - start,
-        time.process_time() - cpu_start,
-        remarks,
-        reason,
-    )
+        for part in _findings(data):
+            found |= part
+    except Exception as error:
+        found["reason"] = str(error) if isinstance(error, DesignError | InputError) else f"{type(error).__name__}: {error}"
+    return Row(name, len(data["A"]), time.perf_counter() - start, time.process_time() - cpu_start, **found)
+
+
+def _findings(data: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Cells of a row, as they are found."""
+    A, B, Bw, C, D, Dw, Cy = (np.array(data[key], dtype=float) for key in MATRICES[:-1])
+    plant = GeneralizedPlant(A, B, Bw, C, D, Dw)
+    lower = best_possible(plant, Cy)
+    yield {"lower_bound": lower.gamma or None}
+    design = static_output_feedback(plant, Cy, LARGEST_GAIN, lower)
+    certificate = design.certificate
+    yield {"gain": design.gain.tolist(), "origin": design.origin, "starts": design.starts, "remarks": certificate.remarks}
+    if design.two_steps is not None:
+        by_two_steps = design.two_steps.certificate
+        yield {"two_step_bound": by_two_steps.bound, "two_step_norm": by_two_steps.norm.value}
+    if certificate.failures:
+        raise DesignError("; ".join(certificate.failures))
+    yield {"norm": certificate.norm.value, "bound": certificate.bound, "gap": certificate.gap}
 
 
 def read_tasks(path: str, only: list[str]) -> list[tuple[str, dict[str, Any]]]:
@@ -98,6 +92,10 @@ def read_tasks(path: str, only: list[str]) -> list[tuple[str, dict[str, Any]]]:
     for name in only:
         if name not in plants:
             raise InputError(f"unknown plant {name!r}; {path} has {', '.join(plants)}")
+    for name, data in plants.items():
+        missing = [key for key in MATRICES if key not in data]
+        if missing:
+            raise InputError(f"{path}: plant {name!r} has no {', '.join(missing)}; a plant has {', '.join(MATRICES)}")
     return [(name, data) for name, data in plants.items() if not np.any(data["D21"]) and (not only or name in only)]
 
 
