@@ -113,7 +113,8 @@ class Landscape:
         poles = self.last[1]
         if not np.all(np.real(poles) < -1e-13 * np.abs(poles).max()):
             return np.inf, np.nan
-        omega = np.concatenate([[0.0], np.abs(np.imag(poles)), np.abs(poles), self.peaks])
+        upper = poles[np.imag(poles) >= 0]
+        omega = np.concatenate([[0.0], np.imag(upper), np.abs(upper), self.peaks])
         best, at = self.at_infinity, np.inf
         for _ in range(30):
             gains = self._gains(A, C, omega, modes)
@@ -133,8 +134,13 @@ class Landscape:
         """Slope of the largest singular value at a frequency, shape (m q,)."""
         if not np.isfinite(at):
             return np.zeros(self.shape).ravel()
-        _, slopes = self.heights(x, self.cuts(x, np.array([at]), np.inf))
-        return slopes[0]
+        A, C = self.loop(x)
+        shifted = 1j * at * np.eye(len(A)) - A
+        reached = np.linalg.solve(shifted, self.Bw)
+        U, _, Vh = np.linalg.svd(C @ reached + self.Dw, full_matrices=False)
+        adjoint, v = U[:, 0].conj(), Vh[0].conj()
+        seen = np.linalg.solve(shifted.T, adjoint @ C)
+        return np.real(np.outer(seen @ self.B + adjoint @ self.D, self.Cy @ (reached @ v)) * self.scale).ravel()
 
     def cuts(self, x: Array, omega: Array, floor: float) -> Cuts:
         """The cuts that touch the singular values >= floor at some frequencies, and those between values that are alike.
@@ -148,6 +154,8 @@ class Landscape:
         where, u, v = np.arange(len(omega)), [U[:, :, 0]], [Vh[:, 0].conj()]
         for k in range(1, min(S.shape[1], MOST_ALIKE)):
             alike = np.flatnonzero(S[:, k] >= floor)
+            if not len(alike):
+                break
             where = np.concatenate([where, *[alike] * (1 + 4 * k)])
             left, right = U[alike], Vh[alike].conj()
             u.append(left[:, :, k])
@@ -179,38 +187,39 @@ class Landscape:
         its maximum, which takes out one rank. Eigenvalues nearly alike are not divided by: mixed cuts stand for them.
         """
         A, C = self.loop(x)
-        n, size = len(A), x.size
-        total = np.zeros((size, size))
-        for omega, u, v, weight in zip(cuts.omega, cuts.u, cuts.v, weights, strict=True):
-            R = np.linalg.inv(1j * omega * np.eye(n) - A)
-            left, right = C @ R, R @ self.Bw
-            T, Tu, Tw, Ty = left @ self.Bw + self.Dw, left @ self.B + self.D, self.Cy @ right, self.Cy @ R @ self.B
-            Tu_rate, Tw_rate = -1j * (left @ R @ self.B), -1j * (self.Cy @ R @ right)
-            # First derivatives of T v and T' u over the entries of x, then over omega.
-            seen, driven = (u.conj() @ Tu), Tw @ v
-            along = np.einsum("di,j->dij", Tu, driven) * self.scale
-            back = np.einsum("i,jr->rij", seen, Tw).conj() * self.scale
-            first = np.vstack([along.reshape(len(u), -1), back.reshape(len(v), -1)])
-            slide = np.concatenate([-1j * (left @ (right @ v)), (-1j * (u.conj() @ left @ right)).conj()])
-            first = np.column_stack([first, slide]) / np.sqrt(2)
-            # Second derivatives of u' T v.
-            second = np.zeros((size + 1, size + 1))
-            twice = np.einsum("i,jk,l->ijkl", seen, Ty, driven) * self.scale[:, :, None, None] * self.scale
-            twice = np.real(twice.reshape(size, size))
-            second[:size, :size] = twice + twice.T
-            mixed = np.outer(u.conj() @ Tu_rate, driven) + np.outer(seen, Tw_rate @ v)
-            second[:size, -1] = second[-1, :size] = np.real(mixed * self.scale).ravel()
-            second[-1, -1] = np.real(-2 * u.conj() @ left @ R @ right @ v)
-            J = np.block([[np.zeros((len(u),) * 2), T], [T.conj().T, np.zeros((len(v),) * 2)]])
-            values, vectors = np.linalg.eigh(J)
-            height = float(np.real(u.conj() @ T @ v))
-            away = np.abs(height - values) > ALIKE * height
-            share = vectors[:, away].conj().T @ first
-            second += 2 * np.real(share.conj().T @ (share / (height - values[away])[:, None]))
-            if second[-1, -1] < 0 and omega > 0:
-                second -= np.outer(second[-1], second[-1]) / second[-1, -1]
-            total += weight * second[:size, :size]
-        return total
+        n, size, (d, r) = len(A), x.size, self.Dw.shape
+        omega, adjoint, v = cuts.omega, cuts.u.conj()[:, None, :], cuts.v[:, :, None]
+        R = np.linalg.inv(1j * omega[:, None, None] * np.eye(n) - A)
+        left, right = C @ R, R @ self.Bw
+        T, Tu, Tw, Ty = left @ self.Bw + self.Dw, left @ self.B + self.D, self.Cy @ right, self.Cy @ R @ self.B
+        Tu_rate, Tw_rate = -1j * (left @ R @ self.B), -1j * (self.Cy @ R @ right)
+        # First derivatives of T v and T' u over the entries of x, then over omega.
+        seen, driven = (adjoint @ Tu)[:, 0], (Tw @ v)[:, :, 0]
+        along = Tu[:, :, :, None] * driven[:, None, None, :] * self.scale
+        back = (seen[:, None, :, None] * Tw.swapaxes(1, 2)[:, :, None, :]).conj() * self.scale
+        slide = np.concatenate([-1j * (left @ (right @ v)), (-1j * (adjoint @ left @ right)).conj().swapaxes(1, 2)], axis=1)
+        first = np.concatenate([along.reshape(-1, d, size), back.reshape(-1, r, size)], axis=1)
+        first = np.concatenate([first, slide], axis=2) / np.sqrt(2)
+        # Second derivatives of u' T v.
+        second = np.zeros((len(omega), size + 1, size + 1))
+        twice = np.einsum("fi,fjk,fl->fijkl", seen, Ty, driven) * self.scale[:, :, None, None] * self.scale
+        twice = np.real(twice.reshape(-1, size, size))
+        second[:, :size, :size] = twice + twice.swapaxes(1, 2)
+        mixed = (adjoint @ Tu_rate)[:, 0, :, None] * driven[:, None, :] + seen[:, :, None] * (Tw_rate @ v)[:, None, :, 0]
+        second[:, :size, -1] = second[:, -1, :size] = np.real(mixed * self.scale).reshape(-1, size)
+        second[:, -1, -1] = np.real(-2 * adjoint @ left @ R @ right @ v)[:, 0, 0]
+        J = np.zeros((len(omega), d + r, d + r), complex)
+        J[:, :d, d:], J[:, d:, :d] = T, T.conj().swapaxes(1, 2)
+        values, vectors = np.linalg.eigh(J)
+        height = np.real(adjoint @ T @ v)[:, 0]
+        away = np.abs(height - values) > ALIKE * height
+        divided = np.where(away, 1 / np.where(away, height - values, 1.0), 0.0)
+        share = vectors.conj().swapaxes(1, 2) @ first
+        second += 2 * np.real(share.conj().swapaxes(1, 2) @ (share * divided[:, :, None]))
+        top = second[:, -1, -1]
+        follows = np.where((top < 0) & (omega > 0), 1 / np.where(top < 0, top, 1.0), 0.0)
+        second -= follows[:, None, None] * second[:, -1, :, None] * second[:, -1, None, :]
+        return np.tensordot(weights, second[:, :size, :size], 1)
 
     def summits(self, x: Array, level: float) -> Array:
         """Frequencies [rad/s] of the local maxima of the gain that exceed a level, shape (P,), ascending."""

@@ -46,9 +46,9 @@ REACHED = 1e-4  # relative; this close to what no controller beats, the search e
 ZERO = 1e-9  # of the size of the plant's matrices; a norm this small is zero
 MOVING = 0.5  # of its norm; what falls below it in a heat is still on its way, and stays in the race whatever its rank
 CLOSE = 1e-2  # relative; this close to what no controller beats, little is left to look for
-WORTH = 1e-3  # relative; what further descents must gain to count
+WORTH = 3e-4  # relative; what a turn of further descents must gain for another
 LONGEST = 20  # turns of descents from one candidate
-IDLE = 3  # such descents in a row that gain less: enough; one where the winner is close
+IDLE = 6  # descents from the winner's surroundings in a row that find nothing better: enough; one where the winner is close
 SURROUNDINGS = (0.03, 0.1, 0.3, 1.0) * 4  # how far from the winner they start, in logarithms
 
 
@@ -177,7 +177,7 @@ class _Search:
 
     def best(self, candidates: list[Candidate]) -> Candidate:
         """The winner of all heats, and of the descents from its surroundings."""
-        heats = ((self.plain, 30, 6), (self.whitened, 40, 4), (self.edges, 30, 2), (self.whitened, 60, 1))
+        heats = ((self.plain, 30, 8), (self.whitened, 40, 5), (self.edges, 30, 3), (self.whitened, 60, 2), (self.edges, 60, 1))
         for descent, rounds, keep in heats:
             candidates = self.heat(candidates, descent, rounds, keep)
             if self.reached(candidates[0]):
@@ -193,7 +193,7 @@ class _Search:
             if found.norm < best.norm * (1 + 10 * SAME):
                 found = self.step(found, self.edges, 60)
             idle += 1
-            if found.norm < best.norm * (1 - WORTH):
+            if found.norm < best.norm * (1 - SAME):
                 found, idle = self.followed(found), 0
             best = min(best, found, key=lambda each: each.norm)
             if self.reached(best) or idle == enough:
@@ -204,7 +204,7 @@ class _Search:
         """A candidate after descents of both kinds by turns, as many as gain something: some valleys are long."""
         for _ in range(LONGEST):
             before = candidate.norm
-            candidate = self.step(self.step(candidate, self.edges, 60), self.whitened, 100)
+            candidate = self.step(self.step(candidate, self.whitened, 100), self.edges, 60)
             if self.reached(candidate) or candidate.norm > before * (1 - WORTH):
                 break
         return candidate

@@ -13,6 +13,7 @@ from synth.landscape import Landscape
 SMALLEST = -2  # decade of the first sample, in the landscape's units
 SAMPLES = 1000  # of each decade
 CLOSER = 24  # stable ones of each decade whose norm is computed
+AT_ONCE = 100  # samples whose poles are computed in one call, until there are enough stable ones
 SPREAD = 1.5  # decades either way, of the size of one input or measurement
 SEED = 20261121
 
@@ -55,11 +56,14 @@ def lowest(landscape: Landscape, points: Array) -> Array | None:
         landscape: of the plant.
         points: shape (N, m q).
     """
-    gains = points.reshape(-1, *landscape.shape) * landscape.scale
-    loops = landscape.A + landscape.B @ gains @ landscape.Cy
-    stable = points[np.real(np.linalg.eigvals(loops)).max(axis=1) < 0][:CLOSER]
+    stable = points[:0]
+    for some in np.split(points, range(AT_ONCE, len(points), AT_ONCE)):
+        loops = landscape.A + landscape.B @ (some.reshape(-1, *landscape.shape) * landscape.scale) @ landscape.Cy
+        stable = np.concatenate([stable, some[np.real(np.linalg.eigvals(loops)).max(axis=1) < 0]])
+        if len(stable) >= CLOSER:
+            break
     best, height = None, np.inf
-    for x in stable:
+    for x in stable[:CLOSER]:
         there, _ = landscape.norm(x, height)
         if there < height:
             best, height = x, there

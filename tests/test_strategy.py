@@ -17,7 +17,7 @@ from synth.plant import GeneralizedPlant
 from synth.refine import refine
 from synth.riccati import proved
 from synth.static import Candidate, _Search, static_output_feedback
-from synth.survey import survey
+from synth.survey import CLOSER, lowest, survey
 from synth.symmetry import Symmetry
 from tests.benchmarks.states import chain
 from tests.test_static import random_plant
@@ -129,9 +129,9 @@ def test_a_heat_ends_where_nothing_is_left():
 def test_long_valley_is_followed_to_its_end(monkeypatch):
     """A candidate is followed as long as a turn of both descents gains a thousandth, and no longer."""
     search, at = integrator_with_leak()
-    monkeypatch.setattr(search, "edges", lambda x, _: np.maximum(x - 1, -7.0))
+    monkeypatch.setattr(search, "edges", lambda x, _: np.maximum(x - 1, -107.0))
     monkeypatch.setattr(search, "whitened", lambda x, _: x)
-    assert search.followed(at(0.0)).norm == pytest.approx(1 / 8)
+    assert search.followed(at(-100.0)).norm == pytest.approx(1 / 108)  # by a hundredth at a time
     turns = []
     monkeypatch.setattr(search, "edges", lambda x, _: turns.append(x) or x * (1 + 5e-4))
     search.followed(at(-100.0))
@@ -233,6 +233,19 @@ def test_samples_are_stable():
     for x in samples:
         assert np.linalg.eigvals(landscape.loop(x)[0]).real.max() < 0
         assert np.all(np.abs(x) <= limit)
+
+
+def test_lowest_of_the_first_stable_samples():
+    """Of many points the one with the smallest norm of the first 24 stable ones, however rare those are."""
+    plant, Cy = random_plant(0)
+    landscape = Landscape(plant, Cy)
+    for seed, size in ((0, 1.0), (1, 0.2)):
+        points = size * np.random.default_rng(seed).standard_normal((400, 4))
+        stable = [x for x in points if np.linalg.eigvals(landscape.loop(x)[0]).real.max() < 0][:CLOSER]
+        found = lowest(landscape, points)
+        assert stable
+        assert found is not None
+        np.testing.assert_array_equal(found, min(stable, key=lambda x: landscape.norm(x)[0]))
 
 
 @pytest.mark.parametrize("stiffness", [1e2, 1e4, 1e5])
