@@ -16,7 +16,7 @@ from synth.landscape import Landscape
 from synth.plant import GeneralizedPlant
 from synth.refine import refine
 from synth.riccati import proved
-from synth.static import Candidate, _Search, static_output_feedback
+from synth.static import WORTH, Candidate, _Search, static_output_feedback
 from synth.survey import CLOSER, lowest, survey
 from synth.symmetry import Symmetry
 from tests.benchmarks.states import chain
@@ -127,13 +127,13 @@ def test_a_heat_ends_where_nothing_is_left():
 
 
 def test_long_valley_is_followed_to_its_end(monkeypatch):
-    """A candidate is followed as long as a turn of both descents gains a thousandth, and no longer."""
+    """A candidate is followed as long as a turn of both descents gains WORTH, and no longer."""
     search, at = integrator_with_leak()
     monkeypatch.setattr(search, "edges", lambda x, _: np.maximum(x - 1, -107.0))
     monkeypatch.setattr(search, "whitened", lambda x, _: x)
     assert search.followed(at(-100.0)).norm == pytest.approx(1 / 108)  # by a hundredth at a time
     turns = []
-    monkeypatch.setattr(search, "edges", lambda x, _: turns.append(x) or x * (1 + 5e-4))
+    monkeypatch.setattr(search, "edges", lambda x, _: turns.append(x) or x * (1 + 0.5 * WORTH))
     search.followed(at(-100.0))
     assert len(turns) == 1
 
