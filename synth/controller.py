@@ -38,6 +38,8 @@ class Controller:
             central path, more where the second problem is infeasible from there.
         stopped: how far from the optimum of its own problem the gain was taken, relative in gamma: 0 at the limit, more where the
             optimum is reached only by gains beyond any actuator.
+        moved: how far the gain still moved from the point of its path before, relative to its largest entry; a hundredth of it is
+            about what is left to the limit.
         redundant: the signals among `measured` that follow from the others; their gain is zero.
         certificate: what is true of it.
         case: what is the case where (22) has no optimum, or every gain is one, in words; else empty.
@@ -51,6 +53,7 @@ class Controller:
     certificate: Certificate
     short: float = 0.0
     stopped: float = 0.0
+    moved: float = 0.0
     redundant: tuple[str, ...] = ()
     case: str = ""
     instead: str = ""
@@ -297,6 +300,7 @@ def _designed(entry: ControllerEntry, design: Design) -> Controller:
         certificate=design.certificate,
         short=design.short,
         stopped=design.stopped,
+        moved=design.moved,
         redundant=redundant,
         case=design.case,
         instead=design.instead,

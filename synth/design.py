@@ -35,12 +35,17 @@ class Design:
         redundant: rows of C_y that follow from others, by index; their gain is zero.
         case: what is the case where (22) has no optimum, or every gain is one, in words; else empty.
         instead: how else the gain was found, and why the two steps did not lead to one, in words; empty where they did.
+        moved: how far the gain still moved from the point of its path before, relative to its largest entry: about a hundred
+            times what is left to the limit. It is at most 4e-5 for the cars that ship, and as much for the two steps of a chain
+            of 40 states; but the state feedback of chains of 26 and 40 still grows a hundredfold as mu falls as much. Of such a
+            gain the norm is proved, and no digit is that of the optimum.
     """
 
     gain: Array
     certificate: Certificate
     short: float = 0.0
     stopped: float = 0.0
+    moved: float = 0.0
     redundant: tuple[int, ...] = ()
     case: str = ""
     instead: str = ""
@@ -101,10 +106,12 @@ def furthest(plant: GeneralizedPlant, Cy: Array, path: Sequence[CentralPoint], l
         DesignError: no certificate holds.
     """
     first, beyond = None, []
-    for point in reversed(path):
+    for i, point in reversed(list(enumerate(path))):
         certificate = certify(plant, point.K @ Cy, point.X if point.proof is None else point.proof, point.eta, lower)
         if not certificate.failures:
-            design = Design(point.K, certificate, stopped=point.gamma / path[-1].gamma - 1)
+            before = path[max(i - 1, 0)].K
+            moved = float(np.abs(point.K - before).max(initial=0.0) / (np.abs(point.K).max(initial=0.0) or 1.0))
+            design = Design(point.K, certificate, stopped=point.gamma / path[-1].gamma - 1, moved=moved)
             if not certificate.beyond_actuators:
                 return design
             beyond.append(design)

@@ -15,6 +15,7 @@ from synth.record import to_record
 from synth.witness import Witness
 
 IDEAL_LOOP = "of the ideal loop, continuous and without [limits] and [implementation]"
+SETTLED = 1e-2  # relative: a gain that moves less over the last hundredfold of mu is within 1e-4 of the limit
 SHORT = 1e-6  # relative in gamma; less is the path's own end
 
 
@@ -156,6 +157,11 @@ def notes(controller: Controller) -> tuple[str, ...]:
         found.append(f"from an X {percent(controller.short)} short of the best state feedback; from the best there is no design")
     if controller.stopped > SHORT:
         found.append(f"bound {percent(controller.stopped)} short of the optimum, which only a gain beyond any actuator reaches")
+    elif controller.moved > SETTLED:
+        found.append(
+            f"gain not settled: over the last step of its path it moved by {percent(controller.moved)} of its largest entry, so "
+            "that its digits are not those of the optimum; the norm and its bound hold for it as it is"
+        )
     if controller.redundant:
         found.append(f"measures in vain: {', '.join(controller.redundant)} follows from the other signals and is given no gain")
     return tuple(found)

@@ -111,6 +111,24 @@ def plant_of(A, B) -> GeneralizedPlant:
     return GeneralizedPlant(A, B, np.ones((n, 1)), C, np.vstack([np.zeros((n, m)), np.eye(m)]), np.zeros((n + m, 1)))
 
 
+@pytest.mark.parametrize("name", ["state", "I"])
+def test_a_gain_that_is_not_settled_is_said(paper, name):
+    """From a path that ends early the gain still moves, by what its last points are apart, and it is said."""
+    whole = Designer(paper)
+    settled = whole.design(name)
+    assert 0 < settled.moved < 4e-5  # measured 2.4e-5 and 3.4e-6
+    assert not any("not settled" in note for note in notes(settled))
+    ends_early = Designer(paper)
+    ends_early.state_path = [point for point in whole.state_path if point.mu > 1e-3]
+    early = state_design(ends_early.plant, ends_early.state_path)
+    before, last = (point.K for point in ends_early.state_path[-2:])
+    assert early.moved == np.abs(last - before).max() / np.abs(last).max()
+    if name == "state":
+        percent = f"{100 * early.moved:.2g}"
+        (note,) = notes(ends_early.design("state"))
+        assert note.startswith(f"gain not settled: over the last step of its path it moved by {percent} % of its largest entry")
+
+
 def test_unreached_mode_is_named():
     """An unstable mode that no input reaches is named by its rate and its state."""
     with pytest.raises(InfeasibleError, match=r"no input reaches the mode at 1 rad/s.*in x1"):
