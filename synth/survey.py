@@ -12,6 +12,8 @@ from synth.landscape import Landscape
 
 SMALLEST = -2  # decade of the first sample, in the landscape's units
 SAMPLES = 1000  # of each decade
+WIDE = 30  # states; with more there are fewer samples, so that their poles cost the same
+FEWEST = 20  # samples
 CLOSER = 24  # stable ones of each decade whose norm is computed
 AT_ONCE = 100  # samples whose poles are computed in one call, until there are enough stable ones
 SPREAD = 1.5  # decades either way, of the size of one input or measurement
@@ -25,10 +27,10 @@ def survey(landscape: Landscape, limit: Array) -> list[Array]:
         landscape: of the plant.
         limit: largest entries, shape (m q,).
     """
-    generator = np.random.default_rng(SEED)
+    generator, count = np.random.default_rng(SEED), _count(landscape)
     found = []
     for decade in range(SMALLEST, int(np.ceil(np.log10(limit.max())))):
-        points = _directions(generator, landscape.shape) * 10.0 ** (decade + generator.random((SAMPLES, 1)))
+        points = _directions(generator, count, landscape.shape) * 10.0 ** (decade + generator.random((count, 1)))
         best = lowest(landscape, points[np.all(np.abs(points) <= limit, axis=1)])
         if best is not None:
             found.append(best)
@@ -45,7 +47,7 @@ def around(landscape: Landscape, x: Array, limit: Array, factor: float, seed: in
         factor: standard deviation of the logarithms.
         seed: of the samples.
     """
-    factors = np.exp(factor * np.random.default_rng(seed).standard_normal((SAMPLES, len(x))))
+    factors = np.exp(factor * np.random.default_rng(seed).standard_normal((_count(landscape), len(x))))
     return lowest(landscape, np.clip(x * factors, -limit, limit))
 
 
@@ -70,12 +72,17 @@ def lowest(landscape: Landscape, points: Array) -> Array | None:
     return best
 
 
-def _directions(generator: np.random.Generator, shape: tuple[int, int]) -> Array:
-    """Gains whose largest entry is one, shape (SAMPLES, m q)."""
+def _count(landscape: Landscape) -> int:
+    """How many samples there are of a kind."""
+    return max(FEWEST, int(SAMPLES * min(1.0, (WIDE / len(landscape.A)) ** 3)))
+
+
+def _directions(generator: np.random.Generator, count: int, shape: tuple[int, int]) -> Array:
+    """Gains whose largest entry is one, shape (count, m q)."""
     m, q = shape
-    rows = 10 ** generator.uniform(-SPREAD, SPREAD, (SAMPLES, m, 1))
-    columns = 10 ** generator.uniform(-SPREAD, SPREAD, (SAMPLES, 1, q))
-    entries = generator.standard_normal((SAMPLES, m, q))
+    rows = 10 ** generator.uniform(-SPREAD, SPREAD, (count, m, 1))
+    columns = 10 ** generator.uniform(-SPREAD, SPREAD, (count, 1, q))
+    entries = generator.standard_normal((count, m, q))
     entries[::2] = generator.standard_normal((len(entries[::2]), m, 1)) * generator.standard_normal((len(entries[::2]), 1, q))
-    gains = (rows * entries * columns).reshape(SAMPLES, m * q)
+    gains = (rows * entries * columns).reshape(count, m * q)
     return gains / np.abs(gains).max(axis=1, keepdims=True)

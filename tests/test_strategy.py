@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import linalg
 
+from synth import survey as sampling
 from synth import symmetry
 from synth.certificate import certify
 from synth.coordinates import uncorrelated
@@ -204,6 +205,17 @@ def test_all_gains_that_make_the_same_loop_are_known(monkeypatch, wide, small):
     projected = [each.T @ np.linalg.pinv(each.T) for each in (spanned, expected)]
     np.testing.assert_allclose(*projected, atol=1e-8)  # rounding of null spaces of random coordinates
     assert not len(Symmetry(Landscape(*chain(60))).R)
+
+
+def test_samples_of_large_plants_cost_no_more(monkeypatch):
+    """Up to 30 states a decade has 1000 samples; with more the poles of all cost what they do there, and 20 are always drawn."""
+    drawn = {}
+    monkeypatch.setattr(sampling, "lowest", lambda landscape, points: drawn.setdefault(len(landscape.A), len(points)) and None)
+    for states in (4, 30, 60, 200):
+        landscape = Landscape(*chain(states))
+        assert sampling.around(landscape, np.ones(landscape.scale.size), np.ones(landscape.scale.size), 0.1, 0) is None
+        assert survey(landscape, np.full(landscape.scale.size, 1e3)) == []
+    assert drawn == {4: 1000, 30: 1000, 60: 125, 200: 20}
 
 
 def test_measurements_count_alike():
