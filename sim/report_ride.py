@@ -12,6 +12,7 @@ from sim.iso8608 import Iso8608, long_enough
 from sim.metrics import dynamic_load, measure, off_ground, points
 from sim.page import Section, Table
 from sim.physics import simulate
+from sim.report_scope import joined
 from sim.road import track_width
 from sim.run import sample_times
 from synth.controller import Controller
@@ -25,15 +26,22 @@ def ride_section(vehicle: Vehicle, controllers: Sequence[Controller], timestep: 
     """Every controller over every class, root mean square over the seeds."""
     found = [row for one in controllers for row in _rows(vehicle, one, timestep)]
     names = ("class", "controller", "metric", "unit", "MuJoCo", "predicted", "road to road", "lift-off")
-    text = (
-        f"Random roads of ISO 8608 at {SPEED:g} m/s, {len(SEEDS)} of each class, {WINDOW:g} s each. Weighted is ISO 2631-1's rms "
-        "acceleration, Wk; dynamic load is the rms of the tyre's force over its static value. Predicted is from the road's "
-        "spectrum through the sampled closed loop, for a vehicle without limits, noise and quantisation. Both are roots of mean "
-        "squares, over the roads driven and over all roads; road to road is by how much one such road differs from that, one "
-        "standard deviation, so MuJoCo's differs by half of it. Runs that diverged or squeezed a tyre flat are left out.",
-    )
     rows = sorted(found, key=lambda row: (row[0], row[2]))
-    return Section("Ride", text, (Table("ride", names, tuple(rows), words=4),))
+    return Section("Ride", (ride_text(vehicle),), (Table("ride", names, tuple(rows), words=4),))
+
+
+def ride_text(vehicle: Vehicle) -> str:
+    """What the table of ride is of, and what its predictions leave out."""
+    ends, blur = replace(vehicle.limits, actuator_bandwidth=None), replace(vehicle.implementation, sample_period=None, delay=0)
+    left_out = joined([*ends.words, *blur.words])
+    return (
+        f"Random roads of ISO 8608 at {SPEED:g} m/s, {len(SEEDS)} of each class, {WINDOW:g} s each. Weighted is ISO 2631-1's rms "
+        "acceleration, Wk; dynamic load is the rms of the tyre's force over its static value; lift-off is the largest share of "
+        "time that a tyre is off one of these roads. Predicted is from the road's spectrum through the sampled linear loop"
+        f"{f', which leaves out {left_out}' if left_out else ''}. Both are roots of mean squares, over the roads driven and over "
+        "all roads; road to road is by how much one such road differs from that, one standard deviation, so MuJoCo's differs by "
+        "half of it. Runs that diverged or squeezed a tyre flat are left out."
+    )
 
 
 def _rows(vehicle: Vehicle, controller: Controller, timestep: float) -> list[tuple[str, ...]]:

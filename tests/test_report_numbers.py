@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 
 from models.errors import InputError
-from models.vehicle import read_vehicle
+from models.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main as bump
+from sim.drive import main as drive
 from sim.envelope import main as envelope
 from sim.margins import main as margins
 from sim.report import main as report
+from sim.report_ride import SEEDS, SPEED, WINDOW, ride_section, ride_text
 from sim.sweep import main as sweep
 from synth.__main__ import main as synth
 from tests.reading import PageRead
@@ -281,3 +283,36 @@ def test_whole_report_of_the_readme_example(tmp_path, real_file, capsys):
         assert row[f"{end} first"] == f"{100 * np.mean([cell['broke_first'] == end for cell in cells]):.1f} %"
     assert row["as predicted"] == f"{100 * np.mean([cell['agrees'] for cell in cells]):.2f} %"
     assert "each run in MuJoCo at 1 ms, without noise" in read.text  # twice the step does not divide 5 ms
+
+
+@pytest.mark.parametrize(
+    ("more", "left_out"),
+    [
+        ("", None),
+        ("[limits]\nactuator_bandwidth = 60.0\n[implementation]\nsample_period = 0.005\ndelay = 1\n", None),
+        ("[limits]\nactuator_force = 2000.0\nactuator_bandwidth = 60.0\n", "forces up to ±2000 N"),
+        ("[implementation]\ndelay = 1\nnoise = { sprung_velocity = 0.005 }\n", "noise of 0.005 rms on sprung_velocity"),
+    ],
+)
+def test_ride_says_what_its_prediction_leaves_out(paper, more, left_out):
+    """The text over the ride table names what the linear loop does not have, and nothing that it does have."""
+    said = re.search(r"sampled linear loop(.*?)\. Both", ride_text(parse_vehicle(paper.text + more)))
+    assert said is not None
+    assert said[1] == (f", which leaves out {left_out}" if left_out else "")
+
+
+@pytest.mark.slow
+def test_ride_is_what_drive_says(paper, designer, capsys):
+    """A row of the ride table is the mean of `python -m sim.drive` over its roads, and its prediction that command's."""
+    (section_table,) = ride_section(paper, [designer.design("I")], 1e-3).tables
+    rows = {row[2]: row for row in section_table.rows if row[0] == "C"}
+    options = ("--controller", "I", "--class", "C", "--speed", f"{SPEED}", "--no-logs")
+    start = printed(capsys, drive, *options, "--seed", "0", "--duration", "20")["measured_from"]
+    length = ("--duration", f"{start + WINDOW}")
+    runs = [printed(capsys, drive, *options, *length, "--seed", f"{seed}")["runs"][0] for seed in SEEDS]
+    for metric in ("sprung_acceleration_weighted", "suspension_deflection_rms", "dynamic_load", "control_force_rms"):
+        row, found = rows[metric.replace("_", " ")], [run["metrics"][metric] for run in runs]
+        assert float(row[4]) == pytest.approx(np.sqrt(np.mean([one["mujoco"] ** 2 for one in found])), rel=1e-3), (
+            metric
+        )  # 4 digits
+        assert float(row[5]) == pytest.approx(found[0]["expected"], rel=1e-3), metric
