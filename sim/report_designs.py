@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from sim.identification import Lines
 from sim.page import Section, Table
-from sim.report_scope import AMPLITUDE, Scope, number
+from sim.report_scope import AMPLITUDE, Scope, joined, number
 from sim.sweep import Sweep
 from sim.sweep_picture import sweep_figure
 from sim.verdict import gain_text
@@ -65,6 +65,13 @@ def design_section(scope: Scope) -> Section:
         tables.append(Table("norms", ("controller", "norm, ideal loop", "norm, as built", "peak [rad/s]"), tuple(rows)))
         harmonics = ", without the harmonics that a controller slower than the timestep makes" if not scope.each_step else ""
         built = f"As built, the loop has {scope.built}; its norm is that of its linear part{harmonics}."
+        lower = {one.name: one.certificate.lower for one in scope.stable}
+        below = [name for name, found in lower.items() if found and scope.built_norms[name].gain < found.gamma]
+        if below:
+            built += (
+                f" It is read at the samples, {1e3 * scope.timestep:g} ms apart: what lies below 'no one below', a bound on "
+                f"continuous loops ({joined(below)}), does so by the step, and less with a smaller one."
+            )
         text = (*text, built)
     return Section("Designs", text, tuple(tables))
 
