@@ -31,6 +31,7 @@ STATE_END = 1e-5  # mu over eta; the bound for state feedback is then within (2 
 ENOUGH = 1e-8  # relative; closer to what state feedback reaches no bound need be
 END = 1e-6  # mu over t; the bound is then within (2 n + d + n - q) mu / 2 of the best
 SHARP = 1e-3  # relative; a proof this close to its point of the path has lost nothing to rounding
+MOST = 1200  # unknowns of the joint path, 33 states: minutes, and a fifth of a gigabyte; beyond, state feedback's bound counts
 ENTER = 1e2  # mu over t at the entry of the joint path, which starts far from its centre
 
 
@@ -108,6 +109,8 @@ def _walk(
     plant: GeneralizedPlant, Cy: Array | None, one: Side, other: Side | None
 ) -> Iterator[tuple[Witness, Witness | None, float]]:
     """Witnesses along the path with the gamma that it has come to, ever closer to the optimum, until it cannot be followed."""
+    if sum(len(side.J) * (len(side.J) + 1) // 2 + 1 for side in (one, other) if side is not None) > MOST:
+        return
     first, second, between = _Face(one, _inside(plant)), None, np.zeros((0, len(one.J)))
     eta = first.room()
     weight, grow = eta, 2.0

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scipy import linalg
 
+from synth import full_order
 from synth.full_order import best_possible
 from synth.limit import invariant_limit, limit_at
-from synth.lower_bound import Witness, lower_bound
+from synth.lower_bound import LowerBound, Witness, lower_bound
 from synth.norm import hinf_norm
 from synth.plant import GeneralizedPlant
 from synth.side import Side, shown, steered
@@ -146,3 +147,25 @@ def test_limit_of_the_other_cars(kind):
     assert limit is not None
     assert limit[0] == pytest.approx(best, rel=2e-9)  # where the path ends, 1e-9
     assert lower_bound(designer.plant, at_the_end(designer.plant)).gamma == pytest.approx(best, rel=2.5e-4)  # (2 n + d) mu / 2
+
+
+def test_too_large_for_the_joint_path(monkeypatch):
+    """Beyond its limit of unknowns output feedback has the bound of state feedback, which holds for it, too."""
+    rng = np.random.default_rng(0)
+    A = rng.standard_normal((4, 4))
+    plant = GeneralizedPlant(
+        A=A - (np.linalg.eigvals(A).real.max() + 0.3) * np.eye(4),
+        B=rng.standard_normal((4, 1)),
+        Bw=rng.standard_normal((4, 2)),
+        C=np.vstack([rng.standard_normal((1, 4)), np.zeros((1, 4))]),
+        D=np.array([[0.0], [1.0]]),
+        Dw=np.zeros((2, 2)),
+    )
+    Cy, nothing = rng.standard_normal((1, 4)), LowerBound(0.0)  # an invariant point's bound is not what is asked for
+    joint, state = (best_possible(plant, y, beyond_control=nothing) for y in (Cy, None))
+    monkeypatch.setattr(full_order, "MOST", 10 + 1)  # of state feedback they are 10 + 1 at most
+    found = best_possible(plant, Cy, beyond_control=nothing)
+    assert joint.observer is not None
+    assert found.observer is None
+    assert 0 < found.gamma == pytest.approx(state.gamma, rel=5e-5)  # (2 n + d) STATE_END / 2: where its path ends
+    assert found.gamma <= joint.gamma * (1 + 1e-5)  # (3 n + d) END / 2
