@@ -100,6 +100,7 @@ def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -
         kinds.add("noise" if run.agreement.blurred else "geometry" if geometry else "exact")
         for name, signal in run.agreement.signals.items():
             half = fine.agreement.signals[name]
+            exact = not run.agreement.blurred and signal.small is None
             # Of what does not go with the step there is no order: noise, geometry, a controller slower than the step.
             rows.append(
                 (
@@ -107,9 +108,9 @@ def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -
                     name.replace("_", " "),
                     f"{signal.sampled:.1e}",
                     f"{signal.allowed:.1e}" if signal.small is None else "geometry",
-                    _order(signal.sampled, half.sampled) if not run.agreement.blurred and signal.small is None else "-",
+                    _order(signal.sampled, half.sampled) if exact else "-",
                     f"{signal.continuous:.1e}",
-                    _order(signal.continuous, half.continuous) if not run.agreement.blurred and _settles(scope, run) else "-",
+                    _order(signal.continuous, half.continuous) if exact and _settles(scope, run) else "-",
                 )
             )
     headings = ("controller", "signal", "to sampled", "allowed", "its order", "to continuous", "order of that")

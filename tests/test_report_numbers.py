@@ -1,5 +1,6 @@
 """What a report prints is so: every headline, table and sentence against the commands' own JSON, with the same parameters."""
 
+import dataclasses
 import json
 import re
 from pathlib import Path
@@ -14,7 +15,11 @@ from sim.drive import main as drive
 from sim.envelope import main as envelope
 from sim.margins import main as margins
 from sim.report import main as report
+from sim.report_answer import over_the_bump, worst
 from sim.report_ride import SEEDS, SPEED, WINDOW, ride_section, ride_text
+from sim.report_scope import Scope
+from sim.road import Bump
+from sim.run import run_all, sample_times
 from sim.sweep import main as sweep
 from synth.__main__ import main as synth
 from tests.reading import PageRead
@@ -327,3 +332,37 @@ def test_a_norm_as_built_below_the_bound_is_explained(tmp_path, plain):
     assert float(read.row("norms", controller="I")["norm, as built"]) < lower
     assert "2.5 ms apart: what lies below 'no one below', a bound on continuous loops (I), does so by the step" in read.text
     assert "does so by the step" not in plain.text
+
+
+@pytest.mark.slow
+def test_geometry_has_no_order(tmp_path):
+    """What bodies that turn make of a difference does not go with the step, so of none of it an order is printed."""
+    read = page(tmp_path, "--vehicle", "half_car", "--controller", "passive")
+    turned = [row for row in read.tables["agreement"] if row["allowed"] == "geometry"]
+    assert turned
+    assert {(row["its order"], row["order of that"]) for row in turned} == {("-", "-")}
+
+
+def test_energy_table(plain, capsys):
+    """The report's energies are those of the command, and leave over what it says."""
+    for name in NAMES:
+        found = printed(capsys, bump, "--controller", name, "--no-logs", *STEP)["runs"][0]["energy"]
+        row = plain.row("energy", controller=name)
+        for key in ("road", "actuators", "stored", "dissipated"):
+            assert row[f"{key} [J]"] == f"{found[key]:.5g}"
+        assert row["turned over [J]"] == f"{found['turnover']:.5g}"
+        assert row["left over"] == f"{found['residual']:.1e}"
+
+
+def test_energy_that_does_not_balance_makes_the_box_red(paper, designer):
+    """A run whose energy is not found again fails in the answer, and only there, although it agrees with the analysis."""
+    time = sample_times(paper, 0.5, 1e-3)
+    (run,) = run_all(paper, [designer.design("I")], Bump(), time)
+    scope = Scope(paper, designer, (run.controller,), 1e-3, True, print)
+    assert worst(over_the_bump(scope, [run])) == "holds"
+    assert run.energy is not None
+    lost = dataclasses.replace(run, energy=dataclasses.replace(run.energy, residual=2e-3))
+    assert (run.holds, lost.holds, lost.agreement.agrees) == (True, False, True)
+    said = over_the_bump(scope, [lost])
+    assert worst(said) == "fails"
+    assert said[-1].text == "Over the paper's bump energy DOES NOT BALANCE for I: see the table of energy."
