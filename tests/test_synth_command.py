@@ -91,7 +91,9 @@ def test_the_limit_is_computed_once(capsys, monkeypatch):
     code, found = table(capsys)
     assert code == 0
     assert len(counted) == 1
-    assert found["invariant_limit"]["norm"] == invariant_limit(counted[0])[0]
+    limit = invariant_limit(counted[0])
+    assert limit is not None
+    assert found["invariant_limit"]["norm"] == limit[0]
 
 
 def test_text_says_where_there_is_no_limit(capsys, tmp_path):
