@@ -1,0 +1,134 @@
+"""Ctrl-C at any time ends any command with one line and exit code 130, and leaves nothing that is half-written."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytestmark = pytest.mark.skipif(os.name == "nt", reason="Ctrl-C as POSIX sends it")
+
+CAMPAIGN = 'vehicles = ["quarter_car"]\ncontrollers = ["I"]\nroads = ["bump"]\nspeeds = [5.0, 10.0]\nduration = 1.0\n'
+MAP = ("--vary", "height:0.02:0.2:12", "--vary", "speed:5:20:12", "--timestep", "0.002")
+COMMANDS = {  # the shortest run of each that writes all that it can
+    "sim.bump": ("--controller", "I", "--duration", "0.5", "--json"),
+    "sim.drive": ("--controller", "I", "--duration", "1", "--json"),
+    "sim.sweep": ("--controller", "passive", "--logs", "logs", "--json"),
+    "sim.envelope": ("--controller", "I", *MAP, "--csv", "map.csv", "--json"),
+    "sim.margins": ("--controller", "I", "--logs", "logs", "--json"),
+    "sim.report": ("--quick", "--controller", "passive", "--figures", "figures", "--json"),
+    "sim.campaign": ("campaign.toml", "--json"),
+    "sim.inspect": ("log.mcap", "--csv", "signals.csv", "--json"),
+    "synth": ("--controller", "I", "--save", "mine.toml", "--json"),
+}
+ENOUGH = 120.0  # s that a command may take on a busy machine
+AT_ONCE = 20.0  # s to end after Ctrl-C on a busy machine; a second on an idle one
+EARLY = 6.0  # s; what comes later in a long command is more of the same
+INTERRUPTS = 200
+
+
+def prepare(folder: Path) -> None:
+    """What the commands read."""
+    folder.mkdir()
+    (folder / "campaign.toml").write_text(CAMPAIGN)
+
+
+def start(command: str, folder: Path) -> subprocess.Popen:
+    """A command in a process group of its own, as a terminal's."""
+    arguments = [sys.executable, "-m", command, *COMMANDS[command]]
+    path = os.pathsep.join([str(Path(__file__).parent.parent), os.environ.get("PYTHONPATH", "")])
+    return subprocess.Popen(
+        arguments,
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": path},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def left(folder: Path) -> list[str]:
+    """What lies in a folder that no command may leave: hidden or empty files, half a recording, a page without its end."""
+    wrong = []
+    for path in (each for each in folder.rglob("*") if each.is_file() and each.name not in (".lock", "campaign.toml")):
+        ends = {".html": "</html>", ".svg": "</svg>", ".csv": "\n", ".json": "}", ".toml": "\n"}
+        end = ends.get(path.suffix)
+        if any(part.startswith(".") for part in path.relative_to(folder).parts) or not path.stat().st_size:
+            wrong.append(f"{path.name} is left over")
+        elif end and not path.read_text("utf-8").rstrip(" ").rstrip("\n" if end != "\n" else "").endswith(end):
+            wrong.append(f"{path.name} is cut")
+    stems = {suffix: {path.name.removesuffix(suffix) for path in folder.rglob(f"logs/*{suffix}")} for suffix in (".mcap", ".rrd")}
+    if stems[".mcap"] != stems[".rrd"]:
+        wrong.append("half a recording")
+    return wrong
+
+
+@pytest.fixture(scope="module")
+def template(tmp_path_factory):
+    """A folder with a log to inspect, and how long each command takes there [s]."""
+    folder, took = tmp_path_factory.mktemp("whole") / "folder", {}
+    prepare(folder)
+    for command in COMMANDS:
+        began = time.monotonic()
+        process = start(command, folder)
+        out, err = process.communicate(timeout=ENOUGH)
+        took[command] = time.monotonic() - began
+        assert process.returncode == 0, (command, err)
+        assert isinstance(json.loads(out), dict)
+        if command == "sim.bump":
+            next(folder.glob("logs/bump*.mcap")).rename(folder / "log.mcap")
+            for other in folder.glob("logs/*"):
+                other.unlink()
+    assert left(folder) == []
+    return folder, took
+
+
+def interrupted(command: str, folder: Path, after: float) -> tuple[str, bool]:
+    """What is wrong with a command that is interrupted some seconds after its start, in words, and whether it was."""
+    process = start(command, folder)
+    time.sleep(after)
+    os.killpg(process.pid, signal.SIGINT)
+    sent = time.monotonic()
+    out, err = process.communicate(timeout=ENOUGH)
+    wrong, ended = left(folder), time.monotonic() - sent
+    lines = err.splitlines()
+    if process.returncode == 130:
+        if (
+            not lines
+            or "interrupted" not in lines[-1]
+            or len(lines) > 2
+            or not all(line.startswith("roadproof: ") for line in lines)
+        ):
+            wrong.append(f"says {err[-500:]!r}")
+        if ended > AT_ONCE:
+            wrong.append(f"ends {ended:.1f} s later")
+        if out and not out.endswith("}\n"):
+            wrong.append(f"prints {out[-100:]!r}")
+    elif process.returncode == -signal.SIGINT and after < 0.3:
+        pass  # Python itself was still starting
+    elif process.returncode != 0 or lines or not isinstance(json.loads(out), dict):
+        wrong.append(f"exit code {process.returncode}, says {err[-500:]!r}")
+    return (f"{command} after {after:.3f} s: {'; '.join(wrong)}" if wrong else ""), process.returncode != 0
+
+
+@pytest.mark.attack
+def test_interrupts_at_random_times(template, tmp_path):
+    """Two hundred over all commands, from their start to their end."""
+    whole, took = template
+    rng, faults, heard = np.random.default_rng(20261121), [], 0
+    for number in range(INTERRUPTS):
+        command = list(COMMANDS)[number % len(COMMANDS)]
+        folder = tmp_path / str(number)
+        prepare(folder)
+        os.link(whole / "log.mcap", folder / "log.mcap")
+        fault, was = interrupted(command, folder, rng.uniform(0.0, min(took[command], EARLY)))
+        faults += [fault] if fault else []
+        heard += was
+    assert faults == []
+    assert heard > INTERRUPTS / 2  # or the times say nothing
