@@ -12,7 +12,7 @@ from models.command import Parser, run_command
 from models.cores import cores
 from models.errors import InputError
 from sim.campaign_batch import Plan
-from sim.campaign_columns import columns
+from sim.campaign_columns import columns, described
 from sim.campaign_file import MOST_RUNS, Campaign, read_campaign
 from sim.campaign_manifest import ELSEWHERE, Gains, Manifest, check_same, digest, gains_of, held, read_manifest
 from sim.campaign_store import Store
@@ -123,7 +123,7 @@ def _verify(options: argparse.Namespace) -> int:
     if manifest is None:
         raise InputError(f"--verify {folder}: is empty; give a folder of a finished campaign's results")
     campaign = read_campaign(options.file or Path(manifest.file))
-    check_same(manifest, folder, campaign.sources, _versions())
+    check_same(manifest, folder, campaign.sources, _versions(), described(campaign))
     plan = _planned(campaign, manifest.controllers)
     found = verify(plan, _store(plan, folder, manifest), options.runs, options.seed, bar(options.runs, "runs driven again"))
     show("")
@@ -156,9 +156,10 @@ def _plan(campaign: Campaign, folder: Path, file: Path) -> tuple[Plan, Manifest]
             designer = Designer(vehicle)
             designed[name] = {controller: designer.design(controller) for controller in campaign.controllers}
         gains = gains_of(designed)
-        manifest = Manifest(str(file.absolute()), digest(campaign.sources), used, campaign.text, gains, count)
+        about = described(campaign)
+        manifest = Manifest(str(file.absolute()), digest(campaign.sources), used, campaign.text, gains, about, count)
         manifest.write(folder)
-    check_same(manifest, folder, campaign.sources, used)
+    check_same(manifest, folder, campaign.sources, used, described(campaign))
     return _planned(campaign, manifest.controllers), manifest
 
 

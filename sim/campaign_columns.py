@@ -70,6 +70,11 @@ def columns(campaign: Campaign) -> dict[str, Column]:
     }
 
 
+def described(campaign: Campaign) -> dict[str, dict[str, str]]:
+    """What the columns are, as a folder's manifest keeps it: their types, and what else there is to know of them."""
+    return {name: {"type": column.kind.__name__, **column.about} for name, column in columns(campaign).items()}
+
+
 def _expected(metric: Metric) -> dict[str, str]:
     root = "of the VDV the fourth root of its expected fourth power" if metric.name.endswith("_vdv") else ROOT
     about = {"unit": metric.unit, "definition": EXPECTED_IS.format(root)}

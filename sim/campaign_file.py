@@ -199,7 +199,9 @@ def _samples(section: Any, vehicles: Mapping[str, Vehicle]) -> dict[str, tuple[M
     for key in section:
         if key not in SAMPLES:
             raise InputError(f"[samples] unknown key {key!r}; known: {known(SAMPLES)}")
-    count, method = section.get("count", 0), section.get("method", "latin_hypercube")
+    if "count" not in section:
+        raise InputError(f"[samples] 'count' is missing; give how many samples, a whole number from 1 to {MOST_RUNS}")
+    count, method = section["count"], section.get("method", "latin_hypercube")
     if isinstance(count, bool) or not isinstance(count, int) or not 1 <= count <= MOST_RUNS:
         raise InputError(f"[samples] count = {reprlib.repr(count)} makes no runs; give a whole number from 1 to {MOST_RUNS}")
     if method not in METHODS:
@@ -277,10 +279,14 @@ def _check_distribution(distribution: Distribution, name: str, vehicle: Vehicle)
 
 
 def _list(data: Mapping[str, Any], key: str, example: str) -> list[Any]:
-    values = data.get(key)
-    if not isinstance(values, list) or not values:
-        found = f"{key} = {reprlib.repr(values)} names none" if key in data else f"{key!r} is missing"
-        raise InputError(f"{found}, so there are no runs; give a list, as in {key} = [{example}]")
+    give = f"give a list, as in {key} = [{example}]"
+    if key not in data:
+        raise InputError(f"{key!r} is missing, so there are no runs; {give}")
+    values = data[key]
+    if not isinstance(values, list):
+        raise InputError(f"{key} = {reprlib.repr(values)} is not a list; {give}")
+    if not values:
+        raise InputError(f"{key} = [] names none, so there are no runs; {give}")
     seen = set()
     for value in values:
         if repr(value) in seen:

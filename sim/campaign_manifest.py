@@ -7,13 +7,13 @@ import contextlib
 import hashlib
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 import filelock
 
-from models.errors import InputError
+from models.errors import InputError, some
 from models.read_file import MIB, read_text
 from models.whole_file import made_folder, whole_file
 from synth.controller import Controller
@@ -36,6 +36,7 @@ class Manifest:
         versions: of the packages that do.
         campaign: the campaign file's text.
         controllers: the gains.
+        columns: what each column of the results is, by name; see `sim.campaign_columns.described`.
         runs: how many there are.
         results: checksum of the finished file (SHA-256); empty before.
     """
@@ -45,6 +46,7 @@ class Manifest:
     versions: Mapping[str, str]
     campaign: str
     controllers: Gains
+    columns: Mapping[str, Mapping[str, str]]
     runs: int
     results: str = ""
 
@@ -70,7 +72,7 @@ def read_manifest(folder: Path) -> Manifest | None:
     """What a folder says of its campaign; None where there is nothing in it yet.
 
     Raises:
-        InputError: it holds something else, or what it says is damaged or was edited.
+        InputError: it holds something else, a campaign of another format, or what it says is damaged or was edited.
     """
     path = folder / NAME
     if not path.is_symlink() and not path.exists():
@@ -81,21 +83,28 @@ def read_manifest(folder: Path) -> Manifest | None:
     text = read_text(path, "results", LARGEST, ELSEWHERE)
     try:
         whole = json.loads(text)
-        seal = whole.pop("seal")
-        sound = seal == _sealed(whole)
-        manifest = Manifest(**whole)
-    except (ValueError, RecursionError, KeyError, TypeError, AttributeError):
-        sound, manifest = False, None
-    if not sound or manifest is None:
+    except (ValueError, RecursionError):
+        whole = None
+    if isinstance(whole, dict) and "seal" not in whole:
+        raise InputError(
+            f"results {path}: has no seal; it is of an older Roadproof, or was edited; go on with that version, {ELSEWHERE}"
+        )
+    if not isinstance(whole, dict) or whole.pop("seal") != _sealed(whole):
         raise InputError(f"results {path}: was changed since the campaign began, or is damaged; restore it, {ELSEWHERE}")
-    return manifest
+    entries = {field.name for field in fields(Manifest)}
+    if set(whole) != entries:
+        found = ", ".join([f"no {name}" for name in sorted(entries - set(whole))] + sorted(set(whole) - entries))
+        raise InputError(f"results {path}: is of another version of Roadproof ({found}); go on with that version, {ELSEWHERE}")
+    return Manifest(**whole)
 
 
-def check_same(manifest: Manifest, folder: Path, sources: str, versions: Mapping[str, str]) -> None:
+def check_same(
+    manifest: Manifest, folder: Path, sources: str, versions: Mapping[str, str], columns: Mapping[str, Mapping[str, str]]
+) -> None:
     """Whether a campaign can go on in a folder.
 
     Raises:
-        InputError: the folder holds another campaign, or one by other versions.
+        InputError: the folder holds another campaign, one by other versions, or one whose results have other columns.
     """
     if manifest.digest != digest(sources):
         raise InputError(f"{folder} holds another campaign, of other files than these; {ELSEWHERE}")
@@ -105,6 +114,12 @@ def check_same(manifest: Manifest, folder: Path, sources: str, versions: Mapping
                 f"the campaign in {folder} was begun with {name} {manifest.versions.get(name)}, and here is {version}: its "
                 "numbers could differ; go on with that, or name another folder with --results"
             )
+    other = [name for name in dict.fromkeys([*manifest.columns, *columns]) if manifest.columns.get(name) != columns.get(name)]
+    if other:
+        raise InputError(
+            f"the campaign in {folder} was begun by another version of Roadproof, with other columns ({some(other)}); go on "
+            f"with that version, {ELSEWHERE}"
+        )
 
 
 def digest(sources: str) -> str:

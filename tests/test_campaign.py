@@ -397,7 +397,9 @@ SAMPLED = "[samples]\ncount = 4\n[samples.parameters]\n"
 # (changes to the keys of a file that is fine, text after them, what is said)
 BAD_FILES = [
     ({"vehicles": "[]"}, "", "vehicles = [] names none, so there are no runs"),
-    ({"roads": None}, "", "'roads' is missing"),
+    ({"roads": None}, "", "'roads' is missing, so there are no runs"),
+    ({"speeds": "10.0"}, "", "speeds = 10.0 is not a list; give a list, as in speeds = [20.0]"),
+    ({"controllers": '"I"'}, "", "controllers = 'I' is not a list; give a list, as in controllers = [\"I\"]"),
     ({"vehicles": '["no_car"]'}, "", "vehicle file no_car"),
     ({"controllers": '["III"]'}, "", "has no controller 'III'; it has I, II"),
     ({"controllers": '["I", "I"]'}, "", "names 'I' twice"),
@@ -421,6 +423,7 @@ BAD_FILES = [
     ({"timestep": "0.1"}, "", "RK4 is unstable"),
     ({"speed": "20"}, "", "unknown key 'speed'"),
     ({}, "[samples]\ncount = 0\n", "count = 0 makes no runs"),
+    ({}, "[samples]\nmethod = 'sobol'\n", "[samples] 'count' is missing; give how many"),
     ({}, "[samples]\ncount = 4\n", "samples no parameters"),
     ({}, SAMPLED.replace("4", "4\nmethod = 'dice'") + "sprung_mass = { uniform = [1, 2] }", "method = 'dice'"),
     ({}, SAMPLED + "colour = { uniform = [1, 2] }", "no parameter 'colour'; it has sprung_mass"),

@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from models.errors import InputError
-from sim import campaign, campaign_store
+from sim import campaign, campaign_manifest, campaign_store
 from sim.campaign import main
 from sim.campaign_manifest import read_manifest
 
@@ -202,6 +202,47 @@ def test_an_edited_manifest_is_not_driven(begun, tmp_path, edit):
         start(tmp_path)
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "results" / "results.parquet").exists()
+
+
+OLDER = {  # what to do with a manifest, and what is said
+    "no seal": (lambda whole: whole.pop("seal"), "has no seal; it is of an older Roadproof, or was edited"),
+    "no columns": (
+        lambda whole: whole.pop("columns"),
+        "is of another version of Roadproof (no columns); go on with that version",
+    ),
+    "more": (lambda whole: whole.update(later=1), "is of another version of Roadproof (later); go on with that version"),
+    "another column": (
+        lambda whole: whole["columns"].update(jolt={"type": "float"}),
+        "was begun by another version of Roadproof, with other columns (jolt); go on with that version",
+    ),
+    "other definitions": (
+        lambda whole: [column.update(definition="once") for column in whole["columns"].values()],
+        "with other columns (run, vehicle, controller and ",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", OLDER)
+@pytest.mark.parametrize("state", ["begun", "whole"])
+def test_folders_of_other_versions(whole, begun, tmp_path, what, state):
+    """A folder of an older or newer format, begun or finished, is named as that in one line, driven or verified; it is kept."""
+    shutil.copytree({"whole": whole[0], "begun": begun}[state], tmp_path / "results")
+    path = tmp_path / "results" / "campaign.json"
+    content = json.loads(path.read_text())
+    change, said = OLDER[what]
+    change(content)
+    if content.pop("seal", None):
+        content["seal"] = campaign_manifest._sealed(content)
+    path.write_text(json.dumps(content))
+    before = {one.name: one.read_bytes() for one in (tmp_path / "results").iterdir()}
+    (tmp_path / "campaign.toml").write_text(QUICK)
+    file, folder = str(tmp_path / "campaign.toml"), str(tmp_path / "results")
+    for arguments in ([file, "--results", folder], [file, "--verify", folder]):
+        with pytest.raises(InputError) as caught:
+            main(arguments)
+        assert said in str(caught.value)
+        assert "\n" not in str(caught.value)
+    assert {one.name: one.read_bytes() for one in (tmp_path / "results").iterdir()} == before
 
 
 def test_parts_of_another_campaign(whole, begun, tmp_path):

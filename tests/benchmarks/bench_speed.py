@@ -202,7 +202,7 @@ def test_campaign(benchmark, tmp_path, name, runs, claim):
     campaign = read_campaign(file)
     vehicle = campaign.vehicles[name]
     plan = Plan(campaign, {name: {"I": Designer(vehicle).design("I")}})
-    manifest = Manifest(str(file), "", {}, "", {}, plan.count)
+    manifest = Manifest(str(file), "", {}, "", {}, {}, plan.count)
     store = Store(tmp_path, columns(campaign), {}, manifest)
     native = native_steps(build_model(vehicle, 1e-3), workers)
     run_batches(plan, iter([(0, 2)]), 1, None, False, lambda start, rows, took: None)
