@@ -15,7 +15,7 @@ from synth.stability import balance
 MARGINS = (1e-6, 1e-4, 1e-2, 0.1)  # how far above the norm the bound lies, the first that can be proved in floating point
 SMALL = (1e-9, 1e-6, 1e-3)  # of the size of the plant's matrices: bounds for norms that are zero, or nearly
 TO_SPARE = (1e-1, 1e-3, 1e-6)  # of the margin: how much more disturbance the proof allows for, which rounding must not use up
-EVERYWHERE = (1e-9, 1e-12, 1e-6)  # what is taken to disturb states that w does not reach; rounding decides which will do
+EVERYWHERE = (1e-9, 1e-12, 1e-6, 1e-4, 1e-3)  # what is taken to disturb states that w does not reach; rounding decides
 
 
 def proved(plant: GeneralizedPlant, G: Array, lower: LowerBound | None = None) -> Certificate:
