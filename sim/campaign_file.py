@@ -1,5 +1,6 @@
 """A campaign file (TOML): which vehicles, controllers, roads, speeds, seeds and sampled parameters are combined."""
 
+import hashlib
 import math
 import reprlib
 import tomllib
@@ -101,9 +102,12 @@ class Campaign:
     @property
     def sources(self) -> str:
         """Everything that decides the numbers, as text: the file, and those that it names."""
-        profiles = [repr((road.profile.distance.tolist(), road.profile.heights.tolist())) for road in self.roads if road.profile]
-        surfaces = [repr((road.surface.u.tolist(), road.surface.z.tolist())) for road in self.roads if road.surface]
-        return "\n".join([self.text, *(vehicle.text for vehicle in self.vehicles.values()), *profiles, *surfaces])
+        arrays = [(road.profile.distance, road.profile.heights) for road in self.roads if road.profile]
+        arrays += [(road.surface.u, road.surface.v, road.surface.z) for road in self.roads if road.surface]
+        measured = [
+            f"{array.shape} {hashlib.sha256(np.ascontiguousarray(array).data).hexdigest()}" for some in arrays for array in some
+        ]
+        return "\n".join([self.text, *(vehicle.text for vehicle in self.vehicles.values()), *measured])
 
 
 def read_campaign(path: Path) -> Campaign:

@@ -1,15 +1,27 @@
 """Road surfaces of ASAM OpenCRG, a grid of heights along and across a road, by PyOpenCRG."""
 
+import math
+import os
+import re
 import warnings
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from models.arrays import Array
-from models.errors import InputError
-from models.read_file import open_plain
+from models.errors import InputError, some
+from models.read_file import MIB, open_plain
 from sim.profile import Profile
+
+LARGEST = 128 * MIB  # of a file; in memory it takes six times as much, 0.8 GB
+AT_ONCE = 2**20  # heights that are worked out at once; PyOpenCRG takes some hundred bytes for each
+FINEST, COARSEST = 1e-6, 1e3  # m between the lines of a grid
+FURTHEST = 1e9  # m, and any other number of a header
+NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([ed][-+]?\d+)?|[-+]?inf", re.IGNORECASE)  # 2.000+e00 is read as 2: such files exist
+ENTRY = re.compile(r"\s*(\w+)\s*=\s*([^\s!]+)")
+GIVE = "give an OpenCRG file"
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,23 +67,80 @@ def read_surface(path: Path) -> Surface:
     """The surface of an OpenCRG file.
 
     Raises:
-        InputError: PyOpenCRG is not installed, or the file is none.
+        InputError: PyOpenCRG is not installed, or the file is none, too large, or one that names another.
     """
     try:
-        from pyopencrg import CrgRoad  # pyright: ignore[reportMissingImports] - an extra
+        from pyopencrg import CrgRoad, io  # pyright: ignore[reportMissingImports] - an extra
     except ImportError as error:
         raise InputError(f"road file {path} needs PyOpenCRG; install it with: pip install -e '.[opencrg]'") from error
-    open_plain(path, "road file", "give an OpenCRG file").close()
+    with open_plain(path, "road file", GIVE) as stream:
+        size = os.fstat(stream.fileno()).st_size
+    if size > LARGEST:
+        raise InputError(
+            f"road file {path}: is too large, {size / MIB:.0f} MiB; at most {LARGEST / MIB:g} MiB is read: give a part of it, or "
+            "a coarser grid"
+        )
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # what its checks find and a profile does not need
+            head = io.read_ipl(path, meta_only=True)
+            _check_header(head.struct, [*head.kd_ind, *head.kd_def])
             road = CrgRoad.read(path)
             u, v = np.asarray(road.u, dtype=float), np.asarray(road.v, dtype=float)
-            z = np.asarray(road.uv_to_z(u[:, None], v[None, :]), dtype=float)
+            z = np.empty((len(u), len(v)))
+            rows = max(1, AT_ONCE // len(v))
+            for i in range(0, len(u), rows):
+                z[i : i + rows] = road.uv_to_z(u[i : i + rows, None], v[None, :])
+    except InputError as error:
+        raise InputError(f"road file {path}: {error}") from error
     except OSError as error:
         raise InputError(f"road file {path}: cannot be read ({error.strerror or error})") from error
     except Exception as error:  # a reader of somebody else's: whatever it says, the file is none
-        raise InputError(
-            f"road file {path}: no OpenCRG file ({str(error).splitlines()[0] if str(error) else error!r})"
-        ) from error
+        raise InputError(f"road file {path}: no OpenCRG file ({_reason(error, path)}); {GIVE}") from error
     return Surface(u, v, z, str(path))
+
+
+def _check_header(struct: Iterable[str], channels: Iterable[str]) -> None:
+    """Whether a header's numbers can be a road's; PyOpenCRG would count with them, or take others in their place.
+
+    Args:
+        struct: lines of the blocks before the channels.
+        channels: their definitions.
+
+    Raises:
+        InputError: a number that is none; or the data are in another file, which would be read whatever it is.
+    """
+    block = ""
+    for line in struct:
+        if line.startswith("$"):
+            block = line.strip("$ ").split("!")[0].strip().upper()
+        if block == "ROAD_CRG_FILE":
+            raise InputError("its data are in another file, that it names; give that one")
+        entry = ENTRY.match(line) if block == "ROAD_CRG" else None
+        if entry is None:
+            continue
+        name, text = entry[1].lower(), entry[2]
+        value = _number(text)
+        if name.endswith("_increment") and not FINEST <= value <= COARSEST:
+            raise InputError(f"{name} = {text} is not allowed; from {FINEST:g} to {COARSEST:g} m are")
+        if not abs(value) <= FURTHEST:
+            raise InputError(f"{name} = {text} is not allowed; numbers from {-FURTHEST:g} to {FURTHEST:g} are")
+    for channel in channels:
+        for text in re.split(r"[,=\s]+", channel):
+            value = _number(text, 0.0)
+            if not abs(value) <= FURTHEST:
+                raise InputError(f"channel {channel!r}: {text} is not allowed; numbers from {-FURTHEST:g} to {FURTHEST:g} are")
+
+
+def _number(text: str, otherwise: float = math.nan) -> float:
+    found = NUMBER.match(text)
+    return float(found[0].lower().replace("d", "e")) if found else otherwise
+
+
+def _reason(error: Exception, path: Path) -> str:
+    """What PyOpenCRG says against a file, on one line; it may list many things below a first line that names none."""
+    report = getattr(error, "report", None)
+    if report is not None:
+        return some([problem.removeprefix("(reading) ") for problem in report.errors or report.warnings])
+    text = " ".join(str(error).removeprefix(f"{path}: ").split())
+    return text or type(error).__name__

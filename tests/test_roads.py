@@ -3,6 +3,7 @@
 import itertools
 import json
 import math
+import re
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from scipy import signal, special
 
 from models.errors import InputError
 from models.vehicle import read_vehicle
+from sim import opencrg
 from sim.described import described_road
 from sim.iso8608 import CLASSES, Iso8608, coherency, long_enough, roughness
 from sim.multisine import random_road, sinusoid
@@ -246,6 +248,59 @@ def test_opencrg(tmp_path):
     (tmp_path / "none.crg").write_text("distance,height")
     with pytest.raises(InputError, match="no OpenCRG file"):
         choose_road("none.crg", tmp_path)
+
+
+INCREMENT, START, SECTION = "reference_line_increment", "reference_line_start_u", "D:long section 3,m"
+BAD_SURFACES = [  # (what stands in the file, what is put there, what is said)
+    (rf"{INCREMENT} .*", f"{INCREMENT} = 1e400", f"{INCREMENT} = 1e400 is not allowed; from 1e-06 to 1000 m are"),
+    (rf"{INCREMENT} .*", f"{INCREMENT} = 1e-320", f"{INCREMENT} = 1e-320 is not allowed"),
+    (rf"{INCREMENT} .*", f"{INCREMENT} = nan", f"{INCREMENT} = nan is not allowed"),
+    (rf"{START} .*", f"{START} = -inf", f"{START} = -inf is not allowed; numbers from -1e+09 to 1e+09 are"),
+    ("line u,m,0,0.1", "line u,m,0,1e400", "channel 'reference line u,m,0,1e400': 1e400 is not allowed"),
+    (SECTION, "D:long section x,m", "no OpenCRG file (could not convert string to float: 'x'); give an OpenCRG file"),
+    (r" \.010000000000000000", " hello world 1234567", "no OpenCRG file (1 unreadable value(s) in the data (read as NaN)); give"),
+    (r"(?s).{300}\Z", "", "no OpenCRG file (unexpected end of text data (last record is incomplete: truncated file?)); give"),
+    (r"\$KD_DEF", "$ROAD_CRG_FILE\n/dev/zero\n$\n$KD_DEF", "its data are in another file, that it names; give that one"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "said"), BAD_SURFACES, ids=[row[2][:40] for row in BAD_SURFACES])
+def test_bad_opencrg(tmp_path, old, new, said):
+    """A surface with a number that cannot be, or that is cut or spoilt, is refused in one line that says what it is."""
+    pyopencrg = pytest.importorskip("pyopencrg")
+    heights = 0.01 * np.arange(-1, 1.01, 0.25) + np.sin(np.arange(50))[:, None] / 50
+    path = tmp_path / "road.crg"
+    pyopencrg.CrgRoad(heights, u_inc=0.1, v=np.arange(-1, 1.01, 0.25)).save(path, fmt="LDFI")
+    content = path.read_text()
+    changed = re.sub(old, new.replace("\\", r"\\"), content, count=1)
+    assert changed != content, "the test changes what is there"
+    choose_road("road.crg", tmp_path)
+    path.write_text(changed)
+    with pytest.raises(InputError) as error:
+        choose_road("road.crg", tmp_path)
+    assert str(error.value).startswith(f"road file {path}: {said}")
+    assert len(str(error.value).splitlines()) == 1
+
+
+def test_large_opencrg(tmp_path):
+    """An OpenCRG file that would fill the memory is refused before it is read; it says how large it may be."""
+    pytest.importorskip("pyopencrg")
+    with (tmp_path / "road.crg").open("wb") as file:
+        file.truncate(300 * 2**20)  # it takes no space on the disk
+    with pytest.raises(InputError, match=r"is too large, 300 MiB; at most 128 MiB is read: give a part of it"):
+        choose_road("road.crg", tmp_path)
+
+
+def test_opencrg_in_parts(tmp_path, monkeypatch):
+    """Worked out in parts, to bound the memory, a surface is the same."""
+    pyopencrg = pytest.importorskip("pyopencrg")
+    heights = np.random.default_rng(0).normal(0, 0.01, (57, 5))
+    pyopencrg.CrgRoad(heights, u_inc=0.1, v=np.linspace(-1, 1, 5)).save(tmp_path / "road.crg", fmt="KDBI")
+    whole = opencrg.read_surface(tmp_path / "road.crg")
+    for at_once in (1, 50, 284):
+        monkeypatch.setattr(opencrg, "AT_ONCE", at_once)
+        # where along u a height lies may differ by the last bit of 5.6 m, 9e-16 m, times a slope of about 0.5
+        assert opencrg.read_surface(tmp_path / "road.crg").z == pytest.approx(whole.z, rel=0, abs=1e-15)
 
 
 @pytest.mark.parametrize(
