@@ -170,23 +170,23 @@ def run_command(main: Callable[[], int]) -> NoReturn:
         if sys.stdout:  # closed, as in `>&-`, it is None
             sys.stdout.flush()
     except InputError as error:
-        _complain(str(error))
+        complain(str(error))
         code = BAD_INPUT
     except KeyboardInterrupt:
-        _complain("interrupted")
+        complain("interrupted")
         code = interrupt.CODE
     except BrokenPipeError:  # the reader has gone, as in `| head`
         _forget_output()
         code = 0
     except OSError as error:  # a full disk
-        _complain(f"cannot write the output: {error.strerror or error}; mend that or write it elsewhere")
+        complain(f"cannot write the output: {error.strerror or error}; mend that or write it elsewhere")
         _forget_output()
         code = BAD_INPUT
     interrupt.ignore_from_now_on()
     sys.exit(code)
 
 
-def _complain(message: str) -> None:
+def complain(message: str) -> None:
     """One line on stderr that a terminal can show, whatever names and values the message quotes."""
     line = " ".join(message.splitlines())
     if len(line) > LONGEST:

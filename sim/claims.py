@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -125,8 +125,9 @@ def check_physics(again: Reproduction, recorded: RecordedRun, run: Run, whole: b
         if not _same(recorded.claim("lift_off"), claimed, SAME, ROUNDING):
             wrong.append("the tyres are off the road at other times than claimed")
         now = {name: _finite(signal.sampled) for name, signal in agreement.signals.items()}
-        for name in _different(recorded.claim("errors"), now):
-            wrong.append(f"the error of {name} is not what was claimed")
+        different = list(_different(recorded.claim("errors"), now))
+        if different:
+            wrong.append(f"the error of {_folded(different, 'errors')} is not what was claimed")
     for text in wrong:
         yield Finding("physics", FAILS, text)
     if not wrong:
@@ -147,8 +148,8 @@ def check_energy(recorded: RecordedRun, run: Run, anew: Response) -> Iterator[Fi
         yield Finding("energy", FAILS, f"MuJoCo makes another run of it now: {signal} is {far:.1e} of its peak off")
         return
     wrong = list(_different(recorded.claim("energy"), energy_object(run.energy)))
-    for name in wrong:
-        yield Finding("energy", FAILS, f"its {name} is not what was claimed")
+    if wrong:
+        yield Finding("energy", FAILS, f"its {_folded(wrong, 'numbers of the balance')} is not what was claimed")
     if not wrong:
         how = f"to {far:.0e} of a peak" if far else "to the last bit"
         (balance,) = energy_lines(run)
@@ -178,11 +179,9 @@ def check_result(log: Recorded, again: Reproduction, recorded: RecordedRun, run:
         text = "its metrics are of other definitions than this version's; the version that wrote the log computes them again"
         yield Finding("result", MISSING, text)
     different = list(_different(said, now))
-    for path in different[:5]:
-        yield Finding("result", FAILS, f"result.json says otherwise: {path}")
-    if len(different) > 5:
-        yield Finding("result", FAILS, f"and {len(different) - 5} more")
-    if not different:
+    if different:
+        yield Finding("result", FAILS, f"result.json says otherwise: {_folded(different, 'numbers of the result')}")
+    else:
         yield Finding("result", HOLDS, f"result.json: {_count(now)} numbers as computed again")
 
 
@@ -238,6 +237,12 @@ def _different(said: Any, now: Any, path: str = "") -> Iterator[str]:
                 yield from _different(said[key], value, here)
     elif not _same(said, now, SAME, ROUNDING):
         yield path
+
+
+def _folded(names: Sequence[str], what: str) -> str:
+    """The first of many that are wrong for one cause, and how many more there are, of what kind."""
+    more = f" (and {len(names) - 1} more {what}, the first of them {names[1]})" if len(names) > 1 else ""
+    return names[0] + more
 
 
 def _count(value: Any) -> int:

@@ -1,4 +1,4 @@
-"""`python -m sim.inspect`: what a log is, and whether it still proves what it claims; from the log alone."""
+"""`python -m sim.inspect`: what logs are, and whether they still prove what they claim; each from the log alone."""
 
 import json
 import math
@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from models.command import Parser, run_command
+from models.command import Parser, complain, run_command
 from models.errors import InputError
 from models.whole_file import check_file
 from sim.claims import HOLDS, NOTE, Finding
@@ -18,12 +18,13 @@ from sim.verdict import controller_object, gain_text, run_object
 LONGEST = 400  # characters of a text from a log on the terminal
 
 EPILOG = """
-exit code: 0 the log still proves what it claims, 1 it does not, and the text says where, 2 bad input
+exit code: 0 the log still proves what it claims, 1 it does not, and the text says where, 2 bad input; of several logs the worst
 
 The log is not trusted: nothing in it is run, loaded or used as a path. What it cannot show is who wrote it.
 
 examples:
   python -m sim.inspect logs/bump-quarter_car-I-20261121T072417Z.mcap
+  python -m sim.inspect logs/*.mcap
   python -m sim.inspect LOG.mcap --csv signals.csv
   python -m sim.inspect LOG.mcap --json
   python -m sim.inspect hopper.mcap --kinds my_vehicles
@@ -34,13 +35,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns its exit code.
 
     Raises:
-        InputError: bad options, or a file that is no log of ours.
+        InputError: bad options, or a single file that is no log of ours.
     """
     options = _parser().parse_args(arguments)
     if options.kinds is not None and not options.kinds.is_dir():
         raise InputError(f"kinds {options.kinds}: there is no such folder; give one with the .py and .xml of a kind of vehicle")
-    log = read_log(options.log)
-    if options.csv is not None and options.csv.exists() and options.csv.samefile(options.log):
+    if len(options.logs) > 1:
+        if options.csv is not None:
+            raise InputError(
+                f"--csv writes the signals of one log, and {len(options.logs)} were named; give one, or leave it out"
+            )
+        return _several(options.logs, options.kinds, options.json)
+    (path,) = options.logs
+    log = read_log(path)
+    if options.csv is not None and options.csv.exists() and options.csv.samefile(path):
         raise InputError(f"csv {options.csv} is the log itself; give another file")
     if options.csv is not None:
         check_file(options.csv, "csv")
@@ -54,6 +62,33 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if options.csv is not None:
             print(f"csv {options.csv}")
     return 0 if proof.holds else 1
+
+
+def _several(paths: Sequence[Path], kinds: Path | None, as_json: bool) -> int:
+    """Inspects logs in turn, and keeps none; a file that is no log is said, and the others are inspected all the same.
+
+    Returns:
+        The worst exit code.
+    """
+    objects, code = [], 0
+    for path in paths:
+        try:
+            proof = prove(read_log(path), kinds)
+        except InputError as error:
+            code = 2
+            objects.append({"log": str(path), "proves": False, "error": str(error)})
+            complain(str(error))
+            continue
+        code = max(code, 0 if proof.holds else 1)
+        objects.append(proof_object(proof))
+        if not as_json:
+            print("\n".join([*_text(proof), ""]), flush=True)
+    hold = sum(one["proves"] for one in objects)
+    if as_json:
+        print(json.dumps({"logs": objects, "proves": hold == len(paths)}, allow_nan=False))
+    else:
+        print(f"{hold} of {len(paths)} logs still prove{'s' * (hold == 1)} what {'it claims' if hold == 1 else 'they claim'}")
+    return code
 
 
 def proof_object(proof: Proof) -> dict[str, Any]:
@@ -150,15 +185,19 @@ def _shown(text: str) -> str:
 def _parser() -> Parser:
     parser = Parser(
         "sim.inspect",
-        "Says what a log is, and by computing it anew from what the log holds, whether it still proves what it claims.",
+        "Says what logs are, and by computing it anew from what each holds, whether it still proves what it claims.",
         EPILOG,
     )
-    parser.add_argument("log", type=Path, metavar="LOG", help="an .mcap file that a run has written")
-    parser.add_argument("--csv", type=Path, metavar="FILE", help="write MuJoCo's, the logged and the recomputed signals")
+    parser.add_argument("logs", type=Path, nargs="+", metavar="LOG", help="an .mcap file that a run has written; several in turn")
+    parser.add_argument(
+        "--csv", type=Path, metavar="FILE", help="write MuJoCo's, the logged and the recomputed signals of one log"
+    )
     parser.add_argument(
         "--kinds", type=Path, metavar="DIR", help="folder of a kind of vehicle of your own; its Python is run (default: none)"
     )
-    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    parser.add_argument(
+        "--json", action="store_true", help="print one JSON object and nothing else; of several logs {logs, proves}"
+    )
     return parser
 
 

@@ -22,6 +22,7 @@ from sim.drive import main as drive
 from sim.envelope import main as envelope
 from sim.inspect import main
 from sim.margins import main as margins
+from sim.mcap_file import GIVE
 from sim.multisine import sinusoid
 from sim.provenance import record_runs, run_log
 from sim.road import Bump
@@ -317,6 +318,68 @@ def test_change_is_found(what, parts, tmp_path, capsys):
     assert not any(("file", verdict) in broken(found) for verdict in ("FAILS", "missing"))
 
 
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (
+            lambda parts: parts.with_claim("run/I", "errors", lambda text: text.replace(": ", ": 1")),
+            r"the error of \w+ \(and 5 more errors, the first of them \w+\) is not what was claimed",
+        ),
+        (
+            lambda parts: parts.with_attachment("result.json", lambda data: data.replace(b'"mujoco": 0.', b'"mujoco": 7.')),
+            r"result\.json says otherwise: [\w.]+ \(and \d+ more numbers of the result, the first of them [\w.]+\)",
+        ),
+        (claim("errors", '"sprung_velocity": ', '"sprung_velocity": 1'), "the error of sprung_velocity is not what was claimed"),
+    ],
+    ids=["errors", "result", "one"],
+)
+def test_one_cause_is_one_line(change, said, parts, tmp_path, capsys):
+    """Many numbers that are wrong for one cause are one line: the first, how many more, and the first of those."""
+    path = tmp_path / "forged.mcap"
+    path.write_bytes(written(change(parts)))
+    assert main([str(path)]) == 1
+    _, run = capsys.readouterr().out.split("run I: ")
+    (line,) = [line for line in run.splitlines() if line.startswith("  FAILS")]
+    assert re.fullmatch(rf"  FAILS   (physics|result): {said}", line)
+
+
+def test_several(log, parts, tmp_path, capsys):
+    """Several logs are inspected in turn, each as by itself, in text and JSON; the exit code is the worst."""
+    forged, stub = tmp_path / "forged.mcap", tmp_path / "stub.mcap"
+    forged.write_bytes(written(CHANGES["a norm"][0](parts)))
+    stub.write_bytes(b"time,height")
+    capsys.readouterr()
+    alone, texts = {}, {}
+    for path in (log, forged):
+        main([str(path)])
+        texts[path] = capsys.readouterr().out
+        alone[path] = inspected(path, capsys)[1]
+        assert "logs" not in alone[path]
+        del alone[path]["csv"]
+    for some, code, ends in (
+        ([log, log], 0, "2 of 2 logs still prove what they claim\n"),
+        ([forged, log], 1, "1 of 2 logs still proves what it claims\n"),
+        ([stub, forged, log], 2, "1 of 3 logs still proves what it claims\n"),
+    ):
+        assert main([str(path) for path in some]) == code
+        printed = capsys.readouterr()
+        assert printed.out == "".join(f"{texts[path]}\n" for path in some if path != stub) + ends
+        assert printed.err.splitlines() == [f"roadproof: log {stub}: no MCAP file; {GIVE}"] * (stub in some)
+        assert main([*map(str, some), "--json"]) == code
+        found = json.loads(capsys.readouterr().out)
+        assert set(found) == {"logs", "proves"}
+        assert found["proves"] is (code == 0)
+        refused = {"log": str(stub), "proves": False, "error": f"log {stub}: no MCAP file; {GIVE}"}
+        assert found["logs"] == [refused if path == stub else alone[path] for path in some]
+
+
+def test_csv_is_of_one_log(log, tmp_path):
+    """A table of several logs is refused, before anything is read or written."""
+    with pytest.raises(InputError, match=r"^--csv writes the signals of one log, and 2 were named; give one, or leave it out$"):
+        main([str(log), str(log), "--csv", str(tmp_path / "signals.csv")])
+    assert not (tmp_path / "signals.csv").exists()
+
+
 def test_no_claim_of_energy(parts, tmp_path, capsys):
     """A log of an older version claims no balance: that is said, and what it does claim is proved."""
     path = tmp_path / "older.mcap"
@@ -383,6 +446,25 @@ def test_no_log_is_refused(tmp_path, parts):
     for name in ("pipe", "text", "empty", "others", "paths", "stub", "absent", "."):
         with pytest.raises(InputError, match=r"^log .*; give an \.mcap file that a run has written$|^log .*no names that ours"):
             main([str(tmp_path / name)])
+
+
+def test_what_is_no_file(tmp_path):
+    """A folder, a device, a pipe, a loop of links, a link to nothing, and nothing: one true line each, and no wait."""
+    (tmp_path / "folder").mkdir()
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    (tmp_path / "dangling").symlink_to(tmp_path / "absent")
+    for path, said in {
+        tmp_path / "folder": "is a folder, not a plain file",
+        Path(os.devnull): "is a device, not a plain file",
+        tmp_path / "pipe": "is a pipe, not a plain file",
+        tmp_path / "loop": "is a loop of links",
+        tmp_path / "dangling": "is a link to nothing",
+        tmp_path / "absent": "there is no such file",
+    }.items():
+        with pytest.raises(InputError) as caught:
+            main([str(path)])
+        assert str(caught.value) == f"log {path}: {said}; {GIVE}"
 
 
 def test_command(log, tmp_path):
