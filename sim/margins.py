@@ -49,7 +49,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     options = parser.parse_args(arguments)
     # What is asked is how much the loop bears beyond an ideal implementation.
-    vehicle = replace(read_vehicle(options.vehicle), implementation=Implementation())
+    as_built = read_vehicle(options.vehicle)
+    vehicle = replace(as_built, implementation=Implementation())
     name = one_chosen(vehicle.controller_names, options.controller)
     outputs = {"picture": options.picture}
     check_outputs(outputs | {"logs": options.logs}, [vehicle.source])
@@ -61,7 +62,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from sim.margins_picture import margins_figure
 
         draw(margins_figure(vehicle, controller, found[""], box, options.timestep), options.picture)
-    result, logs = _object(controller, found, box), {"mcap": None, "layout": None, "rerun": None}
+    result = {**_object(controller, found, box), "loop": None if as_built.ideal else _which_loop(as_built)}
+    logs = {"mcap": None, "layout": None, "rerun": None}
     if options.logs is not None:
         from sim.provenance import record_runs
 
@@ -70,7 +72,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.json:
         print(json.dumps({**result, **written(outputs), "logs": logs}, allow_nan=False))
     else:
-        lines = [*_text(vehicle, controller, found, box, options.timestep), *written_lines(outputs)]
+        lines = _text(vehicle, controller, found, box, options.timestep)
+        if not as_built.ideal:
+            lines.insert(1, _which_loop(as_built))
+        lines += written_lines(outputs)
         print("\n".join([*lines, *(["", *log_lines(logs)] if options.logs is not None else [])]))
     return 0 if (box is None or box.holds) and all(one.agrees for one in found.values()) else 1
 
@@ -112,6 +117,14 @@ def _delayed_runs(vehicle: Vehicle, controller: Controller, loop: LoopMargins, t
     return found
 
 
+def _which_loop(vehicle: Vehicle) -> str:
+    """Of which loop the margins are, and the norms of other vehicles, where the vehicle file says more than parameters."""
+    lag = "with" if vehicle.limits.actuator_bandwidth is not None else "without"
+    without = " and without the file's [implementation], whose delay and period are part of what it bears"
+    computer = "" if vehicle.implementation.ideal else without
+    return f"borne by the loop {lag} an actuator's lag{computer}; norms of other vehicles are of the ideal loop"
+
+
 def _object(controller: Controller, found: dict[str, LoopMargins], box: Robustness | None) -> dict[str, Any]:
     """The result as JSON has it: SI units, None for what is infinite or does not exist."""
     result = {"controller": controller.name, **_loop_object(found[""])}
@@ -140,7 +153,7 @@ def _loop_object(one: LoopMargins) -> dict[str, Any]:
             if search.tried
         ],
     }
-    phase = {
+    phase = {  # lag: what a delay makes
         "predicted": _finite(predicted.phase),
         "found": _finite(one.found_phase),
         "frequency": _finite(predicted.frequency),
@@ -183,7 +196,7 @@ def _loop_lines(one: LoopMargins) -> list[str]:
     where = f"at {predicted.frequency:.5g} rad/s" if predicted.crossovers else ""
     if predicted.smallest_phase < predicted.phase * (1 - 1e-9):
         where += f"; another crossover needs less, {predicted.smallest_phase:.4g}, but more delay"
-    rows.append(("phase, rad", predicted.phase, one.found_phase, where))
+    rows.append(("phase lag, rad", predicted.phase, one.found_phase, where))
     samples = ""
     if math.isfinite(one.delay.unstable):
         samples = f"decays with {round(one.delay.stable / h)} samples, grows with {round(one.delay.unstable / h)}"

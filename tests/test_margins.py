@@ -13,6 +13,7 @@ from scipy import optimize
 
 from models.errors import InputError
 from models.kind import Variation
+from models.reality import Implementation, Limits
 from models.vehicle import parse_vehicle, read_vehicle
 from sim.bisection import Search, run_searches
 from sim.figure import Curve
@@ -20,7 +21,7 @@ from sim.growth import Growth, grow
 from sim.linear import sampled_radius
 from sim.loop import Loop, crossovers, cut, gain_crossings, largest_sample_period, margins, sampled_gain_crossings
 from sim.loop_margins import GainMargin, find_margins, searches
-from sim.margins import main
+from sim.margins import _which_loop, main
 from sim.margins_picture import margins_figure
 from sim.robustness import robustness, varied_text
 from sim.slowest_mode import slowest_rate
@@ -349,7 +350,7 @@ def test_printed_margins_are_those_of_json(paper, capsys):
     printed = capsys.readouterr().out
     assert main(["--controller", "I", "--timestep", "2e-3", "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
-    for label, key, scale in (("gain, factor", "gain", 1), ("phase, rad", "phase", 1), ("delay, ms", "delay", 1e3)):
+    for label, key, scale in (("gain, factor", "gain", 1), ("phase lag, rad", "phase", 1), ("delay, ms", "delay", 1e3)):
         (line,) = re.findall(rf"^  {label} +(\S+) +(\S+)", printed, re.M)
         assert [float(word) for word in line] == pytest.approx(
             [scale * result[key][of] for of in ("predicted", "found")], rel=1e-5
@@ -394,3 +395,11 @@ def test_loops_without_margins(tmp_path, paper, gain, word):
     file.write_text(paper.text + f'[controllers.own]\nmeasured = ["sprung_velocity"]\ngain = {gain}\n')
     with pytest.raises(InputError, match=word):
         main(["--controller", "own", "--vehicle", str(file)])
+
+
+def test_which_loop_is_said(paper):
+    """What the vehicle file says beyond parameters is in the margins or left out of them; it is said which."""
+    plain = _which_loop(dataclasses.replace(paper, limits=Limits(actuator_force=1e3)))
+    assert plain == "borne by the loop without an actuator's lag; norms of other vehicles are of the ideal loop"
+    built = dataclasses.replace(paper, limits=Limits(actuator_bandwidth=60.0), implementation=Implementation(delay=1))
+    assert "with an actuator's lag and without the file's [implementation]" in _which_loop(built)
