@@ -149,6 +149,11 @@ class Store:
         tables = [self._read(part).select(list(names)) for part in self._parts]
         return pa.concat_tables(tables) if tables else self.schema.empty_table().select(list(names))
 
+    def written_schema(self) -> pa.Schema:
+        """Columns of the finished file, and what it says of itself."""
+        with pa.OSFile(str(self.results)) as file:
+            return pq.read_schema(file)
+
     def _add(self, table: pa.Table, start: int, stop: int) -> None:
         buffer = pa.BufferOutputStream()
         pq.write_table(table.combine_chunks(), buffer)

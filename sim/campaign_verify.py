@@ -4,6 +4,7 @@ What the checksums in a folder cannot show, that somebody made them anew around 
 sample has.
 """
 
+import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -83,8 +84,17 @@ def _gains(plan: Plan) -> list[str]:
 
 def _shape(plan: Plan, store: Store, table: pa.Table) -> list[str]:
     """Whether there is one row a run, in order, with the columns that it must have."""
-    if not table.schema.equals(store.schema):
-        return ["the columns are not those of the campaign"]
+    written = store.written_schema()
+    if not written.equals(store.schema) or any(
+        one.metadata != other.metadata for one, other in zip(written, store.schema, strict=True)
+    ):
+        return ["the columns, or their units and definitions, are not those of the campaign"]
+    said, known = ({key: value for key, value in (one.metadata or {}).items()} for one in (written, store.schema))
+    versions = [json.loads(each.pop(b"versions", b"{}")) for each in (said, known)]
+    if said != known or any(versions[0].get(name) != version for name, version in store.manifest.versions.items()):
+        return ["what the file says of its campaign, gains or versions is not what its folder says"]
+    if store.manifest.runs != plan.count:
+        return [f"the folder says {store.manifest.runs} runs, and the campaign has {plan.count}"]
     if len(table) != plan.count:
         return [f"{len(table)} rows for {plan.count} runs"]
     if not np.array_equal(table["run"].to_numpy(), np.arange(plan.count)):

@@ -275,6 +275,33 @@ def test_verify(whole, capsys):
     assert (result["holds"], len(result["again"]), result["rows"], result["faults"]) == (True, 3, RUNS, [])
 
 
+@pytest.mark.parametrize("forgery", ["campaign", "gains", "version", "unit", "column", "more"])
+def test_verify_reads_what_a_file_says_of_itself(whole, tmp_path, capsys, forgery):
+    """Another campaign's text, gain, version, unit or definition in the file, or a column more, does not hold."""
+    shutil.copytree(whole[0], tmp_path / "results")
+    file = tmp_path / "results" / "results.parquet"
+    table, manifest = pq.read_table(file), read_manifest(tmp_path / "results")
+    assert manifest is not None
+    said = dict(table.schema.metadata)
+    if forgery == "campaign":
+        said[b"campaign"] += b" "
+    elif forgery == "gains":
+        said[b"controllers"] = said[b"controllers"].replace(b"10824", b"10825")
+    elif forgery == "version":
+        said[b"versions"] = json.dumps(json.loads(said[b"versions"]) | {"mujoco": "9.0.0"}).encode()
+    elif forgery == "more":
+        said[b"optimal"] = b"true"
+    if forgery == "column":
+        table = table.append_column("optimal", [[1.0] * RUNS])
+    elif forgery == "unit":
+        index = table.schema.get_field_index("sprung_acceleration_rms")
+        table = table.cast(table.schema.set(index, table.schema.field(index).with_metadata({"unit": "km"})))
+    pq.write_table(table.replace_schema_metadata(said), file)
+    dataclasses.replace(manifest, results=hashlib.sha256(file.read_bytes()).hexdigest()).write(tmp_path / "results")
+    assert main(["--verify", str(tmp_path / "results"), "--runs", "1"]) == 1
+    assert "DOES NOT HOLD" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("forgery", ["number", "inputs", "rows", "gain", "order"])
 def test_verify_finds_what_checksums_cannot(whole, tmp_path, capsys, forgery):
     """Somebody who makes every checksum anew around other numbers is found by computing them."""
