@@ -16,7 +16,7 @@ moved to the current point, where X = I and, with the current gain absorbed in t
 
 import functools
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -71,6 +71,11 @@ class CentralPoint:
     def gamma(self) -> float:
         """The bound eta^-1/2 that this point proves, (23) and (26)."""
         return self.eta**-0.5
+
+    def in_units(self, unit: Array) -> "CentralPoint":
+        """The point of a plant whose states are this one's times `unit`, shape (n,), and whose measurements are the same."""
+        square = np.outer(unit, unit)
+        return replace(self, X=square * self.X, proof=None if self.proof is None else square * self.proof)
 
 
 def central_path(plant: GeneralizedPlant, Q: Array, R: Array, mu: float = LIMIT) -> list[CentralPoint]:
@@ -191,8 +196,13 @@ class _Path:
                 # On the path s exceeds its infimum by no more than (number of rows) mu, so the infimum is 0 to rounding.
                 raise InfeasibleError(
                     f"the LMI problem is infeasible: no X > 0 of the required structure makes A X + B Y + (A X + B Y)' negative "
-                    f"definite (smallest largest eigenvalue found: {p[-1]:.0e}, in units of |A||X|). The measured signals may "
-                    f"not suffice, or L does not fit the problem; measure more signals, or use the L of equation (14)"
+                    f"definite (smallest largest eigenvalue found: {p[-1]:.0e}, in units of |A||X|)"
+                    + (
+                        ". The measured signals may not suffice, or L does not fit the problem; measure more signals, or use the "
+                        "L of equation (14)"
+                        if self.free
+                        else ": no gain from what is measured moves every mode off the imaginary axis by more than rounding"
+                    )
                 )
 
         p[-1] = 0.0

@@ -203,7 +203,7 @@ class Designer:
         except DesignError:
             start = None
         rows, _ = self.vehicle.linear_model.rows(measured)
-        kept = independent_rows(rows)
+        kept = independent_rows(self.plant, rows)
         Cy, origin, lower = rows[kept], "", self.best_possible(measured)
         if start is None:
             found = static_output_feedback(self.plant, Cy, lower=lower)
@@ -227,7 +227,7 @@ class Designer:
         ):
             return 0.0
         rows, _ = self.vehicle.linear_model.rows(controller.measured)
-        kept = independent_rows(rows)
+        kept = independent_rows(self.plant, rows)
         share = worth_refining(self.plant, rows[kept], _from_some(controller.gain, rows, kept))
         return share if share > SEEN else 0.0
 

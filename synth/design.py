@@ -15,6 +15,7 @@ from synth.output_feedback import independent_rows, l_matrix, nullspace, output_
 from synth.plant import GeneralizedPlant, measurement_matrix
 from synth.posed import free_force, posed, standing
 from synth.riccati import proved
+from synth.scaling import own_units
 from synth.state_feedback import state_feedback
 
 MOST = 1100  # unknowns of (22), 45 states with one input: the second problem is solved from several X, in a minute or less
@@ -138,7 +139,7 @@ def two_step_design(
     """The paper's two steps: L (14) from the X of (22), then (25).
 
     From the optimal X the second problem can be infeasible where from a point a little short of it it is not: then X comes from
-    there.
+    there. All is done in the plant's own units, so that rounding is the same in whatever units it is given.
 
     Args:
         plant: n states, m inputs.
@@ -155,20 +156,23 @@ def two_step_design(
     """
     Cy, kept = measurement(plant, Cy)
     problem = posed(plant)
+    unit = own_units(plant, Cy)[0]
+    rows = Cy[kept] * unit
     if problem.best is not None:
-        K = problem.best @ np.linalg.pinv(Cy[kept])
+        K = problem.best * unit @ np.linalg.pinv(rows)
         if np.linalg.norm(K @ Cy[kept] - problem.best) <= SAME * np.linalg.norm(problem.best):
             best = Design(K, proved(plant, K @ Cy[kept], lower), case=problem.best_case)
             return widened(best, kept, len(Cy), 0.0)
     fits(unknowns(problem.plant), MOST, "the two steps are gone")
     path = path or state_path(plant, states)
-    Q = nullspace(Cy[kept])
+    own, Q = problem.plant.in_coordinates(np.diag(unit)), nullspace(rows)
     failures: list[DesignError] = []
     beyond: list[Design] = []
     for start in reversed(path):
-        L = l_matrix(start.X, Cy[kept], Q)
+        L = l_matrix(start.in_units(1 / unit).X, rows, Q)
         try:
-            found = furthest(plant, Cy[kept], output_feedback(problem.plant, Cy[kept], L, Q), lower)
+            points = [point.in_units(unit) for point in output_feedback(own, rows, L, Q)]
+            found = furthest(plant, Cy[kept], points, lower)
         except DesignError as error:
             failures.append(error)
             continue
@@ -204,7 +208,7 @@ def measurement(plant: GeneralizedPlant, Cy: Array) -> tuple[Array, list[int]]:
         InputError: see `measurement_matrix`.
     """
     Cy = measurement_matrix(Cy, len(plant.A))
-    return Cy, independent_rows(Cy)
+    return Cy, independent_rows(plant, Cy)
 
 
 def widened(design: Design, kept: Sequence[int], q: int, short: float) -> Design:

@@ -20,19 +20,21 @@ from models.arrays import Array
 from synth.exact import Nullspace, integers, product, root_below
 from synth.norm import largest_singular_values, transfer_matrix
 from synth.plant import GeneralizedPlant
+from synth.scaling import own_units
 from synth.stability import balance
 
 PEAKS = 6  # local maxima that are looked at closely
 NONE = 1e-10  # relative; what u does less of, for a proposal, counts as nothing
 AWAY = 1e-9  # relative; where a proposal is taken beside a pole on the axis
+FURTHER = 10.0  # times as far where that is the pole, too, to the last digit: a k-fold one reaches to the k-th root of rounding
 ENOUGH = 1e-9  # relative; a proposal that promises no more than this beyond a proof is not looked at
 
 
 def invariant_limit(plant: GeneralizedPlant) -> tuple[float, float] | None:
     """The largest norm over frequencies that no control changes, and its frequency [rad/s]; None where control can change all."""
-    poles = np.abs(np.linalg.eigvals(balance(plant.A)[0]))
-    largest = float(poles.max(initial=0.0)) or 1.0
-    smallest = float(poles[poles > 1e-6 * largest].min(initial=largest))
+    rates = _rates(plant)
+    largest = float(rates.max())
+    smallest = float(rates[rates > 1e-6 * largest].min())
     omega = np.geomspace(1e-2 * smallest, 1e2 * largest, 500)
     left = largest_singular_values(_left(plant, omega))
     tops = np.flatnonzero((left[1:-1] >= left[:-2]) & (left[1:-1] >= left[2:])) + 1
@@ -77,28 +79,41 @@ def limit_at(plant: GeneralizedPlant, omega: float) -> float:
     return 0.0
 
 
-def _left(plant: GeneralizedPlant, omega: Array) -> Array:
+def _rates(plant: GeneralizedPlant) -> Array:
+    """How fast a plant is [rad/s], positive: how far its poles lie from 0, or one rate of its own where all lie there.
+
+    An n-fold pole at 0 is found as far off as the n-th root of rounding.
+    """
+    A, _ = balance(plant.A)
+    poles = np.abs(np.linalg.eigvals(A))
+    poles = poles[poles > 0]
+    if len(poles) and poles.max() > np.finfo(float).eps ** (1 / len(A)) * np.linalg.norm(A):
+        return poles
+    return np.append(poles, own_units(plant, np.zeros((0, len(A))))[1])
+
+
+def _left(plant: GeneralizedPlant, omega: Array, away: float = AWAY) -> Array:
     """What is orthogonal to Gu of Gw, to rounding, at frequencies [rad/s] of shape (F,): complex, shape (F, d, r)."""
     try:
         from_w = transfer_matrix(plant.A, plant.Bw, plant.C, plant.Dw, omega)
         from_u = transfer_matrix(plant.A, plant.B, plant.C, plant.D, omega)
     except np.linalg.LinAlgError:  # a pole, to the last digit
-        return _left(plant, _beside(plant, omega))
+        return _left(plant, _beside(plant, omega, away), FURTHER * away)
     columns = np.linalg.norm(from_u, axis=1, keepdims=True)
     directions, sizes, _ = np.linalg.svd(from_u / np.where(columns > 0, columns, 1.0), full_matrices=False)
     directions = directions * (sizes > NONE * sizes.max(axis=1, keepdims=True, initial=0.0))[:, None]
     return from_w - directions @ (directions.conj().swapaxes(1, 2) @ from_w)
 
 
-def _guess(plant: GeneralizedPlant, omega: float) -> tuple[Array, Array]:
+def _guess(plant: GeneralizedPlant, omega: float, away: float = AWAY) -> tuple[Array, Array]:
     """Floats near the best (p, q) at a frequency [rad/s], complex, shapes (d,), (n,)."""
     p = np.linalg.svd(_left(plant, np.array([omega]))[0])[0][:, 0]
     try:
         return p, np.linalg.solve((1j * omega * np.eye(len(plant.A)) - plant.A).conj().T, plant.C.T @ p)
     except np.linalg.LinAlgError:
-        return _guess(plant, float(_beside(plant, np.array([omega]))[0]))
+        return _guess(plant, float(_beside(plant, np.array([omega]), away)[0]), FURTHER * away)
 
 
-def _beside(plant: GeneralizedPlant, omega: Array) -> Array:
+def _beside(plant: GeneralizedPlant, omega: Array, away: float) -> Array:
     """Frequencies next to these: the pole that was met lies there to the last digit."""
-    return omega * (1 + AWAY) + AWAY * np.linalg.norm(plant.A) * (omega == 0)
+    return omega * (1 + away) + away * _rates(plant).max() * (omega == 0)

@@ -7,6 +7,7 @@ from models.arrays import Array
 from synth.central import CentralPoint, central_path
 from synth.errors import InfeasibleError
 from synth.plant import GeneralizedPlant
+from synth.scaling import own_units
 
 DEPENDENT = 1e-10  # smallest singular value of rows of length one
 
@@ -16,13 +17,16 @@ def nullspace(Cy: Array) -> Array:
     return linalg.null_space(_unit_rows(Cy)[0])
 
 
-def independent_rows(Cy: Array) -> list[int]:
+def independent_rows(plant: GeneralizedPlant, Cy: Array) -> list[int]:
     """Which rows of C_y do not follow from those before them, ascending; (9) needs full row rank.
 
+    It is decided in the plant's own units of the states and for rows of length one, so that no unit decides it.
+
     Args:
+        plant: n states.
         Cy: shape (q, n), no row zero.
     """
-    rows, _ = _unit_rows(Cy)
+    rows, _ = _unit_rows(Cy * own_units(plant, Cy)[0])
     kept: list[int] = []
     for i in range(len(rows)):
         if np.linalg.svd(rows[[*kept, i]], compute_uv=False)[-1] > DEPENDENT and len(kept) < rows.shape[1]:

@@ -177,6 +177,31 @@ def test_where_control_can_change_all_nothing_is_bounded():
         assert best_possible(plant, np.eye(len(plant.A))).gamma == 0
 
 
+def test_a_plant_that_has_no_rate_of_its_own_has_a_bound():
+    """With all poles at 0, simple, many or defective, the bound is what it is by hand, in any units."""
+    one, none = [[1.0, 0.0]], [[0.0]]
+    chain = [[0, 1], [0, 0]]
+    integers = [[0, 2, 2], [1, 1, 1], [-1, -1, -1]], [[0, -1], [0, -1], [0, 0]], [[-1], [1], [1]], [[-1, -1, -1]]
+    for plant, bound in (
+        # With u = -k x, z = [x, u] = [1, -k] w / (s + k): at 0 rad/s of length (1 / k^2 + 1)^1/2, above 1 for every k.
+        (of_lists(none, [[1]], [[1]], [[1], [0]], [[0], [1]]), 1),
+        (of_lists(none, [[1e-3]], [[1e3]], [[1], [0]], [[0], [1]]), 1e6),  # at 0 rad/s u holds w still
+        (
+            of_lists(none, [[1]], [[1]], [[0], [0]], [[0], [1]]),
+            0,
+        ),  # z is the force, which may be small
+        (of_lists(chain, [[0], [1]], [[0], [1]], [*one, [0, 0]], [[0], [1]]), 1),
+        (of_lists([[0, 0], [0, -1]], [[1], [1]], [[1], [1]], [[0, 1], [0, 0]], [[0], [1]]), 0.5**0.5),
+        (of_lists(*integers, [[0, 0]]), 0),
+        (of_lists([[0, 0]] * 2, [[1, 0], [0, 1]], [[1], [1]], [[1, 0], [0, 1]], [[0, 0]] * 2), 0),
+    ):
+        for seed in range(4):
+            Cy = np.eye(len(plant.A))[:1]
+            moved, Cy_moved = in_other_units(plant, Cy, seed) if seed else (plant, Cy)
+            assert best_possible(moved).gamma == pytest.approx(bound, rel=1e-9)  # rounded down
+            assert best_possible(moved, Cy_moved).gamma >= bound * (1 - 1e-9)
+
+
 def test_a_limit_that_is_there_is_found_in_any_units():
     """The same limit, from the same plant in other units; and beside a resonance on the axis itself."""
     for seed in range(6):

@@ -91,6 +91,26 @@ def test_redundant_measurements_are_left_out(designer):
     np.testing.assert_allclose(shared.sum(axis=0), alone.gain[0], rtol=1e-5)  # where the path is stopped
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_no_unit_makes_a_measurement_redundant(seed):
+    """Two steps in units of states, inputs and measurements from 1e-8 to 1e8: the same gain, and the same signals in vain."""
+    rng = np.random.default_rng(seed)
+    n, m = 4, 1
+    A, B, Bw, Cy = (rng.standard_normal(shape) for shape in ((n, n), (n, m), (n, 1), (3, n)))
+    A[:2, 2:] = 0  # a block that is not driven by the other: its units do not follow from A alone
+    A -= (np.linalg.eigvals(A).real.max() + 0.2) * np.eye(n)
+    C, D = np.vstack([rng.standard_normal((2, n)), np.zeros((m, n))]), np.vstack([np.zeros((2, m)), np.eye(m)])
+    plant = GeneralizedPlant(A, B, Bw, C, D, np.zeros((2 + m, 1)))
+    Cy = np.vstack([Cy[:2], 2 * Cy[0] - 3 * Cy[1], Cy[2]])
+    own = two_step_design(plant, Cy)
+    x = 2.0 ** rng.permutation([-26, -26, 26, 26])  # to rounding two of three independent rows fill what is large
+    u, y = (2.0 ** rng.integers(-26, 27, size) for size in (m, len(Cy)))
+    moved = two_step_design(plant.in_coordinates(np.diag(x)).with_inputs(np.diag(u)), y[:, None] * Cy * x)
+    assert own.redundant == moved.redundant == (2,)
+    assert moved.certificate.norm.value == pytest.approx(own.certificate.norm.value, rel=1e-6)  # where the path is stopped
+    assert moved.certificate.failures == own.certificate.failures == ()
+
+
 def test_redundant_signal_of_a_vehicle_is_named():
     """In a vehicle file, too: a full car's heave, pitch and roll follow from signals at its corners."""
     car = read_vehicle("full_car")
