@@ -57,7 +57,7 @@ def columns(campaign: Campaign) -> dict[str, Column]:
             float,
             {
                 "unit": "-",
-                "definition": "variance when measuring begins over what it comes to, of the signal that is furthest from 1",
+                "definition": "variance when measuring begins over what it comes to, of the measured signal furthest from 1",
             },
         ),
         "settled_signal": Column(str, {"definition": "that signal"}),

@@ -78,6 +78,29 @@ def sampled_states(vehicle: Vehicle, controller: Controller, omega: Array, times
     return np.concatenate([x, *waiting], axis=1) / s
 
 
+def stepwise_frequency_response(vehicle: Vehicle, controller: Controller, omega: Array, timestep: float) -> Array:
+    """From the road velocity under each wheel to the output signals at every timestep of a period of the controller.
+
+    What a signal is at step i of a period, exactly, for a road that is exp(j omega t) with t from the period's start on: between
+    its samples a held force makes other frequencies, too, and `sampled_frequency_response` has only the share at omega.
+
+    Returns:
+        Shape (steps + 1, F, p, r), complex; the last is the first of the next period.
+    """
+    s = 1j * np.asarray(omega, dtype=float)[:, None, None]
+    (model, G), how, h = driven(vehicle, controller), vehicle.implementation, timestep
+    Phi, Gamma_u, Gamma_r = held_inputs(model.A, h, linalg.expm, model.B, model.A @ model.Bw + model.Br)
+    _, x, _, _ = _harmonic(vehicle, controller, omega, timestep, linalg.expm)
+    steps = steps_per_sample(how, h)
+    force, xi, found = np.exp(-s * h * steps * how.delay) * (G @ x), x - model.Bw, []
+    for i in range(steps + 1):
+        road = np.exp(s * h * i)
+        held = force if i < steps else force * road
+        found.append((model.C @ (xi + model.Bw * road) + model.D @ held + model.Cr * road) / s)
+        xi = Phi @ xi + Gamma_u @ force + Gamma_r * np.exp(s * h * (i + 0.5))
+    return np.stack(found)
+
+
 def _harmonic(
     vehicle: Vehicle, controller: Controller, omega: Array, timestep: float, exponential: Callable[[Array], Array]
 ) -> tuple[LinearModel, Array, Array, Array]:

@@ -97,12 +97,12 @@ def metric_lines(vehicle: Vehicle, run: Run, found: RunMetrics, start: float, en
     if found.settled is not None:
         notes.append(
             f"when measuring begins, the variance of {found.settled.signal} is {100 * found.settled.share:.3g} % of what it "
-            "comes to; of no signal is it further off"
+            "comes to; of no other signal in this table is it further off"
         )
     if found.error is not None:
         notes.append(
-            "~ is approximate: mtvv to 2.5 %, crest to 5 %, peaks to 7 %, 11 % for the travel of a passive quarter-car; vdv is "
-            "the fourth root of a mean"
+            "~ is approximate: mtvv to 7 %, crest to 10 %, peaks to 20 %; vdv is the fourth root of a mean; of short or lightly "
+            "damped runs the +- is up to 45 % too large"
         )
     notes += beside(vehicle)
     if found.error is not None and found.error > EXACT:

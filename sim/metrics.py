@@ -8,7 +8,8 @@ Ride, of every vertical acceleration a of the body, weighted as ISO 2631-1 has i
 Travel of every suspension: rms, largest, and the share of time at the bump stops. Of every tyre, whose load is F = k_u (static -
 t) and never negative: dynamic load coefficient rms(F - F_static) / F_static, and the share of time off the ground. Of every
 actuator: force, mean power into the suspension, and the energy that it puts in where it drives, none being given back where it
-brakes.
+brakes. Both are of its work: a force u is held from one sample to the next while the suspension's travel s goes on, so that is
+u[k] (s[k+1] - s[k]), exactly; of a force that lags, which goes on too, the mean of u[k] and u[k+1] counts.
 
 All are means over a window that leaves out the beginning, in which a vehicle from rest still knows nothing of its road.
 """
@@ -24,7 +25,7 @@ from sim.response import Response
 from sim.weighting import sampled_wk
 
 RUNNING = 1.0  # s, of the running rms
-DEFINITIONS = 2  # of the metrics and what is expected of them; one more wherever a number comes out otherwise than before
+DEFINITIONS = 3  # of the metrics and what is expected of them; one more wherever a number comes out otherwise than before
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,7 @@ class Points:
         accelerations: of the body.
         suspensions: deflections.
         tyres: deflections.
-        actuators: (force, velocity above it, velocity below it); of one that has no such velocities, (force,).
+        actuators: (force, deflection that it pushes along); of one that has no such suspension, (force,).
     """
 
     accelerations: tuple[str, ...]
@@ -64,8 +65,8 @@ def points(vehicle: Vehicle) -> Points:
     model, kind = vehicle.linear_model, vehicle.kind
     actuators = []
     for force in model.inputs:
-        ends = tuple(force.replace("control_force", end) for end in ("sprung_velocity", "unsprung_velocity"))
-        actuators.append((force, *ends) if set(ends) <= set(model.outputs) else (force,))
+        travel = force.replace("control_force", "suspension_deflection")
+        actuators.append((force, travel) if travel in model.outputs else (force,))
     return Points(
         accelerations=tuple(name for name in model.outputs if kind.signal(name).unit == "m/s2"),
         suspensions=tuple(name for name in model.outputs if name.startswith("suspension_deflection")),
@@ -90,9 +91,9 @@ def metrics_of(vehicle: Vehicle) -> tuple[Metric, ...]:
             found.append(Metric(f"{name}_at_stops", "-", name))
     for name in where.tyres:
         found += [Metric(dynamic_load(name), "-", name), Metric(off_ground(name), "-", name)]
-    for name, *ends in where.actuators:
+    for name, *travel in where.actuators:
         found += [Metric(f"{name}_rms", "N", name), Metric(f"{name}_peak", "N", name)]
-        if ends:
+        if travel:
             found += [Metric(power(name), "W", name), Metric(energy(name), "J", name)]
     return tuple(found)
 
@@ -137,6 +138,8 @@ class Meter:
             for name in self.where.accelerations
         }
         self.running = {name: np.zeros((count, 1)) for name in self.where.accelerations}
+        self.lags = self.vehicle.limits.actuator_bandwidth is not None
+        self.before: dict[str, Array] = {}  # the last sample of what work is made of, shape (N, 1)
         self.sums: dict[str, Array] = {}
         self.largest: dict[str, Array] = {}
         self.seen = self.samples = 0
@@ -161,14 +164,16 @@ class Meter:
             deflection, static = self._signal(values, name), self.static[name][:, None]
             self._add(off_ground(name), np.count_nonzero(deflection >= static, axis=1))
             self._add(dynamic_load(name), _squares(np.minimum(deflection, static)))
-        for name, *ends in self.where.actuators:
+        for name, *travel in self.where.actuators:
             force = self._signal(values, name)
             self._add(f"{name}_rms", _squares(force))
             self._keep(f"{name}_peak", force)
-            if ends:
-                force *= self._signal(values, ends[0]) - self._signal(values, ends[1])
-                self._add(power(name), force.sum(axis=1))
-                self._add(energy(name), np.maximum(force, 0.0, out=force).sum(axis=1))
+            if travel:
+                force, along = self._joined(name, force), self._joined(travel[0], self._signal(values, travel[0]))
+                work = (force[:, :-1] + force[:, 1:]) / 2 if self.lags else force[:, :-1]
+                work = work * np.diff(along, axis=1)
+                self._add(power(name), work.sum(axis=1))
+                self._add(energy(name), np.maximum(work, 0.0, out=work).sum(axis=1))
 
     def result(self) -> dict[str, Array]:
         """Every metric, shape (N,)."""
@@ -188,10 +193,11 @@ class Meter:
         for name in self.where.tyres:
             found[dynamic_load(name)] = np.sqrt(mean[dynamic_load(name)]) / self.static[name]
             found[off_ground(name)] = mean[off_ground(name)]
-        for name, *ends in self.where.actuators:
+        for name, *travel in self.where.actuators:
             found |= {f"{name}_rms": np.sqrt(mean[f"{name}_rms"]), f"{name}_peak": self.largest[f"{name}_peak"]}
-            if ends:
-                found |= {power(name): mean[power(name)], energy(name): mean[energy(name)] * duration}
+            if travel:
+                passed = max(self.samples - 1, 1) * self.timestep  # from the first sample to the last
+                found |= {power(name): self.sums[power(name)] / passed, energy(name): self.sums[energy(name)]}
         return found
 
     def _ride(self, name: str, acceleration: Array, skip: int) -> None:
@@ -215,6 +221,12 @@ class Meter:
     def _signal(self, values: Array, name: str) -> Array:
         """A signal, each run's samples side by side, shape (N, B)."""
         return np.ascontiguousarray(values[:, self.index[name]].T)
+
+    def _joined(self, name: str, signal: Array) -> Array:
+        """A signal of one block after its last sample of the one before."""
+        joined = np.concatenate([self.before[name], signal], axis=1) if name in self.before else signal
+        self.before[name] = signal[:, -1:].copy()
+        return joined
 
     def _add(self, name: str, amount: Array) -> None:
         self.sums[name] = self.sums[name] + amount if name in self.sums else amount

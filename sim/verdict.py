@@ -124,7 +124,8 @@ def verdict_lines(run: Run) -> list[str]:
             "no model of it holds from there"
         )
     if math.isfinite(agreement.until):
-        why = "" if agreement.lift_off or ended else ": within a step, a tyre may leave the road there"
+        ended = ended or agreement.until in (start for start, _ in agreement.lift_off)
+        why = "" if ended else ": within a step, a tyre may leave the road there"
         lines.append(f"the linear comparison does not apply from {agreement.until:.4g} s on{why}")
         when = f"until {agreement.until:.4g} s"
     worst = max(agreement.signals, key=lambda name: agreement.signals[name].sampled / agreement.signals[name].allowed)
