@@ -73,7 +73,8 @@ def a_plant(kind: str, seed: int) -> tuple[GeneralizedPlant, np.ndarray]:
             B = small * B
     if kind == "feedthrough":
         Dw = draw(d, r) / 4
-    return GeneralizedPlant(A, B, Bw, C, D, Dw), Cy
+    Cy = Cy[np.any(Cy != 0, axis=1)]  # a signal that says nothing is refused at the door
+    return GeneralizedPlant(A, B, Bw, C, D, Dw), Cy if len(Cy) else np.eye(n)[:1]
 
 
 def of_lists(*matrices: Sequence[Sequence[float]]) -> GeneralizedPlant:
