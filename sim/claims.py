@@ -139,13 +139,13 @@ def check_energy(recorded: RecordedRun, run: Run, anew: Response) -> Iterator[Fi
 
     A balance rests on every position and speed of the model, and the log holds signals: so it is that of the run made anew.
     """
-    if run.energy is None or "energy" not in recorded.claims:
-        yield Finding("energy", NOTE, "the log claims no balance")
-        return
     end = run.broke_off[1] if run.broke_off else math.inf
     far, signal = _apart(run.physics.until(end), anew.until(end))
     if not far <= SAME:
         yield Finding("energy", FAILS, f"MuJoCo makes another run of it now: {signal} is {far:.1e} of its peak off")
+        return
+    if run.energy is None or "energy" not in recorded.claims:
+        yield Finding("energy", NOTE, "MuJoCo makes the same run again; the log claims no balance")
         return
     wrong = list(_different(recorded.claim("energy"), energy_object(run.energy)))
     if wrong:
@@ -162,7 +162,10 @@ def check_result(log: Recorded, again: Reproduction, recorded: RecordedRun, run:
         yield Finding("result", MISSING, "result.json is not attached")
         return
     result = read_json(log.attachments["result.json"], "result.json")
-    runs = result.get("runs") if isinstance(result, dict) else None
+    if not isinstance(result, dict) or not result:
+        yield Finding("result", MISSING, "result.json is empty, or no object")
+        return
+    runs = result.get("runs")
     if not isinstance(runs, list):
         yield Finding("result", NOTE, "result.json rests on more runs than the log holds; it is not computed again")
         return

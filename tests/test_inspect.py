@@ -298,6 +298,7 @@ CHANGES = {
     "the model": (attached("model.xml", b"504.5", b"504.6"), ("model", "FAILS")),
     "the result": (attached("result.json", b'"peak": {"mujoco": 0.', b'"peak": {"mujoco": 1.'), ("result", "FAILS")),
     "the result's road": (attached("result.json", b'"speed": 25.0', b'"speed": 25.1'), ("result", "FAILS")),
+    "an empty result": (lambda p: p.with_attachment("result.json", lambda data: b"{}"), ("result", "missing")),
     "no model": (lambda p: replace(p, attachments=[a for a in p.attachments if a[0] != "model.xml"]), ("model", "missing")),
     "no vehicle": (lambda p: replace(p, attachments=p.attachments[1:]), ("vehicle", "missing")),
     "no physics": (lambda p: p.with_messages("/I/mujoco", lambda m: []), ("responses", "missing")),
@@ -387,6 +388,16 @@ def test_no_claim_of_energy(parts, tmp_path, capsys):
     code, found = inspected(path, capsys)
     assert (code, broken(found)) == (0, set())
     assert ("energy", "note") in {(finding["part"], finding["verdict"]) for finding in found["runs"][1]["findings"]}
+
+
+def test_physics_is_run_again_without_a_claim_of_energy(parts, tmp_path, capsys):
+    """Physics that MuJoCo does not make is found, though the log claims no balance that it could belie."""
+    path = tmp_path / "forged.mcap"
+    # Where a tyre has left the road there is no analysis to compare with; 1e-4 is a hundred times what a rerun may differ by.
+    off_the_road = after("/I/mujoco", 500, scaled("/I/mujoco", 6, 1 + 1e-4))
+    path.write_bytes(written(off_the_road(parts.without_claim("run/I", "energy"))))
+    code, found = inspected(path, capsys)
+    assert (code, ("energy", "FAILS") in broken(found)) == (1, True)
 
 
 def test_unchanged_is_proved(parts, tmp_path, capsys):
