@@ -166,6 +166,9 @@ def check_result(log: Recorded, again: Reproduction, recorded: RecordedRun, run:
         yield Finding("result", MISSING, "result.json is empty, or no object")
         return
     runs = result.get("runs")
+    if isinstance(runs, dict):
+        yield Finding("result", MISSING, "the runs of result.json are no list")
+        return
     if not isinstance(runs, list):
         yield Finding("result", NOTE, "result.json rests on more runs than the log holds; it is not computed again")
         return
@@ -173,6 +176,12 @@ def check_result(log: Recorded, again: Reproduction, recorded: RecordedRun, run:
     if len(mine) != 1:
         yield Finding("result", FAILS, "result.json does not have this run once")
         return
+    logged = {one.name for one in log.runs}
+    if any(not isinstance(one, dict) or _controller_name(one) not in logged for one in runs):
+        yield Finding("result", MISSING, "result.json has runs that the log does not hold")
+        return
+    if mine[0].get("half_step") is not None:
+        yield Finding("result", NOTE, "what half the step changes is said in result.json; it is not computed again")
     now: dict[str, Any] = json.loads(json.dumps(run_object(again.vehicle, run)))
     now["road"], now["timestep"] = recorded.claim("road"), again.timestep
     said = {**mine[0], "road": result.get("road"), "timestep": result.get("timestep")}

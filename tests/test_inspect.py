@@ -298,6 +298,7 @@ CHANGES = {
     "the model": (attached("model.xml", b"504.5", b"504.6"), ("model", "FAILS")),
     "the result": (attached("result.json", b'"peak": {"mujoco": 0.', b'"peak": {"mujoco": 1.'), ("result", "FAILS")),
     "the result's road": (attached("result.json", b'"speed": 25.0', b'"speed": 25.1'), ("result", "FAILS")),
+    "a run that is not logged": (attached("result.json", b'"runs": [', b'"runs": [{}, '), ("result", "missing")),
     "an empty result": (lambda p: p.with_attachment("result.json", lambda data: b"{}"), ("result", "missing")),
     "no model": (lambda p: replace(p, attachments=[a for a in p.attachments if a[0] != "model.xml"]), ("model", "missing")),
     "no vehicle": (lambda p: replace(p, attachments=p.attachments[1:]), ("vehicle", "missing")),
