@@ -203,7 +203,7 @@ def test_all_gains_that_make_the_same_loop_are_known(monkeypatch, wide, small):
     spanned = np.hstack([found.R.reshape(len(found.R), m * m), found.S.reshape(len(found.S), q * q)])
     assert len(spanned) == len(expected) == own + wide**2
     projected = [each.T @ np.linalg.pinv(each.T) for each in (spanned, expected)]
-    np.testing.assert_allclose(*projected, atol=1e-8)  # rounding of null spaces of random coordinates
+    np.testing.assert_allclose(projected[0], projected[1], atol=1e-8)  # rounding of null spaces of random coordinates
     assert not len(Symmetry(Landscape(*chain(60))).R)
 
 
