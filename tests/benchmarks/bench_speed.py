@@ -205,12 +205,12 @@ def test_campaign(benchmark, tmp_path, name, runs, claim):
     manifest = Manifest(str(file), "", {}, "", {}, {}, plan.count)
     store = Store(tmp_path, columns(campaign), {}, manifest)
     native = native_steps(build_model(vehicle, 1e-3), workers)
-    run_batches(plan, iter([(0, 2)]), 1, None, False, lambda start, rows, took: None)
+    run_batches(plan, iter([(0, 2)]), 1, False, lambda start, rows, took: None)
     batches = list(plan.batches([(0, plan.count)], lambda: FEWEST))
     pairs = [
         (
             lambda some=batches[i : i + workers]: run_batches(
-                plan, iter(some), workers, None, False, lambda start, rows, took: store.write(start, rows)
+                plan, iter(some), workers, False, lambda start, rows, took: store.write(start, rows)
             ),
             lambda some=batches[i : i + workers]: native((some[-1][1] - some[0][0]) * len(campaign.time)),
         )
