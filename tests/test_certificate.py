@@ -46,10 +46,13 @@ def test_false_claim_is_seen(designer, paper, name):
 
 
 def test_design_that_cannot_be_certified_is_an_error(designer):
-    """If the solution of the LMI does not prove the gain, `design` raises instead of returning it."""
-    broken = dataclasses.replace(designer.state_feedback, eta=2 * designer.state_feedback.eta)
-    with pytest.raises(DesignError, match="its certificate fails: LMI"):
-        furthest(designer.plant, np.eye(4), [broken])
+    """A gain that nothing proves is an error; a bound that its X does not prove is never given, but one that another X does."""
+    point = designer.state_feedback
+    with pytest.raises(DesignError, match="its certificate fails: unstable"):
+        furthest(designer.plant, np.eye(4), [dataclasses.replace(point, K=-10 * point.K)])
+    found = furthest(designer.plant, np.eye(4), [dataclasses.replace(point, eta=2 * point.eta)]).certificate
+    assert found.bound is not None
+    assert found.norm.value < found.bound < 1.001 * found.norm.value
 
 
 def test_given_gain_is_reported_as_it_is(designer):
