@@ -6,7 +6,7 @@ import numpy as np
 from scipy import linalg
 
 from models.arrays import Array
-from synth.certificate import Certificate, certify
+from synth.certificate import Certificate, certify, eta_of
 from synth.lower_bound import LowerBound
 from synth.plant import GeneralizedPlant
 from synth.scaling import size
@@ -40,7 +40,7 @@ def proved(plant: GeneralizedPlant, G: Array, lower: LowerBound | None = None) -
                 X = bounding_x(loop, gamma, share * margin, everywhere)
             except (np.linalg.LinAlgError, ValueError):  # too close to the norm for the Riccati solver
                 continue
-            certificate = certify(plant, G, X, gamma**-2, lower)
+            certificate = certify(plant, G, X, eta_of(gamma), lower)
             if not certificate.failures:
                 return certificate
     return plain

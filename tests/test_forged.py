@@ -13,7 +13,7 @@ import pytest
 from models.errors import InputError
 from models.vehicle import ControllerEntry, read_vehicle
 from synth.bounded_real import bounded_real_exactly
-from synth.certificate import certify, eta_of, prove_bound
+from synth.certificate import LmiProof, certify, eta_of, prove_bound
 from synth.check import check
 from synth.controller import Designer
 from synth.definite import definiteness
@@ -182,11 +182,12 @@ def test_peak_is_good_to_what_flatness_allows(designer, honest):
 
 
 def test_bound_is_rounded_upwards():
-    """What eta proves is never more than the bound that is claimed, to the last bit, both ways."""
-    rng = np.random.default_rng(0)
+    """What eta proves is never more than the bound that is claimed, to the last bit, both ways; nor is what it prints as one."""
+    rng, any_ = np.random.default_rng(0), definiteness(np.eye(1))
     for bound in 10.0 ** rng.uniform(-60, 60, 300):
         eta = eta_of(bound)
         assert Fraction(bound) ** 2 * Fraction(eta) >= 1
+        assert LmiProof(np.eye(1), eta, any_, any_).bound <= bound
         assert eta == pytest.approx(bound**-2, rel=1e-15)  # a few units in the last place
 
 
