@@ -11,10 +11,9 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from models import interrupt
-from models.errors import InputError, known
+from models.errors import InputError, known, one_line
 
 BAD_INPUT = 2
-LONGEST = 1000  # characters of a complaint
 ALL = "all"  # in place of a controller's name
 
 
@@ -188,11 +187,8 @@ def run_command(main: Callable[[], int]) -> NoReturn:
 
 def complain(message: str) -> None:
     """One line on stderr that a terminal can show, whatever names and values the message quotes."""
-    line = " ".join(message.splitlines())
-    if len(line) > LONGEST:
-        line = f"{line[: LONGEST // 2]} ... {line[-LONGEST // 2 :]}"  # what was found comes first, what to do last
     if sys.stderr:  # closed, as in `2>&-`, it is None
-        print(f"roadproof: {line}", file=sys.stderr)
+        print(f"roadproof: {one_line(message)}", file=sys.stderr)
 
 
 def _forget_output() -> None:

@@ -1,10 +1,50 @@
 """The one error that is the user's to mend: every command turns it into one line and exit code 2."""
 
+import re
+import reprlib
 from collections.abc import Sequence
+from typing import Any
+
+LONGEST = 1000  # characters of a message; the longest list of names that it may have to offer is of 700
+LONGEST_WORD = 160  # characters without a space, or between quotes; a path may be as long
+LONGEST_VALUE = 60  # characters of a value
+QUOTED = re.compile(rf"""(?<![^\s=(\[{{,:])(["'])(?:(?!\1).){{{LONGEST_WORD - 1},}}\1(?![^\s,;:)\]}}.])""")
+WORD = re.compile(rf"\S{{{LONGEST_WORD + 1},}}")
+
+_shortly = reprlib.Repr()
+_shortly.maxlevel, _shortly.maxstring, _shortly.maxlong, _shortly.maxother = 3, LONGEST_VALUE, LONGEST_VALUE, LONGEST_VALUE
 
 
 class InputError(ValueError):
-    """Something given from outside is wrong. The message says what was found, what is allowed, and what to do."""
+    """Something given from outside is wrong. The message says what was found, what is allowed, and what to do.
+
+    It is one line of a sensible length, whatever names, paths and values it quotes: see `one_line`.
+    """
+
+    def __init__(self, message: object = "") -> None:
+        super().__init__(one_line(str(message)))
+
+
+def one_line(message: str) -> str:
+    """A message as one line that a terminal can show: long quotations, and the whole, are cut in the middle."""
+    line = " ".join(part.strip() for part in message.splitlines())
+    line = "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in line)
+    for pattern in (QUOTED, WORD):
+        line = pattern.sub(lambda found: middle_cut(found[0], LONGEST_WORD), line)
+    return middle_cut(line, LONGEST)  # what was found comes first, what to do last
+
+
+def quoted(value: Any) -> str:
+    """A value of any type and size, as a message quotes it: its `repr`, cut in the middle."""
+    return middle_cut(_shortly.repr(getattr(value, "tolist", lambda: value)()), LONGEST_VALUE)
+
+
+def middle_cut(text: str, most: int) -> str:
+    """A text, or its begin and end where it is longer than so many characters."""
+    if len(text) <= most:
+        return text
+    kept = most - len(" ... ")
+    return f"{text[: kept - kept // 2]} ... {text[-(kept // 2) :]}"
 
 
 def known(names) -> str:

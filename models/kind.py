@@ -1,13 +1,12 @@
 """A kind of vehicle: what `models/<name>.py` must say so that everything after it works unchanged."""
 
 import importlib
-import reprlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from models.errors import InputError, known
+from models.errors import InputError, known, quoted
 from models.linear_model import LinearModel
 from models.signals import Signal
 
@@ -74,9 +73,9 @@ class Parameter:
         smallest = SMALLEST if self.positive else 0.0
         allowed = f"a number from {smallest:g} to {LARGEST:g} {self.unit}"
         if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise InputError(f"{self.name} = {reprlib.repr(value)} is not a number; give {allowed}")
+            raise InputError(f"{self.name} = {quoted(value)} is not a number; give {allowed}")
         if not smallest <= value <= LARGEST:  # NaN is in no range
-            raise InputError(f"{self.name} = {reprlib.repr(value)} is not allowed; give {allowed}")
+            raise InputError(f"{self.name} = {quoted(value)} is not allowed; give {allowed}")
         return float(value)
 
 

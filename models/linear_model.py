@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.arrays import Array
-from models.errors import InputError, known
+from models.errors import InputError, known, quoted
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ class LinearModel:
         twist_rate: as what velocity [m/s] a metre of Br and Cr counts in a design [rad/s].
 
     Raises:
-        ValueError: a matrix does not fit the names.
+        ValueError: a matrix does not fit the names or is not finite, or the names are no tuples of different texts.
     """
 
     A: Array
@@ -51,12 +51,18 @@ class LinearModel:
     twist_rate: float = 1.0
 
     def __post_init__(self) -> None:
+        for what in ("states", "inputs", "disturbances", "outputs"):
+            names = getattr(self, what)
+            if not isinstance(names, tuple) or not all(isinstance(name, str) for name in names) or len(set(names)) < len(names):
+                raise ValueError(f"{what} = {quoted(names)} is no tuple of different names")
         n, m, r, p = len(self.states), len(self.inputs), len(self.disturbances), len(self.outputs)
         shapes = {"A": (n, n), "B": (n, m), "Bw": (n, r), "C": (p, n), "D": (p, m), "Br": (n, r), "Cr": (p, r)}
         for name, shape in shapes.items():
             matrix = np.array(getattr(self, name), dtype=float)
             if matrix.shape != shape:
                 raise ValueError(f"{name} has shape {matrix.shape}; its names say {shape}")
+            for row, column in np.argwhere(~np.isfinite(matrix))[:1]:
+                raise ValueError(f"{name}[{row}, {column}] = {matrix[row, column]} is not finite")
             matrix.flags.writeable = False
             object.__setattr__(self, name, matrix)
 

@@ -3,15 +3,38 @@
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo's bindings carry no type stubs.
 
-import mujoco
+import contextlib
+import threading
+from collections.abc import Iterator
 
-from models.errors import InputError
+import mujoco
+import numpy as np
+
+from models.errors import InputError, quoted
 from models.kind import GRAVITY
 from models.read_file import MIB, TEXT, open_plain
-from models.reality import Limits
 from models.vehicle import Vehicle
 
 GIVE = "give the model of the kind of vehicle"
+MUJOCO_SAYS = (ValueError, mujoco.FatalError)  # against a model
+
+
+_quiet_lock, _quiet_users = threading.Lock(), [0]
+
+
+@contextlib.contextmanager
+def quiet() -> Iterator[None]:
+    """Keeps MuJoCo from writing MUJOCO_LOG.TXT: what it warns of is found and reported. Its handler is one for all threads."""
+    with _quiet_lock:
+        _quiet_users[0] += 1
+        mujoco.set_mju_user_warning(lambda text: None)
+    try:
+        yield
+    finally:
+        with _quiet_lock:
+            _quiet_users[0] -= 1
+            if not _quiet_users[0]:
+                mujoco.set_mju_user_warning(None)
 
 
 def build_spec(vehicle: Vehicle, timestep: float) -> mujoco.MjSpec:
@@ -27,23 +50,54 @@ def build_spec(vehicle: Vehicle, timestep: float) -> mujoco.MjSpec:
     open_plain(vehicle.kind.mjcf, "MJCF", GIVE).close()
     if vehicle.kind.mjcf.stat().st_size > TEXT:
         raise InputError(f"MJCF {vehicle.kind.mjcf}: is too large; at most {TEXT / MIB:g} MiB is read: {GIVE}")
-    try:
-        spec = mujoco.MjSpec.from_file(str(vehicle.kind.mjcf))
-    except (ValueError, mujoco.FatalError) as error:
-        raise _wrong(vehicle, error) from error
+    spec = _drawn(vehicle)
     spec.option.timestep = timestep
     spec.option.gravity = [0.0, 0.0, -GRAVITY]
     vehicle.kind.write_mjcf(spec, vehicle.parameters)
-    _write_limits(spec, vehicle.limits)
+    _write_limits(spec, vehicle)
     return spec
 
 
-def _wrong(vehicle: Vehicle, error: Exception) -> InputError:
-    """What MuJoCo says of an MJCF that it does not take."""
-    return InputError(f"MJCF {vehicle.kind.mjcf}: MuJoCo does not take it ({' '.join(str(error).split())}); mend that")
+def _drawn(vehicle: Vehicle) -> mujoco.MjSpec:
+    """The MJCF of a kind as its file has it.
+
+    Raises:
+        InputError: it is none.
+    """
+    try:
+        with quiet():
+            return mujoco.MjSpec.from_file(str(vehicle.kind.mjcf))
+    except MUJOCO_SAYS as error:
+        raise InputError(f"MJCF {vehicle.kind.mjcf}: MuJoCo does not take it ({_said(error)}); mend that") from error
 
 
-def _write_limits(spec: mujoco.MjSpec, limits: Limits) -> None:
+def _compiled(vehicle: Vehicle, spec: mujoco.MjSpec) -> mujoco.MjModel:
+    """A model with the vehicle's parameters in it.
+
+    Raises:
+        InputError: MuJoCo does not take it. The message says whose fault that is: the MJCF's as it is drawn, or that of what
+            was written into it.
+    """
+    try:
+        with quiet():
+            return spec.compile()
+    except MUJOCO_SAYS as error:
+        try:
+            _drawn(vehicle).compile()
+        except MUJOCO_SAYS:
+            whose = f"MJCF {vehicle.kind.mjcf}: MuJoCo does not take it"
+        else:
+            whose = (
+                f"kind of vehicle {vehicle.kind.mjcf.with_suffix('.py')}: MuJoCo does not take what write_mjcf makes of the MJCF"
+            )
+        raise InputError(f"{whose} ({_said(error)}); mend that") from error
+
+
+def _said(error: Exception) -> str:
+    return " ".join(str(error).split())
+
+
+def _write_limits(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
     """Bump stops, largest force and lag, into every suspension and actuator.
 
     A bump stop is a second spring beside each tendon whose name begins with `suspension`, with a dead band of the stroke.
@@ -51,11 +105,12 @@ def _write_limits(spec: mujoco.MjSpec, limits: Limits) -> None:
     Raises:
         InputError: the kind's MJCF has no suspension tendons.
     """
+    limits = vehicle.limits
     if limits.suspension_stroke is not None and limits.stop_stiffness is not None:
         suspensions = [tendon for tendon in spec.tendons if tendon.name.startswith("suspension")]
         if not suspensions:
             raise InputError("[limits] suspension_stroke: this kind of vehicle has no suspension to stop; leave it out")
-        at_rest = spec.copy().compile()
+        at_rest = _compiled(vehicle, spec.copy())
         for tendon in suspensions:
             rest = float(at_rest.tendon_length0[at_rest.tendon(tendon.name).id])
             stop = spec.add_tendon(name=f"stop_{tendon.name}")
@@ -82,12 +137,13 @@ def build_model(vehicle: Vehicle, timestep: float) -> mujoco.MjModel:
     Args:
         vehicle: the vehicle.
         timestep: integration step [s].
+
+    Raises:
+        InputError: see `build_spec`; or it lacks what the equations name, or is no model of theirs.
     """
-    try:
-        model = build_spec(vehicle, timestep).compile()
-    except (ValueError, mujoco.FatalError) as error:
-        raise _wrong(vehicle, error) from error
+    model = _compiled(vehicle, build_spec(vehicle, timestep))
     _check_names(vehicle, model)
+    _check_numbers(vehicle, model)
     return model
 
 
@@ -109,6 +165,39 @@ def _check_names(vehicle: Vehicle, model: mujoco.MjModel) -> None:
     missing += [f"mocap body {wheel.road_body!r}" for wheel in kind.wheels if wheel.road_body not in mocap]
     if missing:
         raise InputError(f"MJCF {kind.mjcf}: has no {', no '.join(missing)}, which the equations name; add what is missing")
+
+
+def _check_numbers(vehicle: Vehicle, model: mujoco.MjModel) -> None:
+    """Refuses a model that cannot be driven from qpos = 0, or read out.
+
+    Raises:
+        InputError: it says what is wrong.
+    """
+    where = f"MJCF {vehicle.kind.mjcf}"
+    actuators = tuple(model.actuator(i).name for i in range(model.nu))
+    if actuators != vehicle.linear_model.inputs:
+        raise InputError(
+            f"{where}: its actuators are {', '.join(map(repr, actuators))}, and the inputs of the equations "
+            f"{', '.join(map(repr, vehicle.linear_model.inputs))}; name them alike, in the same order"
+        )
+    if model.nq != model.nv:
+        raise InputError(f"{where}: has a free or a ball joint, whose angles are no coordinates; give slides and hinges")
+    for name in vehicle.linear_model.outputs:
+        for part in vehicle.kind.combined.get(name, {name: 1.0}):
+            sensor = model.sensor(part)
+            count = int(sensor.dim[0])
+            along = sensor.user[:count]
+            if len(along) < count or not np.all(np.isfinite(along)) or not along.any():
+                raise InputError(
+                    f"{where}: sensor {part!r} has {count} number(s), and user = {quoted(along)} is no direction along "
+                    'which to read them; give as many, as in user="0 0 1", and <size nuser_sensor="3"/>'
+                )
+    data = mujoco.MjData(model)
+    with quiet():
+        mujoco.mj_forward(model, data)
+    for what, values in {"acceleration": data.qacc, "sensor": data.sensordata}.items():
+        if not np.all(np.isfinite(values)):
+            raise InputError(f"{where}: its {what}s at qpos = 0 are not finite; mend it, or what write_mjcf writes into it")
 
 
 def mjcf_text(vehicle: Vehicle, timestep: float) -> str:

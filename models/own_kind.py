@@ -1,17 +1,19 @@
-"""A kind of vehicle of the user's own: its Python is run, and whatever that stumbles over is said in one line."""
+"""A kind of vehicle of the user's own: its Python is run, and whatever is wrong with it, or with what it gives, is one line."""
 
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from functools import wraps
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from models.errors import InputError
+import numpy as np
+
+from models.errors import InputError, one_line
 from models.kind import VehicleKind
-from models.linear_model import LinearModel
 from models.read_file import TEXT, read_text
+from models.sound_kind import wrong_distance, wrong_linear_model, wrong_parts, wrong_place, wrong_rest
 
 GIVE = "give the equations of the kind, as README.md shows them"
 
@@ -28,50 +30,91 @@ def read_kind(folder: Path, name: str) -> VehicleKind:
     module.__file__ = str(path)
     text = read_text(path, "kind of vehicle", TEXT, GIVE)
     try:
-        exec(compile(text, str(path), "exec"), vars(module))
-    except SyntaxError as error:
-        raise InputError(f"{what}: is no Python ({error.msg}, line {error.lineno}); mend that") from error
-    except InputError:
-        raise
-    except (Exception, SystemExit) as error:
-        raise _failed(path, "fails", error) from error
+        code = compile(text, str(path), "exec")
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:  # a NUL; brackets in brackets in ...
+        where = f", line {error.lineno}" if isinstance(error, SyntaxError) else ""
+        raise InputError(f"{what}: is no Python ({getattr(error, 'msg', error)}{where}); mend that") from error
+    _run(path, "the file", lambda: exec(code, vars(module)))
     found = vars(module).get("KIND")
     if not isinstance(found, VehicleKind):
         has = f"its KIND is a {type(found).__name__}" if "KIND" in vars(module) else "it has no KIND"
         raise InputError(f"{what}: {has}; end it with KIND = VehicleKind(...), as README.md shows")
     if found.name != name:
         raise InputError(f"{what}: its KIND is called {found.name!r}; call it {name!r}, as its files are")
-    functions: dict[str, Any] = {
-        "linear_model": LinearModel,
-        "static_tyre_deflection": Mapping,
-        "write_mjcf": object,
-        "check_together": object,
-    }
-    guarded = {key: _guarded(path, key, getattr(found, key), kind) for key, kind in functions.items()}
-    return replace(found, folder=folder, **guarded)
+    if wrong := _run(path, "its KIND", lambda: wrong_parts(found)):
+        raise InputError(f"{what}: {wrong}")
+    return _guarded_kind(path, replace(found, folder=folder))
 
 
-def _guarded(path: Path, name: str, function: Callable[..., Any], kind: type) -> Callable[..., Any]:
-    """A function of the user's, whose failures are ours to tell."""
+def _guarded_kind(path: Path, kind: VehicleKind) -> VehicleKind:
+    """The same kind, whose functions give what they should or raise InputError."""
+    for name in ("linear_model", "static_tyre_deflection", "write_mjcf", "check_together"):
+        if not callable(getattr(kind, name)):
+            raise InputError(f"kind of vehicle {path}: its {name} is no function; give one of the parameters")
+    return replace(
+        kind,
+        wheels=tuple(
+            replace(
+                wheel,
+                behind=_guarded(path, f"behind of the wheel at {wheel.road_body!r}", wheel.behind, wrong_distance),
+                lateral=_guarded(path, f"lateral of the wheel at {wheel.road_body!r}", wheel.lateral, wrong_place),
+            )
+            for wheel in kind.wheels
+        ),
+        linear_model=_guarded(path, "linear_model", kind.linear_model, lambda model: wrong_linear_model(model, kind)),
+        static_tyre_deflection=_guarded(
+            path, "static_tyre_deflection", kind.static_tyre_deflection, lambda squeezes: wrong_rest(squeezes, kind)
+        ),
+        write_mjcf=_guarded(path, "write_mjcf", kind.write_mjcf, lambda nothing: ""),
+        check_together=_guarded(path, "check_together", kind.check_together, lambda nothing: "", refuses=True),
+    )
+
+
+def _guarded(
+    path: Path, name: str, function: Callable[..., Any], wrong: Callable[[Any], str], refuses: bool = False
+) -> Callable[..., Any]:
+    """A function of the user's, whose failures are ours to tell.
+
+    Args:
+        path: its file.
+        name: what a message calls it.
+        function: the function; its last argument are the parameters, and it gets a copy of its own.
+        wrong: result -> what is wrong with it, or nothing.
+        refuses: whether an InputError of its own is what it is there for: it speaks of the parameters.
+    """
 
     @wraps(function)
     def call(*arguments: Any) -> Any:
-        try:
-            result = function(*arguments)
-        except InputError:
-            raise
-        except (Exception, SystemExit) as error:
-            raise _failed(path, f"{name} fails", error) from error
-        if not isinstance(result, kind):
-            raise InputError(f"kind of vehicle {path}: {name} gives a {type(result).__name__}, not a {kind.__name__}; mend that")
+        *others, parameters = arguments
+        result = _run(path, name, lambda: function(*others, dict(parameters)), refuses)
+        if said := _run(path, name, lambda: wrong(result)):  # what it gives may have code of theirs as well
+            raise InputError(f"kind of vehicle {path}: {name} gives {said}")
         return result
 
     return call
 
 
-def _failed(path: Path, what: str, error: BaseException) -> InputError:
-    """What went wrong in the user's code, with its last line there."""
-    lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
-    where = f", line {lines[-1]}" if lines else ""
-    said = " ".join(str(error).split())
-    return InputError(f"kind of vehicle {path}: {what} ({type(error).__name__}{f': {said}' if said else ''}{where}); mend that")
+def _run(path: Path, name: str, code: Callable[[], Any], refuses: bool = False) -> Any:
+    """Runs code of the user's; what it gives.
+
+    Raises:
+        InputError: it failed. The message has the last line of theirs that ran.
+    """
+    try:
+        with np.errstate(all="ignore"):  # what is not finite is found in the result
+            return code()
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # SystemExit too, and what a user derives from BaseException
+        if refuses and isinstance(error, InputError):
+            raise
+        frames = traceback.extract_tb(error.__traceback__)
+        lines = [frame.lineno for frame in frames if frame.filename == str(path)]
+        where = f", line {lines[-1]}" if lines else ""
+        try:
+            said = one_line(str(error))
+        except Exception:  # its text is the user's code as well
+            said = ""
+        kind = "" if isinstance(error, InputError) else type(error).__name__
+        reason = ": ".join(text for text in (kind, said) if text)
+        raise InputError(f"kind of vehicle {path}: {name} fails ({reason}{where}); mend that") from error

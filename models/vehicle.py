@@ -1,6 +1,5 @@
 """A vehicle file (TOML): the kind of vehicle, its parameters, the performance weights and the controllers. All a user writes."""
 
-import reprlib
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -11,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from models.arrays import Array
-from models.errors import InputError, known
+from models.errors import InputError, known, quoted
 from models.kind import HERE, LARGEST, VehicleKind, kind, kinds
 from models.linear_model import LinearModel
 from models.read_file import TEXT, read_text
@@ -124,7 +123,7 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
         if not isinstance(data.get(section, {}), dict):
             raise InputError(f"{section!r} is not a section; write it as [{section}]")
     if not isinstance(data["type"], str):
-        raise InputError(f"type = {reprlib.repr(data['type'])} is not a name in quotes; known: {known(kinds())}")
+        raise InputError(f"type = {quoted(data['type'])} is not a name in quotes; known: {known(kinds())}")
 
     vehicle_kind = kind(data["type"], folder)
     parameters = vehicle_kind.check(data["parameters"])
@@ -148,7 +147,7 @@ def _performance(section: Mapping[str, Any], model: LinearModel) -> dict[str, fl
             raise InputError(f"[performance] unknown signal {signal!r}; this vehicle has {known(model.outputs)}")
         if not _is_number(weight) or not (weight == 0 or SMALLEST_WEIGHT <= weight <= LARGEST_WEIGHT):
             raise InputError(
-                f"[performance] {signal} = {reprlib.repr(weight)} is not allowed; give 0 or a weight from {SMALLEST_WEIGHT:g} "
+                f"[performance] {signal} = {quoted(weight)} is not allowed; give 0 or a weight from {SMALLEST_WEIGHT:g} "
                 f"to {LARGEST_WEIGHT:g}"
             )
         weights[signal] = float(weight)
@@ -177,11 +176,11 @@ def _controller(name: str, entry: Any, model: LinearModel) -> ControllerEntry:
     measured = entry.get("measured")
     measurable = known(model.measurable)
     if not isinstance(measured, list) or not measured or not all(isinstance(signal, str) for signal in measured):
-        found = f"measured = {reprlib.repr(measured)} is no list of signals" if "measured" in entry else "measured is missing"
+        found = f"measured = {quoted(measured)} is no list of signals" if "measured" in entry else "measured is missing"
         raise InputError(f"{where} {found}; give a list of signals out of: {measurable}")
     for signal in measured:
         if signal not in model.outputs:
-            raise InputError(f"{where} unknown signal {reprlib.repr(signal)}; it can measure {measurable}")
+            raise InputError(f"{where} unknown signal {quoted(signal)}; it can measure {measurable}")
         if measured.count(signal) > 1:
             raise InputError(f"{where} measures {signal!r} twice; name it once")
         if signal not in model.measurable:
@@ -202,7 +201,7 @@ def _gain(where: str, gain: Any, model: LinearModel, measured: list[str]) -> Arr
     )
     rows = gain if isinstance(gain, list) else [gain]
     if not all(isinstance(row, list) and all(_is_number(entry) for entry in row) for row in rows):
-        raise InputError(f"{where} gain = {reprlib.repr(gain)} is not a matrix of numbers; {allowed}")
+        raise InputError(f"{where} gain = {quoted(gain)} is not a matrix of numbers; {allowed}")
     if len(rows) != m or any(len(row) != q for row in rows):
         lengths = " or ".join(str(length) for length in sorted({len(row) for row in rows})) or "no"
         raise InputError(f"{where} gain has {len(rows)} row(s) of {lengths} number(s); {allowed}")

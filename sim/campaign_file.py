@@ -2,7 +2,6 @@
 
 import hashlib
 import math
-import reprlib
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -12,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from models.arrays import Array
-from models.errors import InputError, known
+from models.errors import InputError, known, quoted
 from models.kind import Parameter
 from models.read_file import TEXT, read_text
 from models.vehicle import Vehicle, read_vehicle
@@ -187,7 +186,7 @@ def _seeds(data: Mapping[str, Any]) -> tuple[int, ...]:
             )
         return tuple(range(seeds))
     if not isinstance(seeds, list) or not seeds:
-        raise InputError(f"seeds = {reprlib.repr(seeds)} is no number of seeds, nor a list of whole numbers")
+        raise InputError(f"seeds = {quoted(seeds)} is no number of seeds, nor a list of whole numbers")
     found = tuple(check_seed(seed) for seed in seeds)
     if len(set(found)) < len(found):
         raise InputError("seeds has one twice; name each once")
@@ -207,9 +206,9 @@ def _samples(section: Any, vehicles: Mapping[str, Vehicle]) -> dict[str, tuple[M
         raise InputError(f"[samples] 'count' is missing; give how many samples, a whole number from 1 to {MOST_RUNS}")
     count, method = section["count"], section.get("method", "latin_hypercube")
     if isinstance(count, bool) or not isinstance(count, int) or not 1 <= count <= MOST_RUNS:
-        raise InputError(f"[samples] count = {reprlib.repr(count)} makes no runs; give a whole number from 1 to {MOST_RUNS}")
+        raise InputError(f"[samples] count = {quoted(count)} makes no runs; give a whole number from 1 to {MOST_RUNS}")
     if method not in METHODS:
-        raise InputError(f"[samples] method = {reprlib.repr(method)} is unknown; give one of {known(METHODS)}")
+        raise InputError(f"[samples] method = {quoted(method)} is unknown; give one of {known(METHODS)}")
     table = section.get("parameters")
     if not isinstance(table, dict) or not table:
         raise InputError("[samples] samples no parameters; write [samples.parameters] with NAME = { uniform = [low, high] }")
@@ -248,7 +247,7 @@ def _distribution(name: str, entry: Any) -> Distribution:
     where = f"[samples.parameters] {name}"
     example = f"as in {name} = {{ uniform = [0.8, 1.2], relative = true }}"
     if not isinstance(entry, dict):
-        raise InputError(f"{where} = {reprlib.repr(entry)} is no distribution; give one of {known(DISTRIBUTIONS)}, {example}")
+        raise InputError(f"{where} = {quoted(entry)} is no distribution; give one of {known(DISTRIBUTIONS)}, {example}")
     shapes = [key for key in entry if key != "relative"]
     if len(shapes) != 1 or shapes[0] not in DISTRIBUTIONS or not isinstance(entry.get("relative", False), bool):
         raise InputError(
@@ -256,7 +255,7 @@ def _distribution(name: str, entry: Any) -> Distribution:
         )
     values = entry[shapes[0]]
     if not isinstance(values, list) or len(values) != 2:
-        raise InputError(f"{where}: {shapes[0]} = {reprlib.repr(values)} is not two numbers, {example}")
+        raise InputError(f"{where}: {shapes[0]} = {quoted(values)} is not two numbers, {example}")
     a, b = (_number(value, f"{where}: {shapes[0]}", -1e12, 1e12) for value in values)
     if (a >= b) if shapes[0] == "uniform" else (b <= 0):
         raise InputError(
@@ -288,7 +287,7 @@ def _list(data: Mapping[str, Any], key: str, example: str) -> list[Any]:
         raise InputError(f"{key!r} is missing, so there are no runs; {give}")
     values = data[key]
     if not isinstance(values, list):
-        raise InputError(f"{key} = {reprlib.repr(values)} is not a list; {give}")
+        raise InputError(f"{key} = {quoted(values)} is not a list; {give}")
     if not values:
         raise InputError(f"{key} = [] names none, so there are no runs; {give}")
     seen = set()
@@ -303,13 +302,13 @@ def _texts(data: Mapping[str, Any], key: str, example: str) -> Sequence[str]:
     values = _list(data, key, f'"{example}"')
     for value in values:
         if not isinstance(value, str):
-            raise InputError(f"{key}: {reprlib.repr(value)} is not text in quotes")
+            raise InputError(f"{key}: {quoted(value)} is not text in quotes")
     return values
 
 
 def _number(value: Any, where: str, smallest: float, largest: float) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not smallest <= value <= largest:
-        raise InputError(f"{where}: {reprlib.repr(value)} is not allowed; give a number from {smallest:g} to {largest:g}")
+        raise InputError(f"{where}: {quoted(value)} is not allowed; give a number from {smallest:g} to {largest:g}")
     return float(value)
 
 

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
 
-from models.errors import InputError, known
+from models.errors import InputError, known, quoted
 from sim.iso8608 import HIGHEST, LOWEST, Iso8608, check_seed, roughness
 from sim.multisine import MULTISINES, Multisine
 from sim.obstacles import Scaled
@@ -47,7 +47,7 @@ def described_road(description: Mapping[str, Any], points: bytes | None = None) 
     allowed = {field.name: field.default for field in fields(OBSTACLES[kind])}
     for name in description:
         if name not in (*allowed, "type", "factor"):
-            raise InputError(f"road {kind}: it has no {_short(name)}; known: {known(allowed)}")
+            raise InputError(f"road {kind}: it has no {quoted(name)}; known: {known(allowed)}")
     values = {name: _side(description) if name == "track" else _number(description, name) for name in allowed}
     road = OBSTACLES[kind](**values)
     return Scaled(road, _number(description, "factor")) if "factor" in description else road
@@ -70,7 +70,7 @@ def _random(description: Mapping[str, Any]) -> Iso8608:
 def _number(description: Mapping[str, Any], name: str) -> float:
     value = description.get(name)
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= 1e300:
-        raise InputError(f"road {_short(description['type'])}: its {name} is no finite number")
+        raise InputError(f"road {quoted(description['type'])}: its {name} is no finite number")
     return float(value)
 
 
@@ -86,7 +86,3 @@ def _side(description: Mapping[str, Any]) -> str:
     if side not in SIDES:
         raise InputError(f"road {description['type']}: track is not one of {known(SIDES)}")
     return side
-
-
-def _short(text: Any) -> str:
-    return repr(str(text)[:40])

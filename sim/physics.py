@@ -10,19 +10,16 @@ What makes it agree with the analysis to the integrator's own error (RK4's, to t
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo's bindings carry no type stubs.
 
-import contextlib
 import functools
-import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
 from models.arrays import Array
-from models.mjcf import build_model
+from models.mjcf import build_model, quiet
 from models.vehicle import Vehicle
 from sim.readout import Readout, gain_on, known, mix, prepared, unseen
 from sim.response import Response
@@ -190,7 +187,7 @@ def in_blocks(
     names = [signal.name for signal in signals]
     heights = [names.index(wheel.road_displacement) for wheel in vehicle.kind.wheels]
     inside = readout.stage > stage
-    with _quiet():
+    with quiet():
         steps = _step(batch, readout.mocap, gain, offset, midway, now if readout.felt else None, stage, law, size)
         for start, sensed, qpos, qvel, asked in steps:
             some = slice(start, start + len(sensed))
@@ -207,24 +204,6 @@ def in_blocks(
             for force in np.moveaxis(asked, 2, 0):
                 largest = np.maximum(largest, np.abs(force))
             yield Block(start, recorded, qpos, qvel, largest)
-
-
-_quiet_lock, _quiet_users = threading.Lock(), [0]
-
-
-@contextlib.contextmanager
-def _quiet() -> Iterator[None]:
-    """Keeps MuJoCo from writing MUJOCO_LOG.TXT: runs that diverge are reported. Its handler is one for all threads."""
-    with _quiet_lock:
-        _quiet_users[0] += 1
-        mujoco.set_mju_user_warning(lambda text: None)
-    try:
-        yield
-    finally:
-        with _quiet_lock:
-            _quiet_users[0] -= 1
-            if not _quiet_users[0]:
-                mujoco.set_mju_user_warning(None)
 
 
 def _law(sampler: Sampler, readout: Readout, unseen_of_road: Array, stage: int) -> Callable[[int, Array], Array]:

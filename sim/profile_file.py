@@ -84,7 +84,7 @@ def _profile(text: str, speed: float, source: str, table: Table) -> Profile:
             count = len(cells)
         found = _numbers(cells)
         if found is None or len(found) != count:
-            raise InputError(f"line {number}: {' '.join(cells)[:80]!r} is not {count} numbers; {FORMAT}")
+            raise InputError(f"line {number}: {' '.join(cells)!r} is not {count} numbers; {FORMAT}")
         lines.append(number)
         values.extend(found)
     points = np.frombuffer(values, dtype=float).reshape(-1, count or 2) if values else np.zeros((0, 2))

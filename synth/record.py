@@ -4,14 +4,13 @@ Only what cannot be recomputed is needed to check it: the X of (20) and the witn
 claimed stand beside them, so that a check can compare.
 """
 
-import reprlib
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from models.arrays import Array
-from models.errors import InputError, known
+from models.errors import InputError, known, quoted
 from synth.certificate import Certificate, eta_of
 from synth.limit import limit_at as proved_at
 from synth.lower_bound import LowerBound, Witness, lower_bound
@@ -65,7 +64,7 @@ def read_proof(record: Mapping[str, Any], plant: GeneralizedPlant, Cy: Array) ->
     if X is not None:
         if not np.all(np.diagonal(X) >= SMALLEST):
             raise InputError(
-                f"X = {reprlib.repr(record['X'])} in a certificate is not positive definite: no entry of its diagonal may be "
+                f"X = {quoted(record['X'])} in a certificate is not positive definite: no entry of its diagonal may be "
                 f"below {SMALLEST:g}"
             )
         size = np.sqrt(np.abs(np.diagonal(X)))
@@ -118,7 +117,7 @@ def _number(record: Mapping[str, Any], key: str) -> float | None:
     zero = key in MAY_BE_ZERO and number and value == 0
     if not number or not (zero or SMALLEST <= value <= LARGEST):
         raise InputError(
-            f"{key} = {reprlib.repr(value)} in a certificate is not a number from {SMALLEST:g} to {LARGEST:g}; save it again"
+            f"{key} = {quoted(value)} in a certificate is not a number from {SMALLEST:g} to {LARGEST:g}; save it again"
         )
     return float(value)
 
@@ -134,7 +133,7 @@ def _matrix(record: Mapping[str, Any], key: str, shape: tuple[int, int] | None =
     if matrix.ndim != 2 or not np.all(np.abs(matrix) <= LARGEST) or (shape is not None and matrix.shape != shape):
         expected = f" of shape {shape}" if shape else ""
         raise InputError(
-            f"{key} = {reprlib.repr(value)} in a certificate is not a matrix of finite numbers{expected}, none beyond {LARGEST:g}"
+            f"{key} = {quoted(value)} in a certificate is not a matrix of finite numbers{expected}, none beyond {LARGEST:g}"
         )
     return matrix
 
@@ -147,5 +146,5 @@ def _witness(record: Mapping[str, Any], key: str) -> Witness | None:
         value = {}
     X, eta = _matrix(value, "X"), _number(value, "eta")
     if X is None or eta is None or X.shape[0] != X.shape[1]:
-        raise InputError(f"{key} = {reprlib.repr(value)} in a certificate is no witness with X and eta")
+        raise InputError(f"{key} = {quoted(value)} in a certificate is no witness with X and eta")
     return Witness(X, eta)

@@ -7,8 +7,12 @@ from pathlib import Path
 import pytest
 
 from models.errors import InputError
+from models.kind import kinds
 from models.read_file import TEXT
+from models.sound_kind import wrong_distance, wrong_linear_model, wrong_parts, wrong_place, wrong_rest
+from models.vehicle import read_vehicle
 from sim.bump import main
+from tests.damaged_kinds import damages
 
 BLOCKS = re.findall(r"```(python|xml|toml)\n(.*?)```", (Path(__file__).parent.parent / "README.md").read_text("utf-8"), re.DOTALL)
 BUILD = "def linear_model(p):"
@@ -52,7 +56,7 @@ def test_it_works(folder):
         (BUILD, f"{BUILD}\n    p['weight']", r"linear_model fails \(KeyError: 'weight', line 11\)"),
         (BUILD, f"{BUILD}\n    return None", r"linear_model gives a NoneType, not a LinearModel"),
         ("np.array([[-1], [0]])", "np.array([[-1]])", r"linear_model fails \(ValueError: Bw has shape \(1, 1\)"),
-        ('return {"tyre', 'return 0, {"tyre', r"static_tyre_deflection gives a tuple, not a Mapping"),
+        ('return {"tyre', 'return 0, {"tyre', r"static_tyre_deflection gives a tuple, not a mapping from each tyre's signal"),
         ('spec.body("sprung")', 'spec.body("nobody")', r"write_mjcf fails \(AttributeError: .*line \d+\)"),
     ],
 )
@@ -104,3 +108,56 @@ def test_what_is_no_plain_file(folder, suffix, kind, said):
         with path.open("wb") as file:
             file.truncate(TEXT + 1)
     assert said in refusal(folder)
+
+
+@pytest.mark.parametrize("damage", list(damages()), ids=lambda damage: f"{damage.suffix}: {damage.what}")
+def test_damaged_kinds(folder, damage, capfd, monkeypatch):
+    """Whatever a kind hands in that is no vehicle's is refused in one line that names the file and the function, before it runs.
+
+    Nothing else is printed or written.
+    """
+    monkeypatch.chdir(folder)
+    path = folder / f"hopper.{damage.suffix}"
+    text = path.read_text()
+    assert damage.old in text
+    path.write_text(text.replace(damage.old, damage.new, 1) if damage.old else f"{text}\n{damage.new}")
+    found = refusal(folder)
+    assert re.search(damage.said, found), found
+    assert str(folder) in found
+    assert len(found) < 500
+    assert capfd.readouterr() == ("", "")
+    assert sorted(one.name for one in folder.iterdir()) == ["hopper.py", "hopper.toml", "hopper.xml"]
+
+
+def test_own_refusal(folder):
+    """What a kind's `check_together` says of parameters is said as it is, without a line of Python."""
+    path = folder / "hopper.py"
+    refuses = "def check_together(p):\n    raise InputError(f\"mass = {p['mass']:g} kg is too much\")\n\n\nKIND ="
+    text = (
+        path.read_text()
+        .replace("KIND =", refuses)
+        .replace("write_mjcf=write_mjcf,", "write_mjcf=write_mjcf, check_together=check_together,")
+    )
+    path.write_text(f"from models.errors import InputError\n{text}")
+    assert refusal(folder) == f"vehicle file {folder / 'hopper.toml'}: mass = 200 kg is too much"
+
+
+def test_parameters_stay(folder):
+    """A function of the user's that changes the parameters it is given changes a copy."""
+    path = folder / "hopper.py"
+    path.write_text(path.read_text().replace(BUILD, f"{BUILD}\n    p['old'], p['mass'] = p.pop('mass'), 200.0"))
+    vehicle = read_vehicle(folder / "hopper.toml")
+    vehicle.kind.linear_model(vehicle.parameters)
+    assert list(vehicle.parameters) == ["mass", "stiffness"]
+
+
+@pytest.mark.parametrize("name", kinds())
+def test_those_that_ship_are_sound(name):
+    """The kinds that ship pass the door that the user's own go through."""
+    vehicle = read_vehicle(name)
+    kind = vehicle.kind
+    assert not wrong_parts(kind)
+    assert not wrong_linear_model(vehicle.linear_model, kind)
+    assert not wrong_rest(kind.static_tyre_deflection(vehicle.parameters), kind)
+    assert not any(wrong_distance(wheel.behind(vehicle.parameters)) for wheel in kind.wheels)
+    assert not any(wrong_place(wheel.lateral(vehicle.parameters)) for wheel in kind.wheels)

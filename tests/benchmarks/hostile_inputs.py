@@ -417,7 +417,7 @@ def _judged(code: int, out: str, err: str, took: float, memory: float, new: set[
             return f"exit code 2, and stdout has {out[:80]!r}"
         if err.count("\n") != 1 or not err.startswith("roadproof: "):
             return f"exit code 2, and stderr is not one line: {err[:200]!r}"
-        if len(err) > 3000:
+        if len(err) > 1100:
             return f"a line of {len(err)} characters"
         left = {name for name in new if not name.startswith("new/")}
         if left:

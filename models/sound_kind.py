@@ -1,0 +1,167 @@
+"""Whether what a kind of vehicle of the user's own hands in can be a vehicle's: its parts, and what each of its functions gives.
+
+Every check returns what is wrong, in words, or nothing: who asks says whose it is.
+"""
+
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from models.errors import quoted, some
+from models.kind import MOST_SQUEEZE, Parameter, Variation, VehicleKind, Wheel
+from models.linear_model import LinearModel
+from models.signals import Signal
+
+LARGEST = 1e30  # SI; of any entry. A parameter over a parameter is at most 1e18, and its square is no longer a vehicle's
+LONGEST = 60  # characters of a name
+SIDES = ("", "left", "right")
+
+
+def wrong_parts(kind: VehicleKind) -> str:
+    """What is wrong with the parts of a kind that are no functions: parameters, signals, wheels, sums of sensors."""
+    for what, of in {"parameters": Parameter, "signals": Signal, "wheels": Wheel}.items():
+        parts = getattr(kind, what)
+        if not isinstance(parts, (tuple, list)) or not all(isinstance(part, of) for part in parts):
+            return f"its {what} are {quoted(parts)}; give a tuple of {of.__name__}s"
+        if what != "parameters" and not parts:
+            return f"it has no {what}; give at least one"
+    for what, texts in {"parameter": ("unit", "meaning"), "signal": ("symbol", "unit", "meaning")}.items():
+        parts = getattr(kind, f"{what}s")
+        if wrong := _wrong_names(what, [part.name for part in parts]):
+            return wrong
+        for part in parts:
+            for text in texts:
+                if not isinstance(getattr(part, text), str):
+                    return f"{what} {part.name!r} has the {text} {quoted(getattr(part, text))}; give a text"
+    for part in kind.parameters:
+        varied = part.varied
+        if varied is not None and not (isinstance(varied, Variation) and isinstance(varied.name, str)):
+            return f"parameter {part.name!r} has varied = {quoted(varied)}; give Variation(name, smallest, largest)"
+    return _wrong_wheels(kind) or _wrong_sums(kind)
+
+
+def _wrong_wheels(kind: VehicleKind) -> str:
+    for what in ("road_body", "road_displacement", "road_velocity", "tyre_deflection"):
+        if wrong := _wrong_names(f"{what} of a wheel", [getattr(wheel, what) for wheel in kind.wheels]):
+            return wrong
+    names = {signal.name for signal in kind.signals}
+    for wheel in kind.wheels:
+        for what in ("road_displacement", "road_velocity", "tyre_deflection"):
+            if getattr(wheel, what) not in names:
+                return f"a wheel's {what} {getattr(wheel, what)!r} is none of its signals; add it to them"
+        if wheel.side not in SIDES:
+            return f"a wheel's side is {quoted(wheel.side)}; give 'left', 'right', or '' where there is only one track"
+        for what in ("behind", "lateral"):
+            if not callable(getattr(wheel, what)):
+                return f"a wheel's {what} is {quoted(getattr(wheel, what))}; give a function of the parameters"
+    return ""
+
+
+def _wrong_sums(kind: VehicleKind) -> str:
+    if not isinstance(kind.combined, Mapping):
+        return f"its combined is {quoted(kind.combined)}; give {{signal: {{other signal: factor}}}}"
+    names = {signal.name for signal in kind.signals}
+    for name, parts in kind.combined.items():
+        if name not in names:
+            return f"combined {quoted(name)} is none of its signals; add it to them"
+        if not isinstance(parts, Mapping) or not parts:
+            return f"combined {name!r} is {quoted(parts)}; give {{other signal: factor}}"
+        for part, factor in parts.items():
+            if not isinstance(part, str) or not _is_number(factor) or factor == 0:
+                return f"combined {name!r} has {quoted(factor)} of {quoted(part)}; give finite factors that are not 0"
+    return ""
+
+
+def wrong_linear_model(model: Any, kind: VehicleKind) -> str:
+    """What is wrong with a linear model as one of this kind."""
+    if not isinstance(model, LinearModel):
+        return _of_type(model, "a LinearModel")
+    for what in ("states", "inputs", "disturbances", "outputs"):
+        if not getattr(model, what):
+            return f"a model without {what}; give at least one"
+    for name in ("A", "B", "Bw", "C", "D", "Br", "Cr"):
+        for row, column in np.argwhere(np.abs(getattr(model, name)) > LARGEST)[:1]:
+            return (
+                f"{name}[{row}, {column}] = {getattr(model, name)[row, column]:g}, larger than any vehicle's; at most {LARGEST:g}"
+            )
+    if not _is_number(model.twist_rate) or model.twist_rate <= 0:
+        return f"twist_rate = {quoted(model.twist_rate)}; give a finite number above 0"
+
+    roads = tuple(wheel.road_velocity for wheel in kind.wheels)
+    if tuple(model.disturbances) != roads:
+        return f"the disturbances {some(model.disturbances)}; its wheels' road velocities, in their order, are {some(roads)}"
+    driven = {*roads, *(wheel.road_displacement for wheel in kind.wheels)}
+    own = [signal.name for signal in kind.signals if signal.name not in driven]
+    for name in own:
+        if name not in model.outputs:
+            return f"no output {name!r}, which is one of the kind's signals; add it, or take it out of them"
+    for name in model.outputs:
+        if name not in own:
+            return f"an output {name!r}, which is none of the kind's signals but the road's; add it to them"
+    for what, names, own_part, others in (
+        ("state", model.states, model.C, (model.D, model.Cr)),
+        ("input", model.inputs, model.D, (model.C, model.Cr)),
+    ):
+        for i, name in enumerate(names):
+            if name not in model.outputs:
+                return f"the {what} {name!r}, which is none of its outputs; add it to them, it can then be measured"
+            row, unit = model.outputs.index(name), np.eye(len(names))[i]
+            if not np.array_equal(own_part[row], unit) or any(other[row].any() for other in others):
+                return f"an output {name!r} that is not the {what} of that name; mend its rows of C, D and Cr"
+    for wheel in kind.wheels:
+        if wheel.tyre_deflection not in model.outputs:
+            return f"no output {wheel.tyre_deflection!r}, a wheel's tyre; add it"
+    return ""
+
+
+def wrong_rest(squeezes: Any, kind: VehicleKind) -> str:
+    """What is wrong with how far the tyres of this kind are squeezed at rest."""
+    if not isinstance(squeezes, Mapping):
+        return _of_type(squeezes, "a mapping from each tyre's signal to metres")
+    tyres = [wheel.tyre_deflection for wheel in kind.wheels]
+    for tyre in tyres:
+        if tyre not in squeezes:
+            return f"nothing for {tyre!r}; give one number for each of {some(tyres)}"
+    for tyre, squeeze in squeezes.items():
+        if tyre not in tyres:
+            return f"a number for {quoted(tyre)}, which is no wheel's tyre; give one for each of {some(tyres)}"
+        if not _is_number(squeeze) or squeeze <= 0:
+            return (
+                f"{tyre} = {quoted(squeeze)}; give a number above 0 and at most {MOST_SQUEEZE} m: a tyre that carries nothing "
+                "stands on no road"
+            )
+    return ""
+
+
+def wrong_place(place: Any) -> str:
+    """What is wrong with how far a wheel is behind the first, or to the left."""
+    return "" if _is_number(place) and abs(place) <= LARGEST else f"{quoted(place)}; give a finite number of metres"
+
+
+def wrong_distance(distance: Any) -> str:
+    """What is wrong with how far a wheel runs behind the first."""
+    return wrong_place(distance) or (
+        "" if distance >= 0 else f"{distance:g} m; the first wheel meets the road first, so give 0 or more"
+    )
+
+
+def _wrong_names(what: str, names: Iterable[Any]) -> str:
+    seen: set[str] = set()
+    for name in names:
+        if not isinstance(name, str) or not name.isidentifier() or len(name) > LONGEST:
+            return f"{what}: {quoted(name)} is no name; give letters, digits and '_', at most {LONGEST}, no digit first"
+        if name in seen:
+            return f"{what}: {name!r} is there twice; give each a name of its own"
+        seen.add(name)
+    return ""
+
+
+def _is_number(value: Any) -> bool:
+    """Whether it is one real and finite number; numpy's count."""
+    return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _of_type(found: Any, allowed: str) -> str:
+    return f"a {type(found).__name__}, not {allowed}"

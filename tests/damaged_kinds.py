@@ -1,0 +1,162 @@
+"""Some two hundred kinds of vehicle that are none: the hopper of README.md with one thing wrong, by kind of damage."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+OTHER = "OTHER = dict(KIND.__dict__)\n"  # the kind's parts, to be changed
+
+
+@dataclass(frozen=True)
+class Damage:
+    """Something wrong with a kind of vehicle.
+
+    Attributes:
+        what: in words, for the test's name.
+        suffix: of the file that is damaged: py or xml.
+        said: what the message must name.
+        old, new: text of the file and what comes in its place; without an old one, `new` is appended.
+    """
+
+    what: str
+    suffix: str
+    said: str
+    new: str
+    old: str = ""
+
+
+def damages() -> Iterator[Damage]:
+    """All of them."""
+    yield from _matrices()
+    yield from _names()
+    yield from _rests()
+    yield from _parts()
+    yield from _failures()
+    yield from _models()
+
+
+def _changed(**parts: str) -> str:
+    """Python that makes another kind with other parts, each an expression in OTHER."""
+    return OTHER + "".join(f"OTHER[{name!r}] = {part}\n" for name, part in parts.items()) + "KIND = VehicleKind(**OTHER)\n"
+
+
+def _of_linear_model(field: str, value: str) -> str:
+    replaced = f"__import__('dataclasses').replace(linear_model(p), {field}=(lambda M: {value})(linear_model(p).{field}))"
+    return _changed(linear_model=f"lambda p: {replaced}")
+
+
+def _matrices() -> Iterator[Damage]:
+    values = (
+        "M * np.nan", "M + np.inf", "M - np.inf", "M + 1e308", "M[:-1]", "M[None]", "M + 1j", "None", "'x'", "{}", "[]", "p",
+        "np.where(np.arange(M.size).reshape(M.shape) == M.size - 1, np.nan, M)",
+    )  # fmt: skip
+    for name in ("A", "B", "Bw", "C", "D", "Br", "Cr"):
+        for value in values:
+            yield Damage(f"{name} = {value}", "py", "linear_model", _of_linear_model(name, value))
+    for value in ("0.0", "-1.0", "np.nan", "np.inf", "'x'", "None", "M * 1j"):
+        yield Damage(f"twist_rate = {value}", "py", "linear_model gives twist_rate", _of_linear_model("twist_rate", value))
+
+
+def _names() -> Iterator[Damage]:
+    for name in ("states", "inputs", "disturbances", "outputs"):
+        for value in ("()", "M[0]", "list(M)", "(*M[1:], M[0][:-1])", "(*M, M[0])", "(1,) * len(M)", "None"):
+            yield Damage(f"{name} = {value}", "py", "linear_model", _of_linear_model(name, value))
+    yield Damage("outputs in another order", "py", "linear_model gives an output", _of_linear_model("outputs", "M[::-1]"))
+    yield Damage("states in another order", "py", "linear_model gives an output", _of_linear_model("states", "M[::-1]"))
+
+
+def _rests() -> Iterator[Damage]:
+    values = (
+        "0", "-0.1", "np.nan", "np.inf", "'x'", "None", "True", "[0.1]", "1j", "np.zeros(1)", "np.float64(0)", "10**400", "-0.0"
+    )  # fmt: skip
+    for value in values:
+        code = _changed(static_tyre_deflection=f"lambda p: {{'tyre_deflection': {value}}}")
+        yield Damage(f"rest = {value}", "py", "static_tyre_deflection", code)
+    for value in ("{}", "None", "0.01", "{'tyre': 0.01}", "{'tyre_deflection': 0.01, 1: 0.01}", "[('tyre_deflection', 0.01)]"):
+        yield Damage(f"rests = {value}", "py", "static_tyre_deflection", _changed(static_tyre_deflection=f"lambda p: {value}"))
+
+
+def _parts() -> Iterator[Damage]:
+    wheel = "OTHER['wheels'][0].__dict__"
+    parts = {
+        "parameters": ("None", "3", "('mass', 'stiffness')", "OTHER['parameters'] * 2", "(Parameter(3, 'kg', 'x'),)",
+                       "(Parameter('a mass', 'kg', 'x'),)", "(Parameter('', 'kg', 'x'),)", "(Parameter('mass', 1, 'x'),)",
+                       "(Parameter('mass', 'kg', None),)", "(Parameter('mass', 'kg', 'x', varied=2),)"),
+        "signals": ("None", "()", "OTHER['signals'] * 2", "OTHER['signals'][1:]", "OTHER['signals'][:-1]",
+                    "tuple(one.name for one in OTHER['signals'])", "(*OTHER['signals'], signals.PITCH_RATE)",
+                    "(*OTHER['signals'], signals.Signal('x', None, 'm', 'x'))",
+                    "(*OTHER['signals'], signals.Signal('a\\nb', 'x', 'm', 'x'))"),
+        "wheels": ("None", "()", "OTHER['wheels'] * 2", "('road',)", "OTHER['wheels'][0]",
+                   f"(Wheel(**{wheel} | {{'road_body': None}}),)", f"(Wheel(**{wheel} | {{'road_velocity': 'x'}}),)",
+                   f"(Wheel(**{wheel} | {{'road_displacement': 'road_velocity'}}),)",
+                   f"(Wheel(**{wheel} | {{'tyre_deflection': 'road_displacement'}}),)",
+                   f"(Wheel(**{wheel} | {{'side': 'middle'}}),)", f"(Wheel(**{wheel} | {{'behind': 2.0}}),)",
+                   f"(Wheel(**{wheel} | {{'behind': lambda p: np.nan}}),)", f"(Wheel(**{wheel} | {{'behind': lambda p: -1}}),)",
+                   f"(Wheel(**{wheel} | {{'behind': lambda p: p['length']}}),)",
+                   f"(Wheel(**{wheel} | {{'lateral': None}}),)"),
+        "combined": ("None", "[]", "{'x': {}}", "{'tyre_deflection': {}}", "{'tyre_deflection': {'tyre_deflection': np.nan}}",
+                     "{'tyre_deflection': {'tyre_deflection': 0}}", "{'tyre_deflection': {1: 1.0}}", "{1: {'x': 1}}"),
+        "linear_model": ("None", "lambda: None", "lambda p: None", "lambda p: linear_model", "linear_model({})", "dict"),
+        "static_tyre_deflection": ("None", "lambda p: p['x']", "7"),
+        "write_mjcf": ("None", "write_mjcf({}, {})", "lambda p: None", "lambda spec, p: spec.nothing"),
+        "check_together": ("None", "lambda p: p['x']", "0"),
+        "name": ("None", "'../hopper'", "'Hopper'", "7"),
+    }  # fmt: skip
+    for name, values in parts.items():
+        for value in values:
+            yield Damage(f"{name} = {value}", "py", "hopper.py", _changed(**{name: value}))
+
+
+def _failures() -> Iterator[Damage]:
+    """Python that fails, in every function: the message has its line."""
+    raising = {
+        "KeyError": "raise KeyError('x')",
+        "SystemExit": "raise SystemExit('x')",
+        "Mine": "raise type('Mine', (BaseException,), {})('x')",
+        "Silent": "raise type('Silent', (Exception,), {'__str__': lambda self: 1 / 0})()",
+        "RecursionError": "linear_model.__class__(fail.__code__, globals())(*some) if 0 else fail(*some)",
+        "MemoryError": "raise MemoryError",
+        "LinAlgError": "np.linalg.inv(np.zeros((2, 2)))",
+        "it needs more": "raise __import__('models.errors').errors.InputError('it needs more')",
+    }
+    for said, code in raising.items():
+        for name in ("linear_model", "static_tyre_deflection", "write_mjcf", "check_together"):
+            if not (said == "it needs more" and name == "check_together"):  # that is what it is there for
+                new = f"def fail(*some):\n    {code}\n{_changed(**{name: 'fail'})}"
+                yield Damage(f"{name} raises {said}", "py", rf"{name} fails \({said}.*line \d+\)", new)
+        yield Damage(
+            f"the file raises {said}", "py", rf"the file fails \({said}.*line \d+\)", f"def fail(*some):\n    {code}\nfail()"
+        )
+    for what, new in {"a NUL": "\x00", "brackets": "(" * 500, "no Python": "def", "a variation": "\0"}.items():
+        yield Damage(what, "py", "is no Python", new)
+    new = "from models.kind import Variation\nVariation('mass', 2, 1)"
+    yield Damage("no variation", "py", r"the file fails \(mass varies by .*line \d+\)", new)
+
+
+def _models() -> Iterator[Damage]:
+    """Models that are none, as they are drawn or by what is written into them."""
+    for value in ("np.nan", "np.inf", "-1.0", "0.0", "'x'", "None", "[1, 2]"):
+        written = f"lambda spec, p: setattr(spec.body('sprung'), 'mass', {value})"
+        yield Damage(f"mass = {value}", "py", "write_mjcf", _changed(write_mjcf=written))
+    for value in ("np.nan", "np.inf"):
+        written = f"lambda spec, p: spec.tendon('tyre').stiffness.__setitem__(0, {value})"
+        yield Damage(f"stiffness = {value}", "py", "write_mjcf", _changed(write_mjcf=written))
+    sensor = '<jointvel name="sprung_velocity" joint="sprung" user="1"/>'
+    for what, old, new in (
+        ("no user", ' user="1"/>', "/>"),
+        ("user is zero", 'joint="sprung" user="1"', 'joint="sprung" user="0"'),
+        ("user is NaN", 'user="0 0 1"', 'user="0 0 nan"'),
+        ("no sensor", sensor, ""),
+        ("twice the sensor", sensor, sensor * 2),
+        ("sensor of nothing", 'joint="sprung" user', 'joint="nobody" user'),
+        ("a ball", "<joint name=", '<joint name="ball" type="ball"/><joint name='),
+        ("free", '<joint name="sprung" type="slide" axis="0 0 1"/>', '<freejoint name="sprung"/>'),
+        ("a motor of another name", 'motor name="control_force"', 'motor name="force"'),
+        ("two motors", "</actuator>", '<motor name="more" joint="sprung"/></actuator>'),
+        ("no road", 'mocap="true"', ""),
+        ("no XML", "</mujoco>", ""),
+        ("nothing in it", "<mujoco model", "<nothing model"),
+        ("unknown element", "<worldbody>", "<worldbody><nothing/>"),
+        ("numbers that are none", 'pos="0 0 .3"', 'pos="0 0 x"'),
+        ("NaN", 'pos="0 0 .3"', 'pos="0 0 nan"'),
+    ):
+        yield Damage(what, "xml", "hopper.xml|hopper.py: write_mjcf", new, old)
