@@ -168,21 +168,28 @@ def run_command(main: Callable[[], int]) -> NoReturn:
         code = main()
         if sys.stdout:  # closed, as in `>&-`, it is None
             sys.stdout.flush()
-    except InputError as error:
-        complain(str(error))
-        code = BAD_INPUT
-    except KeyboardInterrupt:
-        complain("interrupted")
-        code = interrupt.CODE
-    except BrokenPipeError:  # the reader has gone, as in `| head`
-        _forget_output()
-        code = 0
-    except OSError as error:  # a full disk
-        complain(f"cannot write the output: {error.strerror or error}; mend that or write it elsewhere")
-        _forget_output()
-        code = BAD_INPUT
+    except (Exception, KeyboardInterrupt) as error:
+        code = _ended_by(error)
     interrupt.ignore_from_now_on()
     sys.exit(code)
+
+
+def _ended_by(error: BaseException) -> int:
+    """The exit code of a command that ended so, which is said; what nobody foresaw is raised again."""
+    if interrupt.caused(error):
+        complain("interrupted")
+        return interrupt.CODE
+    if isinstance(error, InputError):
+        complain(str(error))
+        return BAD_INPUT
+    if isinstance(error, BrokenPipeError):  # the reader has gone, as in `| head`
+        _forget_output()
+        return 0
+    if isinstance(error, OSError):  # a full disk
+        complain(f"cannot write the output: {error.strerror or error}; mend that or write it elsewhere")
+        _forget_output()
+        return BAD_INPUT
+    raise error
 
 
 def complain(message: str) -> None:

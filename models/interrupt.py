@@ -22,6 +22,8 @@ def quiet_start() -> None:
     # Only until it knows where the module lies, `python -m` says "-m" there.
     if sys.argv[:1] == ["-m"] and threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, _leave)
+        # No command opens a window. Else MuJoCo starts a second Python to look for GLFW, with tracebacks of its own.
+        os.environ.setdefault("MUJOCO_GL", "disable")
 
 
 def raise_from_now_on() -> None:
@@ -29,6 +31,13 @@ def raise_from_now_on() -> None:
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, signal.default_int_handler)
         sys.unraisablehook = _again
+
+
+def caused(error: BaseException | None) -> bool:
+    """Whether an error is Ctrl-C, or what a library made of it: a compiled module that is being imported says ImportError."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
 
 
 @contextmanager
@@ -54,6 +63,9 @@ def finishing() -> Iterator[None]:
 
 def ignore_from_now_on() -> None:
     """The work is done; what is left takes a moment and is not worth a traceback."""
+    # An interrupt inside an `exec` of text, as `dataclass` and `namedtuple` do, makes Python remember that it is to end by the
+    # signal, even if the exception was caught; the next such `exec` forgets that (run_eval_code_obj in CPython's pythonrun.c).
+    exec("")
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 

@@ -24,7 +24,7 @@ from sim.progress import bar
 from sim.road import LIMITS, Bump
 from sim.run import LOWEST, run_all, sample_times
 from sim.run_log import RunLog
-from sim.validity import Cells, validity
+from sim.validity import Cells, Interrupted, validity
 from sim.verdict import log_lines
 from synth.controller import Controller, design
 
@@ -73,9 +73,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     check_outputs(outputs | {"logs": options.logs}, [vehicle.source], options.json)
     controller = design(vehicle, name)
 
-    cells, complete = validity(vehicle, controller, bumps, time, bar(len(bumps), "cells"))
-    if not cells.done.any():
-        raise KeyboardInterrupt
+    try:
+        cells = validity(vehicle, controller, bumps, time, bar(len(bumps), "cells"))
+    except Interrupted as interruption:
+        cells = interruption.cells
+        if not cells.done.any():
+            raise
     if options.csv is not None:
         write_csv(options.csv, cells, options.threshold)
     if options.picture is not None:
@@ -96,7 +99,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("\n".join([*lines, *written_lines(outputs)]))
         if options.logs is not None:
             print("\n".join(["", *log_lines(logs)]))
-    if not complete:
+    if not cells.done.all():
         print(f"roadproof: interrupted after {int(cells.done.sum())} of {len(bumps)} cells; they are kept", file=sys.stderr)
         return 130
     return 0 if cells.as_predicted else 1

@@ -122,7 +122,7 @@ def validity_section(scope: Scope, bump: Bump) -> tuple[Section, list[Finding]]:
     figures, rows, found = [], [], []
     for one in scope.active:
         scope.progress(f"map of {one.name}")
-        cells, _ = validity(vehicle, one, grid(axes, fixed), time)
+        cells = validity(vehicle, one, grid(axes, fixed), time)
         figure = envelope_figure(vehicle, one, cells, axes, {"length": bump.length}, THRESHOLD)
         figures.append(replace(figure, name=f"map-{one.name}"))
         shares = [np.mean(cells.first == end) for end in (-1, *range(len(ENDS)))]

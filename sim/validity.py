@@ -74,13 +74,25 @@ class Cells:
         return self.agreement >= ENOUGH and not self.unexplained
 
 
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C, with what was done before it.
+
+    Attributes:
+        cells: all, those that were not run among them.
+    """
+
+    def __init__(self, cells: Cells) -> None:
+        super().__init__()
+        self.cells = cells
+
+
 def validity(
     vehicle: Vehicle,
     controller: Controller,
     bumps: Sequence[Bump],
     time: Array,
     progress: Callable[[int], None] = lambda done: None,
-) -> tuple[Cells, bool]:
+) -> Cells:
     """Runs every bump in MuJoCo, in a few large batches, and compares with the linear prediction.
 
     Args:
@@ -90,8 +102,8 @@ def validity(
         time: equidistant sample times from 0 [s].
         progress: is told how many cells are done.
 
-    Returns:
-        The cells, and whether all were run: Ctrl-C ends it early, with what is done.
+    Raises:
+        Interrupted: Ctrl-C came before the last cell was done.
     """
     # One linear response serves all heights, so they lie side by side. Every core takes batches of its own, on one thread, as
     # many and as large as the others': faster than one batch on all, whose threads wait while Python has its turn.
@@ -122,9 +134,10 @@ def validity(
     parts = [part or _not_run([bumps[i] for i in chunk]) for part, chunk in zip(parts, chunks, strict=True)]
     back = np.argsort(order)
     arrays = [name for name in Cells.__dataclass_fields__ if name != "bumps"]
-    return Cells(
-        tuple(bumps), **{name: np.concatenate([getattr(part, name) for part in parts])[back] for name in arrays}
-    ), complete
+    cells = Cells(tuple(bumps), **{name: np.concatenate([getattr(part, name) for part in parts])[back] for name in arrays})
+    if not complete:
+        raise Interrupted(cells)
+    return cells
 
 
 def _run(

@@ -16,7 +16,7 @@ from sim.envelope_picture import envelope_figure
 from sim.figure import Kinds
 from sim.linear import sampled_response
 from sim.road import Bump
-from sim.validity import validity
+from sim.validity import Interrupted, validity
 from synth.controller import Designer
 from tests.conftest import recorded_runs
 
@@ -40,21 +40,19 @@ def cells(limited, designer):
 
 def test_prediction(cells):
     """What breaks first, and when, follows from one linear run per speed: cell by cell, but for the boundary."""
-    found, complete = cells
-    assert complete
-    assert found.agreement >= 0.99  # asked for; measured 1.0
-    assert found.unexplained == 0
-    assert len(set(found.first.tolist())) >= 3  # nothing, and at least two ends, come first somewhere
-    both = found.agrees & (found.first >= 0)
+    assert cells.done.all()
+    assert cells.agreement >= 0.99  # asked for; measured 1.0
+    assert cells.unexplained == 0
+    assert len(set(cells.first.tolist())) >= 3  # nothing, and at least two ends, come first somewhere
+    both = cells.agrees & (cells.first >= 0)
     # Until then physics is linear to RK4's 1e-5 of a peak, which moves a crossing by less than a step.
-    assert np.abs(found.time[both] - found.predicted_time[both]).max() <= 2.1e-3
+    assert np.abs(cells.time[both] - cells.predicted_time[both]).max() <= 2.1e-3
 
 
 def test_linear_where_nothing_breaks(cells):
     """Where nothing breaks, linear analysis holds to the integrator's own error; where it does not hold, something broke."""
-    found, _ = cells
-    assert found.error[found.first < 0].max() < 2e-4  # RK4 at 2 ms makes 1e-5 of a peak; a tyre slack within a step, more
-    assert np.all(found.first[found.error > 0.05] >= 0)
+    assert cells.error[cells.first < 0].max() < 2e-4  # RK4 at 2 ms makes 1e-5 of a peak; a tyre slack within a step, more
+    assert np.all(cells.first[cells.error > 0.05] >= 0)
 
 
 def test_heights_are_one_number(limited, designer):
@@ -64,14 +62,14 @@ def test_heights_are_one_number(limited, designer):
         unit = sampled_response(limited, controller, Bump(1.0, 5.0, speed), TIME)
         used = utilisation(limited, unit)
         bumps = [Bump(factor / used.max(), 5.0, speed) for factor in (0.999, 1.001)]
-        found, _ = validity(limited, controller, bumps, TIME)
+        found = validity(limited, controller, bumps, TIME)
         assert found.first.tolist() == [-1, used.argmax()]  # 0.1 %: RK4 at 2 ms moves a peak by 1e-5
 
 
 def test_off_where_absent(paper, designer):
     """A vehicle without limits only lifts off, however hard a controller works."""
     bumps = grid(read_axes(["height:0.2:0.6:3", "speed:10:30:3"]), FIXED)
-    found, _ = validity(paper, designer.design("I"), bumps, TIME)
+    found = validity(paper, designer.design("I"), bumps, TIME)
     assert {ENDS[i] for i in found.first if i >= 0} <= {"lift-off", "flat tyre"}
 
 
@@ -79,7 +77,7 @@ def test_car(designer):
     """A half-car, which turns for real, breaks as predicted too, but for the boundary."""
     vehicle = dataclasses.replace(read_vehicle("half_car"), limits=LIMITS)
     bumps = grid(read_axes(["height:0.02:0.3:8", "speed:5:30:8"]), FIXED)
-    found, _ = validity(vehicle, Designer(vehicle).design("passive"), bumps, TIME)
+    found = validity(vehicle, Designer(vehicle).design("passive"), bumps, TIME)
     assert found.agreement >= 0.95  # of 64 cells: geometry shifts boundaries by about a hundredth
     assert found.unexplained <= 1
 
@@ -106,8 +104,9 @@ def test_interrupted(limited, designer, monkeypatch):
             raise KeyboardInterrupt
 
     bumps = grid(read_axes(["height:0.02:0.1:4", "speed:5:20:4"]), FIXED)
-    found, complete = validity(limited, designer.design("I"), bumps, TIME, stop)
-    assert not complete
+    with pytest.raises(Interrupted) as interruption:
+        validity(limited, designer.design("I"), bumps, TIME, stop)
+    found = interruption.value.cells
     order = found.done.reshape(4, 4).T.ravel()  # column by column of the map, two heights at a time
     assert 4 <= order.sum() < 16  # on a busy machine another batch may be done before the interruption is heard
     assert order.tolist() == sorted(order.tolist(), reverse=True)
@@ -171,7 +170,7 @@ def test_words_are_the_cells(tmp_path, capsys):
 @pytest.mark.parametrize("axes", [("height:0.02:0.3:14", "speed:3:30:14"), ("speed:3:30:14", "height:0.02:0.3:14")])
 def test_picture_is_the_cells(limited, designer, cells, axes):
     """Every cell of the picture has the colour of what broke there first, whatever order the axes were asked for in."""
-    found, _ = cells
+    found = cells
     if axes[0].startswith("speed"):
         order = np.arange(len(found.bumps)).reshape(14, 14).T.ravel()
         arrays = {name: getattr(found, name)[order] for name in found.__dataclass_fields__ if name != "bumps"}

@@ -38,6 +38,34 @@ def test_an_interrupted_map_is_kept(tmp_path):
     assert err == f"roadproof: interrupted after {result['done']} of 10000 cells; they are kept\n"
 
 
+@pytest.mark.parametrize(
+    "where",
+    [
+        "raise KeyboardInterrupt",
+        "exec('raise KeyboardInterrupt')",  # as in `dataclass`: Python remembers that, and would end by the signal
+        "import turned",  # as in a compiled module
+    ],
+)
+def test_wherever_it_is_heard(tmp_path, where):
+    """Ctrl-C ends a command with one line and exit code 130, also where Python or a library makes something else of it."""
+    (tmp_path / "turned.py").write_text(TURNED)
+    (tmp_path / "child.py").write_text(
+        f"import sim\nfrom models.command import run_command\n\ndef main():\n    {where}\n\nrun_command(main)\n"
+    )
+    path = os.pathsep.join([str(Path(__file__).parent.parent), os.environ.get("PYTHONPATH", "")])
+    done = subprocess.run(
+        [sys.executable, "-m", "child"], cwd=tmp_path, env=os.environ | {"PYTHONPATH": path}, capture_output=True, text=True
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "roadproof: interrupted\n")
+
+
+TURNED = """
+try:
+    raise KeyboardInterrupt
+except KeyboardInterrupt as interruption:
+    raise ImportError("initialization failed") from interruption
+"""
+
 CHILD = """
 import sys
 import sim.envelope

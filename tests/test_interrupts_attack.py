@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -10,6 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
+ROOT = Path(__file__).parent.parent
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="Ctrl-C as POSIX sends it")
 
@@ -41,7 +44,7 @@ def prepare(folder: Path) -> None:
 def start(command: str, folder: Path) -> subprocess.Popen:
     """A command in a process group of its own, as a terminal's."""
     arguments = [sys.executable, "-m", command, *COMMANDS[command]]
-    path = os.pathsep.join([str(Path(__file__).parent.parent), os.environ.get("PYTHONPATH", "")])
+    path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
     return subprocess.Popen(
         arguments,
         cwd=folder,
@@ -89,6 +92,16 @@ def template(tmp_path_factory):
     return folder, took
 
 
+def started_by_python(err: str) -> bool:
+    """Whether a traceback is of Python's own start, before any line of ours."""
+    files = re.findall(r'^  File "(.*?)", line', err, re.M)
+    return (
+        err.endswith("KeyboardInterrupt\n")
+        and "interrupted" not in err
+        and not any(Path(file).is_relative_to(ROOT) for file in files)
+    )
+
+
 def interrupted(command: str, folder: Path, after: float) -> tuple[str, bool]:
     """What is wrong with a command that is interrupted some seconds after its start, in words, and whether it was."""
     process = start(command, folder)
@@ -110,8 +123,8 @@ def interrupted(command: str, folder: Path, after: float) -> tuple[str, bool]:
             wrong.append(f"ends {ended:.1f} s later")
         if out and not out.endswith("}\n"):
             wrong.append(f"prints {out[-100:]!r}")
-    elif process.returncode == -signal.SIGINT and after < 0.3:
-        pass  # Python itself was still starting
+    elif process.returncode in (-signal.SIGINT, 1) and started_by_python(err):
+        pass
     elif process.returncode != 0 or lines or not isinstance(json.loads(out), dict):
         wrong.append(f"exit code {process.returncode}, says {err[-500:]!r}")
     return (f"{command} after {after:.3f} s: {'; '.join(wrong)}" if wrong else ""), process.returncode != 0
