@@ -4,7 +4,7 @@ import math
 import os
 import re
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -84,10 +84,11 @@ def read_surface(path: Path) -> Surface:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # what its checks find and a profile does not need
             head = io.read_ipl(path, meta_only=True)
-            _check_header(head.struct, [*head.kd_ind, *head.kd_def])
+            numbers = _check_header(head.struct, [*head.kd_ind, *head.kd_def])
             road = CrgRoad.read(path)
             u, v = np.asarray(road.u, dtype=float), np.asarray(road.v, dtype=float)
             z = np.empty((len(u), len(v)))
+            _check_whole(numbers, head.kd_ind, u)
             rows = max(1, AT_ONCE // len(v))
             for i in range(0, len(u), rows):
                 z[i : i + rows] = road.uv_to_z(u[i : i + rows, None], v[None, :])
@@ -100,17 +101,20 @@ def read_surface(path: Path) -> Surface:
     return Surface(u, v, z, str(path))
 
 
-def _check_header(struct: Iterable[str], channels: Iterable[str]) -> None:
+def _check_header(struct: Iterable[str], channels: Iterable[str]) -> dict[str, float]:
     """Whether a header's numbers can be a road's; PyOpenCRG would count with them, or take others in their place.
 
     Args:
         struct: lines of the blocks before the channels.
         channels: their definitions.
 
+    Returns:
+        The numbers of the road, by keyword.
+
     Raises:
         InputError: a number that is none; or the data are in another file, which would be read whatever it is.
     """
-    block = ""
+    block, numbers = "", {}
     for line in struct:
         if line.startswith("$"):
             block = line.strip("$ ").split("!")[0].strip().upper()
@@ -125,11 +129,36 @@ def _check_header(struct: Iterable[str], channels: Iterable[str]) -> None:
             raise InputError(f"{name} = {text} is not allowed; from {FINEST:g} to {COARSEST:g} m are")
         if not abs(value) <= FURTHEST:
             raise InputError(f"{name} = {text} is not allowed; numbers from {-FURTHEST:g} to {FURTHEST:g} are")
+        numbers[name] = value
     for channel in channels:
         for text in re.split(r"[,=\s]+", channel):
             value = _number(text, 0.0)
             if not abs(value) <= FURTHEST:
                 raise InputError(f"channel {channel!r}: {text} is not allowed; numbers from {-FURTHEST:g} to {FURTHEST:g} are")
+    return numbers
+
+
+def _check_whole(numbers: Mapping[str, float], defined: Iterable[str], u: Array) -> None:
+    """Whether there are as many cross-sections as the header promises; text that is cut between two of them looks whole.
+
+    Args:
+        numbers: of the header.
+        defined: channels that are not data, of which one may be the distance: reference line u, m, start, increment.
+        u: along the road, one for each cross-section there is [m].
+
+    Raises:
+        InputError: there are fewer.
+    """
+    given = [channel.split(",") for channel in defined if channel.lower().startswith("reference line u,")]
+    step = numbers.get("reference_line_increment") or next((_number(one[3], 0.0) for one in given if len(one) > 3), 0.0)
+    if not step or "reference_line_end_u" not in numbers:
+        return  # then nothing says how many there were
+    promised = round((numbers["reference_line_end_u"] - u[0]) / step) + 1
+    if len(u) < promised:
+        raise InputError(
+            f"has {len(u)} cross-sections, and its header promises {promised}, up to {numbers['reference_line_end_u']:g} m in "
+            f"steps of {step:g} m: it was cut; give the whole file"
+        )
 
 
 def _number(text: str, otherwise: float = math.nan) -> float:

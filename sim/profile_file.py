@@ -2,7 +2,7 @@
 
 import re
 from array import array
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,8 +11,8 @@ import numpy as np
 from models.errors import InputError, known
 from models.read_file import TABLE, read_text
 from sim.profile import Profile, check_points
+from sim.profile_headings import UNITS, Heading, choose_columns, headings_of, read_heading, unit_of
 
-UNITS: Mapping[str, float] = {"m": 1.0, "km": 1e3, "cm": 1e-2, "mm": 1e-3, "in": 0.0254, "ft": 0.3048}
 SEPARATORS: Mapping[str, str] = {"comma": ",", "semicolon": ";", "tab": "\t", "space": " "}
 HEADINGS = 50  # lines that may come before the numbers
 STEEPEST = 1.0  # rms slope; the roughest class of ISO 8608 has a half
@@ -26,13 +26,14 @@ class Table:
     """How a file is to be read.
 
     Attributes:
-        distance_unit, height_unit: one of `UNITS`.
+        distance_unit, height_unit: one of `UNITS`; empty for what the headings say, else metres.
         separator: one of `SEPARATORS`; empty to find out. With any but a comma, a comma may be the decimal point.
-        columns: of distance and height, or distance, left and right, counted from 1; empty for the first two or three.
+        columns: of distance and height, or distance, left and right, counted from 1; empty for what the headings say, else
+            the first two or three.
     """
 
-    distance_unit: str = "m"
-    height_unit: str = "m"
+    distance_unit: str = ""
+    height_unit: str = ""
     separator: str = ""
     columns: tuple[int, ...] = ()
 
@@ -57,7 +58,9 @@ def read_table(settings: Mapping[str, str]) -> Table:
 
 
 def read_profile(path: Path, speed: float, table: Table | None = None) -> Profile:
-    """A profile from a text file. Lines of headings may come first; blank ones and those that begin with # are passed over.
+    """A profile from a text file. Lines of headings may come first: they say which column is what, and in which unit.
+
+    Blank lines and those that begin with # are passed over; before the numbers the latter may be headings.
 
     Args:
         path: the file.
@@ -76,47 +79,71 @@ def read_profile(path: Path, speed: float, table: Table | None = None) -> Profil
 
 
 def _profile(text: str, speed: float, source: str, table: Table) -> Profile:
-    lines, values, count = array("Q"), array("d"), 0
-    for number, cells in _rows(text, table):
-        if not count:
-            if len(cells) not in (2, 3):
-                raise InputError(f"line {number} has {len(cells)} column(s); {FORMAT}, or say which, as in :columns=1,4")
-            count = len(cells)
-        found = _numbers(cells)
-        if found is None or len(found) != count:
-            raise InputError(f"line {number}: {' '.join(cells)!r} is not {count} numbers; {FORMAT}")
+    rows = text.split("\n")
+    first, mark = _first(rows, table)
+    count = len(_cells(rows[first], mark)) if first < len(rows) else 2
+    headings = headings_of([_heading_cells(line, mark, count) for line in rows[:first] if line.strip()], count)
+    columns = choose_columns(headings, table.columns)
+    if len(columns) not in (2, 3):
+        raise InputError(f"line {first + 1} has {count} column(s); {FORMAT}, or say which, as in :columns=1,4")
+
+    lines, values = array("Q"), array("d")
+    for number, line in enumerate(rows[first:], first + 1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        cells = _cells(line, mark)
+        used = [cells[column] if column < len(cells) else "" for column in columns]
+        found = _numbers(used)
+        if found is None or (len(cells) != count and not table.columns):
+            shown = used if table.columns else cells
+            raise InputError(f"line {number}: {' '.join(shown)!r} is not {len(shown if found else used)} numbers; {FORMAT}")
         lines.append(number)
         values.extend(found)
-    points = np.frombuffer(values, dtype=float).reshape(-1, count or 2) if values else np.zeros((0, 2))
-    distance = points[:, 0] * UNITS[table.distance_unit]
-    heights = points[:, [1, -1]] * UNITS[table.height_unit]
+    points = np.frombuffer(values, dtype=float).reshape(-1, len(columns)) if values else np.zeros((0, len(columns)))
+    named = [headings[column] if column < count else Heading("") for column in columns]
+    metres = [unit_of(heading, table.height_unit, "height_unit") for heading in named[1:]]
+    distance = points[:, 0] * unit_of(named[0], table.distance_unit, "distance_unit")
+    heights = points[:, [1, -1]] * [metres[0], metres[-1]]
     check_points(distance, heights, lambda i: f"line {lines[i]}")
     _check_units(distance, heights)
     return Profile(distance, heights, speed, source)
 
 
-def _rows(text: str, table: Table) -> Iterator[tuple[int, list[str]]]:
-    """Number and cells of every line from the first line of numbers on."""
-    separator, begun, headings = SEPARATORS.get(table.separator, ""), False, 0
-    for number, line in enumerate(text.split("\n"), 1):
+def _first(rows: Sequence[str], table: Table) -> tuple[int, str]:
+    """Index of the first line of numbers, and what separates its cells, and so those of all that follow."""
+    headings, column = 0, (table.columns or (1,))[0] - 1
+    for i, line in enumerate(rows):
         if not line.strip() or line.lstrip().startswith("#"):
             continue
-        mark = separator or _separator(line)
-        cells = line.split() if mark == " " else [cell.strip() for cell in line.split(mark)]
-        if mark != ",":  # then a comma can only be a decimal point
-            cells = [cell.replace(",", ".", 1) if cell.count(",") == 1 and "." not in cell else cell for cell in cells]
-        while len(cells) > 1 and not cells[-1]:
-            cells.pop()  # a separator at the end of the line
-        if table.columns:
-            cells = [cells[column - 1] if column <= len(cells) else "" for column in table.columns]
-        if not begun:
-            begun = _numbers(cells[:1]) is not None
-            headings += not begun
-            if headings > HEADINGS:
-                raise InputError(f"no line of numbers among the first {HEADINGS}; {FORMAT}")
-        if begun:
-            separator = mark  # all lines are written alike
-            yield number, cells
+        mark = SEPARATORS.get(table.separator) or _separator(line)
+        if _numbers(_cells(line, mark)[column : column + 1] or [""]) is not None:
+            return i, mark
+        headings += 1
+        if headings > HEADINGS:
+            raise InputError(f"no line of numbers among the first {HEADINGS}; {FORMAT}")
+    return len(rows), ","
+
+
+def _cells(line: str, mark: str) -> list[str]:
+    cells = line.split() if mark == " " else [cell.strip() for cell in line.split(mark)]
+    if mark != ",":  # then a comma can only be a decimal point
+        cells = [cell.replace(",", ".", 1) if cell.count(",") == 1 and "." not in cell else cell for cell in cells]
+    while len(cells) > 1 and not cells[-1]:
+        cells.pop()  # a separator at the end of the line
+    return cells
+
+
+def _heading_cells(line: str, mark: str, count: int) -> list[str]:
+    """The cells of a line above the numbers, which may be separated by another mark; none where it is prose."""
+    text = line.lstrip("# \t")
+    if mark == " ":  # a unit in brackets belongs to the word before it
+        text = re.sub(r"\s+(?=[\[(])", "", text)
+    cells = _cells(text, mark)
+    if len(cells) != count and _separator(text) != " ":
+        cells = _cells(text, _separator(text))
+    loose = mark == " " or line.lstrip().startswith("#")
+    named = re.search(r"[\[(]", text) or any(read_heading(cell).meaning for cell in cells)
+    return cells if named or not loose else []  # "in metres" is no pair of units
 
 
 def _separator(line: str) -> str:

@@ -11,7 +11,7 @@ from scipy import signal, special
 
 from models.errors import InputError
 from models.vehicle import read_vehicle
-from sim import opencrg
+from sim import opencrg, profile_file
 from sim.described import described_road
 from sim.iso8608 import CLASSES, Iso8608, coherency, long_enough, roughness
 from sim.multisine import random_road, sinusoid
@@ -282,6 +282,31 @@ def test_bad_opencrg(tmp_path, old, new, said):
     assert len(str(error.value).splitlines()) == 1
 
 
+@pytest.mark.parametrize("form", ["LDFI", "LRFI", "KDBI", "KRBI"])
+@pytest.mark.parametrize("increment", ["reference_line_increment", "reference line u"])
+def test_cut_opencrg(tmp_path, form, increment):
+    """A surface that was cut is refused wherever the cut is, also between two cross-sections, where the reader warns only."""
+    pyopencrg = pytest.importorskip("pyopencrg")
+    path, heights = tmp_path / "road.crg", np.random.default_rng(1).normal(0, 0.01, (50, 5))
+    pyopencrg.CrgRoad(heights, u_inc=0.1, v=np.linspace(-1, 1, 5)).save(path, fmt=form)
+    content = path.read_bytes()
+    keep = "reference line u" if increment == "reference_line_increment" else "reference_line_increment"
+    content = b"\n".join(line for line in content.split(b"\n") if keep.encode() not in line) if form.endswith("FI") else content
+    path.write_bytes(content)
+    assert choose_road("road.crg", tmp_path).surface is not None
+    data = content.index(b"$$$$$$$$$$")
+    data = content.index(b"\n", data) + 1
+    cuts = range(data, len(content) - 1)
+    if form.endswith("FI"):  # also at every end of a line; the last one is none
+        ends = [i + 1 for i in cuts if content[i : i + 1] == b"\n"]
+    else:
+        ends = [data + i for i in range(80, len(content) - data, 80)]
+    for cut in [*ends, *np.random.default_rng(2).integers(data, len(content) - 1, 20).tolist()]:
+        path.write_bytes(content[:cut])
+        with pytest.raises(InputError, match=f"^road file {path}: "):
+            choose_road("road.crg", tmp_path)
+
+
 def test_large_opencrg(tmp_path):
     """An OpenCRG file that would fill the memory is refused before it is read; it says how large it may be."""
     pytest.importorskip("pyopencrg")
@@ -328,6 +353,88 @@ def test_a_file_as_people_have_them(tmp_path, content, settings):
     t = np.linspace(0, 0.1, 50)
     for side in ("left", "right"):
         assert found.displacement(t, side) == pytest.approx(plain.displacement(t, side), abs=1e-12)
+
+
+HEADED = [  # (what stands above, how the numbers are read without it: columns and metres of distance, left, right; options)
+    ("distance,left,right", (0, 1, 2), (1, 1, 1), ""),
+    ("distance,right,left", (0, 2, 1), (1, 1, 1), ""),
+    ("right,left,distance", (2, 1, 0), (1, 1, 1), ""),
+    ("Distance [ft],Right wheel path [cm],Left wheel path [in]", (0, 2, 1), (0.3048, 0.0254, 0.01), ""),
+    ("x (m),right (mm),left (mm)", (0, 2, 1), (1, 1e-3, 1e-3), ""),
+    ("station_ft,l_in,r_in", (0, 1, 2), (0.3048, 0.0254, 0.0254), ""),
+    ("distance,left,right\nm,mm,cm", (0, 1, 2), (1, 1e-3, 1e-2), ""),
+    ('"chainage / km","left height / mm","right height / mm"', (0, 1, 2), (1e3, 1e-3, 1e-3), ""),
+    ("# distance [m], right [mm], left [mm]", (0, 2, 1), (1, 1e-3, 1e-3), ""),
+    ("distance;right;left", (0, 2, 1), (1, 1, 1), ""),
+    ("distance [feet],elevation [inches],t", (0, 1, 1), (0.3048, 0.0254, 0.0254), ""),
+    ("time,distance,height", (1, 2, 2), (1, 1, 1), ""),
+    ("distance,height [mm],right [mm]", (0, 1, 2), (1, 1e-3, 1e-3), ""),
+    ("distance [m],left [mm],right [mm]", (0, 2, 2), (1, 1e-3, 1e-3), ":columns=1,3"),
+    ("distance,left [mm],right [mm]", (0, 1, 2), (1, 1e-3, 1e-3), ":height_unit=mm"),
+    ("distance [furlong],height [yd],t", (0, 1, 1), (0.3048, 0.01, 0.01), ":distance_unit=ft:height_unit=cm"),
+    ("a,b,c", (0, 1, 2), (1, 1, 1), ""),
+    ("the left lane, in m, by hand", (0, 1, 2), (1, 1, 1), ""),
+    ("# in,cm,mm", (0, 1, 2), (1, 1, 1), ""),
+]
+
+
+@pytest.mark.parametrize(("above", "columns", "metres", "settings"), HEADED, ids=[row[0] + row[3] for row in HEADED])
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+def test_headings(tmp_path, monkeypatch, above, columns, metres, settings, separator):
+    """Headings say which column is what, in which order, and in which unit, however separated; prose says nothing."""
+    monkeypatch.setattr(profile_file, "STEEPEST", np.inf)  # the same numbers in every unit and order are no likely road
+    monkeypatch.setattr(profile_file, "WIDEST", np.inf)
+    numbers = np.array([[0, 0.01, 0.02], [0.51, 0.03, 0.52], [1.02, 0.04, 1.01], [1.53, 0.05, 1.49], [2.04, 0.07, 2.0]])
+    rows = [separator.join(map(str, row)) for row in numbers.tolist()]
+    (tmp_path / "road.csv").write_text("\n".join(["Survey of the B 27", above.replace(",", separator), *rows]))
+    profile = choose_road(f"road.csv{settings}", tmp_path).profile
+    assert profile is not None
+    expected = numbers[:, columns] * metres
+    assert profile.distance == pytest.approx(expected[:, 0], rel=1e-15)
+    assert profile.heights == pytest.approx(expected[:, 1:], rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("above", "settings", "said"),
+    [
+        (
+            "distance,left,right",
+            ":columns=1,3,2",
+            "column 3 is called 'right', and would be read as the height of the left track",
+        ),
+        ("left,right,distance", ":columns=1,2", "column 1 is called 'left', and would be read as distance"),
+        ("height,distance,right", "", "column 1 is called 'height', and would be read as distance"),
+        ("time,height,right", "", "column 1 is called 'time', and would be read as distance"),
+        ("distance,speed,height", ":columns=1,2", "column 2 is called 'speed', and would be read as height"),
+        ("distance [cm],left,right", ":distance_unit=m", "'distance [cm]' is in cm, and distance_unit = m was asked for"),
+        ("distance,height [in],t", ":height_unit=mm", "'height [in]' is in in, and height_unit = mm was asked for"),
+        (
+            "distance [furlong],left,right",
+            "",
+            "'distance [furlong]' is none of cm, ft, in, km, m, mm; convert it, or give distance_unit",
+        ),
+        ("distance,left [µm],right [µm]", "", "'left [µm]' is none of cm, ft, in, km, m, mm"),
+        ("distance [m],left [m],right [m]\nm,mm,mm", "", "'left [m]' and 'mm' of column 2 contradict each other"),
+    ],
+)
+def test_headings_that_contradict(tmp_path, above, settings, said):
+    """Headings against the options, against what the order would make of them, or in a unit that is none, are refused."""
+    (tmp_path / "road.csv").write_text(f"{above}\n0,0,0\n1,.01,.01\n2,.02,.01\n3,0,0\n")
+    with pytest.raises(InputError) as error:
+        choose_road(f"road.csv{settings}", tmp_path)
+    assert said in str(error.value)
+    assert str(error.value).startswith(f"road file {tmp_path / 'road.csv'}: ")
+
+
+def test_what_is_written_is_read(tmp_path):
+    """A profile's own file, with its headings, is the same profile to the last bit."""
+    rng = np.random.default_rng(5)
+    road = Profile(np.cumsum(rng.uniform(0.1, 0.2, 50)), rng.normal(0, 0.01, (50, 2)), 20.0)
+    (tmp_path / "road.csv").write_text(road.to_csv())
+    again = choose_road("road.csv", tmp_path).profile
+    assert again is not None
+    assert np.array_equal(again.distance, road.distance)
+    assert np.array_equal(again.heights, road.heights)
 
 
 @pytest.mark.parametrize(
