@@ -17,6 +17,8 @@ from sim.profile import Profile
 
 LARGEST = 128 * MIB  # of a file; in memory it takes six times as much, 0.8 GB
 AT_ONCE = 2**20  # heights that are worked out at once; PyOpenCRG takes some hundred bytes for each
+TEXT_WIDTHS = {"LRFI": 10, "LDFI": 20}  # characters of a number, by format
+LINE = 80  # characters of a line of numbers
 FINEST, COARSEST = 1e-6, 1e3  # m between the lines of a grid
 FURTHEST = 1e9  # m, and any other number of a header
 NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([ed][-+]?\d+)?|[-+]?inf", re.IGNORECASE)  # 2.000+e00 is read as 2: such files exist
@@ -85,6 +87,7 @@ def read_surface(path: Path) -> Surface:
             warnings.simplefilter("ignore")  # what its checks find and a profile does not need
             head = io.read_ipl(path, meta_only=True)
             numbers = _check_header(head.struct, [*head.kd_ind, *head.kd_def])
+            _check_end(path, head.fmt, len(head.kd_def))
             road = CrgRoad.read(path)
             u, v = np.asarray(road.u, dtype=float), np.asarray(road.v, dtype=float)
             z = np.empty((len(u), len(v)))
@@ -159,6 +162,23 @@ def _check_whole(numbers: Mapping[str, float], defined: Iterable[str], u: Array)
             f"has {len(u)} cross-sections, and its header promises {promised}, up to {numbers['reference_line_end_u']:g} m in "
             f"steps of {step:g} m: it was cut; give the whole file"
         )
+
+
+def _check_end(path: Path, form: str, channels: int) -> None:
+    """Whether text ends with a whole line; where numbers of fixed width are cut off, there might be none, and it looks whole.
+
+    Raises:
+        InputError: it does not.
+    """
+    if form not in TEXT_WIDTHS:
+        return
+    width = TEXT_WIDTHS[form]
+    with path.open("rb") as file:
+        file.seek(-min(os.fstat(file.fileno()).st_size, 4 * LINE), os.SEEK_END)
+        last = file.read().rstrip(b"\r\n").rpartition(b"\n")[2]
+    expected = ((channels - 1) % (LINE // width) + 1) * width
+    if len(last) < expected:
+        raise InputError(f"its last line has {len(last)} characters, and {expected} are due: it was cut; give the whole file")
 
 
 def _number(text: str, otherwise: float = math.nan) -> float:
