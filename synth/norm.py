@@ -10,8 +10,13 @@ norm), which exists for unstable systems too and is infinite where a pole lies o
 
 What they share is the transfer function. Where to look is decided with the modes of the system, a frequency of which costs next
 to nothing; every value that is returned was computed without them, from a linear system of equations.
+
+What rounding may have done to the values is bounded, to first order. Where that could be seen, as with a huge gain, whose loop
+A + B G holds fast poles beside slow ones, both routes go on from where they ended with twice the digits, on the loop as it was
+before it was rounded. So two routes that agree are not two that err alike.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -19,6 +24,7 @@ import numpy as np
 from scipy import linalg
 
 from models.arrays import Array
+from synth.extended import transfer_matrix_closely
 from synth.plant import GeneralizedPlant
 from synth.stability import balance, stability_of_balanced
 
@@ -27,6 +33,7 @@ EXACT = 1e-10  # relative; a level set this much higher that is empty ends the s
 ILL_CONDITIONED = 1e6  # of the eigenvectors; beyond it the modes give fewer than ten digits
 ALIKE = 1e-9  # relative to the largest gain; where the modes are as close to the transfer function they may say where to look
 CLIMBED = 2  # of the poles' peaks, the highest: as many are climbed before the first level set
+SEEN = 1e-9  # relative; more than this rounding may not do to a norm, or it is computed with twice the digits
 CLEAR = 1.1  # times the gain at infinity: a level above it is far enough for the Hamiltonian to be formed
 
 
@@ -39,12 +46,14 @@ class Norm:
         peak_frequency: where it is reached [rad/s]; NaN where the system is not stable.
         level_set: the first route's value.
         sweep: the second route's value.
+        rounding: relative; by how much rounding may have moved the value, to first order.
     """
 
     value: float
     peak_frequency: float
     level_set: float
     sweep: float
+    rounding: float = 0.0
 
     @property
     def gap(self) -> float:
@@ -57,9 +66,20 @@ def hinf_norm(system: GeneralizedPlant) -> Norm:
     gain = _Gain(system)
     if not gain.stable:
         return Norm(np.inf, np.nan, np.inf, np.inf)
-    sweep, at_sweep = _by_sweep(gain)
-    level, at_level = _by_level_sets(gain)
-    return Norm(max(sweep, level), at_sweep if sweep >= level else at_level, level, sweep)
+    (sweep, at_sweep), (level, at_level) = _by_sweep(gain), _by_level_sets(gain)
+    slowest = gain.poles[np.abs(np.real(gain.poles)).argmin()] if len(gain.poles) else 0.0
+    ends = np.array([0.0, np.abs(np.imag(slowest)), at_sweep, at_level])
+    rounding = gain.rounding(ends[np.isfinite(ends)], SEEN * max(sweep, level))
+    if rounding > SEEN * max(sweep, level):
+        (sweep, at_sweep), (level, at_level) = gain.polished(at_sweep), gain.polished(at_level)
+        rounding = max(gain.missing(at) for at in (at_sweep, at_level))
+    value = max(sweep, level)
+    return Norm(value, at_sweep if sweep >= level else at_level, level, sweep, rounding / value if value else 0.0)
+
+
+def gain_at(system: GeneralizedPlant, omega: float) -> float:
+    """The largest singular value at a frequency [rad/s], with twice the digits."""
+    return float(_Gain(system).closely(np.array([omega]))[0][0])
 
 
 def transfer_matrix(A: Array, Bw: Array, C: Array, Dw: Array, omega: Array) -> Array:
@@ -88,6 +108,8 @@ class _Gain:
     def __init__(self, system: GeneralizedPlant) -> None:
         self.A, scale = balance(system.A)
         self.Bw, self.C, self.Dw = system.Bw / scale[:, None], system.C * scale, system.Dw
+        beyond = np.zeros((len(self.A) + len(self.C), len(self.A))) if system.beyond is None else system.beyond * scale
+        self.A_beyond, self.C_beyond = beyond[: len(self.A)] / scale[:, None], beyond[len(self.A) :]
         found = stability_of_balanced(self.A)
         self.poles, self.vectors = found.poles, found.vectors
         self.at_infinity = float(np.linalg.norm(self.Dw, 2))
@@ -104,13 +126,46 @@ class _Gain:
 
     def climb(self, omega: Array, width: Array) -> tuple[float, float]:
         """The highest gain within some widths of some frequencies, and where it is [rad/s]: all of them at once."""
-        steps = np.linspace(-1, 1, 21)[:, None]
-        for _ in range(ZOOMS):
-            near = np.maximum(omega + width * steps, 0.0)
-            there = self.about(near.ravel()).reshape(near.shape)
-            omega, width = near[there.argmax(axis=0), np.arange(len(omega))], width / 10
-        at = omega[[self.about(omega).argmax()]]
+        at = _climbed(self.about, omega, width)
         return float(self.at(at)[0]), float(at[0])
+
+    def rounding(self, omega: Array, enough: float) -> float:
+        """What rounding did to `at` at frequencies [rad/s], or a bound to first order where that is enough.
+
+        (Higham 2002, Accuracy and Stability of Numerical Algorithms, section 7.2.)
+        """
+        n = len(self.A)
+        R = np.abs(np.linalg.inv(1j * omega[:, None, None] * np.eye(n) - self.A))
+        seen, driven = np.abs(self.C) @ R, R @ np.abs(self.Bw)
+        lost = seen @ ((np.abs(self.A) + omega[:, None, None] * np.eye(n)) @ driven) + np.abs(self.C) @ driven
+        lost = float((n + 2) * np.finfo(float).eps * np.linalg.norm(lost, axis=(1, 2)).max(initial=0.0))
+        if lost <= enough:
+            return lost
+        gains, missing = self.closely(omega)
+        return float((np.abs(self.at(omega) - gains) + missing).max())
+
+    def closely(self, omega: Array) -> tuple[Array, Array]:
+        """`at` with twice the digits, shape (F,), and what may be missing in it."""
+        T, missing = transfer_matrix_closely((self.A, self.A_beyond), self.Bw, (self.C, self.C_beyond), self.Dw, omega)
+        return largest_singular_values(T), missing
+
+    def missing(self, at: float) -> float:
+        """What is missing in the gain at a frequency, be it infinite, when it is computed with twice the digits."""
+        return float(self.closely(np.array([at]))[1][0]) if np.isfinite(at) else 0.0
+
+    def polished(self, at: float) -> tuple[float, float]:
+        """The highest gain with twice the digits near a frequency or near any pole, and where it is [rad/s]."""
+        omega = np.concatenate([[0.0], np.abs(self.poles), np.abs(np.imag(self.poles)), [at] if np.isfinite(at) else []])
+        gains, _ = self.closely(omega)
+        high = np.unique(omega[gains > 0.9 * gains.max()])
+        there = _climbed(lambda near: self.closely(near)[0], high, self._width(high))
+        best, there = float(self.closely(there)[0][0]), float(there[0])
+        return (self.at_infinity, np.inf) if self.at_infinity > best else (best, there)
+
+    def _width(self, omega: Array) -> Array:
+        """How far the damping of the nearest pole is from frequencies: no peak is thinner."""
+        nearest = np.abs(omega[:, None] * 1j - self.poles).argmin(axis=1)
+        return np.abs(np.real(self.poles[nearest]))
 
     def _by_modes(self, residues: Array, omega: Array) -> Array:
         T = (1 / (1j * omega[:, None] - self.poles)) @ residues
@@ -126,6 +181,16 @@ class _Gain:
         probes = np.concatenate([[0.0], np.quantile(np.abs(self.poles), [0, 0.5, 1])])
         true = self.at(probes)
         return residues if np.all(np.abs(self._by_modes(residues, probes) - true) <= ALIKE * true.max()) else None
+
+
+def _climbed(gain: Callable[[Array], Array], omega: Array, width: Array) -> Array:
+    """Where a gain is highest within some widths of some frequencies [rad/s], shape (1,)."""
+    steps = np.linspace(-1, 1, 21)[:, None]
+    for _ in range(ZOOMS):
+        near = np.maximum(omega + width * steps, 0.0)
+        there = gain(near.ravel()).reshape(near.shape)
+        omega, width = near[there.argmax(axis=0), np.arange(len(omega))], width / 10
+    return omega[[gain(omega).argmax()]]
 
 
 def level_set_norm(system: GeneralizedPlant) -> tuple[float, float]:

@@ -6,6 +6,7 @@ import numpy as np
 
 from models.arrays import Array
 from models.errors import InputError
+from synth.extended import added, product
 
 MOST = 2000  # states, inputs, disturbances, outputs or measurements; more needs methods for large sparse systems
 SMALLEST, LARGEST = 1e-50, 1e50  # of a matrix: beyond, squares of its entries under- or overflow where they meet
@@ -24,6 +25,8 @@ class GeneralizedPlant:
         C: shape (d, n).
         D: shape (d, m).
         Dw: shape (d, r). Zero in the paper.
+        beyond: of a closed loop, by how much its A and C are larger than the floats they are rounded to, shape (n + d, n); None
+            of a plant that is what its floats say.
 
     Raises:
         InputError: a matrix is not one of real finite numbers, has the wrong shape, more than `MOST` rows or columns, or entries
@@ -36,6 +39,7 @@ class GeneralizedPlant:
     C: Array
     D: Array
     Dw: Array
+    beyond: Array | None = None
 
     def __post_init__(self) -> None:
         for name in SHAPES:
@@ -62,12 +66,19 @@ class GeneralizedPlant:
         return np.vstack([np.hstack([self.A, self.B, self.Bw]), np.hstack([self.C, self.D, self.Dw])])
 
     def closed_loop(self, G: Array) -> "GeneralizedPlant":
-        """The plant under u = G x + (a new u), equations (16)-(17).
+        """The plant under u = G x + (a new u), equations (16)-(17): A + B G and C + D G, rounded once, and what that took.
+
+        Of a huge gain, or one that cancels much of A, rounding takes what decides the norm.
 
         Args:
             G: state gain, shape (m, n).
         """
-        return GeneralizedPlant(self.A + self.B @ G, self.B, self.Bw, self.C + self.D @ G, self.D, self.Dw)
+        open_loop = np.vstack([self.A, self.C])
+        moved, low = product(np.vstack([self.B, self.D]), G)
+        high, off = added(open_loop, moved)
+        high, beyond = added(high, off + low if self.beyond is None else off + (low + self.beyond))
+        n = len(self.A)
+        return GeneralizedPlant(high[:n], self.B, self.Bw, high[n:], self.D, self.Dw, beyond)
 
     def in_coordinates(self, T: Array) -> "GeneralizedPlant":
         """The same plant with state T^-1 x.
