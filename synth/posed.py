@@ -91,13 +91,19 @@ def standing(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[str]:
     for F in nulling(balanced):
         V, A = hidden(balanced, F)[1], balanced.closed_loop(F).A
         poles, vectors = np.linalg.eig(V.T @ A @ V) if V.shape[1] else (np.zeros(0), V)
-        for pole, vector in zip(poles, vectors.T, strict=True):
-            if abs(pole.real) <= RANK * size(A):
-                return [
-                    f"z does not see the mode at {rate(pole)}, which does not decay and moves most in "
-                    f"{largest(scale * (V @ vector), names)}: the optimum would let it be, and is not stable; weigh a signal "
-                    "that it is seen in, or take it out of the model"
-                ]
+        rounding = RANK * size(A)
+        still = [
+            (abs(pole.imag) if abs(pole.imag) > rounding else 0.0, vector)
+            for pole, vector in zip(poles, vectors.T, strict=True)
+            if abs(pole.real) <= rounding
+        ]
+        if still:  # the slowest of them: which comes first is rounding's choice
+            omega, vector = min(still, key=lambda pair: pair[0])
+            return [
+                f"z does not see the mode at {rate(complex(0.0, omega))}, which does not decay and moves most in "
+                f"{largest(scale * (V @ vector), names)}: the optimum would let it be, and is not stable; weigh a signal that it "
+                "is seen in, or take it out of the model"
+            ]
     return []
 
 
