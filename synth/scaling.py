@@ -6,7 +6,7 @@ from scipy import linalg, sparse
 from models.arrays import Array
 from synth.plant import GeneralizedPlant
 
-SLOW = 1e-6  # of the size of A; poles that are all slower are those of integrators: 0 but for rounding
+NILPOTENT = 1e-14  # of |A|^n; an A^n this small is 0 but for rounding, and so are all poles: those of integrators
 FREE = 1e-9  # of one equation: holds units that nothing decides near 1
 
 
@@ -20,8 +20,9 @@ def reachable(plant: GeneralizedPlant, free: int) -> Array:
     _, (diagonal, _) = linalg.matrix_balance(plant.A, permute=False, separate=True)
     balanced = plant.in_coordinates(np.diag(diagonal))
     poles = np.linalg.eigvals(balanced.A)
-    fastest = np.abs(poles).max()
-    shift = poles.real.max() + (fastest if fastest > SLOW * size(balanced.A) else size(balanced.A))
+    whole = size(balanced.A)
+    integrators = np.linalg.norm(np.linalg.matrix_power(balanced.A / whole, n), 2) <= NILPOTENT
+    shift = whole if integrators else poles.real.max() + np.abs(poles).max()
     inputs = np.hstack([balanced.B / size(balanced.B), balanced.Bw / size(balanced.Bw)])
     gramian = linalg.solve_continuous_lyapunov(balanced.A - shift * np.eye(n), -inputs @ inputs.T)
     gramian += 1e-5 * np.trace(gramian) * np.eye(n)  # a state that nothing much reaches keeps a scale
