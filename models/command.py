@@ -5,6 +5,7 @@ import io
 import math
 import os
 import re
+import shlex
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -37,14 +38,16 @@ class Parser(argparse.ArgumentParser):
         self.register("action", "store_true", _Flag)
 
     def parse_args(self, args=None, namespace=None):  # pyright: ignore[reportIncompatibleMethodOverride] - its overloads
-        """The options; `given` of them names those that were given, not left at their defaults."""
-        for argument in sys.argv[1:] if args is None else args:
+        """The options; `given` of them names those that were given, and `command_line` is what asks for the same again."""
+        args = sys.argv[1:] if args is None else args
+        for argument in args:
             if re.fullmatch(
                 r"--[\w-]+=--", argument
             ):  # argparse would take it for the end of the options, and give an empty list
                 self.error(f"argument {argument[:-3]}: '--' is no value")
         start = namespace or argparse.Namespace()
         start.given = set()
+        start.command_line = shlex.join([*self.prog.split(), *args])
         return super().parse_args(args, start)
 
     def error(self, message: str) -> NoReturn:

@@ -1,11 +1,13 @@
 """`python -m sim.bump`: controllers over a bump, in MuJoCo and in linear analysis, compared and logged."""
 
+import argparse
 import json
 from collections.abc import Sequence
 
 from models.command import Parser, chosen, run_command
 from models.errors import InputError
 from models.vehicle import Vehicle, read_vehicle
+from sim.asked import Asked
 from sim.comparison import add_how, check_view, compared_lines, run_chosen, view
 from sim.outputs import check_outputs
 from sim.road import Bump
@@ -29,11 +31,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Raises:
         InputError: bad options, vehicle file or logs folder.
     """
-    parser = _parser()
-    options = parser.parse_args(arguments)
+    options = parser().parse_args(arguments)
     vehicle = read_vehicle(options.vehicle)
-    names = chosen(vehicle.controller_names, options.controller)
-    road = Bump(options.height, options.length, options.speed, options.track)
+    names, road = chosen(vehicle.controller_names, options.controller), _road(options)
     if road.track != "both" and not any(wheel.side for wheel in vehicle.kind.wheels):
         raise InputError(f"--track {road.track}: a {vehicle.kind.name} has only one track; leave the option out")
     time = sample_times(vehicle, options.duration, options.timestep)
@@ -48,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     runs, passive = run_chosen(vehicle, names, road, time)
     result = {
-        "runs": [run_object(vehicle, run) | half_step_object(run) for run in runs],
+        "runs": [run_object(vehicle, run) | {"half_step": half_step_object(run)} for run in runs],
         "road": road.describe(),
         "timestep": options.timestep,
     }
@@ -56,7 +56,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.logs is not None:
         from sim.provenance import record_runs, run_log
 
-        logs = record_runs(options.logs, "bump", vehicle, names, [run_log(vehicle, road, run) for run in runs], result)
+        logs = record_runs(
+            options.logs, options.command_line, vehicle, names, [run_log(vehicle, road, run) for run in runs], result
+        )
     if options.json:
         print(json.dumps({**result, "logs": logs}, allow_nan=False))
     else:
@@ -65,7 +67,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0 if all(run.holds for run in runs) else 1
 
 
-def _parser() -> Parser:
+def asked(vehicle: Vehicle, options: argparse.Namespace) -> Asked:
+    """What a log of these options holds."""
+    names = chosen(vehicle.controller_names, options.controller)
+    samples = len(sample_times(vehicle, options.duration, options.timestep))
+    return Asked(
+        names,
+        samples,
+        options.timestep,
+        lambda road: road == _road(options).describe(),
+        lambda name, how: name in names and how == vehicle.implementation,
+    )
+
+
+def _road(options: argparse.Namespace) -> Bump:
+    return Bump(options.height, options.length, options.speed, options.track)
+
+
+def parser() -> Parser:
+    """The options."""
     parser = Parser(
         "sim.bump", "Drives controllers over a bump, in MuJoCo and in linear analysis, compares and logs them.", EPILOG
     )

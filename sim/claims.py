@@ -11,18 +11,19 @@ import numpy as np
 from models.arrays import Array
 from models.errors import InputError
 from sim.agreement import ROUNDING
+from sim.log_format import RESULTS, WHOLE
 from sim.metrics import DEFINITIONS
-from sim.recorded import Recorded, RecordedRun, read_json
+from sim.recorded import Recorded, RecordedRun
 from sim.reproduction import FEWEST, Reproduction, as_response
 from sim.response import Response
 from sim.run import Run
-from sim.verdict import energy_lines, energy_object, run_object, verdict_lines
+from sim.verdict import energy_lines, energy_object, half_step_object, run_object, verdict_lines
 from synth.controller import Controller
-from synth.record import untrue
+from synth.record import to_record, untrue
 
 HOLDS, FAILS, MISSING, NOTE = "holds", "FAILS", "missing", "note"
 SAME = 1e-6  # relative: how far other versions of numpy, on another machine, may move a number that was derived
-LATER = ("stability",)  # of a result: logs of older versions do not have it
+LATER = ("stability", "energy", "half_step")  # of a result: logs older than formats are numbered may not have them
 HUGE = 1e150  # a linear response beyond it is unstable, and its squares overflow
 
 
@@ -63,10 +64,13 @@ def check_samples(recorded: RecordedRun, samples: int, h: float) -> Iterator[Fin
         yield Finding("samples", MISSING, "too few to compare anything")
 
 
-def check_certificate(controller: Controller, recorded: RecordedRun) -> Iterator[Finding]:
+def check_certificate(controller: Controller, recorded: RecordedRun, current: bool) -> Iterator[Finding]:
     """The certificate, from the gain and its proof."""
     certificate, record = controller.certificate, recorded.claim("certificate")
     wrong = untrue(record, certificate)
+    absent = [key for key in to_record(certificate) if key not in record]
+    if current and absent:
+        wrong.append(f"it claims no {absent[0]}, which its proof gives")
     if controller.designed or certificate.bound is not None:
         wrong += certificate.failures
     if recorded.claim("stable") is not certificate.stable:
@@ -125,16 +129,16 @@ def check_physics(again: Reproduction, recorded: RecordedRun, run: Run, whole: b
         if not _same(recorded.claim("lift_off"), claimed, SAME, ROUNDING):
             wrong.append("the tyres are off the road at other times than claimed")
         now = {name: _finite(signal.sampled) for name, signal in agreement.signals.items()}
-        different = list(_different(recorded.claim("errors"), now))
-        if different:
-            wrong.append(f"the error of {_folded(different, 'errors')} is not what was claimed")
+        others = list(different(recorded.claim("errors"), now, exact=True))
+        if others:
+            wrong.append(f"the error of {folded(others, 'errors')} is not what was claimed")
     for text in wrong:
         yield Finding("physics", FAILS, text)
     if not wrong:
         yield from (Finding("physics", HOLDS, text) for text in verdict_lines(run))
 
 
-def check_energy(recorded: RecordedRun, run: Run, anew: Response) -> Iterator[Finding]:
+def check_energy(recorded: RecordedRun, run: Run, anew: Response, current: bool) -> Iterator[Finding]:
     """The logged physics against MuJoCo's own, run anew, also where there is no analysis of it; and the energy that this has.
 
     A balance rests on every position and speed of the model, and the log holds signals: so it is that of the run made anew.
@@ -144,33 +148,31 @@ def check_energy(recorded: RecordedRun, run: Run, anew: Response) -> Iterator[Fi
     if not far <= SAME:
         yield Finding("energy", FAILS, f"MuJoCo makes another run of it now: {signal} is {far:.1e} of its peak off")
         return
-    if run.energy is None or "energy" not in recorded.claims:
+    if run.energy is None or ("energy" not in recorded.claims and not current):
         yield Finding("energy", NOTE, "MuJoCo makes the same run again; the log claims no balance")
         return
-    wrong = list(_different(recorded.claim("energy"), energy_object(run.energy)))
+    wrong = list(different(recorded.claim("energy"), energy_object(run.energy), exact=current))
     if wrong:
-        yield Finding("energy", FAILS, f"its {_folded(wrong, 'numbers of the balance')} is not what was claimed")
+        yield Finding("energy", FAILS, f"its {folded(wrong, 'numbers of the balance')} is not what was claimed")
     if not wrong:
         how = f"to {far:.0e} of a peak" if far else "to the last bit"
         (balance,) = energy_lines(run)
         yield Finding("energy", HOLDS, f"MuJoCo makes the same run again, {how}; {balance}")
 
 
-def check_result(log: Recorded, again: Reproduction, recorded: RecordedRun, run: Run) -> Iterator[Finding]:
+def check_result(log: Recorded, again: Reproduction, recorded: RecordedRun, run: Run, current: bool) -> Iterator[Finding]:
     """The attached result of the command, where it is of the logged runs alone."""
-    if "result.json" not in log.attachments:
-        yield Finding("result", MISSING, "result.json is not attached")
+    try:
+        result = log.result
+    except InputError as error:
+        yield Finding("result", MISSING, str(error))
         return
-    result = read_json(log.attachments["result.json"], "result.json")
-    if not isinstance(result, dict) or not result:
-        yield Finding("result", MISSING, "result.json is empty, or no object")
-        return
-    runs = result.get("runs")
-    if isinstance(runs, dict):
-        yield Finding("result", MISSING, "the runs of result.json are no list")
+    command, runs = log.metadata.get("command"), result.get("runs")
+    if (command in RESULTS and command not in WHOLE) or (not current and "runs" not in result):
+        yield Finding("result", NOTE, "result.json rests on more runs than the log holds; it is not computed again")
         return
     if not isinstance(runs, list):
-        yield Finding("result", NOTE, "result.json rests on more runs than the log holds; it is not computed again")
+        yield Finding("result", MISSING, "the runs of result.json are no list")
         return
     mine = [one for one in runs if isinstance(one, dict) and _controller_name(one) == recorded.name]
     if len(mine) != 1:
@@ -180,19 +182,19 @@ def check_result(log: Recorded, again: Reproduction, recorded: RecordedRun, run:
     if any(not isinstance(one, dict) or _controller_name(one) not in logged for one in runs):
         yield Finding("result", MISSING, "result.json has runs that the log does not hold")
         return
-    if mine[0].get("half_step") is not None:
-        yield Finding("result", NOTE, "what half the step changes is said in result.json; it is not computed again")
-    now: dict[str, Any] = json.loads(json.dumps(run_object(again.vehicle, run)))
+    now: dict[str, Any] = json.loads(json.dumps(run_object(again.vehicle, run) | {"half_step": half_step_object(run)}))
     now["road"], now["timestep"] = recorded.claim("road"), again.timestep
     said = {**mine[0], "road": result.get("road"), "timestep": result.get("timestep")}
-    if "metrics" in said and result.get("definitions") == DEFINITIONS:
+    measured = "metrics" in said or (current and command == "drive")
+    if measured and result.get("definitions") == DEFINITIONS:
         now |= json.loads(json.dumps(_metrics(again, run, result.get("measured_from"))))
-    elif "metrics" in said:
+    elif measured:
         text = "its metrics are of other definitions than this version's; the version that wrote the log computes them again"
         yield Finding("result", MISSING, text)
-    different = list(_different(said, now))
-    if different:
-        yield Finding("result", FAILS, f"result.json says otherwise: {_folded(different, 'numbers of the result')}")
+        return
+    wrong = list(different(said, now, exact=current))
+    if wrong:
+        yield Finding("result", FAILS, f"result.json says otherwise: {folded(wrong, 'numbers of the result')}")
     else:
         yield Finding("result", HOLDS, f"result.json: {_count(now)} numbers as computed again")
 
@@ -236,22 +238,37 @@ def _same(said: Any, now: Any, relative: float, absolute: float) -> bool:
     return said == now
 
 
-def _different(said: Any, now: Any, path: str = "") -> Iterator[str]:
-    """Where in a JSON object something is not as computed anew. What this version does not compute is not looked at."""
-    if isinstance(now, Mapping):
-        for key, value in now.items():
-            here = f"{path}.{key}" if path else key
-            if isinstance(said, Mapping) and key in LATER and key not in said:
-                continue
-            if not isinstance(said, Mapping) or key not in said:
-                yield f"{here} is missing"
-            else:
-                yield from _different(said[key], value, here)
-    elif not _same(said, now, SAME, ROUNDING):
+def different(said: Any, now: Any, exact: bool, path: str = "", absolute: float = ROUNDING) -> Iterator[str]:
+    """Where a JSON value is not as computed anew.
+
+    Args:
+        said: what a log has.
+        now: computed anew.
+        exact: whether it has the same keys; else it may lack of `LATER`, and what is not computed now is not looked at.
+        path: where in the whole it stands.
+        absolute: how far numbers may differ, where that is more than `SAME` of them.
+    """
+    if not isinstance(now, Mapping):
+        if not _same(said, now, SAME, absolute):
+            yield path
+        return
+    if not isinstance(said, Mapping):
         yield path
+        return
+    for key, value in now.items():
+        here = f"{path}.{key}" if path else key
+        # Of two runs that may each be `SAME` of a peak off, the difference may be, too.
+        near = SAME if key == "half_step" else absolute
+        if key in said:
+            yield from different(said[key], value, exact, here, near)
+        elif exact or key not in LATER:
+            yield f"{here} is missing"
+    for key in said:
+        if exact and key not in now:
+            yield f"{path + '.' if path else ''}{str(key)[:40]} is none of it"
 
 
-def _folded(names: Sequence[str], what: str) -> str:
+def folded(names: Sequence[str], what: str) -> str:
     """The first of many that are wrong for one cause, and how many more there are, of what kind."""
     more = f" (and {len(names) - 1} more {what}, the first of them {names[1]})" if len(names) > 1 else ""
     return names[0] + more

@@ -23,7 +23,8 @@ def difference(physics: Response, linear: Response) -> Response:
     columns: list[Array] = []
     for signal in made:
         scale = linear.scale(signal.name) or 1.0  # a vehicle that nothing moves
-        columns.append((physics[signal.name] - linear[signal.name]) / scale)
+        apart = (physics[signal.name] - linear[signal.name]) / scale
+        columns.append(np.where(np.isnan(apart), np.nan, apart))  # of NaNs machines know several, and logs are compared by bytes
     about = "MuJoCo minus linear, over the peak"
     signals = tuple(replace(s, symbol=f"({s.symbol}) / peak", unit="1", meaning=f"{about}: {s.meaning}") for s in made)
     return Response(linear.time, signals, np.stack(columns, axis=-1) if columns else np.zeros((len(linear.time), 0)))

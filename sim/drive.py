@@ -3,20 +3,21 @@
 import argparse
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from models.command import Parser, chosen, run_command
 from models.errors import InputError
 from models.vehicle import Vehicle, read_vehicle
+from sim.asked import Asked, same_path
 from sim.comparison import add_how, check_view, compared_lines, run_chosen, view
-from sim.expected import settling_time
-from sim.iso8608 import CLASSES, Iso8608
-from sim.measured import measure_run, metric_lines, metrics_object
+from sim.iso8608 import CLASSES
+from sim.measured import first_sample, measure_run, metric_lines, metrics_object
 from sim.metrics import DEFINITIONS
 from sim.outputs import check_outputs
 from sim.road import Road
-from sim.roads import SYNTAX, choose_road
-from sim.run import Run, check_road, sample_times
+from sim.roads import FILE, SYNTAX, RoadChoice, choose_road
+from sim.run import check_road, sample_times
 from sim.verdict import half_step_object, log_lines, run_object
 
 EPILOG = """
@@ -38,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Raises:
         InputError: bad options, vehicle file, road or logs folder.
     """
-    options = _parser().parse_args(arguments)
+    options = parser().parse_args(arguments)
     vehicle = read_vehicle(options.vehicle)
     names = chosen(vehicle.controller_names, options.controller)
     time = sample_times(vehicle, options.duration, options.timestep)
@@ -48,11 +49,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     check_outputs({"logs": options.logs}, [vehicle.source])
 
     runs, passive = run_chosen(vehicle, names, road, time)
-    first = _first(vehicle, runs, road, options.duration, options.timestep)
+    first = first_sample(vehicle, [run.controller for run in runs], road, options.duration, options.timestep)
     measured = [measure_run(vehicle, run, road, first) for run in runs]
     result = {
         "runs": [
-            run_object(vehicle, run) | half_step_object(run) | metrics_object(run, one)
+            run_object(vehicle, run) | {"half_step": half_step_object(run)} | metrics_object(run, one)
             for run, one in zip(runs, measured, strict=True)
         ],
         "road": road.describe(),
@@ -64,7 +65,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.logs is not None:
         from sim.provenance import record_runs, run_log
 
-        logs = record_runs(options.logs, "drive", vehicle, names, [run_log(vehicle, road, run) for run in runs], result)
+        logs = record_runs(
+            options.logs, options.command_line, vehicle, names, [run_log(vehicle, road, run) for run in runs], result
+        )
     if options.json:
         print(json.dumps({**result, "logs": logs}, allow_nan=False))
     else:
@@ -80,17 +83,41 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0 if all(run.holds for run in runs) else 1
 
 
+def asked(vehicle: Vehicle, options: argparse.Namespace) -> Asked:
+    """What a log of these options holds. Of a road file only the name: it is not read."""
+    text = _road_text(options)
+    file = FILE.fullmatch(text)
+
+    def is_it(road: Mapping[str, Any]) -> bool:
+        if file:
+            named = same_path(str(road.get("source")), file["path"])
+            return named and (road.get("type"), road.get("speed")) == ("profile", options.speed)
+        return road == _built(vehicle, options, choose_road(text)).describe()
+
+    names = chosen(vehicle.controller_names, options.controller)
+    samples = len(sample_times(vehicle, options.duration, options.timestep))
+    return Asked(names, samples, options.timestep, is_it, lambda name, how: name in names and how == vehicle.implementation)
+
+
+def _road_text(options: argparse.Namespace) -> str:
+    """Which road was asked for."""
+    if options.road_class is None:
+        return options.road or "iso8608:class=C"
+    if options.road is not None:
+        raise InputError("give --class or --road, not both: --class C is --road iso8608:class=C")
+    return f"iso8608:class={options.road_class.upper()}"
+
+
+def _built(vehicle: Vehicle, options: argparse.Namespace, choice: RoadChoice) -> Road:
+    return choice.build(vehicle, options.speed, options.seed, options.speed * options.duration)
+
+
 def _road(vehicle: Vehicle, options: argparse.Namespace) -> Road:
     """The road that was asked for."""
-    text = options.road
-    if options.road_class is not None:
-        if text is not None:
-            raise InputError("give --class or --road, not both: --class C is --road iso8608:class=C")
-        text = f"iso8608:class={options.road_class.upper()}"
-    choice = choose_road(text or "iso8608:class=C")
+    choice = choose_road(_road_text(options))
     if "seed" in options.given and not choice.random:
         raise InputError(f"--seed says which random road, and {choice.text!r} is none; leave it out")
-    road = choice.build(vehicle, options.speed, options.seed, options.speed * options.duration)
+    road = _built(vehicle, options, choice)
     passed = getattr(road, "duration", math.inf)
     if passed < 2 * options.timestep:
         raise InputError(
@@ -102,14 +129,6 @@ def _road(vehicle: Vehicle, options: argparse.Namespace) -> Road:
     return road
 
 
-def _first(vehicle: Vehicle, runs: Sequence[Run], road: Road, duration: float, timestep: float) -> int:
-    """The sample from which is measured: when a random road's vehicle has forgotten its start, half of the run at the latest."""
-    if not isinstance(road, Iso8608):
-        return 0
-    settled = max(settling_time(vehicle, run.controller) for run in runs)
-    return round(min(settled, duration / 2) / timestep)
-
-
 def _seed(text: str) -> int:
     try:
         return int(text)
@@ -117,7 +136,8 @@ def _seed(text: str) -> int:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
 
 
-def _parser() -> Parser:
+def parser() -> Parser:
+    """The options."""
     parser = Parser(
         "sim.drive",
         "Drives controllers over a road, in MuJoCo and in linear analysis; compares, measures and logs them.",

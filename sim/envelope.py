@@ -1,11 +1,12 @@
 """`python -m sim.envelope`: the map of validity, over any two of a bump's height, length and the speed."""
 
+import argparse
 import csv
 import itertools
 import json
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from models.command import Parser, one_chosen, run_command
 from models.errors import InputError, known
 from models.vehicle import Vehicle, read_vehicle
 from models.whole_file import whole_file
+from sim.asked import Asked
 from sim.broken import ENDS
 from sim.outputs import check_outputs, written, written_lines
 from sim.picture import draw
@@ -59,7 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Raises:
         InputError: bad options, vehicle file or output file.
     """
-    options = _parser().parse_args(arguments)
+    options = parser().parse_args(arguments)
     vehicle = read_vehicle(options.vehicle)
     name = one_chosen(vehicle.controller_names, options.controller)
     axes = read_axes(options.vary or [])
@@ -91,7 +93,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from sim.provenance import record_runs
 
         runs = _nearest_runs(vehicle, controller, cells, time)
-        logs = record_runs(options.logs, "envelope", vehicle, [controller.name], runs, result)
+        logs = record_runs(options.logs, options.command_line, vehicle, [controller.name], runs, result)
     if options.json:
         print(json.dumps({**result, "logs": logs}, allow_nan=False))
     else:
@@ -103,6 +105,35 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"roadproof: interrupted after {int(cells.done.sum())} of {len(bumps)} cells; they are kept", file=sys.stderr)
         return 130
     return 0 if cells.as_predicted else 1
+
+
+def asked(vehicle: Vehicle, options: argparse.Namespace) -> Asked:
+    """What a log of these options holds: some of the cells."""
+    axes = {axis.name: axis.values for axis in read_axes(options.vary or [])}
+    allowed = {name: axes.get(name, (getattr(options, name),)) for name in UNITS}
+
+    def is_it(road: Mapping[str, Any]) -> bool:
+        cell = {name: road.get(name) for name in UNITS}
+        return road == {**Bump().describe(), **cell} and all(cell[name] in allowed[name] for name in UNITS)
+
+    name = one_chosen(vehicle.controller_names, options.controller)
+    samples = len(sample_times(vehicle, options.duration, options.timestep))
+    result = {
+        "controller": name,
+        "axes": {name: list(values) for name, values in axes.items()},
+        "threshold": options.threshold,
+        **written({"csv": options.csv, "picture": options.picture}),
+    }
+    names = {_called(name, end) for end in (-1, *range(len(ENDS)))}
+    return Asked(
+        [name], samples, options.timestep, is_it, lambda run, how: run in names and how == vehicle.implementation, result
+    )
+
+
+def _called(controller: str, end: int) -> str:
+    """What a run is called by what broke first, of `ENDS`; -1 for nothing."""
+    what = "nothing_breaks" if end < 0 else ENDS[end].replace(" ", "_").replace("-", "_")
+    return f"{controller}_{what}"
 
 
 def read_axes(texts: Sequence[str]) -> tuple[Axis, Axis]:
@@ -215,9 +246,8 @@ def _nearest_runs(vehicle: Vehicle, controller: Controller, cells: Cells, time: 
         mine = np.flatnonzero(cells.done & (cells.first == end))
         if len(mine):
             i = mine[used[mine].argmax() if end < 0 else used[mine].argmin()]
-            what = "nothing_breaks" if end < 0 else ENDS[end].replace(" ", "_").replace("-", "_")
             run = run_all(vehicle, [controller], cells.bumps[i], time)[0]
-            found.append(run_log(vehicle, cells.bumps[i], run, f"{controller.name}_{what}"))
+            found.append(run_log(vehicle, cells.bumps[i], run, _called(controller.name, end)))
     return found
 
 
@@ -242,7 +272,8 @@ def _check(bumps: Sequence[Bump], duration: float, timestep: float, threshold: f
         )
 
 
-def _parser() -> Parser:
+def parser() -> Parser:
+    """The options."""
     parser = Parser(
         "sim.envelope", "Maps where linear analysis holds over bumps, and what breaks first where it does not.", EPILOG
     )

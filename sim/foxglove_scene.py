@@ -26,6 +26,7 @@ from foxglove_schemas_protobuf.TextPrimitive_pb2 import TextPrimitive
 from foxglove_schemas_protobuf.TriangleListPrimitive_pb2 import TriangleListPrimitive
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.duration_pb2 import Duration
+from google.protobuf.message import DecodeError, Message
 from google.protobuf.timestamp_pb2 import Timestamp
 
 from models.arrays import Array
@@ -34,9 +35,10 @@ from sim.run_log import RunLog
 from sim.scene import Scene, Shape
 
 WORLD = "world"
+NEAR = 1e-5  # m; how far another machine may draw something from here
 GRID = 2.0**-12  # m, a quarter of a millimetre: what moves in the scene is drawn to it, and so takes a third of the room
 
-Messages = Iterator[tuple[int, Any]]  # time [ns], message
+Messages = Iterator[Any]
 
 
 def frame(run: RunLog, body: str = "") -> str:
@@ -47,7 +49,7 @@ def frame(run: RunLog, body: str = "") -> str:
 def events(run: RunLog, times: list[int]) -> Messages:
     """What happened, at these times [ns]."""
     for time, (_, text) in zip(times, run.events, strict=True):
-        yield time, Log(timestamp=_stamp(time), level=Log.INFO, message=text, name=run.name)
+        yield Log(timestamp=_stamp(time), level=Log.INFO, message=text, name=run.name)
 
 
 def transforms(run: RunLog, times: list[int], stand: Array) -> Messages:
@@ -77,7 +79,7 @@ def transforms(run: RunLog, times: list[int], stand: Array) -> Messages:
             )
             for body, motion in run.scene.bodies.items()
         ]
-        yield time, FrameTransforms(transforms=[own, *moved])
+        yield FrameTransforms(transforms=[own, *moved])
 
 
 def shapes(run: RunLog, time: int, color: tuple[int, int, int]) -> Messages:
@@ -93,7 +95,7 @@ def shapes(run: RunLog, time: int, color: tuple[int, int, int]) -> Messages:
     pose = _pose(np.array([*(low + high)[:2] / 2, high[2] + 0.2]))
     label = TextPrimitive(pose=pose, billboard=True, font_size=0.15, color=_color(color), text=run.name)
     entities.append(_entity(time, frame(run), "name", texts=[label]))
-    yield time, SceneUpdate(entities=entities)
+    yield SceneUpdate(entities=entities)
 
 
 def moving(run: RunLog, times: list[int], largest: float) -> Messages:
@@ -123,7 +125,32 @@ def moving(run: RunLog, times: list[int], largest: float) -> Messages:
                 color=_color(LIFTED) if tyre.lifted[index] else _color(255 * tyre.rgba[:3]),
             )
             entities.append(_entity(time, frame(run, tyre.body), tyre.name, triangles=[surface]))
-        yield time, SceneUpdate(entities=entities)
+        yield SceneUpdate(entities=entities)
+
+
+def alike(kind: type, first: bytes, second: bytes) -> bool:
+    """Whether two messages show the same. Numbers may differ by `NEAR`, or by one step of the grid if they lie on it."""
+    try:
+        now, said = (kind.FromString(data) for data in (first, second))  # pyright: ignore[reportAttributeAccessIssue] - generated
+    except DecodeError:
+        return False
+    said.DiscardUnknownFields()
+    return said.SerializeToString() == second and _alike(now, said)  # nothing stands in it twice, or beside what is known
+
+
+def _alike(first: Any, second: Any) -> bool:
+    """The same of whatever a message holds."""
+    if isinstance(first, float):
+        far = abs(first - second)
+        return far <= NEAR or (far <= GRID and first % GRID == second % GRID == 0)
+    if isinstance(first, Message):
+        if isinstance(first, Timestamp):
+            return first == second
+        pairs = [(getattr(first, one.name), getattr(second, one.name)) for one in first.DESCRIPTOR.fields]
+        return all(_alike(a, b) for a, b in pairs)
+    if isinstance(first, (str, bytes, int)):
+        return first == second
+    return len(first) == len(second) and all(_alike(a, b) for a, b in zip(first, second, strict=True))
 
 
 def _entity(time: int, frame_id: str, name: str, **primitives: Any) -> SceneEntity:

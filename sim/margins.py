@@ -1,5 +1,6 @@
 """`python -m sim.margins`: how much gain, phase, delay and sample period a loop bears, predicted and then found in MuJoCo."""
 
+import argparse
 import json
 import math
 from collections.abc import Sequence
@@ -13,6 +14,7 @@ from models.command import Parser, one_chosen, run_command
 from models.errors import InputError
 from models.reality import Implementation
 from models.vehicle import Vehicle, read_vehicle
+from sim.asked import Asked
 from sim.growth import BUMP, LONGEST, SHORTEST, TIMESTEP
 from sim.linear import sampled_radius
 from sim.loop_margins import GainMargin, LoopMargins, find_margins
@@ -41,13 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Raises:
         InputError: bad options or vehicle file, or a controller that has no loop to speak of.
     """
-    parser = Parser("sim.margins", "Finds how much gain, phase, delay and sample period a loop bears.", EPILOG)
-    parser.add_one("state, or one of the vehicle file's")
-    parser.add_number("--timestep", TIMESTEP, "s", "integration step; delays and sample periods are its multiples")
-    parser.add_logs("MuJoCo on either side of the delay margin")
-    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the margins, as .png or .svg; needs matplotlib")
-    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
-    options = parser.parse_args(arguments)
+    options = parser().parse_args(arguments)
     # What is asked is how much the loop bears beyond an ideal implementation.
     as_built = read_vehicle(options.vehicle)
     vehicle = replace(as_built, implementation=Implementation())
@@ -68,7 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from sim.provenance import record_runs
 
         runs = _delayed_runs(vehicle, controller, found[""], options.timestep)
-        logs = record_runs(options.logs, "margins", vehicle, [controller.name], runs, result)
+        logs = record_runs(options.logs, options.command_line, vehicle, [controller.name], runs, result)
     if options.json:
         print(json.dumps({**result, **written(outputs), "logs": logs}, allow_nan=False))
     else:
@@ -78,6 +74,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
         lines += written_lines(outputs)
         print("\n".join([*lines, *(["", *log_lines(logs)] if options.logs is not None else [])]))
     return 0 if (box is None or box.holds) and all(one.agrees for one in found.values()) else 1
+
+
+def asked(vehicle: Vehicle, options: argparse.Namespace) -> Asked:
+    """What a log of these options holds."""
+    name = one_chosen(vehicle.controller_names, options.controller)
+    samples, result = len(sample_times(vehicle, SHORTEST, options.timestep)), {"controller": name}
+    return Asked(
+        [name],
+        samples,
+        options.timestep,
+        lambda road: road == BUMP.describe(),
+        lambda run, how: run == _late(name, how.delay) and how == Implementation(delay=how.delay),
+        result,
+    )
+
+
+def _late(name: str, samples: int) -> str:
+    """What a run is called."""
+    return f"{name}_{samples}_samples_late"
 
 
 def _with_loop(vehicle: Vehicle, name: str, timestep: float) -> Controller:
@@ -113,7 +128,7 @@ def _delayed_runs(vehicle: Vehicle, controller: Controller, loop: LoopMargins, t
     for samples in (round(delay / timestep) for delay in delays):
         delayed = replace(vehicle, implementation=Implementation(delay=samples))
         run = run_all(delayed, [controller], BUMP, time)[0]
-        found.append(run_log(delayed, BUMP, run, f"{controller.name}_{samples}_samples_late"))
+        found.append(run_log(delayed, BUMP, run, _late(controller.name, samples)))
     return found
 
 
@@ -127,9 +142,8 @@ def _which_loop(vehicle: Vehicle) -> str:
 
 def _object(controller: Controller, found: dict[str, LoopMargins], box: Robustness | None) -> dict[str, Any]:
     """The result as JSON has it: SI units, None for what is infinite or does not exist."""
-    result = {"controller": controller.name, **_loop_object(found[""])}
-    if len(found) > 1:
-        result["loops"] = {name: _loop_object(one) for name, one in found.items() if name}
+    loops = {name: _loop_object(one) for name, one in found.items() if name}
+    result = {"controller": controller.name, **_loop_object(found[""]), "loops": loops}
     if box is None:
         return {**result, "robustness": None}
     varied = {one.name: [one.smallest, one.largest] for one in box.varied}
@@ -221,6 +235,17 @@ def _cell(value: float) -> str:
 
 def _finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
+
+
+def parser() -> Parser:
+    """The options."""
+    parser = Parser("sim.margins", "Finds how much gain, phase, delay and sample period a loop bears.", EPILOG)
+    parser.add_one("state, or one of the vehicle file's")
+    parser.add_number("--timestep", TIMESTEP, "s", "integration step; delays and sample periods are its multiples")
+    parser.add_logs("MuJoCo on either side of the delay margin")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the margins, as .png or .svg; needs matplotlib")
+    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    return parser
 
 
 if __name__ == "__main__":

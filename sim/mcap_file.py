@@ -35,8 +35,10 @@ MOST_RECORD = 64 * MIB  # of the file, and of a decompressed chunk; writers end 
 MOST_KEPT = 256 * MIB  # of metadata and attachments together
 MOST_DATA = 4096 * MIB  # of all decompressed chunks together; a million samples of a full car take 900 MiB
 GROWTH = 200  # times the file's own size, for the same; a vehicle at rest on a flat road, all zeros, compresses 40 times
+MOST_CHANNELS = 10_000  # a thousand runs have eight each
 MOST_DAMAGE = 20  # remarks; of more, only the number
 
+PLAIN = (Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.MESSAGE_INDEX)
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 _BROKEN = (McapError, ValueError, struct.error)  # what a record's own reader may raise
@@ -45,20 +47,55 @@ AnyRecord = TypeVar("AnyRecord", bound=McapRecord)
 
 
 @dataclass(frozen=True, eq=False)
-class Topic:
-    """The messages of a topic, as bytes.
+class Logged:
+    """A channel and its messages, as bytes.
 
     Attributes:
-        schema: of its messages, as it is encoded.
-        metadata: of its channel.
+        topic: its name; a second channel of the same name is damage, and its messages are not kept.
+        encoding: of its messages.
+        schema: name, encoding and data; None where it has none.
+        metadata: what is said beside it.
         times: log times [ns], shape (N,), uint64, in the order of the file.
-        content: messages of one length, shape (N, width), uint8.
+        ends: where each message ends in `content`, shape (N,), uint64.
+        content: the messages, one behind the other.
+        unlike: messages that were not published when they were logged, or are numbered; a run of ours writes none.
     """
 
-    schema: bytes
+    topic: str
+    encoding: str
+    schema: tuple[str, str, bytes] | None
     metadata: Mapping[str, str]
     times: Array
-    content: Array
+    ends: Array
+    content: memoryview
+    unlike: int
+
+    def messages(self) -> Iterator[memoryview]:
+        """One by one."""
+        start = 0
+        for end in self.ends.tolist():
+            yield self.content[start:end]
+            start = end
+
+    def rows(self) -> Array:
+        """Messages of one length, shape (N, length), uint8.
+
+        Raises:
+            InputError: they are not.
+        """
+        width = int(self.ends[0]) if len(self.ends) else 0
+        if np.any(self.ends != width * np.arange(1, len(self.ends) + 1, dtype=np.uint64)):
+            raise InputError("its messages are not as long as its first")
+        return np.frombuffer(self.content, np.uint8).reshape(len(self.ends), width)
+
+
+@dataclass(frozen=True)
+class Attached:
+    """An attachment: its media type, its times [ns] and its content."""
+
+    media_type: str
+    times: tuple[int, int]
+    data: bytes
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,27 +104,25 @@ class McapFile:
 
     Attributes:
         metadata: records by name.
-        attachments: content by name.
-        topics: by name, those that were asked for.
+        attachments: by name.
+        channels: by topic.
+        schemas: their names, also of those that no channel has.
         chunks: how many were read.
-        messages: how many were read, on whatever topic.
+        messages: how many were read, on whatever channel.
         damage: what is missing or broken, in words; empty for a whole file.
     """
 
     metadata: Mapping[str, Mapping[str, str]]
-    attachments: Mapping[str, bytes]
-    topics: Mapping[str, Topic]
+    attachments: Mapping[str, Attached]
+    channels: Mapping[str, Logged]
+    schemas: tuple[str, ...]
     chunks: int
     messages: int
     damage: tuple[str, ...]
 
 
-def read_mcap(path: Path, package: str) -> McapFile:
-    """Reads a file as far as it can be read.
-
-    Args:
-        path: of a regular file.
-        package: topics whose schema is of this protobuf package are kept, of others only the number of messages.
+def read_mcap(path: Path) -> McapFile:
+    """Reads a regular file as far as it can be read.
 
     Raises:
         InputError: it cannot be opened, or is no MCAP file.
@@ -96,7 +131,7 @@ def read_mcap(path: Path, package: str) -> McapFile:
         with open_plain(path, "log", GIVE) as stream:
             if stream.read(len(MAGIC)) != MAGIC:
                 raise InputError(f"log {path}: no MCAP file; {GIVE}")
-            reader = _Reader(package, os.fstat(stream.fileno()).st_size)
+            reader = _Reader(os.fstat(stream.fileno()).st_size)
             reader.read(stream)
     except OSError as error:
         raise InputError(f"log {path}: cannot be read ({error.strerror or error})") from error
@@ -105,26 +140,25 @@ def read_mcap(path: Path, package: str) -> McapFile:
 
 @dataclass
 class _Series:
-    """A topic that is being read."""
+    """A channel that is being read."""
 
-    schema: bytes
-    metadata: Mapping[str, str]
+    channel: Channel
+    schema: tuple[str, str, bytes] | None
     times: array = field(default_factory=lambda: array("Q"))
+    ends: array = field(default_factory=lambda: array("Q"))
     content: bytearray = field(default_factory=bytearray)
-    width: int = -1
-    uneven: int = 0
+    unlike: int = 0
 
 
 class _Reader:
     """Collects what a file holds. All its bounds are in one place, `_budget`, or beside the read that they bound."""
 
-    def __init__(self, package: str, size: int) -> None:
-        self._prefix = f"{package}."
+    def __init__(self, size: int) -> None:
         self._size = size
         self._budget = min(MOST_DATA, GROWTH * size + MIB)
         self._kept = 0
         self._metadata: dict[str, Mapping[str, str]] = {}
-        self._attachments: dict[str, bytes] = {}
+        self._attachments: dict[str, Attached] = {}
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
         self._series: dict[int, _Series] = {}
@@ -142,22 +176,31 @@ class _Reader:
                 self._keep_attachment(where, content)
             elif opcode == Opcode.CHUNK:
                 self._read_chunk(where, content)
-            else:
+            elif opcode in PLAIN:
                 self._read_inner(where, opcode, memoryview(content))
+            else:
+                self._damaged(f"the {_name(opcode)} {where} is none that a run of ours writes")
 
     def found(self) -> McapFile:
         """What was read."""
-        topics = {}
-        for name, series in self._topics.items():
-            if series.uneven:
-                self._damaged(f"{series.uneven} message(s) of a topic are not as long as its first")
-            times, width = np.array(series.times, dtype=np.uint64), max(series.width, 0)
-            content = np.frombuffer(series.content, np.uint8).reshape(len(times), width)
-            topics[name] = Topic(series.schema, series.metadata, times, content)
+        channels = {
+            topic: Logged(
+                topic,
+                series.channel.message_encoding,
+                series.schema,
+                series.channel.metadata,
+                np.array(series.times, dtype=np.uint64),
+                np.array(series.ends, dtype=np.uint64),
+                memoryview(series.content),
+                series.unlike,
+            )
+            for topic, series in self._topics.items()
+        }
         damage = list(self._damage)
         if len(damage) > MOST_DAMAGE:
             damage = [*damage[:MOST_DAMAGE], f"and {len(damage) - MOST_DAMAGE} more of the kind"]
-        return McapFile(self._metadata, self._attachments, topics, self._chunks, self._messages, tuple(damage))
+        schemas = tuple(schema.name for schema in self._schemas.values())
+        return McapFile(self._metadata, self._attachments, channels, schemas, self._chunks, self._messages, tuple(damage))
 
     def _damaged(self, remark: str) -> None:
         if len(self._damage) < 1000 * MOST_DAMAGE:
@@ -237,7 +280,7 @@ class _Reader:
         elif record.name in self._attachments:
             self._damaged(f"the attachment {where} has a name that another has already")
         else:
-            self._attachments[record.name] = record.data
+            self._attachments[record.name] = Attached(record.media_type, (record.create_time, record.log_time), record.data)
 
     def _read_chunk(self, where: str, content: bytes) -> None:
         chunk = self._parsed(Chunk, where, content)
@@ -279,23 +322,25 @@ class _Reader:
             channel = self._parsed(Channel, where, bytes(content))
             if channel is not None:
                 self._open(where, channel)
+        elif opcode not in PLAIN:
+            self._damaged(f"the {_name(opcode)} {where} is none that a run of ours writes")
 
     def _open(self, where: str, channel: Channel) -> None:
-        """Begins the topic of a channel, if it is one to be kept."""
+        """Begins a channel."""
         if channel.id in self._channels:
             if self._channels[channel.id] != channel:
                 self._damaged(f"the channel {where} has the number of another")
             return
+        if len(self._channels) >= MOST_CHANNELS:
+            self._damaged(f"more than {MOST_CHANNELS} channels; the others are not read")
+            return
         self._channels[channel.id] = channel
         schema = self._schemas.get(channel.schema_id)
-        if schema is None or not schema.name.startswith(self._prefix):
-            return
-        if (channel.message_encoding, schema.encoding) != ("protobuf", "protobuf"):
-            self._damaged(f"the channel {where} is not encoded as protobuf")
-        elif channel.topic in self._topics:
+        if channel.topic in self._topics:
             self._damaged(f"the channel {where} has the topic of another")
-        else:
-            self._topics[channel.topic] = self._series[channel.id] = _Series(schema.data, channel.metadata)
+            return
+        about = (schema.name, schema.encoding, schema.data) if schema is not None else None
+        self._topics[channel.topic] = self._series[channel.id] = _Series(channel, about)
 
     def _read_message(self, where: str, content: memoryview) -> None:
         # Not as a record of the library's: a chunk may hold two million of them, and objects take 15 times as much memory.
@@ -303,19 +348,16 @@ class _Reader:
             self._damaged(f"a message {where} has {len(content)} bytes; the least is {_MESSAGE.size}")
             return
         self._messages += 1
-        number, _, time, _ = _MESSAGE.unpack_from(content)
+        number, order, time, published = _MESSAGE.unpack_from(content)
         series = self._series.get(number)
         if series is None:
             if number not in self._channels:
                 self._damaged(f"messages {where} have no channel")
             return
-        if series.width < 0:
-            series.width = len(content) - _MESSAGE.size
-        if len(content) - _MESSAGE.size != series.width:
-            series.uneven += 1
-            return
         series.times.append(time)
         series.content += content[_MESSAGE.size :]
+        series.ends.append(len(series.content))
+        series.unlike += order != 0 or published != time
 
     def _parsed(self, kind: type[AnyRecord], where: str, content: bytes) -> AnyRecord | None:
         try:

@@ -1,19 +1,20 @@
 """The metrics of a run, in MuJoCo, in the linear response over the same road, and expected over all such roads; in words, too."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from models.vehicle import Vehicle
-from sim.expected import APPROXIMATE, EXACT, Expected, expect
+from sim.expected import APPROXIMATE, EXACT, Expected, expect, settling_time
 from sim.iso8608 import Iso8608
 from sim.metrics import measure, metrics_of
 from sim.road import Road
 from sim.run import Run
 from sim.settled import Settled, settled
+from synth.controller import Controller
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,14 @@ class RunMetrics:
     metrics: Mapping[str, Measured]
     settled: Settled | None
     error: float | None
+
+
+def first_sample(vehicle: Vehicle, controllers: Sequence[Controller], road: Road, duration: float, timestep: float) -> int:
+    """The sample from which is measured: when a random road's vehicle has forgotten its start, half of the run at the latest."""
+    if not isinstance(road, Iso8608):
+        return 0
+    settled = max(settling_time(vehicle, controller) for controller in controllers)
+    return round(min(settled, duration / 2) / timestep)
 
 
 def measure_run(vehicle: Vehicle, run: Run, road: Road, first: int) -> RunMetrics:

@@ -1,7 +1,7 @@
 """Whether a log still proves what it claims: every claim against what follows anew from the same log."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -24,8 +24,11 @@ from sim.claims import (
     check_samples,
     claimed_samples,
 )
+from sim.commanded import Held, check_command
+from sim.contents import check_contents, check_whole_result
 from sim.linear import driven, noise_spread, sampled_radius
-from sim.recorded import Recorded, RecordedRun, read_json, timestep
+from sim.log_format import is_current
+from sim.recorded import RESPONSES, Recorded, RecordedRun, read_json, timestep
 from sim.reproduction import (
     FEWEST,
     Reproduction,
@@ -38,8 +41,13 @@ from sim.reproduction import (
     usable_samples,
 )
 from sim.response import Response
-from sim.run import Run
+from sim.run import Run, halved
+from sim.run_log import RunLog
 
+UNCHECKED = (
+    "who wrote it and when, with which versions and library, in which folders vehicle file and log lay, what a road file held "
+    "before it was read, the index behind the data, which players ask"
+)
 MOST_STATES = 1000  # of a loop with all its delayed forces; its eigenvalues take seconds
 
 
@@ -53,6 +61,7 @@ class Inspected:
         findings: every claim.
         again: the run made anew; None where that was not possible.
         run: with the physics of the log and the verdict on it, anew; None where there is none.
+        made: as it would be written now, its responses as they were logged; None where it is not whole.
     """
 
     recorded: RecordedRun
@@ -60,6 +69,7 @@ class Inspected:
     findings: tuple[Finding, ...]
     again: Reproduction | None
     run: Run | None
+    made: RunLog | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,8 +105,9 @@ def prove(log: Recorded, kinds: Path | None = None) -> Proof:
         log: as it was read.
         kinds: folder of kinds of vehicle of the user's own; see `recorded_vehicle`.
     """
-    whole = f"{log.chunks} chunk(s), {log.messages} messages, every checksum right"
-    findings = [Finding("file", FAILS, remark) for remark in log.damage] or [Finding("file", HOLDS, whole)]
+    file = log.file
+    whole = f"{file.chunks} chunk(s), {file.messages} messages, every checksum right"
+    findings = [Finding("file", FAILS, remark) for remark in file.damage] or [Finding("file", HOLDS, whole)]
     if not log.runs:
         findings.append(Finding("runs", MISSING, "there is no run in it"))
     try:
@@ -105,7 +116,42 @@ def prove(log: Recorded, kinds: Path | None = None) -> Proof:
         findings.append(Finding("vehicle", MISSING, str(error)))
         return Proof(log, None, math.nan, tuple(findings), tuple(Inspected(run, 0, (), None, None) for run in log.runs))
     findings.append(_model(log, vehicle, h))
-    return Proof(log, vehicle, h, tuple(findings), tuple(_inspect(log, vehicle, run, h) for run in log.runs))
+    try:
+        current = is_current(log)
+    except InputError as error:
+        findings.append(Finding("format", FAILS, str(error)))
+        current = True
+    runs = tuple(_inspect(log, vehicle, run, h, current) for run in log.runs)
+    findings += _beside(log, vehicle, h, runs, current)
+    return Proof(log, vehicle, h, tuple(findings), runs)
+
+
+def _beside(log: Recorded, vehicle: Vehicle, h: float, runs: Sequence[Inspected], current: bool) -> Iterator[Finding]:
+    """What a log holds beside its runs, and how it is written down."""
+    made, again = [run.made for run in runs if run.made], [run.again for run in runs if run.again]
+    if len(made) < len(runs):
+        absent = ", ".join(run.recorded.name for run in runs if not run.made)
+        yield Finding("format", MISSING, f"nothing is compared that rests on all runs: {absent} could not be made again")
+        return
+    yield from _guarded("format", FAILS, lambda: check_contents(log, vehicle, h, made, current))
+    if not current:
+        yield Finding("command", NOTE, "the command line of a log older than formats is said, and not checked")
+        return
+    if again:
+        yield from _guarded("result", FAILS, lambda: check_whole_result(log, again))
+    held = [
+        Held(
+            one.recorded.name,
+            one.recorded.claims.get("name"),
+            one.again.vehicle.implementation,
+            one.recorded.claim("samples"),
+            one.recorded.claim("road"),
+        )
+        for one in runs
+        if one.again
+    ]
+    yield from _guarded("command", FAILS, lambda: check_command(log, vehicle, h, held))
+    yield Finding("unchecked", NOTE, UNCHECKED)
 
 
 def _model(log: Recorded, vehicle: Vehicle, h: float) -> Finding:
@@ -131,14 +177,14 @@ def _model(log: Recorded, vehicle: Vehicle, h: float) -> Finding:
     return Finding("model", FAILS, "model.xml is not what vehicle.toml makes")
 
 
-def _inspect(log: Recorded, vehicle: Vehicle, recorded: RecordedRun, h: float) -> Inspected:
+def _inspect(log: Recorded, vehicle: Vehicle, recorded: RecordedRun, h: float, current: bool) -> Inspected:
     """Every claim of one run. A step that fails ends what rests on it, and no more."""
     findings = [Finding("responses", MISSING, remark) for remark in recorded.damage]
     samples = usable_samples(recorded, h)
     findings += _guarded("samples", MISSING, lambda: check_samples(recorded, samples, h))
 
-    def inspected(again: Reproduction | None = None, run: Run | None = None) -> Inspected:
-        return Inspected(recorded, samples, tuple(findings), again, run)
+    def inspected(again: Reproduction | None = None, run: Run | None = None, made: RunLog | None = None) -> Inspected:
+        return Inspected(recorded, samples, tuple(findings), again, run, made)
 
     try:
         own = implemented(vehicle, recorded)
@@ -148,7 +194,7 @@ def _inspect(log: Recorded, vehicle: Vehicle, recorded: RecordedRun, h: float) -
     except (ValueError, ArithmeticError) as error:
         findings.append(Finding("controller", FAILS, str(error)))
         return inspected()
-    findings += _guarded("certificate", FAILS, lambda: check_certificate(controller, recorded))
+    findings += _guarded("certificate", FAILS, lambda: check_certificate(controller, recorded, current))
     if samples < FEWEST:
         return inspected()
     try:
@@ -162,6 +208,7 @@ def _inspect(log: Recorded, vehicle: Vehicle, recorded: RecordedRun, h: float) -
     except (ValueError, ArithmeticError, RuntimeError) as error:
         findings.append(Finding("physics", MISSING, str(error)))
         return inspected(again)
+    made = None
     whole = samples == claimed_samples(recorded, samples)
     findings += _guarded("physics", FAILS, lambda: check_physics(again, recorded, run, whole))
     if whole:
@@ -170,12 +217,13 @@ def _inspect(log: Recorded, vehicle: Vehicle, recorded: RecordedRun, h: float) -
         except (ValueError, ArithmeticError, RuntimeError) as error:
             findings.append(Finding("energy", MISSING, str(error)))
             return inspected(again, run)
-        findings += _guarded("energy", FAILS, lambda: check_energy(recorded, run, anew))
-        findings += _guarded("result", FAILS, lambda: check_result(log, again, recorded, run))
+        findings += _guarded("energy", FAILS, lambda: check_energy(recorded, run, anew, current))
+        findings += _guarded("result", FAILS, lambda: check_result(log, again, recorded, run, current))
+        made = _written_again(again, recorded, run, samples)
     else:
         findings.append(Finding("energy", MISSING, "it is of the whole run"))
         findings.append(Finding("result", MISSING, "it is of the whole run"))
-    return inspected(again, run)
+    return inspected(again, run, made)
 
 
 def _guarded(part: str, verdict: str, check: Callable[[], Iterator[Finding]]) -> list[Finding]:
@@ -216,13 +264,24 @@ def _driven_again(again: Reproduction, physics: Response) -> Run:
 
 
 def _balanced_again(again: Reproduction, run: Run) -> tuple[Run, Response]:
-    """A run with the energy balance of what MuJoCo makes of it now, and that physics."""
+    """A run with the energy balance of what MuJoCo makes of it now, and what half the step changes; and that physics."""
     from sim.energy import energy
     from sim.physics import simulate
 
-    vehicle, road = again.vehicle, again.road
-    anew = simulate([vehicle], [again.controller], [road], run.physics.time)
-    return replace(run, energy=energy(vehicle, anew, 0, road, until=run.agreement.flat)), anew.response.run(0)
+    vehicle, road, time = again.vehicle, again.road, run.physics.time
+    anew = simulate([vehicle], [again.controller], [road], time)
+    run = replace(run, energy=energy(vehicle, anew, 0, road, until=run.agreement.flat), qpos=anew.qpos[0])
+    (run,) = halved(vehicle, [run], road, time)
+    return run, anew.response.run(0)
+
+
+def _written_again(again: Reproduction, recorded: RecordedRun, run: Run, samples: int) -> RunLog:
+    """A run as it would be written now, with the responses that were logged."""
+    from sim.provenance import run_log
+
+    vehicle = again.vehicle
+    responses = {name: as_response(vehicle, recorded, name, samples, again.timestep) for name in RESPONSES}
+    return replace(run_log(vehicle, again.road, run, recorded.name), responses=responses)
 
 
 def _differing(vehicle: Vehicle, own: Vehicle) -> str:

@@ -5,8 +5,7 @@ import hashlib
 import json
 import math
 import platform
-import shlex
-import sys
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from importlib import metadata
@@ -16,15 +15,15 @@ from typing import Any
 from models.mjcf import mjcf_text
 from models.vehicle import Vehicle
 from sim.drawing import draw
+from sim.log_format import FORMAT, check_keys
 from sim.profile import Profile
-from sim.recording import record
 from sim.road import Road
 from sim.run import Run
 from sim.run_log import RunLog
-from sim.verdict import controller_object, energy_object, events, summary
+from sim.verdict import controller_object, energy_object, events, half_step_object, summary
 from synth.record import to_record
 
-PACKAGES = ("roadproof", "mujoco", "numpy", "scipy", "mcap", "rerun-sdk")
+PACKAGES = ("roadproof", "mujoco", "numpy", "scipy", "mcap", "protobuf", "foxglove-schemas-protobuf", "rerun-sdk")
 
 
 def versions() -> dict[str, str]:
@@ -45,16 +44,29 @@ def stem(command: str, vehicle: Vehicle, controllers: Sequence[str]) -> str:
     return f"{command}-{vehicle.kind.name}-{which}-{now}"
 
 
-def common_metadata(command: str, vehicle: Vehicle, timestep: float) -> dict[str, str]:
-    """What all runs of a log share."""
+def common_metadata(command_line: str, vehicle: Vehicle, timestep: float) -> dict[str, str]:
+    """What all runs of a log share.
+
+    Args:
+        command_line: `python -m sim.COMMAND ...`, which does the same again.
+        vehicle: as it was read.
+        timestep: [s].
+    """
     return {
-        "command": command,
-        "command_line": shlex.join(["python", *sys.orig_argv[1:]]),
+        "format": str(FORMAT),
+        "command": command_of(command_line),
+        "command_line": command_line,
         "vehicle": vehicle.source,
         "vehicle_type": vehicle.kind.name,
         "timestep": repr(timestep),
         "versions": json.dumps(versions()),
     }
+
+
+def command_of(command_line: str) -> str:
+    """The name of the command of a line `python -m sim.NAME ...`; empty where it is none."""
+    found = re.match(r"python -m sim\.(\w+)( |$)", command_line)
+    return found[1] if found else ""
 
 
 def attachments(vehicle: Vehicle, timestep: float, result: Mapping[str, Any]) -> dict[str, tuple[str, bytes]]:
@@ -67,13 +79,18 @@ def attachments(vehicle: Vehicle, timestep: float, result: Mapping[str, Any]) ->
 
 
 def record_runs(
-    folder: Path, command: str, vehicle: Vehicle, controllers: Sequence[str], runs: Sequence[RunLog], result: Mapping[str, Any]
+    folder: Path,
+    command_line: str,
+    vehicle: Vehicle,
+    controllers: Sequence[str],
+    runs: Sequence[RunLog],
+    result: Mapping[str, Any],
 ) -> dict[str, str]:
     """Records what a command has run, as `sim.recording.record` does.
 
     Args:
         folder: where to.
-        command: its name.
+        command_line: see `common_metadata`.
         vehicle: as it was read.
         controllers: names of those that were run.
         runs: see `run_log`.
@@ -81,14 +98,20 @@ def record_runs(
 
     Returns:
         The files' paths: `mcap` and `rerun`.
+
+    Raises:
+        InputError: the folder cannot be written, or the result is none of the command's (`sim.log_format`).
     """
+    from sim.recording import record  # it imports Rerun
+
+    check_keys(command_of(command_line), result)
     time = runs[0].responses["mujoco"].time
     timestep = float(time[1] - time[0])
     paths = record(
         folder,
-        stem(command, vehicle, controllers),
+        stem(command_of(command_line), vehicle, controllers),
         runs,
-        common_metadata(command, vehicle, timestep),
+        common_metadata(command_line, vehicle, timestep),
         attachments(vehicle, timestep, result) | {name: file for run in runs for name, file in run.files.items()},
     )
     return {name: str(path) for name, path in paths.items()}
@@ -113,6 +136,7 @@ def run_log(vehicle: Vehicle, road: Road, run: Run, name: str | None = None) -> 
         "certificate": to_record(certificate),
         "agrees": agreement.agrees,
         "energy": energy_object(run.energy) if run.energy is not None else None,
+        "half_step": half_step_object(run),
         "lift_off": [list(interval) for interval in agreement.lift_off],
         "errors": {name: signal.sampled if math.isfinite(signal.sampled) else None for name, signal in agreement.signals.items()},
     }

@@ -17,9 +17,9 @@ from google.protobuf.message import DecodeError
 
 from models.arrays import Array
 from models.errors import InputError
-from sim.mcap_file import McapFile, Topic, read_mcap
+from sim.mcap_file import Logged, McapFile, read_mcap
+from sim.recording_mcap import PACKAGE
 
-PACKAGE = "roadproof"
 RESPONSES = ("mujoco", "linear", "continuous")
 NAME = re.compile(r"[\w-]{1,120}")  # of a run; a controller's, and what a command adds to it
 MOST_JSON = 8 * 2**20  # bytes; parsed, it may take twenty times as much
@@ -77,21 +77,37 @@ class Recorded:
 
     Attributes:
         path: its file.
-        metadata: what all its runs share, as text by key.
-        attachments: content by name.
+        file: what could be read of it.
         runs: in the order of the file.
-        chunks: how many were read.
-        messages: how many were read.
-        damage: what is missing or broken in the file, in words.
     """
 
     path: Path
-    metadata: Mapping[str, str]
-    attachments: Mapping[str, bytes]
+    file: McapFile
     runs: tuple[RecordedRun, ...]
-    chunks: int
-    messages: int
-    damage: tuple[str, ...]
+
+    @property
+    def metadata(self) -> Mapping[str, str]:
+        """What all its runs share, as text by key."""
+        return self.file.metadata[PACKAGE]
+
+    @property
+    def attachments(self) -> Mapping[str, bytes]:
+        """Content by name."""
+        return {name: attached.data for name, attached in self.file.attachments.items()}
+
+    @property
+    def result(self) -> dict[str, Any]:
+        """What the command found, as it is attached.
+
+        Raises:
+            InputError: it is not, is no object, or an empty one.
+        """
+        if "result.json" not in self.file.attachments:
+            raise InputError("result.json is not attached")
+        found = read_json(self.file.attachments["result.json"].data, "result.json")
+        if not isinstance(found, dict) or not found:
+            raise InputError("result.json is empty, or no object")
+        return found
 
 
 def read_log(path: Path) -> Recorded:
@@ -100,7 +116,7 @@ def read_log(path: Path) -> Recorded:
     Raises:
         InputError: it cannot be opened, is no MCAP file, or none that a run of ours has written.
     """
-    file = read_mcap(path, PACKAGE)
+    file = read_mcap(path)
     names = [name.removeprefix("run/") for name in file.metadata if name.startswith("run/")]
     if PACKAGE not in file.metadata:
         cut = f" (it is {file.damage[0]})" if file.damage else ""
@@ -108,7 +124,7 @@ def read_log(path: Path) -> Recorded:
     if len(names) > MOST_RUNS or not all(NAME.fullmatch(name) for name in names):
         raise InputError(f"log {path}: no log of Roadproof's: its runs have no names that ours could have")
     runs = tuple(_run(file, name, f"/{name}/" if len(names) > 1 else "/") for name in names)
-    return Recorded(path, file.metadata[PACKAGE], file.attachments, runs, file.chunks, file.messages, file.damage)
+    return Recorded(path, file, runs)
 
 
 def read_json(text: str | bytes, what: str) -> Any:
@@ -120,7 +136,7 @@ def read_json(text: str | bytes, what: str) -> Any:
     if len(text) > MOST_JSON:
         raise InputError(f"{what} is {len(text)} bytes of JSON; {MOST_JSON} are allowed")
     try:
-        return json.loads(text, parse_constant=_no_number, parse_float=_finite, parse_int=_whole)
+        return json.loads(text, object_pairs_hook=_once, parse_constant=_no_number, parse_float=_finite, parse_int=_whole)
     except (ValueError, RecursionError) as error:  # no JSON, no UTF-8, a number of 5000 digits; brackets in brackets in ...
         raise InputError(f"{what} is no JSON") from error
 
@@ -143,7 +159,7 @@ def timestep(metadata: Mapping[str, str]) -> float:
 def _run(file: McapFile, name: str, prefix: str) -> RecordedRun:
     responses, damage = {}, []
     for response in RESPONSES:
-        topic = file.topics.get(prefix + response)
+        topic = file.channels.get(prefix + response)
         if topic is None:
             damage.append(f"the {response} response is missing")
             continue
@@ -154,10 +170,12 @@ def _run(file: McapFile, name: str, prefix: str) -> RecordedRun:
     return RecordedRun(name, file.metadata[f"run/{name}"], responses, tuple(damage))
 
 
-def _samples(topic: Topic) -> Samples:
+def _samples(topic: Logged) -> Samples:
     """A topic's messages as numbers. A row of them is laid out as `sim.recording_mcap` writes it: all fields, in their order."""
-    names = _fields(topic.schema)
-    rows, values, column = topic.content, [], 0
+    if topic.schema is None or (topic.encoding, topic.schema[1]) != ("protobuf", "protobuf"):
+        raise InputError("it is not encoded as protobuf")
+    names = _fields(topic.schema[2])
+    rows, values, column = topic.rows(), [], 0
     for number in range(1, len(names) + 1):
         tag = number << 3 | 1
         head = [tag] if tag < 128 else [tag & 0x7F | 0x80, tag >> 7]
@@ -193,6 +211,13 @@ def _fields(schema: bytes) -> tuple[str, ...]:
     if [field.number for field in fields] != list(range(1, len(names) + 1)):
         raise InputError("its schema does not number its fields as ours do")
     return names
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        raise ValueError("a key is given twice")
+    return found
 
 
 def _no_number(text: str) -> None:

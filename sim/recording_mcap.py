@@ -5,9 +5,12 @@ run time, from the responses' signals: a signal's name is its field's name, and 
 """
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+import operator
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from google.protobuf.descriptor_pb2 import DescriptorProto, FieldDescriptorProto, FileDescriptorProto, FileDescriptorSet
@@ -22,7 +25,33 @@ from sim.figure import rgb, styles
 from sim.response import Response
 from sim.run_log import RunLog
 
-_PACKAGE = "roadproof"
+PACKAGE = "roadproof"
+
+
+@dataclass(frozen=True, eq=False)
+class Channel:
+    """A channel as a log has it.
+
+    Attributes:
+        topic: its name.
+        schema: of its messages: name, encoding and data.
+        metadata: what is said of its fields.
+        times: of its messages [ns], ascending.
+        contents: makes its messages, one for each time.
+        alike: whether two messages say the same, to what another machine may make of it.
+    """
+
+    topic: str
+    schema: tuple[str, str, bytes]
+    metadata: Mapping[str, str]
+    times: Sequence[int]
+    contents: Callable[[], Iterator[bytes]]
+    alike: Callable[[bytes, bytes], bool]
+
+
+def records(runs: Sequence[RunLog], metadata: Mapping[str, str]) -> dict[str, Mapping[str, str]]:
+    """The metadata records of a log, by name: what all runs share, and what is claimed of each."""
+    return {PACKAGE: metadata, **{f"run/{run.name}": run.metadata for run in runs}}
 
 
 def write_mcap(
@@ -33,11 +62,7 @@ def write_mcap(
 ) -> None:
     """Writes runs to an MCAP file.
 
-    One topic per response, `/mujoco` for a single run and `/I/mujoco` among several: a message per sample, a double per
-    signal, log_time = publish_time = t in ns. The channel's metadata holds unit, symbol and meaning of every signal, as
-    JSON by the signal's name; the schema has them as comments. `/difference` is MuJoCo minus linear, of each signal's peak, in
-    single precision. Events are `foxglove.Log` on `/events`, and the moving car is on `/transforms`, `/shapes` and `/scene` in
-    Foxglove's published schemas. `metadata` becomes the metadata record `roadproof`, and each run's own the record `run/<name>`.
+    The records are those of `records`, and the channels those of `channels`.
 
     Args:
         path: the file; overwritten if it exists.
@@ -52,36 +77,54 @@ def write_mcap(
         writer = Writer(stream, enable_data_crcs=True)  # metadata has no checksum of its own
         writer.start()
 
-        writer.add_metadata(_PACKAGE, dict(metadata))
-        for run in runs:
-            writer.add_metadata(f"run/{run.name}", dict(run.metadata))
+        for name, record in records(runs, metadata).items():
+            writer.add_metadata(name, dict(record))
         for name, (media_type, content) in attachments.items():
             writer.add_attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=content)
 
         messages: list[tuple[int, int, bytes]] = []  # time [ns], channel, content
-        schemas: dict[tuple[Signal, ...], int] = {}
-        for run in runs:
-            responses = {name: (response, "<f8") for name, response in run.responses.items()}
-            if {"mujoco", "linear"} <= set(responses):
-                responses["difference"] = (difference(run.responses["mujoco"], run.responses["linear"]), "<f4")
-            for name, (response, kind) in responses.items():
-                if response.signals not in schemas:
-                    schemas[response.signals] = _register_signals(writer, response.signals, len(schemas) + 1, kind)
-                channel = writer.register_channel(
-                    topic=topic(runs, run, name),
-                    message_encoding=MessageEncoding.Protobuf,
-                    schema_id=schemas[response.signals],
-                    metadata={signal.name: _described(signal) for signal in response.signals},
-                )
-                times = _nanoseconds(response.time)
-                messages += ((time, channel, content) for time, content in zip(times, _encoded(response, kind), strict=True))
-        messages += _published(writer, runs)
+        schemas: dict[tuple[str, str, bytes], int] = {}
+        for channel in channels(runs):
+            if channel.schema not in schemas:
+                schemas[channel.schema] = writer.register_schema(*channel.schema)
+            number = writer.register_channel(
+                channel.topic, MessageEncoding.Protobuf, schemas[channel.schema], dict(channel.metadata)
+            )
+            messages += ((time, number, content) for time, content in zip(channel.times, channel.contents(), strict=True))
 
         # Players stream a file from front to back: all topics together, in the order of time.
         messages.sort(key=lambda message: message[0])
-        for time, channel, content in messages:
-            writer.add_message(channel, log_time=time, data=content, publish_time=time)
+        for time, number, content in messages:
+            writer.add_message(number, log_time=time, data=content, publish_time=time)
         writer.finish()
+
+
+def channels(runs: Sequence[RunLog]) -> Iterator[Channel]:
+    """Every channel of a log, in its order. What is written, and what a log is held to, is this.
+
+    One topic per response, `/mujoco` for a single run and `/I/mujoco` among several: a message per sample, a double per
+    signal, log_time = publish_time = t in ns. The channel's metadata holds unit, symbol and meaning of every signal, as
+    JSON by the signal's name; the schema has them as comments. `/difference` is MuJoCo minus linear, of each signal's peak, in
+    single precision. Events are `foxglove.Log` on `/events`, and the moving car is on `/transforms`, `/shapes` and `/scene` in
+    Foxglove's published schemas.
+    A channel without messages is left out.
+    """
+    numbers: dict[tuple[Signal, ...], int] = {}
+    for run in runs:
+        responses = {name: (response, "<f8") for name, response in run.responses.items()}
+        if {"mujoco", "linear"} <= set(responses):
+            responses["difference"] = (difference(run.responses["mujoco"], run.responses["linear"]), "<f4")
+        for name, (response, kind) in responses.items():
+            number = numbers.setdefault(response.signals, len(numbers) + 1)
+            yield Channel(
+                topic(runs, run, name),
+                _signals_schema(response.signals, number, kind),
+                {signal.name: _described(signal) for signal in response.signals},
+                _nanoseconds(response.time),
+                partial(_encoded, response, kind),
+                operator.eq,
+            )
+    yield from (channel for channel in _published(runs) if channel.times)
 
 
 def topic(runs: Sequence[RunLog], run: RunLog, name: str) -> str:
@@ -99,10 +142,10 @@ def _described(signal: Signal) -> str:
     return json.dumps({"unit": signal.unit, "symbol": signal.symbol, "meaning": signal.meaning})
 
 
-def _register_signals(writer: Writer, signals: tuple[Signal, ...], number: int, kind: str) -> int:
+def _signals_schema(signals: tuple[Signal, ...], number: int, kind: str) -> tuple[str, str, bytes]:
     """The schema of a flat message of doubles or floats, numbered because responses may differ in their signals."""
     message = DescriptorProto(name=f"Signals{number}")
-    file = FileDescriptorProto(name=f"{_PACKAGE}/signals{number}.proto", package=_PACKAGE, syntax="proto3")
+    file = FileDescriptorProto(name=f"{PACKAGE}/signals{number}.proto", package=PACKAGE, syntax="proto3")
     for index, signal in enumerate(signals):
         message.field.add(
             name=signal.name,
@@ -117,15 +160,11 @@ def _register_signals(writer: Writer, signals: tuple[Signal, ...], number: int, 
             leading_comments=f" {signal.symbol} [{signal.unit}]: {signal.meaning}\n",
         )
     file.message_type.append(message)
-    return writer.register_schema(
-        name=f"{_PACKAGE}.{message.name}",
-        encoding=SchemaEncoding.Protobuf,
-        data=FileDescriptorSet(file=[file]).SerializeToString(),
-    )
+    return f"{PACKAGE}.{message.name}", SchemaEncoding.Protobuf, FileDescriptorSet(file=[file]).SerializeToString()
 
 
 @np.errstate(over="ignore")  # a difference that single precision cannot hold is infinite
-def _encoded(response: Response, kind: str) -> list[bytes]:
+def _encoded(response: Response, kind: str) -> Iterator[bytes]:
     """Every sample as a protobuf message of doubles, `<f8`, or floats, `<f4`.
 
     On the wire a double is its tag, (number << 3) | 1 as a varint, and 8 little-endian bytes; a float has 5 and 4. A flat message
@@ -140,7 +179,7 @@ def _encoded(response: Response, kind: str) -> list[bytes]:
         columns += [np.broadcast_to(tag, (count, len(tag))), value]
     rows = np.concatenate(columns, axis=1)
     width, content = rows.shape[1], rows.tobytes()
-    return [content[start : start + width] for start in range(0, len(content), width)]
+    return (content[start : start + width] for start in range(0, len(content), width))
 
 
 def _varint(value: int) -> bytes:
@@ -149,23 +188,9 @@ def _varint(value: int) -> bytes:
     return bytes([low | 0x80]) + _varint(rest) if rest else bytes([low])
 
 
-def _published(writer: Writer, runs: Sequence[RunLog]) -> Iterator[tuple[int, int, bytes]]:
-    """What has a published schema: events and the scene. Registers their channels; yields (time [ns], channel, content)."""
-    from mcap_protobuf.schema import register_schema
-
+def _published(runs: Sequence[RunLog]) -> Iterator[Channel]:
+    """What has a published schema: events and the scene."""
     from sim import foxglove_scene as scene
-
-    schemas: dict[str, int] = {}
-
-    def written(run: RunLog, name: str, messages: scene.Messages) -> Iterator[tuple[int, int, bytes]]:
-        channel = None
-        for time, message in messages:
-            schema = message.DESCRIPTOR.full_name
-            if schema not in schemas:
-                schemas[schema] = register_schema(writer, type(message))
-            if channel is None:
-                channel = writer.register_channel(topic(runs, run, name), MessageEncoding.Protobuf, schemas[schema])
-            yield time, channel, message.SerializeToString()
 
     largest = largest_force(run.scene for run in runs)
     colours = styles(tuple(run.name for run in runs))
@@ -173,9 +198,32 @@ def _published(writer: Writer, runs: Sequence[RunLog]) -> Iterator[tuple[int, in
     for run in runs:
         run = replace(run, scene=run.scene.finite())
         times = _nanoseconds(run.scene.time)
-        yield from written(run, "events", scene.events(run, _nanoseconds(np.array([time for time, _ in run.events]))))
-        yield from written(run, "transforms", scene.transforms(run, times, stand))
-        yield from written(run, "shapes", scene.shapes(run, times[0] if times else 0, rgb(colours[run.name][0])))
-        yield from written(run, "scene", scene.moving(run, times, largest))
+        happened = _nanoseconds(np.array([time for time, _ in run.events]))
+        colour = rgb(colours[run.name][0])
+        for name, kind, when, messages in (
+            ("events", scene.Log, happened, partial(scene.events, run, happened)),
+            ("transforms", scene.FrameTransforms, times, partial(scene.transforms, run, times, stand)),
+            (
+                "shapes",
+                scene.SceneUpdate,
+                [times[0] if times else 0],
+                partial(scene.shapes, run, times[0] if times else 0, colour),
+            ),
+            ("scene", scene.SceneUpdate, times, partial(scene.moving, run, times, largest)),
+        ):
+            made, alike = partial(_serialized, messages), partial(scene.alike, kind)
+            yield Channel(topic(runs, run, name), _published_schema(kind), {}, when, made, alike)
         low, high = run.scene.extent()
         stand = stand + [1.15 * (high[0] - low[0]), 0.0, 0.0]  # in a row
+
+
+def _serialized(messages: Callable[[], Iterator[Any]]) -> Iterator[bytes]:
+    return (message.SerializeToString() for message in messages())
+
+
+def _published_schema(kind: type) -> tuple[str, str, bytes]:
+    """A message type's schema, with those that it is made of."""
+    from mcap_protobuf.schema import build_file_descriptor_set
+
+    data = build_file_descriptor_set(kind).SerializeToString()
+    return kind.DESCRIPTOR.full_name, SchemaEncoding.Protobuf, data  # pyright: ignore[reportAttributeAccessIssue] - generated

@@ -126,8 +126,10 @@ def recorded_controller(vehicle: Vehicle, run: RecordedRun) -> Controller:
     record = run.claim("certificate")
     if not isinstance(record, dict):
         raise InputError("its certificate is none")
+    if given is None and "X" not in record:
+        raise InputError("it was designed, and its certificate proves no bound")
     X, eta, lower = read_proof(record, plant, Cy)
-    return Controller(name, signals, K, run.claim("designed") is True, certify(plant, K @ Cy, X, eta, lower))
+    return Controller(name, signals, K, given is None, certify(plant, K @ Cy, X, eta, lower))
 
 
 def recorded_road(log: Recorded, run: RecordedRun, samples: int) -> Road:

@@ -1,18 +1,22 @@
 """`python -m sim.sweep`: the paper's Fig. 3, measured: frequency responses and the H-infinity norm, in MuJoCo and in analysis."""
 
+import argparse
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from models.arrays import Array
 from models.command import Parser, chosen, run_command
 from models.errors import InputError
 from models.vehicle import Vehicle, read_vehicle
+from sim.asked import Asked
+from sim.described import described_road
 from sim.extremes import DURATION, Extremes, extremes
 from sim.identification import HIGHEST, LOWEST, Lines, ideal_measurements, identify
-from sim.multisine import sinusoid
+from sim.multisine import Multisine, sinusoid
 from sim.outputs import check_outputs, written, written_lines
 from sim.picture import draw
 from sim.run import run_all, sample_times
@@ -42,19 +46,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Raises:
         InputError: bad options or vehicle file.
     """
-    parser = Parser("sim.sweep", "Identifies frequency responses in MuJoCo and compares them with the linear analysis.", EPILOG)
-    parser.add_what("default: passive, state, I and II")
-    parser.add_number("--amplitude", 1e-4, "m", "largest height of every road; larger ones meet the vehicle's limits")
-    parser.add_number("--speed", 12.5, "m/s", "forward speed; only the later wheels of longer vehicles notice")
-    parser.add_number("--timestep", 1e-3, "s", "integration step and sample period of the controller")
-    parser.add_logs("every controller on its worst sinusoid")
-    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the responses, as .png or .svg; needs matplotlib")
-    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
-    options = parser.parse_args(arguments)
-
+    options = parser().parse_args(arguments)
     vehicle = read_vehicle(options.vehicle)
-    usual = [name for name in FIGURE_3 if name in vehicle.controller_names]
-    names = chosen(vehicle.controller_names, options.controller, usual)
+    names = _names(vehicle, options)
     if not 1e-3 <= options.speed <= 1e3:
         raise InputError(f"speed = {options.speed:g} m/s is not allowed; give a number from 0.001 to 1000")
     if "speed" in options.given and not any(wheel.behind(vehicle.parameters) for wheel in vehicle.kind.wheels):
@@ -80,7 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.logs is not None:
         from sim.provenance import record_runs
 
-        logs = record_runs(options.logs, "sweep", vehicle, names, _worst_runs(vehicle, sweeps, options), result)
+        logs = record_runs(options.logs, options.command_line, vehicle, names, _worst_runs(vehicle, sweeps, options), result)
     if options.json:
         print(json.dumps({**result, **written(outputs), "logs": logs}, allow_nan=False))
     else:
@@ -95,6 +89,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if options.logs is not None:
             print("\n".join(["", *log_lines(logs)]))
     return 0 if all(one.ended or not failures(one) for one in sweeps) else 1
+
+
+def asked(vehicle: Vehicle, options: argparse.Namespace) -> Asked:
+    """What a log of these options holds: worst sinusoids, whose frequencies the command finds itself."""
+
+    def is_it(road: Mapping[str, Any]) -> bool:
+        found = described_road(road)
+        return isinstance(found, Multisine) and road == _worst_road(found.omega[0], options).describe()
+
+    result = {name: getattr(options, name) for name in ("amplitude", "timestep", "speed")}
+    names, ideal = _names(vehicle, options), ideal_measurements(vehicle).implementation
+    samples = len(_worst_times(vehicle, options))
+    return Asked(names, samples, options.timestep, is_it, lambda name, how: name in names and how == ideal, result)
+
+
+def _names(vehicle: Vehicle, options: argparse.Namespace) -> list[str]:
+    usual = [name for name in FIGURE_3 if name in vehicle.controller_names]
+    return chosen(vehicle.controller_names, options.controller, usual)
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,11 +230,19 @@ def _worst_runs(vehicle: Vehicle, sweeps: Sequence[Sweep], options: Any) -> "lis
     from sim.provenance import run_log
 
     vehicle, found = ideal_measurements(vehicle), []
-    time = sample_times(vehicle, DURATION, options.timestep)
+    time = _worst_times(vehicle, options)
     for one in sweeps:
-        road = sinusoid(one.extremes.tried, options.speed).scaled(options.amplitude / 2)
+        road = _worst_road(one.extremes.tried, options)
         found.append(run_log(vehicle, road, run_all(vehicle, [one.lines.controller], road, time)[0]))
     return found
+
+
+def _worst_times(vehicle: Vehicle, options: argparse.Namespace) -> Array:
+    return sample_times(ideal_measurements(vehicle), DURATION, options.timestep)
+
+
+def _worst_road(omega: float, options: argparse.Namespace) -> Multisine:
+    return sinusoid(omega, options.speed).scaled(options.amplitude / 2)
 
 
 def _norm(one: Sweep) -> float:
@@ -231,6 +251,19 @@ def _norm(one: Sweep) -> float:
 
 def _finite(value: Any) -> float | None:
     return float(value) if math.isfinite(value) else None
+
+
+def parser() -> Parser:
+    """The options."""
+    parser = Parser("sim.sweep", "Identifies frequency responses in MuJoCo and compares them with the linear analysis.", EPILOG)
+    parser.add_what("default: passive, state, I and II")
+    parser.add_number("--amplitude", 1e-4, "m", "largest height of every road; larger ones meet the vehicle's limits")
+    parser.add_number("--speed", 12.5, "m/s", "forward speed; only the later wheels of longer vehicles notice")
+    parser.add_number("--timestep", 1e-3, "s", "integration step and sample period of the controller")
+    parser.add_logs("every controller on its worst sinusoid")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the responses, as .png or .svg; needs matplotlib")
+    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    return parser
 
 
 if __name__ == "__main__":

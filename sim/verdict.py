@@ -56,10 +56,10 @@ def energy_lines(run: Run) -> list[str]:
     return [f"energy DOES NOT BALANCE: {of} is not found again, {BALANCED:.0e} allowed: {why}"]
 
 
-def half_step_object(run: Run) -> dict[str, Any]:
-    """What half the step changes after a lift-off, under `half_step`, as JSON has it."""
+def half_step_object(run: Run) -> dict[str, Any] | None:
+    """What half the step changes after a lift-off, as JSON has it; None where that is not known."""
     found = run.half_step
-    return {"half_step": {"difference": _finite(found.difference), "signal": found.signal} if found else None}
+    return {"difference": _finite(found.difference), "signal": found.signal} if found else None
 
 
 def controller_object(controller: Controller) -> dict[str, Any]:

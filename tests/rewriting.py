@@ -85,6 +85,6 @@ def written(
         for channel in parts.channels
     }
     for message in parts.messages:
-        writer.add_message(channels[message.channel_id], message.log_time, message.data, message.publish_time)
+        writer.add_message(channels[message.channel_id], message.log_time, message.data, message.publish_time, message.sequence)
     writer.finish()
     return stream.getvalue()

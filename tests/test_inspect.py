@@ -21,6 +21,7 @@ from sim.bump import main as bump
 from sim.drive import main as drive
 from sim.envelope import main as envelope
 from sim.inspect import main
+from sim.log_format import RESULTS
 from sim.margins import main as margins
 from sim.mcap_file import GIVE
 from sim.multisine import sinusoid
@@ -28,7 +29,6 @@ from sim.provenance import record_runs, run_log
 from sim.road import Bump
 from sim.run import run_all, sample_times
 from sim.sweep import main as sweep
-from synth.controller import Designer
 from tests.rewriting import Contents, contents, written
 
 LIMITED = """
@@ -169,9 +169,10 @@ def test_late_and_unstable(designer, paper, tmp_path, capsys):
     runs = []
     for name, vehicle, road in (("late", late, Bump(0.002)), ("worst", paper, sinusoid(64.2, 12.5).scaled(5e-5))):
         runs.append(run_log(vehicle, road, run_all(vehicle, [controller], road, time)[0], f"II_{name}"))
-    path = record_runs(tmp_path, "margins", paper, ["II"], runs, {"gain": {"found": 1.0}})["mcap"]
+    result = dict.fromkeys(RESULTS["margins"]) | {"controller": "II"}
+    path = record_runs(tmp_path, "python -m sim.margins --controller II", paper, ["II"], runs, result)["mcap"]
     code, found = inspected(Path(path), capsys)
-    assert (code, broken(found)) == (0, set())
+    assert (code, broken(found)) == (1, {("command", "FAILS")})  # for these are no roads of sim.margins
     parts = {(finding["part"], finding["verdict"]) for finding in found["runs"][0]["findings"]}
     assert {("implementation", "note"), ("result", "note")} <= parts
     assert any(finding["text"].startswith("unstable: the sampled loop grows") for finding in found["runs"][0]["findings"])
@@ -180,10 +181,10 @@ def test_late_and_unstable(designer, paper, tmp_path, capsys):
 def test_diverged(paper, tmp_path, capsys):
     """A run that broke off, numbers that are none included, is proved to have done so."""
     vehicle = parse_vehicle(paper.text + '\n[controllers.wild]\nmeasured = ["sprung_velocity"]\ngain = [[40000.0]]\n')
-    run = run_all(vehicle, [Designer(vehicle).design("wild")], Bump(), sample_times(vehicle, 3.0, 1e-3))[0]
-    assert np.isfinite(run.diverged)
-    path = record_runs(tmp_path, "bump", vehicle, ["wild"], [run_log(vehicle, Bump(), run)], {"other": 1})["mcap"]
-    code, found = inspected(Path(path), capsys)
+    file = tmp_path / "wild.toml"
+    file.write_text(vehicle.text)
+    bump(["--vehicle", str(file), "--controller", "wild", "--logs", str(tmp_path)])
+    code, found = inspected(next(tmp_path.glob("*.mcap")), capsys)
     assert (code, broken(found)) == (0, set())
     assert any(finding["text"].startswith("diverged") for finding in found["runs"][0]["findings"])
 
@@ -382,13 +383,44 @@ def test_csv_is_of_one_log(log, tmp_path):
     assert not (tmp_path / "signals.csv").exists()
 
 
+def older(parts: Contents) -> Contents:
+    """The same as a version wrote it before formats were numbered."""
+    for run in ("passive", "I"):
+        parts = parts.without_claim(f"run/{run}", "half_step")
+    return parts.without_claim("roadproof", "format")
+
+
 def test_no_claim_of_energy(parts, tmp_path, capsys):
-    """A log of an older version claims no balance: that is said, and what it does claim is proved."""
+    """A log that claims to be older may lack the balance, which is said; one of this format, or of another, may not."""
     path = tmp_path / "older.mcap"
-    path.write_bytes(written(parts.without_claim("run/I", "energy")))
+    path.write_bytes(written(older(parts.without_claim("run/I", "energy"))))
     code, found = inspected(path, capsys)
     assert (code, broken(found)) == (0, set())
     assert ("energy", "note") in {(finding["part"], finding["verdict"]) for finding in found["runs"][1]["findings"]}
+    said = {finding["part"]: finding["text"] for finding in found["findings"] if finding["verdict"] == "note"}
+    assert said["format"].startswith("the log is older than formats are numbered, and not held to one; it differs from")
+    assert "not checked" in said["command"]
+    path.write_bytes(written(parts.without_claim("run/I", "energy")))
+    assert ("energy", "FAILS") in broken(inspected(path, capsys)[1])
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda parts: parts.without_claim("roadproof", "format"), "of no format, and claims half_step"),
+        (
+            lambda parts: parts.with_claim("roadproof", "format", lambda _: "2"),
+            "of format '2', and this version reads 1 and older",
+        ),
+    ],
+)
+def test_another_format(change, said, parts, tmp_path, capsys):
+    """A log cannot shed its format alone, and one of a format that is not known is not called proved."""
+    path = tmp_path / "other.mcap"
+    path.write_bytes(written(change(parts)))
+    code, found = inspected(path, capsys)
+    assert code == 1
+    assert any(said in finding["text"] for finding in found["findings"] if finding["part"] == "format")
 
 
 def test_physics_is_run_again_without_a_claim_of_energy(parts, tmp_path, capsys):
@@ -529,10 +561,11 @@ def test_csv(log, parts, tmp_path, capsys):
 
 
 def test_vehicle_of_the_log_not_of_the_machine(log, parts, tmp_path, capsys):
-    """The vehicle is the attached one, wherever its file is said to have been."""
+    """The vehicle is the attached one, wherever its file is said to have been; but the file is the one that was asked for."""
     path = tmp_path / "moved.mcap"
-    path.write_bytes(written(parts.with_claim("roadproof", "vehicle", lambda _: "/dev/zero")))
-    assert inspected(path, capsys)[0] == 0
+    for source, code in (("C:\\\\models\\\\quarter_car.toml", 0), ("/dev/zero", 1)):
+        path.write_bytes(written(parts.with_claim("roadproof", "vehicle", lambda _, source=source: source)))
+        assert inspected(path, capsys)[0] == code
     assert read_vehicle("quarter_car").text.encode() == parts.attachments[0][2]
 
 

@@ -20,15 +20,9 @@ from pathlib import Path
 import numpy as np
 
 from models.errors import InputError
-from models.vehicle import read_vehicle
+from sim.bump import main as bump
+from sim.drive import main as drive
 from sim.inspect import main as inspect
-from sim.iso8608 import Iso8608
-from sim.profile import Profile
-from sim.provenance import record_runs, run_log
-from sim.road import Bump
-from sim.run import run_all, sample_times
-from sim.verdict import run_object
-from synth.controller import Designer
 from tests.hostile import hostile
 from tests.rewriting import contents
 
@@ -39,20 +33,18 @@ MEMORY = 2**30  # bytes beyond what the process has taken before the first case
 def whole_logs(folder: Path) -> list[Path]:
     """Short logs of several kinds of run: a bump with two controllers, a random road, a measured one on a half-car."""
     x = np.linspace(0.0, 5.0, 51)
-    profile = Profile(x, 0.01 * np.stack([np.sin(x), np.cos(x)], axis=-1), 15.0)
+    road = folder / "road.csv"
+    np.savetxt(road, np.column_stack([x, 0.01 * np.sin(x), 0.01 * np.cos(x)]), delimiter=",")
     cases = (
-        ("quarter_car", ("passive", "I"), Bump(), 0.15),
-        ("quarter_car", ("II",), Iso8608("C", 1, 20.0), 0.1),
-        ("half_car", ("I",), profile, 0.1),
+        (bump, ["--controller", "passive", "--controller", "I", "--duration", "0.15"]),
+        (drive, ["--controller", "II", "--seed", "1", "--duration", "0.1"]),
+        (drive, ["--vehicle", "half_car", "--controller", "I", "--road", str(road), "--speed", "15", "--duration", "0.1"]),
     )
     logs = []
-    for name, controllers, road, duration in cases:
-        vehicle = read_vehicle(name)
-        designer = Designer(vehicle)
-        runs = run_all(vehicle, [designer.design(one) for one in controllers], road, sample_times(vehicle, duration, 1e-3))
-        result = {"runs": [run_object(vehicle, run) for run in runs], "road": road.describe(), "timestep": 1e-3}
-        paths = record_runs(folder, "bump", vehicle, controllers, [run_log(vehicle, road, run) for run in runs], result)
-        logs.append(Path(paths["mcap"]))
+    for number, (command, options) in enumerate(cases):
+        with contextlib.redirect_stdout(io.StringIO()):
+            command([*options, "--logs", str(folder / str(number))])
+        logs += (folder / str(number)).glob("*.mcap")
     return logs
 
 
