@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from models import interrupt
-from models.errors import InputError, known, one_line
+from models.errors import InputError, known, one_line, quoted
 
 BAD_INPUT = 2
 ALL = "all"  # in place of a controller's name
@@ -188,6 +188,9 @@ def _ended_by(error: BaseException) -> int:
     if isinstance(error, BrokenPipeError):  # the reader has gone, as in `| head`
         _forget_output()
         return 0
+    if isinstance(error, UnicodeEncodeError) and sys.getfilesystemencoding() != "utf-8":
+        complain(f"{quoted(error.object)} cannot be written in this locale's encoding, {error.encoding}; set LC_ALL=C.UTF-8")
+        return BAD_INPUT
     if isinstance(error, OSError):  # a full disk
         complain(f"cannot write the output: {error.strerror or error}; mend that or write it elsewhere")
         _forget_output()

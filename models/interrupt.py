@@ -10,6 +10,8 @@ from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any
 
+from models.encoding import speak_utf8
+
 CODE = 130
 
 
@@ -21,6 +23,7 @@ def quiet_start() -> None:
     """
     # Only until it knows where the module lies, `python -m` says "-m" there.
     if sys.argv[:1] == ["-m"] and threading.current_thread() is threading.main_thread():
+        speak_utf8()
         signal.signal(signal.SIGINT, _leave)
         # No command opens a window. Else MuJoCo starts a second Python to look for GLFW, with tracebacks of its own.
         os.environ.setdefault("MUJOCO_GL", "disable")

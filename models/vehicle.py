@@ -160,8 +160,11 @@ def _controller(name: str, entry: Any, model: LinearModel) -> ControllerEntry:
     where = f"[controllers.{name}]"
     if name in RESERVED or name == "all":
         raise InputError(f"{where} the name {name!r} is taken: passive, state and all always exist; rename it")
-    if not name.replace("_", "").replace("-", "").isalnum() or len(name.encode()) > LONGEST_NAME:
-        raise InputError(f"{where} a controller's name has letters, digits, '_' and '-' only, at most {LONGEST_NAME} of them")
+    if not name.replace("_", "").replace("-", "").isalnum() or len(name.encode()) > LONGEST_NAME or name.startswith("-"):
+        raise InputError(
+            f"{where} a controller's name has letters, digits, '_' and '-' only, at most {LONGEST_NAME} of them, and no '-' "
+            "first, as an option has"
+        )
     if not isinstance(entry, dict):
         raise InputError(f"{where} is not a section with measured = [signals]")
     for key in entry:

@@ -1,13 +1,13 @@
 """Recordings on disk: MCAP, its layout and Rerun side by side, complete or absent, never over somebody's older ones."""
 
 import itertools
-import shlex
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from models import interrupt
 from models.errors import InputError
+from models.shell import pasted_path
 from models.whole_file import made_folder
 from sim.foxglove_layout import foxglove_layout
 from sim.recording_mcap import write_mcap
@@ -62,8 +62,8 @@ def record(
 def opening_lines(paths: Mapping[str, Path]) -> list[str]:
     """What to type to look at each file of a recording."""
     return [
-        f"rerun {shlex.quote(str(paths['rerun']))}",
-        f"{shlex.quote(str(paths['mcap']))}   for Foxglove and Lichtblick, with the layout {shlex.quote(paths['layout'].name)}",
+        f"rerun {pasted_path(paths['rerun'])}",
+        f"{pasted_path(paths['mcap'])}   for Foxglove and Lichtblick, with the layout {pasted_path(Path(paths['layout'].name))}",
     ]
 
 

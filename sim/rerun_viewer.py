@@ -3,7 +3,6 @@
 import importlib.util
 import os
 import re
-import shlex
 import signal
 import socket
 import subprocess
@@ -18,6 +17,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from models.errors import InputError
+from models.shell import pasted
 
 COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 LOOPBACK = "127.0.0.1"
@@ -91,7 +91,7 @@ def serve_viewer(recording: Path) -> None:
             _wait_until_up(process, f"http://{LOOPBACK}:{page}")
             print(f"serving http://{LOOPBACK}:{page}?url={source}   Ctrl-C ends it", file=sys.stderr, flush=True)
             process.wait()
-            raise InputError(f"the web viewer has ended by itself; try {shlex.join(command)}")
+            raise InputError(f"the web viewer has ended by itself; try {pasted(command)}")
     except KeyboardInterrupt:
         return
 

@@ -1,13 +1,13 @@
 """Designs in words and numbers: the table on the terminal and the object for `--json`."""
 
 import math
-import shlex
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
+from models.shell import option
 from models.vehicle import Vehicle
 from synth.certificate import LmiProof
 from synth.controller import Controller
@@ -131,10 +131,10 @@ def refine_lines(rows: Sequence[Row], vehicle: str) -> list[str]:
     if not worth:
         return []
     shares = ", ".join(f"{row.name} by {_at_least(row.worth)} or more" for row in worth)
-    what = " ".join(f"--controller {shlex.quote(row.name)}" for row in worth)
+    what = " ".join(option("--controller", row.name) for row in worth)
     return [
         f"refine: --refine lowers the norm of {shares}:",
-        f"  python -m synth --vehicle {shlex.quote(vehicle)} {what} --refine",
+        f"  python -m synth {option('--vehicle', vehicle)} {what} --refine",
     ]
 
 
