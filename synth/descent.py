@@ -3,7 +3,8 @@
 - `quasi_newton`: BFGS with a weak Wolfe line search, which is known to work on functions with edges (Lewis, Overton 2013). It is
   quick from far away, and stalls on an edge.
 - `along_edges`: the norm is modelled as the largest of its cuts, linearised, plus one curvature; the model's minimum is the step.
-  (Sequential quadratic programming for a minimax problem; the cuts of a failed step join the model, as in bundle methods.)
+  (Sequential quadratic programming for a minimax problem; the cuts of a failed step join the model, as in bundle methods.) How
+  far a step may go where the curvature says nothing, or has the wrong sign, is measured in the coordinates of `coordinates.py`.
 """
 
 from collections.abc import Callable
@@ -12,12 +13,15 @@ import numpy as np
 from scipy import linalg, optimize
 
 from models.arrays import Array
+from synth.coordinates import alike
 from synth.landscape import Landscape
 
-STALLED = 1e-6  # a fall over seven rounds that is none, of a function whose values are of order one
+STALLED = 1e-4  # a fall over seven rounds that is none, of a function whose values are of order one
 
 STAGE = 30  # rounds
 WORTH_A_STAGE = 3e-5  # relative fall of the norm
+
+NEAR = 0.7  # of a limit: what lies no further from it is held from the first
 
 Function = Callable[[Array, float], tuple[float, Array | None]]
 
@@ -72,7 +76,8 @@ def quasi_newton(function: Function, x: Array, rounds: int, target: float = -np.
 def along_edges(landscape: Landscape, x: Array, limit: Array, rounds: int) -> tuple[Array, float]:
     """Minimises the norm from a stable x, |x_i| <= limit_i, until a stage gains next to nothing.
 
-    Every stage forgets the curvature: what the last one learnt on other edges only makes the steps of this one short.
+    Every stage has coordinates of its own and forgets the curvature: what the last one learnt on other edges only makes the steps
+    of this one short.
 
     Returns:
         Where it ended, and the norm there.
@@ -87,31 +92,34 @@ def along_edges(landscape: Landscape, x: Array, limit: Array, rounds: int) -> tu
 
 
 def _stage(landscape: Landscape, x: Array, limit: Array, rounds: int) -> tuple[Array, float]:
-    """Rounds of one stage: until ten of them gain less than a millionth."""
+    """Rounds of one stage: until ten of them gain less than a hundred thousandth."""
     height, at = landscape.norm(x)
-    unit = 0.5 * (1 + np.abs(x))  # steps are measured against the size of the point
-    hessian, damping = np.diag(0.1 / unit**2), 1e-2
+    M = alike(landscape, x)
+    steepest = float(np.linalg.norm(landscape.slope(x, at) @ M)) / height if height > 0 else 0.0
+    M = M / (steepest or 1.0)  # a unit of t is of the size of a step
+    hessian, damping = 0.1 * np.eye(len(x)), 1e-2
     recent, depth, failures = [height], 0.1, 0
     kept = landscape.cuts(x, np.array([at if np.isfinite(at) else 0.0]), height)[:0]
     omega = landscape.summits(x, height * (1 - depth))
     for _ in range(rounds):
-        if height < 1e-12 or failures > 8 or (len(recent) > 10 and recent[-10] - height < 1e-6 * height):
+        if height < 1e-12 or failures > 8 or (len(recent) > 10 and recent[-10] - height < 1e-5 * height):
             break
         peaks = landscape.cuts(x, omega, height * (1 - 0.1 * depth))
         cuts = peaks + kept
         moving = np.arange(len(cuts.omega)) < len(peaks.omega)
         values, slopes = landscape.heights(x, cuts)
-        values, slopes = values / height - 1, slopes / height
+        values, slopes = values / height - 1, slopes @ M / height
         useful = values > -2 * depth - 0.1
         cuts, values, slopes, moving = cuts[useful], values[useful], slopes[useful], moving[useful]
 
-        _, weights = lowest_point(values, slopes, hessian, x, limit)
+        _, weights = lowest_point(values, slopes, hessian, M, x, limit)
         active = moving & (weights > 1e-3 * weights.max())
         if active.any():
             curvature = landscape.curvature(x, cuts[active], weights[active] / weights[active].sum()) / height
-            hessian = _convex(curvature, unit, damping)
-        step, weights = lowest_point(values, slopes, hessian, x, limit)
-        fall = -float(np.max(values + slopes @ step))
+            hessian = _convex(M.T @ curvature @ M, damping)
+        t, weights = lowest_point(values, slopes, hessian, M, x, limit)
+        fall = -float(np.max(values + slopes @ t))
+        step = M @ t
         if not fall > 1e-10:
             depth, failures = depth / 4, failures + 1
             continue
@@ -126,7 +134,7 @@ def _stage(landscape: Landscape, x: Array, limit: Array, rounds: int) -> tuple[A
                 if not corrected:
                     # The edges are curved: where they stand beyond the step is modelled from there (a second-order correction).
                     corrected = True
-                    better = _corrected(landscape, x, step, height, depth, hessian, limit)
+                    better = _corrected(landscape, x, t, height, depth, hessian, M, limit)
                     there, _ = landscape.norm(x + better, allowed)
                     if there <= allowed:
                         step = better
@@ -147,47 +155,55 @@ def _stage(landscape: Landscape, x: Array, limit: Array, rounds: int) -> tuple[A
         step = length * step
         omega = landscape.summits(x + step, there * (1 - depth))
         x, height = x + step, there
-        unit = np.maximum(unit, 0.5 * (1 + np.abs(x)))
         recent.append(height)
     return x, height
 
 
-def _corrected(landscape: Landscape, x: Array, step: Array, height: float, depth: float, hessian: Array, limit: Array) -> Array:
-    """The step again, with the peaks as they are at its end."""
-    peaks = landscape.cuts(x + step, landscape.summits(x + step, height * (1 - depth)), height * (1 - 0.1 * depth))
+def _corrected(
+    landscape: Landscape, x: Array, t: Array, height: float, depth: float, hessian: Array, M: Array, limit: Array
+) -> Array:
+    """The step M t again, with the peaks as they are at its end."""
+    end = x + M @ t
+    peaks = landscape.cuts(end, landscape.summits(end, height * (1 - depth)), height * (1 - 0.1 * depth))
     if not len(peaks.omega):
-        return step
-    values, slopes = landscape.heights(x + step, peaks)
-    values, slopes = values / height - 1, slopes / height
-    better, _ = lowest_point(values - slopes @ step, slopes, hessian, x, limit)
-    return better
+        return M @ t
+    values, slopes = landscape.heights(end, peaks)
+    values, slopes = values / height - 1, slopes @ M / height
+    better, _ = lowest_point(values - slopes @ t, slopes, hessian, M, x, limit)
+    return M @ better
 
 
-def lowest_point(values: Array, slopes: Array, hessian: Array, x: Array, limit: Array) -> tuple[Array, Array]:
-    """The d that minimises max_i (values_i + slopes_i d) + d' hessian d / 2, |x + d| <= limit; and the weights of the cuts there.
+def lowest_point(values: Array, slopes: Array, hessian: Array, M: Array, x: Array, limit: Array) -> tuple[Array, Array]:
+    """The t that minimises max_i (values_i + slopes_i t) + t' hessian t / 2, |x + M t| <= limit; and the weights of the cuts.
 
-    As a least-distance problem for non-negative least squares (Lawson, Hanson 1974, chapter 23): with t for the maximum,
-    t + |y|^2 / 2 is the distance from a point far down the axis of t, up to a term that is too small to count.
+    As a least-distance problem for non-negative least squares (Lawson, Hanson 1974, chapter 23): with h for the maximum,
+    h + |y|^2 / 2 is the distance from a point far down the axis of h, up to a term that is too small to count. Of the limits
+    those near by count, and those that a solution without them breaks.
     """
     root = np.linalg.cholesky(hessian).T
     inverse = linalg.solve_triangular(root, np.eye(len(x)))
     far = 10.0
     rows = np.hstack([-slopes @ inverse / far, np.ones((len(values), 1))])
     bounds = values / far + far
-    near = np.abs(x) > 0.3 * limit
-    if near.any():
-        inward = -np.sign(x[near])[:, None] * inverse[near]
-        rows = np.vstack([rows, np.hstack([inward, np.zeros((len(inward), 1))])])
-        bounds = np.append(bounds, np.abs(x[near]) - limit[near])
-    sizes = np.linalg.norm(rows, axis=1)
-    matrix = np.vstack([rows.T / sizes, bounds / sizes])
-    target = np.append(np.zeros(len(x) + 1), 1.0)
-    weights, _ = optimize.nnls(matrix, target, maxiter=30 * matrix.shape[1])
-    residual = matrix @ weights - target
-    return inverse @ (-residual[:-2] / residual[-1]), (weights / sizes)[: len(values)]
+    moves = np.vstack([M, -M]) @ inverse  # up to the limits, and down to them
+    room = np.concatenate([limit - x, limit + x])
+    held = room < NEAR * np.tile(limit, 2)
+    while True:
+        inward = np.hstack([-moves[held], np.zeros((int(held.sum()), 1))])
+        all_rows, all_bounds = np.vstack([rows, inward]), np.append(bounds, -room[held])
+        sizes = np.linalg.norm(all_rows, axis=1)
+        matrix = np.vstack([all_rows.T / sizes, all_bounds / sizes])
+        target = np.append(np.zeros(len(x) + 1), 1.0)
+        weights, _ = optimize.nnls(matrix, target, maxiter=30 * matrix.shape[1])
+        residual = matrix @ weights - target
+        y = -residual[:-2] / residual[-1]
+        broken = ~held & (moves @ y > room + 1e-9 * np.tile(limit, 2))
+        if not broken.any():
+            return inverse @ y, (weights / sizes)[: len(values)]
+        held |= broken
 
 
-def _convex(curvature: Array, unit: Array, damping: float) -> Array:
-    """A positive definite matrix of the same curvatures, upwards in every direction, in the units of the point."""
-    values, vectors = np.linalg.eigh(curvature * np.outer(unit, unit))
-    return (vectors * (np.clip(np.abs(values), 1e-8, 1e8) + damping)) @ vectors.T / np.outer(unit, unit)
+def _convex(curvature: Array, damping: float) -> Array:
+    """A positive definite matrix of the same curvatures, upwards in every direction."""
+    values, vectors = np.linalg.eigh(curvature)
+    return (vectors * (np.clip(np.abs(values), 1e-8, 1e8) + damping)) @ vectors.T

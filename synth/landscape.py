@@ -13,7 +13,7 @@ import numpy as np
 from scipy import linalg
 
 from models.arrays import Array
-from synth.norm import ILL_CONDITIONED, largest_singular_values, level_crossings, transfer_matrix
+from synth.norm import ILL_CONDITIONED, highest, largest_singular_values, level_crossings, transfer_matrix
 from synth.plant import GeneralizedPlant
 from synth.stability import balance
 
@@ -63,7 +63,7 @@ class Landscape:
         self.scale = rate / np.outer(np.where(columns > 0, columns, 1.0), np.where(rows > 0, rows, 1.0))
         self.at_infinity = float(np.linalg.norm(self.Dw, 2))
         self.peaks: list[float] = []
-        self.last: tuple[bytes, Array, tuple[Array, Array, Array] | None] = (b"", np.zeros(0), None)
+        self.last: tuple[bytes, _Loop] | None = None
 
     def gain(self, x: Array) -> Array:
         """K of a point, shape (m, q)."""
@@ -87,19 +87,20 @@ class Landscape:
         slope = np.real(np.outer(left @ self.B, self.Cy @ right) / (left @ right))
         return float(np.real(poles[i])), (slope * self.scale).ravel()
 
-    def _modes(self, x: Array) -> tuple[Array, Array, Array] | None:
-        """Poles, C V and V^-1 Bw of the loop, which make frequency responses cheap; None where V loses too many digits."""
+    def _closed(self, x: Array) -> "_Loop":
+        """The loop of a point; the last one is remembered."""
         key = x.tobytes()
-        if self.last[0] != key:
+        if self.last is None or self.last[0] != key:
             A, C = self.loop(x)
             poles, V = np.linalg.eig(A)
-            modes = None
+            residues = None
             with contextlib.suppress(np.linalg.LinAlgError):
                 inverse = np.linalg.inv(V)
                 if np.linalg.norm(V) * np.linalg.norm(inverse) < ILL_CONDITIONED:
-                    modes = (poles, C @ V, inverse @ self.Bw)
-            self.last = (key, poles, modes)
-        return self.last[2]
+                    seen, driven = (C @ V).T, inverse @ self.Bw
+                    residues = (seen[:, :, None] * driven[:, None, :]).reshape(len(poles), -1)
+            self.last = key, _Loop(A, C, poles, residues)
+        return self.last[1]
 
     def norm(self, x: Array, above: float = np.inf) -> tuple[float, float]:
         """The norm and where it peaks [rad/s]; infinite where the loop is unstable.
@@ -108,23 +109,21 @@ class Landscape:
             x: a point.
             above: the search ends early, with a lower bound, once the norm is known to exceed this.
         """
-        A, C = self.loop(x)
-        modes = self._modes(x)
-        poles = self.last[1]
+        loop = self._closed(x)
+        poles = loop.poles
         if not np.all(np.real(poles) < -1e-13 * np.abs(poles).max()):
             return np.inf, np.nan
         upper = poles[np.imag(poles) >= 0]
         omega = np.concatenate([[0.0], np.imag(upper), np.abs(upper), self.peaks])
         best, at = self.at_infinity, np.inf
         for _ in range(30):
-            gains = self._gains(A, C, omega, modes)
-            i = int(gains.argmax())
-            if gains[i] <= best * (1 + NEAR):
+            gain, i = highest(self._responses(loop, omega), best * (1 + NEAR))
+            if gain <= best * (1 + NEAR):
                 break
-            best, at = float(gains[i]), float(omega[i])
+            best, at = gain, float(omega[i])
             if best > above:
                 break
-            omega = level_crossings(A, self.Bw, C, self.Dw, best * (1 + NEAR))
+            omega = level_crossings(loop.A, self.Bw, loop.C, self.Dw, best * (1 + NEAR))
             omega = np.concatenate([omega, (omega[:-1] + omega[1:]) / 2])
         if np.isfinite(at):
             self.peaks = [*self.peaks[-5:], at]
@@ -223,14 +222,13 @@ class Landscape:
 
     def summits(self, x: Array, level: float) -> Array:
         """Frequencies [rad/s] of the local maxima of the gain that exceed a level, shape (P,), ascending."""
-        A, C = self.loop(x)
         if level <= self.at_infinity * (1 + 1e-6):
             return np.unique(np.append(self.peaks, 0.0))
-        modes = self._modes(x)
-        edges = level_crossings(A, self.Bw, C, self.Dw, level)
+        loop = self._closed(x)
+        edges = level_crossings(loop.A, self.Bw, loop.C, self.Dw, level)
         inside = edges[:-1, None] + np.diff(edges)[:, None] * (np.arange(5) + 0.5) / 5
         omega = np.unique(np.concatenate([edges, inside.ravel(), self.peaks]))
-        gains = self._gains(A, C, omega, modes)
+        gains = self._gains(loop, omega)
         around = np.concatenate([[gains[min(1, len(gains) - 1)]], gains, [0.0]])  # even about zero
         top = np.flatnonzero((gains >= level) & (gains >= around[:-2]) & (gains >= around[2:]))
         left = np.where(top > 0, omega[top - 1], -omega[min(1, len(omega) - 1)])
@@ -238,23 +236,42 @@ class Landscape:
         right = np.where(right > middle, right, middle * 1.1 + (middle == 0))
         height = gains[top]
         for _ in range(3):  # three points to a parabola, its top the next middle
-            sides = self._gains(A, C, np.abs(np.concatenate([left, right])), modes).reshape(2, -1)
+            sides = self._gains(loop, np.abs(np.concatenate([left, right]))).reshape(2, -1)
             a, b = middle - left, right - middle
             rise, drop = (height - sides[0]) / a, (height - sides[1]) / b
             bend = np.maximum(rise + drop, 1e-300)
             vertex = np.clip(middle + 0.5 * (rise * b - drop * a) / bend, left, right)
-            there = self._gains(A, C, np.abs(vertex), modes)
+            there = self._gains(loop, np.abs(vertex))
             higher = there > height
             middle, height = np.where(higher, vertex, middle), np.where(higher, there, height)
             width = np.maximum(0.2 * np.minimum(a, b), 1e-7 * np.abs(middle))
             left, right = middle - width, middle + width
         return np.unique(np.abs(middle))
 
-    def _gains(self, A: Array, C: Array, omega: Array, modes: tuple[Array, Array, Array] | None) -> Array:
+    def _gains(self, loop: "_Loop", omega: Array) -> Array:
         """Largest singular values at frequencies, shape (F,)."""
-        if modes is None:
-            T = transfer_matrix(A, self.Bw, C, self.Dw, omega)
-        else:
-            poles, left, right = modes
-            T = (left / (1j * omega[:, None, None] - poles)) @ right + self.Dw
-        return largest_singular_values(T)
+        return largest_singular_values(self._responses(loop, omega))
+
+    def _responses(self, loop: "_Loop", omega: Array) -> Array:
+        """T at frequencies, shape (F, d, r)."""
+        if loop.residues is None:
+            return transfer_matrix(loop.A, self.Bw, loop.C, self.Dw, omega)
+        T = (1 / (1j * omega[:, None] - loop.poles)) @ loop.residues
+        return T.reshape(len(omega), *self.Dw.shape) + self.Dw
+
+
+@dataclass(frozen=True, eq=False)
+class _Loop:
+    """A closed loop.
+
+    Attributes:
+        A, C: A + B K C_y and C + D K C_y.
+        poles: shape (n,).
+        residues: C v w' Bw of every mode, with its right and left eigenvectors v and w, shape (n, d r), which make frequency
+            responses cheap; None where eigenvectors lose too many digits.
+    """
+
+    A: Array
+    C: Array
+    poles: Array
+    residues: Array | None

@@ -94,12 +94,32 @@ def largest_singular_values(T: Array) -> Array:
     """Of each of a stack of matrices, shape (F,) for (F, d, r)."""
     if 1 in T.shape[1:]:
         return np.sqrt(np.sum(np.real(T) ** 2 + np.imag(T) ** 2, axis=(1, 2)))  # of a vector the singular value is its length
-    adjoint = T.conj().transpose(0, 2, 1)
-    square = T @ adjoint if T.shape[1] < T.shape[2] else adjoint @ T
+    square = _smaller_square(T)
     if square.shape[1] == 2:  # a quadratic equation, and nothing cancels in its larger root
         a, b, c = np.real(square[:, 0, 0]), np.abs(square[:, 0, 1]), np.real(square[:, 1, 1])
         return np.sqrt((a + c) / 2 + np.hypot((a - c) / 2, b))
     return np.sqrt(np.maximum(np.linalg.eigvalsh(square)[:, -1], 0.0))  # the largest one keeps its digits when squared
+
+
+def highest(T: Array, above: float) -> tuple[float, int]:
+    """The largest singular value of a whole stack of matrices, shape (F, d, r), and the index of the one that has it.
+
+    Only what exceeds `above` is looked at: 0 at no index where nothing does. No singular value exceeds the root of the sum of the
+    squares of all entries, which costs little.
+    """
+    squares = (np.real(T) ** 2 + np.imag(T) ** 2).reshape(len(T), -1).sum(axis=1)
+    among = np.flatnonzero(~(squares <= above * above))
+    if not len(among):
+        return 0.0, -1
+    gains = largest_singular_values(T[among])
+    i = int(gains.argmax())
+    return float(gains[i]), int(among[i])
+
+
+def _smaller_square(T: Array) -> Array:
+    """T T' or T' T, the smaller one."""
+    adjoint = T.conj().transpose(0, 2, 1)
+    return T @ adjoint if T.shape[1] < T.shape[2] else adjoint @ T
 
 
 class _Gain:
@@ -227,7 +247,7 @@ def _by_level_sets(gain: _Gain) -> tuple[float, float]:
 
 
 def level_crossings(A: Array, Bw: Array, C: Array, Dw: Array, level: float) -> Array:
-    """Imaginary parts >= 0 of all eigenvalues of the Hamiltonian, ascending [rad/s], shape (k,), 1 <= k.
+    """Imaginary parts >= 0 of all eigenvalues of the Hamiltonian, ascending from 0 [rad/s], shape (k,), 1 <= k.
 
     Every frequency at which a singular value of Dw + C (s - A)^-1 Bw equals the level is among them.
     """
@@ -256,7 +276,8 @@ def level_crossings(A: Array, Bw: Array, C: Array, Dw: Array, level: float) -> A
         with np.errstate(divide="ignore", invalid="ignore"):  # the eigenvalues at infinity
             eigenvalues = linalg.eigvals(pencil, dynamic)
         eigenvalues = eigenvalues[np.isfinite(eigenvalues)]
-    return np.unique(np.append(np.abs(np.imag(eigenvalues)), 0.0))
+    proposed = np.imag(eigenvalues)
+    return np.append(0.0, np.sort(proposed[proposed > 0]))  # they come in conjugate pairs
 
 
 def sweep_norm(system: GeneralizedPlant) -> tuple[float, float]:

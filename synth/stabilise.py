@@ -20,7 +20,8 @@ from synth.plant import GeneralizedPlant
 STABLE = -1e-4  # largest real part of a pole, relative to the largest pole of the plant, that is stable enough to start from
 SHIFT_BEYOND = 0.03  # how far the shift lies right of the last pole, relative likewise
 
-MOST_SHIFTS = 20
+MOST_SHIFTS = 40
+STALLED = 0.92, 5  # of the largest real part: where so many shifts leave more of it, the descent leads nowhere
 
 
 def stabilising_starts(landscape: Landscape, limit: Array, starts: range) -> Iterator[Array]:
@@ -59,14 +60,14 @@ def stabilise(landscape: Landscape, x: Array, limit: Array, patient: bool) -> Ar
 
     if not patient and abscissa(x)[0] > STABLE:
         x, _ = quasi_newton(abscissa, x, 100, STABLE)
-    worst, stalled = abscissa(x)[0], 0
+    history = [abscissa(x)[0]]
     for _ in range(MOST_SHIFTS):
-        if worst <= 0.1 * STABLE or stalled == 5 or np.any(np.abs(x) > limit):
+        left, shifts = STALLED
+        lost = len(history) > shifts and history[-1] > left * history[-1 - shifts]
+        if history[-1] <= 0.1 * STABLE or lost or np.any(np.abs(x) > limit):
             break
-        x, _ = along_edges(shifted(landscape, (1.1 * worst + SHIFT_BEYOND) * rate), x, limit, 10)
-        reached = abscissa(x)[0]
-        stalled = stalled + 1 if reached > 0.98 * worst else 0
-        worst = reached
+        x, _ = along_edges(shifted(landscape, (1.1 * history[-1] + SHIFT_BEYOND) * rate), x, limit, 10)
+        history.append(abscissa(x)[0])
     inside = np.all(np.abs(x) <= limit) and np.isfinite(landscape.norm(x)[0])
     return x if inside else None
 

@@ -5,7 +5,7 @@ No quick method finds the best static gain for sure. Three things make a poor on
 - *Where a descent starts.* Samples of every size (`survey.py`), stabilising gains where samples are too few (`stabilise.py`), and
   the paper's two steps, refined. Of many starts few are followed long: heats of short descents, after each of which those that
   are behind and hardly fall any more, and those that ended where another did, are left.
-- *Narrow valleys.* Descents take turns in the landscape's coordinates and in those where measurements are uncorrelated
+- *Narrow valleys.* Descents begin in the landscape's coordinates and go on in those where all directions of the gain count alike
   (`coordinates.py`), and one kind (`descent.py`) knows edges and curvature.
 - *The bound on the gain.* It counts at the smallest of all gains that make the same loop (`symmetry.py`).
 
@@ -22,7 +22,7 @@ import numpy as np
 
 from models.arrays import Array
 from synth.certificate import Certificate
-from synth.coordinates import uncorrelated
+from synth.coordinates import alike
 from synth.descent import along_edges, quasi_newton
 from synth.design import Design, two_step_design
 from synth.errors import DesignError
@@ -202,9 +202,13 @@ class _Search:
 
     def followed(self, candidate: Candidate) -> Candidate:
         """A candidate after descents of both kinds by turns, as many as gain something: some valleys are long."""
+        quick = True
         for _ in range(LONGEST):
             before = candidate.norm
-            candidate = self.step(self.step(candidate, self.whitened, 100), self.edges, 60)
+            if quick:
+                candidate = self.step(candidate, self.whitened, 100)
+                quick = candidate.norm < before * (1 - WORTH)  # it stalls on an edge, and on each that follows
+            candidate = self.step(candidate, self.edges, 60)
             if self.reached(candidate) or candidate.norm > before * (1 - WORTH):
                 break
         return candidate
@@ -247,8 +251,8 @@ class _Search:
         return self._quick(x, rounds, np.eye(len(x)))
 
     def whitened(self, x: Array, rounds: int) -> Array:
-        """A quick descent in coordinates where measurements count alike."""
-        return self._quick(x, rounds, uncorrelated(self.landscape, x))
+        """A quick descent in coordinates where all directions count alike."""
+        return self._quick(x, rounds, alike(self.landscape, x))
 
     def _quick(self, start: Array, rounds: int, M: Array) -> Array:
         """A descent of log norm over t, from start + M t."""

@@ -40,12 +40,14 @@ class Constraint:
         left: L, shape (k, n + m).
         right: R, shape (k, n).
         last: W, shape (k, k).
+        plain: whether it is X > 0 or X < I: then S is X, or its distance from I.
     """
 
     S0: Array
     left: Array
     right: Array
     last: Array
+    plain: bool = False
 
 
 def path_constraints(plant: GeneralizedPlant) -> list[Constraint]:
@@ -73,7 +75,7 @@ def start_constraints(plant: GeneralizedPlant, largest: float) -> list[Constrain
 def _definite(n: int, m: int, sign: float) -> Constraint:
     """X > 0, or X < I."""
     S0 = np.zeros((n, n)) if sign > 0 else np.eye(n)
-    return Constraint(S0, 0.5 * sign * np.eye(n, n + m), np.eye(n), np.zeros((n, n)))
+    return Constraint(S0, 0.5 * sign * np.eye(n, n + m), np.eye(n), np.zeros((n, n)), plain=True)
 
 
 class StructuredBarrier:
@@ -165,19 +167,31 @@ class StructuredBarrier:
         """Adds the upper triangle of the second derivatives that belong to P."""
         n = self.shape[1]
         PL, PR = P @ part.left, P @ part.right
-        g, r, a = part.right.T @ PL, part.left.T @ PL, part.right.T @ PR
-        weight = 2 * self.weight
-        # Every unknown e_s e_t', and of X e_t e_s' beside it: the entries that it takes from each row.
-        pairs = []
-        for s, t, share in ((self.rows, self.columns, weight), (self.columns, self.mirrored[0], weight * self.twice)):
-            pairs += [(g.T[:, t], g[:, s] * share), (r[:, s] * share, a[:, t])]
+        # Every unknown e_s e_t', and of X e_t e_s' beside it: the entries that it takes from each row, as pairs of factors.
+        of_x = int(self.twice.sum())
+        begins, ends = (0 if np.any(part.left[:, :n]) else of_x), (of_x if part.plain else len(self.rows))
+        s, t = self.rows[:ends], self.columns[:ends]
+        weight, again = 2 * self.weight[:ends], 2 * (self.weight * self.twice)[:ends]
+        if part.plain:  # g, r and a are P, but for their factors: of the products two differ
+            pairs = [(P[:, t], P[:, s] * weight), (P[:, s], P[:, t] * weight)]
+        else:
+            g, r, a = part.right.T @ PL, part.left.T @ PL, part.right.T @ PR
+            mirrored = self.mirrored[0]
+            pairs = [(g.T[:, t], g[:, s] * weight), (r[:, s] * weight, a[:, t])]
+            pairs += [(g.T[:, mirrored], g[:, t] * again), (r[:, t] * again, a[:, mirrored])]
         for begin, end in self.runs:
+            if not begins <= begin < ends:  # the constraint has no such unknown
+                continue
             row, others, after = self.rows[begin], slice(self.columns[begin], self.columns[end - 1] + 1), slice(begin, None)
-            block = sum(first[row, after] * second[others, after] for first, second in pairs)
+            block = np.zeros((end - begin, ends - begin))
+            product = np.empty_like(block)
+            for first, second in pairs:
+                block += np.multiply(first[row, after], second[others, after], out=product)
+                if row < n and not part.plain:
+                    block += np.multiply(first[others, after], second[row, after], out=product)
             if row < n:
-                block += sum(first[others, after] * second[row, after] for first, second in pairs)
                 block *= self.weight[begin:end, None]
-            hessian[begin:end, begin:-1] += block
+            hessian[begin:end, begin:ends] += block
         if np.any(part.last):
             PW = P @ part.last
             hessian[:-1, -1] += self._both(2 * (part.left.T @ PW @ PR))

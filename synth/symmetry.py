@@ -19,6 +19,7 @@ from synth.scaling import size
 from synth.unseen import hidden
 
 RANK = 1e-10  # relative; a singular value this small counts as none
+SAME = 1e-9  # relative; what rounding makes of an entry that is the same for all that are alike
 SMALL = (
     16  # states; with more, T is sought where it must lie: C T = 0 and T A = A T keep it where z sees nothing, T Bw = 0 likewise
 )
@@ -62,9 +63,14 @@ class Symmetry:
             R, S = np.tensordot(t, self.R, 1), np.tensordot(t, self.S, 1)
             return linalg.expm(R) @ K @ linalg.expm(-S)
 
-        found = optimize.minimize(lambda t: np.log(np.sum(alike(t) ** 2)), np.zeros(len(self.R)), method="BFGS")
+        def log_size(t: Array) -> float:
+            return float(np.log(np.sum(alike(t) ** 2)))
+
+        nothing = np.zeros(len(self.R))
+        start, found = log_size(nothing), optimize.minimize(log_size, nothing, method="BFGS")
         other = self.landscape.point(alike(found.x))
-        smaller = np.abs(alike(found.x)).max() < np.abs(K).max()
+        # The largest entry may be one that is the same in all; of no other may it be one.
+        smaller = found.fun < start and np.abs(alike(found.x)).max() <= np.abs(K).max() * (1 + SAME)
         same = abs(self.landscape.norm(other)[0] / self.landscape.norm(x)[0] - 1) < 1e-9  # rounding where the units differ much
         return other if smaller and same else x
 

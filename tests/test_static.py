@@ -95,11 +95,16 @@ def test_slope_of_the_abscissa():
 def test_lowest_point_of_a_roof():
     """max(d, -d) + d^2/2 has its minimum at 0 with both cuts holding it; a bound on x stops it on the way."""
     values, slopes = np.array([0.0, -0.5]), np.array([[1.0], [-1.0]])
-    step, weights = lowest_point(values, slopes, np.eye(1), np.zeros(1), np.full(1, 10.0))
+    step, weights = lowest_point(values, slopes, np.eye(1), np.eye(1), np.zeros(1), np.full(1, 10.0))
     np.testing.assert_allclose(step, [-0.25], atol=1e-12)
     assert np.all(weights > 0)
-    step, _ = lowest_point(values, slopes, np.eye(1), np.full(1, -0.9), np.ones(1))
+    step, _ = lowest_point(values, slopes, np.eye(1), np.eye(1), np.full(1, -0.9), np.ones(1))
     np.testing.assert_allclose(step, [-0.1], atol=1e-12)
+    step, _ = lowest_point(values, slopes, np.eye(1), np.full((1, 1), 2.0), np.full(1, -0.9), np.ones(1))
+    np.testing.assert_allclose(step, [-0.05], atol=1e-12)  # a unit of t is two of x
+    for sign in (1.0, -1.0):  # a step that would leave from the middle
+        step, _ = lowest_point(np.array([0.0, -5.0]), sign * slopes, 0.01 * np.eye(1), np.eye(1), np.zeros(1), np.ones(1))
+        np.testing.assert_allclose(step, [-sign], atol=1e-12)
 
 
 def test_descents_reach_the_lowest_edge():

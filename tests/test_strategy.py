@@ -9,7 +9,7 @@ from scipy import linalg
 from synth import survey as sampling
 from synth import symmetry
 from synth.certificate import certify
-from synth.coordinates import uncorrelated
+from synth.coordinates import alike
 from synth.design import two_step_design
 from synth.errors import DesignError
 from synth.full_order import best_possible
@@ -218,21 +218,33 @@ def test_samples_of_large_plants_cost_no_more(monkeypatch):
     assert drawn == {4: 1000, 30: 1000, 60: 125, 200: 20}
 
 
-def test_measurements_count_alike():
-    """In the coordinates that `uncorrelated` gives, the covariance of what is measured is a multiple of the unit matrix."""
+def covariance(A, B, C) -> np.ndarray:
+    """Of C x, where white noise drives x' = A x + B v: the integral of its density over frequency."""
+    frequencies = np.concatenate([-np.geomspace(1e-7, 1e5, 20001)[::-1], np.geomspace(1e-7, 1e5, 20001)])
+    answers = np.array([C @ np.linalg.solve(1j * w * np.eye(len(A)) - A, B) for w in frequencies])
+    return np.trapezoid(np.real(answers @ answers.conj().transpose(0, 2, 1)), frequencies, axis=0) / (2 * np.pi)
+
+
+def test_directions_count_alike():
+    """In the coordinates that `alike` gives, every direction of the gain feeds as much power from w to z, and no two the same."""
     plant, Cy = follower()
     landscape = Landscape(plant, Cy)
     x = landscape.point(lead(1e3, 10.0, 100.0))
-    M = uncorrelated(landscape, x)
-    # A unit of t changes the force by y'root: for white noise that has the same power in every direction of t.
-    A, _ = landscape.loop(x)
-    frequencies = np.concatenate([-np.geomspace(1e-7, 1e5, 20001)[::-1], np.geomspace(1e-7, 1e5, 20001)])
-    answers = np.array([landscape.Cy @ np.linalg.solve(1j * w * np.eye(4) - A, landscape.Bw) for w in frequencies])
-    density = np.real(answers @ answers.conj().transpose(0, 2, 1))
-    covariance = np.trapezoid(density, frequencies, axis=0) / (2 * np.pi)
-    change = (M.T.reshape(6, 2, 3) * landscape.scale)[:3, 0]
-    power = change @ covariance @ change.T
-    np.testing.assert_allclose(power / power[0, 0], np.eye(3), atol=0.02)  # the trapezoids over twelve decades, the ends cut off
+    A, C = landscape.loop(x)
+    measured, forced = covariance(A, landscape.Bw, landscape.Cy), covariance(A.T, C.T, landscape.B.T)
+    changes = alike(landscape, x).T.reshape(6, 2, 3) * landscape.scale
+    power = np.array([[np.trace(one.T @ forced @ other @ measured) for other in changes] for one in changes])
+    np.testing.assert_allclose(power / power[0, 0], np.eye(6), atol=0.02)  # the trapezoids over twelve decades, the ends cut off
+
+
+def test_the_bound_counts_where_gains_are_smallest():
+    """A largest entry that is the same in all gains that are alike does not keep the others from being made smaller."""
+    plant, Cy = follower()
+    landscape = Landscape(plant, Cy)
+    K = lead(1e3, 10.0, 1e4) * np.outer([1.0, 3.0], [1.0, 1.0, 1 / 3.0])  # the memory's own rate, 1e4, is the same in every unit
+    found = landscape.gain(Symmetry(landscape).smallest(landscape.point(K)))
+    assert np.abs(found).max() == pytest.approx(1e4, rel=1e-9)
+    assert np.sum(found**2) < 0.9 * np.sum(K**2)  # measured 0.63
 
 
 def test_samples_are_stable():
