@@ -41,6 +41,7 @@ LARGEST_GAIN = 1e5
 ENOUGH_SAMPLES = 4  # decades of size with a stable sample; then a few stabilising starts will do
 FEW, MANY, MOST = 2, 6, 18  # stabilising starts: with enough samples, with fewer, and where nothing else is found
 LARGE = 30  # states; with more a stabilising start takes minutes, and is for where a Riccati equation leads to none
+ENTERED = 3  # candidates whose descents begin for such a plant: each takes seconds, or at 100 states half a minute
 SAME = 1e-4  # relative; two descents that end this close have found the same minimum
 REACHED = 1e-4  # relative; this close to what no controller beats, the search ends
 ZERO = 1e-9  # of the size of the plant's matrices; a norm this small is zero
@@ -177,6 +178,8 @@ class _Search:
 
     def best(self, candidates: list[Candidate]) -> Candidate:
         """The winner of all heats, and of the descents from its surroundings."""
+        if len(self.plant.A) > LARGE:
+            candidates = sorted(candidates, key=lambda each: each.norm)[:ENTERED]
         heats = ((self.plain, 30, 8), (self.whitened, 40, 5), (self.edges, 30, 3), (self.whitened, 60, 2), (self.edges, 60, 1))
         for descent, rounds, keep in heats:
             candidates = self.heat(candidates, descent, rounds, keep)
