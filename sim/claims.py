@@ -13,7 +13,7 @@ from models.errors import InputError
 from sim.agreement import ROUNDING
 from sim.log_format import RESULTS, WHOLE
 from sim.metrics import DEFINITIONS
-from sim.recorded import Recorded, RecordedRun
+from sim.recorded import Recorded, RecordedRun, read_json
 from sim.reproduction import FEWEST, Reproduction, as_response
 from sim.response import Response
 from sim.run import Run
@@ -128,6 +128,9 @@ def check_physics(again: Reproduction, recorded: RecordedRun, run: Run, whole: b
         claimed = [[a, b] for a, b in agreement.lift_off]
         if not _same(recorded.claim("lift_off"), claimed, SAME, ROUNDING):
             wrong.append("the tyres are off the road at other times than claimed")
+        half, said = half_step_object(run), recorded.claims.get("half_step")
+        if said is not None and list(different({"half_step": read_json(said, "half_step")}, {"half_step": half}, exact=True)):
+            wrong.append("what half the step changes is not what was claimed")
         now = {name: _finite(signal.sampled) for name, signal in agreement.signals.items()}
         others = list(different(recorded.claim("errors"), now, exact=True))
         if others:

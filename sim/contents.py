@@ -11,7 +11,7 @@ from models.errors import InputError
 from models.vehicle import Vehicle
 from sim.claims import FAILS, HOLDS, MISSING, NOTE, Finding, different, folded
 from sim.log_format import WHOLE, check_keys
-from sim.mcap_file import Logged
+from sim.mcap_contents import Logged
 from sim.measured import first_sample
 from sim.metrics import DEFINITIONS
 from sim.provenance import attachments, common_metadata, versions
@@ -29,6 +29,7 @@ ELSEWHERE = (  # claims of a run that other checks hold, with a tolerance and wo
     "stable",
     "agrees",
     "energy",
+    "half_step",
     "lift_off",
     "errors",
     "samples",

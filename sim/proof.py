@@ -2,14 +2,13 @@
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from models.errors import InputError
 from models.vehicle import Vehicle
-from sim.agreement import SMALL, compare, look_closer
 from sim.claims import (
     FAILS,
     HOLDS,
@@ -26,9 +25,9 @@ from sim.claims import (
 )
 from sim.commanded import Held, check_command
 from sim.contents import check_contents, check_whole_result
-from sim.linear import driven, noise_spread, sampled_radius
+from sim.driven_again import balanced_again, driven_again, written_again
 from sim.log_format import is_current
-from sim.recorded import RESPONSES, Recorded, RecordedRun, read_json, timestep
+from sim.recorded import Recorded, RecordedRun, read_json, timestep
 from sim.reproduction import (
     FEWEST,
     Reproduction,
@@ -40,15 +39,13 @@ from sim.reproduction import (
     reproduce,
     usable_samples,
 )
-from sim.response import Response
-from sim.run import Run, halved
+from sim.run import Run
 from sim.run_log import RunLog
 
 UNCHECKED = (
     "who wrote it and when, with which versions and library, in which folders vehicle file and log lay, what a road file held "
     "before it was read, the index behind the data, which players ask"
 )
-MOST_STATES = 1000  # of a loop with all its delayed forces; its eigenvalues take seconds
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,19 +136,19 @@ def _beside(log: Recorded, vehicle: Vehicle, h: float, runs: Sequence[Inspected]
         return
     if again:
         yield from _guarded("result", FAILS, lambda: check_whole_result(log, again))
-    held = [
-        Held(
-            one.recorded.name,
-            one.recorded.claims.get("name"),
-            one.again.vehicle.implementation,
-            one.recorded.claim("samples"),
-            one.recorded.claim("road"),
-        )
-        for one in runs
-        if one.again
-    ]
-    yield from _guarded("command", FAILS, lambda: check_command(log, vehicle, h, held))
+    yield from _guarded("command", FAILS, lambda: check_command(log, vehicle, h, [_held(one) for one in runs]))
     yield Finding("unchecked", NOTE, UNCHECKED)
+
+
+def _held(one: Inspected) -> Held:
+    """What a log holds of a run that its command line is to have asked for.
+
+    Raises:
+        InputError: it does not claim that.
+    """
+    assert one.again is not None, "the caller has asked"
+    recorded, how = one.recorded, one.again.vehicle.implementation
+    return Held(recorded.name, recorded.claims.get("name"), how, recorded.claim("samples"), recorded.claim("road"))
 
 
 def _model(log: Recorded, vehicle: Vehicle, h: float) -> Finding:
@@ -204,26 +201,33 @@ def _inspect(log: Recorded, vehicle: Vehicle, recorded: RecordedRun, h: float, c
         return inspected()
     findings += _guarded("linear response", MISSING, lambda: check_linear(again, recorded, samples))
     try:
-        run = _driven_again(again, as_response(own, recorded, "mujoco", samples, h))
+        run = driven_again(again, as_response(own, recorded, "mujoco", samples, h))
     except (ValueError, ArithmeticError, RuntimeError) as error:
         findings.append(Finding("physics", MISSING, str(error)))
         return inspected(again)
-    made = None
-    whole = samples == claimed_samples(recorded, samples)
-    findings += _guarded("physics", FAILS, lambda: check_physics(again, recorded, run, whole))
+    whole, anew, made = _is_whole(recorded, samples), None, None
+    stumbled = "it is of the whole run"
     if whole:
         try:
-            run, anew = _balanced_again(again, run)
+            run, anew = balanced_again(again, run)
+            made = written_again(again, recorded, run, samples)
         except (ValueError, ArithmeticError, RuntimeError) as error:
-            findings.append(Finding("energy", MISSING, str(error)))
-            return inspected(again, run)
+            stumbled = str(error)
+    findings += _guarded("physics", FAILS, lambda: check_physics(again, recorded, run, whole))
+    if anew is not None and made is not None:
         findings += _guarded("energy", FAILS, lambda: check_energy(recorded, run, anew, current))
         findings += _guarded("result", FAILS, lambda: check_result(log, again, recorded, run, current))
-        made = _written_again(again, recorded, run, samples)
     else:
-        findings.append(Finding("energy", MISSING, "it is of the whole run"))
-        findings.append(Finding("result", MISSING, "it is of the whole run"))
+        findings += [Finding(part, MISSING, stumbled) for part in ("energy", "result")]
     return inspected(again, run, made)
+
+
+def _is_whole(recorded: RecordedRun, samples: int) -> bool:
+    """Whether all samples are there; what does not say how many were is not."""
+    try:
+        return samples == claimed_samples(recorded, samples)
+    except InputError:  # which `check_samples` says
+        return False
 
 
 def _guarded(part: str, verdict: str, check: Callable[[], Iterator[Finding]]) -> list[Finding]:
@@ -234,54 +238,6 @@ def _guarded(part: str, verdict: str, check: Callable[[], Iterator[Finding]]) ->
     except (ValueError, ArithmeticError) as error:
         found.append(Finding(part, verdict, str(error)))
     return found
-
-
-def _driven_again(again: Reproduction, physics: Response) -> Run:
-    """The verdict on the logged physics, as `sim.run.run_all` reaches it.
-
-    Raises:
-        InputError: the loop has too many delayed forces for the spread of its noise.
-    """
-    vehicle, controller, h = again.vehicle, again.controller, again.timestep
-    model, _ = driven(vehicle, controller)
-    small = len(model.A) + vehicle.implementation.delay * len(model.inputs) <= MOST_STATES
-    noisy = any(vehicle.implementation.noise.values()) or any(vehicle.implementation.quantisation.values())
-    if noisy and not small:
-        raise InputError("its noise goes through a loop with too many delayed forces to compute its spread again")
-    broken = ~np.all(np.isfinite(physics.values), axis=1)
-    diverged = float(physics.time[broken.argmax()]) if broken.any() else math.inf
-    spread = noise_spread(vehicle, controller, h) if noisy else {}
-    agreement = compare(vehicle, physics, again.sampled, again.integrated, again.continuous, diverged, spread)
-    if not agreement.agrees and not agreement.blurred:
-        from sim.physics import simulate
-
-        lower = simulate([vehicle], [controller], [again.road.scaled(SMALL)], physics.time).response.run(0)
-        agreement = look_closer(agreement, lower, again.sampled)
-    radius = sampled_radius(vehicle, controller, h) if small else math.nan
-    return Run(
-        controller, physics, again.sampled, again.continuous, np.zeros((len(physics.time), 0)), diverged, radius, agreement
-    )
-
-
-def _balanced_again(again: Reproduction, run: Run) -> tuple[Run, Response]:
-    """A run with the energy balance of what MuJoCo makes of it now, and what half the step changes; and that physics."""
-    from sim.energy import energy
-    from sim.physics import simulate
-
-    vehicle, road, time = again.vehicle, again.road, run.physics.time
-    anew = simulate([vehicle], [again.controller], [road], time)
-    run = replace(run, energy=energy(vehicle, anew, 0, road, until=run.agreement.flat), qpos=anew.qpos[0])
-    (run,) = halved(vehicle, [run], road, time)
-    return run, anew.response.run(0)
-
-
-def _written_again(again: Reproduction, recorded: RecordedRun, run: Run, samples: int) -> RunLog:
-    """A run as it would be written now, with the responses that were logged."""
-    from sim.provenance import run_log
-
-    vehicle = again.vehicle
-    responses = {name: as_response(vehicle, recorded, name, samples, again.timestep) for name in RESPONSES}
-    return replace(run_log(vehicle, again.road, run, recorded.name), responses=responses)
 
 
 def _differing(vehicle: Vehicle, own: Vehicle) -> str:

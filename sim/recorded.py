@@ -17,7 +17,8 @@ from google.protobuf.message import DecodeError
 
 from models.arrays import Array
 from models.errors import InputError
-from sim.mcap_file import Logged, McapFile, read_mcap
+from sim.mcap_contents import Logged, McapFile
+from sim.mcap_file import read_mcap
 from sim.recording_mcap import PACKAGE
 
 RESPONSES = ("mujoco", "linear", "continuous")

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from mcap.records import Channel, Message, Schema
 
+from models.errors import InputError
 from sim.bump import main as bump
 from sim.inspect import main
 from tests.rewriting import Contents, contents, written
@@ -168,11 +169,12 @@ def replace_message(message: Message, **changed: Any) -> Message:
 
 
 def proved(parts: Contents, path: Path, capsys) -> bool:
-    """Whether a log of these contents is."""
+    """Whether a log of these contents is. What is no log at all is refused; whatever else goes wrong is an error of ours."""
     path.write_bytes(written(parts))
     try:
         return main([str(path)]) == 0
-    except ValueError:
+    except InputError as error:
+        assert "no log of Roadproof's" in str(error)  # noqa: PT017 - any other is raised
         return False
     finally:
         capsys.readouterr()
