@@ -58,6 +58,8 @@ class LinearModel:
         n, m, r, p = len(self.states), len(self.inputs), len(self.disturbances), len(self.outputs)
         shapes = {"A": (n, n), "B": (n, m), "Bw": (n, r), "C": (p, n), "D": (p, m), "Br": (n, r), "Cr": (p, r)}
         for name, shape in shapes.items():
+            if np.iscomplexobj(getattr(self, name)):
+                raise ValueError(f"{name} has complex entries; give real ones")
             matrix = np.array(getattr(self, name), dtype=float)
             if matrix.shape != shape:
                 raise ValueError(f"{name} has shape {matrix.shape}; its names say {shape}")

@@ -21,6 +21,7 @@ Done = tuple[int, Rows, float]  # first run of a batch, its rows, and the time t
 HERE = "local"  # Ray's own name for it
 ANSWER = 3.0  # s that a cluster's head may take to answer
 AHEAD = 2  # batches in flight per worker: one runs, one waits
+TOKEN = "where its head was started with tokens, as Ray 2.60 does by itself, set RAY_AUTH_MODE=token here as well"
 RETRIES = 5  # of a batch whose Ray worker dies
 
 
@@ -76,7 +77,7 @@ def cluster(address: str) -> Iterator[None]:
                 ray.init(address=address, runtime_env=environment, log_to_driver=False, configure_logging=False)
         except Exception as error:  # Ray raises what it likes, and what its tokens and versions say is no ConnectionError
             said = str(error).splitlines() or [type(error).__name__]
-            raise InputError(f"--ray {address}: no cluster to be had ({said[0]})") from error
+            raise InputError(f"--ray {address}: no cluster to be had ({said[0]}); {TOKEN}") from error
     try:
         yield
     finally:

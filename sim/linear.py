@@ -31,6 +31,7 @@ from synth.controller import Controller
 from synth.stability import sampled_growth
 
 DECAYED = 1e-12  # of a loop's transition: its square counts in a variance
+SLOWEST_RATE = 1e-12  # rad/s; a mode that is slower does not move within any run, and a step for it would be beyond numbers
 
 
 def taylor4(M: Array) -> Array:
@@ -210,9 +211,11 @@ def implemented_loop(vehicle: Vehicle, controller: Controller, timestep: float) 
 
 
 def largest_timestep(vehicle: Vehicle) -> float:
-    """The step [s] above which RK4 itself is unstable on the vehicle without control, to 1 %."""
+    """The step [s] above which RK4 itself is unstable on the vehicle without control, to 1 %; infinite where nothing moves."""
     A = vehicle.linear_model.A
     rate = float(np.abs(np.linalg.eigvals(A)).max())
+    if rate <= SLOWEST_RATE:
+        return math.inf
     steps = np.arange(3.0, 0.0, -0.01) / rate  # RK4 is unstable for every |lambda h| above 2.83
     for h in steps:
         if np.abs(np.linalg.eigvals(taylor4(A * h))).max() <= 1:

@@ -12,6 +12,7 @@ import contextlib
 import importlib
 import io
 import os
+import re
 import resource
 import shutil
 import signal
@@ -27,6 +28,7 @@ import numpy as np
 
 from models.command import run_command
 from models.kind import HERE
+from tests.damaged_kinds import damages
 
 SLOWEST, LARGEST = 10.0, 1.2e9  # s, bytes of a case
 COMMANDS = {
@@ -69,6 +71,13 @@ TOML_VALUES = [
     "[[nan]]", "[[1e308, 1e308]]", "[[1], [2, 3]]", "[" * 5000 + "]" * 5000,
 ]  # fmt: skip
 CELLS = ["nan", "inf", "", "x", "1e400", "-1e308", "1,5", '"', "1;2", "\x00", "9" * 400, "0", "-1"]
+
+KIND_VALUES = ["nan", "inf", "-1", "0", "1e308", "1e-308", "1e400", "9" * 300, "None", "x", "''", "(", "1 / 0", "[1]", "1j"]
+HEADINGS = [
+    "distance", "height", "left", "right", "time", "x", "z", "Höhe", "", "distance left", "left height", "station", "1", "nan",
+    "#", '"',
+]  # fmt: skip
+UNITS = ["", "", " [m]", " (mm)", "_cm", "/ft", " [furlong]", " []", " [in", "[[m]]", " inches", " (left)"]
 
 CAMPAIGN = """
 vehicles = ["car.toml"]
@@ -120,6 +129,12 @@ def good_files(folder: Path) -> None:
     x = np.linspace(0, 5, 51)
     lines = [f"{a:.3f},{b:.5f}" for a, b in zip(x, 0.01 * np.sin(x), strict=True)]
     (folder / "road.csv").write_text("\n".join(["distance,height", *lines]) + "\n", encoding="utf-8")
+    readme = (HERE.parent / "README.md").read_text(encoding="utf-8")
+    for suffix, start in {"py": "import numpy", "xml": "<mujoco", "toml": 'type = "hopper"'}.items():
+        block = next(
+            text for text in re.findall(r"```\w+\n(.*?)```", readme, re.DOTALL) if text.startswith(start) and "hopper" in text
+        )
+        (folder / f"hopper.{suffix}").write_text(block, encoding="utf-8")
     (folder / "read_only.csv").write_text("mine\n", encoding="utf-8")
     (folder / "read_only.csv").chmod(0o444)
     (folder / "folder").mkdir()
@@ -149,7 +164,8 @@ def main_of(command: str) -> Any:
 def case(number: int) -> Case:
     """The case of that number."""
     rng = np.random.default_rng(number)
-    return [_option, _option, _bytes, _toml, _toml, _special, _csv, _results][number % 8](number, rng)
+    kinds = [_option, _option, _bytes, _toml, _toml, _special, _csv, _results, _kind, _headings]
+    return kinds[number % len(kinds)](number, rng)
 
 
 def _pick(rng: np.random.Generator, some: Any) -> Any:
@@ -310,6 +326,44 @@ def _csv(number: int, rng: np.random.Generator) -> Case:
         path.write_text("\n".join(lines), encoding="utf-8")
 
     return Case(number, "sim.drive", [*COMMANDS["sim.drive"], "--road", road], f"{road}: {how} {cell:.20}", damage)
+
+
+def _kind(number: int, rng: np.random.Generator) -> Case:
+    """A kind of vehicle of the user's own, one of whose files has another number or word, or a line less."""
+    name, how = _pick(rng, ["hopper.py", "hopper.py", "hopper.xml"]), _pick(rng, ["damage", "number", "number", "word", "line"])
+    value = _pick(rng, KIND_VALUES)
+
+    def damage(folder: Path) -> None:
+        path = folder / name
+        if how == "damage":
+            one = _pick(rng, damages())
+            path = folder / f"hopper.{one.suffix}"
+            text = path.read_text(encoding="utf-8")
+            path.write_text(text.replace(one.old, one.new, 1) if one.old else f"{text}\n{one.new}", encoding="utf-8")
+            return
+        text = path.read_text(encoding="utf-8")
+        pattern = {"number": r"(?<![\w.])-?\.?\d+\.?\d*", "word": r"[A-Za-z_]\w+", "line": r".+\n"}[how]
+        found = _pick(rng, re.finditer(pattern, text))
+        new = {"number": value, "word": _pick(rng, re.findall(pattern, text)), "line": ""}[how]
+        path.write_text(text[: found.start()] + new + text[found.end() :], encoding="utf-8")
+
+    arguments = ["--vehicle", "hopper.toml", "--controller", "passive", "--duration", "0.1", "--no-logs"]
+    return Case(number, "sim.bump", arguments, f"{name}: {how} {value}", damage)
+
+
+def _headings(number: int, rng: np.random.Generator) -> Case:
+    """A road file with headings of any words and units, in any order, and options that may contradict them."""
+    mark, count = _pick(rng, [",", ";", "\t", " "]), int(rng.integers(1, 6))
+    cells = [f"{_pick(rng, HEADINGS)}{_pick(rng, UNITS)}" for _ in range(count)]
+    setting = _pick(rng, ["", "", ":columns=1,2", ":columns=2,1,3", ":height_unit=mm", ":distance_unit=ft", ":separator=tab"])
+
+    def damage(folder: Path) -> None:
+        x = np.linspace(0, 5, 51)
+        columns = [_pick(rng, [x, 0.01 * np.sin(x), 0 * x, 100 * x]) for _ in range(max(2, count))]
+        rows = [mark.join(f"{value:.6g}" for value in row) for row in np.stack(columns, axis=-1).tolist()]
+        (folder / "road.csv").write_text("\n".join([mark.join(cells), *rows]) + "\n", encoding="utf-8")
+
+    return Case(number, "sim.drive", [*COMMANDS["sim.drive"], "--road", f"road.csv{setting}"], f"{cells} {setting}", damage)
 
 
 def _results(number: int, rng: np.random.Generator) -> Case:
