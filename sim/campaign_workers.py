@@ -126,7 +126,7 @@ def on_ray(plan: Plan, batches: Iterator[tuple[int, int]]) -> Iterator[Done]:
     try:
         while True:
             most = max(1, int(ray.cluster_resources().get("CPU", 1))) * AHEAD
-            for start, end in itertools.islice(batches, most - len(running)):
+            for start, end in itertools.islice(batches, max(0, most - len(running))):  # a node may have gone
                 running[remote.remote(shared, start, end)] = start
             if not running:
                 return

@@ -239,5 +239,8 @@ def _norm_rounding(loop: GeneralizedPlant) -> float:
     except np.linalg.LinAlgError:  # a double pole without a second eigenvector
         return 0.0
     passes = np.linalg.norm(loop.C * scale) * np.linalg.norm(loop.Bw / scale[:, None])
-    size = np.linalg.norm(vectors, axis=0) * np.linalg.norm(left, axis=1) / np.maximum(-np.real(poles), 1e-300)
+    with np.errstate(over="ignore"):
+        size = np.linalg.norm(vectors, axis=0) * np.linalg.norm(left, axis=1) / np.maximum(-np.real(poles), 1e-300)
+    if not np.all(np.isfinite(size)):  # as good as double
+        return 0.0
     return float(100 * np.finfo(float).eps * passes * size.sum()) if len(poles) else 0.0
