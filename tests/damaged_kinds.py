@@ -61,6 +61,9 @@ def _names() -> Iterator[Damage]:
     for name in ("states", "inputs", "disturbances", "outputs"):
         for value in ("()", "M[0]", "list(M)", "(*M[1:], M[0][:-1])", "(*M, M[0])", "(1,) * len(M)", "None"):
             yield Damage(f"{name} = {value}", "py", "linear_model", _of_linear_model(name, value))
+    for name, row in (("D", 0), ("Cr", 1), ("C", 3)):  # a state that is more than itself, a force that is
+        value = f"np.where(np.arange(4)[:, None] == {row}, 1.0, M)"
+        yield Damage(f"{name}[{row}] = 1", "py", "linear_model gives an output", _of_linear_model(name, value))
     yield Damage("outputs in another order", "py", "linear_model gives an output", _of_linear_model("outputs", "M[::-1]"))
     yield Damage("states in another order", "py", "linear_model gives an output", _of_linear_model("states", "M[::-1]"))
 

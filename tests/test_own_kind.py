@@ -129,6 +129,15 @@ def test_damaged_kinds(folder, damage, capfd, monkeypatch):
     assert sorted(one.name for one in folder.iterdir()) == ["hopper.py", "hopper.toml", "hopper.xml"]
 
 
+def test_actuators_have_their_inputs_names(folder):
+    """A motor of another name than the input's would be some other force: it is refused, also where its sensor names it."""
+    path = folder / "hopper.xml"
+    text = path.read_text().replace('motor name="control_force"', 'motor name="brake"')
+    path.write_text(text.replace('actuator="control_force"', 'actuator="brake"'))
+    said = "its actuators are 'brake', and the inputs of the equations 'control_force'; name them alike, in the same order"
+    assert refusal(folder).endswith(said)
+
+
 def test_own_refusal(folder):
     """What a kind's `check_together` says of parameters is said as it is, without a line of Python."""
     path = folder / "hopper.py"
