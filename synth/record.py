@@ -52,11 +52,13 @@ def read_proof(record: Mapping[str, Any], plant: GeneralizedPlant, Cy: Array) ->
         Cy: what is measured, shape (q, n); any number of rows.
 
     Raises:
-        InputError: a key is unknown, or not of the form that it must have.
+        InputError: a key is unknown or null, or not of the form that it must have.
     """
     for key in record:
         if key not in CLAIMS + PROOFS:
             raise InputError(f"unknown key {key!r} in a certificate; known: {known(CLAIMS + PROOFS)}")
+        if record[key] is None:
+            raise InputError(f"{key} in a certificate is null; what does not exist is left out, so save it again")
     n = len(plant.A)
     for key in ("norm", "peak_frequency", "lower_bound"):
         _number(record, key)

@@ -28,6 +28,8 @@ def parts(tmp_path_factory) -> Contents:
 
 def leaves(value: Any) -> Iterator[tuple[str, Any]]:
     """The JSON value with one thing changed, everywhere in turn, and in words where."""
+    if value is not None:
+        yield "null", None
     if isinstance(value, dict):
         yield "+", {**value, "proved_best": True}
         for key, one in value.items():
@@ -204,26 +206,36 @@ def test_honest_log_is_proved_and_says_what_is_not_checked(parts, tmp_path, caps
 
 
 def test_change_of_contents_is_found(parts, tmp_path, capsys):
-    """A dozen of the changes of the attack below, one of each sort."""
+    """Some of the changes of the attack below, one of each sort."""
     some = (
         "+metadata",
         "run/I half_step.difference.more",
-        "run/I half_step.1",
+        "run/I half_step.null",
+        "result.json runs.0.half_step.null",
         "run/I stability.other",
         "run/I designed.not",
         "run/I+",
-        "roadproof command_line.other",
+        "run/I certificate.-norm",
+        "run/I certificate.norm.null",
+        "run/I certificate.bound.null",
+        "run/I samples.none",
+        "controller I is controller II",
+        "speed 25 is speed 25.1",
+        "duration 0.12 is duration 0.13",
         "+attachment",
         "result.json +",
+        "result.json runs.0.+",
         "result.json runs.0.half_step.difference.more",
         "runs {'a': 1}",
         "2 /mujoco foreign",
+        "2 /mujoco json",
         "/events changed",
         "-/events",
         "-/difference",
         "/difference changed",
         "/scene changed",
     )
+    assert set(some) <= {what for what, _ in [*of_records(parts), *of_attachments(parts), *of_channels(parts)]}
     assert survivors(parts, tmp_path / "log.mcap", capsys, lambda what: what in some) == []
 
 
