@@ -29,7 +29,7 @@ def alike(landscape: Landscape, x: Array) -> Array:
         x: a stable point.
     """
     A, C = landscape.loop(x)
-    triangle, basis = linalg.schur(A)
+    triangle, basis = linalg.schur(A)  # pyright: ignore[reportAssignmentType]
     w, y, u, z = basis.T @ landscape.Bw, landscape.Cy @ basis, basis.T @ landscape.B, C @ basis
     # Gramians: what w reaches, and what z sees. On the border of stability LAPACK moves the poles a little: as good a scale.
     reached, scale, _ = lapack.dtrsyl(triangle, triangle, -w @ w.T, trana="N", tranb="T")

@@ -41,7 +41,7 @@ LARGEST_GAIN = 1e5
 ENOUGH_SAMPLES = 4  # decades of size with a stable sample; then a few stabilising starts will do
 FEW, MANY, MOST = 2, 6, 18  # stabilising starts: with enough samples, with fewer, and where nothing else is found
 LARGE = 30  # states; with more a stabilising start takes minutes, and is for where a Riccati equation leads to none
-ENTERED = 3  # candidates whose descents begin for such a plant: each takes seconds, or at 100 states half a minute
+ENTERED = 8  # candidates whose descents begin at so many states; with more there are fewer, so that all cost the same
 SAME = 1e-4  # relative; two descents that end this close have found the same minimum
 REACHED = 1e-4  # relative; this close to what no controller beats, the search ends
 ZERO = 1e-9  # of the size of the plant's matrices; a norm this small is zero
@@ -49,7 +49,7 @@ MOVING = 0.5  # of its norm; what falls below it in a heat is still on its way, 
 CLOSE = 1e-2  # relative; this close to what no controller beats, little is left to look for
 WORTH = 3e-4  # relative; what a turn of further descents must gain for another
 LONGEST = 20  # turns of descents from one candidate
-IDLE = 6  # descents from the winner's surroundings in a row that find nothing better: enough; one where the winner is close
+IDLE = 6  # descents from the winner's surroundings in a row that find nothing better; one if it is close, or the plant large
 SURROUNDINGS = (0.03, 0.1, 0.3, 1.0) * 4  # how far from the winner they start, in logarithms
 
 
@@ -178,15 +178,17 @@ class _Search:
 
     def best(self, candidates: list[Candidate]) -> Candidate:
         """The winner of all heats, and of the descents from its surroundings."""
-        if len(self.plant.A) > LARGE:
-            candidates = sorted(candidates, key=lambda each: each.norm)[:ENTERED]
+        n = len(self.plant.A)
+        large = n > LARGE
+        if large:
+            candidates = sorted(candidates, key=lambda each: each.norm)[: max(1, int(ENTERED * (LARGE / n) ** 3))]
         heats = ((self.plain, 30, 8), (self.whitened, 40, 5), (self.edges, 30, 3), (self.whitened, 60, 2), (self.edges, 60, 1))
         for descent, rounds, keep in heats:
             candidates = self.heat(candidates, descent, rounds, keep)
             if self.reached(candidates[0]):
                 return candidates[0]
         best, idle = self.followed(candidates[0]), 0
-        enough = 1 if self.reached(best, CLOSE) else IDLE
+        enough = 1 if large or self.reached(best, CLOSE) else IDLE
         for number, factor in enumerate(SURROUNDINGS):
             near = around(self.landscape, best.x, self.limit, factor, number)
             if near is None:
