@@ -25,7 +25,7 @@ from scipy.linalg import lapack
 
 from models.arrays import Array
 from models.errors import InputError
-from synth.barrier import Barrier, Derivatives, boundary, newton
+from synth.barrier import Barrier, Derivatives, Factored, boundary, newton
 from synth.bounded_real import bounded_real_matrix
 from synth.errors import DesignError, InfeasibleError, TooLargeError
 from synth.plant import GeneralizedPlant
@@ -40,6 +40,10 @@ LIMIT = 1e-9
 
 CENTRED = 1e-6  # Newton decrement at the points of the path: close enough for the duals that prove lower bounds
 RESTS = (1e-7, 1e-5, *(10.0**exponent for exponent in range(-3, 20)))  # mu over eta
+AT_REST = 1e-7  # relative in eta; how close the path comes to where it is to rest
+FIRST, LAST = 1.0, 1e-3  # rests that are kept exactly: before they are far from any optimum, after them eta hardly moves
+CORRECTIONS = 20  # of mu; one or two do, but where the path is entered beyond FIRST
+BACK = 3.0  # times mu at most, on the way back to FIRST
 FROM = 1e3  # where the path is entered: mu over the eta of the first feasible point, far from any optimum
 FAR = 1e5  # condition of X from which the coordinates, in which it was I, no longer fit
 MOST_MOVES = 12  # to other coordinates off the path; a larger X grows without end, and there is no centre
@@ -72,10 +76,17 @@ class CentralPoint:
         """The bound eta^-1/2 that this point proves, (23) and (26)."""
         return self.eta**-0.5
 
-    def in_units(self, unit: Array) -> "CentralPoint":
-        """The point of a plant whose states are this one's times `unit`, shape (n,), and whose measurements are the same."""
-        square = np.outer(unit, unit)
-        return replace(self, X=square * self.X, proof=None if self.proof is None else square * self.proof)
+    def in_units(self, states: Array, inputs: Array, measured: Array) -> "CentralPoint":
+        """The point of the same plant in other units.
+
+        Args:
+            states: what this plant's unit of each state counts in the other, shape (n,).
+            inputs: likewise, shape (m,).
+            measured: likewise of what K acts on, shape (q,).
+        """
+        square = np.outer(states, states)
+        proof = None if self.proof is None else square * self.proof
+        return replace(self, X=square * self.X, K=inputs[:, None] * self.K / measured, proof=proof)
 
 
 def central_path(plant: GeneralizedPlant, Q: Array, R: Array, mu: float = LIMIT) -> list[CentralPoint]:
@@ -226,9 +237,8 @@ class _Path:
     def follow(self, mu_end: float) -> Iterator[CentralPoint]:
         """Walks along the path until mu = mu_end eta; yields the points it rests at."""
         n, m = len(self.plant.A), self.plant.B.shape[1]
-        moves = 0
+        moves, rest = 0, np.inf
         while True:
-            arrived = self.eta > 0 and self.mu <= mu_end * self.eta * 1.001
             basis = self.basis
             start = basis.pack(np.eye(n), np.zeros((m, n)), self.eta)
             p, decrement, here = newton(self._barrier(), start, _direction(basis.size, -1 / self.mu), CENTRED, self._far)
@@ -240,14 +250,17 @@ class _Path:
                     f"the central path could not be followed below mu = {self.mu / abs(p[-1]):.1e} (Newton decrement "
                     f"{decrement:.1e}): the optimum is probably reached only by an infinite gain; weigh the control force more"
                 )
+            if p[-1] > 0 and not np.isfinite(rest):
+                rest = max(FIRST, mu_end, nearest_rest(self.mu / p[-1], mu_end))
+            p, here, step = self._at_rest(p, here, rest)
             X, Y, self.eta = basis.unpack(p)
             if self.eta > 0:
                 yield self.point(X, Y)
-            if arrived:
-                return
-            ratio = next_rest(self.mu / self.eta, mu_end) if self.eta > 0 else 0.1
+                if self.mu <= mu_end * self.eta * 1.001:
+                    return
+            rest = next_rest(self.mu / self.eta, mu_end) if self.eta > 0 else np.inf
+            ratio = _shift(rest * self.eta / self.mu, step[-1] / self.eta if _moving(rest) else 0.0) if self.eta > 0 else 0.1
             # Along the tangent of the path in mu, but inside.
-            step = here.solve(here.half(_direction(basis.size, 1 / self.mu)))
             length = min(1 - ratio, INSIDE * boundary(here, step))
             if not any(self._feasible_at(p + part * length * step) for part in (1.0, 0.5, 0.1, 0.0)):
                 raise DesignError(
@@ -255,6 +268,26 @@ class _Path:
                     "the optimum is probably reached only by an infinite gain; weigh the control force more"
                 )
             self.mu *= ratio
+
+    def _at_rest(self, p: Array, here: Factored, rest: float) -> tuple[Array, Factored, Array]:
+        """The point where mu over eta is what it is to be, the derivatives there, and the tangent over -log mu.
+
+        eta grows as mu falls, so that it is met by Newton's method over log mu. Only so the points of a path are the same in
+        whatever units and from wherever it is entered; some of them are designs, or where L (14) comes from.
+        """
+        back = BACK
+        for _ in range(CORRECTIONS):
+            step = here.solve(here.half(_direction(self.basis.size, 1 / self.mu)))
+            off = rest * p[-1] / self.mu
+            if not (p[-1] > 0 and _moving(rest)) or abs(off - 1) * step[-1] <= AT_REST * p[-1]:
+                return p, here, step
+            mu = self.mu * min(_shift(off, step[-1] / p[-1]), back)
+            moved, decrement, there = newton(self._barrier(), p, _direction(self.basis.size, -1 / mu), CENTRED, self._far)
+            if decrement > 0.5 or moved[-1] <= 0:
+                back = back**0.5
+                continue
+            p, here, self.mu = moved, there, mu
+        return p, here, here.solve(here.half(_direction(self.basis.size, 1 / self.mu)))
 
     def _feasible_at(self, p: Array) -> bool:
         """Moves to a point, unless rounding puts it outside the feasible set in the coordinates of its own."""
@@ -332,8 +365,24 @@ class _Path:
         return self.K + Y[:, a:] @ np.linalg.inv(X[a:, a:]) @ np.linalg.inv(self.V[a:, a:])
 
 
+def _moving(rest: float) -> bool:
+    """Whether eta moves that much about a rest, and it is that close to the optimum, that it matters where exactly it is."""
+    return LAST <= rest <= FIRST
+
+
+def _shift(off: float, growth: float) -> float:
+    """The factor of mu that changes mu / eta by `off`, where eta grows as mu^-growth."""
+    return off ** (1 / (1 + max(growth, 0.0)))
+
+
+def nearest_rest(mu: float, mu_end: float) -> float:
+    """The rest that is nearest to where the path is entered."""
+    rests = np.array([mu_end, *(rest for rest in RESTS if rest > mu_end)])
+    return float(rests[np.abs(np.log(rests / mu)).argmin()])
+
+
 def next_rest(mu: Any, mu_end: float) -> Any:
-    """Where the path rests next, as a share of mu: hundredfold steps where it is nearly straight, the same rests for every plant.
+    """Where the path rests next, mu over eta: hundredfold steps where it is nearly straight, the same rests for every plant.
 
     Args:
         mu: relative to eta; one, or an array of them.
@@ -341,7 +390,7 @@ def next_rest(mu: Any, mu_end: float) -> Any:
     """
     rests = np.array([mu_end, *(rest for rest in RESTS if rest > mu_end)])
     below = np.maximum(np.searchsorted(rests, 0.5 * mu) - 1, 0)
-    return np.minimum(rests[below] / mu, 0.5)
+    return np.minimum(rests[below], 0.5 * mu)
 
 
 class Basis:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from models.arrays import Array
-from synth.central import CentralPoint, fits, unknowns
+from synth.central import FIRST, CentralPoint, fits, unknowns
 from synth.certificate import FASTEST, Certificate, certify
 from synth.errors import DesignError, InfeasibleError
 from synth.lower_bound import LowerBound
@@ -53,7 +53,7 @@ class Design:
 
 
 def state_path(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[CentralPoint]:
-    """The central path of (22), or of the problem beside it where that has no optimum (`posed.py`).
+    """The central path of (22), or of the problem beside it where that has no optimum (`posed.py`), in the plant's own units.
 
     Args:
         plant: n states, m inputs.
@@ -64,14 +64,14 @@ def state_path(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[Cent
         DesignError: there is no path, as where z does not see an integrator or a force costs nothing, and the message says why,
             or it could not be followed.
     """
-    problem = posed(plant).plant
+    problem, own = posed(plant).plant, own_units(plant)
     modes = standing(problem, states)
     if modes:  # a path without an end may be followed for a while
         if reached_by_none := "; ".join(obstacles(plant, None, states)):
             raise InfeasibleError(reached_by_none)
         raise DesignError(modes[0])
     try:
-        return state_feedback(problem)
+        return [point.in_units(own.states, own.inputs, own.states) for point in state_feedback(own.into(problem))]
     except InfeasibleError as error:
         raise InfeasibleError("; ".join(obstacles(plant, None, states)) or str(error)) from error
     except DesignError as error:
@@ -106,7 +106,8 @@ def furthest(plant: GeneralizedPlant, Cy: Array, path: Sequence[CentralPoint], l
     Raises:
         DesignError: no certificate holds.
     """
-    first, beyond = None, []
+    first: Certificate | None = None
+    beyond: list[tuple[Design, float]] = []
     for i, point in reversed(list(enumerate(path))):
         certificate = certify(plant, point.K @ Cy, point.X if point.proof is None else point.proof, point.eta, lower)
         if not certificate.failures:
@@ -115,11 +116,13 @@ def furthest(plant: GeneralizedPlant, Cy: Array, path: Sequence[CentralPoint], l
             design = Design(point.K, certificate, stopped=point.gamma / path[-1].gamma - 1, moved=moved)
             if not certificate.beyond_actuators:
                 return design
-            beyond.append(design)
+            beyond.append((design, point.mu))
         first = first or certificate
     if beyond:
-        slowest = min(design.certificate.speed_up for design in beyond)
-        return next(design for design in beyond if design.certificate.speed_up <= FASTEST * slowest)
+        # Where a path begins depends on how it was entered; from FIRST on it rests at the same points from wherever.
+        alike = [design for design, mu in beyond if mu < 2 * FIRST] or [design for design, _ in beyond]
+        slowest = min(design.certificate.speed_up for design in alike)
+        return next(design for design in alike if design.certificate.speed_up <= FASTEST * slowest)
     if first is None:
         raise DesignError("its certificate fails: the path has no point")
     # The path's own X may lie too near the edge of what can be proved in floating point, as at 40 states; another one need not.
@@ -156,22 +159,22 @@ def two_step_design(
     """
     Cy, kept = measurement(plant, Cy)
     problem = posed(plant)
-    unit = own_units(plant, Cy)[0]
-    rows = Cy[kept] * unit
+    units = own_units(plant, Cy)
+    rows = Cy[kept] * units.states
     if problem.best is not None:
-        K = problem.best * unit @ np.linalg.pinv(rows)
+        K = problem.best * units.states @ np.linalg.pinv(rows)
         if np.linalg.norm(K @ Cy[kept] - problem.best) <= SAME * np.linalg.norm(problem.best):
             best = Design(K, proved(plant, K @ Cy[kept], lower), case=problem.best_case)
             return widened(best, kept, len(Cy), 0.0)
     fits(unknowns(problem.plant), MOST, "the two steps are gone")
     path = path or state_path(plant, states)
-    own, Q = problem.plant.in_coordinates(np.diag(unit)), nullspace(rows)
+    own, Q, same = units.into(problem.plant), nullspace(rows), np.ones(len(kept))
     failures: list[DesignError] = []
     beyond: list[Design] = []
     for start in reversed(path):
-        L = l_matrix(start.in_units(1 / unit).X, rows, Q)
+        L = l_matrix(start.X / np.outer(units.states, units.states), rows, Q)
         try:
-            points = [point.in_units(unit) for point in output_feedback(own, rows, L, Q)]
+            points = [point.in_units(units.states, units.inputs, same) for point in output_feedback(own, rows, L, Q)]
             found = furthest(plant, Cy[kept], points, lower)
         except DesignError as error:
             failures.append(error)
@@ -196,8 +199,11 @@ def zero_l_design(plant: GeneralizedPlant, Cy: Array, lower: LowerBound | None =
         InputError, InfeasibleError, DesignError: as `two_step_design`.
     """
     Cy, kept = measurement(plant, Cy)
-    Q = nullspace(Cy[kept])
-    path = output_feedback(plant, Cy[kept], np.zeros((Q.shape[1], len(kept))), Q)
+    units = own_units(plant, Cy)
+    rows = Cy[kept] * units.states
+    Q = nullspace(rows)
+    points = output_feedback(units.into(plant), rows, np.zeros((Q.shape[1], len(kept))), Q)
+    path = [point.in_units(units.states, units.inputs, np.ones(len(kept))) for point in points]
     return widened(furthest(plant, Cy[kept], path, lower), kept, len(Cy), 0.0)
 
 

@@ -89,7 +89,7 @@ def _rates(plant: GeneralizedPlant) -> Array:
     poles = poles[poles > 0]
     if len(poles) and poles.max() > np.finfo(float).eps ** (1 / len(A)) * np.linalg.norm(A):
         return poles
-    return np.append(poles, own_units(plant, np.zeros((0, len(A))))[1])
+    return np.append(poles, own_units(plant).rate)
 
 
 def _left(plant: GeneralizedPlant, omega: Array, away: float = AWAY) -> Array:

@@ -132,7 +132,7 @@ class _Paths:
 
             # Along the tangent of the path in mu, but inside.
             relative = np.where(self.eta > 0, self.mu / np.abs(self.eta), np.inf)
-            ratio = np.where(self.eta > 0, next_rest(relative, LIMIT), 0.1)
+            ratio = np.where(self.eta > 0, next_rest(relative, LIMIT) / relative, 0.1)
             length = np.minimum(1 - ratio, INSIDE * reach * self.mu)
             p = p + (length / self.mu)[:, None] * tangent
             self.mu = ratio * self.mu

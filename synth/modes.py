@@ -9,6 +9,7 @@ import numpy as np
 
 from models.arrays import Array
 from synth.plant import GeneralizedPlant
+from synth.scaling import own_units
 from synth.stability import balance, stability
 
 UNREACHED = 1e-8  # relative size of what an input does to a mode that it does not reach, up to rounding
@@ -46,7 +47,8 @@ def obstacles(plant: GeneralizedPlant, Cy: Array | None = None, states: Sequence
         Cy: shape (q, n); without it every state counts as measured.
         states: names of the states; x1, x2, ... without them.
     """
-    names = list(states) or [f"x{i + 1}" for i in range(len(plant.A))]
+    names, own = list(states) or [f"x{i + 1}" for i in range(len(plant.A))], own_units(plant, Cy)
+    plant = own.into(plant)
     found = [
         f"the plant cannot be stabilised: no input reaches the mode at {rate(pole)}, which does not decay and shows most in "
         f"{largest(vector, names)}; add an actuator that acts on it, or take it out of the model"
@@ -56,7 +58,7 @@ def obstacles(plant: GeneralizedPlant, Cy: Array | None = None, states: Sequence
         found += [
             f"the plant cannot be stabilised from what is measured: no measurement shows the mode at {rate(pole)}, which does "
             f"not decay and moves most in {largest(vector, names)}; measure a signal that it is seen in"
-            for pole, vector in unreached(plant.A.T, Cy.T)
+            for pole, vector in unreached(plant.A.T, (Cy * own.states).T)
         ]
     return found
 

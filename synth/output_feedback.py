@@ -26,7 +26,7 @@ def independent_rows(plant: GeneralizedPlant, Cy: Array) -> list[int]:
         plant: n states.
         Cy: shape (q, n), no row zero.
     """
-    rows, _ = _unit_rows(Cy * own_units(plant, Cy)[0])
+    rows, _ = _unit_rows(Cy * own_units(plant, Cy).states)
     kept: list[int] = []
     for i in range(len(rows)):
         if np.linalg.svd(rows[[*kept, i]], compute_uv=False)[-1] > DEPENDENT and len(kept) < rows.shape[1]:

@@ -8,14 +8,14 @@ The gain is certified for the plant as it is: an X that proves a bound with more
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from models.arrays import Array
 from synth.modes import largest, rate
 from synth.plant import GeneralizedPlant
-from synth.scaling import size
+from synth.scaling import own_units, size
 from synth.stability import balance, is_stable
 from synth.unseen import RANK, hidden, nulling, unseen
 
@@ -40,7 +40,13 @@ class Posed:
 
 
 def posed(plant: GeneralizedPlant) -> Posed:
-    """The problem (22) of a plant, or one beside it."""
+    """The problem (22) of a plant, or one beside it; what is the case is decided in its own units."""
+    own = own_units(plant)
+    found = _posed(own.into(plant))
+    return replace(found, plant=own.back(found.plant), best=None if found.best is None else own.gain_back(found.best))
+
+
+def _posed(plant: GeneralizedPlant) -> Posed:
     if not (np.any(plant.Bw) or np.any(plant.Dw)) or not (np.any(plant.C) or np.any(plant.D)):
         return Posed(plant)  # bad input, and the central path says so
     scale = balance(plant.A)[1]
@@ -68,6 +74,7 @@ def posed(plant: GeneralizedPlant) -> Posed:
 
 def free_force(plant: GeneralizedPlant) -> list[str]:
     """Why (22) has no optimum where a control force costs nothing, in words; empty where each does."""
+    plant = own_units(plant).into(plant)
     _, rest, _ = _seen(plant.in_coordinates(np.diag(balance(plant.A)[1])))
     W = rest.independent_inputs()
     rank = int(np.linalg.matrix_rank(rest.D @ W, RANK * size(rest.D))) if W.shape[1] else 0
@@ -86,6 +93,7 @@ def standing(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[str]:
         plant: n states, m inputs.
         states: names of the states; x1, x2, ... without them.
     """
+    plant = own_units(plant).into(plant)
     scale = balance(plant.A)[1]
     balanced, names = plant.in_coordinates(np.diag(scale)), list(states) or [f"x{i + 1}" for i in range(len(plant.A))]
     for F in nulling(balanced):

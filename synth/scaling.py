@@ -1,5 +1,7 @@
 """Coordinates and units in which the numbers of a plant have size one."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy import linalg, sparse
 
@@ -30,17 +32,46 @@ def reachable(plant: GeneralizedPlant, free: int) -> Array:
     return diagonal[:, None] * np.asarray(linalg.block_diag(*blocks))
 
 
-def own_units(plant: GeneralizedPlant, Cy: Array) -> tuple[Array, float]:
-    """Units of the states, powers of two, shape (n,), and a rate [rad/s] in which the entries of a plant and C_y have size one.
+@dataclass(frozen=True, eq=False)
+class OwnUnits:
+    """Units in which the entries of a plant and of C_y have size one: whatever units it is given in, it is the same in these.
 
-    Least squares over the logarithms of all entries that are not zero, in which the units of inputs, disturbances, outputs and
-    measurements are free, too: whatever units the plant is given in, it is the same plant in these. (`balance` is blind to a
-    state that does not both drive others and is driven by them.)
+    They are powers of two, so that nothing is rounded on the way there and back.
+
+    Attributes:
+        states: what one of each state counts in the given unit, shape (n,).
+        inputs: likewise, shape (m,).
+        rate: of the plant [rad/s]; time keeps its unit.
+    """
+
+    states: Array
+    inputs: Array
+    rate: float
+
+    def into(self, plant: GeneralizedPlant) -> GeneralizedPlant:
+        """A plant of the given units in these."""
+        return _in_units(plant, self.states, self.inputs)
+
+    def back(self, plant: GeneralizedPlant) -> GeneralizedPlant:
+        """A plant of these units in the given ones."""
+        return _in_units(plant, 1 / self.states, 1 / self.inputs)
+
+    def gain_back(self, G: Array) -> Array:
+        """A state gain of these units in the given ones, shape (m, n)."""
+        return self.inputs[:, None] * G / self.states
+
+
+def own_units(plant: GeneralizedPlant, Cy: Array | None = None) -> OwnUnits:
+    """The plant's own units: of states, of inputs, and its rate.
+
+    Least squares over the logarithms of all entries that are not zero, in which the units of disturbances, outputs and
+    measurements are free, too. (`balance` is blind to a state that does not both drive others and is driven by them.)
 
     Args:
         plant: n states.
-        Cy: shape (q, n).
+        Cy: shape (q, n); of no rows where it is not given.
     """
+    Cy = np.zeros((0, len(plant.A))) if Cy is None else Cy
     n, (m, r, d, q) = len(plant.A), (plant.B.shape[1], plant.Bw.shape[1], len(plant.C), len(Cy))
     # From x, u, w to the change of x, z, y.
     whole = np.block([[plant.A, plant.B, plant.Bw], [plant.C, plant.D, plant.Dw], [Cy, np.zeros((q, m + r))]])
@@ -57,7 +88,15 @@ def own_units(plant: GeneralizedPlant, Cy: Array) -> tuple[Array, float]:
     ).tocsr()
     normal = (equations.T @ equations).toarray() + FREE * np.eye(unknowns)
     found = linalg.solve(normal, -equations.T @ np.log(np.abs(whole[i, j])), assume_a="pos")
-    return np.exp2(np.round(found[:n] / np.log(2))), float(np.exp(found[-1]))
+    units = np.exp2(np.round(found[: n + m] / np.log(2)))
+    return OwnUnits(units[:n], units[n:], float(np.exp(found[-1])))
+
+
+def _in_units(plant: GeneralizedPlant, states: Array, inputs: Array) -> GeneralizedPlant:
+    each = states[:, None]
+    return GeneralizedPlant(
+        plant.A * states / each, plant.B * inputs / each, plant.Bw / each, plant.C * states, plant.D * inputs, plant.Dw
+    )
 
 
 def size(matrix: Array) -> float:

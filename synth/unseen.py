@@ -21,6 +21,7 @@ from synth.plant import GeneralizedPlant
 from synth.stability import balance
 
 RANK = 1e-9  # relative; a direction that is smaller counts as none
+ROUNDING = 1e-15  # relative; what a few turns leave of zero
 UNDRIVEN = 1e-6  # of the other states' spread: what a state that nothing drives is given
 
 
@@ -107,7 +108,10 @@ def unseen(plant: GeneralizedPlant, Q: Array, R: Array) -> Unseen | None:
         F_r = F @ in_r @ in_r.T
         whole = moved.closed_loop(F_r).in_coordinates(Z)
         n = len(whole.A) - left
-        rest = GeneralizedPlant(whole.A[:n, :n], whole.B[:n], whole.Bw[:n], whole.C[:, :n], whole.D, whole.Dw)
+        # What is left of an A that turning has made zero would pass for a rate of the plant.
+        turned = np.linalg.norm(moved.A) + np.linalg.norm(moved.B) * np.linalg.norm(F_r)
+        A = np.where(np.abs(whole.A[:n, :n]) > ROUNDING * turned, whole.A[:n, :n], 0.0)
+        rest = GeneralizedPlant(A, whole.B[:n], whole.Bw[:n], whole.C[:, :n], whole.D, whole.Dw)
         kept = np.eye(n)
         return Unseen(rest, kept[:, :k], kept[:, k:], T / lengths @ Z, whole, out_r.T * lengths[a:], F_r[:, a:] * lengths[a:])
     return None
