@@ -48,8 +48,8 @@ ZERO = 1e-9  # of the size of the plant's matrices; a norm this small is zero
 MOVING = 0.5  # of its norm; what falls below it in a heat is still on its way, and stays in the race whatever its rank
 CLOSE = 1e-2  # relative; this close to what no controller beats, little is left to look for
 WORTH = 3e-4  # relative; what a turn of further descents must gain for another
-LONGEST = 20  # turns of descents from one candidate
-IDLE = 6  # descents from the winner's surroundings in a row that find nothing better; one if it is close, or the plant large
+LONGEST = 20  # turns of descents from one candidate; of a large plant, whose turns take many seconds, fewer
+IDLE = 6  # descents from the winner's surroundings in a row that find nothing better: enough; one where the winner is close
 SURROUNDINGS = (0.03, 0.1, 0.3, 1.0) * 4  # how far from the winner they start, in logarithms
 
 
@@ -188,7 +188,9 @@ class _Search:
             if self.reached(candidates[0]):
                 return candidates[0]
         best, idle = self.followed(candidates[0]), 0
-        enough = 1 if large or self.reached(best, CLOSE) else IDLE
+        if large:
+            return best
+        enough = 1 if self.reached(best, CLOSE) else IDLE
         for number, factor in enumerate(SURROUNDINGS):
             near = around(self.landscape, best.x, self.limit, factor, number)
             if near is None:
@@ -208,7 +210,7 @@ class _Search:
     def followed(self, candidate: Candidate) -> Candidate:
         """A candidate after descents of both kinds by turns, as many as gain something: some valleys are long."""
         quick = True
-        for _ in range(LONGEST):
+        for _ in range(max(1, int(LONGEST * min(1.0, (LARGE / len(self.plant.A)) ** 2)))):
             before = candidate.norm
             if quick:
                 candidate = self.step(candidate, self.whitened, 100)
