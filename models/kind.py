@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from models.errors import InputError, known, quoted
+from models.common.errors import InputError, known, quoted
 from models.linear_model import LinearModel
 from models.signals import Signal
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.arrays import Array
-from models.errors import InputError, known, quoted
+from models.common.arrays import Array
+from models.common.errors import InputError, known, quoted
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,9 +10,9 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
-from models.errors import InputError, quoted
+from models.common.errors import InputError, quoted
+from models.common.read_file import MIB, TEXT, open_plain
 from models.kind import GRAVITY
-from models.read_file import MIB, TEXT, open_plain
 from models.vehicle import Vehicle
 
 GIVE = "give the model of the kind of vehicle"

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from models.errors import InputError, one_line
+from models.common.errors import InputError, one_line
+from models.common.read_file import TEXT, read_text
 from models.kind import VehicleKind
-from models.read_file import TEXT, read_text
 from models.sound_kind import wrong_distance, wrong_linear_model, wrong_parts, wrong_place, wrong_rest
 
 GIVE = "give the equations of the kind, as README.md shows them"

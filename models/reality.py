@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from models.errors import InputError, known
+from models.common.errors import InputError, known
 from models.kind import Parameter
 
 LIMITS = (

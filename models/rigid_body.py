@@ -25,8 +25,8 @@ from typing import Any
 
 import numpy as np
 
-from models.arrays import Array
-from models.errors import InputError
+from models.common.arrays import Array
+from models.common.errors import InputError
 from models.kind import GRAVITY, Parameters
 from models.linear_model import LinearModel
 from models.signals import Signal

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from models.errors import quoted, some
+from models.common.errors import quoted, some
 from models.kind import MOST_SQUEEZE, Parameter, Variation, VehicleKind, Wheel
 from models.linear_model import LinearModel
 from models.signals import Signal

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from models.arrays import Array
-from models.errors import InputError, known, quoted
+from models.common.arrays import Array
+from models.common.errors import InputError, known, quoted
+from models.common.read_file import TEXT, read_text
 from models.kind import HERE, LARGEST, VehicleKind, kind, kinds
 from models.linear_model import LinearModel
-from models.read_file import TEXT, read_text
 from models.reality import Implementation, Limits, read_implementation, read_limits
 
 SECTIONS = ("type", "parameters", "performance", "controllers", "limits", "implementation")

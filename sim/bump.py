@@ -4,15 +4,15 @@ import argparse
 import json
 from collections.abc import Sequence
 
-from models.command import Parser, chosen, run_command
-from models.errors import InputError
+from models.common.command import Parser, chosen, run_command
+from models.common.errors import InputError
 from models.vehicle import Vehicle, read_vehicle
-from sim.asked import Asked
-from sim.comparison import add_how, check_view, compared_lines, run_chosen, view
-from sim.outputs import check_outputs
-from sim.road import Bump
-from sim.run import Run, check_road, sample_times
-from sim.verdict import half_step_object, log_lines, run_object
+from sim.command.asked import Asked
+from sim.command.comparison import add_how, check_view, compared_lines, run_chosen, view
+from sim.command.outputs import check_outputs
+from sim.roads.road import Bump
+from sim.runs.run import Run, check_road, sample_times
+from sim.runs.words import half_step_object, log_lines, run_object
 
 EPILOG = """
 exit code: 0 physics and analysis agree for every controller and energy balances, 1 not, 2 bad input
@@ -54,7 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     }
     logs = {"mcap": None, "layout": None, "rerun": None}
     if options.logs is not None:
-        from sim.provenance import record_runs, run_log
+        from sim.recording.provenance import record_runs, run_log
 
         logs = record_runs(
             options.logs, options.command_line, vehicle, names, [run_log(vehicle, road, run) for run in runs], result

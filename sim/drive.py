@@ -6,19 +6,19 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from models.command import Parser, chosen, run_command
-from models.errors import InputError
+from models.common.command import Parser, chosen, run_command
+from models.common.errors import InputError
 from models.vehicle import Vehicle, read_vehicle
-from sim.asked import Asked, same_path
-from sim.comparison import add_how, check_view, compared_lines, run_chosen, view
-from sim.iso8608 import CLASSES
-from sim.measured import first_sample, measure_run, metric_lines, metrics_object
-from sim.metrics import DEFINITIONS
-from sim.outputs import check_outputs
-from sim.road import Road
-from sim.roads import FILE, SYNTAX, RoadChoice, choose_road
-from sim.run import check_road, sample_times
-from sim.verdict import half_step_object, log_lines, run_object
+from sim.command.asked import Asked, same_path
+from sim.command.comparison import add_how, check_view, compared_lines, run_chosen, view
+from sim.command.outputs import check_outputs
+from sim.ride.measured import first_sample, measure_run, metric_lines, metrics_object
+from sim.ride.metrics import DEFINITIONS
+from sim.roads.choice import FILE, SYNTAX, RoadChoice, choose_road
+from sim.roads.iso8608 import CLASSES
+from sim.roads.road import Road
+from sim.runs.run import check_road, sample_times
+from sim.runs.words import half_step_object, log_lines, run_object
 
 EPILOG = """
 exit code: 0 physics and analysis agree for every controller and energy balances, 1 not, 2 bad input. A run that ends early,
@@ -63,7 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     }
     logs = {"mcap": None, "layout": None, "rerun": None}
     if options.logs is not None:
-        from sim.provenance import record_runs, run_log
+        from sim.recording.provenance import record_runs, run_log
 
         logs = record_runs(
             options.logs, options.command_line, vehicle, names, [run_log(vehicle, road, run) for run in runs], result

@@ -13,21 +13,21 @@ from typing import Any
 
 import numpy as np
 
-from models.arrays import Array
-from models.command import Parser, one_chosen, run_command
-from models.errors import InputError, known
+from models.common.arrays import Array
+from models.common.command import Parser, one_chosen, run_command
+from models.common.errors import InputError, known
+from models.common.whole_file import whole_file
 from models.vehicle import Vehicle, read_vehicle
-from models.whole_file import whole_file
-from sim.asked import Asked
-from sim.broken import ENDS
-from sim.outputs import check_outputs, written, written_lines
-from sim.picture import draw
-from sim.progress import bar
-from sim.road import LIMITS, Bump
-from sim.run import LOWEST, run_all, sample_times
-from sim.run_log import RunLog
-from sim.validity import Cells, Interrupted, validity
-from sim.verdict import log_lines
+from sim.command.asked import Asked
+from sim.command.outputs import check_outputs, written, written_lines
+from sim.command.progress import bar
+from sim.figures.picture import draw
+from sim.recording.run_log import RunLog
+from sim.response.regime import ENDS
+from sim.roads.road import LIMITS, Bump
+from sim.runs.run import LOWEST, run_all, sample_times
+from sim.runs.words import log_lines
+from sim.validity.cells import Cells, Interrupted, validity
 from synth.controller import Controller, design
 
 UNITS = {"height": "m", "length": "m", "speed": "m/s"}
@@ -84,13 +84,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.csv is not None:
         write_csv(options.csv, cells, options.threshold)
     if options.picture is not None:
-        from sim.envelope_picture import envelope_figure
+        from sim.validity.figure import envelope_figure
 
         fixed = {name: getattr(options, name) for name in UNITS if name not in {axis.name for axis in axes}}
         draw(envelope_figure(vehicle, controller, cells, axes, fixed, options.threshold), options.picture)
     result, logs = envelope_object(cells, axes, options), {"mcap": None, "layout": None, "rerun": None}
     if options.logs is not None:
-        from sim.provenance import record_runs
+        from sim.recording.provenance import record_runs
 
         runs = _nearest_runs(vehicle, controller, cells, time)
         logs = record_runs(options.logs, options.command_line, vehicle, [controller.name], runs, result)
@@ -239,7 +239,7 @@ def _text(cells: Cells, options: Any) -> list[str]:
 
 def _nearest_runs(vehicle: Vehicle, controller: Controller, cells: Cells, time: Array) -> list[RunLog]:
     """Of the cells where nothing breaks the one nearest to breaking, and of those where an end comes first the mildest."""
-    from sim.provenance import run_log
+    from sim.recording.provenance import run_log
 
     found, used = [], cells.used.max(axis=-1)
     for end in (-1, *range(len(ENDS))):

@@ -10,21 +10,21 @@ from typing import Any
 
 import numpy as np
 
-from models.command import Parser, one_chosen, run_command
-from models.errors import InputError
+from models.common.command import Parser, one_chosen, run_command
+from models.common.errors import InputError
 from models.reality import Implementation
 from models.vehicle import Vehicle, read_vehicle
-from sim.asked import Asked
-from sim.growth import BUMP, LONGEST, SHORTEST, TIMESTEP
-from sim.linear import sampled_radius
-from sim.loop_margins import GainMargin, LoopMargins, find_margins
-from sim.outputs import check_outputs, written, written_lines
-from sim.picture import draw
-from sim.progress import show
-from sim.robustness import Robustness, robustness, varied_text
-from sim.run import run_all, sample_times
-from sim.run_log import RunLog
-from sim.verdict import log_lines
+from sim.command.asked import Asked
+from sim.command.outputs import check_outputs, written, written_lines
+from sim.command.progress import show
+from sim.figures.picture import draw
+from sim.linear.loop import sampled_radius
+from sim.recording.run_log import RunLog
+from sim.runs.run import run_all, sample_times
+from sim.runs.words import log_lines
+from sim.stability.growth import BUMP, LONGEST, SHORTEST, TIMESTEP
+from sim.stability.margins import GainMargin, LoopMargins, find_margins
+from sim.stability.robustness import Robustness, robustness, varied_text
 from synth.controller import Controller, design
 
 EPILOG = """
@@ -55,13 +55,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     found = find_margins(vehicle, controller, options.timestep, show)
     box = robustness(vehicle, controller, options.timestep, show)
     if options.picture is not None:
-        from sim.margins_picture import margins_figure
+        from sim.stability.figure import margins_figure
 
         draw(margins_figure(vehicle, controller, found[""], box, options.timestep), options.picture)
     result = {**_object(controller, found, box), "loop": None if as_built.ideal else _which_loop(as_built)}
     logs = {"mcap": None, "layout": None, "rerun": None}
     if options.logs is not None:
-        from sim.provenance import record_runs
+        from sim.recording.provenance import record_runs
 
         runs = _delayed_runs(vehicle, controller, found[""], options.timestep)
         logs = record_runs(options.logs, options.command_line, vehicle, [controller.name], runs, result)
@@ -121,7 +121,7 @@ def _with_loop(vehicle: Vehicle, name: str, timestep: float) -> Controller:
 
 def _delayed_runs(vehicle: Vehicle, controller: Controller, loop: LoopMargins, timestep: float) -> list[RunLog]:
     """The run that still decays and the one that grows, to be recorded; without a delay margin, the longest delay tried."""
-    from sim.provenance import run_log
+    from sim.recording.provenance import run_log
 
     delays = [loop.delay.stable, loop.delay.unstable] if math.isfinite(loop.delay.unstable) else [loop.delay.stable]
     time, found = sample_times(vehicle, SHORTEST, timestep), []

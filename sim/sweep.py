@@ -8,20 +8,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from models.arrays import Array
-from models.command import Parser, chosen, run_command
-from models.errors import InputError
+from models.common.arrays import Array
+from models.common.command import Parser, chosen, run_command
+from models.common.errors import InputError
 from models.vehicle import Vehicle, read_vehicle
-from sim.asked import Asked
-from sim.described import described_road
-from sim.extremes import DURATION, Extremes, extremes
-from sim.identification import HIGHEST, LOWEST, Lines, ideal_measurements, identify
-from sim.multisine import Multisine, sinusoid
-from sim.outputs import check_outputs, written, written_lines
-from sim.picture import draw
-from sim.run import run_all, sample_times
-from sim.run_log import RunLog
-from sim.verdict import log_lines
+from sim.command.asked import Asked
+from sim.command.outputs import check_outputs, written, written_lines
+from sim.figures.picture import draw
+from sim.frequency.extremes import DURATION, Extremes, extremes
+from sim.frequency.identification import HIGHEST, LOWEST, Lines, ideal_measurements, identify
+from sim.recording.run_log import RunLog
+from sim.roads.description import described_road
+from sim.roads.sinusoids import Multisine, sinusoid
+from sim.runs.run import run_all, sample_times
+from sim.runs.words import log_lines
 from synth.controller import Controller, Designer
 
 FIGURE_3 = ("passive", "state", "I", "II")
@@ -59,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     controllers = [designer.design(name) for name in names]
     sweeps = sweep(vehicle, controllers, options.amplitude, options.timestep, options.speed)
     if options.picture is not None:
-        from sim.sweep_picture import sweep_figure
+        from sim.frequency.figure import sweep_figure
 
         lines = [one.lines for one in sweeps]
         draw(sweep_figure(vehicle, lines, options.amplitude, options.timestep, options.speed), options.picture)
@@ -72,7 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     }
     logs = {"mcap": None, "layout": None, "rerun": None}
     if options.logs is not None:
-        from sim.provenance import record_runs
+        from sim.recording.provenance import record_runs
 
         logs = record_runs(options.logs, options.command_line, vehicle, names, _worst_runs(vehicle, sweeps, options), result)
     if options.json:
@@ -128,7 +128,7 @@ class Sweep:
 
 
 def sweep(vehicle: Vehicle, controllers: Sequence[Controller], amplitude: float, timestep: float, speed: float) -> list[Sweep]:
-    """Everything, of every controller. Arguments and errors as for `sim.identification.identify`."""
+    """Everything, of every controller. Arguments and errors as for `sim.frequency.identification.identify`."""
     lines = identify(vehicle, controllers, amplitude, timestep, speed)
     most = extremes(vehicle, controllers, amplitude, timestep, speed)
     return [Sweep(*pair) for pair in zip(lines, most, strict=True)]
@@ -227,7 +227,7 @@ def sweep_object(one: Sweep) -> dict[str, Any]:
 
 def _worst_runs(vehicle: Vehicle, sweeps: Sequence[Sweep], options: Any) -> "list[RunLog]":
     """Every controller on its worst sinusoid, from rest, to be recorded."""
-    from sim.provenance import run_log
+    from sim.recording.provenance import run_log
 
     vehicle, found = ideal_measurements(vehicle), []
     time = _worst_times(vehicle, options)

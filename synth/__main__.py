@@ -7,17 +7,17 @@ from pathlib import Path
 
 import numpy as np
 
-from models.command import ALL, Parser, chosen, run_command
-from models.errors import InputError, known
+from models.common.command import ALL, Parser, chosen, run_command
+from models.common.errors import InputError, known
 from models.vehicle import Vehicle, read_vehicle
-from synth.check import check
+from synth.certificate.lower_bound import LowerBound
+from synth.command.check import check
+from synth.command.save import check_save, save
+from synth.command.table import Row, detail_lines, ideal_lines, notes, refine_lines, row_object, table_lines
+from synth.command.witness import cross_check
 from synth.controller import Designer
 from synth.errors import DesignError
-from synth.flat import free_moves
-from synth.lower_bound import LowerBound
-from synth.save import check_save, save
-from synth.table import Row, detail_lines, ideal_lines, notes, refine_lines, row_object, table_lines
-from synth.witness import cross_check
+from synth.search.flat import free_moves
 
 FLAT = 1e-4  # of gamma: how far the gains may move for it is printed
 

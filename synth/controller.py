@@ -6,23 +6,23 @@ from functools import cached_property
 
 import numpy as np
 
-from models.arrays import Array
-from models.errors import InputError, known
+from models.common.arrays import Array
+from models.common.errors import InputError, known
 from models.linear_model import LinearModel
 from models.vehicle import ControllerEntry, Vehicle
-from synth.central import CentralPoint
-from synth.certificate import Certificate, certify
+from synth.certificate.bounding import proved
+from synth.certificate.certificate import Certificate, certify
+from synth.certificate.lower_bound import LowerBound
 from synth.design import Design, state_design, state_path, zero_l_design
 from synth.errors import BatchError, DesignError
 from synth.fallback import two_steps_or_descent
-from synth.full_order import best_possible, bound_beyond_control
-from synth.lower_bound import LowerBound
-from synth.output_feedback import independent_rows
+from synth.lmi.central import CentralPoint
+from synth.lmi.full_order import best_possible, bound_beyond_control
+from synth.lmi.output_feedback import independent_rows
 from synth.plant import GeneralizedPlant
 from synth.redesign import state_designs, two_step_designs
-from synth.refine import SEEN, Refinement, refine, worth_refining
-from synth.riccati import proved
-from synth.static import static_output_feedback
+from synth.search.refine import SEEN, Refinement, refine, worth_refining
+from synth.search.static import static_output_feedback
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +183,7 @@ class Designer:
         return _designed(entry, design)
 
     def refine(self, name: str, zero_l: bool = False) -> Refined:
-        """The controller of that name with a lower norm, as far as it is worth a larger gain (`synth.refine`).
+        """The controller of that name with a lower norm, as far as it is worth a larger gain (`synth.search.refine`).
 
         Where the two steps find no gain, it is the best that any start leads to.
 

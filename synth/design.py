@@ -5,18 +5,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from models.arrays import Array
-from synth.central import FIRST, CentralPoint, fits, unknowns
-from synth.certificate import FASTEST, Certificate, certify
+from models.common.arrays import Array
+from synth.certificate.bounding import proved
+from synth.certificate.certificate import FASTEST, Certificate, certify
+from synth.certificate.lower_bound import LowerBound
 from synth.errors import DesignError, InfeasibleError
-from synth.lower_bound import LowerBound
+from synth.lmi.central import FIRST, CentralPoint, fits, unknowns
+from synth.lmi.output_feedback import independent_rows, l_matrix, nullspace, output_feedback
+from synth.lmi.state_feedback import state_feedback
 from synth.modes import obstacles
-from synth.output_feedback import independent_rows, l_matrix, nullspace, output_feedback
 from synth.plant import GeneralizedPlant, measurement_matrix
 from synth.posed import free_force, posed, standing
-from synth.riccati import proved
 from synth.scaling import own_units
-from synth.state_feedback import state_feedback
 
 MOST = 1100  # unknowns of (22), 45 states with one input: the second problem is solved from several X, in a minute or less
 SAME = 1e-9  # relative: how far rounding takes a gain from one that is made of measurements

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from models.errors import InputError
+from models.common.errors import InputError
 
 
 class DesignError(InputError):

@@ -6,7 +6,7 @@ Knuth's sum and Dekker's product have no error at all: what rounding takes is a 
 
 import numpy as np
 
-from models.arrays import Array
+from models.common.arrays import Array
 
 SPLIT = 2.0**27 + 1  # halves a float: each half has 26 bits, so that products of halves are exact
 LEFT = 1e-14  # relative; what moves by less has come to rest

@@ -7,13 +7,13 @@ at that: that is an answer, and the descent has its own door.
 
 from collections.abc import Callable, Sequence
 
-from models.arrays import Array
-from synth.central import CentralPoint
+from models.common.arrays import Array
+from synth.certificate.lower_bound import LowerBound
 from synth.design import Design, measurement, two_step_design, widened
 from synth.errors import DesignError, InfeasibleError
-from synth.lower_bound import LowerBound
+from synth.lmi.central import CentralPoint
 from synth.plant import GeneralizedPlant
-from synth.static import LARGEST_GAIN, descended
+from synth.search.static import LARGEST_GAIN, descended
 
 
 def two_steps_or_descent(

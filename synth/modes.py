@@ -7,10 +7,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from models.arrays import Array
+from models.common.arrays import Array
+from synth.certificate.stability import balance, stability
 from synth.plant import GeneralizedPlant
 from synth.scaling import own_units
-from synth.stability import balance, stability
 
 UNREACHED = 1e-8  # relative size of what an input does to a mode that it does not reach, up to rounding
 

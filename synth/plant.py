@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.arrays import Array
-from models.errors import InputError
+from models.common.arrays import Array
+from models.common.errors import InputError
 from synth.extended import added, product
 
 MOST = 2000  # states, inputs, disturbances, outputs or measurements; more needs methods for large sparse systems

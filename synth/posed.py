@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from models.arrays import Array
+from models.common.arrays import Array
+from synth.certificate.stability import balance, is_stable
+from synth.lmi.unseen import RANK, hidden, nulling, unseen
 from synth.modes import largest, rate
 from synth.plant import GeneralizedPlant
 from synth.scaling import own_units, size
-from synth.stability import balance, is_stable
-from synth.unseen import RANK, hidden, nulling, unseen
 
 INSTEAD = "designed against a disturbance of every state that z sees"
 

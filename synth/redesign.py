@@ -9,14 +9,14 @@ from contextlib import suppress
 
 import numpy as np
 
-from models.arrays import Array
-from models.errors import InputError
-from synth.central import CentralPoint
+from models.common.arrays import Array
+from models.common.errors import InputError
 from synth.design import Design, furthest, measurement, state_design, widened
 from synth.errors import BatchError, DesignError
 from synth.fallback import two_steps_or_descent
-from synth.many import path_limits
-from synth.output_feedback import l_matrix, nullspace, output_feedback, r_matrix
+from synth.lmi.central import CentralPoint
+from synth.lmi.central_batch import path_limits
+from synth.lmi.output_feedback import l_matrix, nullspace, output_feedback, r_matrix
 from synth.plant import GeneralizedPlant
 
 SHORT = 0.1  # mu / eta of the point on the nominal plant's path that says where the others begin

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from models.arrays import Array
-from models.errors import InputError, known
+from models.common.arrays import Array
+from models.common.errors import InputError, known
 from synth.plant import GeneralizedPlant
 
 

@@ -7,9 +7,9 @@ import pytest
 from mcap.reader import make_reader
 
 from models.vehicle import Vehicle, read_vehicle
-from sim.road import Bump
-from sim.run import run_all, sample_times
-from sim.run_log import RunLog
+from sim.recording.run_log import RunLog
+from sim.roads.road import Bump
+from sim.runs.run import run_all, sample_times
 from synth.controller import Designer
 from synth.plant import GeneralizedPlant
 
@@ -29,7 +29,7 @@ def designer(paper) -> Designer:
 @pytest.fixture(scope="session")
 def lifting(designer: Designer) -> RunLog:
     """A quarter-car with controller I over a bump that throws it off the road."""
-    from sim.provenance import run_log  # it imports Rerun, which most tests need not
+    from sim.recording.provenance import run_log  # it imports Rerun, which most tests need not
 
     vehicle, road = designer.vehicle, Bump(height=0.2, speed=20.0)
     time = sample_times(vehicle, 0.5, 1e-3)

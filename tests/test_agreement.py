@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from sim.agreement import lift_off_intervals
-from sim.linear import continuous_response, sampled_response, taylor4
-from sim.physics import simulate
-from sim.road import Bump
+from sim.linear.loop import continuous_response, sampled_response, taylor4
+from sim.physics.simulate import simulate
+from sim.roads.road import Bump
+from sim.runs.agreement import lift_off_intervals
 from tests.conftest import random_vehicles
 
 CONFIGURATIONS = ["passive", "state", "I", "II", "state_printed", "I_printed", "II_printed"]

@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from models.errors import InputError
-from synth.definite import definiteness
+from models.common.errors import InputError
+from synth.certificate.definite import definiteness
+from synth.certificate.exact import Nullspace, identity, integers, product
+from synth.certificate.invariant import invariant_limit, limit_at
+from synth.certificate.lower_bound import Witness, lower_bound
+from synth.certificate.norm import hinf_norm
+from synth.certificate.side import Side, transposed
 from synth.errors import DesignError
-from synth.exact import Nullspace, identity, integers, product
-from synth.full_order import best_possible
-from synth.limit import invariant_limit, limit_at
-from synth.lower_bound import Witness, lower_bound
-from synth.norm import hinf_norm
+from synth.lmi.full_order import best_possible
+from synth.lmi.state_feedback import state_feedback
 from synth.plant import GeneralizedPlant
-from synth.side import Side, transposed
-from synth.state_feedback import state_feedback
-from synth.static import static_output_feedback
+from synth.search.static import static_output_feedback
 
 KINDS = (
     "few outputs",

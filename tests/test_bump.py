@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from models.errors import InputError
+from models.common.errors import InputError
 from models.vehicle import read_vehicle
-from sim.agreement import ROUNDING, compare
 from sim.bump import main
-from sim.linear import sampled_response, taylor4
-from sim.physics import simulate
-from sim.road import Bump
-from sim.run import run_all, sample_times
+from sim.linear.loop import sampled_response, taylor4
+from sim.physics.simulate import simulate
+from sim.roads.road import Bump
+from sim.runs.agreement import ROUNDING, compare
+from sim.runs.run import run_all, sample_times
 from synth.controller import Designer
 
 ROOT = Path(__file__).parent.parent

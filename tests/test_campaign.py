@@ -17,18 +17,18 @@ import pyarrow.parquet as pq
 import pytest
 from threadpoolctl import threadpool_limits
 
-from models.errors import InputError
+from models.common.errors import InputError
 from models.vehicle import read_vehicle
-from sim import campaign_store
-from sim.campaign import main
-from sim.campaign_file import read_campaign
-from sim.campaign_manifest import held, read_manifest
-from sim.expected import expect
-from sim.iso8608 import Iso8608
-from sim.linear import sampled_response
-from sim.metrics import measure, metrics_of
-from sim.physics import simulate
-from sim.settled import settled
+from sim.campaign import store as campaign_store
+from sim.campaign.__main__ import main
+from sim.campaign.file import read_campaign
+from sim.campaign.manifest import held, read_manifest
+from sim.linear.loop import sampled_response
+from sim.physics.simulate import simulate
+from sim.ride.expected import expect
+from sim.ride.metrics import measure, metrics_of
+from sim.ride.settled import settled
+from sim.roads.iso8608 import Iso8608
 from synth.controller import Designer
 
 ROOT = Path(__file__).parent.parent

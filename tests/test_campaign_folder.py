@@ -11,10 +11,12 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from models.errors import InputError
-from sim import campaign, campaign_manifest, campaign_store
-from sim.campaign import main
-from sim.campaign_manifest import read_manifest
+from models.common.errors import InputError
+from sim.campaign import __main__ as campaign
+from sim.campaign import manifest as campaign_manifest
+from sim.campaign import store as campaign_store
+from sim.campaign.__main__ import main
+from sim.campaign.manifest import read_manifest
 
 QUICK = """
 vehicles = ["quarter_car"]

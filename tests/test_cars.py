@@ -9,15 +9,15 @@ import mujoco
 import numpy as np
 import pytest
 
-from models.errors import InputError
+from models.common.errors import InputError
 from models.kind import GRAVITY
 from models.mjcf import build_model
 from models.vehicle import parse_vehicle, read_vehicle
-from sim import readout
-from sim.linear import continuous_response, sampled_response
-from sim.physics import simulate
-from sim.road import Bump
-from sim.run import run_all, sample_times
+from sim.linear.loop import continuous_response, sampled_response
+from sim.physics import readout
+from sim.physics.simulate import simulate
+from sim.roads.road import Bump
+from sim.runs.run import run_all, sample_times
 from synth.controller import Designer
 from tests.conftest import random_vehicles
 

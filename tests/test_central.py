@@ -5,12 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from synth.central import central_path
 from synth.errors import InfeasibleError
-from synth.lmi import solve_lmi
-from synth.output_feedback import l_matrix, nullspace, output_feedback, r_matrix
+from synth.lmi.central import central_path
+from synth.lmi.clarabel import solve_lmi
+from synth.lmi.output_feedback import l_matrix, nullspace, output_feedback, r_matrix
+from synth.lmi.state_feedback import state_feedback
 from synth.plant import GeneralizedPlant
-from synth.state_feedback import state_feedback
 from tests.conftest import plant_with_feedthrough
 
 CY = {"I": np.eye(4)[[0, 2]], "II": np.eye(4)[[2]]}

@@ -5,15 +5,15 @@ import dataclasses
 import numpy as np
 import pytest
 
-from sim.verdict import controller_lines
-from synth.certificate import FASTEST, certify
+from sim.runs.words import controller_lines
+from synth.certificate.bounding import proved
+from synth.certificate.certificate import FASTEST, certify
+from synth.command.table import Row, detail_lines, row_object
 from synth.controller import given
 from synth.design import furthest, state_path, two_step_design
 from synth.errors import DesignError
 from synth.plant import GeneralizedPlant
 from synth.redesign import state_designs
-from synth.riccati import proved
-from synth.table import Row, detail_lines, row_object
 
 NAMES = ["state", "I", "II"]
 

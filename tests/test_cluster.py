@@ -16,9 +16,9 @@ from typing import Any
 import pyarrow.parquet as pq
 import pytest
 
-from sim.campaign import main
-from sim.campaign_batch import Plan
-from sim.campaign_workers import AHEAD, on_ray
+from sim.campaign.__main__ import main
+from sim.campaign.batch import Plan
+from sim.campaign.workers import AHEAD, on_ray
 
 ROOT = Path(__file__).parent.parent
 LONGEST = 60.0  # s for anything to happen; a node takes 4 to 8 to start, the campaign 12

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from models.vehicle import read_vehicle
-from sim.convert import closed_loop, to_control, to_pandas, vehicle_system, weighted_loop
-from sim.linear import continuous_response
-from sim.response import Response
-from sim.road import Bump
+from sim.linear.loop import continuous_response
+from sim.response.export import closed_loop, to_control, to_pandas, vehicle_system, weighted_loop
+from sim.response.response import Response
+from sim.roads.road import Bump
 from synth.controller import design
 
 TIME = np.arange(2001) * 1e-3

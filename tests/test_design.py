@@ -4,19 +4,19 @@ import control
 import numpy as np
 import pytest
 
-from models.errors import InputError
+from models.common.errors import InputError
 from models.vehicle import parse_vehicle, read_vehicle
+from synth.command.table import notes
 from synth.controller import Designer
 from synth.design import state_design, state_path, two_step_design
 from synth.errors import DesignError, InfeasibleError
-from synth.full_order import best_possible
-from synth.lmi import solve_lmi
+from synth.lmi.clarabel import solve_lmi
+from synth.lmi.full_order import best_possible
+from synth.lmi.output_feedback import l_matrix, nullspace, r_matrix
+from synth.lmi.state_feedback import state_feedback
 from synth.modes import obstacles
-from synth.output_feedback import l_matrix, nullspace, r_matrix
 from synth.plant import GeneralizedPlant
-from synth.state_feedback import state_feedback
 from synth.state_space import from_state_space
-from synth.table import notes
 
 GOOD = {
     "A": np.diag([-1.0, -2.0]),

@@ -6,13 +6,13 @@ import json
 import numpy as np
 import pytest
 
-from models.errors import InputError
+from models.common.errors import InputError
 from models.vehicle import read_vehicle
 from sim.drive import main
-from sim.metrics import metrics_of
-from sim.road import Bump
-from sim.run import run_all
-from sim.verdict import verdict_lines
+from sim.ride.metrics import metrics_of
+from sim.roads.road import Bump
+from sim.runs.run import run_all
+from sim.runs.words import verdict_lines
 
 
 def run_json(capsys, *arguments):

@@ -10,10 +10,10 @@ import pytest
 
 from models.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main
-from sim.energy import Energy, energy
-from sim.physics import PhysicsRuns, simulate
-from sim.response import Response
-from sim.road import Bump
+from sim.physics.energy import Energy, energy
+from sim.physics.simulate import PhysicsRuns, simulate
+from sim.response.response import Response
+from sim.roads.road import Bump
 from synth.controller import design
 
 LAG = "\n[limits]\nactuator_bandwidth = 60.0\n"

@@ -7,16 +7,16 @@ import json
 import numpy as np
 import pytest
 
-from models.errors import InputError
+from models.common.errors import InputError
 from models.reality import Limits
 from models.vehicle import read_vehicle
-from sim.broken import ENDS, first_end, reached, utilisation
 from sim.envelope import grid, main, read_axes
-from sim.envelope_picture import envelope_figure
-from sim.figure import Kinds
-from sim.linear import sampled_response
-from sim.road import Bump
-from sim.validity import Interrupted, validity
+from sim.figures.figure import Kinds
+from sim.linear.loop import sampled_response
+from sim.response.regime import ENDS, first_end, reached, utilisation
+from sim.roads.road import Bump
+from sim.validity.cells import Interrupted, validity
+from sim.validity.figure import envelope_figure
 from synth.controller import Designer
 from tests.conftest import recorded_runs
 
@@ -96,8 +96,8 @@ def test_reached_scales(limited, designer):
 
 def test_interrupted(limited, designer, monkeypatch):
     """Ctrl-C keeps what is done, whole batches of it, and no other is begun."""
-    monkeypatch.setattr("sim.validity.MOST_AT_ONCE", 2)
-    monkeypatch.setattr("sim.validity.cores", lambda: 1)
+    monkeypatch.setattr("sim.validity.cells.MOST_AT_ONCE", 2)
+    monkeypatch.setattr("sim.validity.cells.cores", lambda: 1)
 
     def stop(done: int) -> None:
         if done >= 4:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from synth import extended
-from synth.certificate import certify
+from synth.certificate.certificate import certify
+from synth.certificate.norm import gain_at, hinf_norm
 from synth.extended import added, multiplied, product
-from synth.norm import gain_at, hinf_norm
 from synth.plant import GeneralizedPlant
 from tests import exactly
 

@@ -7,19 +7,21 @@ import numpy as np
 import pytest
 
 from models.vehicle import read_vehicle
-from synth import central, design, static
+from synth import design
 from synth.__main__ import main
-from synth.certificate import certify
+from synth.certificate.certificate import certify
+from synth.command.table import notes
+from synth.command.witness import cross_check
 from synth.controller import Designer
 from synth.design import state_path, two_step_design
 from synth.errors import DesignError, InfeasibleError, TooLargeError
 from synth.fallback import two_steps_or_descent
-from synth.landscape import Landscape
+from synth.lmi import central
 from synth.plant import GeneralizedPlant
-from synth.projected import projected_starts
-from synth.static import static_output_feedback
-from synth.table import notes
-from synth.witness import cross_check
+from synth.search import static
+from synth.search.landscape import Landscape
+from synth.search.projected import projected_starts
+from synth.search.static import static_output_feedback
 from tests.benchmarks.states import chain
 
 TOO_LARGE = (

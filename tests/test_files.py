@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from models import interrupt
-from models.errors import InputError
-from models.read_file import MIB, read_bytes, read_text
-from models.whole_file import check_file, check_folder, made_folder, together, whole_file
+from models.common import interrupt
+from models.common.errors import InputError
+from models.common.read_file import MIB, read_bytes, read_text
+from models.common.whole_file import check_file, check_folder, made_folder, together, whole_file
 
 POSIX = pytest.mark.skipif(os.name == "nt", reason="modes, pipes and links of POSIX")
 

@@ -10,17 +10,17 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from models.errors import InputError
+from models.common.errors import InputError
 from models.vehicle import ControllerEntry, read_vehicle
-from synth.bounded_real import bounded_real_exactly
-from synth.certificate import LmiProof, certify, eta_of, prove_bound
-from synth.check import check
+from synth.certificate.bounded_real import bounded_real_exactly
+from synth.certificate.bounding import bounding_x
+from synth.certificate.certificate import LmiProof, certify, eta_of, prove_bound
+from synth.certificate.definite import definiteness
+from synth.certificate.norm import hinf_norm
+from synth.certificate.record import to_record
+from synth.command.check import check
 from synth.controller import Designer
-from synth.definite import definiteness
-from synth.norm import hinf_norm
 from synth.plant import GeneralizedPlant
-from synth.record import to_record
-from synth.riccati import bounding_x
 from tests import exactly
 
 

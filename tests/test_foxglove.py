@@ -17,11 +17,11 @@ from mcap_protobuf.decoder import DecoderFactory
 from mcap_protobuf.schema import build_file_descriptor_set
 from scipy.spatial.transform import Rotation
 
-from sim.appearance import BESIDE, LIFTED, LONGEST
-from sim.difference import difference
-from sim.foxglove_layout import foxglove_layout
-from sim.recording_mcap import write_mcap
-from sim.run_log import RunLog
+from sim.recording.appearance import BESIDE, LIFTED, LONGEST
+from sim.recording.foxglove_layout import foxglove_layout
+from sim.recording.mcap_writer import write_mcap
+from sim.recording.run_log import RunLog
+from sim.response.difference import difference
 from tests.test_recording import make_run
 
 PACKAGES = ("@mcap/core@2.2.2", "fzstd@0.1.1", "protobufjs@8.8.1", "@foxglove/schemas@2.1.0")

@@ -14,20 +14,20 @@ import numpy as np
 import pytest
 from mcap.records import Message
 
-from models.errors import InputError
+from models.common.errors import InputError
 from models.reality import Implementation
 from models.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main as bump
 from sim.drive import main as drive
 from sim.envelope import main as envelope
-from sim.inspect import main
-from sim.log_format import RESULTS
+from sim.inspect.__main__ import main
+from sim.inspect.mcap_reader import GIVE
 from sim.margins import main as margins
-from sim.mcap_file import GIVE
-from sim.multisine import sinusoid
-from sim.provenance import record_runs, run_log
-from sim.road import Bump
-from sim.run import run_all, sample_times
+from sim.recording.format import RESULTS
+from sim.recording.provenance import record_runs, run_log
+from sim.roads.road import Bump
+from sim.roads.sinusoids import sinusoid
+from sim.runs.run import run_all, sample_times
 from sim.sweep import main as sweep
 from tests.rewriting import Contents, contents, written
 
@@ -519,7 +519,7 @@ def test_command(log, tmp_path):
     assert "python -m pytest" in run.stdout or "command   python" in run.stdout
     bad = subprocess.run([sys.executable, "-m", "sim.inspect", __file__], capture_output=True, text=True, timeout=60)
     assert (bad.returncode, bad.stdout, bad.stderr.count("\n")) == (2, "", 1)
-    code = "import sys; from sim.inspect import main; main(sys.argv[1:]); print({'cvxpy', 'control', 'rerun'} & set(sys.modules))"
+    code = "import sys; from sim.inspect.__main__ import main; main(sys.argv[1:]); print({'cvxpy', 'control', 'rerun'} & set(sys.modules))"
     run = subprocess.run([sys.executable, "-c", code, str(log)], capture_output=True, text=True, timeout=60)
     assert run.stdout.endswith("set()\n")
 

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 from mcap.records import Channel, Message, Schema
 
-from models.errors import InputError
+from models.common.errors import InputError
 from sim.bump import main as bump
-from sim.inspect import main
+from sim.inspect.__main__ import main
 from tests.rewriting import Contents, contents, written
 
 Change = Callable[[Contents], Contents]

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from synth import full_order
-from synth.full_order import best_possible
-from synth.limit import invariant_limit, limit_at
-from synth.lower_bound import LowerBound, Witness, lower_bound
-from synth.norm import hinf_norm
+from synth.certificate.invariant import invariant_limit, limit_at
+from synth.certificate.lower_bound import LowerBound, Witness, lower_bound
+from synth.certificate.norm import hinf_norm
+from synth.certificate.side import Side, shown, steered
+from synth.lmi import full_order
+from synth.lmi.full_order import best_possible
+from synth.lmi.state_feedback import state_feedback
 from synth.plant import GeneralizedPlant
-from synth.side import Side, shown, steered
-from synth.state_feedback import state_feedback
 from tests.test_static import random_plant
 
 

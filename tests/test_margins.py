@@ -11,23 +11,23 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from models.errors import InputError
+from models.common.errors import InputError
 from models.kind import Variation
 from models.reality import Implementation, Limits
 from models.vehicle import parse_vehicle, read_vehicle
-from sim.bisection import Search, run_searches
-from sim.figure import Curve
-from sim.growth import Growth, grow
-from sim.linear import sampled_radius
-from sim.loop import Loop, crossovers, cut, gain_crossings, largest_sample_period, margins, sampled_gain_crossings
-from sim.loop_margins import GainMargin, find_margins, searches
+from sim.figures.figure import Curve
+from sim.linear.loop import sampled_radius
 from sim.margins import _which_loop, main
-from sim.margins_picture import margins_figure
-from sim.robustness import robustness, varied_text
-from sim.slowest_mode import slowest_rate
-from synth.certificate import certify
+from sim.stability.bisection import Search, run_searches
+from sim.stability.figure import margins_figure
+from sim.stability.growth import Growth, grow
+from sim.stability.loop import Loop, crossovers, cut, gain_crossings, largest_sample_period, margins, sampled_gain_crossings
+from sim.stability.margins import GainMargin, find_margins, searches
+from sim.stability.robustness import robustness, varied_text
+from sim.stability.slowest_mode import slowest_rate
+from synth.certificate.certificate import certify
+from synth.certificate.norm import hinf_norm
 from synth.controller import Designer, design, generalized_plant
-from synth.norm import hinf_norm
 from tests.conftest import recorded_runs
 
 README = (Path(__file__).parent.parent / "README.md").read_text(encoding="utf-8")
@@ -120,7 +120,9 @@ def test_conditionally_stable_loop():
 
 def test_search_does_not_believe_its_expectation(monkeypatch):
     """Physics decides: the search ends at its own answer, wherever it was told to look first, or not at all."""
-    monkeypatch.setattr("sim.bisection.grow", lambda trials, timestep, progress: [Growth(amount > 17.5) for amount in trials])
+    monkeypatch.setattr(
+        "sim.stability.bisection.grow", lambda trials, timestep, progress: [Growth(amount > 17.5) for amount in trials]
+    )
     for expected in (3.0, 17.0, 18.0, 200.0, math.inf):
         search = Search(lambda amount: amount, expected, most=100.0, step=1.0)  # type: ignore[arg-type]
         run_searches([search], 1.0)

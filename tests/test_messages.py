@@ -6,11 +6,11 @@ import sys
 import numpy as np
 import pytest
 
-from models.errors import LONGEST, LONGEST_VALUE, LONGEST_WORD, InputError, middle_cut, one_line, quoted
+from models.common.errors import LONGEST, LONGEST_VALUE, LONGEST_WORD, InputError, middle_cut, one_line, quoted
 from models.kind import HERE
 from models.vehicle import parse_vehicle, read_vehicle
-from sim.profile_file import read_profile
-from sim.roads import choose_road
+from sim.roads.choice import choose_road
+from sim.roads.profile_file import read_profile
 from synth.__main__ import main as synth
 from synth.errors import DesignError
 

@@ -9,17 +9,17 @@ from scipy import integrate, linalg
 
 from models.reality import Limits
 from models.vehicle import parse_vehicle, read_vehicle
-from sim.energy import energy
-from sim.expected import APPROXIMATE, EXACT, expect, settling_time, sources
-from sim.frequency import sampled_frequency_response
-from sim.iso8608 import Iso8608, long_enough
-from sim.linear import driven, sampled_responses
-from sim.metrics import Meter, measure, metrics_of
-from sim.physics import simulate
-from sim.response import Response
-from sim.road import track_width
-from sim.settled import settled, settled_shares
-from sim.weighting import sampled_wk, wk
+from sim.linear.frequency import sampled_frequency_response
+from sim.linear.loop import driven, sampled_responses
+from sim.physics.energy import energy
+from sim.physics.simulate import simulate
+from sim.response.response import Response
+from sim.ride.expected import APPROXIMATE, EXACT, expect, settling_time, sources
+from sim.ride.metrics import Meter, measure, metrics_of
+from sim.ride.settled import settled, settled_shares
+from sim.ride.weighting import sampled_wk, wk
+from sim.roads.iso8608 import Iso8608, long_enough
+from sim.roads.road import track_width
 from synth.controller import Designer
 
 # |W_k| of ISO 2631-1, table 3, in thousandths.
@@ -50,7 +50,7 @@ def test_weighting_between_table_values():
     assert abs(wk(np.array(100.0))) == pytest.approx(0.7718, abs=5e-5)
 
 
-@pytest.mark.parametrize(("timestep", "allowed"), [(1e-3, 5e-6), (2e-3, 1e-4), (5e-3, 0.06)])  # as `sim/weighting.py` says
+@pytest.mark.parametrize(("timestep", "allowed"), [(1e-3, 5e-6), (2e-3, 1e-4), (5e-3, 0.06)])  # as `sim/ride/weighting.py` says
 def test_sampled_weighting(timestep, allowed):
     """On samples it is the analog one, from 0.1 to 80 Hz."""
     omega = 2 * np.pi * np.geomspace(0.1, 80, 200)
@@ -131,7 +131,7 @@ def test_power_is_the_actuators_work(kind, reality):
 
 def test_power_does_not_depend_on_the_timestep(monkeypatch):
     """Of a controller with a sample period of its own, power and energy are the same at every timestep, measured and expected."""
-    monkeypatch.setattr("sim.iso8608.HIGHEST", 1.0)  # 20 Hz: every timestep sees the same road
+    monkeypatch.setattr("sim.roads.iso8608.HIGHEST", 1.0)  # 20 Hz: every timestep sees the same road
     vehicle = parse_vehicle(read_vehicle("quarter_car").text + BUILT.format(delay=0))
     designed, road = Designer(vehicle).design("I"), Iso8608("C", 0, 20.0, length=777.0)  # of its own: lines are kept by length
     powers, energies = {}, {}
@@ -367,7 +367,7 @@ def test_linear_response_over_many_seeds(name, controller, road_class):
         elif metric.startswith("off_ground"):
             assert found[metric].mean() == pytest.approx(mean, rel=0.1)
         elif metric.endswith(APPROXIMATE) and mean:
-            # As `sim/expected.py` says (VDV: of 10 % from road to road), and three deviations of the mean of 64
+            # As `sim/ride/expected.py` says (VDV: of 10 % from road to road), and three deviations of the mean of 64
             kind = metric.rsplit("_", 1)[1]
             off = {"vdv": 0.02, "mtvv": 0.025, "crest": 0.05, "peak": 0.11 if (name, controller) == CASES[0][:2] else 0.07}[kind]
             assert abs(found[metric].mean() - mean) < off * mean + 3 * found[metric].std(ddof=1) / 8, metric

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy import linalg, signal
 
-from synth.norm import hinf_norm, level_crossings, level_set_norm, sweep_norm
+from synth.certificate.norm import hinf_norm, level_crossings, level_set_norm, sweep_norm
 from synth.plant import GeneralizedPlant
 
 

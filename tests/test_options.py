@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from models.errors import InputError
+from models.common.errors import InputError
 from models.vehicle import read_vehicle
 from synth.controller import Designer
 

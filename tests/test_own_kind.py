@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from models.errors import InputError
+from models.common.errors import InputError
+from models.common.read_file import TEXT
 from models.kind import kinds
-from models.read_file import TEXT
 from models.sound_kind import wrong_distance, wrong_linear_model, wrong_parts, wrong_place, wrong_rest
 from models.vehicle import read_vehicle
 from sim.bump import main
@@ -147,7 +147,7 @@ def test_own_refusal(folder):
         .replace("KIND =", refuses)
         .replace("write_mjcf=write_mjcf,", "write_mjcf=write_mjcf, check_together=check_together,")
     )
-    path.write_text(f"from models.errors import InputError\n{text}")
+    path.write_text(f"from models.common.errors import InputError\n{text}")
     assert refusal(folder) == f"vehicle file {folder / 'hopper.toml'}: mass = 200 kg is too much"
 
 

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from sim.paper import PRINTED, entry_of, ours
+from synth.paper import PRINTED, entry_of, ours
 
 # How far a number may be off that the paper's early stop moved: 2e-4 of X carries to 1e-3 of the smaller entry of K_I; or, for
 # small numbers, one unit of the last printed digit.

@@ -10,11 +10,11 @@ import pytest
 
 from models.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main
-from sim.campaign_file import read_campaign
-from sim.linear import sampled_response, taylor4
-from sim.physics import simulate
-from sim.road import Bump
-from sim.run import sample_times
+from sim.campaign.file import read_campaign
+from sim.linear.loop import sampled_response, taylor4
+from sim.physics.simulate import simulate
+from sim.roads.road import Bump
+from sim.runs.run import sample_times
 from synth.__main__ import main as design_main
 from synth.controller import Designer
 

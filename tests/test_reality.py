@@ -5,15 +5,15 @@ import dataclasses
 import numpy as np
 import pytest
 
-from models.errors import InputError
+from models.common.errors import InputError
 from models.kind import GRAVITY
 from models.reality import Implementation, Limits
 from models.vehicle import parse_vehicle, read_vehicle
-from sim.linear import continuous_response, noise_spread, sampled_radius, sampled_response, taylor4
-from sim.physics import simulate
-from sim.road import Bump
-from sim.run import run_all, sample_times
-from sim.verdict import verdict_lines
+from sim.linear.loop import continuous_response, noise_spread, sampled_radius, sampled_response, taylor4
+from sim.physics.simulate import simulate
+from sim.roads.road import Bump
+from sim.runs.run import run_all, sample_times
+from sim.runs.words import verdict_lines
 from synth.controller import Designer
 
 

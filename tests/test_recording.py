@@ -10,16 +10,16 @@ import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from models.errors import InputError
+from models.common.errors import InputError
+from models.common.whole_file import check_folder, made_folder
 from models.signals import CONTROL_FORCE, ROAD_DISPLACEMENT, SPRUNG_ACCELERATION, SUSPENSION_DEFLECTION
-from models.whole_file import check_folder, made_folder
-from sim import recording
-from sim.recording import opening_lines, record
-from sim.recording_mcap import write_mcap
-from sim.recording_rerun import write_rrd
-from sim.response import Response
-from sim.run_log import RunLog
-from sim.scene import Motion, Scene, Shape
+from sim.recording import files as recording
+from sim.recording.files import opening_lines, record
+from sim.recording.mcap_writer import write_mcap
+from sim.recording.rerun_writer import write_rrd
+from sim.recording.run_log import RunLog
+from sim.recording.scene import Motion, Scene, Shape
+from sim.response.response import Response
 
 SIGNALS = (ROAD_DISPLACEMENT, SUSPENSION_DEFLECTION, SPRUNG_ACCELERATION, CONTROL_FORCE)
 METADATA = {"command": "sim.bump", "road": json.dumps({"type": "bump", "height_m": 0.1}), "vehicle_file": "a\nb | c"}

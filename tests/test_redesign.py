@@ -5,15 +5,15 @@ import dataclasses
 import numpy as np
 import pytest
 
-from models.errors import InputError
+from models.common.errors import InputError
 from models.vehicle import read_vehicle
-from synth.barrier import Barrier, newton
-from synth.barriers import cholesky, inverse, minimise
-from synth.central import central_path
 from synth.controller import Designer, generalized_plant
 from synth.design import two_step_design
 from synth.errors import BatchError
-from synth.many import path_limits
+from synth.lmi.barrier import Barrier, newton
+from synth.lmi.barrier_batch import cholesky, inverse, minimise
+from synth.lmi.central import central_path
+from synth.lmi.central_batch import path_limits
 from synth.plant import GeneralizedPlant
 from synth.redesign import two_step_designs
 from tests.conftest import plant_with_feedthrough, random_vehicles

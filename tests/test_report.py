@@ -10,16 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from models.errors import InputError
+from models.common.errors import InputError
 from models.vehicle import parse_vehicle, read_vehicle
-from sim import report_ride
-from sim.expected import settling_time
-from sim.figure import Curve, Figure, Kinds, Panel, Shades, level, styles
-from sim.iso8608 import Iso8608
-from sim.linear import sampled_response
-from sim.metrics import measure
-from sim.report import main
-from sim.run import sample_times
+from sim.figures.figure import Curve, Figure, Kinds, Panel, Shades, level, styles
+from sim.linear.loop import sampled_response
+from sim.report import ride as report_ride
+from sim.report.__main__ import main
+from sim.ride.expected import settling_time
+from sim.ride.metrics import measure
+from sim.roads.iso8608 import Iso8608
+from sim.runs.run import sample_times
 from synth.controller import Designer
 
 pytest.importorskip("plotly", reason="a report needs the extra [report]")
@@ -166,8 +166,8 @@ def test_bad_input(arguments, words, tmp_path, monkeypatch):
 
 def test_every_kind_of_ground_is_drawn(tmp_path):
     """Cells, shades and contours go to the page and to a picture alike; the same figure gives the same bytes."""
-    from sim.page import Page, Section, render
-    from sim.picture import draw
+    from sim.figures.page import Page, Section, render
+    from sim.figures.picture import draw
 
     x, y = np.linspace(0, 1, 5), np.linspace(0, 2, 4)
     z = x + y[:, None]

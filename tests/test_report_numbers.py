@@ -8,18 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from models.errors import InputError
+from models.common.errors import InputError
 from models.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main as bump
 from sim.drive import main as drive
 from sim.envelope import main as envelope
 from sim.margins import main as margins
-from sim.report import main as report
-from sim.report_answer import over_the_bump, worst
-from sim.report_ride import SEEDS, SPEED, WINDOW, ride_section, ride_text
-from sim.report_scope import Scope
-from sim.road import Bump
-from sim.run import run_all, sample_times
+from sim.report.__main__ import main as report
+from sim.report.answer import over_the_bump, worst
+from sim.report.ride import SEEDS, SPEED, WINDOW, ride_section, ride_text
+from sim.report.scope import Scope
+from sim.roads.road import Bump
+from sim.runs.run import run_all, sample_times
 from sim.sweep import main as sweep
 from synth.__main__ import main as synth
 from tests.reading import PageRead

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.appearance import LIFTED, LONGEST
-from sim.difference import difference
-from sim.figure import STYLES, rgb
-from sim.recording_rerun import write_rrd
-from sim.run_log import RunLog
+from sim.figures.figure import STYLES, rgb
+from sim.recording.appearance import LIFTED, LONGEST
+from sim.recording.rerun_writer import write_rrd
+from sim.recording.run_log import RunLog
+from sim.response.difference import difference
 from tests.test_recording import make_run
 
 GREATEST = 1e-6  # m; Rerun's 3D is single precision, on coordinates below 2 m

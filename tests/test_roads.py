@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from scipy import signal, special
 
-from models.errors import InputError
+from models.common.errors import InputError
 from models.vehicle import read_vehicle
-from sim import opencrg, profile_file
-from sim.described import described_road
-from sim.iso8608 import CLASSES, Iso8608, coherency, long_enough, roughness
-from sim.multisine import random_road, sinusoid
-from sim.obstacles import Pothole, SineSweep, Step, WattsHump
-from sim.profile import Profile
-from sim.profile_file import read_profile
-from sim.road import Bump, track_width, under_wheels
-from sim.roads import choose_road
+from sim.roads import opencrg, profile_file
+from sim.roads.choice import choose_road
+from sim.roads.description import described_road
+from sim.roads.iso8608 import CLASSES, Iso8608, coherency, long_enough, roughness
+from sim.roads.obstacles import Pothole, SineSweep, Step, WattsHump
+from sim.roads.profile import Profile
+from sim.roads.profile_file import read_profile
+from sim.roads.road import Bump, track_width, under_wheels
+from sim.roads.sinusoids import random_road, sinusoid
 
 SPEED, STEP = 20.0, 0.04  # m/s, m between samples of a spectrum
 SEEDS = 200

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from models.errors import InputError
+from models.common.errors import InputError
+from models.common.shell import option, pasted, pasted_path
 from models.kind import HERE
-from models.shell import option, pasted, pasted_path
 from models.vehicle import parse_vehicle
-from sim.recording import opening_lines
+from sim.recording.files import opening_lines
 from synth.__main__ import main
 from tests.test_own_kind import folder as hopper
 

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from models.errors import InputError
+from models.common.errors import InputError
 from models.vehicle import read_vehicle
 from sim.bump import main as bump
 from sim.drive import main as drive
-from sim.inspect import main as inspect
+from sim.inspect.__main__ import main as inspect
 from sim.margins import main as margins
 from sim.sweep import main as sweep
 from synth.__main__ import main as synth
-from synth.stability import MARGINAL, STABLE, UNSTABLE, sampled_growth, stability
+from synth.certificate.stability import MARGINAL, STABLE, UNSTABLE, sampled_growth, stability
 
 CASES = [
     ([[-1.0, 1.0], [0.0, -1.0]], STABLE),  # a double pole moves by 1e-8, and is stable still

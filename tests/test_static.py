@@ -5,19 +5,19 @@ import json
 import numpy as np
 import pytest
 
-from models.errors import InputError
-from synth.central import central_path
-from synth.certificate import certify
-from synth.descent import along_edges, lowest_point, quasi_newton
+from models.common.errors import InputError
+from synth.certificate.bounding import proved
+from synth.certificate.certificate import certify
+from synth.certificate.norm import level_set_norm
 from synth.errors import DesignError
-from synth.landscape import Landscape
-from synth.norm import level_set_norm
-from synth.output_feedback import l_matrix, nullspace, r_matrix
+from synth.lmi.central import central_path
+from synth.lmi.output_feedback import l_matrix, nullspace, r_matrix
 from synth.plant import GeneralizedPlant
-from synth.refine import refine
-from synth.riccati import proved
-from synth.stabilise import stabilise
-from synth.static import static_output_feedback
+from synth.search.descent import along_edges, lowest_point, quasi_newton
+from synth.search.landscape import Landscape
+from synth.search.refine import refine
+from synth.search.stabilise import stabilise
+from synth.search.static import static_output_feedback
 from tests.benchmarks.compleib import main as compleib
 
 CY = {"I": np.eye(4)[[0, 2]], "II": np.eye(4)[[2]]}

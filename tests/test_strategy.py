@@ -6,20 +6,20 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from synth import survey as sampling
-from synth import symmetry
-from synth.certificate import certify
-from synth.coordinates import alike
+from synth.certificate.bounding import proved
+from synth.certificate.certificate import certify
 from synth.design import two_step_design
 from synth.errors import DesignError
-from synth.full_order import best_possible
-from synth.landscape import Landscape
+from synth.lmi.full_order import best_possible
 from synth.plant import GeneralizedPlant
-from synth.refine import refine
-from synth.riccati import proved
-from synth.static import WORTH, Candidate, _Search, static_output_feedback
-from synth.survey import CLOSER, lowest, survey
-from synth.symmetry import Symmetry
+from synth.search import survey as sampling
+from synth.search import symmetry
+from synth.search.coordinates import alike
+from synth.search.landscape import Landscape
+from synth.search.refine import refine
+from synth.search.static import WORTH, Candidate, _Search, static_output_feedback
+from synth.search.survey import CLOSER, lowest, survey
+from synth.search.symmetry import Symmetry
 from tests.benchmarks.states import chain
 from tests.test_static import random_plant
 

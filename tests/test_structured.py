@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from synth import central, structured
-from synth.barrier import Barrier, Factored
-from synth.bounded_real import bounded_real_matrix
-from synth.central import Basis, central_path
+from synth.certificate.bounded_real import bounded_real_matrix
 from synth.design import two_step_design
+from synth.lmi import central, structured
+from synth.lmi.barrier import Barrier, Factored
+from synth.lmi.central import Basis, central_path
+from synth.lmi.structured import StructuredBarrier, path_constraints, start_constraints
 from synth.plant import GeneralizedPlant
-from synth.structured import StructuredBarrier, path_constraints, start_constraints
 from tests.benchmarks.states import chain
 
 

@@ -6,13 +6,13 @@ import json
 import numpy as np
 import pytest
 
-from models.errors import InputError
+from models.common.errors import InputError
 from models.reality import Implementation, Limits
 from models.vehicle import read_vehicle
-from sim.frequency import as_met, continuous_frequency_response, sampled_frequency_response, worst_sinusoid
-from sim.identification import identify
-from sim.linear import sampled_response
-from sim.multisine import chirp, random_road, sinusoid
+from sim.frequency.identification import identify
+from sim.linear.frequency import as_met, continuous_frequency_response, sampled_frequency_response, worst_sinusoid
+from sim.linear.loop import sampled_response
+from sim.roads.sinusoids import chirp, random_road, sinusoid
 from sim.sweep import failures, main, sweep
 from synth.controller import Designer
 from tests.conftest import recorded_runs
@@ -99,7 +99,7 @@ def test_implemented(paper, designer, implementation):
 
 
 def test_sampled_response_is_the_same(paper, designer):
-    """The frequency response is what the time response of `sim.linear` settles to: the same claim by another route."""
+    """The frequency response is what the time response of `sim.linear.loop` settles to: the same claim by another route."""
     controller, h, omega = designer.design("I"), 1e-3, 2 * np.pi * 2
     time = np.arange(20_000) * h
     response = sampled_response(paper, controller, sinusoid(omega, 12.5), time)

@@ -9,16 +9,16 @@ import sys
 
 import pytest
 
-import synth.witness
-from models.errors import InputError
+import synth.command.witness
+from models.common.errors import InputError
 from models.vehicle import read_vehicle
 from sim.bump import main as bump
-from synth import full_order
 from synth.__main__ import main
+from synth.certificate.invariant import invariant_limit
+from synth.command.witness import cross_check
 from synth.controller import Designer
 from synth.errors import DesignError
-from synth.limit import invariant_limit
-from synth.witness import cross_check
+from synth.lmi import full_order
 
 
 def table(capsys, *arguments) -> tuple[int, dict]:
@@ -206,9 +206,9 @@ def test_a_witness_against_is_a_failure(designer, monkeypatch):
     witness = cross_check(designer, moved)
     assert witness is not None
     assert "ours is 7" in witness.failures[0]
-    solve = synth.witness.solve_lmi
+    solve = synth.command.witness.solve_lmi
     monkeypatch.setattr(
-        synth.witness, "solve_lmi", lambda *given: dataclasses.replace(solve(*given), status="optimal_inaccurate")
+        synth.command.witness, "solve_lmi", lambda *given: dataclasses.replace(solve(*given), status="optimal_inaccurate")
     )
     witness = cross_check(designer, state)
     assert witness is not None
@@ -217,7 +217,7 @@ def test_a_witness_against_is_a_failure(designer, monkeypatch):
     def gives_up(*given):
         raise DesignError("Clarabel gave up")
 
-    monkeypatch.setattr(synth.witness, "solve_lmi", gives_up)
+    monkeypatch.setattr(synth.command.witness, "solve_lmi", gives_up)
     witness = cross_check(designer, state)
     assert witness is not None
     assert witness.text == "no second witness: (22): Clarabel gave up; (22) with our gain: Clarabel gave up"

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from synth.central import AT_REST, CENTRED, FIRST, LAST
 from synth.design import state_design, state_path, two_step_design
 from synth.errors import DesignError
+from synth.lmi.central import AT_REST, CENTRED, FIRST, LAST
 from synth.plant import GeneralizedPlant
 from synth.scaling import own_units
 

@@ -6,11 +6,11 @@ import dataclasses
 import numpy as np
 import pytest
 
+from synth.certificate.norm import hinf_norm
 from synth.design import Design, state_design, state_path, two_step_design
 from synth.errors import DesignError
-from synth.lmi import solve_lmi
-from synth.norm import hinf_norm
-from synth.output_feedback import l_matrix, nullspace, r_matrix
+from synth.lmi.clarabel import solve_lmi
+from synth.lmi.output_feedback import l_matrix, nullspace, r_matrix
 from synth.plant import GeneralizedPlant
 from synth.posed import posed
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from models.errors import InputError
+from models.common.errors import InputError
 from models.kind import MOST_SQUEEZE
 from models.vehicle import parse_vehicle, read_vehicle
 

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from models.errors import InputError
-from sim import rerun_viewer
+from models.common.errors import InputError
 from sim.bump import main
+from sim.command import viewer as rerun_viewer
 
 ENOUGH = 120.0  # s for a design, a run and a web server on a busy machine
 

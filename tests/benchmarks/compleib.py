@@ -23,11 +23,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from models.errors import InputError
+from models.common.errors import InputError
 from synth.errors import DesignError
-from synth.full_order import best_possible
+from synth.lmi.full_order import best_possible
 from synth.plant import GeneralizedPlant
-from synth.static import LARGEST_GAIN, static_output_feedback
+from synth.search.static import LARGEST_GAIN, static_output_feedback
 
 MATRICES = ("A", "B", "B1", "C1", "D12", "D11", "C", "D21")
 

@@ -19,10 +19,10 @@ from pathlib import Path
 
 import numpy as np
 
-from models.errors import InputError
+from models.common.errors import InputError
 from sim.bump import main as bump
 from sim.drive import main as drive
-from sim.inspect import main as inspect
+from sim.inspect.__main__ import main as inspect
 from tests.hostile import hostile
 from tests.rewriting import contents
 

@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from models.command import run_command
+from models.common.command import run_command
 from models.kind import HERE
 from tests.damaged_kinds import damages
 

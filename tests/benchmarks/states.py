@@ -12,7 +12,7 @@ import time
 
 import numpy as np
 
-from models.errors import InputError
+from models.common.errors import InputError
 from synth.errors import DesignError
 from synth.fallback import two_steps_or_descent
 from synth.plant import GeneralizedPlant

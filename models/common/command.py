@@ -1,0 +1,238 @@
+"""What all commands share: one line per mistake, exit codes, a clean Ctrl-C."""
+
+import argparse
+import io
+import math
+import os
+import re
+import shlex
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+from models.common import interrupt
+from models.common.errors import InputError, known, one_line, quoted
+
+BAD_INPUT = 2
+ALL = "all"  # in place of a controller's name
+
+
+class Parser(argparse.ArgumentParser):
+    """The one door for options: errors are one line, no option is empty, and none is given twice unless it says so."""
+
+    def __init__(self, prog: str, description: str, epilog: str = "") -> None:
+        super().__init__(
+            prog=f"python -m {prog}",
+            description=description,
+            epilog=epilog,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+            allow_abbrev=False,
+        )
+        # What tells -1e-3 from an option; argparse itself knows no exponent before Python 3.14.
+        self._negative_number_matcher = re.compile(r"-\.?\d")
+        self.register("type", None, _text)
+        self.register("type", Path, _path)
+        self.register("action", None, _Once)
+        self.register("action", "store", _Once)
+        self.register("action", "store_true", _Flag)
+
+    def parse_args(self, args=None, namespace=None):  # pyright: ignore[reportIncompatibleMethodOverride] - its overloads
+        """The options; `given` of them names those that were given, and `command_line` is what asks for the same again."""
+        args = sys.argv[1:] if args is None else args
+        for argument in args:
+            if re.fullmatch(
+                r"--[\w-]+=--", argument
+            ):  # argparse would take it for the end of the options, and give an empty list
+                self.error(f"argument {argument[:-3]}: '--' is no value")
+        start = namespace or argparse.Namespace()
+        start.given = set()
+        start.command_line = shlex.join([*self.prog.split(), *args])
+        return super().parse_args(args, start)
+
+    def error(self, message: str) -> NoReturn:
+        """Bad options: one line, exit code 2."""
+        raise InputError(f"{message}; see {self.prog} --help")
+
+    def add_what(self, default: str) -> None:
+        """The options `--controller`, which may be repeated, and `--vehicle`."""
+        self.add_argument(
+            "--controller",
+            action="append",
+            metavar="NAME",
+            help=f"passive, state, one of the vehicle file's, or all; may be repeated ({default})",
+        )
+        self._add_vehicle()
+
+    def add_one(self, which: str) -> None:
+        """The options `--controller`, which is needed and given once, and `--vehicle`."""
+        self.add_argument("--controller", metavar="NAME", help=f"{which}. Required")
+        self._add_vehicle()
+
+    def _add_vehicle(self) -> None:
+        self.add_argument(
+            "--vehicle", default="quarter_car", metavar="FILE", help="vehicle file, or one that ships (default: quarter_car)"
+        )
+
+    def add_number(self, option: str, default: float, unit: str, meaning: str) -> None:
+        """An option that takes a finite number."""
+        self.add_argument(option, type=_number, default=default, metavar=unit, help=f"{meaning} [{unit}] (default: {default:g})")
+
+    def add_count(self, option: str, meaning: str, default: str, low: int, high: int, unset: int | None = None) -> None:
+        """An option that takes a whole number from `low` to `high`; `unset` is what it is where it is not given."""
+
+        def count(text: str) -> int:
+            try:
+                value = int(text)
+            except ValueError:
+                raise argparse.ArgumentTypeError(f"{text!r} is not a whole number; give one from {low} to {high}") from None
+            if not low <= value <= high:
+                raise argparse.ArgumentTypeError(f"{text} is not allowed; give a whole number from {low} to {high}")
+            return value
+
+        self.add_argument(option, type=count, default=unset, metavar="N", help=f"{meaning} (default: {default})")
+
+    def add_logs(self, what: str) -> None:
+        """--logs, for a command that records only when asked to."""
+        self.add_argument("--logs", type=Path, metavar="DIR", help=f"record {what} in this folder (default: record nothing)")
+
+
+def chosen(names: Sequence[str], asked: Sequence[str] | None, usual: Sequence[str] = ()) -> list[str]:
+    """The controllers that `--controller`, given any number of times, asks for, in that order.
+
+    Args:
+        names: of all that the vehicle has.
+        asked: as it was given.
+        usual: what is meant where it was not.
+
+    Raises:
+        InputError: none is asked for, one is unknown or asked for twice, or `all` and another.
+    """
+    for name in asked or ():
+        if name not in (ALL, *names):
+            raise InputError(f"unknown controller {name!r}; this vehicle has {known(names)}")
+        if (asked or []).count(name) > 1:
+            raise InputError(f"--controller {name} is given twice; give it once")
+    if not asked and not usual:
+        raise InputError(f"no controller was asked for; give --controller with one of: {ALL}, {', '.join(names)}")
+    if asked and ALL in asked and len(asked) > 1:
+        raise InputError(f"--controller {ALL} has every controller in it; give it alone, or without it those that you want")
+    return list(names if asked == [ALL] else asked or usual)
+
+
+def one_chosen(names: Sequence[str], asked: str | None) -> str:
+    """The controller that a `--controller` asks for which is given once.
+
+    Args:
+        names: of all that can be asked for.
+        asked: as it was given.
+
+    Raises:
+        InputError: none is asked for, or an unknown one.
+    """
+    allowed = f"give --controller with one of: {', '.join(names)}"
+    if asked is None:
+        raise InputError(f"no controller was asked for; {allowed}")
+    if asked == ALL:
+        raise InputError(f"--controller {ALL} is too many, as one is looked at at a time; {allowed}")
+    if asked not in names:
+        raise InputError(f"unknown controller {asked!r}; {allowed}")
+    return asked
+
+
+class _Once(argparse.Action):
+    """An option that is given once; twice, nobody knows which was meant."""
+
+    def __call__(self, parser, namespace, values, option_string=None) -> None:
+        if option_string and self.dest in namespace.given:
+            raise argparse.ArgumentError(self, "is given twice; give it once")
+        namespace.given.add(self.dest)
+        setattr(namespace, self.dest, values)
+
+
+class _Flag(argparse.Action):
+    """An option without a value."""
+
+    def __init__(self, option_strings, dest, help=None) -> None:
+        super().__init__(option_strings, dest, nargs=0, default=False, help=help)
+
+    def __call__(self, parser, namespace, values, option_string=None) -> None:
+        namespace.given.add(self.dest)
+        setattr(namespace, self.dest, True)
+
+
+def run_command(main: Callable[[], int]) -> NoReturn:
+    """Runs a command and exits as every command does: its own code, 2 on bad input, 130 on Ctrl-C."""
+    interrupt.raise_from_now_on()
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # a vehicle file's name may have what the terminal has not
+    try:
+        _check_encoding(sys.argv[1:])
+        code = main()
+        if sys.stdout:  # closed, as in `>&-`, it is None
+            sys.stdout.flush()
+    except (Exception, KeyboardInterrupt) as error:
+        code = _ended_by(error)
+    interrupt.ignore_from_now_on()
+    sys.exit(code)
+
+
+def _ended_by(error: BaseException) -> int:
+    """The exit code of a command that ended so, which is said; what nobody foresaw is raised again."""
+    if interrupt.caused(error):
+        complain("interrupted")
+        return interrupt.CODE
+    if isinstance(error, InputError):
+        complain(str(error))
+        return BAD_INPUT
+    if isinstance(error, BrokenPipeError):  # the reader has gone, as in `| head`
+        _forget_output()
+        return 0
+    if isinstance(error, UnicodeEncodeError) and sys.getfilesystemencoding() != "utf-8":
+        complain(f"{quoted(error.object)} cannot be written in this locale's encoding, {error.encoding}; set LC_ALL=C.UTF-8")
+        return BAD_INPUT
+    if isinstance(error, OSError):  # a full disk
+        complain(f"cannot write the output: {error.strerror or error}; mend that or write it elsewhere")
+        _forget_output()
+        return BAD_INPUT
+    raise error
+
+
+def complain(message: str) -> None:
+    """One line on stderr that a terminal can show, whatever names and values the message quotes."""
+    if sys.stderr:  # closed, as in `2>&-`, it is None
+        print(f"roadproof: {one_line(message)}", file=sys.stderr)
+
+
+def _forget_output() -> None:
+    """Lets Python's own flush at exit succeed."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _check_encoding(arguments: Sequence[str]) -> None:
+    """Logs hold the command line, and they are UTF-8."""
+    for argument in arguments:
+        try:
+            argument.encode()
+        except UnicodeEncodeError:
+            raise InputError(f"argument {argument!r} is not text in UTF-8; rename the file") from None
+
+
+def _text(text: str) -> str:
+    if not text.strip():
+        raise argparse.ArgumentTypeError("is empty; give it a value or leave the option out")
+    return text
+
+
+def _path(text: str) -> Path:
+    return Path(_text(text))
+
+
+def _number(text: str) -> Any:
+    try:
+        value = float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number") from None
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a finite number")
+    return value

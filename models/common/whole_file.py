@@ -1,0 +1,240 @@
+"""The one door for files that are written: whole or not at all, through links, and over nothing that is not a plain file.
+
+A file is written beside its place under a hidden name, flushed to the disk, and renamed. A link keeps being one: what it points
+to is written. A file that was there keeps its permissions and its owner.
+"""
+
+import errno
+import os
+import secrets
+import shutil
+import stat
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
+from functools import partial
+from pathlib import Path
+
+from models.common import interrupt
+from models.common.errors import InputError
+
+STDOUT = Path("/dev/stdout")  # the one name that is no file and may be written: the command's own output
+# Files that are whole and wait for their names, in `together`; None outside it.
+_waiting: ContextVar[list[tuple[Path, Callable[[], None]]] | None] = ContextVar("_waiting", default=None)
+WRITABLE = stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH
+
+
+@contextmanager
+def whole_file(path: Path, what: str, instead: str = "give another") -> Iterator[Path]:
+    """A place to write to, of the same suffix; what is written there gets its name when it is whole.
+
+    Args:
+        path: the file, a link to it, or `/dev/stdout`.
+        what: it is, for the message.
+        instead: what to do where it cannot be written, for the message.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    target, before = _target(path, what, instead)
+    folder = Path(tempfile.gettempdir()) if target == STDOUT else target.parent
+    beside = folder / f".{target.stem[:100]}.{secrets.token_hex(4)}.part{target.suffix}"
+    try:
+        yield beside
+        if target == STDOUT:
+            sys.stdout.flush()
+            with beside.open("rb") as written:
+                shutil.copyfileobj(written, sys.stdout.buffer)
+            sys.stdout.buffer.flush()
+            return
+        with beside.open("rb+") as file:
+            os.fsync(file.fileno())
+        waiting = _waiting.get()
+        if waiting is not None:
+            waiting.append((beside, partial(_name, beside, target, before)))
+            return
+        with interrupt.finishing():
+            _name(beside, target, before)
+    except BrokenPipeError:
+        raise  # the reader of /dev/stdout has gone
+    except OSError as error:
+        raise _refused(path, what, f"cannot be written ({error.strerror or error})", instead) from error
+    finally:
+        if not any(beside == other for other, _ in _waiting.get() or ()):
+            _removed(beside)
+
+
+@contextmanager
+def together() -> Iterator[None]:
+    """Files that are written in here get their names at its end, one right after the other, or none does.
+
+    Raises:
+        InputError: they cannot get their names.
+    """
+    waiting: list[tuple[Path, Callable[[], None]]] = []
+    token = _waiting.set(waiting)
+    try:
+        yield
+        with interrupt.finishing():
+            for _, name in waiting:
+                name()
+    except OSError as error:
+        raise InputError(f"what was written cannot get its name ({error.strerror or error}); mend that") from error
+    finally:
+        _waiting.reset(token)
+        for beside, _ in waiting:
+            _removed(beside)
+
+
+def _name(beside: Path, target: Path, before: os.stat_result | None) -> None:
+    """Gives a whole file its name; what was there is replaced."""
+    if before is None or _like(beside, before):
+        beside.replace(target)
+        _settle(target.parent)
+    else:  # other names of the file, or an owner that cannot be kept: its content is all that changes
+        shutil.copyfile(beside, target)
+
+
+def _removed(beside: Path) -> None:
+    with interrupt.finishing(), suppress(OSError):
+        beside.unlink(missing_ok=True)
+
+
+def check_file(path: Path, what: str, instead: str = "give another") -> None:
+    """Proves that a file can be written: ask before a long run, not after it.
+
+    Raises:
+        InputError: it cannot.
+    """
+    target, _ = _target(path, what, instead)
+    probe = target.with_name(f".{secrets.token_hex(8)}.part")
+    if target == STDOUT:
+        return
+    try:  # permission bits do not tell (root, read-only mounts, quotas): writing does
+        probe.write_bytes(b"roadproof")
+    except OSError as error:
+        raise _refused(path, what, f"cannot be written ({error.strerror or error})", instead) from error
+    finally:
+        with suppress(OSError):
+            probe.unlink(missing_ok=True)
+
+
+def check_folder(path: Path, what: str, instead: str = "give another folder") -> None:
+    """Proves that files can be written in a folder, or that it can be made; nothing is left of the proof.
+
+    Raises:
+        InputError: it cannot be made, or not written.
+    """
+    try:
+        for there in (path, *path.parents):
+            with suppress(FileNotFoundError):
+                is_folder = stat.S_ISDIR(there.stat().st_mode)
+                break
+            if there.is_symlink():
+                raise _refused(path, what, f"{there} is a link to nothing" if there != path else "is a link to nothing", instead)
+        else:
+            raise _refused(path, what, "cannot be made", instead)
+        if not is_folder:
+            raise _refused(path, what, "is no folder" if there == path else f"{there} is no folder", instead)
+        if there == path:
+            check_file(path / ".probe", what, instead)
+        else:
+            probe = there / f".{secrets.token_hex(8)}.part"
+            probe.mkdir()
+            probe.rmdir()
+    except NotADirectoryError as error:
+        raise _refused(path, what, "is no folder", instead) from error
+    except OSError as error:
+        raise _refused(path, what, f"cannot be made ({error.strerror or error})", instead) from error
+
+
+@contextmanager
+def made_folder(path: Path, what: str, instead: str = "give another folder") -> Iterator[None]:
+    """A folder, made with those above it where it is not there yet; where the block fails, what was made and is empty goes again.
+
+    Raises:
+        InputError: it cannot be made, or not written.
+    """
+    check_folder(path, what, instead)
+    missing = [each for each in (path, *path.parents) if not each.exists()]
+    try:
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise _refused(path, what, f"cannot be made ({error.strerror or error})", instead) from error
+        yield
+    except BaseException:
+        with interrupt.finishing(), suppress(OSError):  # one that holds something stays
+            for each in missing:
+                each.rmdir()
+        raise
+
+
+def _target(path: Path, what: str, instead: str) -> tuple[Path, os.stat_result | None]:
+    """Where a path leads to through links, and what is there now; None where there is nothing.
+
+    Raises:
+        InputError: it leads to something that may not be written.
+    """
+    if path == STDOUT:
+        return STDOUT, None
+    try:
+        target = Path(os.path.realpath(path))
+        if not target.parent.is_dir():
+            raise _refused(path, what, f"there is no folder {target.parent}", f"make it or {instead}")
+        try:
+            found = target.stat()
+        except FileNotFoundError:
+            return target, None
+    except OSError as error:
+        reason = "a loop of links" if error.errno == errno.ELOOP else error.strerror or str(error)
+        raise _refused(path, what, f"cannot be written ({reason})", instead) from error
+    if stat.S_ISDIR(found.st_mode):
+        raise _refused(path, what, "is a folder", "give the name of a file")
+    if not stat.S_ISREG(found.st_mode):
+        raise _refused(path, what, f"is {kind_of(found.st_mode)}, not a plain file", instead)
+    if not found.st_mode & WRITABLE or not os.access(target, os.W_OK):
+        raise _refused(path, what, "is read-only", f"make it writable or {instead}")
+    return target, found
+
+
+def kind_of(mode: int) -> str:
+    """What a file is that is no plain file, in words."""
+    if stat.S_ISDIR(mode):
+        return "a folder"
+    if stat.S_ISFIFO(mode):
+        return "a pipe"
+    if stat.S_ISSOCK(mode):
+        return "a socket"
+    return "a device"
+
+
+def _like(beside: Path, before: os.stat_result) -> bool:
+    """Gives a new file the permissions and the owner of the one that it replaces; whether it may take its place."""
+    if before.st_nlink > 1:
+        return False
+    with_owner = getattr(os, "chown", None)  # not on Windows
+    now = beside.stat()
+    if with_owner is not None and (now.st_uid, now.st_gid) != (before.st_uid, before.st_gid):
+        try:
+            with_owner(beside, before.st_uid, before.st_gid)
+        except PermissionError:
+            return False
+    beside.chmod(stat.S_IMODE(before.st_mode))
+    return True
+
+
+def _settle(folder: Path) -> None:
+    """A new name is on the disk when its folder is; only some systems can be told so."""
+    with suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+
+def _refused(path: Path, what: str, reason: str, instead: str) -> InputError:
+    return InputError(f"{what} {path}: {reason}; {instead}")

@@ -1,0 +1,247 @@
+"""`python -m sim.campaign FILE`: every combination of what a file names, in MuJoCo, beside its linear prediction."""
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Sequence
+from contextlib import nullcontext
+from pathlib import Path
+
+from models.common.command import Parser, run_command
+from models.common.cores import cores
+from models.common.errors import InputError
+from sim.campaign.batch import Plan
+from sim.campaign.columns import columns, described
+from sim.campaign.file import MOST_RUNS, Campaign, read_campaign
+from sim.campaign.manifest import ELSEWHERE, Gains, Manifest, check_same, digest, gains_of, held, read_manifest
+from sim.campaign.store import Store
+from sim.campaign.summary import summarise, summary_lines
+from sim.campaign.verify import verify
+from sim.campaign.workers import HERE, Rows, cluster, run_batches
+from sim.command.progress import bar, show
+from sim.physics.simulate import RUNS_AT_ONCE
+from sim.recording.provenance import versions
+from synth.controller import Controller, Designer, given
+
+MOST_WORKERS = 1024
+NUMBERS = ("roadproof", "mujoco", "numpy", "scipy")  # packages whose versions decide the numbers
+
+LOST = 3.0  # s of a worker's time in a batch, about: what an interruption may lose
+FEWEST = 16  # runs in a batch all the same; 16 cost 11 % more than 192, each, 32 cost 5 %, 64 cost 2 %
+
+EPILOG = """
+Interrupted, by Ctrl-C, kill -9 or a power cut, and started again, it goes on where it was, and loses a few seconds of work.
+exit code: 0 every run is there (with --verify: the results are what the campaign comes to), 1 --verify found a fault,
+2 bad input or a full disk, 130 interrupted: what is done is kept
+
+examples:
+  python -m sim.campaign campaign.toml
+  python -m sim.campaign campaign.toml --results /data/campaign --workers 8 --json
+  python -m sim.campaign campaign.toml --ray auto
+  python -m sim.campaign --verify campaign-results
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command; returns its exit code.
+
+    Raises:
+        InputError: bad options, campaign file, results folder, or a disk that is full.
+    """
+    options = _parser().parse_args(arguments)
+    if options.verify is not None:
+        return _verify(options)
+    if options.file is None:
+        raise InputError("no campaign was named; give a campaign file (TOML), or --verify with a folder of results")
+    for name in ("runs", "seed"):
+        if name in options.given:
+            raise InputError(f"--{name} says what --verify drives again; give it with --verify, or leave it out")
+    campaign = read_campaign(options.file)
+    folder = options.results or options.file.with_name(f"{options.file.stem}-results")
+    if options.ray is not None and "workers" in options.given:
+        raise InputError("--workers are threads of this machine, and --ray has workers of its own; leave one of them out")
+    with cluster(options.ray) if options.ray is not None else nullcontext(), held(folder):
+        plan, manifest = _plan(campaign, folder, options.file)
+        store = _store(plan, folder, manifest)
+        for remark in store.damaged:
+            print(f"roadproof: {remark}", file=sys.stderr)
+        gaps = store.missing()
+        progress = _Progress(plan, sum(stop - start for start, stop in gaps), options.batch or RUNS_AT_ONCE)
+
+        def write(start: int, rows: Rows, took: float) -> None:
+            store.write(start, rows)
+            progress.add(len(rows), took)
+
+        try:
+            run_batches(
+                plan,
+                plan.batches(gaps, progress.next_batch),
+                options.workers or cores(),
+                options.ray is not None,
+                write,
+            )
+        except KeyboardInterrupt:
+            show("")
+            left = sum(stop - start for start, stop in store.missing())
+            print(f"roadproof: {plan.count - left} of {plan.count} runs are kept; start it again to go on", file=sys.stderr)
+            raise
+        show("")
+        store.finish()
+        entries = summarise(plan, store)
+        if options.json:
+            result = {
+                "results": str(store.results),
+                "runs": plan.count,
+                "new": progress.done,
+                "damaged": store.damaged,
+                "summary": entries,
+            }
+            print(json.dumps(result, allow_nan=False))
+        else:
+            rate = (
+                f", {progress.done} of them now: {progress.rate:.3g} steps/s" if progress.done else ", all of them there already"
+            )
+            lines = [f"{plan.count} runs of {campaign.duration:g} s at {campaign.timestep:g} s{rate}", *summary_lines(entries)]
+            print("\n".join([*lines, "", f"results {store.results}"]))
+    return 0
+
+
+def _verify(options: argparse.Namespace) -> int:
+    """Checks a finished campaign and says what was found; returns the exit code.
+
+    Raises:
+        InputError: an option that does not go with it; there is no finished campaign; its files are not what they were.
+    """
+    for name in ("results", "workers", "batch", "ray"):
+        if name in options.given:
+            raise InputError(f"--verify runs no campaign, so --{name} does not go with it; leave it out")
+    folder = options.verify
+    if not folder.is_dir():
+        raise InputError(f"--verify {folder}: there is no such folder; give one of a finished campaign's results")
+    manifest = read_manifest(folder)
+    if manifest is None:
+        raise InputError(f"--verify {folder}: is empty; give a folder of a finished campaign's results")
+    campaign = read_campaign(options.file or Path(manifest.file))
+    check_same(manifest, folder, campaign.sources, _versions(), described(campaign))
+    plan = _planned(campaign, manifest.controllers)
+    found = verify(plan, _store(plan, folder, manifest), options.runs, options.seed, bar(options.runs, "runs driven again"))
+    show("")
+    if options.json:
+        result = {"results": str(folder), "runs": plan.count, "rows": found.rows, "seed": options.seed}
+        print(json.dumps({**result, "again": found.again, "faults": found.faults, "holds": not found.faults}))
+    elif found.faults:
+        print("\n".join([*found.faults, "", f"{folder} DOES NOT HOLD what its campaign comes to"]))
+    else:
+        print(
+            f"{found.rows} rows are one for every run, with its inputs; {len(found.again)} of them, drawn with seed "
+            f"{options.seed}, were driven again and are the same to the last bit\n{folder} holds what its campaign comes to"
+        )
+    return 1 if found.faults else 0
+
+
+def _plan(campaign: Campaign, folder: Path, file: Path) -> tuple[Plan, Manifest]:
+    """The runs, with the gains of the first start, or of this one, if it is that; and what the folder says of them.
+
+    Raises:
+        InputError: the folder holds another campaign; a controller cannot be designed; far too many runs.
+    """
+    count = Plan(campaign, {}).count
+    if count > MOST_RUNS:
+        raise InputError(f"{count} runs are too many; at most {MOST_RUNS}")
+    manifest, used = read_manifest(folder), _versions()
+    if manifest is None:
+        designed: dict[str, dict[str, Controller]] = {}
+        for name, vehicle in campaign.vehicles.items():
+            designer = Designer(vehicle)
+            designed[name] = {controller: designer.design(controller) for controller in campaign.controllers}
+        gains = gains_of(designed)
+        about = described(campaign)
+        manifest = Manifest(str(file.absolute()), digest(campaign.sources), used, campaign.text, gains, about, count)
+        manifest.write(folder)
+    check_same(manifest, folder, campaign.sources, used, described(campaign))
+    return _planned(campaign, manifest.controllers), manifest
+
+
+def _planned(campaign: Campaign, gains: Gains) -> Plan:
+    """The runs, with gains that are known.
+
+    Raises:
+        InputError: some are missing, or are none.
+    """
+    try:
+        controllers = {
+            name: {controller: given(vehicle, controller, **gains[name][controller]) for controller in campaign.controllers}
+            for name, vehicle in campaign.vehicles.items()
+        }
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"the folder's gains are not those of the campaign ({error!r}); {ELSEWHERE}") from error
+    return Plan(campaign, controllers)
+
+
+def _store(plan: Plan, folder: Path, manifest: Manifest) -> Store:
+    about = {"campaign": plan.campaign.text, "versions": json.dumps(versions()), "controllers": json.dumps(manifest.controllers)}
+    return Store(folder, columns(plan.campaign), about, manifest)
+
+
+def _versions() -> dict[str, str]:
+    """Of the packages that decide the numbers."""
+    return {name: version for name, version in versions().items() if name in NUMBERS}
+
+
+class _Progress:
+    """How many runs are done, how fast, how long it will take, and how many the next batch should have."""
+
+    def __init__(self, plan: Plan, total: int, most: int) -> None:
+        self.steps, self.total, self.done, self.began = len(plan.campaign.time), total, 0, time.monotonic()
+        self._most, self._next = most, min(FEWEST, most)
+
+    @property
+    def rate(self) -> float:
+        """Run-steps a second."""
+        return self.done * self.steps / max(time.monotonic() - self.began, 1e-9)
+
+    def next_batch(self) -> int:
+        """Runs for the next batch: as many as a worker does in a time that may be lost."""
+        return self._next
+
+    def add(self, runs: int, took: float) -> None:
+        """Shows that some more are done, by one worker in so many seconds."""
+        self._next = min(self._most, max(FEWEST, round(LOST * runs / max(took, 1e-9))))
+        self.done += runs
+        left = (self.total - self.done) * self.steps / self.rate
+        clock = f"{int(left // 3600)}:{int(left // 60 % 60):02d}:{int(left % 60):02d}"
+        show(f"{self.done} of {self.total} runs, {self.rate:.3g} steps/s, {clock} left")
+
+
+def _parser() -> Parser:
+    parser = Parser(
+        "sim.campaign", "Runs every combination that a campaign file names, and compares with linear predictions.", EPILOG
+    )
+    parser.add_argument("file", type=Path, nargs="?", metavar="FILE", help="campaign file (TOML)")
+    parser.add_argument(
+        "--results", type=Path, metavar="DIR", help="folder of the results (default: FILE without .toml, and -results)"
+    )
+    parser.add_count("--workers", "threads that run batches", "one per core", 1, MOST_WORKERS)
+    parser.add_count("--batch", "most runs in a batch", "what is done in a few seconds", 1, RUNS_AT_ONCE)
+    parser.add_argument(
+        "--ray",
+        nargs="?",
+        const=HERE,
+        metavar="ADDRESS",
+        help="run on a Ray cluster (default address: one of this machine's cores)",
+    )
+    parser.add_argument(
+        "--verify",
+        type=Path,
+        metavar="DIR",
+        help="check a folder of finished results: its checksums, the inputs of every row, and by driving some runs again",
+    )
+    parser.add_count("--runs", "how many runs --verify drives again", "16", 1, MOST_RUNS, 16)
+    parser.add_count("--seed", "which ones", "0", 0, 2**63 - 1, 0)
+    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    return parser
+
+
+if __name__ == "__main__":
+    run_command(main)

@@ -1,0 +1,81 @@
+"""The columns of a campaign's results: name, type, and what the number is, as the Parquet file has it beside each."""
+
+from dataclasses import dataclass
+
+from sim.campaign.file import Campaign
+from sim.ride.expected import APPROXIMATE
+from sim.ride.metrics import Metric, metrics_of
+
+EXPECTED, LINEAR = "expected_", "linear_"
+
+LINEAR_IS = (
+    "of the exact linear response over the same road, of a vehicle without limits; there for roads without a spectrum, and "
+    "controllers that are a gain"
+)
+EXPECTED_IS = (
+    "over all roads of the class, from the spectrum, of a vehicle without limits, noise and quantisation; {}; there for random "
+    "roads and stable loops"
+)
+ROOT = "of a root of a mean square the root of the expected mean square"
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column.
+
+    Attributes:
+        kind: int, float or str.
+        about: what else there is to know of it, by `unit`, `definition` and, of an expectation that is one, `approximate`.
+    """
+
+    kind: type
+    about: dict[str, str]
+
+
+def columns(campaign: Campaign) -> dict[str, Column]:
+    """Every column of the results by name, in order."""
+    metrics = {metric.name: metric for vehicle in campaign.vehicles.values() for metric in metrics_of(vehicle)}
+    sampled = dict.fromkeys(name for samples in campaign.samples.values() for name in samples[0])
+    return {
+        "run": Column(int, {}),
+        "vehicle": Column(str, {}),
+        "controller": Column(str, {}),
+        "road": Column(str, {}),
+        "speed": Column(float, {"unit": "m/s"}),
+        "seed": Column(int, {"definition": "of a random road; null for others"}),
+        "sample": Column(int, {"definition": "number of the sample of the parameters; null where none are sampled"}),
+        **{f"parameter_{name}": Column(float, {"unit": "SI"}) for name in sampled},
+        "reason": Column(str, {"definition": "why the run has no metrics; null where it has"}),
+        "diverged_at": Column(float, {"unit": "s"}),
+        "ended_by": Column(str, {"definition": "what ended the linear regime first; null for nothing"}),
+        "ended_at": Column(float, {"unit": "s"}),
+        "linear_error": Column(
+            float,
+            {"unit": "-", "definition": "largest difference of a state from the exact linear response until then, over its peak"},
+        ),
+        "settled": Column(
+            float,
+            {
+                "unit": "-",
+                "definition": "variance when measuring begins over what it comes to, of the measured signal furthest from 1",
+            },
+        ),
+        "settled_signal": Column(str, {"definition": "that signal"}),
+        "expected_error": Column(
+            float, {"unit": "-", "definition": f"what the integrals of the {EXPECTED} columns are off, relative, at most"}
+        ),
+        **{name: Column(float, {"unit": metric.unit, "definition": "in MuJoCo"}) for name, metric in metrics.items()},
+        **{f"{LINEAR}{name}": Column(float, {"unit": one.unit, "definition": LINEAR_IS}) for name, one in metrics.items()},
+        **{f"{EXPECTED}{name}": Column(float, _expected(metric)) for name, metric in metrics.items()},
+    }
+
+
+def described(campaign: Campaign) -> dict[str, dict[str, str]]:
+    """What the columns are, as a folder's manifest keeps it: their types, and what else there is to know of them."""
+    return {name: {"type": column.kind.__name__, **column.about} for name, column in columns(campaign).items()}
+
+
+def _expected(metric: Metric) -> dict[str, str]:
+    root = "of the VDV the fourth root of its expected fourth power" if metric.name.endswith("_vdv") else ROOT
+    about = {"unit": metric.unit, "definition": EXPECTED_IS.format(root)}
+    return about | ({"approximate": "yes"} if metric.name.endswith(APPROXIMATE) else {})

@@ -1,0 +1,317 @@
+"""A campaign file (TOML): which vehicles, controllers, roads, speeds, seeds and sampled parameters are combined."""
+
+import hashlib
+import math
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError, known, quoted
+from models.common.read_file import TEXT, read_text
+from models.kind import Parameter
+from models.vehicle import Vehicle, read_vehicle
+from sim.roads.choice import RoadChoice, choose_road
+from sim.roads.iso8608 import check_seed
+from sim.runs.run import sample_times
+
+KEYS = ("vehicles", "controllers", "roads", "speeds", "seeds", "duration", "settle", "timestep", "samples")
+SAMPLES = ("count", "method", "seed", "parameters")
+METHODS = ("latin_hypercube", "sobol")
+DISTRIBUTIONS = ("uniform", "normal")
+WIDEST = 3.0  # standard deviations; a normal distribution is cut there
+MOST_RUNS = 10_000_000
+SETTLE = 5.0  # s; by then a mode of 0.5 rad/s has 99 % of its variance
+
+
+@dataclass(frozen=True)
+class Distribution:
+    """How a parameter is spread.
+
+    Attributes:
+        name: of the parameter.
+        shape: "uniform", from a to b, or "normal", of mean a and standard deviation b, cut at three of them.
+        a, b: in SI; multiples of each vehicle's own value where relative.
+        relative: whether they are.
+    """
+
+    name: str
+    shape: str
+    a: float
+    b: float
+    relative: bool
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """The least and the most that it gives."""
+        return (self.a, self.b) if self.shape == "uniform" else (self.a - WIDEST * self.b, self.a + WIDEST * self.b)
+
+    def value(self, quantile: Array) -> Array:
+        """Its quantiles, for shares in 0 to 1."""
+        if self.shape == "uniform":
+            return self.a + (self.b - self.a) * quantile
+        from scipy import special
+
+        cut = special.ndtr(-WIDEST)
+        return self.a + self.b * special.ndtri(cut + (1 - 2 * cut) * quantile)
+
+
+@dataclass(frozen=True, eq=False)
+class Campaign:
+    """A campaign, as its file says.
+
+    Attributes:
+        vehicles: as they are read, by the name that the file has for them.
+        controllers: names; every vehicle has them all.
+        roads: what was asked for.
+        speeds: [m/s].
+        seeds: of the random roads; other roads run once.
+        duration: of every run [s].
+        settle: beginning of a run over a random road that is not measured [s]; others are measured from the start.
+        timestep: [s].
+        samples: parameters of every vehicle, by sample: values by name. One empty sample where none are sampled.
+        text: the file.
+    """
+
+    vehicles: Mapping[str, Vehicle]
+    controllers: tuple[str, ...]
+    roads: tuple[RoadChoice, ...]
+    speeds: tuple[float, ...]
+    seeds: tuple[int, ...]
+    duration: float
+    settle: float
+    timestep: float
+    samples: Mapping[str, tuple[Mapping[str, float], ...]]
+    text: str
+
+    @property
+    def time(self) -> Array:
+        """Sample times [s], shape (T,)."""
+        return np.arange(round(self.duration / self.timestep) + 1) * self.timestep
+
+    @property
+    def first(self) -> int:
+        """The sample from which is measured."""
+        return round(self.settle / self.timestep)
+
+    @property
+    def sources(self) -> str:
+        """Everything that decides the numbers, as text: the file, and those that it names."""
+        arrays = [(road.profile.distance, road.profile.heights) for road in self.roads if road.profile]
+        arrays += [(road.surface.u, road.surface.v, road.surface.z) for road in self.roads if road.surface]
+        measured = [
+            f"{array.shape} {hashlib.sha256(np.ascontiguousarray(array).data).hexdigest()}" for some in arrays for array in some
+        ]
+        return "\n".join([self.text, *(vehicle.text for vehicle in self.vehicles.values()), *measured])
+
+
+def read_campaign(path: Path) -> Campaign:
+    """Reads a campaign file.
+
+    Raises:
+        InputError: the file cannot be read, something in it is missing, unknown or not allowed, or it makes no runs.
+    """
+    text = read_text(path, "campaign file", TEXT, "give a TOML file")
+    try:
+        return _parse(text, path.parent)
+    except InputError as error:
+        raise InputError(f"campaign file {path}: {error}") from error
+
+
+def _parse(text: str, folder: Path) -> Campaign:
+    try:
+        data = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"not TOML: {error}") from error
+    for key in data:
+        if key not in KEYS:
+            raise InputError(f"unknown key {key!r}; known: {known(KEYS)}")
+    names = _texts(data, "vehicles", "quarter_car")
+    vehicles = {name: read_vehicle(name if not (folder / name).is_file() else folder / name) for name in names}
+    controllers = tuple(_texts(data, "controllers", "I"))
+    for name, vehicle in vehicles.items():
+        for controller in controllers:
+            if controller not in vehicle.controller_names:
+                raise InputError(f"vehicle {name!r} has no controller {controller!r}; it has {known(vehicle.controller_names)}")
+    roads = tuple(choose_road(road, folder) for road in _texts(data, "roads", "iso8608:class=C"))
+    speeds = tuple(_number(speed, "speeds", 0.1, 200.0) for speed in _list(data, "speeds", "20.0"))
+    duration, timestep = _number(data.get("duration", 10.0), "duration", 0.0, 1e6), data.get("timestep", 1e-3)
+    timestep = _number(timestep, "timestep", 0.0, 1.0)
+    for name, vehicle in vehicles.items():
+        try:
+            sample_times(vehicle, duration, timestep)
+        except InputError as error:
+            raise InputError(f"vehicle {name!r}: {error}") from error
+    settle = _number(data.get("settle", min(SETTLE, duration / 2)), "settle", 0.0, 1e6)
+    if settle > duration / 2:
+        raise InputError(f"settle = {settle:g} s leaves too little of a run of {duration:g} s; give at most half of it")
+    campaign = Campaign(
+        vehicles=vehicles,
+        controllers=controllers,
+        roads=roads,
+        speeds=speeds,
+        seeds=_seeds(data),
+        duration=duration,
+        settle=settle,
+        timestep=timestep,
+        samples=_samples(data.get("samples"), vehicles),
+        text=text,
+    )
+    for name, vehicle in vehicles.items():
+        for road in roads:
+            for speed in speeds:
+                _check_road(name, vehicle, road, speed, campaign)
+    return campaign
+
+
+def _check_road(name: str, vehicle: Vehicle, road: RoadChoice, speed: float, campaign: Campaign) -> None:
+    built = road.build(vehicle, speed, campaign.seeds[0], speed * campaign.duration)
+    if getattr(built, "duration", math.inf) < 2 * campaign.timestep:
+        raise InputError(f"road {road.text!r} is over within two timesteps at {speed:g} m/s; give a longer one or less speed")
+    if getattr(built, "track", "both") != "both" and not any(wheel.side for wheel in vehicle.kind.wheels):
+        raise InputError(f"road {road.text!r}: vehicle {name!r} has only one track; leave track out")
+
+
+def _seeds(data: Mapping[str, Any]) -> tuple[int, ...]:
+    """A list of seeds, or how many: 0, 1, ..."""
+    seeds = data.get("seeds", 1)
+    if isinstance(seeds, int) and not isinstance(seeds, bool):
+        if not 1 <= seeds <= MOST_RUNS:
+            raise InputError(
+                f"seeds = {seeds} makes no runs, or far too many; give how many, from 1 to {MOST_RUNS}, or a list of them"
+            )
+        return tuple(range(seeds))
+    if not isinstance(seeds, list) or not seeds:
+        raise InputError(f"seeds = {quoted(seeds)} is no number of seeds, nor a list of whole numbers")
+    found = tuple(check_seed(seed) for seed in seeds)
+    if len(set(found)) < len(found):
+        raise InputError("seeds has one twice; name each once")
+    return found
+
+
+def _samples(section: Any, vehicles: Mapping[str, Vehicle]) -> dict[str, tuple[Mapping[str, float], ...]]:
+    """The sampled parameters of every vehicle."""
+    if section is None:
+        return {name: ({},) for name in vehicles}
+    if not isinstance(section, dict):
+        raise InputError("'samples' is not a section; write it as [samples]")
+    for key in section:
+        if key not in SAMPLES:
+            raise InputError(f"[samples] unknown key {key!r}; known: {known(SAMPLES)}")
+    if "count" not in section:
+        raise InputError(f"[samples] 'count' is missing; give how many samples, a whole number from 1 to {MOST_RUNS}")
+    count, method = section["count"], section.get("method", "latin_hypercube")
+    if isinstance(count, bool) or not isinstance(count, int) or not 1 <= count <= MOST_RUNS:
+        raise InputError(f"[samples] count = {quoted(count)} makes no runs; give a whole number from 1 to {MOST_RUNS}")
+    if method not in METHODS:
+        raise InputError(f"[samples] method = {quoted(method)} is unknown; give one of {known(METHODS)}")
+    table = section.get("parameters")
+    if not isinstance(table, dict) or not table:
+        raise InputError("[samples] samples no parameters; write [samples.parameters] with NAME = { uniform = [low, high] }")
+    distributions = [_distribution(name, entry) for name, entry in table.items()]
+    for name, vehicle in vehicles.items():
+        for distribution in distributions:
+            _check_distribution(distribution, name, vehicle)
+    unit = _unit_samples(method, len(distributions), count, check_seed(section.get("seed", 0)))
+    found = {}
+    for name, vehicle in vehicles.items():
+        columns = [distribution.value(unit[:, i]) for i, distribution in enumerate(distributions)]
+        scales = [vehicle.parameters[one.name] if one.relative else 1.0 for one in distributions]
+        rows = np.stack([scale * column for scale, column in zip(scales, columns, strict=True)], axis=-1).tolist()
+        found[name] = tuple(dict(zip([one.name for one in distributions], row, strict=True)) for row in rows)
+        for row in found[name]:
+            try:
+                vehicle.kind.check(vehicle.parameters | row)
+            except InputError as error:
+                raise InputError(f"[samples] a sample of vehicle {name!r} is no vehicle: {error}") from error
+    return found
+
+
+def _unit_samples(method: str, dimensions: int, count: int, seed: int) -> Array:
+    """Points of the unit cube, shape (count, dimensions)."""
+    import warnings
+
+    from scipy.stats import qmc  # half a second
+
+    sampler = qmc.Sobol(dimensions, rng=np.random.default_rng(seed)) if method == "sobol" else None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # that counts are balanced only at powers of two
+        return (sampler or qmc.LatinHypercube(dimensions, rng=np.random.default_rng(seed))).random(count)
+
+
+def _distribution(name: str, entry: Any) -> Distribution:
+    where = f"[samples.parameters] {name}"
+    example = f"as in {name} = {{ uniform = [0.8, 1.2], relative = true }}"
+    if not isinstance(entry, dict):
+        raise InputError(f"{where} = {quoted(entry)} is no distribution; give one of {known(DISTRIBUTIONS)}, {example}")
+    shapes = [key for key in entry if key != "relative"]
+    if len(shapes) != 1 or shapes[0] not in DISTRIBUTIONS or not isinstance(entry.get("relative", False), bool):
+        raise InputError(
+            f"{where} has {known(entry)}; give one of {known(DISTRIBUTIONS)}, and relative = true or false, {example}"
+        )
+    values = entry[shapes[0]]
+    if not isinstance(values, list) or len(values) != 2:
+        raise InputError(f"{where}: {shapes[0]} = {quoted(values)} is not two numbers, {example}")
+    a, b = (_number(value, f"{where}: {shapes[0]}", -1e12, 1e12) for value in values)
+    if (a >= b) if shapes[0] == "uniform" else (b <= 0):
+        raise InputError(
+            f"{where}: {shapes[0]} = [{a:g}, {b:g}] spreads nothing; give low < high, or a standard deviation above 0"
+        )
+    return Distribution(name, shapes[0], a, b, entry.get("relative", False))
+
+
+def _check_distribution(distribution: Distribution, name: str, vehicle: Vehicle) -> None:
+    """Refuses a parameter that a vehicle has not, and a distribution that reaches a value it cannot have."""
+    parameters: dict[str, Parameter] = {parameter.name: parameter for parameter in vehicle.kind.parameters}
+    if distribution.name not in parameters:
+        raise InputError(
+            f"[samples.parameters] vehicle {name!r} has no parameter {distribution.name!r}; it has {known(parameters)}"
+        )
+    scale = vehicle.parameters[distribution.name] if distribution.relative else 1.0
+    for end in distribution.ends:
+        try:
+            parameters[distribution.name].check(scale * end)
+        except InputError as error:
+            raise InputError(
+                f"[samples.parameters] the distribution reaches a value that is none, for vehicle {name!r}: {error}"
+            ) from error
+
+
+def _list(data: Mapping[str, Any], key: str, example: str) -> list[Any]:
+    give = f"give a list, as in {key} = [{example}]"
+    if key not in data:
+        raise InputError(f"{key!r} is missing, so there are no runs; {give}")
+    values = data[key]
+    if not isinstance(values, list):
+        raise InputError(f"{key} = {quoted(values)} is not a list; {give}")
+    if not values:
+        raise InputError(f"{key} = [] names none, so there are no runs; {give}")
+    seen = set()
+    for value in values:
+        if repr(value) in seen:
+            raise InputError(f"{key} names {value!r} twice; name each once")
+        seen.add(repr(value))
+    return values
+
+
+def _texts(data: Mapping[str, Any], key: str, example: str) -> Sequence[str]:
+    values = _list(data, key, f'"{example}"')
+    for value in values:
+        if not isinstance(value, str):
+            raise InputError(f"{key}: {quoted(value)} is not text in quotes")
+    return values
+
+
+def _number(value: Any, where: str, smallest: float, largest: float) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not smallest <= value <= largest:
+        raise InputError(f"{where}: {quoted(value)} is not allowed; give a number from {smallest:g} to {largest:g}")
+    return float(value)
+
+
+def with_sample(vehicle: Vehicle, sample: Mapping[str, float]) -> Vehicle:
+    """The vehicle with sampled parameters."""
+    return replace(vehicle, parameters={**vehicle.parameters, **sample}) if sample else vehicle

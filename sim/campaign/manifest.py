@@ -1,0 +1,164 @@
+"""What a results folder says of its campaign: what it was made from, the gains that are driven, what it came to; under a seal.
+
+The seal is a checksum: it tells what was damaged, or edited by hand, not who wrote it. That is `sim.campaign --verify`'s to find.
+"""
+
+import contextlib
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import filelock
+
+from models.common.errors import InputError, some
+from models.common.read_file import MIB, read_text
+from models.common.whole_file import made_folder, whole_file
+from synth.controller import Controller
+
+NAME, LOCK = "campaign.json", ".lock"
+LARGEST = 64 * MIB
+FULL = "free some space or name another folder with --results; what is done is kept"
+ELSEWHERE = "name another folder with --results, or remove it"
+
+Gains = Mapping[str, Mapping[str, Mapping[str, Any]]]  # of every vehicle's controllers: what they measure, and the gain
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """What is known of a campaign when it begins and, with its results, when it has ended.
+
+    Attributes:
+        file: the campaign file, as it was named when the campaign began, absolute.
+        digest: of everything that decides the numbers; see `digest`.
+        versions: of the packages that do.
+        campaign: the campaign file's text.
+        controllers: the gains.
+        columns: what each column of the results is, by name; see `sim.campaign.columns.described`.
+        runs: how many there are.
+        results: checksum of the finished file (SHA-256); empty before.
+    """
+
+    file: str
+    digest: str
+    versions: Mapping[str, str]
+    campaign: str
+    controllers: Gains
+    columns: Mapping[str, Mapping[str, str]]
+    runs: int
+    results: str = ""
+
+    @property
+    def seal(self) -> str:
+        """Checksum of all that does not change from the beginning to the end."""
+        content = asdict(replace(self, results=""))
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+    def write(self, folder: Path) -> None:
+        """Writes it down, whole or not at all.
+
+        Raises:
+            InputError: it cannot be written.
+        """
+        whole = asdict(self)
+        whole["seal"] = _sealed(whole)
+        with whole_file(folder / NAME, "results", FULL) as path:
+            path.write_text(json.dumps(whole, indent=1), encoding="utf-8", newline="\n")
+
+
+def read_manifest(folder: Path) -> Manifest | None:
+    """What a folder says of its campaign; None where there is nothing in it yet.
+
+    Raises:
+        InputError: it holds something else, a campaign of another format, or what it says is damaged or was edited.
+    """
+    path = folder / NAME
+    if not path.is_symlink() and not path.exists():
+        others = sorted(other.name for other in folder.iterdir() if other.name != LOCK)
+        if others:
+            raise InputError(f"{folder} holds no campaign, but {others[0]}; name an empty or a new folder with --results")
+        return None
+    text = read_text(path, "results", LARGEST, ELSEWHERE)
+    try:
+        whole = json.loads(text)
+    except (ValueError, RecursionError):
+        whole = None
+    if isinstance(whole, dict) and "seal" not in whole:
+        raise InputError(
+            f"results {path}: has no seal; it is of an older Roadproof, or was edited; go on with that version, {ELSEWHERE}"
+        )
+    if not isinstance(whole, dict) or whole.pop("seal") != _sealed(whole):
+        raise InputError(f"results {path}: was changed since the campaign began, or is damaged; restore it, {ELSEWHERE}")
+    entries = {field.name for field in fields(Manifest)}
+    if set(whole) != entries:
+        found = ", ".join([f"no {name}" for name in sorted(entries - set(whole))] + sorted(set(whole) - entries))
+        raise InputError(f"results {path}: is of another version of Roadproof ({found}); go on with that version, {ELSEWHERE}")
+    return Manifest(**whole)
+
+
+def check_same(
+    manifest: Manifest, folder: Path, sources: str, versions: Mapping[str, str], columns: Mapping[str, Mapping[str, str]]
+) -> None:
+    """Whether a campaign can go on in a folder.
+
+    Raises:
+        InputError: the folder holds another campaign, one by other versions, or one whose results have other columns.
+    """
+    if manifest.digest != digest(sources):
+        raise InputError(f"{folder} holds another campaign, of other files than these; {ELSEWHERE}")
+    for name, version in versions.items():
+        if manifest.versions.get(name) != version:
+            raise InputError(
+                f"the campaign in {folder} was begun with {name} {manifest.versions.get(name)}, and here is {version}: its "
+                "numbers could differ; go on with that, or name another folder with --results"
+            )
+    other = [name for name in dict.fromkeys([*manifest.columns, *columns]) if manifest.columns.get(name) != columns.get(name)]
+    if other:
+        raise InputError(
+            f"the campaign in {folder} was begun by another version of Roadproof, with other columns ({some(other)}); go on "
+            f"with that version, {ELSEWHERE}"
+        )
+
+
+def digest(sources: str) -> str:
+    """What tells one campaign from another."""
+    return hashlib.sha256(sources.encode()).hexdigest()
+
+
+def gains_of(controllers: Mapping[str, Mapping[str, Controller]]) -> dict[str, dict[str, dict[str, Any]]]:
+    """The gains, by vehicle and controller, as JSON has them, every digit of them."""
+    return {
+        vehicle: {name: {"measured": list(one.measured), "gain": one.gain.tolist()} for name, one in some.items()}
+        for vehicle, some in controllers.items()
+    }
+
+
+@contextlib.contextmanager
+def held(folder: Path) -> Iterator[None]:
+    """Makes the folder and holds it; the system lets go of it however the process ends.
+
+    Raises:
+        InputError: it cannot be made or written, or another campaign is running in it.
+    """
+    with made_folder(folder, "results", "name another folder with --results"):
+        pass
+    lock = filelock.FileLock(folder / LOCK, timeout=0)
+    try:
+        lock.acquire()
+    except filelock.Timeout:
+        raise InputError(f"another campaign is running in {folder}; wait for it, or name another folder with --results") from None
+    except OSError as error:
+        raise InputError(
+            f"results {folder}: cannot be locked ({error.strerror or error}); name another folder with --results"
+        ) from error
+    with lock:
+        for left in folder.glob(".*.part*"):
+            left.unlink()
+        yield
+    lock.release()
+
+
+def _sealed(whole: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()

@@ -1,0 +1,113 @@
+"""What a campaign came to: controllers against roads, each number beside its linear prediction."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from models.common.arrays import Array
+from sim.campaign.batch import Plan
+from sim.campaign.columns import EXPECTED, LINEAR
+from sim.campaign.store import Store
+from sim.ride.metrics import dynamic_load, points
+
+INPUTS = ("vehicle", "controller", "road", "speed")
+
+
+def headlines(plan: Plan, vehicle: str) -> dict[str, tuple[str, ...]]:
+    """The metrics of the table, each the worst of some columns: ride, travel, and dynamic load."""
+    where = points(plan.campaign.vehicles[vehicle])
+    return {
+        "ride": tuple(f"{name}_weighted" for name in where.accelerations),
+        "travel": tuple(f"{name}_rms" for name in where.suspensions),
+        "load": tuple(dynamic_load(name) for name in where.tyres),
+    }
+
+
+UNITS = {"ride": "m/s2", "travel": "m", "load": "-"}
+
+
+def summarise(plan: Plan, store: Store) -> list[dict[str, Any]]:
+    """One entry per vehicle, road, speed and controller of what is there, over its samples and seeds.
+
+    Each headline is of the column that is worst, and has its root mean square and 95th percentile over runs, and the root mean
+    square of what is predicted of the same runs: expected over random roads, the linear response over others. A run counts as
+    having left the linear regime where a tyre lifted, a stop was reached, an actuator saturated, or it broke off, diverged or on
+    a flat tyre; one that broke off has no metrics, and neither it nor its prediction counts.
+    """
+    lines = {name: headlines(plan, name) for name in plan.campaign.vehicles}
+    metrics = list(dict.fromkeys(name for kinds in lines.values() for names in kinds.values() for name in names))
+    predicted = [f"{prefix}{name}" for name in metrics for prefix in (EXPECTED, LINEAR)]
+    table = store.read([*INPUTS, "ended_by", "reason", *metrics, *predicted])
+    # Dictionary-encoded, so that rows are compared by number.
+    codes = np.zeros(len(table), dtype=np.int64)
+    values: list[list[Any]] = []
+    for name in INPUTS:
+        column = table[name].combine_chunks().dictionary_encode()
+        values.append(column.dictionary.to_pylist())
+        codes = codes * max(1, len(values[-1])) + column.indices.to_numpy(zero_copy_only=False)
+    ended, broken = (~table[name].is_null().to_numpy() for name in ("ended_by", "reason"))
+    columns = {name: table[name].to_numpy() for name in (*metrics, *predicted)}
+    order = {road.text: i for i, road in enumerate(plan.campaign.roads)}
+
+    found = []
+    by_code = np.argsort(codes, kind="stable")
+    first = np.flatnonzero(np.diff(codes[by_code], prepend=-1))
+    for some in np.split(by_code, first[1:]) if len(first) else []:
+        where, rest = [], int(codes[some[0]])
+        for names in reversed(values):
+            rest, index = divmod(rest, max(1, len(names)))
+            where.append(names[index])
+        entry: dict[str, Any] = dict(zip(INPUTS, reversed(where), strict=True))
+        entry |= {"runs": len(some), "left": int(ended[some].sum()), "broke_off": int(broken[some].sum())}
+        for line, names in lines[entry["vehicle"]].items():
+            entry[line] = _statistics(columns, names, some)
+        found.append(entry)
+    vehicles, controllers = list(plan.campaign.vehicles), plan.campaign.controllers
+    found.sort(key=lambda e: (vehicles.index(e["vehicle"]), order[e["road"]], e["speed"], controllers.index(e["controller"])))
+    return found
+
+
+def _statistics(columns: Mapping[str, Array], names: Sequence[str], some: Array) -> dict[str, Any]:
+    """Of the worst of some columns over those runs that have metrics: root mean square, 95th percentile, and predicted."""
+    there = some[np.isfinite(columns[names[0]][some])]
+    if not len(there):
+        return {"column": None, "rms": None, "p95": None, "predicted": None}
+    rms = {name: _rms(columns[name][there]) for name in names}
+    worst = max(names, key=lambda name: rms[name])
+    # A run over a random road has an expectation, one over another road its own linear response.
+    predicted = [columns[f"{prefix}{worst}"][there] for prefix in (EXPECTED, LINEAR)]
+    known = next((values for values in predicted if np.isfinite(values).all()), None)
+    return {
+        "column": worst,
+        "rms": rms[worst],
+        "p95": float(np.percentile(columns[worst][there], 95)),
+        "predicted": None if known is None else _rms(known),
+    }
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def summary_lines(entries: Sequence[Mapping[str, Any]]) -> list[str]:
+    """The table."""
+    heads = ("rms", "95 %", "predicted")
+    title = "".join(f"{f'{name} [{UNITS[name]}]':>30}" for name in UNITS)
+    width = max([len(str(entry["controller"])) for entry in entries] + [10])
+    lines, before = [], None
+    for entry in entries:
+        where = (entry["vehicle"], entry["road"], entry["speed"])
+        if where != before:
+            lines += ["", f"{entry['vehicle']} over {entry['road']} at {entry['speed']:g} m/s"]
+            lines += [f"  {'':{width}}{'':>8}{title}{'left linear':>14}"]
+            lines += [f"  {'controller':{width}}{'runs':>8}" + "".join(f"{head:>10}" for head in heads * len(UNITS))]
+            before = where
+        cells = "".join(_cell(entry[name][key]) for name in UNITS for key in ("rms", "p95", "predicted"))
+        broke_off = f", {entry['broke_off']} broke off" if entry["broke_off"] else ""
+        lines.append(f"  {entry['controller']:{width}}{entry['runs']:>8}{cells}{entry['left']:>14}{broke_off}")
+    return lines
+
+
+def _cell(value: float | None) -> str:
+    return f"{value:10.4g}" if value is not None else f"{'-':>10}"

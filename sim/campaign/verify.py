@@ -1,0 +1,125 @@
+"""Whether a finished campaign's results are what its campaign comes to: every row's inputs, and a sample of runs driven again.
+
+What the checksums in a folder cannot show, that somebody made them anew around other numbers, this does, with the chance that the
+sample has.
+"""
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from models.common.errors import InputError
+from models.common.threads import one_thread
+from sim.campaign.batch import Plan, run_batch
+from sim.campaign.manifest import Gains, gains_of
+from sim.campaign.store import Store
+from synth.controller import Designer
+
+SAME_GAIN = 1e-9  # relative: how far rounding on another machine may move a designed gain
+
+
+@dataclass(frozen=True)
+class Verified:
+    """What was found.
+
+    Attributes:
+        rows: how many there are.
+        again: the runs that were driven again.
+        faults: what is not as it should be, in words; empty where all is.
+    """
+
+    rows: int
+    again: tuple[int, ...]
+    faults: tuple[str, ...]
+
+
+@one_thread()
+def verify(plan: Plan, store: Store, count: int, seed: int, progress: Callable[[int], None]) -> Verified:
+    """Checks a finished campaign.
+
+    Args:
+        plan: its runs, with the gains that its folder holds.
+        store: its folder.
+        count: how many runs are driven again.
+        seed: which ones.
+        progress: is told how many are done.
+
+    Raises:
+        InputError: the campaign is not finished.
+    """
+    if not store.finished:
+        left = sum(stop - start for start, stop in store.missing())
+        raise InputError(f"{store.folder}: {left} of {plan.count} runs are not there yet; run the campaign to its end first")
+    table = store.read(store.schema.names)
+    faults = [*_gains(plan), *_shape(plan, store, table)]
+    again: list[int] = []
+    if not faults:
+        faults += _inputs(plan, table)
+        drawn = np.random.default_rng(seed).choice(plan.count, size=min(count, plan.count), replace=False)
+        for run in sorted(drawn.tolist()):
+            expected = pa.Table.from_pylist(run_batch(plan, run, run + 1) or [], schema=store.schema)
+            faults += _differences(run, table.slice(run, 1).to_pylist()[0], expected.to_pylist()[0])
+            again.append(run)
+            progress(len(again))
+    return Verified(len(table), tuple(again), tuple(faults))
+
+
+def _gains(plan: Plan) -> list[str]:
+    """Designed gains that a design, made now, does not confirm."""
+    faults, held = [], gains_of(plan.controllers)
+    for name, vehicle in plan.campaign.vehicles.items():
+        designer = Designer(vehicle)
+        now: Gains = gains_of({name: {one: designer.design(one) for one in plan.campaign.controllers}})
+        for one, entry in now[name].items():
+            there, here = np.array(held[name][one]["gain"]), np.array(entry["gain"])
+            same = there.shape == here.shape and np.all(np.abs(there - here) <= SAME_GAIN * np.abs(here).max(initial=0.0))
+            if not same or held[name][one]["measured"] != entry["measured"]:
+                faults.append(f"controller {one} of {name} is not the one that the vehicle file makes")
+    return faults
+
+
+def _shape(plan: Plan, store: Store, table: pa.Table) -> list[str]:
+    """Whether there is one row a run, in order, with the columns that it must have."""
+    written = store.written_schema()
+    if not written.equals(store.schema) or any(
+        one.metadata != other.metadata for one, other in zip(written, store.schema, strict=True)
+    ):
+        return ["the columns, or their units and definitions, are not those of the campaign"]
+    said, known = ({key: value for key, value in (one.metadata or {}).items()} for one in (written, store.schema))
+    versions = [json.loads(each.pop(b"versions", b"{}")) for each in (said, known)]
+    if said != known or any(versions[0].get(name) != version for name, version in store.manifest.versions.items()):
+        return ["what the file says of its campaign, gains or versions is not what its folder says"]
+    if store.manifest.runs != plan.count:
+        return [f"the folder says {store.manifest.runs} runs, and the campaign has {plan.count}"]
+    if len(table) != plan.count:
+        return [f"{len(table)} rows for {plan.count} runs"]
+    if not np.array_equal(table["run"].to_numpy(), np.arange(plan.count)):
+        return ["the rows are not one a run, in their order"]
+    return []
+
+
+def _inputs(plan: Plan, table: pa.Table) -> list[str]:
+    """Rows whose vehicle, controller, road, speed, seed or sample is not that of their run."""
+    names = ["vehicle", "controller", "road", "speed", "seed", "sample"]
+    names += [name for name in table.schema.names if name.startswith("parameter_")]
+    for batch in table.select(["run", *names]).to_batches(max_chunksize=4096):
+        for row in batch.to_pylist():
+            run = row.pop("run")
+            expected = plan.inputs(plan.key(run))
+            for name, value in row.items():
+                if value != expected.get(name):
+                    return [f"run {run}: {name} is {value!r}, and {expected.get(name)!r} in the campaign"]
+    return []
+
+
+def _differences(run: int, there: dict[str, Any], again: dict[str, Any]) -> list[str]:
+    wrong = [name for name, value in again.items() if there[name] != value]
+    if not wrong:
+        return []
+    name = wrong[0]
+    more = f", and {len(wrong) - 1} more columns" if len(wrong) > 1 else ""
+    return [f"run {run}: {name} is {there[name]!r}, and {again[name]!r} when driven again{more}"]

@@ -1,0 +1,156 @@
+"""Who runs the batches of a campaign: threads of this machine, or the workers of a Ray cluster. The rows are the same."""
+
+import itertools
+import os
+import socket
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from models.common.errors import InputError
+from models.common.threads import one_thread
+from sim.campaign.batch import Plan, run_batch
+
+Rows = list[dict[str, Any]]
+Done = tuple[int, Rows, float]  # first run of a batch, its rows, and the time that it took [s]
+HERE = "local"  # Ray's own name for it
+ANSWER = 3.0  # s that a cluster's head may take to answer
+AHEAD = 2  # batches in flight per worker: one runs, one waits
+TOKEN = "where its head was started with tokens, as Ray 2.60 does by itself, set RAY_AUTH_MODE=token here as well"
+RETRIES = 5  # of a batch whose Ray worker dies
+
+
+@one_thread()
+def run_timed(plan: Plan, start: int, stop: int, stopped: Callable[[], bool] = lambda: False) -> tuple[Rows | None, float]:
+    """`run_batch`, and how long it took [s]."""
+    began = time.monotonic()
+    return run_batch(plan, start, stop, stopped), time.monotonic() - began
+
+
+def local(plan: Plan, batches: Iterator[tuple[int, int]], workers: int) -> Iterator[Done]:
+    """Runs batches on threads, in the order in which they are done. MuJoCo and numpy work outside Python's lock."""
+    stop = threading.Event()
+    with ThreadPoolExecutor(workers) as pool:
+        running: dict[Future[tuple[Rows | None, float]], int] = {}
+        try:
+            while True:
+                for start, end in itertools.islice(batches, workers * AHEAD - len(running)):
+                    running[pool.submit(run_timed, plan, start, end, stop.is_set)] = start
+                if not running:
+                    return
+                for done in wait(running, return_when=FIRST_COMPLETED).done:
+                    (rows, took), start = done.result(), running.pop(done)
+                    if rows is not None:
+                        yield start, rows, took
+        finally:
+            stop.set()
+            pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def cluster(address: str) -> Iterator[None]:
+    """A Ray cluster, joined for as long as the block lasts: `HERE` is one of this machine's cores, which ends with it.
+
+    Args:
+        address: `HERE`, `auto` for the cluster that this machine is part of, or HOST:PORT.
+
+    Raises:
+        InputError: Ray is not installed, or there is no cluster at the address.
+    """
+    try:
+        import ray  # pyright: ignore[reportMissingImports] - an extra
+    except ImportError as error:
+        raise InputError("--ray needs Ray; install it with: pip install -e '.[cluster]'") from error
+    if address not in (HERE, "auto"):
+        _check_address(address)
+    joined = not ray.is_initialized()
+    if joined:
+        # Workers on this machine find the project where it is; other machines have it installed.
+        environment = {"env_vars": {"PYTHONPATH": str(Path(__file__).parent.parent.parent)}}
+        try:
+            with _without_stderr():
+                ray.init(address=address, runtime_env=environment, log_to_driver=False, configure_logging=False)
+        except Exception as error:  # Ray raises what it likes, and what its tokens and versions say is no ConnectionError
+            said = str(error).splitlines() or [type(error).__name__]
+            raise InputError(f"--ray {address}: no cluster to be had ({said[0]}); {TOKEN}") from error
+    try:
+        yield
+    finally:
+        if joined:
+            with _without_stderr():
+                ray.shutdown()
+
+
+def _check_address(address: str) -> None:
+    """Whether anything listens there: Ray itself would look for it for minutes.
+
+    Raises:
+        InputError: nothing does, or it is no address.
+    """
+    host, colon, port = address.removeprefix("ray://").rpartition(":")
+    if not (colon and host and port.isdecimal() and 0 < int(port) < 2**16):
+        raise InputError(f"--ray {address}: is no address; give HOST:PORT of a cluster's head, or auto")
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), timeout=ANSWER).close()
+    except OSError as error:
+        raise InputError(
+            f"--ray {address}: nobody answers there ({error.strerror or error}); give the one that ray start --head printed"
+        ) from error
+
+
+@contextmanager
+def _without_stderr() -> Iterator[None]:
+    """Whatever is written to stderr goes nowhere, also by code that is not Python."""
+    sys.stderr.flush()
+    kept = os.dup(2)
+    try:
+        with open(os.devnull, "wb") as nowhere:
+            os.dup2(nowhere.fileno(), 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+
+
+def on_ray(plan: Plan, batches: Iterator[tuple[int, int]]) -> Iterator[Done]:
+    """Runs batches on the Ray cluster that is joined. A batch whose worker dies runs again."""
+    import ray  # pyright: ignore[reportMissingImports] - an extra
+
+    remote: Any = ray.remote(num_cpus=1, max_retries=RETRIES)(run_timed)
+    shared, running = ray.put(plan), {}
+    try:
+        while True:
+            most = max(1, int(ray.cluster_resources().get("CPU", 1))) * AHEAD
+            for start, end in itertools.islice(batches, max(0, most - len(running))):  # a node may have gone
+                running[remote.remote(shared, start, end)] = start
+            if not running:
+                return
+            done, _ = ray.wait(list(running), num_returns=1)
+            for reference in done:
+                (rows, took), start = ray.get(reference), running.pop(reference)
+                yield start, rows, took
+    finally:
+        for reference in running:
+            ray.cancel(reference, force=True)
+
+
+@one_thread()
+def run_batches(
+    plan: Plan,
+    batches: Iterator[tuple[int, int]],
+    workers: int,
+    use_ray: bool,
+    write: Callable[[int, Rows, float], None],
+) -> None:
+    """Runs batches wherever they are to run and hands their rows on, one batch at a time."""
+    results = on_ray(plan, batches) if use_ray else local(plan, batches, workers)
+    try:
+        for done in results:
+            write(*done)
+    finally:
+        results.close()  # pyright: ignore[reportAttributeAccessIssue]

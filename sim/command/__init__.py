@@ -1,0 +1,1 @@
+"""What commands share: the choice of controllers, common options, outputs, progress."""

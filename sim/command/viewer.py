@@ -1,0 +1,159 @@
+"""Rerun's viewer on a recording: its window, or its web page on this machine alone, which ends with the command."""
+
+import importlib.util
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+import urllib.error
+import urllib.parse
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from models.common.errors import InputError
+from models.common.shell import pasted
+
+COLOUR = re.compile(r"\x1b\[[0-9;]*m")
+LOOPBACK = "127.0.0.1"
+STARTING = 60.0  # s that the web viewer may take until it answers
+FAILING = 2.0  # s within which a window that cannot open has said so
+ENDING = 3.0  # s that it may take to end before it is killed
+
+
+def check_display() -> None:
+    """Ask before a long run.
+
+    Raises:
+        InputError: there is no screen on which a window could open.
+    """
+    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise InputError("--open needs a screen, and neither DISPLAY nor WAYLAND_DISPLAY is set; give --serve, and open its page")
+
+
+def open_viewer(recording: Path) -> None:
+    """Starts the viewer on a recording and leaves it to the user: it stays when the command ends.
+
+    Raises:
+        InputError: no window opens; the message has the viewer's own reason.
+    """
+    with tempfile.TemporaryFile() as said:  # a pipe would break under the viewer when the command ends
+        command = [*_command(), "--bind", LOOPBACK, "--port", "auto", str(recording)]
+        try:
+            process = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=said, start_new_session=True
+            )
+        except OSError as error:
+            raise InputError(f"--open: {command[0]} cannot be started ({error.strerror or error}); install rerun-sdk") from error
+        with suppress(subprocess.TimeoutExpired):
+            if process.wait(FAILING):  # closed at once by the user, it ends with 0
+                said.seek(0)
+                raise InputError(
+                    f"--open: Rerun's window did not open ({_reason(said.read())}); the recording is {recording}: give --serve, "
+                    "and open its page"
+                )
+
+
+def _reason(said: bytes) -> str:
+    """The last line of what a program has said, without colours, as a reason."""
+    lines = [COLOUR.sub("", line).strip() for line in said.decode(errors="replace").splitlines()]
+    return next((line.removeprefix("Error: ") for line in reversed(lines) if line), "it says nothing")
+
+
+def serve_viewer(recording: Path) -> None:
+    """Serves the web viewer on a recording until Ctrl-C, SIGTERM or the end of the terminal, and leaves no process behind.
+
+    Says on stderr where it is, as stdout is for the result.
+
+    Raises:
+        InputError: it does not come up.
+    """
+    page, data = _free_ports(2)
+    command = [
+        *_command(),
+        "--serve-web",
+        "--bind",
+        LOOPBACK,
+        "--web-viewer-port",
+        str(page),
+        "--port",
+        str(data),
+        str(recording),
+    ]
+    source = urllib.parse.quote(f"rerun+http://{LOOPBACK}:{data}/proxy", safe="")
+    try:
+        with _ended_by_signals(), _ended_with(command) as process:
+            _wait_until_up(process, f"http://{LOOPBACK}:{page}")
+            print(f"serving http://{LOOPBACK}:{page}?url={source}   Ctrl-C ends it", file=sys.stderr, flush=True)
+            process.wait()
+            raise InputError(f"the web viewer has ended by itself; try {pasted(command)}")
+    except KeyboardInterrupt:
+        return
+
+
+def _command() -> list[str]:
+    """Rerun's own program, of the package that wrote the recording; without its Python wrapper, which would end without it."""
+    spec = importlib.util.find_spec("rerun_cli")
+    if spec is None or not spec.submodule_search_locations:
+        return ["rerun"]
+    folder = Path(spec.submodule_search_locations[0])
+    places = [folder / "Rerun.app" / "Contents" / "MacOS" / "Rerun", folder / "rerun.exe", folder / "rerun"]
+    return [str(next((place for place in places if place.is_file()), "rerun"))]
+
+
+def _free_ports(count: int) -> list[int]:
+    """Ports that nobody listens on: several commands may serve at a time."""
+    sockets = [socket.create_server((LOOPBACK, 0)) for _ in range(count)]
+    ports = [one.getsockname()[1] for one in sockets]
+    for one in sockets:
+        one.close()
+    return ports
+
+
+@contextmanager
+def _ended_with(command: list[str]) -> Iterator[subprocess.Popen]:
+    """A program that Ctrl-C does not reach, and that is ended with the block."""
+    process = subprocess.Popen(
+        command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+    )
+    try:
+        yield process
+    finally:
+        for end in (process.terminate, process.kill):
+            end()
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(ENDING)
+                break
+
+
+@contextmanager
+def _ended_by_signals() -> Iterator[None]:
+    """SIGTERM and the end of the terminal count as Ctrl-C, so that what was started is ended."""
+    wanted = [one for name in ("SIGTERM", "SIGHUP") if (one := getattr(signal, name, None)) is not None]
+    before = {one: signal.signal(one, signal.default_int_handler) for one in wanted}
+    try:
+        yield
+    finally:
+        for one, handler in before.items():
+            signal.signal(one, handler)
+
+
+def _wait_until_up(process: subprocess.Popen, address: str) -> None:
+    """Waits until a page answers.
+
+    Raises:
+        InputError: it does not.
+    """
+    deadline = time.monotonic() + STARTING
+    while time.monotonic() < deadline and process.poll() is None:
+        try:
+            with urllib.request.urlopen(address, timeout=5.0):
+                return
+        except (urllib.error.URLError, OSError):
+            time.sleep(0.1)
+    raise InputError(f"Rerun's web viewer does not answer at {address}; open the recording with the command rerun instead")

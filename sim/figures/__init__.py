@@ -1,0 +1,1 @@
+"""Figures as data; drawn by matplotlib, or as a page."""

@@ -1,0 +1,1 @@
+"""Frequency responses and the norm, measured in MuJoCo."""

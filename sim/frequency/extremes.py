@@ -1,0 +1,168 @@
+"""The H-infinity norm as a physical fact: the largest L2 gain from the road to the weighted output that MuJoCo can be driven to.
+
+With it, the two transmissibilities of a body on one wheel that no suspension force can change.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.vehicle import Vehicle
+from sim.frequency.identification import HIGHEST, LINES, LOWEST, check, fit, ideal_measurements, l2_gain
+from sim.linear.frequency import Worst, sampled_frequency_response, worst_sinusoid
+from sim.linear.loop import sampled_radius
+from sim.physics.sampler import steps_per_sample
+from sim.physics.simulate import simulate
+from sim.response.regime import ended_by
+from sim.response.response import Response
+from sim.roads.road import Bump
+from sim.roads.sinusoids import Multisine, random_road, sinusoid
+from sim.runs.run import sample_times
+from synth.controller import Controller
+
+DURATION = 20.0  # s, of all roads but the worst sinusoid, which takes as long as it needs to settle
+SETTLED = 1e-6  # what is left of free motion when its gain is read; the gain is then within about as much
+FINEST = 2000  # samples of the worst sinusoid at least: its frequency is then within 0.03 % of the peak's
+
+
+@dataclass(frozen=True)
+class Invariant:
+    """A transmissibility from the road's displacement that no suspension force can change.
+
+    Attributes:
+        name: of which quantity.
+        omega: at which frequency [rad/s].
+        expected: its magnitude.
+        measured: in MuJoCo.
+        allowed: relative difference that the road makes by being held over a step, (omega h)^2 / 24, twice over.
+    """
+
+    name: str
+    omega: float
+    expected: float
+    measured: float
+    allowed: float
+
+    @property
+    def error(self) -> float:
+        """Relative difference."""
+        return abs(self.measured / self.expected - 1)
+
+
+@dataclass(frozen=True)
+class Extremes:
+    """What one controller lets through at most.
+
+    Attributes:
+        worst: gain and frequency of the worst sinusoid of the sampled loop: its H-infinity norm.
+        tried: the frequency that was driven [rad/s], next to it.
+        gains: L2 gains from road velocity to the weighted output, measured in MuJoCo, by road.
+        invariants: those that this vehicle has.
+        ended: what ended the linear regime, in whichever run.
+        lti: whether the sampled loop is time-invariant, as it is where the controller samples at every step; else its norm here
+            is without the harmonics that it makes, and bounds no gain.
+    """
+
+    worst: Worst
+    tried: float
+    gains: Mapping[str, float]
+    invariants: tuple[Invariant, ...]
+    ended: tuple[str, ...]
+    lti: bool
+
+
+def extremes(
+    vehicle: Vehicle, controllers: Sequence[Controller], amplitude: float, timestep: float, speed: float
+) -> list[Extremes]:
+    """Drives every controller over a bump, a random road, its invariants' frequencies and its worst sinusoid.
+
+    Arguments and errors as for `sim.frequency.identification.identify`.
+    """
+    check(vehicle, controllers, amplitude, timestep)
+    vehicle, count = ideal_measurements(vehicle), len(controllers)
+    time = sample_times(vehicle, DURATION, timestep)
+    roads = {
+        "random": random_road(2 * np.pi * np.geomspace(LOWEST, HIGHEST, LINES), 1, speed).to_height(amplitude, time),
+        "bump": Bump(height=amplitude, speed=speed),
+    }
+    special = _invariant_frequencies(vehicle)
+    if special:
+        pair = Multisine(tuple(special.values()), (1.0, 1.0), (0.0, 0.0), speed)
+        roads["invariants"] = pair.to_height(amplitude, time)
+    responses: dict[str, Response] = {}
+    for name, road in roads.items():  # one batch each: all at once, a full car's take gigabytes
+        responses[name] = simulate([vehicle] * count, controllers, [road] * count, time, threads=0).response
+    worst = [
+        worst_sinusoid(vehicle, lambda o, c=c: sampled_frequency_response(vehicle, c, o, timestep), np.pi / timestep, speed)
+        for c in controllers
+    ]
+    settled, tried = _drive_worst(vehicle, controllers, worst, amplitude, timestep, speed)
+
+    lti = steps_per_sample(vehicle.implementation, timestep) == 1
+    found = []
+    for i, controller in enumerate(controllers):
+        runs = {"worst sinusoid": settled[i]} | {name: response.run(i) for name, response in responses.items()}
+        ended = dict.fromkeys(name for run in runs.values() for name in ended_by(vehicle, run))
+        invariants = _invariants(vehicle, controller, special, runs, len(time) // 2, timestep)
+        gains = {name: l2_gain(vehicle, run) for name, run in runs.items() if name != "invariants"}
+        found.append(Extremes(worst[i], tried[i], gains, invariants, tuple(ended), lti))
+    return found
+
+
+def _drive_worst(
+    vehicle: Vehicle, controllers: Sequence[Controller], worst: Sequence[Worst], amplitude: float, timestep: float, speed: float
+) -> tuple[list[Response], list[float]]:
+    """The worst sinusoid of every controller, its last whole periods once it has settled, and the frequencies [rad/s]."""
+    samples = [_whole_periods(one.omega, timestep) for one in worst]
+    tried = [2 * np.pi * periods / (count * timestep) for periods, count in samples]
+    slowest = max(sampled_radius(vehicle, controller, timestep) for controller in controllers)
+    settling = timestep * math.log(SETTLED) / math.log(slowest)
+    time = sample_times(vehicle, settling + timestep * max(count for _, count in samples), timestep)
+    roads = [sinusoid(omega, speed).scaled(amplitude / 2) for omega in tried]
+    response = simulate([vehicle] * len(controllers), controllers, roads, time, threads=0).response
+    last = [Response(time[-count:], response.signals, response.values[i, -count:]) for i, (_, count) in enumerate(samples)]
+    return last, tried
+
+
+def _whole_periods(omega: float, timestep: float) -> tuple[int, int]:
+    """How many periods of about this frequency fit how many samples, at least `FINEST`, exactly."""
+    periods = math.ceil(FINEST * timestep * omega / (2 * np.pi))
+    return periods, round(periods * 2 * np.pi / (omega * timestep))
+
+
+def _invariant_frequencies(vehicle: Vehicle) -> dict[str, float]:
+    """Where a body on one wheel has transmissibilities that no force between the two can change [rad/s]."""
+    p = vehicle.parameters
+    if len(vehicle.kind.wheels) != 1 or not {"sprung_mass", "unsprung_mass", "tyre_stiffness"} <= set(p):
+        return {}
+    return {
+        "z_s/z_r": math.sqrt(p["tyre_stiffness"] / p["unsprung_mass"]),
+        "(z_s-z_u)/z_r": math.sqrt(p["tyre_stiffness"] / (p["sprung_mass"] + p["unsprung_mass"])),
+    }
+
+
+def _invariants(
+    vehicle: Vehicle,
+    controller: Controller,
+    special: Mapping[str, float],
+    runs: Mapping[str, Response],
+    samples: int,
+    timestep: float,
+) -> tuple[Invariant, ...]:
+    """The invariants, measured. They follow from m_s z_s'' + m_u z_u'' = -k_u (z_u - z_r), where no suspension force is left."""
+    if not special:
+        return ()
+    p, omega = vehicle.parameters, np.array(list(special.values()))
+    lines = fit(vehicle, controller, runs["invariants"], omega, samples)
+    road, suspension = lines["road_displacement"], lines["suspension_deflection"]
+    found = {"z_s/z_r": suspension + lines["tyre_deflection"] + road, "(z_s-z_u)/z_r": suspension}
+    expected = {
+        "z_s/z_r": p["unsprung_mass"] / p["sprung_mass"],
+        "(z_s-z_u)/z_r": (p["sprung_mass"] + p["unsprung_mass"]) / p["sprung_mass"],
+    }
+    return tuple(
+        Invariant(name, at, expected[name], float(np.abs(found[name][i] / road[i])), 2 * (at * timestep) ** 2 / 24)
+        for i, (name, at) in enumerate(special.items())
+    )

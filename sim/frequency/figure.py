@@ -1,0 +1,77 @@
+"""Frequency responses drawn as in the paper's Fig. 3: lines are analysis, points are MuJoCo.
+
+The lines are of the paper's continuous loop, or, where the controller is slower or later than the timestep, of the loop as built.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from models.vehicle import Vehicle
+from sim.figures.figure import Curve, Figure, Panel, styles
+from sim.frequency.identification import HIGHEST, LOWEST, Lines
+from sim.linear.frequency import as_met, continuous_frequency_response, sampled_frequency_response
+from sim.response.response import SILENT
+
+TICKS = (0.1, 0.3, 1.0, 3.0, 10.0, 25.0)  # Hz
+
+
+def sweep_figure(vehicle: Vehicle, sweeps: Sequence[Lines], amplitude: float, timestep: float, speed: float) -> Figure:
+    """Magnitudes of all weighted signals that answer over frequency, one panel each.
+
+    Args:
+        vehicle: the vehicle; the signals it weighs are drawn.
+        sweeps: one per controller.
+        amplitude: largest height of the roads [m], for the caption.
+        timestep: [s], for the caption.
+        speed: forward velocity [m/s].
+    """
+    fine, how = 2 * np.pi * np.geomspace(LOWEST, HIGHEST, 600), vehicle.implementation
+    met = as_met(vehicle, fine, speed)[..., None]
+    style = styles(tuple(one.controller.name for one in sweeps))
+    signals = [name for name, weight in vehicle.performance.items() if weight > 0]
+    curves: dict[str, list[Curve]] = {name: [] for name in signals}
+    for one in sweeps:
+        name = one.controller.name
+        color, dash = style[name]
+        if how.prompt:
+            response = continuous_frequency_response(vehicle, one.controller, fine)
+        else:  # no step makes this loop continuous
+            response = sampled_frequency_response(vehicle, one.controller, fine, timestep)
+        predicted = np.abs(response @ met)[..., 0]
+        for signal in signals:
+            i = one.outputs.index(signal)
+            alike = [k for k, unit in enumerate(one.units) if unit == one.units[i]]
+            if np.abs(one.sampled[:, i]).max() <= SILENT * np.abs(one.sampled[:, alike]).max():
+                continue  # no control force, or no roll on a road that is the same on both sides
+            curves[signal].append(Curve(fine / (2 * np.pi), predicted[:, i], name, color, dash))
+            points = np.abs(one.measured[:, i])
+            curves[signal].append(Curve(one.omega / (2 * np.pi), points, "", color, "none", "o"))
+    signals = [name for name in signals if curves[name]]
+    curves[signals[0]].append(Curve(np.zeros(0), np.zeros(0), "MuJoCo", "#666666", "none", "o"))
+
+    panels = []
+    for name in signals:
+        signal = vehicle.kind.signal(name)
+        unit = signal.unit.replace("s2", "s²")
+        panels.append(
+            Panel(
+                title=f"{name.replace('_', ' ')}, {signal.symbol}",
+                xlabel="frequency [Hz]",
+                ylabel=f"per road velocity [{unit} per m/s]",
+                curves=tuple(curves[name]),
+                xlog=True,
+                ylog=True,
+                xticks=TICKS,
+                xlim=(LOWEST, HIGHEST),
+            )
+        )
+    ended = sorted({name for one in sweeps for name in one.ended})
+    regime = f"; outside the linear regime: {', '.join(ended)}" if ended else ""
+    loop = "continuous" if how.prompt else f"as built, {', '.join(replace(how, noise={}, quantisation={}).words)}"
+    title = (
+        f"{vehicle.kind.name.replace('_', ' ')}: response to road velocity. Lines: linear analysis, {loop}. Points: MuJoCo "
+        f"at {1e3 * timestep:g} ms,\nidentified on roads of {1e3 * amplitude:g} mm{regime}"
+    )
+    return Figure("sweep", title, tuple(panels), columns=2 if len(signals) <= 4 else 3 if len(signals) <= 9 else 4)

@@ -1,0 +1,1 @@
+"""Does a log still prove what it claims; without any solver."""

@@ -1,0 +1,302 @@
+"""What a log claims of a run, claim by claim, against what follows anew from the same log."""
+
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError
+from sim.inspect.log import Recorded, RecordedRun, read_json
+from sim.inspect.reproduction import FEWEST, Reproduction, as_response
+from sim.recording.format import RESULTS, WHOLE
+from sim.response.response import Response
+from sim.ride.metrics import DEFINITIONS
+from sim.runs.agreement import ROUNDING
+from sim.runs.run import Run
+from sim.runs.words import energy_lines, energy_object, half_step_object, run_object, verdict_lines
+from synth.certificate.record import to_record, untrue
+from synth.controller import Controller
+
+HOLDS, FAILS, MISSING, NOTE = "holds", "FAILS", "missing", "note"
+SAME = 1e-6  # relative: how far other versions of numpy, on another machine, may move a number that was derived
+LATER = ("stability", "energy", "half_step")  # of a result: logs older than formats are numbered may not have them
+HUGE = 1e150  # a linear response beyond it is unstable, and its squares overflow
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One claim, checked.
+
+    Attributes:
+        part: of what.
+        verdict: one of `HOLDS`, `FAILS`, `MISSING` (what would prove it is not there), `NOTE` (nothing that was to be proved).
+        text: what was found.
+    """
+
+    part: str
+    verdict: str
+    text: str
+
+
+def claimed_samples(recorded: RecordedRun, otherwise: int) -> int:
+    """How many samples the run had; logs of older versions do not say."""
+    said = recorded.claim("samples") if "samples" in recorded.claims else otherwise
+    if isinstance(said, bool) or not isinstance(said, int):
+        raise InputError("its number of samples is no number")
+    return said
+
+
+def check_samples(recorded: RecordedRun, samples: int, h: float) -> Iterator[Finding]:
+    """What is missing of a run's time."""
+    said, there = claimed_samples(recorded, samples), max((len(r.times) for r in recorded.responses.values()), default=0)
+    if samples < said:
+        end = f"it ends at {(samples - 1) * h:.6g} s of {(said - 1) * h:.6g} s: " if samples else ""
+        yield Finding("samples", MISSING, f"{end}{said - samples} of {said} samples are missing")
+    elif samples > said:
+        yield Finding("samples", FAILS, f"there are {samples}, and {said} were recorded")
+    if there > samples:
+        yield Finding("samples", MISSING, f"up to {there - samples} more lie behind a gap; they are not compared")
+    if samples < FEWEST:
+        yield Finding("samples", MISSING, "too few to compare anything")
+
+
+def check_certificate(controller: Controller, recorded: RecordedRun, current: bool) -> Iterator[Finding]:
+    """The certificate, from the gain and its proof."""
+    certificate, record = controller.certificate, recorded.claim("certificate")
+    wrong = untrue(record, certificate)
+    absent = [key for key in to_record(certificate) if key not in record]
+    if current and absent:
+        wrong.append(f"it claims no {absent[0]}, which its proof gives")
+    if controller.designed or certificate.bound is not None:
+        wrong += certificate.failures
+    if recorded.claim("stable") is not certificate.stable:
+        wrong.append(f"the log says otherwise, but it is {certificate.stability.words}")
+    for key, now in {"norm": certificate.norm.value, "bound": certificate.bound}.items():
+        if not _same(recorded.claim(key), _finite(now), ROUNDING, 0.0):
+            wrong.append(f"its {key} is not what was claimed")
+    peak, there = recorded.claim("peak_frequency"), math.isfinite(certificate.norm.peak_frequency)
+    number = isinstance(peak, (int, float)) and not isinstance(peak, bool)
+    if not (number and peak >= 0 and certificate.peaks_at(float(peak)) if there else peak is None):
+        wrong.append("its peak frequency is not what was claimed")
+    said = _matrix(recorded.claim("poles"), (len(certificate.poles), 2))
+    far = np.abs(certificate.poles[:, None] - (said[:, 0] + 1j * said[:, 1])).min(axis=0).max()
+    if not far <= SAME * np.abs(certificate.poles).max():
+        wrong.append("its poles are not those claimed")
+    for text in wrong:
+        yield Finding("certificate", FAILS, text)
+    if wrong:
+        return
+    if not certificate.stable:
+        yield Finding("certificate", HOLDS, f"{certificate.stability.words}; as was claimed")
+        return
+    bound = f", bound {certificate.bound:.7g} by LMI (20)" if certificate.bound is not None else ""
+    lower = certificate.lower
+    below = f", no one below {lower.gamma:.7g}" if lower is not None and lower.gamma > 0 else ""
+    at = f" at {certificate.norm.peak_frequency:.5g} rad/s" if math.isfinite(certificate.norm.peak_frequency) else ""
+    yield Finding("certificate", HOLDS, f"stable, norm {certificate.norm.value:.7g}{at}{bound}{below}")
+
+
+def check_linear(again: Reproduction, recorded: RecordedRun, samples: int) -> Iterator[Finding]:
+    """The logged linear responses, road included, against those that follow from gain and road."""
+    worst = 0.0
+    for name, response in {"linear": again.sampled, "continuous": again.continuous}.items():
+        far, signal = _apart(as_response(again.vehicle, recorded, name, samples, again.timestep), response)
+        worst = max(worst, far)
+        if not far <= ROUNDING:
+            yield Finding("linear response", FAILS, f"{signal} of the {name} response is {far:.1e} of its peak off")
+    if worst <= ROUNDING:
+        how = f"to {worst:.0e} of a peak" if worst else "to the last bit"
+        yield Finding("linear response", HOLDS, f"sampled and continuous come out as they were logged, {how}")
+
+
+def check_physics(again: Reproduction, recorded: RecordedRun, run: Run, whole: bool) -> Iterator[Finding]:
+    """The verdict on the logged physics against the one that was claimed."""
+    wrong = []
+    for wheel in again.vehicle.kind.wheels:
+        for signal in (wheel.road_displacement, wheel.road_velocity):
+            far = _off(run.physics.until(run.diverged)[signal], again.sampled.until(run.diverged)[signal])
+            if not far <= ROUNDING:
+                wrong.append(f"{signal} is not that of the road: {far:.1e} of its peak off")
+    agreement = run.agreement
+    if recorded.claim("agrees") is not agreement.agrees:
+        wrong.append("the log says otherwise, but: " + verdict_lines(run)[-1])
+    if whole:
+        claimed = [[a, b] for a, b in agreement.lift_off]
+        if not _same(recorded.claim("lift_off"), claimed, SAME, ROUNDING):
+            wrong.append("the tyres are off the road at other times than claimed")
+        half, said = half_step_object(run), recorded.claims.get("half_step")
+        if said is not None and list(different({"half_step": read_json(said, "half_step")}, {"half_step": half}, exact=True)):
+            wrong.append("what half the step changes is not what was claimed")
+        now = {name: _finite(signal.sampled) for name, signal in agreement.signals.items()}
+        others = list(different(recorded.claim("errors"), now, exact=True))
+        if others:
+            wrong.append(f"the error of {folded(others, 'errors')} is not what was claimed")
+    for text in wrong:
+        yield Finding("physics", FAILS, text)
+    if not wrong:
+        yield from (Finding("physics", HOLDS, text) for text in verdict_lines(run))
+
+
+def check_energy(recorded: RecordedRun, run: Run, anew: Response, current: bool) -> Iterator[Finding]:
+    """The logged physics against MuJoCo's own, run anew, also where there is no analysis of it; and the energy that this has.
+
+    A balance rests on every position and speed of the model, and the log holds signals: so it is that of the run made anew.
+    """
+    end = run.broke_off[1] if run.broke_off else math.inf
+    far, signal = _apart(run.physics.until(end), anew.until(end))
+    if not far <= SAME:
+        yield Finding("energy", FAILS, f"MuJoCo makes another run of it now: {signal} is {far:.1e} of its peak off")
+        return
+    if run.energy is None or ("energy" not in recorded.claims and not current):
+        yield Finding("energy", NOTE, "MuJoCo makes the same run again; the log claims no balance")
+        return
+    wrong = list(different(recorded.claim("energy"), energy_object(run.energy), exact=current))
+    if wrong:
+        yield Finding("energy", FAILS, f"its {folded(wrong, 'numbers of the balance')} is not what was claimed")
+    if not wrong:
+        how = f"to {far:.0e} of a peak" if far else "to the last bit"
+        (balance,) = energy_lines(run)
+        yield Finding("energy", HOLDS, f"MuJoCo makes the same run again, {how}; {balance}")
+
+
+def check_result(log: Recorded, again: Reproduction, recorded: RecordedRun, run: Run, current: bool) -> Iterator[Finding]:
+    """The attached result of the command, where it is of the logged runs alone."""
+    try:
+        result = log.result
+    except InputError as error:
+        yield Finding("result", MISSING, str(error))
+        return
+    command, runs = log.metadata.get("command"), result.get("runs")
+    if (command in RESULTS and command not in WHOLE) or (not current and "runs" not in result):
+        yield Finding("result", NOTE, "result.json rests on more runs than the log holds; it is not computed again")
+        return
+    if not isinstance(runs, list):
+        yield Finding("result", MISSING, "the runs of result.json are no list")
+        return
+    mine = [one for one in runs if isinstance(one, dict) and _controller_name(one) == recorded.name]
+    if len(mine) != 1:
+        yield Finding("result", FAILS, "result.json does not have this run once")
+        return
+    logged = {one.name for one in log.runs}
+    if any(not isinstance(one, dict) or _controller_name(one) not in logged for one in runs):
+        yield Finding("result", MISSING, "result.json has runs that the log does not hold")
+        return
+    now: dict[str, Any] = json.loads(json.dumps(run_object(again.vehicle, run) | {"half_step": half_step_object(run)}))
+    now["road"], now["timestep"] = recorded.claim("road"), again.timestep
+    said = {**mine[0], "road": result.get("road"), "timestep": result.get("timestep")}
+    measured = "metrics" in said or (current and command == "drive")
+    if measured and result.get("definitions") == DEFINITIONS:
+        now |= json.loads(json.dumps(_metrics(again, run, result.get("measured_from"))))
+    elif measured:
+        text = "its metrics are of other definitions than this version's; the version that wrote the log computes them again"
+        yield Finding("result", MISSING, text)
+        return
+    wrong = list(different(said, now, exact=current))
+    if wrong:
+        yield Finding("result", FAILS, f"result.json says otherwise: {folded(wrong, 'numbers of the result')}")
+    else:
+        yield Finding("result", HOLDS, f"result.json: {_count(now)} numbers as computed again")
+
+
+def _metrics(again: Reproduction, run: Run, start: Any) -> dict[str, Any]:
+    """Ride metrics, and what they rest on, from the sample at which the log says that measuring began."""
+    from sim.ride.measured import measure_run, metrics_object
+
+    if isinstance(start, bool) or not isinstance(start, (int, float)) or not 0 <= start <= run.physics.time[-2]:
+        raise InputError("result.json does not say from when its metrics were measured")
+    return metrics_object(run, measure_run(again.vehicle, run, again.road, round(start / again.timestep)))
+
+
+def _apart(logged: Response, again: Response) -> tuple[float, str]:
+    """How far a logged response is from the one computed anew, over the peak of each signal, and the signal that is furthest."""
+    huge = ~np.all(np.abs(again.values) < HUGE, axis=1)
+    end = float(again.time[huge.argmax()]) if huge.any() else math.inf
+    logged, again = logged.until(end), again.until(end)
+    far = {name: _off(logged[name], again[name], again.scale(name)) if len(again.time) else 0.0 for name in again.names}
+    worst = max(far, key=lambda name: far[name])
+    return far[worst], worst
+
+
+def _off(logged: Array, again: Array, scale: float | None = None) -> float:
+    """Largest difference, over a scale, by default the peak; infinite where a number is none."""
+    if not np.all(np.isfinite(logged)):
+        return math.inf
+    size = scale if scale is not None else float(np.abs(again).max(initial=0.0))
+    return float(np.abs(logged - again).max(initial=0.0)) / (size or 1.0)
+
+
+def _same(said: Any, now: Any, relative: float, absolute: float) -> bool:
+    """Whether JSON values are the same, numbers to a tolerance."""
+    if isinstance(now, list):
+        if not isinstance(said, list) or len(said) != len(now):
+            return False
+        return all(_same(a, b, relative, absolute) for a, b in zip(said, now, strict=True))
+    if isinstance(now, (int, float)) and not isinstance(now, bool):
+        number = isinstance(said, (int, float)) and not isinstance(said, bool)
+        return number and abs(said - now) <= max(relative * abs(now), absolute)
+    return said == now
+
+
+def different(said: Any, now: Any, exact: bool, path: str = "", absolute: float = ROUNDING) -> Iterator[str]:
+    """Where a JSON value is not as computed anew.
+
+    Args:
+        said: what a log has.
+        now: computed anew.
+        exact: whether it has the same keys; else it may lack of `LATER`, and what is not computed now is not looked at.
+        path: where in the whole it stands.
+        absolute: how far numbers may differ, where that is more than `SAME` of them.
+    """
+    if not isinstance(now, Mapping):
+        if not _same(said, now, SAME, absolute):
+            yield path
+        return
+    if not isinstance(said, Mapping):
+        yield path
+        return
+    for key, value in now.items():
+        here = f"{path}.{key}" if path else key
+        # Of two runs that may each be `SAME` of a peak off, the difference may be, too.
+        near = SAME if key == "half_step" else absolute
+        if key in said:
+            yield from different(said[key], value, exact, here, near)
+        elif exact or key not in LATER:
+            yield f"{here} is missing"
+    for key in said:
+        if exact and key not in now:
+            yield f"{path + '.' if path else ''}{str(key)[:40]} is none of it"
+
+
+def folded(names: Sequence[str], what: str) -> str:
+    """The first of many that are wrong for one cause, and how many more there are, of what kind."""
+    more = f" (and {len(names) - 1} more {what}, the first of them {names[1]})" if len(names) > 1 else ""
+    return names[0] + more
+
+
+def _count(value: Any) -> int:
+    """How many numbers there are in a JSON value."""
+    if isinstance(value, Mapping):
+        return sum(_count(item) for item in value.values())
+    if isinstance(value, list):
+        return sum(_count(item) for item in value)
+    return int(isinstance(value, (int, float)) and not isinstance(value, bool))
+
+
+def _matrix(value: Any, shape: tuple[int, int]) -> Array:
+    try:
+        return np.array(value, dtype=float).reshape(shape)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"not {shape[0]} x {shape[1]} numbers") from None
+
+
+def _controller_name(one: Mapping[str, Any]) -> Any:
+    controller = one.get("controller")
+    return controller.get("name") if isinstance(controller, dict) else None
+
+
+def _finite(value: float | None) -> float | None:
+    return float(value) if value is not None and math.isfinite(value) else None

@@ -1,0 +1,181 @@
+"""Everything that a log holds, against what it would hold if it were written now from the runs made anew.
+
+What is written, and what a log is held to, comes from the same functions (`sim.recording.format`), so that nothing can be missing from
+the one and not from the other. Nothing extra is borne: whoever reads the log in a player would believe it.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from models.common.errors import InputError
+from models.vehicle import Vehicle
+from sim.inspect.claims import FAILS, HOLDS, MISSING, NOTE, Finding, different, folded
+from sim.inspect.log import Recorded, read_json
+from sim.inspect.mcap_contents import Logged
+from sim.inspect.reproduction import Reproduction
+from sim.recording.format import WHOLE, check_keys
+from sim.recording.mcap_writer import PACKAGE, Channel, channels, records
+from sim.recording.provenance import attachments, common_metadata, versions
+from sim.recording.run_log import RunLog
+from sim.ride.measured import first_sample
+from sim.ride.metrics import DEFINITIONS
+
+ELSEWHERE = (  # claims of a run that other checks hold, with a tolerance and words of their own
+    "certificate",
+    "norm",
+    "bound",
+    "peak_frequency",
+    "poles",
+    "stable",
+    "agrees",
+    "energy",
+    "half_step",
+    "lift_off",
+    "errors",
+    "samples",
+)
+CHECKED = ("vehicle.toml", "model.xml", "result.json")  # attachments of which other checks hold the contents
+SCHEMAS = ("protobuf", "foxglove-schemas-protobuf")  # packages that make the schemas of events and scene
+
+
+def check_contents(log: Recorded, vehicle: Vehicle, timestep: float, made: Sequence[RunLog], current: bool) -> Iterator[Finding]:
+    """The records, attachments and channels of a log.
+
+    Args:
+        log: as it was read.
+        vehicle: of the attached file.
+        timestep: [s].
+        made: its runs as they would be written now, the responses as they were logged.
+        current: whether it is of this format; of an older one nothing is demanded, and what differs is said.
+    """
+    wrong = [*_records(log, vehicle, timestep, made), *_attachments(log, vehicle, timestep, made)]
+    kept = list(channels(made))
+    topics, older = _topics(log, kept)
+    wrong += topics
+    if not current:
+        if wrong:
+            text = "the log is older than formats are numbered, and not held to one; it differs from what is written now"
+            yield Finding("format", NOTE, f"{text}: {folded(wrong, 'differences')}")
+        return
+    yield from (Finding("format", FAILS, text) for text in wrong)
+    if not wrong:
+        count = sum(len(record) for record in log.file.metadata.values())
+        yield Finding("format", HOLDS, f"{len(kept)} channels with events, differences and scene, {count} claims; nothing else")
+    if older:
+        yield Finding("format", NOTE, f"the schemas of {', '.join(older)} are of another version of {' or '.join(SCHEMAS)}")
+
+
+def check_whole_result(log: Recorded, again: Sequence[Reproduction]) -> Iterator[Finding]:
+    """What is in the result beside its runs.
+
+    Args:
+        log: of this format.
+        again: its runs, made anew.
+    """
+    try:
+        result, command = log.result, log.metadata.get("command", "")
+        check_keys(command, result)
+    except InputError as error:
+        yield Finding("result", MISSING, str(error))
+        return
+    if command not in WHOLE:
+        return
+    names = [one.get("controller", {}).get("name") for one in result["runs"]] if _objects(result["runs"]) else None
+    if names != [run.name for run in log.runs]:
+        yield Finding("result", FAILS, "the runs of result.json are not those of the log, in their order")
+    if command == "drive":
+        first, samples = again[0], len(again[0].sampled.time)
+        duration = (samples - 1) * first.timestep
+        start = first_sample(first.vehicle, [one.controller for one in again], first.road, duration, first.timestep)
+        if result["measured_from"] != float(first.sampled.time[start]):
+            yield Finding("result", FAILS, "measured_from is not when measuring of such runs begins")
+        if result["definitions"] != DEFINITIONS:
+            yield Finding("result", MISSING, "the definitions of its metrics are not this version's")
+
+
+def _objects(runs: Any) -> bool:
+    return isinstance(runs, list) and all(isinstance(one, dict) and isinstance(one.get("controller"), dict) for one in runs)
+
+
+def _records(log: Recorded, vehicle: Vehicle, timestep: float, made: Sequence[RunLog]) -> Iterator[str]:
+    """Where the metadata are not those that would be written."""
+    expected = records(made, common_metadata(log.metadata.get("command_line", ""), vehicle, timestep))
+    found = log.file.metadata
+    yield from _keys("metadata record", found, expected)
+    for name in expected.keys() & found.keys():
+        yield from _keys(f"claim of {name}", found[name], expected[name])
+    for key in ("format", "command", "vehicle_type", "timestep"):
+        if log.metadata.get(key, "") != expected[PACKAGE][key]:
+            yield f"its {key} is not {expected[PACKAGE][key]!r}"
+    said = _json(log.metadata.get("versions", ""))
+    if not isinstance(said, dict) or set(said) != set(versions()) or not all(isinstance(one, str) for one in said.values()):
+        yield f"its versions are not those of {', '.join(versions())}"
+    for run in made:
+        claims = found.get(f"run/{run.name}", {})
+        for key in run.metadata.keys() & claims.keys() - set(ELSEWHERE):
+            yield from different({key: _json(claims[key])}, {key: _json(run.metadata[key])}, True, f"run {run.name}")
+
+
+def _attachments(log: Recorded, vehicle: Vehicle, timestep: float, made: Sequence[RunLog]) -> Iterator[str]:
+    """Where the attachments are not those that would be written."""
+    expected = attachments(vehicle, timestep, {}) | {name: file for run in made for name, file in run.files.items()}
+    found = log.file.attachments
+    yield from _keys("attachment", found, expected)
+    for name in expected.keys() & found.keys():
+        media_type, data = expected[name]
+        if (found[name].media_type, found[name].times) != (media_type, (0, 0)):
+            yield f"the attachment {name} is not {media_type}, without a time"
+        if name not in CHECKED and found[name].data != data:
+            yield f"the attachment {name} is not what the run has"
+
+
+def _topics(log: Recorded, kept: Sequence[Channel]) -> tuple[list[str], list[str]]:
+    """Where the channels are not those that would be written; and topics whose schema another version of a library has made."""
+    expected, found = {channel.topic: channel for channel in kept}, log.file.channels
+    wrong, older = list(_keys("channel", found, expected)), []
+    if sorted(log.file.schemas) != sorted({channel.schema[0] for channel in kept}):
+        wrong.append("it has other schemas than those of its channels, each once")
+    then, now = _json(log.metadata.get("versions", "")), versions()
+    known = isinstance(then, dict) and all(then.get(name) == now[name] for name in SCHEMAS)
+    for topic in expected.keys() & found.keys():
+        logged, channel = found[topic], expected[topic]
+        if logged.schema != channel.schema:
+            if known or logged.schema is None or logged.schema[:2] != channel.schema[:2] or channel.metadata:
+                wrong.append(f"{topic} has another schema")
+            else:
+                older.append(topic)
+        wrong += [f"{topic} {text}" for text in _channel(logged, channel)]
+    return wrong, older
+
+
+def _channel(logged: Logged, channel: Channel) -> Iterator[str]:
+    """Where a channel is not the one that would be written."""
+    if logged.encoding != "protobuf" or dict(logged.metadata) != dict(channel.metadata):
+        yield "does not say of its fields what a log says"
+    if logged.unlike:
+        yield f"has {logged.unlike} messages that are numbered, or published at another time than logged"
+    if logged.times.tolist() != list(channel.times):
+        yield f"has {len(logged.times)} messages at other times than the {len(channel.times)} that follow"
+        return
+    for time, now, said in zip(channel.times, channel.contents(), logged.messages(), strict=True):
+        if said != now and not channel.alike(now, bytes(said)):
+            yield f"does not show what follows, first at {time / 1e9:g} s"
+            return
+
+
+def _keys(what: str, found: Any, expected: Any) -> Iterator[str]:
+    """What is missing, and what is extra."""
+    for name in expected:
+        if name not in found:
+            yield f"the {what} {name} is missing"
+    for name in found:
+        if name not in expected:
+            yield f"the {what} {name[:60]!r} is none of a log's"
+
+
+def _json(text: str) -> Any:
+    """JSON; text that is none is itself."""
+    try:
+        return read_json(text, "a claim")
+    except InputError:
+        return text

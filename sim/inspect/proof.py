@@ -1,0 +1,246 @@
+"""Whether a log still proves what it claims: every claim against what follows anew from the same log."""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from models.common.errors import InputError
+from models.vehicle import Vehicle
+from sim.inspect.claims import (
+    FAILS,
+    HOLDS,
+    MISSING,
+    NOTE,
+    Finding,
+    check_certificate,
+    check_energy,
+    check_linear,
+    check_physics,
+    check_result,
+    check_samples,
+    claimed_samples,
+)
+from sim.inspect.commanded import Held, check_command
+from sim.inspect.contents import check_contents, check_whole_result
+from sim.inspect.driven_again import balanced_again, driven_again, written_again
+from sim.inspect.log import Recorded, RecordedRun, read_json, timestep
+from sim.inspect.reproduction import (
+    FEWEST,
+    Reproduction,
+    as_response,
+    implemented,
+    recorded_controller,
+    recorded_road,
+    recorded_vehicle,
+    reproduce,
+    usable_samples,
+)
+from sim.recording.format import is_current
+from sim.recording.run_log import RunLog
+from sim.runs.run import Run
+
+UNCHECKED = (
+    "who wrote it and when, with which versions and library, in which folders vehicle file and log lay, what a road file held "
+    "before it was read, the index behind the data, which players ask"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Inspected:
+    """One run of a log, checked.
+
+    Attributes:
+        recorded: as it was logged.
+        samples: how many could be used.
+        findings: every claim.
+        again: the run made anew; None where that was not possible.
+        run: with the physics of the log and the verdict on it, anew; None where there is none.
+        made: as it would be written now, its responses as they were logged; None where it is not whole.
+    """
+
+    recorded: RecordedRun
+    samples: int
+    findings: tuple[Finding, ...]
+    again: Reproduction | None
+    run: Run | None
+    made: RunLog | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Proof:
+    """A log, checked.
+
+    Attributes:
+        log: as it was read.
+        vehicle: of the attached file; None where there is none.
+        timestep: [s]; NaN where there is none.
+        findings: on the file as a whole.
+        runs: its runs.
+    """
+
+    log: Recorded
+    vehicle: Vehicle | None
+    timestep: float
+    findings: tuple[Finding, ...]
+    runs: tuple[Inspected, ...]
+
+    @property
+    def holds(self) -> bool:
+        """Whether the log still proves everything that it claims."""
+        findings = [*self.findings, *(finding for run in self.runs for finding in run.findings)]
+        return bool(self.runs) and all(finding.verdict in (HOLDS, NOTE) for finding in findings)
+
+
+@np.errstate(all="ignore")  # an unstable loop overflows; and a log may hold any number
+def prove(log: Recorded, kinds: Path | None = None) -> Proof:
+    """Checks a log.
+
+    Args:
+        log: as it was read.
+        kinds: folder of kinds of vehicle of the user's own; see `recorded_vehicle`.
+    """
+    file = log.file
+    whole = f"{file.chunks} chunk(s), {file.messages} messages, every checksum right"
+    findings = [Finding("file", FAILS, remark) for remark in file.damage] or [Finding("file", HOLDS, whole)]
+    if not log.runs:
+        findings.append(Finding("runs", MISSING, "there is no run in it"))
+    try:
+        vehicle, h = recorded_vehicle(log, kinds), timestep(log.metadata)
+    except InputError as error:
+        findings.append(Finding("vehicle", MISSING, str(error)))
+        return Proof(log, None, math.nan, tuple(findings), tuple(Inspected(run, 0, (), None, None) for run in log.runs))
+    findings.append(_model(log, vehicle, h))
+    try:
+        current = is_current(log)
+    except InputError as error:
+        findings.append(Finding("format", FAILS, str(error)))
+        current = True
+    runs = tuple(_inspect(log, vehicle, run, h, current) for run in log.runs)
+    findings += _beside(log, vehicle, h, runs, current)
+    return Proof(log, vehicle, h, tuple(findings), runs)
+
+
+def _beside(log: Recorded, vehicle: Vehicle, h: float, runs: Sequence[Inspected], current: bool) -> Iterator[Finding]:
+    """What a log holds beside its runs, and how it is written down."""
+    made, again = [run.made for run in runs if run.made], [run.again for run in runs if run.again]
+    if len(made) < len(runs):
+        absent = ", ".join(run.recorded.name for run in runs if not run.made)
+        yield Finding("format", MISSING, f"nothing is compared that rests on all runs: {absent} could not be made again")
+        return
+    yield from _guarded("format", FAILS, lambda: check_contents(log, vehicle, h, made, current))
+    if not current:
+        yield Finding("command", NOTE, "the command line of a log older than formats is said, and not checked")
+        return
+    if again:
+        yield from _guarded("result", FAILS, lambda: check_whole_result(log, again))
+    yield from _guarded("command", FAILS, lambda: check_command(log, vehicle, h, [_held(one) for one in runs]))
+    yield Finding("unchecked", NOTE, UNCHECKED)
+
+
+def _held(one: Inspected) -> Held:
+    """What a log holds of a run that its command line is to have asked for.
+
+    Raises:
+        InputError: it does not claim that.
+    """
+    assert one.again is not None, "the caller has asked"
+    recorded, how = one.recorded, one.again.vehicle.implementation
+    return Held(recorded.name, recorded.claims.get("name"), how, recorded.claim("samples"), recorded.claim("road"))
+
+
+def _model(log: Recorded, vehicle: Vehicle, h: float) -> Finding:
+    """The attached MJCF, as text. It is never loaded: it is written anew."""
+    from models.mjcf import mjcf_text
+    from sim.recording.provenance import versions
+
+    attached = log.attachments.get("model.xml")
+    if attached is None:
+        return Finding("model", MISSING, "model.xml is not attached")
+    try:
+        if attached == mjcf_text(vehicle, h).encode():
+            return Finding("model", HOLDS, "model.xml is what vehicle.toml makes, to the letter")
+    except (ValueError, RuntimeError) as error:
+        return Finding("model", FAILS, f"vehicle.toml makes no model: {error}")
+    try:
+        then = read_json(log.metadata.get("versions", "{}"), "versions")
+    except InputError:
+        then = {}
+    recorded, now = then.get("mujoco") if isinstance(then, dict) else None, versions()["mujoco"]
+    if recorded != now:
+        return Finding("model", NOTE, f"model.xml differs from what vehicle.toml makes now; MuJoCo was {recorded}, and is {now}")
+    return Finding("model", FAILS, "model.xml is not what vehicle.toml makes")
+
+
+def _inspect(log: Recorded, vehicle: Vehicle, recorded: RecordedRun, h: float, current: bool) -> Inspected:
+    """Every claim of one run. A step that fails ends what rests on it, and no more."""
+    findings = [Finding("responses", MISSING, remark) for remark in recorded.damage]
+    samples = usable_samples(recorded, h)
+    findings += _guarded("samples", MISSING, lambda: check_samples(recorded, samples, h))
+
+    def inspected(again: Reproduction | None = None, run: Run | None = None, made: RunLog | None = None) -> Inspected:
+        return Inspected(recorded, samples, tuple(findings), again, run, made)
+
+    try:
+        own = implemented(vehicle, recorded)
+        if own.implementation != vehicle.implementation:
+            findings.append(Finding("implementation", NOTE, f"not that of vehicle.toml: {_differing(vehicle, own)}"))
+        controller = recorded_controller(own, recorded)
+    except (ValueError, ArithmeticError) as error:
+        findings.append(Finding("controller", FAILS, str(error)))
+        return inspected()
+    findings += _guarded("certificate", FAILS, lambda: check_certificate(controller, recorded, current))
+    if samples < FEWEST:
+        return inspected()
+    try:
+        again = reproduce(own, controller, recorded_road(log, recorded, samples), samples, h)
+    except (ValueError, ArithmeticError) as error:
+        findings.append(Finding("road", MISSING, f"it cannot be driven again: {error}"))
+        return inspected()
+    findings += _guarded("linear response", MISSING, lambda: check_linear(again, recorded, samples))
+    try:
+        run = driven_again(again, as_response(own, recorded, "mujoco", samples, h))
+    except (ValueError, ArithmeticError, RuntimeError) as error:
+        findings.append(Finding("physics", MISSING, str(error)))
+        return inspected(again)
+    whole, anew, made = _is_whole(recorded, samples), None, None
+    stumbled = "it is of the whole run"
+    if whole:
+        try:
+            run, anew = balanced_again(again, run)
+            made = written_again(again, recorded, run, samples)
+        except (ValueError, ArithmeticError, RuntimeError) as error:
+            stumbled = str(error)
+    findings += _guarded("physics", FAILS, lambda: check_physics(again, recorded, run, whole))
+    if anew is not None and made is not None:
+        findings += _guarded("energy", FAILS, lambda: check_energy(recorded, run, anew, current))
+        findings += _guarded("result", FAILS, lambda: check_result(log, again, recorded, run, current))
+    else:
+        findings += [Finding(part, MISSING, stumbled) for part in ("energy", "result")]
+    return inspected(again, run, made)
+
+
+def _is_whole(recorded: RecordedRun, samples: int) -> bool:
+    """Whether all samples are there; what does not say how many were is not."""
+    try:
+        return samples == claimed_samples(recorded, samples)
+    except InputError:  # which `check_samples` says
+        return False
+
+
+def _guarded(part: str, verdict: str, check: Callable[[], Iterator[Finding]]) -> list[Finding]:
+    """A check's findings; what it stumbles over is one too."""
+    found: list[Finding] = []
+    try:
+        found.extend(check())
+    except (ValueError, ArithmeticError) as error:
+        found.append(Finding(part, verdict, str(error)))
+    return found
+
+
+def _differing(vehicle: Vehicle, own: Vehicle) -> str:
+    """The implementation of a run where it is not that of the vehicle file."""
+    there, here = vars(vehicle.implementation), vars(own.implementation)
+    return ", ".join(f"{key} {here[key]}" for key in here if here[key] != there[key])

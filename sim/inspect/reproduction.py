@@ -1,0 +1,221 @@
+"""A run made again from its log alone: the vehicle from the attached file, the controller from its gain, the road, the responses.
+
+Nothing is designed, and no solver is needed: a certificate is checked from its proof, and a linear response follows from a gain.
+What the log gives is bounded before it is used, so that no file of a few bytes can ask for hours or gigabytes.
+"""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError, known
+from models.kind import LARGEST
+from models.kind import kinds as kind_names
+from models.reality import read_implementation, read_limits
+from models.vehicle import Vehicle, parse_vehicle
+from sim.inspect.log import Recorded, RecordedRun
+from sim.linear.loop import continuous_response, largest_timestep, sampled_response, taylor4
+from sim.response.response import Response
+from sim.roads.description import described_road
+from sim.roads.iso8608 import Iso8608
+from sim.roads.road import Road
+from sim.roads.sinusoids import Multisine
+from synth.certificate.certificate import certify
+from synth.certificate.record import read_proof
+from synth.controller import Controller, generalized_plant
+
+MOST_VEHICLE = 256 * 1024  # bytes of a vehicle file; one with ten saved certificates of a full car has 100 KiB
+MOST_DOTS = 64  # within one key; TOML readers take the square of it in memory
+MOST_SINES = 200_000_000  # lines times samples of a sum of sinusoids
+FEWEST = 3  # samples that make a run
+
+
+@dataclass(frozen=True, eq=False)
+class Reproduction:
+    """A run as its log determines it.
+
+    Attributes:
+        vehicle: with the limits and implementation of this run.
+        controller: its gain, certified anew.
+        road: the road.
+        sampled: exact linear response of the sampled loop, over the samples that the log has.
+        integrated: the same as RK4 makes it.
+        continuous: exact linear response of the continuous closed loop.
+    """
+
+    vehicle: Vehicle
+    controller: Controller
+    road: Road
+    sampled: Response
+    integrated: Response
+    continuous: Response
+
+    @property
+    def timestep(self) -> float:
+        """Of the run [s]."""
+        return float(self.sampled.time[1])
+
+
+def recorded_vehicle(log: Recorded, kinds: Path | None) -> Vehicle:
+    """The vehicle of the attached file.
+
+    Args:
+        log: the log.
+        kinds: folder of kinds of vehicle of the user's own, whose Python is run; None where only those that ship are known.
+
+    Raises:
+        InputError: there is no such file, or it is none.
+    """
+    shipped, said = kind_names(), log.metadata.get("vehicle_type")
+    if kinds is None and said is not None and said not in shipped:
+        raise InputError("it is of a kind that does not ship; give --kinds with the folder of that kind's .py and .xml")
+    content = log.attachments.get("vehicle.toml")
+    if content is None:
+        raise InputError("vehicle.toml is not attached")
+    if len(content) > MOST_VEHICLE:
+        raise InputError(f"vehicle.toml has {len(content)} bytes; {MOST_VEHICLE} are allowed")
+    try:
+        text = content.decode("utf-8")
+        if max(part.count(".") for part in re.split(r"[,=\n{}\[\]]", text)) > MOST_DOTS:
+            raise InputError(f"more than {MOST_DOTS} dots in a key")
+        vehicle = parse_vehicle(text, source="vehicle.toml in the log", folder=kinds)
+    except (ValueError, ArithmeticError) as error:  # numbers beyond everything fail in many ways
+        raise InputError(f"vehicle.toml is no vehicle file: {error}") from error
+    if log.metadata.get("vehicle_type", vehicle.kind.name) != vehicle.kind.name:
+        raise InputError(f"vehicle.toml is of a {vehicle.kind.name}, and the log says another")
+    return vehicle
+
+
+def implemented(vehicle: Vehicle, run: RecordedRun) -> Vehicle:
+    """The vehicle with the implementation that this run had: a margin's run is late, where the vehicle file is not.
+
+    Raises:
+        InputError: what the log says is none, or its limits are not those of the vehicle file.
+    """
+    limits = read_limits(_given(run.claim("limits"), "limits"))
+    if limits != vehicle.limits:
+        raise InputError("its [limits] are not those of vehicle.toml")
+    measurable = vehicle.linear_model.measurable
+    return replace(vehicle, implementation=read_implementation(_given(run.claim("implementation"), "implementation"), measurable))
+
+
+def recorded_controller(vehicle: Vehicle, run: RecordedRun) -> Controller:
+    """The controller of a run, with a certificate computed anew from its gain and the proof in the log; numpy and scipy alone.
+
+    Raises:
+        InputError: it is no controller of this vehicle, its gain is not the vehicle file's, or its proof is no proof.
+    """
+    name, measured, gain = run.claims.get("name", ""), run.claim("measured"), run.claim("gain")
+    if name not in vehicle.controller_names:
+        raise InputError(f"vehicle.toml has no such controller; it has {known(vehicle.controller_names)}")
+    expected = {"passive": (), "state": vehicle.linear_model.states}
+    signals = expected[name] if name in expected else vehicle.controllers[name].measured
+    if measured != list(signals):
+        raise InputError(f"what it measures is not what vehicle.toml says: {', '.join(signals) or 'nothing'}")
+    K = _gain(gain, (len(vehicle.linear_model.inputs), len(signals)))
+    given = np.zeros_like(K) if name == "passive" else None if name == "state" else vehicle.controllers[name].gain
+    if given is not None and not np.array_equal(K, given):
+        raise InputError("its gain is not that of vehicle.toml")
+
+    plant, (Cy, _) = generalized_plant(vehicle), vehicle.linear_model.rows(signals)
+    record = run.claim("certificate")
+    if not isinstance(record, dict):
+        raise InputError("its certificate is none")
+    if given is None and "X" not in record:
+        raise InputError("it was designed, and its certificate proves no bound")
+    X, eta, lower = read_proof(record, plant, Cy)
+    return Controller(name, signals, K, given is None, certify(plant, K @ Cy, X, eta, lower))
+
+
+def recorded_road(log: Recorded, run: RecordedRun, samples: int) -> Road:
+    """The road of a run.
+
+    Args:
+        log: the log.
+        run: the run.
+        samples: how many are to be computed on it.
+
+    Raises:
+        InputError: it is not described whole, or is absurdly long for the run.
+    """
+    description = run.claim("road")
+    if not isinstance(description, dict):
+        raise InputError("its description is none")
+    road = described_road(description, log.attachments.get(run.claims.get("road_file", "")))
+    if isinstance(road, Iso8608) and len(road.n) > 40_000 + 100 * samples:
+        raise InputError(f"{road.length:g} m of random road are absurd for {samples} samples")
+    if isinstance(road, Multisine) and len(road.omega) * samples > MOST_SINES:
+        raise InputError(f"{len(road.omega)} sinusoids are too many for {samples} samples")
+    return road
+
+
+def reproduce(vehicle: Vehicle, controller: Controller, road: Road, samples: int, timestep: float) -> Reproduction:
+    """The linear responses, anew.
+
+    Raises:
+        InputError: no run could have had this timestep, or the road cannot be driven with it.
+    """
+    if not timestep <= largest_timestep(vehicle):
+        raise InputError(f"the timestep of {timestep:g} s is one with which RK4 is unstable on this vehicle")
+    time = np.arange(samples) * timestep
+    return Reproduction(
+        vehicle,
+        controller,
+        road,
+        sampled_response(vehicle, controller, road, time),
+        sampled_response(vehicle, controller, road, time, exponential=taylor4),
+        continuous_response(vehicle, controller, road, time),
+    )
+
+
+def usable_samples(run: RecordedRun, timestep: float) -> int:
+    """How many samples of a run all its responses have, from the first on and without a gap."""
+    counts = []
+    for logged in run.responses.values():
+        due = np.round(np.arange(len(logged.times)) * timestep * 1e9)
+        wrong = logged.times.astype(float) != due
+        counts.append(int(wrong.argmax()) if wrong.any() else len(wrong))
+    return min(counts, default=0)
+
+
+def as_response(vehicle: Vehicle, run: RecordedRun, name: str, samples: int, timestep: float) -> Response:
+    """A logged response with the vehicle's signals, in their order.
+
+    Raises:
+        InputError: it was not logged, or not with these signals.
+    """
+    logged = run.responses.get(name)
+    if logged is None:
+        raise InputError(f"the {name} response is missing")
+    signals = vehicle.kind.signals
+    absent = [signal.name for signal in signals if signal.name not in logged.names]
+    if absent or len(logged.names) != len(signals):
+        raise InputError(f"the {name} response has other signals than a {vehicle.kind.name}: {known(s.name for s in signals)}")
+    for signal in signals:
+        if logged.units.get(signal.name) != signal.unit:
+            raise InputError(f"{signal.name} of the {name} response is not in {signal.unit}, as it says")
+    columns = [logged.names.index(signal.name) for signal in signals]
+    return Response(np.arange(samples) * timestep, signals, logged.values[:samples, columns])
+
+
+def _given(section: Any, what: str) -> Mapping[str, Any]:
+    """What a section of a vehicle file would give: the log writes down what is absent too."""
+    if not isinstance(section, dict):
+        raise InputError(f"its {what} are none")
+    return {key: value for key, value in section.items() if value is not None}
+
+
+def _gain(value: Any, shape: tuple[int, int]) -> Array:
+    try:
+        gain = np.array(value, dtype=float).reshape(shape)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"its gain is no matrix of {shape[0]} x {shape[1]} numbers") from None
+    if not np.all(np.abs(gain) <= LARGEST):
+        raise InputError(f"its gain has numbers beyond {LARGEST:g}")
+    gain.flags.writeable = False
+    return gain

@@ -1,0 +1,186 @@
+"""Frequency responses from the road's velocity, exact in two ways: of the sampled loop that MuJoCo runs, and the continuous one.
+
+A road z_r(t) = Z exp(j omega t) under the wheels has the velocity W = j omega Z. All that follows is per unit of W.
+
+Continuous.    x = (j omega - A_G)^-1 (Bw W + Br Z),    A_G = A + B K C_y.
+
+Sampled, in the notation of `sim/linear/loop.py`: at the samples the road is Z exp(j omega t_k), over a step it is held at its
+midpoint, exp(j omega h/2) times as much, and the force is held. The recursion there then is solved by xi[k] = xi exp(j omega h k)
+with
+
+    (exp(j omega h) - Phi - Gamma_u G) xi = Gamma_r exp(j omega h/2) Z + Gamma_u G Bw Z,    x = xi + Bw Z,
+
+without any approximation: a sampled sinusoid stays one. Where the controller's own sample period is several steps, it does not:
+then the response is its share at omega itself, over all the steps of a period.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import linalg, optimize
+
+from models.common.arrays import Array
+from models.linear_model import LinearModel
+from models.vehicle import Vehicle
+from sim.linear.loop import driven, held_inputs
+from sim.physics.sampler import steps_per_sample
+from synth.controller import Controller
+
+LOWEST, GRID = 1e-2, 3000  # rad/s, points: a peak is looked for from here to the Nyquist frequency
+
+
+def continuous_frequency_response(vehicle: Vehicle, controller: Controller, omega: Array) -> Array:
+    """From the road velocity under each wheel to each output signal, in the continuous loop, complex, shape (F, p, r).
+
+    Args:
+        vehicle: p outputs, r wheels.
+        controller: its controller.
+        omega: angular frequencies above 0 [rad/s], shape (F,).
+    """
+    model, G = driven(vehicle, controller)
+    s = 1j * np.asarray(omega, dtype=float)[:, None, None]
+    x = np.linalg.solve(s * np.eye(len(model.A)) - model.A - model.B @ G, model.Bw + model.Br / s)
+    return (model.C + model.D @ G) @ x + model.Cr / s
+
+
+def sampled_frequency_response(
+    vehicle: Vehicle,
+    controller: Controller,
+    omega: Array,
+    timestep: float,
+    exponential: Callable[[Array], Array] = linalg.expm,
+) -> Array:
+    """The same in the sampled loop as it is implemented (held, delayed, lagged), complex, shape (F, p, r).
+
+    Args:
+        vehicle: p outputs, r wheels.
+        controller: its controller.
+        omega: angular frequencies above 0 and below pi / timestep [rad/s], shape (F,).
+        timestep: h [s].
+        exponential: the matrix exponential; `taylor4` to predict an RK4 integrator.
+    """
+    model, _, mean_x, force = _harmonic(vehicle, controller, omega, timestep, exponential)
+    return (model.C @ mean_x + model.D @ force + model.Cr) / (1j * np.asarray(omega, dtype=float)[:, None, None])
+
+
+def sampled_states(vehicle: Vehicle, controller: Controller, omega: Array, timestep: float) -> Array:
+    """From the road velocity under each wheel to the states of `implemented_loop` at the controller's samples, shape (F, s, r).
+
+    Arguments as for `sampled_frequency_response`.
+    """
+    s = 1j * np.asarray(omega, dtype=float)[:, None, None]
+    how, G = vehicle.implementation, driven(vehicle, controller)[1]
+    _, x, _, _ = _harmonic(vehicle, controller, omega, timestep, linalg.expm)
+    period = timestep * steps_per_sample(how, timestep)
+    waiting = [np.exp(-s * period * late) * (G @ x) for late in range(how.delay, 0, -1)]
+    return np.concatenate([x, *waiting], axis=1) / s
+
+
+def stepwise_frequency_response(vehicle: Vehicle, controller: Controller, omega: Array, timestep: float) -> Array:
+    """From the road velocity under each wheel to the output signals at every timestep of a period of the controller.
+
+    What a signal is at step i of a period, exactly, for a road that is exp(j omega t) with t from the period's start on: between
+    its samples a held force makes other frequencies, too, and `sampled_frequency_response` has only the share at omega.
+
+    Returns:
+        Shape (steps + 1, F, p, r), complex; the last is the first of the next period.
+    """
+    s = 1j * np.asarray(omega, dtype=float)[:, None, None]
+    (model, G), how, h = driven(vehicle, controller), vehicle.implementation, timestep
+    Phi, Gamma_u, Gamma_r = held_inputs(model.A, h, linalg.expm, model.B, model.A @ model.Bw + model.Br)
+    _, x, _, _ = _harmonic(vehicle, controller, omega, timestep, linalg.expm)
+    steps = steps_per_sample(how, h)
+    force, xi, found = np.exp(-s * h * steps * how.delay) * (G @ x), x - model.Bw, []
+    for i in range(steps + 1):
+        road = np.exp(s * h * i)
+        held = force if i < steps else force * road
+        found.append((model.C @ (xi + model.Bw * road) + model.D @ held + model.Cr * road) / s)
+        xi = Phi @ xi + Gamma_u @ force + Gamma_r * np.exp(s * h * (i + 0.5))
+    return np.stack(found)
+
+
+def _harmonic(
+    vehicle: Vehicle, controller: Controller, omega: Array, timestep: float, exponential: Callable[[Array], Array]
+) -> tuple[LinearModel, Array, Array, Array]:
+    """What oscillates with omega per unit of Z: model, state at the controller's samples, state and force over a period."""
+    (model, G), how, h = driven(vehicle, controller), vehicle.implementation, timestep
+    s = 1j * np.asarray(omega, dtype=float)[:, None, None]
+    steps = steps_per_sample(how, h)
+    Phi, Gamma_u, Gamma_r = held_inputs(model.A, h, exponential, model.B, model.A @ model.Bw + model.Br)
+
+    # From xi at a sample of the controller and Z to xi after i steps, P xi + Q Z, under the force F (xi + Bw Z) it computes.
+    F = np.exp(-s * h * steps * how.delay) * G
+    P, Q = np.broadcast_to(np.eye(len(model.A)), (len(s), *model.A.shape)), np.zeros((len(s), *model.Bw.shape))
+    mean_P, mean_Q, mean_held = 0.0, 0.0, 0.0  # what of them, and of a held force, oscillates with omega itself
+    for i in range(steps):
+        turn = np.exp(-s * h * i) / steps
+        mean_P, mean_Q, mean_held = mean_P + turn * P, mean_Q + turn * Q, mean_held + turn
+        P, Q = Phi @ P + Gamma_u @ F, Phi @ Q + Gamma_u @ F @ model.Bw + Gamma_r * np.exp(s * h * (i + 0.5))
+    xi = np.linalg.solve(np.exp(s * h * steps) * np.eye(len(model.A)) - P, Q)
+    return model, xi + model.Bw, mean_P @ xi + mean_Q + model.Bw, mean_held * (F @ (xi + model.Bw))
+
+
+def as_met(vehicle: Vehicle, omega: Array, speed: float) -> Array:
+    """What every wheel meets of a road exp(j omega t) under the first one, shape (F, r): it comes later.
+
+    Args:
+        vehicle: r wheels.
+        omega: angular frequencies [rad/s], shape (F,).
+        speed: forward velocity [m/s].
+    """
+    later = np.array([wheel.behind(vehicle.parameters) / speed for wheel in vehicle.kind.wheels])
+    return np.exp(-1j * np.multiply.outer(omega, later))
+
+
+def weights(vehicle: Vehicle) -> Array:
+    """The weight of every output signal in the controlled output z (34), shape (p,)."""
+    return np.array([vehicle.performance.get(name, 0.0) for name in vehicle.linear_model.outputs])
+
+
+@dataclass(frozen=True)
+class Worst:
+    """The road that moves the weighted output z most, per its own size (both in the L2 sense).
+
+    Attributes:
+        gain: ||z|| / ||w||. With one wheel, the H-infinity norm; with more, no more than it, as one road is under them all.
+        omega: its frequency [rad/s].
+    """
+
+    gain: float
+    omega: float
+
+
+def worst_sinusoid(vehicle: Vehicle, response: Callable[[Array], Array], highest: float, speed: float) -> Worst:
+    """The largest gain of a frequency response from the road as the wheels meet it to z, and where it is.
+
+    By Parseval it is the largest L2 gain of any road below `highest`: the H-infinity norm, where there is one wheel.
+
+    Args:
+        vehicle: the vehicle.
+        response: angular frequencies (F,) -> frequency response (F, p, r).
+        highest: end of the search [rad/s], the Nyquist frequency pi / h.
+        speed: forward velocity [m/s].
+    """
+
+    def gain(omega: Array) -> Array:
+        met = as_met(vehicle, omega, speed)
+        z = weights(vehicle) * np.einsum("fpr,fr->fp", response(omega), met)
+        return np.linalg.norm(z, axis=1) / np.linalg.norm(met, axis=1)
+
+    # Lightly damped poles make narrow peaks; those of a vehicle are wider than the grid's 0.4 %, and each is refined.
+    omega = np.geomspace(LOWEST, 0.99 * highest, GRID)
+    gains = gain(omega)
+    best = Worst(float(gains.max()), float(omega[gains.argmax()]))
+    peaks = 1 + np.flatnonzero((gains[1:-1] >= gains[:-2]) & (gains[1:-1] >= gains[2:]) & (gains[1:-1] > 0.9 * best.gain))
+    for i in peaks:
+        refined: Any = optimize.minimize_scalar(
+            lambda log_omega: -gain(np.exp([log_omega]))[0],
+            bounds=np.log(omega[[i - 1, i + 1]]),
+            method="bounded",
+            options={"xatol": 1e-10},
+        )
+        if -refined.fun > best.gain:
+            best = Worst(float(-refined.fun), float(np.exp(refined.x)))
+    return best

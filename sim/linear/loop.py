@@ -1,0 +1,256 @@
+"""The linear response, exact in two ways: of the sampled loop that MuJoCo runs, and of the paper's continuous closed loop.
+
+Sampled. The controller is held over a step, and so is the road: at its midpoint height, where `physics.py` puts it. With
+xi = x - Bw z_r, the state that does not jump when the road does, (29) becomes xi' = A xi + B u + (A Bw + Br) z_r, and over a step
+everything on the right but xi is constant:
+
+    xi[k+1] = Phi xi[k] + Gamma [u[k]; z_r(t_k + h/2)],    x[k] = xi[k] + Bw z_r(t_k),    u[k] = K C_y x[k].
+
+Continuous. x' = A_G x + Bw z_r'(t) + Br z_r(t) with A_G = A + B K C_y. Over a step,
+
+    x[k+1] = exp(A_G h) x[k] + integral of exp(A_G (h - s)) (Bw z_r' + Br z_r)(t_k + s) ds,
+
+by Gauss-Legendre quadrature with 8 nodes: exact to rounding for a smooth road. A step that holds a kink of the road is cut there.
+"""
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy import linalg
+
+from models.common.arrays import Array
+from models.linear_model import LinearModel
+from models.vehicle import Vehicle
+from sim.physics.sampler import steps_per_sample
+from sim.response.response import Response
+from sim.roads.road import Road, delays, under_wheels
+from synth.certificate.stability import sampled_growth
+from synth.controller import Controller
+
+DECAYED = 1e-12  # of a loop's transition: its square counts in a variance
+SLOWEST_RATE = 1e-12  # rad/s; a mode that is slower does not move within any run, and a step for it would be beyond numbers
+
+
+def taylor4(M: Array) -> Array:
+    """What RK4 makes of the matrix exponential: its Taylor polynomial of degree 4. For a linear system RK4 is exactly that."""
+    identity = np.eye(len(M))
+    return identity + M @ (identity + M / 2 @ (identity + M / 3 @ (identity + M / 4)))
+
+
+def sampled_response(
+    vehicle: Vehicle,
+    controller: Controller,
+    road: Road,
+    time: Array,
+    exponential: Callable[[Array], Array] = linalg.expm,
+) -> Response:
+    """The response of the sampled loop, from rest.
+
+    Args:
+        vehicle: the vehicle.
+        controller: its controller.
+        road: the road.
+        time: equidistant sample times [s], shape (T,).
+        exponential: the matrix exponential; `taylor4` to predict an RK4 integrator to rounding.
+    """
+    return sampled_responses(vehicle, controller, [road], time, exponential).run(0)
+
+
+def sampled_responses(
+    vehicle: Vehicle,
+    controller: Controller,
+    roads: Sequence[Road],
+    time: Array,
+    exponential: Callable[[Array], Array] = linalg.expm,
+) -> Response:
+    """The responses to N roads side by side, values of shape (N, T, S). Arguments as for `sampled_response`."""
+    h = float(time[1] - time[0])
+    model, G = driven(vehicle, controller)
+    Phi, Gamma_u, Gamma_r = held_inputs(model.A, h, exponential, model.B, model.A @ model.Bw + model.Br)
+    now = np.stack([under_wheels(road.displacement, road, vehicle, time) for road in roads])
+    midway = np.stack([under_wheels(road.displacement, road, vehicle, time + h / 2) for road in roads])
+
+    jump, push = now @ model.Bw.T, midway @ Gamma_r.T  # x - xi, and what the road does to xi
+    how = vehicle.implementation
+    if how.sample_period is None and how.delay == 0:
+        states = _recursion(Phi + Gamma_u @ G, push + jump @ (Gamma_u @ G).T) + jump
+        forces = states @ G.T
+    else:
+        period = steps_per_sample(how, h)
+        states, forces = np.zeros_like(jump), np.zeros((*jump.shape[:2], model.B.shape[1]))
+        # By the sample at which they act.
+        computed = np.zeros((len(time) // period + 1 + how.delay, len(roads), model.B.shape[1]))
+        xi = np.zeros((len(roads), len(model.A)))
+        for k in range(len(time)):
+            states[:, k] = xi + jump[:, k]
+            if k % period == 0:
+                computed[k // period + how.delay] = states[:, k] @ G.T
+            forces[:, k] = computed[k // period]
+            xi = xi @ Phi.T + forces[:, k] @ Gamma_u.T + push[:, k]
+    runs = [_response(vehicle, model, road, time, states[i], forces[i]).values for i, road in enumerate(roads)]
+    return Response(time, vehicle.kind.signals, np.stack(runs))
+
+
+def driven(vehicle: Vehicle, controller: Controller) -> tuple[LinearModel, Array]:
+    """The linear model with its actuators' lag, if they have one, and the gain from its states to the forces asked for.
+
+    With a lag the forces are states: f' = bandwidth (u - f), and what the control forces did in every signal, f does.
+    """
+    model, G, bandwidth = vehicle.linear_model, controller.state_gain(vehicle), vehicle.limits.actuator_bandwidth
+    if bandwidth is None:
+        return model, G
+    (n, m), r = model.B.shape, model.Bw.shape[1]
+    lagged = replace(
+        model,
+        A=np.block([[model.A, model.B], [np.zeros((m, n)), -bandwidth * np.eye(m)]]),
+        B=np.vstack([np.zeros((n, m)), bandwidth * np.eye(m)]),
+        Bw=np.vstack([model.Bw, np.zeros((m, r))]),
+        Br=np.vstack([model.Br, np.zeros((m, r))]),
+        C=np.hstack([model.C, model.D]),
+        D=np.zeros_like(model.D),
+        states=(*model.states, *(f"lagged_{name}" for name in model.inputs)),
+    )
+    return lagged, np.hstack([G, np.zeros((m, m))])
+
+
+def continuous_response(vehicle: Vehicle, controller: Controller, road: Road, time: Array) -> Response:
+    """The response of the continuous closed loop (16), from rest. Arguments as for `sampled_response`."""
+    h = float(time[1] - time[0])
+    model, G = driven(vehicle, controller)
+    A = model.A + model.B @ G
+
+    forcing = _convolution(A, model, road, vehicle, time, h)
+    kinks = np.array([kink + delay for kink in road.kinks for delay in delays(road, vehicle)])
+    for k in np.unique(np.floor((kinks - time[0]) / h).astype(int)):
+        if 0 <= k < len(time):
+            start, end = time[k], time[k] + h
+            edges = [start, *np.unique(kinks[(kinks > start) & (kinks < end)]), end]
+            forcing[k] = 0.0
+            for left, right in itertools.pairwise(edges):
+                piece = _convolution(A, model, road, vehicle, np.array([left]), right - left)[0]
+                forcing[k] += linalg.expm(A * (end - right)) @ piece
+    states = _recursion(linalg.expm(A * h), forcing)
+    return _response(vehicle, model, road, time, states, states @ G.T)
+
+
+def held_inputs(A: Array, h: float, exponential: Callable[[Array], Array], *inputs: Array) -> list[Array]:
+    """Phi and one Gamma per input matrix: the step of x' = A x + sum B_i u_i with every u_i held."""
+    n = len(A)
+    columns = np.cumsum([n, *(B.shape[1] for B in inputs)])
+    augmented = np.zeros((columns[-1], columns[-1]))
+    augmented[:n] = np.hstack([A, *inputs])
+    step = exponential(augmented * h)
+    return [step[:n, :n], *(step[:n, a:b] for a, b in itertools.pairwise(columns))]
+
+
+def _convolution(A: Array, model: LinearModel, road: Road, vehicle: Vehicle, start: Array, h: float) -> Array:
+    """Integral of exp(A (h - s)) (Bw z_r' + Br z_r)(start + s) ds over 0..h, shape (T, n), for start times of shape (T,)."""
+    nodes, weights = np.polynomial.legendre.leggauss(8)
+    total = np.zeros((len(start), len(A)))
+    for s, weight in zip(h * (nodes + 1) / 2, h * weights / 2, strict=True):
+        forcing = under_wheels(road.velocity, road, vehicle, start + s) @ model.Bw.T
+        forcing += under_wheels(road.displacement, road, vehicle, start + s) @ model.Br.T
+        total += weight * forcing @ linalg.expm(A * (h - s)).T
+    return total
+
+
+def _recursion(Phi: Array, forcing: Array) -> Array:
+    """x[k+1] = Phi x[k] + forcing[k] from x[0] = 0, shape (..., T, n) like the forcing."""
+    states = np.zeros_like(forcing)
+    x, transposed = states[..., 0, :], np.ascontiguousarray(Phi.T)
+    with np.errstate(over="ignore", invalid="ignore"):  # an unstable loop may overflow; the run says so
+        for k in range(forcing.shape[-2] - 1):
+            x = states[..., k + 1, :] = x @ transposed + forcing[..., k, :]
+    return states
+
+
+def _response(vehicle: Vehicle, model: LinearModel, road: Road, time: Array, states: Array, forces: Array) -> Response:
+    """Every signal of the vehicle from its states and forces over time, shapes (T, n) and (T, m)."""
+    z_r, w = (under_wheels(function, road, vehicle, time) for function in (road.displacement, road.velocity))
+    values = {}
+    for i, wheel in enumerate(vehicle.kind.wheels):
+        values |= {wheel.road_displacement: z_r[:, i], wheel.road_velocity: w[:, i]}
+    outputs = states @ model.C.T + forces @ model.D.T + z_r @ model.Cr.T
+    values |= dict(zip(model.outputs, outputs.T, strict=True))
+    signals = vehicle.kind.signals
+    return Response(time, signals, np.stack([values[signal.name] for signal in signals], axis=-1))
+
+
+def sampled_radius(vehicle: Vehicle, controller: Controller, timestep: float) -> float:
+    """Growth per timestep of the sampled closed loop, as it is implemented: above 1 it is unstable, at exactly 1 marginal."""
+    loop, _, _ = implemented_loop(vehicle, controller, timestep)
+    return sampled_growth(loop) ** (1 / steps_per_sample(vehicle.implementation, timestep))
+
+
+def implemented_loop(vehicle: Vehicle, controller: Controller, timestep: float) -> tuple[Array, Array, Array]:
+    """The loop from one sample of the controller to the next.
+
+    The forces on their way are states beside those of `driven`, the next to act first.
+
+    Returns:
+        The transition, shape (s, s); what a force that is added to those computed does to the next state, shape (s, m); and the
+        forces that act, from the state, shape (m, s).
+    """
+    model, G = driven(vehicle, controller)
+    how = vehicle.implementation
+    Phi, Gamma = held_inputs(model.A, steps_per_sample(how, timestep) * timestep, linalg.expm, model.B)
+    n, m = Gamma.shape
+    if how.delay == 0:
+        return Phi + Gamma @ G, Gamma, G
+    size = n + how.delay * m
+    loop, added, acting = np.zeros((size, size)), np.zeros((size, m)), np.zeros((m, size))
+    loop[:n, :n], loop[:n, n : n + m] = Phi, Gamma
+    loop[n : size - m, n + m :] = np.eye(size - n - m)
+    loop[size - m :, :n] = G
+    added[size - m :] = np.eye(m)
+    acting[:, n : n + m] = np.eye(m)
+    return loop, added, acting
+
+
+def largest_timestep(vehicle: Vehicle) -> float:
+    """The step [s] above which RK4 itself is unstable on the vehicle without control, to 1 %; infinite where nothing moves."""
+    A = vehicle.linear_model.A
+    rate = float(np.abs(np.linalg.eigvals(A)).max())
+    if rate <= SLOWEST_RATE:
+        return math.inf
+    steps = np.arange(3.0, 0.0, -0.01) / rate  # RK4 is unstable for every |lambda h| above 2.83
+    for h in steps:
+        if np.abs(np.linalg.eigvals(taylor4(A * h))).max() <= 1:
+            return float(h)
+    return math.nan
+
+
+def noise_spread(vehicle: Vehicle, controller: Controller, timestep: float) -> dict[str, float]:
+    """Stationary rms of every output signal under noise and quantisation of the measurements.
+
+    Quantisation counts as white noise of a twelfth of its resolution squared. Empty where there is none, or the loop is unstable.
+    """
+    how, gain = vehicle.implementation, controller.gain
+    rms = [np.hypot(how.noise.get(name, 0.0), how.quantisation.get(name, 0.0) / math.sqrt(12)) for name in controller.measured]
+    if not np.any(rms) or sampled_radius(vehicle, controller, timestep) >= 1:
+        return {}
+    model, _ = driven(vehicle, controller)
+    loop, added, acting = implemented_loop(vehicle, controller, timestep)
+    forces = gain * np.array(rms)
+    root = _stationary(loop, added @ forces)
+    rows = np.hstack([model.C, np.zeros((len(model.C), len(loop) - model.C.shape[1]))]) + model.D @ acting
+    # Without a delay the force of a sample has the noise of that sample in it, beside the state.
+    direct = model.D @ forces if how.delay == 0 else np.zeros((1, 1))
+    spread = np.sqrt(np.sum((rows @ root) ** 2, axis=1) + np.sum(direct**2, axis=1))
+    return dict(zip(model.outputs, spread.tolist(), strict=True))
+
+
+def _stationary(loop: Array, shock: Array) -> Array:
+    """A root L of the covariance L L' of x[k+1] = loop x[k] + shock v[k] under white v of unit covariance; the loop decays.
+
+    By doubling (Smith 1968), and on the root, as a deviation keeps the digits that symmetry makes tiny, such as roll's beside
+    heave's: of the covariance itself, solvers lose what is 1e-8 of the largest.
+    """
+    root, step = shock, loop
+    while np.abs(step).max() > DECAYED:
+        _, upper = np.linalg.qr(np.hstack([root, step @ root]).T)
+        root, step = upper.T, step @ step
+    return root

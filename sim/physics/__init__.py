@@ -1,0 +1,1 @@
+"""The MuJoCo response of N runs, and its energy balance."""

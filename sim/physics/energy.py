@@ -1,0 +1,184 @@
+"""The energy of a run: what road and actuators put in, and where it is found again. A check that needs no reference.
+
+Within a step MuJoCo holds the road, so what it does to the vehicle it does between two steps: its work is what the jump of its
+height adds to the tyres' springs. Within a step, then, what is stored changes by the actuators' work less what the dampers take:
+
+    E[k+1, road k] - E[k, road k] = sum of integral f_a l_a' dt - sum of integral c_j l_j'^2 dt,
+
+with E the kinetic and potential energy (gravity, springs, tyres, bump stops), all of it MuJoCo's own. What is left over is the
+error of the integrator, and of the integrals: Simpson's rule, the middle of a step from lengths l and speeds l' at both its ends
+by Hermite's cubic, whose slope there is right to the fourth power of the step. So the residual is of RK4's order, 4, while every
+spring is linear in its length. Where one begins or ends to act within a step (a tyre leaves the road, a bump stop is touched),
+RK4 itself has a kink in its step, and the residual is only of about second order.
+
+Nothing else may do work: a force that is neither spring, weight, damper nor one of the vehicle's actuators is left over.
+
+An actuator `control_force...` is to push along `suspension_deflection...`, so its work is counted along that signal: that of one
+that acts on one end only, or through a gear, is left over too. Where a vehicle has no such suspension (nothing to push against
+but the world), work is counted along MuJoCo's actuator itself, and such a fault is for the comparison with the linear model.
+Masses, springs and dampers are those of the MJCF: whether they are the vehicle's is the comparison's too.
+
+What is left over is a share of what was turned over: taken by the dampers, moved by the actuators either way, and the largest
+kinetic energy. Lifting the weight is no part of it: it would hide what is small beside it.
+"""
+
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's bindings carry no type stubs.
+
+import functools
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+
+from models.common.arrays import Array
+from models.mjcf import build_spec, mocap_indices
+from models.vehicle import Vehicle
+from sim.physics.simulate import PhysicsRuns
+from sim.roads.road import Road, under_wheels
+
+# Of what is turned over. RK4 leaves 2e-7 at 1 ms and 4e-5 at 4 ms, with kinks 5e-5 and 6e-4 (every vehicle and controller that
+# ships, over two bumps); a damper that is 1 % off leaves 3e-3 and more.
+BALANCED = 1e-3
+ROUNDING = 1e-8  # of the energy at rest; where less is turned over, rounding decides what is left over
+AT_ONCE = 4096  # states that are looked at together
+
+
+@dataclass(frozen=True)
+class Energy:
+    """Where a run's energy came from and went to, from its start to its end or to where it broke off.
+
+    Attributes:
+        road: work of the road [J].
+        actuators: work of the actuators [J].
+        stored: change of the kinetic and potential energy [J].
+        dissipated: by the dampers [J].
+        turnover: what the dampers took, the actuators moved either way, and the largest kinetic energy [J].
+        residual: the largest sum of works less what is stored and dissipated at any time, over `turnover`.
+    """
+
+    road: float
+    actuators: float
+    stored: float
+    dissipated: float
+    turnover: float
+    residual: float
+
+    @property
+    def balances(self) -> bool:
+        """Whether no more is left over than integration makes."""
+        return self.residual <= BALANCED
+
+
+def energy(vehicle: Vehicle, runs: PhysicsRuns, index: int, road: Road, until: float = np.inf) -> Energy:
+    """The energy balance of one run.
+
+    Args:
+        vehicle: the vehicle.
+        runs: what MuJoCo made of it, among others.
+        index: which of them.
+        road: the road.
+        until: when the vehicle broke off [s], if before it diverged: no number means anything from there.
+    """
+    time, (model, along) = runs.response.time, _observed(vehicle, float(runs.response.time[1]))
+    h, count = float(time[1]), int(np.searchsorted(time, min(until, runs.diverged[index])))
+    if count < 2:
+        return Energy(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    qpos, qvel = runs.qpos[index, :count], runs.qvel[index, :count]
+    midway = under_wheels(road.displacement, road, vehicle, time[:count] + h / 2)
+    # A step ends with the road where it held it, and the next begins with it elsewhere: every state is looked at twice.
+    starts = _look(vehicle, model, qpos, qvel, midway)
+    ends, moved = starts[1:].copy(), np.any(midway[1:] != midway[:-1], axis=1)
+    ends[moved] = _look(vehicle, model, qpos[1:][moved], qvel[1:][moved], midway[:-1][moved])
+    rest = _look(vehicle, model, np.zeros_like(qpos[:1]), np.zeros_like(qvel[:1]), np.zeros_like(midway[:1]))
+
+    actuators = len(vehicle.linear_model.inputs)
+    stored = starts[:, 0] + starts[:, 1]
+    lengths, speeds = (starts[:, 2 + k :: 2] for k in (0, 1))
+    middle = 1.5 * np.diff(lengths, axis=0) / h - (speeds[:-1] + speeds[1:]) / 4
+    forces = along * np.stack([runs.response[name][index, :count] for name in vehicle.linear_model.inputs], axis=-1)
+    before, between, after = _forces(vehicle, forces, h)
+    work = (before * speeds[:-1, :actuators] + 4 * between * middle[:, :actuators] + after * speeds[1:, :actuators]) * h / 6
+    if vehicle.limits.actuator_bandwidth is None:
+        work = forces[:-1] * np.diff(lengths[:, :actuators], axis=0)  # a held force's is exact
+    damping = _damping(model)
+    losses = (speeds[:-1, actuators:] ** 2 + 4 * middle[:, actuators:] ** 2 + speeds[1:, actuators:] ** 2) * damping * h / 6
+
+    by_road = np.cumsum(np.concatenate([[stored[0] - rest[0, :2].sum()], stored[1:] - ends[:, :2].sum(axis=1)]))
+    by_actuators = np.concatenate([[0.0], np.cumsum(work.sum(axis=1))])
+    lost = np.concatenate([[0.0], np.cumsum(losses.sum(axis=1))])
+    change = stored - rest[0, :2].sum()
+    turnover = float(lost[-1] + np.abs(work).sum() + starts[:, 1].max())
+    scale = max(turnover, ROUNDING * abs(float(rest[0, :2].sum()))) or 1.0
+    residual = float(np.max(np.abs(by_road + by_actuators - change - lost))) / scale
+    return Energy(float(by_road[-1]), float(by_actuators[-1]), float(change[-1]), float(lost[-1]), turnover, residual)
+
+
+@functools.lru_cache(maxsize=16)
+def _observed(vehicle: Vehicle, timestep: float) -> tuple[mujoco.MjModel, Array]:
+    """The vehicle's model with sensors of all that makes its energy, and no others; and how every force counts along its length.
+
+    In this order: potential and kinetic energy; then length and speed that every actuator is to push along, and of every damped
+    tendon and joint.
+    """
+    spec = build_spec(vehicle, timestep)
+    kind, of = mujoco.mjtSensor, mujoco.mjtObj
+    speeds = {kind.mjSENS_TENDONPOS: kind.mjSENS_TENDONVEL, kind.mjSENS_JOINTPOS: kind.mjSENS_JOINTVEL}
+    sensors = {sensor.name: sensor for sensor in spec.sensors}
+    pairs, along = [], []
+    for name in vehicle.linear_model.inputs:
+        stroke = sensors.get(name.replace("control_force", "suspension_deflection"))
+        if stroke is not None and stroke.type in speeds:
+            pairs.append((stroke.type, speeds[stroke.type], stroke.objtype, stroke.objname))
+            along.append(float(stroke.userdata[0]))
+        else:
+            pairs.append((kind.mjSENS_ACTUATORPOS, kind.mjSENS_ACTUATORVEL, of.mjOBJ_ACTUATOR, name))
+            along.append(1.0)
+    for sensor in list(spec.sensors):
+        spec.delete(sensor)
+    spec.add_sensor(name="potential", type=kind.mjSENS_E_POTENTIAL)
+    spec.add_sensor(name="kinetic", type=kind.mjSENS_E_KINETIC)
+    for tendon in spec.tendons:
+        if tendon.damping[0] > 0:
+            pairs.append((kind.mjSENS_TENDONPOS, kind.mjSENS_TENDONVEL, of.mjOBJ_TENDON, tendon.name))
+    for joint in spec.joints:
+        if joint.damping[0] > 0:
+            pairs.append((kind.mjSENS_JOINTPOS, kind.mjSENS_JOINTVEL, of.mjOBJ_JOINT, joint.name))
+    for number, (length, speed, what, name) in enumerate(pairs):
+        for sensor in (length, speed):
+            spec.add_sensor(name=f"{sensor.name}_{number}", type=sensor, objtype=what, objname=name)
+    return spec.compile(), np.array(along)
+
+
+def _damping(model: mujoco.MjModel) -> Array:
+    """Of every damper that `_observed` looks at, in its order [N s/m]."""
+    return np.concatenate([model.tendon_damping[model.tendon_damping > 0], model.dof_damping[model.dof_damping > 0]])
+
+
+def _look(vehicle: Vehicle, model: mujoco.MjModel, qpos: Array, qvel: Array, roads: Array) -> Array:
+    """What the sensors say in these states over these roads, shape (T, nsensordata)."""
+    found = np.empty((len(qpos), model.nsensordata))
+    if len(qpos) == 0:
+        return found
+    batch = Batch(model, min(AT_ONCE, len(qpos)), 0)
+    positions, velocities, heights, sensors = (batch.bind(name) for name in ("qpos", "qvel", "mocap_pos", "sensordata"))
+    mocap = mocap_indices(vehicle, model)
+    for first in range(0, len(qpos), batch.nsim):
+        some = slice(max(0, min(first, len(qpos) - batch.nsim)), min(first + batch.nsim, len(qpos)))
+        positions[:], velocities[:] = qpos[some], qvel[some]
+        heights[:, mocap, 2] = roads[some]
+        batch.forward(stage=int(mujoco.mjtStage.mjSTAGE_VEL))
+        found[some] = sensors
+    return found
+
+
+def _forces(vehicle: Vehicle, forces: Array, h: float) -> tuple[Array, Array, Array]:
+    """The actuators' forces [N] at beginning, middle and end of every step, shape (T - 1, m), from those at the samples.
+
+    A lagging force goes to the one asked for exponentially, so from its ends its middle is known.
+    """
+    bandwidth = vehicle.limits.actuator_bandwidth
+    before, after = forces[:-1], forces[1:]
+    share = 1 / (1 + np.exp(-bandwidth * h / 2)) if bandwidth else 0.0
+    return before, before + share * (after - before), after

@@ -1,0 +1,134 @@
+"""How a vehicle's signals come out of MuJoCo: from its state, from its sensors, and what neither has seen of the road."""
+
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's bindings carry no type stubs.
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from models.common.arrays import Array
+from models.mjcf import build_model, mocap_indices
+from models.vehicle import Vehicle
+from synth.controller import Controller
+
+
+def reads_out(vehicle: Vehicle, timestep: float) -> bytes:
+    """A key that is the same for vehicles whose signals come out of MuJoCo alike: those of the same geometry."""
+    readout = prepared(vehicle, timestep)[1]
+    used = np.where(readout.linear[:, None], readout.of_state, 0.0)
+    return b"".join(
+        part.tobytes() for part in (readout.linear, readout.stage, used, readout.of_sensors, readout.of_road, readout.rest)
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Readout:
+    """How signals come out of MuJoCo. A signal is its sensor, read along its `user` direction, from its value at rest.
+
+    Attributes:
+        names: of the S signals.
+        stage: mjtStage that the sensor of each needs, shape (S,).
+        linear: whether it is linear in (qpos, qvel), shape (S,). Such a signal can be read from the state before a step, where
+            evaluating its sensor would cost a seventh of the step.
+        of_state: signals from (qpos, qvel) where they are linear, shape (S, nq + nv).
+        of_sensors: signals from `sensordata`, shape (S, nsensordata).
+        of_road: their derivative in the road heights, shape (S, r). They are linear in those.
+        rest: what `of_sensors` gives at rest, shape (S,).
+        felt: whether an acceleration feels the road at once; then sensing it inside the step, road midway, is not enough.
+        mocap: mocap index of every wheel's road.
+    """
+
+    names: tuple[str, ...]
+    stage: Array
+    linear: Array
+    of_state: Array
+    of_sensors: Array
+    of_road: Array
+    rest: Array
+    felt: bool
+    mocap: list[int]
+
+
+@functools.lru_cache(maxsize=16)
+def prepared(vehicle: Vehicle, timestep: float) -> tuple[mujoco.MjModel, Readout]:
+    """Model and readout of a vehicle. A search runs one vehicle hundreds of times; `Batch` copies the model."""
+    model = build_model(vehicle, timestep)
+    return model, _readout(vehicle, model)
+
+
+def _readout(vehicle: Vehicle, model: mujoco.MjModel) -> Readout:
+    data = mujoco.MjData(model)
+    mocap = mocap_indices(vehicle, model)
+    names = vehicle.linear_model.outputs
+    stage = np.zeros(len(names), dtype=int)
+    of_sensors = np.zeros((len(names), model.nsensordata))
+    for i, name in enumerate(names):
+        for part, factor in vehicle.kind.combined.get(name, {name: 1.0}).items():
+            sensor = model.sensor(part)
+            start, dim = int(sensor.adr[0]), int(sensor.dim[0])
+            of_sensors[i, start : start + dim] = factor * sensor.user[:dim]
+            stage[i] = max(stage[i], int(sensor.needstage[0]))
+
+    def read(motion: Array, heights: Array) -> Array:
+        mujoco.mj_resetData(model, data)
+        data.qpos[:], data.qvel[:] = motion[: model.nq], motion[model.nq :]
+        data.mocap_pos[mocap, 2] = heights
+        mujoco.mj_forward(model, data)
+        return of_sensors @ data.sensordata
+
+    # qpos = 0 is the static equilibrium of every MJCF here.
+    still, flat = np.zeros(model.nq + model.nv), np.zeros(len(mocap))
+    rest = np.round(read(still, flat), 12)  # in SI; an acceleration's rounding would differ with the masses
+    small = 0.1  # of a metre, a radian: a tyre's length is linear only while its road stays below the hub
+    of_road = np.stack([read(still, height) - rest for height in small * np.eye(len(flat))], axis=-1) / small
+    of_state = np.stack([read(move, flat) - rest for move in small * np.eye(len(still))], axis=-1) / small
+
+    late = stage > int(mujoco.mjtStage.mjSTAGE_VEL)
+    felt = bool(np.any(np.abs(of_road[late]) > 1e-9 * (1 + np.abs(rest[late, None]))))
+    linear = ~late
+    rng = np.random.default_rng(0)
+    for _ in range(3):  # linear, if a few states far from the axes say so
+        move, height = rng.uniform(-0.1, 0.1, len(still)), rng.uniform(-0.1, 0.1, len(flat))
+        linear &= np.abs(read(move, height) - rest - of_state @ move - of_road @ height) < 1e-12
+    return Readout(names, stage, linear, of_state, of_sensors, np.where(late[:, None], 0.0, of_road), rest, felt, mocap)
+
+
+def gain_on(signals: Sequence[str], vehicle: Vehicle, controller: Controller) -> Array:
+    """The controller's gain on all of these signals, shape (m, S): zero on what it does not measure."""
+    gain = np.zeros((len(vehicle.linear_model.inputs), len(signals)))
+    gain[:, [signals.index(name) for name in controller.measured]] = controller.gain
+    return gain
+
+
+def known(gain: Array, road: Array, readout: Readout) -> Array:
+    """What is known beforehand of the forces, shape (T, N, m): the gain (N, m, S) on what a reading has not seen of the road.
+
+    A sensor's reading has its value at rest in it besides; that of the state has none.
+    """
+    known = np.zeros((*road.shape[:2], gain.shape[1]))
+    for m, s in np.argwhere(gain.any(axis=0)).tolist():
+        unseen = np.full(road.shape[:2], 0.0 if readout.linear[s] else -readout.rest[s])
+        for r in np.flatnonzero(readout.of_road[s]):
+            unseen += readout.of_road[s, r] * road[..., r]
+        known[..., m] += gain[:, m, s] * unseen
+    return known
+
+
+def unseen(road: Array, readout: Readout, linear: bool) -> Array:
+    """The same for the signals themselves, shape (T, N, S): of those that are read from the state, or those from sensors."""
+    unseen = np.zeros((*road.shape[:2], len(readout.names)))
+    for s in np.flatnonzero(readout.linear == linear):
+        unseen[..., s] = 0.0 if linear else -readout.rest[s]
+        for r in np.flatnonzero(readout.of_road[s]):
+            unseen[..., s] += readout.of_road[s, r] * road[..., r]
+    return unseen
+
+
+def mix(matrix: Array, parts: Array, total: Array) -> None:
+    """Adds sums of parts, shape (B, k, N), to totals, shape (B, S, N), by a matrix of shape (S, k), one by one."""
+    for i, j in np.argwhere(matrix).tolist():
+        total[:, i] += parts[:, j] if matrix[i, j] == 1 else matrix[i, j] * parts[:, j]

@@ -1,0 +1,1 @@
+"""A run written down: MCAP, Foxglove, Rerun, their layouts and the viewer."""

@@ -1,0 +1,66 @@
+"""What a log must and may hold, beside its channels: the number of its format, and the keys of every command's result.
+
+Together with what writes a log (`records` and `channels` of `mcap_writer.py`, and `provenance.py`) this is the format.
+`sim.inspect` writes a log anew by the same functions, and holds it to that: what is missing, extra or another shows by
+construction.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+from models.common.errors import InputError
+from sim.inspect.log import Recorded
+
+FORMAT = 1
+SINCE = ("half_step",)  # claims of a run that came with the first format that has a number: no older log has them
+RESULTS: Mapping[str, tuple[str, ...]] = {  # of the commands that record, the keys of result.json
+    "bump": ("runs", "road", "timestep"),
+    "drive": ("runs", "road", "timestep", "measured_from", "definitions"),
+    "sweep": ("sweeps", "amplitude", "timestep", "speed"),
+    "margins": ("controller", "gain", "phase", "delay", "sample_period", "loops", "robustness", "loop"),
+    "envelope": (
+        "controller",
+        "axes",
+        "threshold",
+        "agreement",
+        "unexplained",
+        "done",
+        "complete",
+        "cells",
+        "csv",
+        "picture",
+    ),
+}
+WHOLE = ("bump", "drive")  # whose log holds every run that the result is of, so that all of it is computed again
+
+
+def check_keys(command: str, result: Mapping[str, Any]) -> None:
+    """Whether a result is one of its command.
+
+    Raises:
+        InputError: a key is missing or unknown, or there is no such command.
+    """
+    if command not in RESULTS:
+        raise InputError("it is of no command that records")
+    absent = [key for key in RESULTS[command] if key not in result]
+    extra = [key for key in result if key not in RESULTS[command]]
+    if absent or extra:
+        what = f"lacks {absent[0]}" if absent else f"has {extra[0][:40]!r}, which is none of it"
+        raise InputError(f"the result of sim.{command} {what}")
+
+
+def is_current(log: Recorded) -> bool:
+    """Whether a log is of this format; False for one that is older than formats are numbered.
+
+    Raises:
+        InputError: it is of another, or of none and yet younger.
+    """
+    number = log.metadata.get("format")
+    if number is not None and number != str(FORMAT):
+        raise InputError(
+            f"the log is of format {number[:20]!r}, and this version reads {FORMAT} and older; take the one that wrote it"
+        )
+    younger = [key for run in log.runs for key in SINCE if key in run.claims]
+    if number is None and younger:
+        raise InputError(f"the log is of no format, and claims {younger[0]}, which no log before formats does")
+    return number is not None

@@ -1,0 +1,187 @@
+"""A layout for Foxglove and Lichtblick that opens a log: the car in 3D, MuJoCo over linear for every signal, the differences.
+
+Both import it as "Import from file..." in their list of layouts. Format: a panel's settings by `TYPE!NAME`, and a tree of
+rows and columns; https://docs.foxglove.dev/docs/visualization/layouts.
+"""
+
+import json
+import re
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from models.signals import Signal
+from sim.figures.figure import styles, tint
+from sim.recording.foxglove_scene import WORLD, frame
+from sim.recording.mcap_writer import topic
+from sim.recording.run_log import RunLog
+from sim.recording.signal_groups import PALETTE, RESPONSES, groups, shown, signals_of
+from sim.response.difference import difference
+
+
+def foxglove_layout(runs: Sequence[RunLog]) -> str:
+    """The layout of a log's MCAP file, as JSON. Several runs: all of them first, then a tab each."""
+    panels: dict[str, Any] = {}
+    pages = [(run.name, _page(panels, runs, run)) for run in runs]
+    root = pages[0][1]
+    if len(runs) > 1:
+        pages.insert(0, ("all", _comparison(panels, runs)))
+        root = "Tab!runs"
+        panels[root] = _tabs(pages)
+    layout = {"configById": panels, "globalVariables": {}, "userNodes": {}, "playbackConfig": {"speed": 0.2}, "layout": root}
+    return json.dumps(layout, indent=1)
+
+
+def _page(panels: dict[str, Any], runs: Sequence[RunLog], run: RunLog) -> Any:
+    """One run: the car and what happened on the left, every signal's responses and the differences on the right."""
+    color = styles(tuple(other.name for other in runs))[run.name][0]
+    car, log = f"3D!{_id(run.name)}", f"RosOut!{_id(run.name)}"
+    panels[car] = _scene(runs, [run])
+    panels[log] = {"searchTerms": [], "minLogLevel": 1, "topicToRender": topic(runs, run, "events")}
+    pages = []
+    for group, signals in groups(signals_of([run])).items():
+        plots = []
+        for signal in signals:
+            paths = [
+                _path(topic(runs, run, name), signal.name, label, tint(color, white), width)
+                for name, (label, white, width) in RESPONSES.items()
+                if name in run.responses and signal.name in run.responses[name].names
+            ]
+            plots.append(_plot(panels, f"{run.name} {signal.name}", _title(signal), paths))
+        gaps = _difference(panels, runs, run, group, signals)
+        pages.append((group, _stack("column", [_grid(plots, 2 if len(plots) <= 8 else 3), *gaps], [4.0, 1.0])))
+    return _stack("row", [_stack("column", [car, log], [3.0, 1.0]), _paged(panels, run.name, pages)], [2.0, 3.0])
+
+
+def _difference(panels: dict[str, Any], runs: Sequence[RunLog], run: RunLog, group: str, signals: Sequence[Signal]) -> list[str]:
+    """A plot of MuJoCo minus linear, where there are both."""
+    if not {"mujoco", "linear"} <= set(run.responses):
+        return []
+    made = difference(run.responses["mujoco"], run.responses["linear"]).names
+    names = [signal.name for signal in signals if signal.name in made]
+    paths = [
+        _path(topic(runs, run, "difference"), name, name.replace("_", " "), PALETTE[i % len(PALETTE)], 1.5)
+        for i, name in enumerate(names)
+    ]
+    title = "difference: MuJoCo - linear, of each signal's peak"
+    return [_plot(panels, f"{run.name} difference {group}", title, paths)] if names else []
+
+
+def _comparison(panels: dict[str, Any], runs: Sequence[RunLog]) -> Any:
+    """All cars in a row above every signal of all of them."""
+    panels["3D!all"] = _scene(runs, runs)
+    colours = styles(tuple(run.name for run in runs))
+    pages = []
+    for group, signals in groups(signals_of(runs)).items():
+        plots = []
+        for signal in signals:
+            paths = [
+                _path(topic(runs, run, shown(run)), signal.name, run.name, colours[run.name][0], 1.5)
+                for run in runs
+                if signal.name in run.responses[shown(run)].names
+            ]
+            plots.append(_plot(panels, f"all {signal.name}", _title(signal), paths))
+        pages.append((group, _grid(plots, 4)))
+    return _stack("column", ["3D!all", _paged(panels, "all", pages)], [2.0, 3.0])
+
+
+def _scene(runs: Sequence[RunLog], seen: Sequence[RunLog]) -> dict[str, Any]:
+    """A 3D panel from the left-hand side, a bit in front and above; one run alone is followed where it stands."""
+    low, high = np.array([run.scene.finite().extent() for run in seen]).swapaxes(0, 1)
+    size = (high - low).max(axis=0)
+    length = 1.15 * size[0] * len(seen)
+    middle = ((low + high) / 2).mean(axis=0)
+    visible = {topic(runs, run, name): {"visible": run in seen} for run in runs for name in ("transforms", "shapes", "scene")}
+    return {
+        "cameraState": {
+            "distance": float(1.1 * max(length, 2 * size[2])),
+            "perspective": True,
+            "phi": 75,  # degrees, from straight above
+            "thetaOffset": 204,  # degrees, to the left from behind
+            "fovy": 45,
+            "near": 0.1,
+            "far": 500,
+            "target": [0, 0, 0],
+            "targetOffset": [float((length - 1.15 * size[0]) / 2 + middle[0]), float(middle[1]), float(middle[2])],
+            "targetOrientation": [0, 0, 0, 1],
+        },
+        "followMode": "follow-pose",
+        "followTf": frame(seen[0]) if len(seen) == 1 else WORLD,
+        "scene": {"backgroundColor": "#ced6e0", "transforms": {"showLabel": False, "axisScale": 0}},
+        "transforms": {},
+        "topics": visible,
+        "layers": {},
+    }
+
+
+def _plot(panels: dict[str, Any], name: str, title: str, paths: list[dict[str, Any]]) -> str:
+    """Adds a plot over the time since the start; returns its id. All of them zoom together."""
+    panel = f"Plot!{_id(name)}"
+    panels[panel] = {
+        "title": title,
+        "paths": paths,
+        "xAxisVal": "timestamp",
+        "isSynced": True,
+        "showLegend": True,
+        "legendDisplay": "floating",
+        "showPlotValuesInLegend": False,
+        "showXAxisLabels": True,
+        "showYAxisLabels": True,
+        "sidebarDimension": 240,
+    }
+    return panel
+
+
+def _path(topic: str, field: str, label: str, color: str, width: float) -> dict[str, Any]:
+    """One curve: a field of a topic, whose name is quoted unless it is plain."""
+    plain = re.fullmatch(r"[A-Za-z0-9_/-]+", topic)
+    return {
+        "value": f"{topic if plain else json.dumps(topic, ensure_ascii=False)}.{field}",
+        "label": label,
+        "color": color,
+        "lineSize": width,
+        "showLine": True,
+        "enabled": True,
+        "timestampMethod": "receiveTime",
+    }
+
+
+def _title(signal: Signal) -> str:
+    return f"{signal.name.replace('_', ' ')}   {signal.symbol} [{signal.unit}]"
+
+
+def _paged(panels: dict[str, Any], name: str, pages: list[tuple[str, Any]]) -> Any:
+    """One page as it is, several as tabs."""
+    if len(pages) == 1:
+        return pages[0][1]
+    panel = f"Tab!{_id(name)}"
+    panels[panel] = _tabs(pages)
+    return panel
+
+
+def _tabs(pages: list[tuple[str, Any]]) -> dict[str, Any]:
+    return {"activeTabIdx": 0, "tabs": [{"title": title, "layout": layout} for title, layout in pages]}
+
+
+def _grid(panels: list[str], columns: int) -> Any:
+    rows = [_stack("row", panels[start : start + columns]) for start in range(0, len(panels), columns)]
+    return _stack("column", rows)
+
+
+def _stack(direction: str, parts: Sequence[Any], shares: Sequence[float] = ()) -> Any:
+    """Parts beside or below each other, as the tree of halves that both viewers have."""
+    shares = [*shares, *[1.0] * len(parts)][: len(parts)]
+    if len(parts) == 1:
+        return parts[0]
+    return {
+        "direction": direction,
+        "first": parts[0],
+        "second": _stack(direction, parts[1:], shares[1:]),
+        "splitPercentage": 100 * shares[0] / sum(shares),
+    }
+
+
+def _id(name: str) -> str:
+    """A name as a panel's id may have it: distinct names stay distinct."""
+    return re.sub(r"[^A-Za-z0-9]", lambda found: f"_{ord(found.group()):x}", name)

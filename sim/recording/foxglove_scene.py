@@ -1,0 +1,235 @@
+"""A run's scene and events in Foxglove's published messages, https://docs.foxglove.dev/docs/sdk/schemas.
+
+Players that jump to a time look up the last message of each topic. So `/shapes`, which is written once, has a topic of its own,
+and every message of `/scene` and `/transforms` is complete.
+"""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from foxglove_schemas_protobuf.ArrowPrimitive_pb2 import ArrowPrimitive
+from foxglove_schemas_protobuf.Color_pb2 import Color
+from foxglove_schemas_protobuf.CubePrimitive_pb2 import CubePrimitive
+from foxglove_schemas_protobuf.CylinderPrimitive_pb2 import CylinderPrimitive
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from foxglove_schemas_protobuf.Point3_pb2 import Point3
+from foxglove_schemas_protobuf.Pose_pb2 import Pose
+from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
+from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from foxglove_schemas_protobuf.SpherePrimitive_pb2 import SpherePrimitive
+from foxglove_schemas_protobuf.TextPrimitive_pb2 import TextPrimitive
+from foxglove_schemas_protobuf.TriangleListPrimitive_pb2 import TriangleListPrimitive
+from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
+from google.protobuf.duration_pb2 import Duration
+from google.protobuf.message import DecodeError, Message
+from google.protobuf.timestamp_pb2 import Timestamp
+
+from models.common.arrays import Array
+from sim.recording.appearance import BESIDE, FORCE, LIFTED, LINES, LONGEST, strut_lines, tyre_surface
+from sim.recording.run_log import RunLog
+from sim.recording.scene import Scene, Shape
+
+WORLD = "world"
+NEAR = 1e-5  # m; how far another machine may draw something from here
+GRID = 2.0**-12  # m, a quarter of a millimetre: what moves in the scene is drawn to it, and so takes a third of the room
+
+Messages = Iterator[Any]
+
+
+def frame(run: RunLog, body: str = "") -> str:
+    """The coordinate frame of a run's body, or of the run itself: where its car stands."""
+    return f"{run.name}/{body}" if body else run.name
+
+
+def events(run: RunLog, times: list[int]) -> Messages:
+    """What happened, at these times [ns]."""
+    for time, (_, text) in zip(times, run.events, strict=True):
+        yield Log(timestamp=_stamp(time), level=Log.INFO, message=text, name=run.name)
+
+
+def transforms(run: RunLog, times: list[int], stand: Array) -> Messages:
+    """Where every body is, and the car as a whole.
+
+    Args:
+        run: its frames are finite.
+        times: of its frames [ns].
+        stand: where its car stands in the world [m], shape (3,).
+    """
+    own = FrameTransform(
+        parent_frame_id=WORLD,
+        child_frame_id=frame(run),
+        translation=_vector(stand),
+        rotation=_quaternion(UNTURNED),
+    )
+    for index, time in enumerate(times):
+        stamp = _stamp(time)
+        own.timestamp.CopyFrom(stamp)
+        moved = [
+            FrameTransform(
+                timestamp=stamp,
+                parent_frame_id=frame(run),
+                child_frame_id=frame(run, body),
+                translation=_vector(motion.positions[index]),
+                rotation=_quaternion(motion.quaternions[index]),
+            )
+            for body, motion in run.scene.bodies.items()
+        ]
+        yield FrameTransforms(transforms=[own, *moved])
+
+
+def shapes(run: RunLog, time: int, color: tuple[int, int, int]) -> Messages:
+    """The solids, each fixed to its body, and the run's name above the car in its colour."""
+    entities = []
+    for body in run.scene.bodies:
+        entity = _entity(time, frame(run, body), body)
+        for shape in run.scene.shapes:
+            if shape.body == body:
+                _add_solid(entity, shape)
+        entities.append(entity)
+    low, high = run.scene.extent()
+    pose = _pose(np.array([*(low + high)[:2] / 2, high[2] + 0.2]))
+    label = TextPrimitive(pose=pose, billboard=True, font_size=0.15, color=_color(color), text=run.name)
+    entities.append(_entity(time, frame(run), "name", texts=[label]))
+    yield SceneUpdate(entities=entities)
+
+
+def moving(run: RunLog, times: list[int], largest: float) -> Messages:
+    """What changes its shape: struts, tyres, and the control forces, of which `largest` [N] has the longest arrow."""
+    scene = run.scene
+    struts = [[_drawn(line) for line in strut_lines(ends)] for ends in scene.springs.values()]
+    tyres = [(tyre, *tyre_surface(tyre)) for tyre in scene.tyres]
+    for index, time in enumerate(times):
+        lines = [
+            LinePrimitive(
+                type=LinePrimitive.LINE_STRIP,
+                pose=_pose(),
+                thickness=2 * radius,
+                points=_points(line[index]),
+                color=_color(colour),
+            )
+            for strut in struts
+            for line, (radius, colour) in zip(strut, LINES, strict=True)
+        ]
+        arrows = list(_arrows(scene, index, largest))
+        entities = [_entity(time, frame(run), "struts", lines=lines), _entity(time, frame(run), "forces", arrows=arrows)]
+        for tyre, vertices, triangles in tyres:
+            surface = TriangleListPrimitive(
+                pose=_pose(),
+                points=_points(_drawn(vertices[index])),
+                indices=triangles.ravel().tolist(),
+                color=_color(LIFTED) if tyre.lifted[index] else _color(255 * tyre.rgba[:3]),
+            )
+            entities.append(_entity(time, frame(run, tyre.body), tyre.name, triangles=[surface]))
+        yield SceneUpdate(entities=entities)
+
+
+def alike(kind: type, first: bytes, second: bytes) -> bool:
+    """Whether two messages show the same. Numbers may differ by `NEAR`, or by one step of the grid if they lie on it."""
+    try:
+        now, said = (kind.FromString(data) for data in (first, second))  # pyright: ignore[reportAttributeAccessIssue] - generated
+    except DecodeError:
+        return False
+    said.DiscardUnknownFields()
+    return said.SerializeToString() == second and _alike(now, said)  # nothing stands in it twice, or beside what is known
+
+
+def _alike(first: Any, second: Any) -> bool:
+    """The same of whatever a message holds."""
+    if isinstance(first, float):
+        far = abs(first - second)
+        return far <= NEAR or (far <= GRID and first % GRID == second % GRID == 0)
+    if isinstance(first, Message):
+        if isinstance(first, Timestamp):
+            return first == second
+        pairs = [(getattr(first, one.name), getattr(second, one.name)) for one in first.DESCRIPTOR.fields]
+        return all(_alike(a, b) for a, b in pairs)
+    if isinstance(first, (str, bytes, int)):
+        return first == second
+    return len(first) == len(second) and all(_alike(a, b) for a, b in zip(first, second, strict=True))
+
+
+def _entity(time: int, frame_id: str, name: str, **primitives: Any) -> SceneEntity:
+    """Something that moves with its frame and stays until another one of its name replaces it."""
+    stamp, forever = _stamp(time), Duration()
+    return SceneEntity(timestamp=stamp, frame_id=frame_id, id=name, lifetime=forever, frame_locked=True, **primitives)
+
+
+def _arrows(scene: Scene, index: int, largest: float) -> Iterator[ArrowPrimitive]:
+    """What pushes on the body, beside each strut. A force too small for an arrow has none."""
+    for name, force in scene.forces.items():
+        bottom, top = scene.springs[name][index]
+        length = LONGEST * float(force[index]) / (largest or 1.0)
+        if abs(length) < 1e-3:
+            continue
+        direction = np.copysign(1.0, length) * (top - bottom) / np.linalg.norm(top - bottom)
+        # From +x to the direction: half of the turn is the mean of the two.
+        turn = np.array([1.0 + direction[0], 0.0, -direction[2], direction[1]])
+        yield ArrowPrimitive(
+            pose=_pose((bottom + top) / 2 + BESIDE, turn / np.linalg.norm(turn)),
+            shaft_length=0.7 * abs(length),
+            shaft_diameter=0.03,
+            head_length=0.3 * abs(length),
+            head_diameter=0.07,
+            color=_color(FORCE),
+        )
+
+
+def _add_solid(entity: SceneEntity, shape: Shape) -> None:
+    pose, color = _pose(shape.position, shape.quaternion), _color(255 * shape.rgba[:3], float(shape.rgba[3]))
+    if shape.form == "box":
+        entity.cubes.append(CubePrimitive(pose=pose, size=_vector(2 * shape.half_size), color=color))
+        return
+    radius, half_length, _ = shape.half_size
+    ball = _vector(np.full(3, 2 * radius))
+    if shape.form == "sphere":
+        entity.spheres.append(SpherePrimitive(pose=pose, size=ball, color=color))
+        return
+    size = _vector(2 * np.array([radius, radius, half_length]))
+    entity.cylinders.append(CylinderPrimitive(pose=pose, size=size, bottom_scale=1.0, top_scale=1.0, color=color))
+    if shape.form == "capsule":
+        for end in (-1, 1):
+            tip = shape.position + end * half_length * shape.rotation[:, 2]
+            entity.spheres.append(SpherePrimitive(pose=_pose(tip), size=ball, color=color))
+
+
+def _drawn(points: Array) -> Array:
+    """Points to the nearest `GRID`."""
+    return np.round(points / GRID) * GRID
+
+
+def _points(points: Array) -> list[Point3]:
+    return [Point3(x=x, y=y, z=z) for x, y, z in points.tolist()]
+
+
+def _stamp(time: int) -> Timestamp:
+    seconds, nanos = divmod(time, 10**9)
+    return Timestamp(seconds=seconds, nanos=nanos)
+
+
+def _vector(vector: Array) -> Vector3:
+    x, y, z = vector.tolist()
+    return Vector3(x=x, y=y, z=z)
+
+
+def _quaternion(quaternion: Array) -> Quaternion:
+    w, x, y, z = quaternion.tolist()
+    return Quaternion(x=x, y=y, z=z, w=w)
+
+
+UNTURNED = np.array([1.0, 0.0, 0.0, 0.0])
+ORIGIN = np.zeros(3)
+
+
+def _pose(position: Array = ORIGIN, quaternion: Array = UNTURNED) -> Pose:
+    return Pose(position=_vector(position), orientation=_quaternion(quaternion))
+
+
+def _color(rgb: Array | tuple[int, int, int], alpha: float = 1.0) -> Color:
+    """A colour whose parts go from 0 to 255."""
+    r, g, b = (float(part) / 255 for part in rgb)
+    return Color(r=r, g=g, b=b, a=alpha)

@@ -1,0 +1,153 @@
+"""Where a log comes from: versions, command line, vehicle file, MJCF."""
+
+import datetime
+import hashlib
+import json
+import math
+import platform
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from models.mjcf import mjcf_text
+from models.vehicle import Vehicle
+from sim.recording.drawing import draw
+from sim.recording.format import FORMAT, check_keys
+from sim.recording.run_log import RunLog
+from sim.roads.profile import Profile
+from sim.roads.road import Road
+from sim.runs.run import Run
+from sim.runs.words import controller_object, energy_object, events, half_step_object, summary
+from synth.certificate.record import to_record
+
+PACKAGES = ("roadproof", "mujoco", "numpy", "scipy", "mcap", "protobuf", "foxglove-schemas-protobuf", "rerun-sdk")
+
+
+def versions() -> dict[str, str]:
+    """Version of everything that the numbers depend on."""
+    found = {"python": platform.python_version()}
+    for package in PACKAGES:
+        try:
+            found[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:  # run from a checkout that was never installed
+            found[package] = "not installed"
+    return found
+
+
+def stem(command: str, vehicle: Vehicle, controllers: Sequence[str]) -> str:
+    """Name of a log: what was run, and when (UTC)."""
+    now = datetime.datetime.now(datetime.UTC).strftime("%Y%m%dT%H%M%SZ")
+    which = "_".join(controllers) if len(controllers) <= 3 else f"{len(controllers)}_controllers"
+    return f"{command}-{vehicle.kind.name}-{which}-{now}"
+
+
+def common_metadata(command_line: str, vehicle: Vehicle, timestep: float) -> dict[str, str]:
+    """What all runs of a log share.
+
+    Args:
+        command_line: `python -m sim.COMMAND ...`, which does the same again.
+        vehicle: as it was read.
+        timestep: [s].
+    """
+    return {
+        "format": str(FORMAT),
+        "command": command_of(command_line),
+        "command_line": command_line,
+        "vehicle": vehicle.source,
+        "vehicle_type": vehicle.kind.name,
+        "timestep": repr(timestep),
+        "versions": json.dumps(versions()),
+    }
+
+
+def command_of(command_line: str) -> str:
+    """The name of the command of a line `python -m sim.NAME ...`; empty where it is none."""
+    found = re.match(r"python -m sim\.(\w+)( |$)", command_line)
+    return found[1] if found else ""
+
+
+def attachments(vehicle: Vehicle, timestep: float, result: Mapping[str, Any]) -> dict[str, tuple[str, bytes]]:
+    """The vehicle file, the exact MJCF, and the result as `--json` prints it."""
+    return {
+        "vehicle.toml": ("application/toml", vehicle.text.encode()),
+        "model.xml": ("application/xml", mjcf_text(vehicle, timestep).encode()),
+        "result.json": ("application/json", json.dumps(result, allow_nan=False).encode()),
+    }
+
+
+def record_runs(
+    folder: Path,
+    command_line: str,
+    vehicle: Vehicle,
+    controllers: Sequence[str],
+    runs: Sequence[RunLog],
+    result: Mapping[str, Any],
+) -> dict[str, str]:
+    """Records what a command has run, as `sim.recording.files.record` does.
+
+    Args:
+        folder: where to.
+        command_line: see `common_metadata`.
+        vehicle: as it was read.
+        controllers: names of those that were run.
+        runs: see `run_log`.
+        result: as `--json` prints it.
+
+    Returns:
+        The files' paths: `mcap` and `rerun`.
+
+    Raises:
+        InputError: the folder cannot be written, or the result is none of the command's (`sim.recording.format`).
+    """
+    from sim.recording.files import record  # it imports Rerun
+
+    check_keys(command_of(command_line), result)
+    time = runs[0].responses["mujoco"].time
+    timestep = float(time[1] - time[0])
+    paths = record(
+        folder,
+        stem(command_of(command_line), vehicle, controllers),
+        runs,
+        common_metadata(command_line, vehicle, timestep),
+        attachments(vehicle, timestep, result) | {name: file for run in runs for name, file in run.files.items()},
+    )
+    return {name: str(path) for name, path in paths.items()}
+
+
+def run_log(vehicle: Vehicle, road: Road, run: Run, name: str | None = None) -> RunLog:
+    """One run as it is written down; it is called like its controller unless it has a name of its own."""
+    certificate, agreement = run.controller.certificate, run.agreement
+    files = {}
+    if isinstance(road, Profile):  # its numbers alone do not make it again
+        points = road.to_csv().encode()
+        files[f"road-{hashlib.sha256(points).hexdigest()[:16]}.csv"] = ("text/csv", points)
+    claims = {
+        **controller_object(run.controller),
+        "samples": len(run.physics.time),
+        "road": road.describe(),
+        "limits": asdict(vehicle.limits),
+        "implementation": asdict(vehicle.implementation),
+        "designed": run.controller.designed,
+        "stable": certificate.stable,
+        "poles": [[float(pole.real), float(pole.imag)] for pole in certificate.poles],
+        "certificate": to_record(certificate),
+        "agrees": agreement.agrees,
+        "energy": energy_object(run.energy) if run.energy is not None else None,
+        "half_step": half_step_object(run),
+        "lift_off": [list(interval) for interval in agreement.lift_off],
+        "errors": {name: signal.sampled if math.isfinite(signal.sampled) else None for name, signal in agreement.signals.items()},
+    }
+    for file in files:
+        claims["road_file"] = file
+    return RunLog(
+        name=name or run.controller.name,
+        responses={"mujoco": run.physics, "linear": run.sampled, "continuous": run.continuous},
+        metadata={key: value if isinstance(value, str) else json.dumps(value) for key, value in claims.items()},
+        events=events(run),
+        summary=summary(vehicle, run),
+        scene=draw(vehicle, road, run.physics, run.qpos),
+        files=files,
+    )

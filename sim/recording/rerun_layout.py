@@ -1,0 +1,167 @@
+"""What a Rerun file opens on: the car, the verdict and what happened beside every signal, or all controllers side by side."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from models.common.arrays import Array
+from models.signals import Signal
+from sim.recording.rerun_signals import TIMELINE, colours, entity, line
+from sim.recording.run_log import RunLog
+from sim.recording.signal_groups import groups, shown, signals_of
+from sim.response.difference import difference
+
+# Cameras look from the left-hand side, where the struts are seen, a bit in front and above: x is forward, z is up.
+SIGHT = np.array([-0.45, -1.0, -0.14])
+HALF_VIEW = np.tan(np.radians(55.0 / 2))  # Rerun's vertical field of view
+SKY = (206, 214, 224)  # black tyres are seen before it
+PAPER = (178, 183, 192)  # the report's colours are made for light paper; the time cursor is white
+CARS, TITLE = (1090, 326), 28  # room for cars side by side in a window of 1600 x 900, and height of a view's title [pixels]
+
+
+def layout(runs: Sequence[RunLog]) -> rrb.Blueprint:
+    """One run: its page. Several: all of them beside each other first, then a page each."""
+    pages = [_page(run) for run in runs]
+    root = pages[0] if len(pages) == 1 else rrb.Tabs(_comparison(runs), *pages, active_tab=0)
+    return rrb.Blueprint(
+        root,
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        # A bump is over in half a second: slowly, and again.
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="playing", loop_mode="All", playback_speed=0.25),
+        auto_views=False,
+    )
+
+
+def _page(run: RunLog) -> rrb.Container:
+    """The car, what is proved of it and what happened on the left; every signal's responses and differences on the right."""
+    texts = rrb.Tabs(
+        rrb.TextDocumentView(origin=entity(run.name, "summary"), name="certificate and verdict"),
+        rrb.TextDocumentView(origin=entity("metadata"), name="metadata"),
+        active_tab=0,
+    )
+    left: list[Any] = [_car(run, 1.5), texts]
+    if run.events:
+        columns = rrb.archetypes.TextLogColumns(timeline_columns=[], text_log_columns=["Body"])
+        left.append(rrb.TextLogView(origin=entity(run.name, "events"), name="what happened", columns=columns))
+    pages = []
+    for name, group in groups(signals_of([run])).items():
+        happened = dict.fromkeys(text for _, text in run.events)
+        plots = [
+            _plot(signal, [entity(run.name, "signals", signal.name, part) for part in (*run.responses, *happened)], {}, not i)
+            for i, signal in enumerate(group)
+        ]
+        grid = rrb.Grid(*plots, grid_columns=2 if len(plots) <= 8 else 3)
+        gap = rrb.TimeSeriesView(
+            origin=entity(run.name, "difference", name),
+            name=f"difference: MuJoCo - linear, of each signal's peak{_largest(run, group)}",
+            axis_x=rrb.TimeAxis(link="LinkToGlobal"),
+            plot_legend=rrb.PlotLegend(corner="RightTop"),
+            background=rrb.archetypes.PlotBackground(color=PAPER, show_grid=False),
+        )
+        pages.append(rrb.Vertical(grid, gap, row_shares=[4, 1], name=name))
+    return rrb.Horizontal(
+        rrb.Vertical(*left, row_shares=[5, 4, 2][: len(left)]),
+        pages[0] if len(pages) == 1 else rrb.Tabs(*pages, active_tab=0),
+        column_shares=[2, 3],
+        name=run.name,
+    )
+
+
+def _largest(run: RunLog, group: Sequence[Signal]) -> str:
+    """The largest of the differences, which the verdict is about."""
+    if not {"mujoco", "linear"} <= set(run.responses):
+        return ""
+    gap = difference(run.responses["mujoco"], run.responses["linear"])
+    peaks = {signal.name: float(gap.peak(signal.name)) for signal in group if signal.name in gap.names}
+    worst = max(peaks, key=lambda name: peaks[name], default="")
+    return f"; largest {peaks[worst]:.1e}, {worst.replace('_', ' ')}" if worst and np.isfinite(peaks[worst]) else ""
+
+
+def _comparison(runs: Sequence[RunLog]) -> rrb.Container:
+    """All cars side by side, what is proved of each, and every signal of all of them in one plot."""
+    columns = _columns(runs)
+    wide, tall = _room(len(runs), columns)
+    cars = rrb.Grid(*(_car(run, wide / tall) for run in runs), grid_columns=columns)
+    pages = []
+    for name, group in groups(signals_of(runs)).items():
+        plots = [_compared(signal, runs, not i) for i, signal in enumerate(group)]
+        pages.append(rrb.Grid(*plots, grid_columns=4, name=name))
+    plots = pages[0] if len(pages) == 1 else rrb.Tabs(*pages, active_tab=0)
+    certificates = rrb.TextDocumentView(origin=entity("certificates"), name="certificates")
+    return rrb.Vertical(rrb.Horizontal(cars, certificates, column_shares=[3, 1]), plots, row_shares=[4, 5], name="all")
+
+
+def _columns(runs: Sequence[RunLog]) -> int:
+    """In how many columns cars side by side are seen largest."""
+    low, high = np.array([run.scene.finite().extent() for run in runs]).swapaxes(0, 1)
+    length, _, height = (high - low).max(axis=0)
+
+    def size(columns: int) -> float:
+        wide, tall = _room(len(runs), columns)
+        return min(wide / length, tall / height)
+
+    return max(range(1, len(runs) + 1), key=size)
+
+
+def _room(count: int, columns: int) -> tuple[float, float]:
+    """Width and height of the view of each of several cars [pixels]."""
+    return CARS[0] / columns, CARS[1] / -(-count // columns) - TITLE
+
+
+def _compared(signal: Signal, runs: Sequence[RunLog], legend: bool) -> rrb.View:
+    """One signal of all runs, each in its colour."""
+    having = {
+        run.name: color for run, color in zip(runs, colours(runs), strict=True) if signal.name in run.responses[shown(run)].names
+    }
+    paths = {entity(run.name, "signals", signal.name, shown(run)): run.name for run in runs if run.name in having}
+    # In the order in which the viewer draws, thinner and thinner, so that one curve behind another is still seen.
+    lines = {path: line(paths[path], having[paths[path]], min(1.5 + rank, 5.0)) for rank, path in enumerate(sorted(paths)[::-1])}
+    happened = [
+        entity(run.name, "signals", signal.name, text) for run in runs for text in dict.fromkeys(t for _, t in run.events)
+    ]
+    # The plot with the legend goes without: there are as many markers as controllers.
+    return _plot(signal, [*paths, *([] if legend else happened)], lines, legend)
+
+
+def _plot(signal: Signal, paths: Sequence[str], lines: Mapping[Any, rr.SeriesLines], legend: bool) -> rrb.View:
+    """One signal; `lines` restyles the series by path. All plots zoom and pan together in time; one legend speaks for all."""
+    return rrb.TimeSeriesView(
+        origin="/",
+        contents=[f"+ {path}" for path in paths],
+        name=f"{signal.name.replace('_', ' ')}   {signal.symbol} [{signal.unit}]",
+        axis_x=rrb.TimeAxis(link="LinkToGlobal"),
+        plot_legend=rrb.PlotLegend(corner="RightTop", visible=legend),
+        background=rrb.archetypes.PlotBackground(color=PAPER, show_grid=False),
+        overrides=lines,
+    )
+
+
+def _car(run: RunLog, aspect: float) -> rrb.View:
+    """A run's car, seen whole by a view of this width by height."""
+    world = entity(run.name, "world")
+    low, high = run.scene.finite().extent()
+    return _scene_view(world, run.name, (low, high), aspect)
+
+
+def _scene_view(origin: str, name: str, box: tuple[Array, Array], aspect: float) -> rrb.View:
+    """A 3D view whose camera looks along `SIGHT` and sees the whole of a box [m]."""
+    sight = SIGHT / np.linalg.norm(SIGHT)
+    right = np.cross(sight, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    upward = np.cross(right, sight)
+
+    low, high = box
+    centre = (low + high) / 2
+    corners = np.stack(np.meshgrid(*np.stack([low, high], axis=1)), axis=-1).reshape(8, 3) - centre
+    wide, tall, deep = np.abs(corners @ right), np.abs(corners @ upward), corners @ sight
+    distance = 1.03 * np.max(np.maximum(wide / aspect, tall) / HALF_VIEW - deep)
+    return rrb.Spatial3DView(
+        origin=origin,
+        name=name,
+        background=rrb.Background(color=SKY),
+        eye_controls=rrb.EyeControls3D(position=centre - distance * sight, look_target=centre, eye_up=[0.0, 0.0, 1.0]),
+    )

@@ -1,0 +1,141 @@
+"""A run's signals in Rerun: curves, what happened marked on them, differences, and texts."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import rerun as rr
+
+from models.common.arrays import Array
+from sim.figures.figure import rgb, styles, tint
+from sim.recording.run_log import RunLog
+from sim.recording.signal_groups import PALETTE, RESPONSES, groups, shown, signals_of
+from sim.response.difference import difference
+
+TIMELINE = "time"
+
+ANY_RESPONSE = (0.3, 2.0)
+
+# What happens, by its text: (shape, colour that no curve has). Anything else is a cross.
+MARKERS = {
+    "lift-off": (rr.components.MarkerShape.Up, (255, 221, 0)),
+    "landing": (rr.components.MarkerShape.Down, (255, 255, 255)),
+    "bump stop": (rr.components.MarkerShape.Square, (255, 0, 200)),
+    "actuator saturated": (rr.components.MarkerShape.Diamond, (0, 220, 220)),
+}
+ANY_MARKER = (rr.components.MarkerShape.Cross, (20, 20, 20))
+
+
+def entity(*parts: str) -> str:
+    """An entity path; a name may hold any character."""
+    return "/" + rr.new_entity_path(list(parts))
+
+
+def time_index(time: Array) -> list[rr.TimeColumn]:
+    """Times [s] to the nearest nanosecond, as in the MCAP file; of seconds, Rerun would cut off the rest."""
+    return [rr.TimeColumn(TIMELINE, duration=np.round(time * 1e9).astype("timedelta64[ns]"))]
+
+
+def colours(runs: Sequence[RunLog]) -> list[str]:
+    """The report's colour of each run."""
+    return [color for color, _ in styles(tuple(run.name for run in runs)).values()]
+
+
+def line(label: str, color: str, width: float) -> rr.SeriesLines:
+    """A curve that keeps its peaks: Rerun's default averages over the samples of a pixel."""
+    return rr.SeriesLines(names=label, colors=rgb(color), widths=width, aggregation_policy="MinMax")
+
+
+def log_signals(recording: rr.RecordingStream, run: RunLog, color: str) -> None:
+    """Every response of a run, at `signals/<signal>/<response>`, in tints of its colour."""
+    for name, response in run.responses.items():
+        index = time_index(response.time)
+        label, white, width = RESPONSES.get(name, (name, *ANY_RESPONSE))
+        for signal in response.signals:
+            path = entity(run.name, "signals", signal.name, name)
+            recording.log(path, line(f"{label} [{signal.unit}]", tint(color, white), width), static=True)
+            recording.send_columns(path, index, rr.Scalars.columns(scalars=response[signal.name]))
+
+
+def log_difference(recording: rr.RecordingStream, run: RunLog) -> None:
+    """MuJoCo minus linear, of each signal's peak, at `difference/<group>`: one series for each signal of a group."""
+    if not {"mujoco", "linear"} <= set(run.responses):
+        return
+    gap = difference(run.responses["mujoco"], run.responses["linear"])
+    for name, group in groups(signals_of([run])).items():
+        names = [signal.name for signal in group if signal.name in gap.names]
+        if not names:
+            continue
+        path = entity(run.name, "difference", name)
+        looks = rr.SeriesLines(
+            names=[name.replace("_", " ") for name in names],
+            colors=[rgb(PALETTE[i % len(PALETTE)]) for i in range(len(names))],
+            widths=[1.5] * len(names),
+            aggregation_policy="MinMax",
+        )
+        recording.log(path, looks, static=True)
+        values = np.stack([gap[name] for name in names], axis=-1)
+        columns = rr.Scalars.columns(scalars=values.ravel()).partition([len(names)] * len(values))
+        recording.send_columns(path, time_index(gap.time), columns)
+
+
+def log_events(recording: rr.RecordingStream, run: RunLog) -> None:
+    """What happened: as text at `events`, and as markers on every curve of the physics, at `signals/<signal>/<what>`."""
+    if not run.events:
+        return
+    texts = [text for _, text in run.events]
+    index = time_index(np.array([time for time, _ in run.events]))
+    lines = [f"{time:.4g} s   {text}" for time, text in run.events]  # a narrow view cuts the column of times off
+    recording.send_columns(entity(run.name, "events"), index, rr.TextLog.columns(text=lines, level=["INFO"] * len(lines)))
+    response = run.responses[shown(run)]
+    for text in dict.fromkeys(texts):
+        shape, colour = MARKERS.get(text, ANY_MARKER)
+        times = np.array([time for time, what in run.events if what == text])
+        samples = np.clip(np.searchsorted(response.time, times), 0, len(response.time) - 1)
+        for signal in response.signals:
+            path = entity(run.name, "signals", signal.name, text)
+            recording.log(path, rr.SeriesPoints(names=text, colors=colour, markers=shape, marker_sizes=7.0), static=True)
+            recording.send_columns(path, time_index(times), rr.Scalars.columns(scalars=response[signal.name][samples]))
+
+
+def log_properties(recording: rr.RecordingStream, name: str, metadata: Mapping[str, str]) -> None:
+    """Metadata where programs look for it; people read it in the documents."""
+    if metadata:
+        recording.send_property(name, rr.AnyValues(drop_untyped_nones=True, **metadata))
+
+
+def log_text(recording: rr.RecordingStream, path: str, text: str) -> None:
+    """A page of Markdown."""
+    recording.log(path, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
+
+
+def listed(metadata: Mapping[str, str]) -> str:
+    """Metadata as Markdown: a table of what fits on a line, then the rest as it is."""
+    short = {key: value for key, value in metadata.items() if len(value) <= 80 and "\n" not in value}
+    rows = [f"| {key} | {_cell(value)} |" for key, value in short.items()]
+    table = ["| key | value |", "|---|---|", *rows] if rows else []
+    blocks = [f"\n**{key}**\n```\n{value}\n```" for key, value in metadata.items() if key not in short]
+    return "\n".join(table + blocks)
+
+
+def certificates(runs: Sequence[RunLog]) -> str:
+    """What is proved and found of every run, side by side, as Markdown."""
+    keys = {"bound": "bound", "norm": "norm", "stable": "stable", "agrees": "agrees"}
+    rows = ["| controller | " + " | ".join(keys.values()) + " | first |", "|---" * (len(keys) + 2) + "|"]
+    for run in runs:
+        claims = [_number(run.metadata.get(key, "-")) for key in keys]
+        first = f"{run.events[0][1]} {run.events[0][0]:.3g} s" if run.events else "-"
+        rows.append(f"| {_cell(run.name)} | {' | '.join(claims)} | {first} |")
+    return "\n".join(rows)
+
+
+def _number(text: str) -> str:
+    """A claim as people write it."""
+    words = {"true": "yes", "false": "NO", "null": "-"}
+    try:
+        return f"{float(text):.6g}"
+    except ValueError:
+        return words.get(text, _cell(text))
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", chr(92) + "|").replace("\n", " ")

@@ -1,0 +1,30 @@
+"""What is recorded of one run: everything a log needs, in plain data, so that the writers know no MuJoCo and no LMI."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from sim.recording.scene import Scene
+from sim.response.response import Response
+
+
+@dataclass(frozen=True, eq=False)
+class RunLog:
+    """One run, as it is written down.
+
+    Attributes:
+        name: the controller's name.
+        responses: by topic: `mujoco` (physics), `linear` (its exact sampled counterpart), `continuous` (the paper's closed loop).
+        metadata: what is claimed of the run, as text by key; JSON where a value has structure.
+        events: (time [s], text): lift-off and landing, divergence.
+        summary: design and verdict as Markdown.
+        scene: what it looks like.
+        files: attachments that its metadata names, (media type, content) by name: the points of a measured road.
+    """
+
+    name: str
+    responses: Mapping[str, Response]
+    metadata: Mapping[str, str]
+    events: tuple[tuple[float, str], ...]
+    summary: str
+    scene: Scene
+    files: Mapping[str, tuple[str, bytes]] = field(default_factory=dict)

@@ -1,0 +1,109 @@
+"""`python -m sim.report`: everything about a vehicle file and its controllers on one page that can be mailed."""
+
+import csv
+import datetime
+import json
+import shlex
+import sys
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
+
+from models.common.command import Parser, chosen, run_command
+from models.common.errors import InputError
+from models.common.whole_file import made_folder, together, whole_file
+from models.vehicle import read_vehicle
+from sim.command.outputs import check_outputs, written, written_lines
+from sim.command.progress import show
+from sim.figures.page import Page, check_page, write_page
+from sim.figures.picture import check_drawing, draw
+
+USUAL = ("passive", "state", "I", "II")
+
+EPILOG = """
+exit code: 0 the report is written, 2 bad input
+
+examples:
+  python -m sim.report --out report.html
+  python -m sim.report --vehicle my_car.toml --controller passive --controller mine --out mine.html --figures figures
+  python -m sim.report --quick --out quick.html
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command; returns its exit code.
+
+    Raises:
+        InputError: bad options, vehicle file or output file.
+    """
+    options = _parser().parse_args(arguments)
+    check_page()
+    vehicle = read_vehicle(options.vehicle)
+    usual = [name for name in USUAL if name in vehicle.controller_names]
+    names = chosen(vehicle.controller_names, options.controller, usual)
+    if options.out.suffix.lower() not in (".html", ".htm"):
+        raise InputError(f"report {options.out}: a report is HTML; give a name that ends in .html")
+    outputs = {"report": options.out, "figures": options.figures}
+    check_outputs(outputs, [vehicle.source], options.json)
+    if options.figures is not None:
+        check_drawing()
+    from sim.recording.provenance import versions
+    from sim.report.content import page, report_object
+    from sim.report.scope import Scope, check_scope
+    from synth.controller import Designer
+
+    check_scope(vehicle, options.timestep)
+
+    show("designs")
+    designer = Designer(vehicle)
+    controllers = tuple(designer.design(name) for name in names)
+    scope = Scope(vehicle, designer, controllers, options.timestep, options.quick, show)
+    about = {
+        "written": datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        "command": shlex.join(["python", *sys.orig_argv[1:]]),
+        "vehicle file": vehicle.source,
+        "versions": ", ".join(f"{name} {version}" for name, version in versions().items()),
+    }
+    result = page(scope, about)
+    show("the page")
+    with ExitStack() as stack:  # all of it, or nothing
+        if options.figures is not None:
+            stack.enter_context(made_folder(options.figures, "figures"))
+        stack.enter_context(together())
+        write_page(result, options.out)
+        if options.figures is not None:
+            _write_figures(result, options.figures)
+    show("")
+    if options.json:
+        print(json.dumps({**report_object(result), **written(outputs)}, allow_nan=False))
+    else:
+        print("\n".join([*result.answer, *written_lines(outputs)]))
+    return 0
+
+
+def _parser() -> Parser:
+    parser = Parser("sim.report", "Writes one HTML page about a vehicle file and its controllers.", EPILOG)
+    parser.add_what("default: passive, state, I and II")
+    parser.add_argument("--out", type=Path, default=Path("report.html"), metavar="FILE", help="the page (default: report.html)")
+    parser.add_argument("--figures", type=Path, metavar="DIR", help="also write every figure as SVG and PNG, every table as CSV")
+    parser.add_argument("--quick", action="store_true", help="without margins, map and ride: seconds instead of a minute")
+    parser.add_number("--timestep", 1e-3, "s", "integration step and sample period of the controller")
+    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    return parser
+
+
+def _write_figures(page: Page, folder: Path) -> None:
+    """Every figure as SVG and PNG, every table as CSV, each whole or not at all."""
+    for section in page.sections:
+        for figure in section.figures:
+            draw(figure, folder / f"{figure.name}.svg", folder / f"{figure.name}.png")
+        for table in section.tables:
+            with (
+                whole_file(folder / f"{table.name}.csv", "table") as beside,
+                beside.open("w", newline="", encoding="utf-8") as file,
+            ):
+                csv.writer(file).writerows([table.headings, *table.rows])
+
+
+if __name__ == "__main__":
+    run_command(main)

@@ -1,0 +1,174 @@
+"""The sections of a report that hold one road of MuJoCo against the analysis: the paper's bump, and agreement."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from sim.figures.figure import Curve, Figure, Marker, Panel, styles
+from sim.figures.page import Section, Table
+from sim.physics.energy import BALANCED
+from sim.report.scope import BUMP_DURATION, Scope, number
+from sim.roads.road import Bump
+from sim.runs.run import Run
+from sim.runs.words import verdict_lines
+
+POINTS = 60  # of MuJoCo in a time history
+
+
+@np.errstate(over="ignore")  # an unstable loop's squares overflow; what is infinite is -
+def bump_section(scope: Scope, runs: Sequence[Run], road: Bump) -> Section:
+    """The paper's Fig. 4, and the peaks in it."""
+    vehicle = scope.vehicle
+    signals = [name for name, weight in vehicle.performance.items() if weight > 0]
+    style = styles(tuple(run.controller.name for run in runs))
+    panels = []
+    for name in signals:
+        curves = []
+        for run in runs:
+            color, dash = style[run.controller.name]
+            if float(run.physics.peak(name)) < run.physics.scale(name):
+                continue  # no control force, or no roll on a road that is the same on both sides
+            every = max(1, len(run.physics.time) // POINTS)
+            thin = slice(None, None, max(1, every // 6))
+            line = run.continuous if scope.at_once else run.sampled
+            curves.append(Curve(line.time[thin], line[name][thin], run.controller.name, color, dash))
+            time, values = run.physics.time[::every], run.physics[name][::every]
+            markers: tuple[Marker, Marker] = ("o", "x")
+            for marker, some in zip(markers, (time < run.agreement.until, time >= run.agreement.until), strict=True):
+                if some.any():
+                    curves.append(Curve(time[some], values[some], "", color, "none", marker))
+        if not curves:
+            continue
+        if not panels:
+            none = np.zeros(0)
+            curves.append(Curve(none, none, "MuJoCo", "#666666", "none", "o"))
+            if any(run.agreement.until < math.inf for run in runs):
+                curves.append(Curve(none, none, "MuJoCo, once the linear regime has ended", "#666666", "none", "x"))
+        signal = vehicle.kind.signal(name)
+        unit = signal.unit.replace("s2", "s²")
+        panels.append(
+            Panel(f"{name.replace('_', ' ')}, {signal.symbol}", "time [s]", f"[{unit}]", tuple(curves), xlim=(0.0, BUMP_DURATION))
+        )
+    lines = f"the continuous loop{scope.lag}" if scope.at_once else f"the loop as it runs, {scope.as_it_runs}"
+    title = (
+        f"Response to the bump of {road.height:g} m height and {road.length:g} m length at {road.speed:g} m/s. "
+        f"Lines: linear analysis of {lines}.\nPoints: MuJoCo at {1e3 * scope.timestep:g} ms"
+    )
+    figure = Figure("bump", title, tuple(panels), columns=2 if len(signals) <= 4 else 3)
+    rows = []
+    for name in signals:
+        rows += [
+            (
+                name.replace("_", " "),
+                vehicle.kind.signal(name).unit,
+                run.controller.name,
+                f"{min(run.agreement.until, BUMP_DURATION):.4g}",
+                *(number(float(one.peak(name)), ".5g") for one in (run.physics, run.sampled, run.continuous)),
+                *(number(float(one.rms(name)), ".5g") for one in (run.physics, run.sampled, run.continuous)),
+            )
+            for run in runs
+        ]
+    headings = (
+        "signal",
+        "unit",
+        "controller",
+        "linear until [s]",
+        "peak, MuJoCo",
+        "peak, sampled",
+        "peak, continuous",
+        "rms, MuJoCo",
+        "rms, sampled",
+        "rms, continuous",
+    )
+    table = Table("bump", headings, tuple(rows), words=3)
+    about = (
+        f"Over {BUMP_DURATION:g} s from rest. 'Sampled' is the exact linear response of the loop as it runs, {scope.as_it_runs}; "
+        f"'continuous' is that of the continuous loop{scope.lag}. Neither knows an end of the linear regime"
+        f"{' or noise' if scope.blurred else ''}, so where that has ended before {BUMP_DURATION:g} s, MuJoCo's peaks are of "
+        "something else than theirs."
+    )
+    verdicts = tuple(f"{run.controller.name}: {line}." for run in runs for line in verdict_lines(run))
+    return Section("Over the paper's bump", (about, *verdicts), (table,), (figure,))
+
+
+def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -> Section:
+    """How far MuJoCo is from the analysis, and with which power of the step that shrinks."""
+    rows, kinds = [], set()
+    for run, fine in zip(runs, finer, strict=True):
+        geometry = any(signal.small is not None for signal in run.agreement.signals.values())
+        kinds.add("noise" if run.agreement.blurred else "geometry" if geometry else "exact")
+        for name, signal in run.agreement.signals.items():
+            half = fine.agreement.signals[name]
+            exact = not run.agreement.blurred and signal.small is None
+            # Of what does not go with the step there is no order: noise, geometry, a controller slower than the step.
+            rows.append(
+                (
+                    run.controller.name,
+                    name.replace("_", " "),
+                    f"{signal.sampled:.1e}",
+                    f"{signal.allowed:.1e}" if signal.small is None else "geometry",
+                    _order(signal.sampled, half.sampled) if exact else "-",
+                    f"{signal.continuous:.1e}",
+                    _order(signal.continuous, half.continuous) if exact and _settles(scope, run) else "-",
+                )
+            )
+    headings = ("controller", "signal", "to sampled", "allowed", "its order", "to continuous", "order of that")
+    h = 1e3 * scope.timestep
+    text = [
+        f"Largest difference over time as a share of the signal's peak, at a timestep of {h:g} ms, for as long as the comparison "
+        f"applies; and the power of the step with which it shrinks, from {h:g} to {h / 2:g} ms."
+    ]
+    if "exact" in kinds:
+        text.append(
+            "MuJoCo is the exact sampled response to within its integrator's error, order 4. Below 1e-9 there is only rounding, "
+            "which has no order."
+        )
+    if "noise" in kinds:
+        text.append(
+            "Controllers that measure with noise, or in steps, make MuJoCo another run at every step: it is held to six of the "
+            "standard deviations that the noise is predicted to make, and the difference has no order."
+        )
+    if "geometry" in kinds:
+        text.append(
+            "Bodies that turn are not linear: what that makes does not shrink with the step but with the height of the bump, and "
+            "so it was tried, at a hundredth of it."
+        )
+    if scope.at_once:
+        text.append(
+            "The sampled response tends to the continuous one with order 1, because the force is held over a step; without a "
+            "force with order 2, because the road is."
+        )
+    else:
+        text.append(
+            f"The sampled response does not tend to the continuous one: it has {', '.join(scope.vehicle.implementation.words)}, "
+            "whatever the step."
+        )
+    text.append(
+        "Energy is a check without analysis: what road and actuators put into a run is found again, stored or taken by the "
+        f"dampers. What is left over is a share of what was turned over, and of that {BALANCED:.0e} is allowed."
+    )
+    tables = (Table("agreement", headings, tuple(rows), words=2), _energy(runs))
+    return Section("Physics against analysis", tuple(text), tables)
+
+
+def _energy(runs: Sequence[Run]) -> Table:
+    """Where the energy of every run came from and went to."""
+    rows = []
+    for run in runs:
+        if run.energy is not None:
+            found = run.energy
+            works = (found.road, found.actuators, found.stored, found.dissipated, found.turnover)
+            rows.append((run.controller.name, *(f"{work:.5g}" for work in works), f"{found.residual:.1e}"))
+    headings = ("controller", "road [J]", "actuators [J]", "stored [J]", "dissipated [J]", "turned over [J]", "left over")
+    return Table("energy", headings, tuple(rows))
+
+
+def _settles(scope: Scope, run: Run) -> bool:
+    """Whether a run's sampled response tends to the continuous one with the step."""
+    return scope.at_once or not np.any(run.controller.gain)
+
+
+def _order(coarse: float, fine: float) -> str:
+    """Power of the step with which an error shrinks; - where it is rounding."""
+    return f"{math.log2(coarse / fine):.2f}" if fine > 1e-9 and coarse > 1e-9 else "-"

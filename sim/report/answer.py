@@ -1,0 +1,176 @@
+"""What a report answers at its top, sentence by sentence, and whether all of it is good news."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from sim.figures.page import State
+from sim.frequency.identification import Lines
+from sim.report.regime_end import REACHES, RegimeEnd
+from sim.report.scope import BUMP_DURATION, Scope, at_most, joined
+from sim.roads.road import Bump
+from sim.runs.run import Run
+from sim.sweep import Sweep, failures
+from synth.controller import Controller
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One sentence of the answer, and what it says of physics against analysis."""
+
+    text: str
+    state: State = "holds"
+
+
+def worst(findings: Sequence[Finding]) -> State:
+    """What all of them together say."""
+    order: tuple[State, ...] = ("fails", "ends", "holds")
+    return next(state for state in order if state == "holds" or any(one.state == state for one in findings))
+
+
+def loops(scope: Scope) -> list[Finding]:
+    """Which loop is meant by what, where there are two; and whose is stable ideally only, or not even so."""
+    found = []
+    if not scope.plain:
+        found.append(
+            Finding(
+                "Two loops are meant on this page. The ideal loop is continuous, with no limits and no computer; designs and "
+                f"certificates are of it. MuJoCo runs the loop as built: {scope.built}."
+            )
+        )
+    for one in scope.controllers:
+        if not one.certificate.stable:
+            found.append(Finding(f"{one.name}'s loop is UNSTABLE, so only its bump is reported.", "ends"))
+        elif one not in scope.stable:
+            text = f"{one.name} is stable ideally and UNSTABLE as built, so only its design and its bump are reported."
+            found.append(Finding(text, "ends"))
+    return found
+
+
+def norms(scope: Scope) -> list[Finding]:
+    """The H-infinity norms, of the ideal loop and, where that is another, as built."""
+    values = {one.name: one.certificate.norm.value for one in scope.controllers if one.certificate.stable}
+    if not values:
+        return []
+    least = min(values, key=lambda name: values[name])
+    passive = scope.designer.design("passive").certificate.norm.value
+    text = f"H-infinity norms of the ideal loop: {', '.join(f'{name} {value:.4g}' for name, value in values.items())}."
+    if least != "passive" and math.isfinite(passive):
+        share = 100 * (values[least] / passive - 1)
+        text += f" The least is {least}'s, {abs(share):.0f} % {'below' if share < 0 else 'above'} the passive suspension's."
+    if scope.built_norms:
+        built = ", ".join(f"{name} {value.gain:.4g}" for name, value in scope.built_norms.items())
+        text += f" As built, at a step of {1e3 * scope.timestep:g} ms: {built}."
+    return [Finding(text)]
+
+
+def over_the_bump(scope: Scope, runs: Sequence[Run]) -> list[Finding]:
+    """Whether MuJoCo is the linear analysis over the paper's bump, and until when."""
+    which = "" if scope.plain else " of the loop as built"
+    throughout = [run.controller.name for run in runs if run.agreement.agrees and math.isinf(run.agreement.until)]
+    found = []
+    if throughout:
+        found.append(
+            Finding(
+                f"Over the paper's bump MuJoCo agrees with the linear analysis{which} throughout its {BUMP_DURATION:g} s for "
+                f"{joined(throughout)}{_how(scope, runs)}."
+            )
+        )
+    for run in runs:
+        until = run.agreement.until
+        if run.agreement.agrees and until < math.inf:
+            text = (
+                f"Over the paper's bump, {run.controller.name} agrees with the linear analysis{which} until {until:.3g} s of "
+                f"{BUMP_DURATION:g} s: {what_ended(run)}."
+            )
+            found.append(Finding(text, "ends"))
+    wrong = [run.controller.name for run in runs if not run.agreement.agrees]
+    if wrong:
+        text = f"Over the paper's bump MuJoCo DOES NOT AGREE with the linear analysis{which} for {joined(wrong)}."
+        found.append(Finding(text, "fails"))
+    unbalanced = [run.controller.name for run in runs if run.energy is not None and not run.energy.balances]
+    if unbalanced:
+        text = f"Over the paper's bump energy DOES NOT BALANCE{which} for {joined(unbalanced)}: see the table of energy."
+        found.append(Finding(text, "fails"))
+    return found
+
+
+def _how(scope: Scope, runs: Sequence[Run]) -> str:
+    """How they agree that agree throughout."""
+    some = [run.agreement for run in runs if run.agreement.agrees and math.isinf(run.agreement.until)]
+    words = []
+    if any(one.blurred for one in some):
+        words.append("to within the predicted spread of the noise")
+    geometry = [signal.sampled for one in some for signal in one.signals.values() if signal.small is not None]
+    if geometry:
+        words.append(f"to first order, as bodies turn: within {at_most(max(geometry))} of a peak")
+    exact = [signal.sampled for one in some if not one.blurred for signal in one.signals.values() if signal.small is None]
+    if exact and not geometry:
+        words.append(f"{'else ' if words else ''}within {at_most(max(exact))} of a peak")
+    return f", {', '.join(words)}" if words else ""
+
+
+def what_ended(run: Run) -> str:
+    """What ended the comparison of a run, in words."""
+    one = run.agreement
+    causes = {
+        "a tyre leaves the road": min((start for start, _ in one.lift_off), default=math.inf),
+        "a suspension meets its bump stop": one.stopped,
+        "an actuator gives all its force": one.saturated,
+        "a tyre is squeezed flat": one.flat,
+        "the run diverges": run.diverged,
+    }
+    return next((text for text, when in causes.items() if when == one.until), "within a step, a tyre may leave the road")
+
+
+def responses(scope: Scope, lines: Sequence[Lines], sweeps: Sequence[Sweep]) -> list[Finding]:
+    """How close the frequency responses are, and the claims on gains that fail."""
+    if not lines:
+        return []
+    off = max(float(one.error(one.sampled).max()) for one in lines)
+    without = ", without its noise" if scope.blurred else ""
+    found = [
+        Finding(
+            f"Every frequency response in MuJoCo is within {at_most(off)} of the exact one of the loop "
+            f"{'with its force held over a step' if scope.plain else 'as built'}{without}."
+        )
+    ]
+    for one in sweeps:
+        if not one.ended:
+            found += [Finding(f"A claim fails. {one.lines.controller.name}: {text}.", "fails") for text in failures(one)]
+        else:
+            text = f"{one.lines.controller.name}'s sweep left the linear regime: {joined(list(one.ended))}."
+            found.append(Finding(text, "ends"))
+    return found
+
+
+def regime(scope: Scope, bump: Bump, ends: Sequence[tuple[Controller, RegimeEnd | None]]) -> list[Finding]:
+    """Up to which height of a bump the linear regime holds, as MuJoCo has it on both sides."""
+    if not ends:
+        return []
+    heights, found = [], []
+    for one, end in ends:
+        if end is None:
+            heights.append(f"{one.name} at no height")
+        elif not end.confirmed:
+            text = (
+                f"MuJoCo DOES NOT end {one.name}'s linear regime as predicted, by {end.predicted_end} at {end.predicted:.4g} m: "
+                f"see the table."
+            )
+            found.append(Finding(text, "fails"))
+        else:
+            height = (end.stays + end.leaves) / 2
+            predicted = f", predicted {end.predicted:.3g}" if f"{end.predicted:.3g}" != f"{height:.3g}" else ""
+            heights.append(f"{one.name} {height:.3g} m ({end.end}{predicted})")
+    errors = [end.error for _, end in ends if end is not None and end.confirmed]
+    without = ", without noise," if scope.blurred else ""
+    text = (
+        f"Over bumps of {bump.length:g} m at {bump.speed:g} m/s the linear regime{'' if scope.plain else ' as built'} ends at a "
+        f"height of: {'; '.join(heights)}."
+    )
+    if errors:
+        text += (
+            f" MuJoCo{without} was run {100 * (REACHES[0] - 1):.2g} % or less on either side of each: below, nothing breaks and "
+            f"it is within {at_most(max(errors))} of every peak; above, that breaks."
+        )
+    return [Finding(text), *found] if heights else found

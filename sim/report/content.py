@@ -1,0 +1,128 @@
+"""What a report says: its answer, then section by section."""
+
+import json
+import math
+from dataclasses import asdict
+from typing import Any
+
+from sim.figures.page import Page, Section, Table
+from sim.frequency.identification import ideal_measurements, identify
+from sim.report import answer as report_answer
+from sim.report.agreement import agreement_section, bump_section
+from sim.report.designs import design_section, frequency_section
+from sim.report.limits import margins_section, regime_section, validity_section
+from sim.report.regime_end import regime_end
+from sim.report.ride import SEEDS, ride_section
+from sim.report.scope import AMPLITUDE, BUMP_DURATION, Scope
+from sim.roads.road import Bump
+from sim.runs.run import run_all, sample_times
+from sim.sweep import sweep
+from synth.paper import PRINTED, entry_of, is_the_papers, ours
+
+
+def page(scope: Scope, provenance: dict[str, str]) -> Page:
+    """The whole report.
+
+    Args:
+        scope: what it is about.
+        provenance: where it comes from, in words.
+    """
+    vehicle, road, h = scope.vehicle, Bump(), scope.timestep
+    scope.progress("a bump")
+    time, halves = (sample_times(vehicle, BUMP_DURATION, step) for step in (h, h / 2))
+    runs = run_all(vehicle, scope.controllers, road, time)
+    finer = run_all(vehicle, scope.controllers, road, halves)
+    scope.progress("frequency responses")
+    if scope.quick:
+        sweeps, lines = [], identify(vehicle, scope.stable, AMPLITUDE, h, road.speed) if scope.stable else []
+    else:
+        sweeps = sweep(vehicle, scope.stable, AMPLITUDE, h, road.speed) if scope.stable else []
+        lines = [one.lines for one in sweeps]
+    scope.progress("where the linear regime ends")
+    ends = [(one, regime_end(ideal_measurements(vehicle), one, road, time)) for one in scope.stable]
+
+    answer = [
+        *report_answer.loops(scope),
+        *report_answer.norms(scope),
+        *report_answer.over_the_bump(scope, runs),
+        *report_answer.responses(scope, lines, sweeps),
+        *report_answer.regime(scope, road, ends),
+    ]
+    sections = [design_section(scope)]
+    if lines:
+        sections.append(frequency_section(scope, lines, sweeps, road.speed))
+    sections += [bump_section(scope, runs, road), agreement_section(scope, runs, finer)]
+    if ends:
+        sections.append(regime_section(scope, road, ends))
+    if not scope.quick and scope.active:
+        for section, findings in (margins_section(scope), validity_section(scope, road)):
+            sections.append(section)
+            answer += findings
+    if not scope.quick and scope.stable:
+        scope.progress("random roads")
+        sections.append(ride_section(vehicle, scope.stable, h))
+    if is_the_papers(vehicle):
+        sections.append(_paper(scope))
+    sections.append(_provenance(scope, provenance))
+    title = f"{vehicle.kind.name.replace('_', ' ').capitalize()}: suspension control from linear analysis to physics"
+    return Page(title, tuple(one.text for one in answer), tuple(sections), report_answer.worst(answer))
+
+
+def _paper(scope: Scope) -> Section:
+    found = ours(scope.designer)
+    rows = []
+    for row in PRINTED:
+        entry = f"[{row.entry[0] + 1}, {row.entry[1] + 1}]" if row.entry is not None else ""
+        digits = max(0, -math.floor(math.log10(row.digit)))
+        mine = entry_of(found[row.quantity], row.entry)
+        same = round(mine / row.digit) == round(row.value / row.digit)
+        rows.append(
+            (
+                row.equation,
+                f"{row.quantity}{entry}",
+                "same" if same else row.reason,
+                f"{row.value:.{digits}f}",
+                f"{mine:.{digits + 2}f}",
+            )
+        )
+    text = ("Every number that the paper prints of its designs, and ours from scratch, to two digits more.",)
+    headings = ("equation", "quantity", "to the digits printed", "paper", "ours")
+    return Section("The paper's numbers", text, (Table("paper", headings, tuple(rows), words=3),))
+
+
+def _provenance(scope: Scope, provenance: dict[str, str]) -> Section:
+    """What the page was made from: every number of the vehicle file that it depends on, and every setting."""
+    vehicle, how = scope.vehicle, scope.vehicle.implementation
+    rows = dict(provenance)
+    h = 1e3 * scope.timestep
+    rows["timestep"] = f"{h:g} ms, and {h / 2:g} ms for the orders of convergence"
+    seeds = [f"{how.seed}, of the noise on measurements"] if how.blurred else []
+    if not scope.quick:
+        rows["timestep"] += f"; {1e3 * scope.margins_timestep:g} ms for margins, {1e3 * scope.map_timestep:g} ms for the map"
+        seeds.append("1, of the random road that the norm is tried on")
+        seeds.append(f"{SEEDS[0]} to {SEEDS[-1]}, of the random roads of the ride")
+    rows["seeds"] = "; ".join(seeds) or "none: nothing is random"
+    settings = [(name, f"{value:g}") for name, value in vehicle.parameters.items()]
+    settings += [(f"weight of {name}", f"{value:g}") for name, value in vehicle.performance.items()]
+    limits = {name: value for name, value in asdict(vehicle.limits).items() if value is not None}
+    settings += [(f"[limits] {name}", f"{value:g}") for name, value in limits.items()] or [("[limits]", "none")]
+    built = {"sample_period": how.sample_period, "delay": how.delay or None}
+    built |= {f"noise of {name}": rms for name, rms in how.noise.items()}
+    built |= {f"quantisation of {name}": step for name, step in how.quantisation.items()}
+    there = [(f"[implementation] {name}", f"{value:g}") for name, value in built.items() if value is not None]
+    settings += there or [("[implementation]", "none")]
+    tables = (
+        Table("provenance", ("what", "value"), tuple(rows.items()), words=2),
+        Table("vehicle", ("parameter [SI]", "value"), tuple(settings)),
+    )
+    return Section("Where this comes from", (), tables)
+
+
+def report_object(page: Page) -> dict[str, Any]:
+    """Answer and tables as JSON has them."""
+    tables = {
+        table.name: [dict(zip(table.headings, row, strict=True)) for row in table.rows]
+        for section in page.sections
+        for table in section.tables
+    }
+    return json.loads(json.dumps({"title": page.title, "answer": page.answer, "verdict": page.state, "tables": tables}))

@@ -1,0 +1,124 @@
+"""The sections of a report on what was designed: gains and certificates, and their frequency responses, measured."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from sim.figures.page import Section, Table
+from sim.frequency.figure import sweep_figure
+from sim.frequency.identification import Lines
+from sim.report.scope import AMPLITUDE, Scope, joined, number
+from sim.runs.words import gain_text
+from sim.sweep import Sweep
+from synth.command.table import percent
+
+
+def design_section(scope: Scope) -> Section:
+    """Every controller: gain, certificate, and how good that is."""
+    rows = []
+    for one in scope.controllers:
+        certificate, norm = one.certificate, one.certificate.norm
+        rows.append(
+            (
+                one.name,
+                ", ".join(one.measured).replace("_", " ") or "nothing",
+                gain_text(one.gain) if one.measured else "0",
+                number(certificate.bound, ".7g"),
+                number(norm.value, ".7g"),
+                number(norm.peak_frequency, ".5g"),
+                number(certificate.lower.gamma, ".7g") if certificate.lower is not None and certificate.lower.gamma > 0 else "-",
+                percent(certificate.gap) if certificate.gap is not None else "-",
+                number(certificate.stability.worst.real, ".4g") if certificate.stable else certificate.stability.verdict,
+                "; ".join(certificate.failures) or "holds",
+            )
+        )
+    headings = (
+        "controller",
+        "measures",
+        "gain",
+        "bound",
+        "norm",
+        "peak [rad/s]",
+        "no one below",
+        "above it",
+        "slowest pole [1/s]",
+        "certificate",
+    )
+    text = (
+        "The bound is the gamma that the linear matrix inequality proves for this very gain; the norm is recomputed by two other "
+        "routes. A certificate holds if all poles are stable, X > 0, the inequality (20) is negative definite and norm <= bound, "
+        "checked without the solver that found the gain. No controller of its kind, of whatever order, can have a norm below "
+        "'no one below'.",
+    )
+    if not scope.plain:
+        text = (*text, "All of this is of the ideal loop: continuous, with no limits and no computer.")
+    tables = [Table("designs", headings, tuple(rows), words=3)]
+    if scope.built_norms:
+        rows = [
+            (
+                one.name,
+                f"{one.certificate.norm.value:.7g}",
+                f"{scope.built_norms[one.name].gain:.7g}",
+                f"{scope.built_norms[one.name].omega:.5g}",
+            )
+            for one in scope.stable
+        ]
+        tables.append(Table("norms", ("controller", "norm, ideal loop", "norm, as built", "peak [rad/s]"), tuple(rows)))
+        harmonics = ", without the harmonics that a controller slower than the timestep makes" if not scope.each_step else ""
+        built = f"As built, the loop has {scope.built}; its norm is that of its linear part{harmonics}."
+        lower = {one.name: one.certificate.lower for one in scope.stable}
+        below = [name for name, found in lower.items() if found and scope.built_norms[name].gain < found.gamma]
+        if below:
+            built += (
+                f" It is read at the samples, {1e3 * scope.timestep:g} ms apart: what lies below 'no one below', a bound on "
+                f"continuous loops ({joined(below)}), does so by the step, and less with a smaller one."
+            )
+        text = (*text, built)
+    return Section("Designs", text, tuple(tables))
+
+
+def frequency_section(scope: Scope, lines: Sequence[Lines], sweeps: Sequence[Sweep], speed: float) -> Section:
+    """The paper's Fig. 3, points of MuJoCo on its lines; and the norm as a fact, where there are sweeps."""
+    figure = replace(sweep_figure(scope.vehicle, lines, AMPLITUDE, scope.timestep, speed), name="frequency-responses")
+    rows = [
+        (
+            one.controller.name,
+            f"{one.error(one.sampled).max():.1e}",
+            f"{one.error(one.continuous).max():.1e}",
+            number(one.order, ".2f"),
+        )
+        for one in lines
+    ]
+    headings = ("controller", "error to sampled", "to continuous", "order of the two")
+    tables = [Table("frequency-responses", headings, tuple(rows))]
+    text = [
+        f"Identified from MuJoCo runs, 0.1 to 25 Hz, on roads of {1e3 * AMPLITUDE:g} mm"
+        f"{', without the noise on measurements, which has no frequency response' if scope.blurred else ''}. 'Sampled' is the "
+        f"exact response of the loop as it runs there, {scope.as_it_runs}; 'continuous' is that of the continuous loop"
+        f"{scope.lag}. The errors are the largest over all lines and signals."
+    ]
+    if sweeps:
+        if scope.each_step:
+            text.append(
+                "The norm of the sampled loop is a physical fact: the worst sinusoid reaches it from below, and the L2 gain of "
+                "no other road exceeds it."
+            )
+        else:
+            text.append(
+                "The controller is slower than the timestep, so its loop makes harmonics: its norm is without them, and bounds "
+                "no road's gain."
+            )
+        if len(scope.vehicle.kind.wheels) > 1:
+            text.append("Here all wheels meet one road; the norm of the designs is that of any roads under any wheels.")
+        gains = tuple(
+            (
+                one.lines.controller.name,
+                f"{one.extremes.worst.gain:.6g}",
+                f"{one.gains['worst sinusoid']:.6g}",
+                f"{100 * one.gains['worst sinusoid'] / one.extremes.worst.gain:.3f} %",
+                *(f"{one.gains[name]:.4g}" for name in ("bump", "chirp", "random")),
+            )
+            for one in sweeps
+        )
+        names = ("controller", "norm, sampled loop", "worst sinusoid", "of the norm", "bump", "chirp", "random")
+        tables.append(Table("gains", names, gains))
+    return Section("Frequency responses", tuple(text), tuple(tables), (figure,))

@@ -1,0 +1,92 @@
+"""The height of a bump at which the linear regime ends: predicted by one linear run, and enclosed by MuJoCo on both sides.
+
+Before anything breaks the response is proportional to the height, so the height is one over the use per metre. A body that turns
+for real leaves that a little, so what counts is what MuJoCo did: the highest bump that breaks nothing, and the next that does.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.vehicle import Vehicle
+from sim.linear.loop import sampled_response
+from sim.response.regime import ENDS, utilisation
+from sim.roads.road import LIMITS, Bump
+from sim.validity.cells import validity
+from synth.controller import Controller
+
+# Factors on the predicted height, either way, within which the end is looked for: the first is how closely it is to be known,
+# the second what a turning body makes of it, the third more than any vehicle should need.
+REACHES = (1.001, 1.03, 4.0)
+POINTS = 9  # heights that are run side by side
+
+
+@dataclass(frozen=True)
+class RegimeEnd:
+    """Where the linear regime of one controller ends, over bumps of one length and speed.
+
+    Attributes:
+        predicted: height at which linear analysis says that it does [m].
+        predicted_end: by which of `ENDS`.
+        near: what of `ENDS` comes within the second of `REACHES` of that height: a body that turns may meet another one first.
+        stays: the highest bump that was run in MuJoCo and broke nothing [m]; 0 where every one did.
+        error: largest difference of that run from the linear prediction, over the whole run, of any signal's peak; 0 where there
+            is none.
+        leaves: the lowest bump that was run and broke something [m]; infinite where none did.
+        end: what broke first there, of `ENDS`; empty where nothing did.
+    """
+
+    predicted: float
+    predicted_end: str
+    near: tuple[str, ...]
+    stays: float
+    error: float
+    leaves: float
+    end: str
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether MuJoCo has an end, and it is the predicted one, or one as near."""
+        return self.end in self.near and self.stays > 0
+
+
+def regime_end(vehicle: Vehicle, controller: Controller, bump: Bump, time: Array) -> RegimeEnd | None:
+    """Where the linear regime ends over bumps of this length, speed and track; None where none of an allowed height ends it.
+
+    Args:
+        vehicle: the vehicle.
+        controller: its controller, whose loop is stable.
+        bump: its height does not matter.
+        time: equidistant sample times from 0 [s].
+    """
+    used = utilisation(vehicle, sampled_response(vehicle, controller, replace(bump, height=1.0), time))
+    if used.max() * LIMITS["height"][1] < REACHES[-1]:
+        return None
+    predicted = float(1 / used.max())
+
+    near = tuple(end for end, use in zip(ENDS, used, strict=True) if use * REACHES[1] >= used.max())
+    found = RegimeEnd(predicted, ENDS[int(used.argmax())], near, stays=0.0, error=0.0, leaves=math.inf, end="")
+    for reach in REACHES:
+        heights = predicted * np.geomspace(1 / reach, reach, POINTS if reach > REACHES[0] else 2)
+        found = _narrowed(found, vehicle, controller, bump, heights, time)
+        if found.stays > 0 and found.end:
+            break
+    while found.stays > 0 and found.leaves - found.stays > 2.01 * (REACHES[0] - 1) * predicted and found.end:
+        heights = np.linspace(found.stays, found.leaves, POINTS)[1:-1]
+        found = _narrowed(found, vehicle, controller, bump, heights, time)
+    return found
+
+
+def _narrowed(found: RegimeEnd, vehicle: Vehicle, controller: Controller, bump: Bump, heights: Array, time: Array) -> RegimeEnd:
+    """What is found, narrowed by runs of more heights, ascending [m]."""
+    cells = validity(vehicle, controller, [replace(bump, height=height) for height in heights.tolist()], time)
+    breaks = (cells.first >= 0) | np.isinf(cells.error)
+    first = int(breaks.argmax()) if breaks.any() else len(heights)
+    if first > 0 and heights[first - 1] > found.stays:
+        found = replace(found, stays=float(heights[first - 1]), error=float(cells.error[first - 1]))
+    if first < len(heights) and heights[first] < found.leaves:
+        end = ENDS[cells.first[first]] if cells.first[first] >= 0 else "divergence"
+        found = replace(found, leaves=float(heights[first]), end=end)
+    return found

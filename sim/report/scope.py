@@ -1,0 +1,163 @@
+"""What the sections of a report share: what it is about, which loops it speaks of, what it found, and how it writes a number."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from models.reality import Limits
+from models.vehicle import Vehicle
+from sim.frequency.identification import check
+from sim.linear.frequency import Worst, sampled_frequency_response, worst_sinusoid
+from sim.linear.loop import sampled_radius
+from sim.physics.sampler import steps_per_sample
+from sim.roads.road import Bump
+from sim.runs.run import sample_times
+from sim.stability.growth import TIMESTEP
+from synth.controller import Controller, Designer
+
+BUMP_DURATION = 3.0  # s
+AMPLITUDE = 1e-4  # m, of the roads that frequency responses are identified on
+
+
+@dataclass(frozen=True, eq=False)
+class Scope:
+    """What a report is about.
+
+    Two loops are spoken of. The *ideal loop* is continuous, without limits and without a computer: designs and certificates are
+    of it. The loop *as built* has the vehicle file's `[limits]` and `[implementation]`: MuJoCo runs that, step by step.
+
+    Attributes:
+        vehicle: the vehicle.
+        designer: its designs.
+        controllers: those that are reported.
+        timestep: of the physics [s].
+        quick: without margins, map and ride.
+        progress: is told what is being done.
+    """
+
+    vehicle: Vehicle
+    designer: Designer
+    controllers: tuple[Controller, ...]
+    timestep: float
+    quick: bool
+    progress: Callable[[str], None]
+
+    @property
+    def plain(self) -> bool:
+        """Whether the vehicle file has neither limits nor an implementation: then only the step tells the loops apart."""
+        return self.vehicle.limits == Limits() and self.vehicle.implementation.ideal
+
+    @property
+    def blurred(self) -> bool:
+        """Whether measurements are noisy, or read in steps."""
+        return self.vehicle.implementation.blurred
+
+    @property
+    def built(self) -> str:
+        """The loop as built, in words."""
+        words = (*self.vehicle.limits.words, *self.vehicle.implementation.words)
+        return ", ".join(words) or "neither [limits] nor [implementation]"
+
+    @property
+    def at_once(self) -> bool:
+        """Whether the controller acts at every timestep, at once: then its loop tends to the continuous one with the step."""
+        return self.vehicle.implementation.prompt
+
+    @property
+    def each_step(self) -> bool:
+        """Whether the controller samples at every timestep, so that its loop is time-invariant."""
+        return steps_per_sample(self.vehicle.implementation, self.timestep) == 1
+
+    @property
+    def as_it_runs(self) -> str:
+        """What the sampled linear loop has, in words: nothing that ends its regime, and no noise."""
+        how = replace(self.vehicle.implementation, noise={}, quantisation={})
+        held = f"its force held over every step of {1e3 * self.timestep:g} ms"
+        return ", ".join([*(how.words or (held,)), *self._lag.words])
+
+    @property
+    def lag(self) -> str:
+        """What of the limits is linear, and so part of the continuous loop too."""
+        return "".join(f", with {words}" for words in self._lag.words)
+
+    @property
+    def _lag(self) -> Limits:
+        return Limits(actuator_bandwidth=self.vehicle.limits.actuator_bandwidth)
+
+    @cached_property
+    def stable(self) -> list[Controller]:
+        """Those whose loop is stable, ideal and as built."""
+        return [
+            one for one in self.controllers if one.certificate.stable and sampled_radius(self.vehicle, one, self.timestep) < 1
+        ]
+
+    @cached_property
+    def built_norms(self) -> dict[str, Worst]:
+        """The H-infinity norms as built, by controller, where the vehicle file makes them others and has one wheel.
+
+        With more wheels the ideal norm is of any road under any wheel, and of the sampled loop there is only one road's.
+        """
+        vehicle, timestep = self.vehicle, self.timestep
+        if (vehicle.limits.actuator_bandwidth is None and vehicle.implementation.prompt) or len(vehicle.kind.wheels) > 1:
+            return {}
+        return {
+            one.name: worst_sinusoid(
+                vehicle,
+                lambda omega, one=one: sampled_frequency_response(vehicle, one, omega, timestep),
+                np.pi / timestep,
+                Bump.speed,
+            )
+            for one in self.stable
+        }
+
+    @property
+    def active(self) -> list[Controller]:
+        """Those of them that do something."""
+        return [one for one in self.stable if np.any(one.gain)]
+
+    @property
+    def margins_timestep(self) -> float:
+        """The step that margins are found with [s]: that of `python -m sim.margins`, or the report's where that is finer."""
+        return min(TIMESTEP, self.timestep)
+
+    @property
+    def map_timestep(self) -> float:
+        """The step of the map's many runs [s]: twice the report's, where the controller's sample period is a multiple of that."""
+        twice = 2 * self.timestep
+        try:
+            steps_per_sample(self.vehicle.implementation, twice)
+            sample_times(self.vehicle, BUMP_DURATION, twice)
+        except ValueError:
+            return self.timestep
+        return twice
+
+
+def check_scope(vehicle: Vehicle, timestep: float) -> None:
+    """Whether a vehicle can be reported at this timestep, before any work.
+
+    Raises:
+        InputError: the timestep is too coarse, or the controller's sample period is no multiple of it.
+    """
+    check(vehicle, (), AMPLITUDE, timestep)
+    steps_per_sample(vehicle.implementation, timestep)
+
+
+def number(value: float | None, form: str) -> str:
+    """A number as a table has it; - where there is none."""
+    return format(value, form) if value is not None and math.isfinite(value) else "-"
+
+
+def at_most(value: float) -> str:
+    """A number to two digits, rounded up, so that it is true that something is within it."""
+    if value <= 0:
+        return "0"
+    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return f"{math.ceil(value / unit * (1 - 1e-12)) * unit:.1e}"
+
+
+def joined(words: list[str]) -> str:
+    """a, b and c."""
+    return " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))

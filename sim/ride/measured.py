@@ -1,0 +1,166 @@
+"""The metrics of a run, in MuJoCo, in the linear response over the same road, and expected over all such roads; in words, too."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from models.vehicle import Vehicle
+from sim.ride.expected import APPROXIMATE, EXACT, Expected, expect, settling_time
+from sim.ride.metrics import measure, metrics_of
+from sim.ride.settled import Settled, settled
+from sim.roads.iso8608 import Iso8608
+from sim.roads.road import Road
+from sim.runs.run import Run
+from synth.controller import Controller
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One metric of one run, thrice.
+
+    Attributes:
+        unit: SI.
+        mujoco: of the physics; None where the run broke off.
+        linear: of the exact sampled response over the same road; None where the run broke off.
+        expected: over all roads of this kind, from their spectrum; None where the road has none, or the loop is unstable.
+        spread: its standard deviation from road to road; None where it is not known.
+        approximate: whether what is expected is.
+    """
+
+    unit: str
+    mujoco: float | None
+    linear: float | None
+    expected: float | None
+    spread: float | None
+    approximate: bool
+
+
+@dataclass(frozen=True)
+class RunMetrics:
+    """All metrics of one run, and what they rest on.
+
+    Attributes:
+        metrics: by name.
+        settled: how far a variance is from its own when measuring begins; None for roads without a spectrum, and unstable loops.
+        error: what the expectations' integrals are off, relative, at most; None where there are none.
+    """
+
+    metrics: Mapping[str, Measured]
+    settled: Settled | None
+    error: float | None
+
+
+def first_sample(vehicle: Vehicle, controllers: Sequence[Controller], road: Road, duration: float, timestep: float) -> int:
+    """The sample from which is measured: when a random road's vehicle has forgotten its start, half of the run at the latest."""
+    if not isinstance(road, Iso8608):
+        return 0
+    settled = max(settling_time(vehicle, controller) for controller in controllers)
+    return round(min(settled, duration / 2) / timestep)
+
+
+def measure_run(vehicle: Vehicle, run: Run, road: Road, first: int) -> RunMetrics:
+    """The metrics of a run from sample `first` on, beside their linear predictions."""
+    time, timestep = run.physics.time, float(run.physics.time[1])
+    expected: Expected | None = None
+    begun: Settled | None = None
+    if isinstance(road, Iso8608):
+        expected = expect(vehicle, run.controller, road, timestep, (len(time) - first) * timestep)
+        begun = settled(vehicle, run.controller, road, timestep, float(time[first]))
+    mujoco: Mapping[str, float] = {}
+    linear: Mapping[str, float] = {}
+    if run.broke_off is None:
+        with np.errstate(over="ignore", invalid="ignore"):  # an unstable loop overflows
+            mujoco, linear = (measure(vehicle, response, first) for response in (run.physics, run.sampled))
+    metrics = {
+        metric.name: Measured(
+            metric.unit,
+            mujoco.get(metric.name),
+            linear.get(metric.name),
+            expected.mean[metric.name] if expected else None,
+            expected.spread.get(metric.name) if expected else None,
+            expected is not None and metric.name.endswith(APPROXIMATE),
+        )
+        for metric in metrics_of(vehicle)
+    }
+    return RunMetrics(metrics, begun, expected.error if expected else None)
+
+
+def beside(vehicle: Vehicle) -> list[str]:
+    """What MuJoCo's metrics have in them, and linear and expected ones have not."""
+    lines = []
+    if vehicle.limits.suspension_stroke is not None or vehicle.limits.actuator_force is not None:
+        lines.append("linear and expected numbers are of a vehicle without bump stops and with forces of any size")
+    if vehicle.implementation.noise or vehicle.implementation.quantisation:
+        lines.append("noise and quantisation of what is measured are in MuJoCo's numbers, not in linear and expected ones")
+    return lines
+
+
+def metric_lines(vehicle: Vehicle, run: Run, found: RunMetrics, start: float, end: float) -> list[str]:
+    """The metrics of a run as a table, and what they rest on in sentences."""
+    measured, notes = found.metrics, []
+    if run.broke_off is not None:
+        notes.append(f"no metrics of this run: {run.broke_off[0]} at {run.broke_off[1]:.4g} s, and what follows is no vehicle's")
+    if found.settled is not None:
+        notes.append(
+            f"when measuring begins, the variance of {found.settled.signal} is {100 * found.settled.share:.3g} % of what it "
+            "comes to; of no other signal in this table is it further off"
+        )
+    if found.error is not None:
+        notes.append(
+            "~ is approximate: mtvv to 7 %, crest to 10 %, peaks to 20 %; vdv is the fourth root of a mean; of short or lightly "
+            "damped runs the +- is up to 45 % too large"
+        )
+    notes += beside(vehicle)
+    if found.error is not None and found.error > EXACT:
+        notes.append(
+            f"expected values may be off by {min(found.error, 1.0):.1g}: a resonance is too narrow for the lines of this road, "
+            "or for the integral over them"
+        )
+    if run.broke_off is not None and not any(one.expected is not None for one in measured.values()):
+        return [f"  {note}" for note in notes]
+    width = max(len(name) for name in measured)
+    random = any(one.expected is not None for one in measured.values())
+    head = f"  {f'measured from {start:.4g} to {end:.4g} s':{width}}  {'unit':8}{'MuJoCo':>11}{'linear':>11}"
+    lines = [head + (f"{'expected':>11}{'from road to road':>20}" if random else "")]
+    for name, one in measured.items():
+        line = f"  {name:{width}}  {one.unit:8}{_cell(one.mujoco):>11}{_cell(one.linear):>11}"
+        spread = f"+- {_cell(one.spread)}" if one.spread is not None else ""
+        expected = ("~" if one.approximate and one.expected else "") + _cell(one.expected)
+        lines.append((line + (f"{expected:>11}{spread:>20}" if random else "")).rstrip())
+    return [*lines, *(f"  {note}" for note in notes)]
+
+
+def metrics_object(run: Run, found: RunMetrics) -> dict[str, Any]:
+    """The same as JSON has it: None for what is infinite or does not exist."""
+    broke = run.broke_off
+    return {
+        "broke_off": {"by": broke[0], "at": broke[1]} if broke else None,
+        "settled": {"share": found.settled.share, "signal": found.settled.signal} if found.settled else None,
+        "expected_error": _finite(found.error),
+        "metrics": _metrics(found.metrics),
+    }
+
+
+def _metrics(measured: Mapping[str, Measured]) -> dict[str, Any]:
+    return {
+        name: {
+            "unit": one.unit,
+            "mujoco": _finite(one.mujoco),
+            "linear": _finite(one.linear),
+            "expected": _finite(one.expected),
+            "spread": _finite(one.spread),
+            "approximate": one.approximate,
+        }
+        for name, one in measured.items()
+    }
+
+
+def _cell(value: float | None) -> str:
+    return f"{value:.4g}" if value is not None and math.isfinite(value) else "-"
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and math.isfinite(value) else None

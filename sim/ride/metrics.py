@@ -1,0 +1,248 @@
+"""What engineers judge a suspension by: ride, travel, road holding, and what the actuators do. Measured while runs go on.
+
+Ride, of every vertical acceleration a of the body, weighted as ISO 2631-1 has it (`sim/ride/weighting.py`), a_w:
+
+    weighted rms (6.1);    VDV = (integral a_w^4 dt)^(1/4) (6.3.2);    crest factor = largest |a_w| / rms (6.2);
+    MTVV = largest running rms, averaged exponentially over 1 s (6.3.1).
+
+Travel of every suspension: rms, largest, and the share of time at the bump stops. Of every tyre, whose load is F = k_u (static -
+t) and never negative: dynamic load coefficient rms(F - F_static) / F_static, and the share of time off the ground. Of every
+actuator: force, mean power into the suspension, and the energy that it puts in where it drives, none being given back where it
+brakes. Both are of its work: a force u is held from one sample to the next while the suspension's travel s goes on, so that is
+u[k] (s[k+1] - s[k]), exactly; of a force that lags, which goes on too, the mean of u[k] and u[k+1] counts.
+
+All are means over a window that leaves out the beginning, in which a vehicle from rest still knows nothing of its road.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.vehicle import Vehicle
+from sim.response.response import Response
+from sim.ride.weighting import sampled_wk
+
+RUNNING = 1.0  # s, of the running rms
+DEFINITIONS = 3  # of the metrics and what is expected of them; one more wherever a number comes out otherwise than before
+
+
+@dataclass(frozen=True)
+class Metric:
+    """One number of a run.
+
+    Attributes:
+        name: of a column.
+        unit: SI.
+        source: the signal that it is of.
+    """
+
+    name: str
+    unit: str
+    source: str
+
+
+@dataclass(frozen=True)
+class Points:
+    """Where a vehicle is measured, as names of its signals.
+
+    Attributes:
+        accelerations: of the body.
+        suspensions: deflections.
+        tyres: deflections.
+        actuators: (force, deflection that it pushes along); of one that has no such suspension, (force,).
+    """
+
+    accelerations: tuple[str, ...]
+    suspensions: tuple[str, ...]
+    tyres: tuple[str, ...]
+    actuators: tuple[tuple[str, ...], ...]
+
+
+def points(vehicle: Vehicle) -> Points:
+    """The points of a vehicle: by unit, by wheel, by actuator."""
+    model, kind = vehicle.linear_model, vehicle.kind
+    actuators = []
+    for force in model.inputs:
+        travel = force.replace("control_force", "suspension_deflection")
+        actuators.append((force, travel) if travel in model.outputs else (force,))
+    return Points(
+        accelerations=tuple(name for name in model.outputs if kind.signal(name).unit == "m/s2"),
+        suspensions=tuple(name for name in model.outputs if name.startswith("suspension_deflection")),
+        tyres=tuple(wheel.tyre_deflection for wheel in kind.wheels),
+        actuators=tuple(actuators),
+    )
+
+
+def metrics_of(vehicle: Vehicle) -> tuple[Metric, ...]:
+    """The metrics of a vehicle, in the order of a table."""
+    where, found = points(vehicle), []
+    for name in where.accelerations:
+        found += [Metric(f"{name}_rms", "m/s2", name), Metric(f"{name}_weighted", "m/s2", name)]
+        found += [
+            Metric(f"{name}_vdv", "m/s1.75", name),
+            Metric(f"{name}_mtvv", "m/s2", name),
+            Metric(f"{name}_crest", "-", name),
+        ]
+    for name in where.suspensions:
+        found += [Metric(f"{name}_rms", "m", name), Metric(f"{name}_peak", "m", name)]
+        if vehicle.limits.suspension_stroke is not None:
+            found.append(Metric(f"{name}_at_stops", "-", name))
+    for name in where.tyres:
+        found += [Metric(dynamic_load(name), "-", name), Metric(off_ground(name), "-", name)]
+    for name, *travel in where.actuators:
+        found += [Metric(f"{name}_rms", "N", name), Metric(f"{name}_peak", "N", name)]
+        if travel:
+            found += [Metric(power(name), "W", name), Metric(energy(name), "J", name)]
+    return tuple(found)
+
+
+def dynamic_load(tyre: str) -> str:
+    """Name of the dynamic load coefficient of a tyre."""
+    return tyre.replace("tyre_deflection", "dynamic_load")
+
+
+def off_ground(tyre: str) -> str:
+    """Name of its share of time off the ground."""
+    return tyre.replace("tyre_deflection", "off_ground")
+
+
+def power(force: str) -> str:
+    """Name of the mean power of an actuator."""
+    return force.replace("control_force", "control_power")
+
+
+def energy(force: str) -> str:
+    """Name of its energy."""
+    return force.replace("control_force", "control_energy")
+
+
+class Meter:
+    """Measures N runs of one kind of vehicle block by block, in memory that does not grow.
+
+    A run's numbers are the same to the last bit whatever runs beside it: each is summed along its own time.
+    """
+
+    def __init__(self, vehicles: Sequence[Vehicle], timestep: float, first: int) -> None:
+        """For signals a timestep [s] apart, from sample `first` on."""
+        self.vehicle, self.timestep, self.first, count = vehicles[0], timestep, first, len(vehicles)
+        self.where, self.stroke = points(self.vehicle), self.vehicle.limits.suspension_stroke
+        names = [signal.name for signal in self.vehicle.kind.signals]
+        self.index = {name: names.index(name) for name in self.vehicle.linear_model.outputs}
+        statics = [vehicle.kind.static_tyre_deflection(vehicle.parameters) for vehicle in vehicles]
+        self.static = {name: np.array([static[name] for static in statics]) for name in self.where.tyres}
+        self.filter = sampled_wk(timestep)
+        self.memory = {
+            name: np.zeros((*np.shape(self.filter.denominators)[:1], count, self.filter.numerators.shape[1] - 1))
+            for name in self.where.accelerations
+        }
+        self.running = {name: np.zeros((count, 1)) for name in self.where.accelerations}
+        self.lags = self.vehicle.limits.actuator_bandwidth is not None
+        self.before: dict[str, Array] = {}  # the last sample of what work is made of, shape (N, 1)
+        self.sums: dict[str, Array] = {}
+        self.largest: dict[str, Array] = {}
+        self.seen = self.samples = 0
+
+    def update(self, values: Array) -> None:
+        """Takes the next block of signals, of shape (B, S, N), B samples of the S signals of the vehicle's kind."""
+        skip = min(max(self.first - self.seen, 0), len(values))
+        self.seen += len(values)
+        self.samples += len(values) - skip
+        for name in self.where.accelerations:
+            self._ride(name, self._signal(values, name), skip)
+        if skip == len(values):
+            return
+        values = values[skip:]
+        for name in self.where.suspensions:
+            deflection = self._signal(values, name)
+            self._add(f"{name}_rms", _squares(deflection))
+            self._keep(f"{name}_peak", deflection)
+            if self.stroke is not None:
+                self._add(f"{name}_at_stops", np.count_nonzero(np.abs(deflection) >= self.stroke, axis=1))
+        for name in self.where.tyres:
+            deflection, static = self._signal(values, name), self.static[name][:, None]
+            self._add(off_ground(name), np.count_nonzero(deflection >= static, axis=1))
+            self._add(dynamic_load(name), _squares(np.minimum(deflection, static)))
+        for name, *travel in self.where.actuators:
+            force = self._signal(values, name)
+            self._add(f"{name}_rms", _squares(force))
+            self._keep(f"{name}_peak", force)
+            if travel:
+                force, along = self._joined(name, force), self._joined(travel[0], self._signal(values, travel[0]))
+                work = (force[:, :-1] + force[:, 1:]) / 2 if self.lags else force[:, :-1]
+                work = work * np.diff(along, axis=1)
+                self._add(power(name), work.sum(axis=1))
+                self._add(energy(name), np.maximum(work, 0.0, out=work).sum(axis=1))
+
+    def result(self) -> dict[str, Array]:
+        """Every metric, shape (N,)."""
+        mean, duration = {name: total / self.samples for name, total in self.sums.items()}, self.samples * self.timestep
+        found: dict[str, Array] = {}
+        for name in self.where.accelerations:
+            weighted = np.sqrt(mean[f"{name}_weighted"])
+            found |= {f"{name}_rms": np.sqrt(mean[f"{name}_rms"]), f"{name}_weighted": weighted}
+            found[f"{name}_vdv"] = (mean[f"{name}_vdv"] * duration) ** 0.25
+            found[f"{name}_mtvv"] = np.sqrt(self.largest[f"{name}_mtvv"])
+            still = weighted == 0
+            found[f"{name}_crest"] = np.where(still, 0.0, self.largest[f"{name}_crest"] / np.where(still, 1.0, weighted))
+        for name in self.where.suspensions:
+            found |= {f"{name}_rms": np.sqrt(mean[f"{name}_rms"]), f"{name}_peak": self.largest[f"{name}_peak"]}
+            if self.stroke is not None:
+                found[f"{name}_at_stops"] = mean[f"{name}_at_stops"]
+        for name in self.where.tyres:
+            found[dynamic_load(name)] = np.sqrt(mean[dynamic_load(name)]) / self.static[name]
+            found[off_ground(name)] = mean[off_ground(name)]
+        for name, *travel in self.where.actuators:
+            found |= {f"{name}_rms": np.sqrt(mean[f"{name}_rms"]), f"{name}_peak": self.largest[f"{name}_peak"]}
+            if travel:
+                passed = max(self.samples - 1, 1) * self.timestep  # from the first sample to the last
+                found |= {power(name): self.sums[power(name)] / passed, energy(name): self.sums[energy(name)]}
+        return found
+
+    def _ride(self, name: str, acceleration: Array, skip: int) -> None:
+        from scipy.signal import lfilter  # half a second
+
+        weighted, memory = np.zeros_like(acceleration), self.memory[name]
+        for i, (b, a) in enumerate(zip(self.filter.numerators, self.filter.denominators, strict=True)):
+            part, memory[i] = lfilter(b, a, acceleration, zi=memory[i])
+            weighted += part
+        square = weighted * weighted
+        forget = np.exp(-self.timestep / RUNNING)
+        running, self.running[name] = lfilter([1 - forget], [1, -forget], square, zi=self.running[name])
+        if skip < acceleration.shape[1]:
+            acceleration, square = acceleration[:, skip:], square[:, skip:]
+            self._add(f"{name}_rms", _squares(acceleration))
+            self._add(f"{name}_weighted", square.sum(axis=1))
+            self._add(f"{name}_vdv", _squares(square))
+            self._keep(f"{name}_crest", weighted[:, skip:])
+            self._keep(f"{name}_mtvv", running[:, skip:])
+
+    def _signal(self, values: Array, name: str) -> Array:
+        """A signal, each run's samples side by side, shape (N, B)."""
+        return np.ascontiguousarray(values[:, self.index[name]].T)
+
+    def _joined(self, name: str, signal: Array) -> Array:
+        """A signal of one block after its last sample of the one before."""
+        joined = np.concatenate([self.before[name], signal], axis=1) if name in self.before else signal
+        self.before[name] = signal[:, -1:].copy()
+        return joined
+
+    def _add(self, name: str, amount: Array) -> None:
+        self.sums[name] = self.sums[name] + amount if name in self.sums else amount
+
+    def _keep(self, name: str, values: Array) -> None:
+        largest = np.maximum(values.max(axis=1), -values.min(axis=1)) + 0.0  # no -0
+        self.largest[name] = np.maximum(self.largest[name], largest) if name in self.largest else largest
+
+
+def measure(vehicle: Vehicle, response: Response, first: int) -> dict[str, float]:
+    """The metrics of one run's response from sample `first` on; NaN from where it broke off."""
+    meter = Meter([vehicle], float(response.time[1] - response.time[0]), first)
+    meter.update(response.values[:, :, None])
+    return {name: float(value[0]) for name, value in meter.result().items()}
+
+
+def _squares(values: Array) -> Array:
+    """Sum of squares of each row."""
+    return (values * values).sum(axis=1)

@@ -1,0 +1,1 @@
+"""What lies under the wheels, and its exact derivative."""

@@ -1,0 +1,88 @@
+"""A road from its description: the reverse of `Road.describe`, by the name under `type`."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any
+
+from models.common.errors import InputError, known, quoted
+from sim.roads.choice import OBSTACLES
+from sim.roads.iso8608 import HIGHEST, LOWEST, Iso8608, check_seed, roughness
+from sim.roads.obstacles import Scaled
+from sim.roads.profile import from_csv
+from sim.roads.road import Road
+from sim.roads.sinusoids import MULTISINES, Multisine
+
+KINDS = ("iso8608", "profile", *OBSTACLES, *MULTISINES)
+MOST_LINES = 1000  # of a sum of sinusoids
+SAME = 1e-12  # relative; numbers that follow from others, as they were written down
+SIDES = ("left", "right", "both")
+
+
+def described_road(description: Mapping[str, Any], points: bytes | None = None) -> Road:
+    """The road that was described.
+
+    Args:
+        description: what `Road.describe` gave, through JSON or not.
+        points: of a profile, what `Profile.to_csv` gave; a description has not room for them.
+
+    Raises:
+        InputError: it describes no road, or not all of one.
+    """
+    kind = description.get("type")
+    if not isinstance(kind, str) or kind not in KINDS:
+        raise InputError(f"a road of unknown type; known: {known(KINDS)}")
+    if kind == "profile":
+        if points is None:
+            raise InputError("the points of a profile are missing")
+        return from_csv(points, _number(description, "speed"), str(description.get("source", "")))
+    if kind == "iso8608":
+        return _random(description)
+    if kind in MULTISINES:
+        omega, amplitudes, phases = (_numbers(description, name) for name in ("omega", "amplitudes", "phases"))
+        if not len(omega) == len(amplitudes) == len(phases):
+            raise InputError(f"road {kind}: omega, amplitudes and phases are not equally many")
+        return Multisine(omega, amplitudes, phases, _number(description, "speed"), kind)
+
+    allowed = {field.name: field.default for field in fields(OBSTACLES[kind])}
+    for name in description:
+        if name not in (*allowed, "type", "factor"):
+            raise InputError(f"road {kind}: it has no {quoted(name)}; known: {known(allowed)}")
+    values = {name: _side(description) if name == "track" else _number(description, name) for name in allowed}
+    road = OBSTACLES[kind](**values)
+    return Scaled(road, _number(description, "factor")) if "factor" in description else road
+
+
+def _random(description: Mapping[str, Any]) -> Iso8608:
+    seed, road_class = check_seed(description.get("seed")), description.get("class")
+    if not isinstance(road_class, str):
+        raise InputError("road iso8608: its class is missing")
+    factor = _number({"factor": 1.0, **description}, "factor")
+    speed, width, length = (_number(description, name) for name in ("speed", "track_width", "length"))
+    road = Iso8608(road_class, seed, speed, width, length, factor)
+    follows = {"lowest": LOWEST, "highest": HIGHEST, "roughness": roughness(road_class) * factor**2}
+    for name, value in follows.items():
+        if not math.isclose(_number(description, name), value, rel_tol=SAME):
+            raise InputError(f"road iso8608: {name} was {description[name]:g}, and is {value:g} here: it is another road")
+    return road
+
+
+def _number(description: Mapping[str, Any], name: str) -> float:
+    value = description.get(name)
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= 1e300:
+        raise InputError(f"road {quoted(description['type'])}: its {name} is no finite number")
+    return float(value)
+
+
+def _numbers(description: Mapping[str, Any], name: str) -> tuple[float, ...]:
+    values = description.get(name)
+    if not isinstance(values, list) or not 0 < len(values) <= MOST_LINES:
+        raise InputError(f"road {description['type']}: its {name} are missing, or more than {MOST_LINES}")
+    return tuple(_number({"type": description["type"], name: value}, name) for value in values)
+
+
+def _side(description: Mapping[str, Any]) -> str:
+    side = description.get("track")
+    if side not in SIDES:
+        raise InputError(f"road {description['type']}: track is not one of {known(SIDES)}")
+    return side

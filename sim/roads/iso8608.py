@@ -1,0 +1,220 @@
+"""Random roads of ISO 8608, classes A to H, on two tracks.
+
+The vertical displacement of a road of a class has the one-sided power spectral density
+
+    G_d(n) = G_d(n0) (n / n0)^-2,    n0 = 0.1 cycle/m,    G_d(n0) = 16e-6, 64e-6, ..., 4^i 16e-6 m^3 for A, B, ..., H:
+
+the geometric means of the classes; their limits are half and twice as much. A road is a sum of lines n_k = k / length, each with
+the amplitude sqrt(2 G_d(n_k) / length) and a phase of its own, from 0.01 to 10 cycles/m. The standard reports 0.011 to 2.83.
+Below the band there is nothing: no hills. Above it there is nothing either: waves shorter than a tyre's print do not reach the
+wheel. Within `length` nothing repeats.
+
+The standard leaves the coherence of two tracks to measurement. Here it is that of an isotropic surface, which the one spectrum
+determines (C. J. Dodds and J. D. Robson (1973), J. Sound Vib. 31, 175-183; K. M. A. Kamash and J. D. Robson (1978), J. Sound Vib.
+57, 89-100): tracks b apart have the cross-spectrum that integrates a surface spectrum (n^2 + m^2)^(-3/2) over m with cos(2 pi m
+b),
+
+    coherency(n) = x K_1(x),    x = 2 pi n b,
+
+real, 1 for long waves and 0 for short ones. The right track is coherency times the left plus the rest of an independent one.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import Any
+
+import numpy as np
+from scipy import special
+
+from models.common.arrays import Array
+from models.common.errors import InputError
+from sim.roads.road import Road, check_numbers
+
+CLASSES = "ABCDEFGH"
+N0 = 0.1  # cycle/m
+LOWEST, HIGHEST = 0.01, 10.0  # cycle/m
+LENGTH = 1024.0  # m
+MOST_SEED = 2**63 - 1
+LIMITS = {"speed": (0.1, 200.0), "track_width": (0.0, 10.0), "length": (100.0, 1e6)}  # SI
+BLOCK = 1_000_000  # terms that are summed at once where times are not evenly spaced
+FEW = 10  # times; more, if evenly spaced, are faster by transform
+
+
+def roughness(road_class: str) -> float:
+    """G_d(n0) of a class [m3]: its geometric mean.
+
+    Raises:
+        InputError: there is no such class.
+    """
+    if len(road_class) != 1 or road_class not in CLASSES:
+        raise InputError(f"unknown road class {road_class!r}; ISO 8608 has {', '.join(CLASSES)}")
+    return 16e-6 * 4.0 ** CLASSES.index(road_class)
+
+
+def check_seed(seed: Any) -> int:
+    """The seed, if it is one.
+
+    Raises:
+        InputError: it is no whole number, or out of range.
+    """
+    if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed <= MOST_SEED:
+        raise InputError(f"seed = {seed!r} is not allowed; give a whole number from 0 to {MOST_SEED}")
+    return seed
+
+
+def coherency(n: Array, width: float) -> Array:
+    """Coherency of two tracks of an isotropic surface, shape like n.
+
+    Args:
+        n: spatial frequencies [cycle/m].
+        width: between the tracks [m].
+    """
+    x = 2 * np.pi * np.asarray(n) * width
+    return np.where(x > 0, x * special.k1(np.where(x > 0, x, 1.0)), 1.0)
+
+
+@dataclass(frozen=True)
+class Iso8608(Road):
+    """A random road of a class.
+
+    The same seed and length are the same road on every machine, to the rounding of its sines: phases are the raw output of the
+    Philox generator, which numpy keeps as it is. At time 0 the first wheel comes from flat ground onto the road at its own height
+    there, so its vertical velocity jumps, as that of a vehicle from rest in front of white noise.
+
+    Attributes:
+        road_class: "A" to "H".
+        seed: of the phases.
+        speed: V [m/s].
+        track_width: from the right track to the left [m].
+        length: after this distance it repeats [m]; a longer one is another road.
+        factor: multiplies its heights.
+
+    Raises:
+        InputError: an unknown class, a seed that is no whole number, another number beyond `LIMITS`.
+    """
+
+    road_class: str = "C"
+    seed: int = 0
+    speed: float = 20.0
+    track_width: float = 0.0
+    length: float = LENGTH
+    factor: float = 1.0
+
+    def __post_init__(self) -> None:
+        roughness(self.road_class)
+        check_seed(self.seed)
+        check_numbers("road", self, LIMITS)
+
+    def displacement(self, t: Array, side: str = "") -> Array:
+        """The sum of its lines, from its own height at the start. A vehicle with one track drives on the left one."""
+        lines = self._lines(side)
+        return np.where(t >= 0, self._sum(lines, t) - np.real(lines).sum(), 0.0)
+
+    def velocity(self, t: Array, side: str = "") -> Array:
+        """Its exact derivative, line by line."""
+        return np.where(t >= 0, self._sum(self._lines(side) * (2j * np.pi * self.speed * self.n), t), 0.0)
+
+    @property
+    def kinks(self) -> tuple[float, ...]:
+        """Where it begins."""
+        return (0.0,)
+
+    def describe(self) -> dict[str, float | str]:
+        """Class, roughness, seed, band, speed, track width, length, factor."""
+        return {
+            "type": "iso8608",
+            "class": self.road_class,
+            "roughness": roughness(self.road_class) * self.factor**2,
+            "seed": self.seed,
+            "lowest": LOWEST,
+            "highest": HIGHEST,
+            "speed": self.speed,
+            "track_width": self.track_width,
+            "length": self.length,
+            "factor": self.factor,
+        }
+
+    def scaled(self, factor: float) -> "Iso8608":
+        """The same road, higher or lower."""
+        return replace(self, factor=self.factor * factor)
+
+    @property
+    def n(self) -> Array:
+        """Spatial frequencies of its lines [cycle/m], shape (K,)."""
+        return _frequencies(self.length)
+
+    @property
+    def band(self) -> tuple[float, float]:
+        """The spatial frequencies that its lines stand for [cycle/m]: half a line further out than the first and the last."""
+        return float(self.n[0]) - 0.5 / self.length, float(self.n[-1]) + 0.5 / self.length
+
+    @cached_property
+    def _left(self) -> Array:
+        """exp(i phase) of every line of the left track, shape (K,)."""
+        return self._phasors(0)
+
+    @cached_property
+    def _other(self) -> Array:
+        """The same of what the right track has for itself."""
+        return self._phasors(1)
+
+    def _phasors(self, track: int) -> Array:
+        count = len(self.n)
+        raw = np.random.Philox(self.seed).random_raw((track + 1) * count)[track * count :]
+        phases = 2 * np.pi * ((raw >> np.uint64(11)) * 2.0**-53)
+        return np.cos(phases) + 1j * np.sin(phases)
+
+    def _lines(self, side: str) -> Array:
+        """Complex amplitude of every line [m], shape (K,)."""
+        amplitudes = self.factor * np.sqrt(2 * roughness(self.road_class) * (self.n / N0) ** -2 / self.length)
+        if side != "right":
+            return amplitudes * self._left
+        alike = _coherency_of_lines(self.length, self.track_width)
+        return amplitudes * (alike * self._left + np.sqrt(1 - alike**2) * self._other)
+
+    def _sum(self, lines: Array, t: Array) -> Array:
+        """Real part of the sum of lines exp(2 pi i n V t), shape like t."""
+        t = np.asarray(t, dtype=float)
+        step = (t[-1] - t[0]) / (len(t) - 1) if t.ndim == 1 and len(t) > FEW else math.nan
+        if math.isnan(step) or not np.allclose(np.diff(t), step, rtol=1e-6, atol=0.0):
+            flat, size = t.ravel(), max(1, BLOCK // len(lines))
+            parts = [self._turn(flat[i : i + size, None]) for i in range(0, len(flat), size)]
+            return np.concatenate([np.real(part @ lines) for part in parts]).reshape(t.shape)
+        # Evenly spaced: a chirp z-transform, K + T lines and times in the time of an FFT. All lines are turned to the first time.
+        first, turn = self._turn(t[0]), float(f"{self.speed * step / self.length:.14g}")
+        transform, shift = _transform(len(lines), len(t), turn, round(self.n[0] * self.length))
+        return (
+            shift * transform(np.conj(lines * first))
+        ).real  # its exponent is negative; of a conjugate the real part is the same
+
+    def _turn(self, t: Array) -> Array:
+        angle = self.n * (self.speed * t)
+        return np.exp(2j * np.pi * (angle - np.round(angle)))
+
+
+def long_enough(distance: float) -> float:
+    """The length [m] of a road on which a run of this distance [m] meets no two like places."""
+    return LENGTH * 2 ** max(0, math.ceil(math.log2(distance / LENGTH))) if distance > 0 else LENGTH
+
+
+@lru_cache(maxsize=4)
+def _frequencies(length: float) -> Array:
+    n = np.arange(math.ceil(LOWEST * length), math.floor(HIGHEST * length) + 1) / length
+    n.flags.writeable = False
+    return n
+
+
+@lru_cache(maxsize=64)
+def _coherency_of_lines(length: float, width: float) -> Array:
+    return coherency(_frequencies(length), width)
+
+
+@lru_cache(maxsize=8)
+def _transform(lines: int, times: int, turn: float, first: int) -> tuple[Any, Array]:
+    """Sum over k of x_k exp(-2 pi i k turn j) for j = 0, ..., and exp(-2 pi i first turn j), for that many lines and times."""
+    from scipy.signal import ZoomFFT  # half a second
+
+    angle = np.arange(times) * (first * turn)
+    zoom = ZoomFFT(lines, [0, turn * (times - 1)], times, fs=1, endpoint=True)
+    return zoom, np.exp(-2j * np.pi * (angle - np.round(angle)))

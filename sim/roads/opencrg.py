@@ -1,0 +1,195 @@
+"""Road surfaces of ASAM OpenCRG, a grid of heights along and across a road, by PyOpenCRG."""
+
+import math
+import os
+import re
+import warnings
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError, some
+from models.common.read_file import MIB, open_plain
+from sim.roads.profile import Profile
+
+LARGEST = 128 * MIB  # of a file; in memory it takes six times as much, 0.8 GB
+AT_ONCE = 2**20  # heights that are worked out at once; PyOpenCRG takes some hundred bytes for each
+TEXT_WIDTHS = {"LRFI": 10, "LDFI": 20}  # characters of a number, by format
+LINE = 80  # characters of a line of numbers
+FINEST, COARSEST = 1e-6, 1e3  # m between the lines of a grid
+FURTHEST = 1e9  # m, and any other number of a header
+NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([ed][-+]?\d+)?|[-+]?inf", re.IGNORECASE)  # 2.000+e00 is read as 2: such files exist
+ENTRY = re.compile(r"\s*(\w+)\s*=\s*([^\s!]+)")
+GIVE = "give an OpenCRG file"
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """Heights of a road on a grid.
+
+    Attributes:
+        u: along the road [m], shape (P,).
+        v: across it, to the left [m], ascending, shape (Q,).
+        z: heights [m], shape (P, Q).
+        source: the file.
+    """
+
+    u: Array
+    v: Array
+    z: Array
+    source: str
+
+    def profile(self, track_width: float, speed: float) -> Profile:
+        """What the wheels of a vehicle in its middle meet; between the grid's lines, straight across.
+
+        Args:
+            track_width: from the right wheels to the left ones [m].
+            speed: [m/s].
+
+        Raises:
+            InputError: the surface is narrower than that, or there is a hole in it.
+        """
+        middle, tracks = (self.v[0] + self.v[-1]) / 2, []
+        for v in (middle + track_width / 2, middle - track_width / 2):
+            if not self.v[0] <= v <= self.v[-1]:
+                raise InputError(f"road file {self.source}: {self.v[-1] - self.v[0]:g} m wide, too narrow for {track_width:g} m")
+            j = min(int(np.searchsorted(self.v, v, side="right")), len(self.v) - 1)
+            share = (v - self.v[j - 1]) / (self.v[j] - self.v[j - 1])
+            tracks.append(self.z[:, j - 1] + share * (self.z[:, j] - self.z[:, j - 1]))
+        try:
+            return Profile(self.u, np.stack(tracks, axis=-1), speed, self.source)
+        except InputError as error:
+            raise InputError(f"road file {self.source}: {error}") from error
+
+
+def read_surface(path: Path) -> Surface:
+    """The surface of an OpenCRG file.
+
+    Raises:
+        InputError: PyOpenCRG is not installed, or the file is none, too large, or one that names another.
+    """
+    try:
+        from pyopencrg import CrgRoad, io  # pyright: ignore[reportMissingImports] - an extra
+    except ImportError as error:
+        raise InputError(f"road file {path} needs PyOpenCRG; install it with: pip install -e '.[opencrg]'") from error
+    with open_plain(path, "road file", GIVE) as stream:
+        size = os.fstat(stream.fileno()).st_size
+    if size > LARGEST:
+        raise InputError(
+            f"road file {path}: is too large, {size / MIB:.0f} MiB; at most {LARGEST / MIB:g} MiB is read: give a part of it, or "
+            "a coarser grid"
+        )
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # what its checks find and a profile does not need
+            head = io.read_ipl(path, meta_only=True)
+            numbers = _check_header(head.struct, [*head.kd_ind, *head.kd_def])
+            _check_end(path, head.fmt, len(head.kd_def))
+            road = CrgRoad.read(path)
+            u, v = np.asarray(road.u, dtype=float), np.asarray(road.v, dtype=float)
+            z = np.empty((len(u), len(v)))
+            _check_whole(numbers, head.kd_ind, u)
+            rows = max(1, AT_ONCE // len(v))
+            for i in range(0, len(u), rows):
+                z[i : i + rows] = road.uv_to_z(u[i : i + rows, None], v[None, :])
+    except InputError as error:
+        raise InputError(f"road file {path}: {error}") from error
+    except OSError as error:
+        raise InputError(f"road file {path}: cannot be read ({error.strerror or error})") from error
+    except Exception as error:  # a reader of somebody else's: whatever it says, the file is none
+        raise InputError(f"road file {path}: no OpenCRG file ({_reason(error, path)}); {GIVE}") from error
+    return Surface(u, v, z, str(path))
+
+
+def _check_header(struct: Iterable[str], channels: Iterable[str]) -> dict[str, float]:
+    """Whether a header's numbers can be a road's; PyOpenCRG would count with them, or take others in their place.
+
+    Args:
+        struct: lines of the blocks before the channels.
+        channels: their definitions.
+
+    Returns:
+        The numbers of the road, by keyword.
+
+    Raises:
+        InputError: a number that is none; or the data are in another file, which would be read whatever it is.
+    """
+    block, numbers = "", {}
+    for line in struct:
+        if line.startswith("$"):
+            block = line.strip("$ ").split("!")[0].strip().upper()
+        if block == "ROAD_CRG_FILE":
+            raise InputError("its data are in another file, that it names; give that one")
+        entry = ENTRY.match(line) if block == "ROAD_CRG" else None
+        if entry is None:
+            continue
+        name, text = entry[1].lower(), entry[2]
+        value = _number(text)
+        if name.endswith("_increment") and not FINEST <= value <= COARSEST:
+            raise InputError(f"{name} = {text} is not allowed; from {FINEST:g} to {COARSEST:g} m are")
+        if not abs(value) <= FURTHEST:
+            raise InputError(f"{name} = {text} is not allowed; numbers from {-FURTHEST:g} to {FURTHEST:g} are")
+        numbers[name] = value
+    for channel in channels:
+        for text in re.split(r"[,=\s]+", channel):
+            value = _number(text, 0.0)
+            if not abs(value) <= FURTHEST:
+                raise InputError(f"channel {channel!r}: {text} is not allowed; numbers from {-FURTHEST:g} to {FURTHEST:g} are")
+    return numbers
+
+
+def _check_whole(numbers: Mapping[str, float], defined: Iterable[str], u: Array) -> None:
+    """Whether there are as many cross-sections as the header promises; text that is cut between two of them looks whole.
+
+    Args:
+        numbers: of the header.
+        defined: channels that are not data, of which one may be the distance: reference line u, m, start, increment.
+        u: along the road, one for each cross-section there is [m].
+
+    Raises:
+        InputError: there are fewer.
+    """
+    given = [channel.split(",") for channel in defined if channel.lower().startswith("reference line u,")]
+    step = numbers.get("reference_line_increment") or next((_number(one[3], 0.0) for one in given if len(one) > 3), 0.0)
+    if not step or "reference_line_end_u" not in numbers:
+        return  # then nothing says how many there were
+    promised = round((numbers["reference_line_end_u"] - u[0]) / step) + 1
+    if len(u) < promised:
+        raise InputError(
+            f"has {len(u)} cross-sections, and its header promises {promised}, up to {numbers['reference_line_end_u']:g} m in "
+            f"steps of {step:g} m: it was cut; give the whole file"
+        )
+
+
+def _check_end(path: Path, form: str, channels: int) -> None:
+    """Whether text ends with a whole line; where numbers of fixed width are cut off, there might be none, and it looks whole.
+
+    Raises:
+        InputError: it does not.
+    """
+    if form not in TEXT_WIDTHS:
+        return
+    width = TEXT_WIDTHS[form]
+    with path.open("rb") as file:
+        file.seek(-min(os.fstat(file.fileno()).st_size, 4 * LINE), os.SEEK_END)
+        last = file.read().rstrip(b"\r\n").rpartition(b"\n")[2]
+    expected = ((channels - 1) % (LINE // width) + 1) * width
+    if len(last) < expected:
+        raise InputError(f"its last line has {len(last)} characters, and {expected} are due: it was cut; give the whole file")
+
+
+def _number(text: str, otherwise: float = math.nan) -> float:
+    found = NUMBER.match(text)
+    return float(found[0].lower().replace("d", "e")) if found else otherwise
+
+
+def _reason(error: Exception, path: Path) -> str:
+    """What PyOpenCRG says against a file, on one line; it may list many things below a first line that names none."""
+    report = getattr(error, "report", None)
+    if report is not None:
+        return some([problem.removeprefix("(reading) ") for problem in report.errors or report.warnings])
+    text = " ".join(str(error).removeprefix(f"{path}: ").split())
+    return text or type(error).__name__

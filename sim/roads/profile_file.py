@@ -1,0 +1,177 @@
+"""A measured road from a text file: distance and height in whatever columns, separators, decimals and units people have."""
+
+import re
+from array import array
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from models.common.errors import InputError, known
+from models.common.read_file import TABLE, read_text
+from sim.roads.profile import Profile, check_points
+from sim.roads.profile_headings import UNITS, Heading, choose_columns, headings_of, read_heading, unit_of
+
+SEPARATORS: Mapping[str, str] = {"comma": ",", "semicolon": ";", "tab": "\t", "space": " "}
+HEADINGS = 50  # lines that may come before the numbers
+STEEPEST = 1.0  # rms slope; the roughest class of ISO 8608 has a half
+WIDEST = 20.0  # m between points; a vehicle's wheels meet what lies between
+
+FORMAT = "give two columns, distance and height [m], or three, distance, left and right"
+
+
+@dataclass(frozen=True)
+class Table:
+    """How a file is to be read.
+
+    Attributes:
+        distance_unit, height_unit: one of `UNITS`; empty for what the headings say, else metres.
+        separator: one of `SEPARATORS`; empty to find out. With any but a comma, a comma may be the decimal point.
+        columns: of distance and height, or distance, left and right, counted from 1; empty for what the headings say, else
+            the first two or three.
+    """
+
+    distance_unit: str = ""
+    height_unit: str = ""
+    separator: str = ""
+    columns: tuple[int, ...] = ()
+
+
+def read_table(settings: Mapping[str, str]) -> Table:
+    """How a file is to be read, from texts by name.
+
+    Raises:
+        InputError: a name or a value that is unknown.
+    """
+    allowed = {"distance_unit": UNITS, "height_unit": UNITS, "separator": SEPARATORS}
+    for name, value in settings.items():
+        if name not in (*allowed, "columns"):
+            raise InputError(f"{name!r} is unknown; a road file takes {known((*allowed, 'columns'))}")
+        if name in allowed and value not in allowed[name]:
+            raise InputError(f"{name} = {value!r} is unknown; give one of {known(allowed[name])}")
+    columns = settings.get("columns", "")
+    if columns and not re.fullmatch(r"[1-9]\d{0,2}(,[1-9]\d{0,2}){1,2}", columns):
+        raise InputError(f"columns = {columns!r} is none; give two or three numbers from 1, as in columns=1,3 or columns=1,3,4")
+    numbers = tuple(map(int, columns.split(","))) if columns else ()
+    return Table(**{**settings, "columns": numbers})  # pyright: ignore[reportArgumentType] - the others are texts
+
+
+def read_profile(path: Path, speed: float, table: Table | None = None) -> Profile:
+    """A profile from a text file. Lines of headings may come first: they say which column is what, and in which unit.
+
+    Blank lines and those that begin with # are passed over; before the numbers the latter may be headings.
+
+    Args:
+        path: the file.
+        speed: [m/s].
+        table: how it is to be read.
+
+    Raises:
+        InputError: the file cannot be read, a line has no such numbers, or they make no road. The message names file and line.
+    """
+    table = table or Table()
+    try:
+        return _profile(read_text(path, "road file", TABLE, FORMAT), speed, str(path), table)
+    except InputError as error:
+        said = str(error)
+        raise InputError(said if said.startswith("road file") else f"road file {path}: {said}") from error
+
+
+def _profile(text: str, speed: float, source: str, table: Table) -> Profile:
+    rows = text.split("\n")
+    first, mark = _first(rows, table)
+    count = len(_cells(rows[first], mark)) if first < len(rows) else 2
+    headings = headings_of([_heading_cells(line, mark, count) for line in rows[:first] if line.strip()], count)
+    columns = choose_columns(headings, table.columns)
+    if len(columns) not in (2, 3):
+        raise InputError(f"line {first + 1} has {count} column(s); {FORMAT}, or say which, as in :columns=1,4")
+
+    lines, values = array("Q"), array("d")
+    for number, line in enumerate(rows[first:], first + 1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        cells = _cells(line, mark)
+        used = [cells[column] if column < len(cells) else "" for column in columns]
+        found = _numbers(used)
+        if found is None or (len(cells) != count and not table.columns):
+            shown = used if table.columns else cells
+            raise InputError(f"line {number}: {' '.join(shown)!r} is not {len(shown if found else used)} numbers; {FORMAT}")
+        lines.append(number)
+        values.extend(found)
+    points = np.frombuffer(values, dtype=float).reshape(-1, len(columns)) if values else np.zeros((0, len(columns)))
+    named = [headings[column] if column < count else Heading("") for column in columns]
+    metres = [unit_of(heading, table.height_unit, "height_unit") for heading in named[1:]]
+    distance = points[:, 0] * unit_of(named[0], table.distance_unit, "distance_unit")
+    heights = points[:, [1, -1]] * [metres[0], metres[-1]]
+    check_points(distance, heights, lambda i: f"line {lines[i]}")
+    _check_units(distance, heights)
+    return Profile(distance, heights, speed, source)
+
+
+def _first(rows: Sequence[str], table: Table) -> tuple[int, str]:
+    """Index of the first line of numbers, and what separates its cells, and so those of all that follow."""
+    headings, column = 0, (table.columns or (1,))[0] - 1
+    for i, line in enumerate(rows):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        mark = SEPARATORS.get(table.separator) or _separator(line)
+        if _numbers(_cells(line, mark)[column : column + 1] or [""]) is not None:
+            return i, mark
+        headings += 1
+        if headings > HEADINGS:
+            raise InputError(f"no line of numbers among the first {HEADINGS}; {FORMAT}")
+    return len(rows), ","
+
+
+def _cells(line: str, mark: str) -> list[str]:
+    cells = line.split() if mark == " " else [cell.strip() for cell in line.split(mark)]
+    if mark != ",":  # then a comma can only be a decimal point
+        cells = [cell.replace(",", ".", 1) if cell.count(",") == 1 and "." not in cell else cell for cell in cells]
+    while len(cells) > 1 and not cells[-1]:
+        cells.pop()  # a separator at the end of the line
+    return cells
+
+
+def _heading_cells(line: str, mark: str, count: int) -> list[str]:
+    """The cells of a line above the numbers, which may be separated by another mark; none where it is prose."""
+    text = line.lstrip("# \t")
+    if mark == " ":  # a unit in brackets belongs to the word before it
+        text = re.sub(r"\s+(?=[\[(])", "", text)
+    cells = _cells(text, mark)
+    if len(cells) != count and _separator(text) != " ":
+        cells = _cells(text, _separator(text))
+    loose = mark == " " or line.lstrip().startswith("#")
+    named = re.search(r"[\[(]", text) or any(read_heading(cell).meaning for cell in cells)
+    return cells if named or not loose else []  # "in metres" is no pair of units
+
+
+def _separator(line: str) -> str:
+    """What separates the cells of a line: the least doubtful of what it holds."""
+    return next((mark for mark in (";", "\t", ",") if mark in line), " ")
+
+
+def _numbers(cells: list[str]) -> list[float] | None:
+    try:
+        return [float(cell) for cell in cells]
+    except ValueError:
+        return None
+
+
+def _check_units(distance: np.ndarray, heights: np.ndarray) -> None:
+    """Refuses what can only be in other units than was said.
+
+    Raises:
+        InputError: no road is so steep, or so coarse.
+    """
+    spacing = float(np.median(np.diff(distance)))
+    length, low, high = float(distance[-1] - distance[0]), float(heights.min()), float(heights.max())
+    found = f"{length:.4g} m long in steps of {spacing:.3g} m, heights from {low:.4g} to {high:.4g} m"
+    if spacing > WIDEST:
+        raise InputError(f"{found}: too coarse for a road; distances in mm or cm? then say :distance_unit=mm")
+    slope = float(np.sqrt(np.mean((np.diff(heights, axis=0) / np.diff(distance)[:, None]) ** 2)))
+    if slope > STEEPEST:
+        raise InputError(
+            f"{found}: an rms slope of {slope:.3g}, steeper than any road; distances in km, or heights in mm? then say "
+            ":distance_unit=km or :height_unit=mm"
+        )

@@ -1,0 +1,132 @@
+"""Roads: the height under a wheel as a function of time, and its exact derivative."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError
+from models.vehicle import Vehicle
+
+
+class Road(ABC):
+    """A road driven at constant speed. Time 0 is when the first wheel reaches its start."""
+
+    speed: float
+    """Forward velocity of the vehicle [m/s]."""
+
+    @abstractmethod
+    def displacement(self, t: Array, side: str = "") -> Array:
+        """Height under the first wheel of a side [m] at times t [s], same shape. See `Wheel.side`."""
+
+    @abstractmethod
+    def velocity(self, t: Array, side: str = "") -> Array:
+        """Time derivative of `displacement` [m/s] at times t [s], same shape."""
+
+    @abstractmethod
+    def scaled(self, factor: float) -> "Road":
+        """The same road with its heights multiplied."""
+
+    @property
+    @abstractmethod
+    def kinks(self) -> tuple[float, ...]:
+        """Times [s] at which `velocity` or one of its derivatives jumps; a quadrature must not step across one."""
+
+    @abstractmethod
+    def describe(self) -> dict[str, float | str]:
+        """What it is: its kind under `type`, then its numbers in SI."""
+
+
+LIMITS = {"height": (-100.0, 100.0), "length": (1e-3, 1e4), "speed": (1e-3, 1e3)}  # SI; no road vehicle is beyond them
+
+
+def check_numbers(kind: str, road: Road, limits: Mapping[str, tuple[float, float]]) -> None:
+    """Refuses a road with a number beyond its limits (smallest, largest), by name.
+
+    Raises:
+        InputError: it names the number, and the range.
+    """
+    for name, (smallest, largest) in limits.items():
+        value = getattr(road, name)
+        if not smallest <= value <= largest:  # NaN is in no range
+            raise InputError(f"{kind} {name} = {value:g} is not allowed; give a number from {smallest:g} to {largest:g}")
+
+
+@dataclass(frozen=True)
+class Bump(Road):
+    """The isolated bump (61): one period of a cosine. Defaults are the paper's (62).
+
+    Attributes:
+        height: A [m].
+        length: L [m].
+        speed: V [m/s].
+        track: the side that it lies under: "left", "right" or "both".
+
+    Raises:
+        InputError: a number beyond `LIMITS`: a bump of no length, a vehicle that stands still.
+    """
+
+    height: float = 0.1
+    length: float = 5.0
+    speed: float = 12.5
+    track: str = "both"
+
+    def __post_init__(self) -> None:
+        check_numbers("bump", self, LIMITS)
+
+    @property
+    def duration(self) -> float:
+        """How long a wheel is on it, L / V [s]."""
+        return self.length / self.speed
+
+    def displacement(self, t: Array, side: str = "") -> Array:
+        """Equation (61)."""
+        on = self._on(t, side)
+        return np.where(on, self.height / 2 * (1 - np.cos(2 * np.pi * t / self.duration)), 0.0)
+
+    def velocity(self, t: Array, side: str = "") -> Array:
+        """Derivative of (61)."""
+        on = self._on(t, side)
+        return np.where(on, self.height * np.pi / self.duration * np.sin(2 * np.pi * t / self.duration), 0.0)
+
+    @property
+    def kinks(self) -> tuple[float, ...]:
+        """Its two ends."""
+        return (0.0, self.duration)
+
+    def describe(self) -> dict[str, float | str]:
+        """Height, length, speed, track."""
+        return {"type": "bump", **asdict(self)}
+
+    def scaled(self, factor: float) -> "Bump":
+        """The same bump, higher or lower."""
+        return replace(self, height=self.height * factor)
+
+    def _on(self, t: Array, side: str) -> Array:
+        return (t >= 0) & (t <= self.duration) & (not side or self.track in ("both", side))
+
+
+def delays(road: Road, vehicle: Vehicle) -> list[float]:
+    """How much later than the first wheel each wheel meets the road [s]."""
+    return [wheel.behind(vehicle.parameters) / road.speed for wheel in vehicle.kind.wheels]
+
+
+def track_width(vehicle: Vehicle) -> float:
+    """From the rightmost wheel to the leftmost [m]; 0 where the vehicle has only one track."""
+    lateral = [wheel.lateral(vehicle.parameters) for wheel in vehicle.kind.wheels]
+    return max(lateral) - min(lateral)
+
+
+def under_wheels(function: Callable[[Array, str], Array], road: Road, vehicle: Vehicle, t: Array) -> Array:
+    """A road's `displacement` or `velocity` under every wheel of a vehicle, shape (T, r), at times t [s] of shape (T,).
+
+    Args:
+        function: `road.displacement` or `road.velocity`.
+        road: the road.
+        vehicle: r wheels.
+        t: times [s].
+    """
+    later = delays(road, vehicle)
+    return np.stack([function(t - delay, wheel.side) for wheel, delay in zip(vehicle.kind.wheels, later, strict=True)], axis=-1)

@@ -1,0 +1,115 @@
+"""A road of many sinusoids: every frequency of interest in one run, and a single one for the worst case."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from models.common.arrays import Array
+from sim.roads.road import Road
+
+BLOCK = 4_000_000  # sines that are evaluated at once; more only costs memory
+MULTISINES = ("multisine", "chirp", "random", "sinusoid")  # what they are called in a log
+
+
+@dataclass(frozen=True)
+class Multisine(Road):
+    """A sum of sinusoids that begins at time 0 at its own height there; before, the road is flat.
+
+        z_r(t) = s(t) - s(0),    s(t) = sum of a_i sin(omega_i t + phi_i),    t >= 0.
+
+    Attributes:
+        omega: angular frequencies [rad/s], F of them.
+        amplitudes: a_i [m].
+        phases: phi_i [rad].
+        speed: forward velocity [m/s].
+        name: what it is called in a log, one of `MULTISINES`.
+    """
+
+    omega: tuple[float, ...]
+    amplitudes: tuple[float, ...]
+    phases: tuple[float, ...]
+    speed: float = 12.5
+    name: str = "multisine"
+
+    def displacement(self, t: Array, side: str = "") -> Array:
+        """The sum. Every side has the same."""
+        start = float(np.dot(self.amplitudes, np.sin(self.phases)))
+        return np.where(t >= 0, self._sum(t, np.asarray(self.amplitudes), 0.0) - start, 0.0)
+
+    def velocity(self, t: Array, side: str = "") -> Array:
+        """Its exact derivative."""
+        return np.where(t >= 0, self._sum(t, np.multiply(self.amplitudes, self.omega), np.pi / 2), 0.0)
+
+    @property
+    def kinks(self) -> tuple[float, ...]:
+        """Where it begins: the velocity jumps. After that it is smooth."""
+        return (0.0,)
+
+    def describe(self) -> dict[str, Any]:
+        """How many lines, from where to where, how large, and every one of them."""
+        return {
+            "type": self.name,
+            "lines": len(self.omega),
+            "lowest": min(self.omega),
+            "highest": max(self.omega),
+            "rms": float(np.sqrt(np.sum(np.square(self.amplitudes)) / 2)),
+            "speed": self.speed,
+            "omega": list(self.omega),
+            "amplitudes": list(self.amplitudes),
+            "phases": list(self.phases),
+        }
+
+    def scaled(self, factor: float) -> "Multisine":
+        """The same road, higher or lower."""
+        return replace(self, amplitudes=tuple(factor * a for a in self.amplitudes))
+
+    def to_height(self, height: float, time: Array) -> "Multisine":
+        """The same road, scaled so that over these times [s] it reaches this height [m], either way."""
+        return self.scaled(height / float(np.abs(self.displacement(time)).max()))
+
+    def _sum(self, t: Array, amplitudes: Array, ahead: float) -> Array:
+        phases, omega = np.asarray(self.phases) + ahead, np.asarray(self.omega)
+        flat = np.ravel(t)
+        total = [np.sin(np.multiply.outer(some, omega) + phases) @ amplitudes for some in _blocks(flat, len(omega))]
+        return np.concatenate(total).reshape(np.shape(t))
+
+
+def _blocks(t: Array, lines: int) -> list[Array]:
+    return np.array_split(t, max(1, -(-len(t) * lines // BLOCK)))
+
+
+def chirp(omega: Array, period: float, speed: float) -> Multisine:
+    """Lines of equal velocity with Schroeder's phases: a periodic chirp, with hardly a peak.
+
+    M. R. Schroeder (1970), IEEE Trans. Inf. Theory 16, 85-89: the phases make the group delay of a line the share of the power
+    below it, so the lines take turns over the period: phi_i = -T sum over l < i of p_l (omega_i - omega_l), here p_l = 1/F.
+    Equal velocities are a road as roads are: its velocity is white (ISO 8608 with w = 2).
+
+    Args:
+        omega: ascending angular frequencies [rad/s], shape (F,), multiples of 2 pi / period.
+        period: [s].
+        speed: forward velocity [m/s].
+    """
+    below = np.tril(np.subtract.outer(omega, omega), -1)
+    return _white(omega, -period * below.sum(axis=1) / len(omega), speed, "chirp")
+
+
+def random_road(omega: Array, seed: int, speed: float) -> Multisine:
+    """Lines of equal velocity with random phases.
+
+    Args:
+        omega: angular frequencies [rad/s], shape (F,).
+        seed: of the phases.
+        speed: forward velocity [m/s].
+    """
+    return _white(omega, np.random.default_rng(seed).uniform(0, 2 * np.pi, len(omega)), speed, "random")
+
+
+def sinusoid(omega: float, speed: float) -> Multisine:
+    """One line that starts from standstill: z_r = 1 - cos(omega t) [m]."""
+    return Multisine((omega,), (1.0,), (-np.pi / 2,), speed, "sinusoid")
+
+
+def _white(omega: Array, phases: Array, speed: float, name: str) -> Multisine:
+    return Multisine(tuple(omega.tolist()), tuple((1 / omega).tolist()), tuple(phases.tolist()), speed, name)

@@ -1,0 +1,164 @@
+"""Physics against analysis, signal by signal, and no further than the analysis applies.
+
+The yardstick is the exact response of the sampled loop. MuJoCo's RK4 differs from it by the integrator's own error, and that is
+known: on a linear system RK4 is the Taylor polynomial of degree 4, so its response can be computed without MuJoCo. Physics and
+analysis agree where they differ by no more than that.
+
+A body that pitches and rolls is not linear, and there physics leaves the analysis with the amplitude. Then the same road is
+driven at a hundredth of its height: what is geometry has gone there, in proportion or faster, and what is wrong has not.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from models.vehicle import Vehicle
+from sim.response.regime import ENDS, reached
+from sim.response.response import Response
+
+ROUNDING = 1e-9  # of a peak, over thousands of steps; a vehicle at rest to 1e-16 of its spring forces stays below 1e-12
+COARSEST = 1e-2  # of a peak; physics that is further off confirms nothing, even if the integrator has to be
+SMALL = 1e-2  # the share of the road's height at which geometry has to have gone
+SIGMAS = 6.0  # of noise: thousands of samples stay within it
+SLACK = 1.5  # on the predicted integrator error: it is a maximum over time of one of two nearly equal curves
+
+
+@dataclass(frozen=True)
+class SignalAgreement:
+    """How one signal of the physics compares, over the time in which the linear analysis applies.
+
+    Attributes:
+        sampled: largest difference from the exact sampled response, over that response's peak.
+        continuous: the same against the continuous closed loop; it contains the effect of holding the force over a step.
+        allowed: what the integrator's own error may make of `sampled`, and no more than `COARSEST`.
+        small: what `sampled` is over the same road at `SMALL` of its height; None where there was no need to look.
+    """
+
+    sampled: float
+    continuous: float
+    allowed: float
+    small: float | None = None
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the difference is the integrator's, or vanishes with the amplitude as that of geometry does."""
+        if self.small is None:
+            return self.sampled <= self.allowed
+        return self.small <= self.allowed + SLACK * SMALL * self.sampled
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """The verdict on one run.
+
+    Attributes:
+        signals: by name.
+        lift_off: intervals [s] in which a tyre is off the road.
+        flat: when a tyre is first squeezed further than a tyre can be [s]; infinite where none is. No model holds from there.
+        until: the linear comparison applies before this time [s]; infinite where it always does.
+        stopped: when a suspension first touches a bump stop [s]; infinite where none does.
+        saturated: when an actuator first gives all it can [s]; infinite where none does.
+        blurred: whether measurements are noisy or quantised: then the comparison is with their predicted spread.
+    """
+
+    signals: Mapping[str, SignalAgreement]
+    lift_off: tuple[tuple[float, float], ...]
+    flat: float
+    until: float
+    stopped: float = np.inf
+    saturated: float = np.inf
+    blurred: bool = False
+
+    @property
+    def agrees(self) -> bool:
+        """Whether every signal agrees, for as long as the comparison applies."""
+        return all(signal.agrees for signal in self.signals.values())
+
+
+def compare(
+    vehicle: Vehicle,
+    physics: Response,
+    sampled: Response,
+    integrated: Response,
+    continuous: Response,
+    diverged: float,
+    spread: Mapping[str, float],
+) -> Agreement:
+    """Compares one run with its three predictions.
+
+    Args:
+        vehicle: the vehicle.
+        physics: what MuJoCo did.
+        sampled: exact response of the sampled loop.
+        integrated: the same as RK4 makes it.
+        continuous: response of the continuous closed loop.
+        diverged: when the run diverged [s]; infinite where it did not.
+        spread: rms that noise and quantisation of the measurements give each signal; empty without them.
+    """
+    lift_off = lift_off_intervals(vehicle, physics)
+    # A hub that goes through the road within a step escapes the physics' own samples, but not the prediction's.
+    _, stopped, saturated, flat = reached(vehicle, physics).tolist()
+    flat = min(flat, float(reached(vehicle, sampled)[ENDS.index("flat tyre")]))
+    until = min([start for start, _ in lift_off] + [_first_loose(vehicle, physics), flat, stopped, saturated, diverged])
+    physics, sampled, integrated, continuous = (r.until(until) for r in (physics, sampled, integrated, continuous))
+    signals = {
+        name: SignalAgreement(
+            sampled=_difference(physics, sampled, name),
+            continuous=_difference(physics, continuous, name),
+            allowed=min(SLACK * _difference(integrated, sampled, name) + ROUNDING, COARSEST)
+            + SIGMAS * spread.get(name, 0.0) / (sampled.scale(name) or 1.0),
+        )
+        for name in vehicle.linear_model.outputs
+    }
+    return Agreement(signals, lift_off, flat, until, stopped, saturated, blurred=bool(spread))
+
+
+def look_closer(agreement: Agreement, physics: Response, sampled: Response) -> Agreement:
+    """Asks of a run that does not agree whether that is geometry: then it vanishes with the amplitude.
+
+    Args:
+        agreement: the run's.
+        physics: what MuJoCo did over the same road at `SMALL` of its height.
+        sampled: the run's exact sampled response, over the road at its full height.
+    """
+    small = Response(sampled.time, sampled.signals, SMALL * sampled.values)
+    signals = {name: replace(signal, small=_difference(physics, small, name)) for name, signal in agreement.signals.items()}
+    return replace(agreement, signals=signals)
+
+
+def lift_off_intervals(vehicle: Vehicle, physics: Response) -> tuple[tuple[float, float], ...]:
+    """When any tyre is off the road: first and last sample of every interval [s], in order of their start."""
+    intervals = []
+    for name, static in vehicle.kind.static_tyre_deflection(vehicle.parameters).items():
+        off = np.concatenate([[False], physics[name] >= static, [False]])
+        starts, ends = np.flatnonzero(off[1:] & ~off[:-1]), np.flatnonzero(off[:-1] & ~off[1:]) - 1
+        intervals += [(float(physics.time[a]), float(physics.time[b])) for a, b in zip(starts, ends, strict=True)]
+    return tuple(sorted(intervals))
+
+
+def _first_loose(vehicle: Vehicle, physics: Response) -> float:
+    """First sample [s] before which a tyre may have been off the road within a step; infinite where none may have been.
+
+    MuJoCo holds the road at its middle over a step, so there a tyre is shorter or longer than at the samples. What paths bend
+    within a step, and RK4's stages probe of it, is within their second differences.
+    """
+    static, first = vehicle.kind.static_tyre_deflection(vehicle.parameters), np.inf
+    for wheel in vehicle.kind.wheels:
+        road = physics[wheel.road_displacement]
+        hub = physics[wheel.tyre_deflection] + road
+        held = (road[:-1] + road[1:]) / 2
+        hub_bend, road_bend = (np.abs(np.diff(path, n=2, prepend=path[0])) for path in (hub, road))
+        longest = np.maximum(hub[:-1], hub[1:]) - held + hub_bend + road_bend / 8
+        loose = longest >= static[wheel.tyre_deflection]
+        if loose.any():
+            first = min(first, float(physics.time[1 + loose.argmax()]))
+    return first
+
+
+def _difference(response: Response, reference: Response, signal: str) -> float:
+    """Largest difference over time, over the reference's scale; 0 where neither ever moves."""
+    if len(response.time) == 0:
+        return 0.0
+    difference = float(np.max(np.abs(response[signal] - reference[signal])))
+    return difference / (reference.scale(signal) or 1.0)

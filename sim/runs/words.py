@@ -1,0 +1,227 @@
+"""Runs in words and numbers: the table on the terminal, the object for `--json`, the text and events in the logs."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.kind import MOST_SQUEEZE
+from models.vehicle import Vehicle
+from sim.physics.energy import BALANCED, Energy
+from sim.runs.agreement import COARSEST, SLACK, SMALL
+from sim.runs.run import Run
+from synth.command.table import ideal_lines, notes
+from synth.controller import Controller
+
+
+@np.errstate(over="ignore")  # an unstable loop's squares overflow; what is infinite is None
+def run_object(vehicle: Vehicle, run: Run) -> dict[str, Any]:
+    """One run as JSON has it: SI units, None for what is infinite or does not exist."""
+    responses = {"mujoco": run.physics, "sampled": run.sampled, "continuous": run.continuous}
+    agreement = run.agreement
+    return {
+        "controller": controller_object(run.controller),
+        "signals": {
+            name: {
+                "unit": vehicle.kind.signal(name).unit,
+                "peak": {key: _finite(response.peak(name)) for key, response in responses.items()},
+                "rms": {key: _finite(response.rms(name)) for key, response in responses.items()},
+                "error": {"sampled": _finite(signal.sampled), "continuous": _finite(signal.continuous)},
+            }
+            for name, signal in agreement.signals.items()
+        },
+        "lift_off": [list(interval) for interval in agreement.lift_off],
+        "agrees": agreement.agrees,
+    } | ({"energy": energy_object(run.energy)} if run.energy is not None else {})
+
+
+def energy_object(energy: Energy) -> dict[str, float | bool | None]:
+    """An energy balance as JSON has it [J]; its residual is a share of `turnover`."""
+    return {name: _finite(value) for name, value in asdict(energy).items()} | {"balances": energy.balances}
+
+
+def energy_lines(run: Run) -> list[str]:
+    """A run's energy balance in a sentence; none where it is not known."""
+    energy = run.energy
+    if energy is None:
+        return []
+    of = f"{energy.residual:.1e} of the {energy.turnover:.4g} J turned over"
+    if energy.balances:
+        return [f"energy balances: the work of road and actuators is found again, stored or dissipated, to {of}"]
+    why = "a force does work that is none of the vehicle's, or the timestep is too coarse"
+    return [f"energy DOES NOT BALANCE: {of} is not found again, {BALANCED:.0e} allowed: {why}"]
+
+
+def half_step_object(run: Run) -> dict[str, Any] | None:
+    """What half the step changes after a lift-off, as JSON has it; None where that is not known."""
+    found = run.half_step
+    return {"difference": _finite(found.difference), "signal": found.signal} if found else None
+
+
+def controller_object(controller: Controller) -> dict[str, Any]:
+    """A controller as JSON has it."""
+    certificate = controller.certificate
+    return {
+        "name": controller.name,
+        "measured": list(controller.measured),
+        "gain": controller.gain.tolist(),
+        "bound": certificate.bound,
+        "norm": _finite(certificate.norm.value),
+        "peak_frequency": _finite(certificate.norm.peak_frequency),
+        "stability": certificate.stability.verdict,
+    }
+
+
+def controller_lines(vehicle: Vehicle, controller: Controller) -> list[str]:
+    """A controller and what is known of it."""
+    certificate = controller.certificate
+    norm = certificate.norm
+    measured = ", ".join(controller.measured) or "nothing"
+    proof = f"bound {certificate.bound:.7g}   " if certificate.bound is not None else ""
+    lines = [
+        f"controller {controller.name}: measures {measured}",
+        f"  gain {gain_text(controller.gain)}" if controller.measured else "  no control force",
+    ]
+    if certificate.stable:
+        where = f" at {norm.peak_frequency:.5g} rad/s" if math.isfinite(norm.peak_frequency) else ""
+        lines.append(f"  {proof}norm {norm.value:.7g}{where}   {certificate.stability.words}")
+    for sentence in (*ideal_lines(vehicle), *notes(controller), *certificate.remarks, *certificate.failures):
+        lines.append(f"  {sentence}")
+    return lines
+
+
+def verdict_lines(run: Run) -> list[str]:
+    """What the comparison of physics and analysis came to, in sentences."""
+    agreement, lines = run.agreement, []
+    if run.sampled_radius > 1:
+        lines.append(f"unstable: the sampled loop grows by a factor of {run.sampled_radius:.6g} every step")
+    elif run.sampled_radius == 1:
+        lines.append("marginal: to rounding, something in the sampled loop neither grows nor decays")
+    if math.isfinite(run.diverged):
+        lines.append(f"diverged: MuJoCo was stopped at {run.diverged:.4g} s; there is no vehicle any more")
+    for start, end in agreement.lift_off:
+        lines.append(f"lift-off: a tyre is off the road from {start:.4g} s to {end:.4g} s ({end - start:.3g} s)")
+    if run.half_step is not None and math.isfinite(run.half_step.difference):
+        size, signal = run.half_step.difference, run.half_step.signal
+        lines.append(f"after lift-off the physics holds to about {size:.1e} of a peak: so much half the step changes {signal}")
+    elif run.half_step is not None:
+        lines.append("after lift-off the physics does not hold: at half the step it diverges")
+    elif agreement.lift_off and agreement.blurred:
+        lines.append("how far the physics holds after lift-off is not said: at half the step other noise would be measured")
+    if math.isfinite(agreement.stopped):
+        lines.append(f"bump stop: a suspension is at the end of its stroke first at {agreement.stopped:.4g} s")
+    if math.isfinite(agreement.saturated):
+        lines.append(f"saturation: an actuator gives all its force first at {agreement.saturated:.4g} s")
+    when = "throughout"
+    ended = agreement.until in (agreement.flat, run.diverged, agreement.stopped, agreement.saturated)
+    if agreement.flat == agreement.until < math.inf:
+        lines.append(
+            f"flat: a tyre is squeezed by more than {MOST_SQUEEZE} m at {agreement.flat:.4g} s, its hub is in the road; "
+            "no model of it holds from there"
+        )
+    if math.isfinite(agreement.until):
+        ended = ended or agreement.until in (start for start, _ in agreement.lift_off)
+        why = "" if ended else ": within a step, a tyre may leave the road there"
+        lines.append(f"the linear comparison does not apply from {agreement.until:.4g} s on{why}")
+        when = f"until {agreement.until:.4g} s"
+    worst = max(agreement.signals, key=lambda name: agreement.signals[name].sampled / agreement.signals[name].allowed)
+    error = agreement.signals[worst]
+    numbers = f"{worst}: {error.sampled:.1e} of its peak, {error.allowed:.1e} allowed"
+    if agreement.agrees and error.small is not None:
+        worst = max(agreement.signals, key=lambda name: agreement.signals[name].sampled)
+        error = agreement.signals[worst]
+        made, noise, is_it = ("geometry makes", "", "the exact sampled response to")
+        if agreement.blurred:
+            made, noise, is_it = ("geometry and noise make", " and noise", "within")
+        off = error.sampled - (0.0 if agreement.blurred else error.allowed / SLACK)
+        lines.append(
+            f"agrees to first order: {made} up to {off:.1e} of a peak ({worst}), "
+            f"{when}; at {SMALL:g} of this road's height{noise} MuJoCo is {is_it} {error.small:.1e} of it"
+        )
+    elif agreement.agrees and agreement.blurred:
+        lines.append(f"agrees: MuJoCo stays within the predicted spread of the noise on its measurements, {when} ({numbers})")
+    elif agreement.agrees:
+        lines.append(f"agrees: MuJoCo is the exact sampled response to within RK4's own error, {when} ({numbers})")
+    else:
+        why = "; the timestep is too coarse, give a smaller one" if error.allowed == COARSEST else ""
+        lines.append(f"DOES NOT AGREE with the exact sampled response, {when} ({numbers}{why})")
+    return lines
+
+
+@np.errstate(over="ignore")
+def run_lines(vehicle: Vehicle, run: Run, passive: Run | None) -> list[str]:
+    """The table of one run: peak and rms of every signal, physics and linear, their errors, the change against passive."""
+    headings = ("signal", "unit", "", "MuJoCo", "sampled", "continuous", "error", "to cont.", "vs passive")
+    rows: list[tuple[str, ...]] = [headings]
+    for name, signal in run.agreement.signals.items():
+        unit = vehicle.kind.signal(name).unit
+        silent = passive is not None and float(passive.physics.peak(name)) < passive.physics.scale(name)
+        for kind in ("peak", "rms"):
+            values = [float(getattr(response, kind)(name)) for response in (run.physics, run.sampled, run.continuous)]
+            reference = float(getattr(passive.physics, kind)(name)) if passive else 0.0
+            change = _cell(100 * (values[0] / reference - 1), "+.1f", " %") if reference and not silent else "-"
+            errors = (_cell(signal.sampled, ".1e"), _cell(signal.continuous, ".1e")) if kind == "peak" else ("", "")
+            numbers = (_cell(value, ".6g") for value in values)
+            rows.append((name if kind == "peak" else "", unit, kind, *numbers, *errors, change))
+    return [f"  {line}" for line in _table(rows)]
+
+
+def events(run: Run) -> tuple[tuple[float, str], ...]:
+    """Lift-offs, landings, the first bump stop and saturation, and divergence, in the order of their times [s]."""
+    happened = [(start, "lift-off") for start, _ in run.agreement.lift_off]
+    happened += [(end, "landing") for _, end in run.agreement.lift_off]
+    if math.isfinite(run.diverged):
+        happened.append((run.diverged, "diverged"))
+    if math.isfinite(run.agreement.stopped):
+        happened.append((run.agreement.stopped, "bump stop"))
+    if math.isfinite(run.agreement.saturated):
+        happened.append((run.agreement.saturated, "actuator saturated"))
+    return tuple(sorted(happened))
+
+
+def summary(vehicle: Vehicle, run: Run) -> str:
+    """Design and verdict as Markdown."""
+    lines = [f"# {run.controller.name}", ""]
+    lines += [f"- {line.strip()}" for line in controller_lines(vehicle, run.controller)[1:]]
+    lines += [f"- measures {', '.join(run.controller.measured) or 'nothing'}", "", "## Verdict", ""]
+    lines += [f"- {line}" for line in [*verdict_lines(run), *energy_lines(run)]]
+    lines += ["", "| signal | peak MuJoCo | peak linear | error |", "|---|---|---|---|"]
+    for name, signal in run.agreement.signals.items():
+        unit = vehicle.kind.signal(name).unit
+        physics, linear = float(run.physics.peak(name)), float(run.sampled.peak(name))
+        lines.append(f"| {name} [{unit}] | {physics:.6g} | {linear:.6g} | {signal.sampled:.1e} |")
+    return "\n".join(lines) + "\n"
+
+
+def log_lines(logs: Mapping[str, str | None]) -> list[str]:
+    """Where a command has recorded, and how to open it."""
+    from sim.recording.files import opening_lines
+
+    return ["logs", *(f"  {line}" for line in opening_lines({name: Path(path) for name, path in logs.items() if path}))]
+
+
+def gain_text(gain: Array) -> str:
+    """A gain matrix on one line, as a vehicle file has it."""
+    return "[" + ", ".join("[" + ", ".join(f"{entry:.6g}" for entry in row) + "]" for row in gain) + "]"
+
+
+def _table(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Rows in aligned columns: the first three to the left, numbers to the right."""
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    return [
+        "  ".join(cell.ljust(w) if i < 3 else cell.rjust(w) for i, (cell, w) in enumerate(zip(row, widths, strict=True))).rstrip()
+        for row in rows
+    ]
+
+
+def _cell(value: float, form: str, unit: str = "") -> str:
+    """A number as a table has it, "-" for one that does not exist."""
+    return f"{value:{form}}{unit}" if math.isfinite(value) else "-"
+
+
+def _finite(value: Any) -> float | None:
+    return float(value) if math.isfinite(value) else None

@@ -1,0 +1,1 @@
+"""How much the loop bears: predicted, then found by bisection."""

@@ -1,0 +1,113 @@
+"""Margins drawn: how fast the loop grows or decays with more gain, delay and sample period, and its norm on other vehicles."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.reality import Implementation
+from models.vehicle import Vehicle
+from sim.figures.figure import Curve, Figure, Marker, Panel, Shades
+from sim.linear.loop import sampled_radius
+from sim.stability.bisection import Search
+from sim.stability.margins import LoopMargins
+from sim.stability.robustness import Robustness
+from synth.controller import Controller
+
+POINTS = 30  # of a predicted curve
+LINE = "#404040"
+MARKERS: tuple[tuple[bool, str, Marker, str], ...] = (
+    (False, "#1f77b4", "o", "MuJoCo decays"),
+    (True, "#d62728", "x", "MuJoCo grows"),
+)
+
+
+def margins_figure(
+    vehicle: Vehicle, controller: Controller, loop: LoopMargins, box: Robustness | None, timestep: float
+) -> Figure:
+    """How fast the slowest mode grows or decays: lines by the poles of the implemented linear loop, points in MuJoCo's runs.
+
+    Where both cross zero is the margin.
+
+    Args:
+        vehicle: the vehicle, its controller ideal.
+        controller: its controller.
+        loop: all its loops at once.
+        box: the controller on other vehicles; None where there are none.
+        timestep: of the physics [s].
+    """
+
+    def rate(vehicle: Vehicle, controller: Controller) -> float:
+        return math.log(sampled_radius(vehicle, controller, timestep)) / timestep
+
+    def of_gain(factor: float) -> float:
+        return rate(vehicle, replace(controller, gain=factor * controller.gain))
+
+    def of_delay(seconds: float) -> float:
+        return rate(replace(vehicle, implementation=Implementation(delay=round(seconds / timestep))), controller)
+
+    def of_period(seconds: float) -> float:
+        held = max(1, round(seconds / timestep)) * timestep
+        return rate(replace(vehicle, implementation=Implementation(sample_period=held)), controller)
+
+    gain = loop.gain
+    ended = math.isinf(gain.found) and math.isfinite(gain.search.unstable)
+    title = "more gain: any; what ends it here is the sampling" if ended else "more gain, all loops at once"
+    searches: list[tuple[str, Search, Callable[[float], float], float, str, str]] = [
+        (title, gain.search, of_gain, 1.0, "factor on the gain", ""),
+        ("delay from measurement to force", loop.delay, of_delay, 1e3, "delay [ms]", " ms"),
+        ("sample period of the controller", loop.sample_period, of_period, 1e3, "sample period [ms]", " ms"),
+    ]
+    predicted = [gain.sampled[0], loop.predicted.delay, loop.predicted.sample_period]
+    found = [gain.search.found, loop.delay.unstable, loop.found_sample_period]
+    panels = []
+    for (title, search, growth, scale, label, unit), at, seen in zip(searches, predicted, found, strict=True):
+        numbers = [f"{scale * value:.4g}{unit}" if math.isfinite(value) else "any" for value in (at, seen)]
+        title = f"{title}\nbears, predicted: {numbers[0]}; in MuJoCo: {numbers[1]}"
+        panels.append(_search_panel(title, label, search, growth, scale))
+    if box is not None:
+        panels.append(_box_panel(controller, box))
+    about = f"{vehicle.kind.name.replace('_', ' ')}, controller {controller.name}: what its loop bears"
+    title = f"{about}. Lines: slowest pole of the sampled loop. Points: MuJoCo at {1e3 * timestep:g} ms"
+    return Figure("margins", title, tuple(panels))
+
+
+def _search_panel(title: str, label: str, search: Search, growth: Callable[[float], float], scale: float) -> Panel:
+    """The predicted rate over the amount, and that of the runs near where it changes its sign."""
+    # Far from the margin nothing is to be seen, and the rates are large.
+    end = 1.35 * search.unstable if math.isfinite(search.unstable) else max(search.tried)
+    known = [amount for amount in (search.stable, search.unstable) if math.isfinite(amount)]
+    amounts: Array = np.unique([*np.linspace(0.0, end, POINTS), *known])
+    rates = np.array([growth(amount) for amount in amounts])
+    curves = [Curve(scale * amounts, rates, "linear analysis", LINE)]
+    for grows, color, marker, name in MARKERS:
+        runs = {a: one.rate for a, one in search.tried.items() if one.grows == grows and a <= end and math.isfinite(one.rate)}
+        curves.append(Curve(scale * np.array(list(runs)), np.array(list(runs.values())), name, color, "none", marker))
+    curves.append(Curve(np.array([0.0, scale * end]), np.zeros(2), "", "#000000", width=0.8))
+    top = min(1.1 * rates.max(), -4 * rates.min()) if rates.max() > 0 else -0.3 * rates.min()
+    return Panel(title, label, "growth of the loop [1/s]", tuple(curves), ylim=(1.3 * rates.min(), top))
+
+
+def _box_panel(controller: Controller, box: Robustness) -> Panel:
+    """The norm over what varies, with what physics did at the corners; over more than two such things, the worst of the rest."""
+    percent = [100 * (factors - 1) for factors in box.factors]
+    labels = [f"{one.name} [% off]" for one in box.varied]
+    norms = np.where(np.isfinite(box.norms), box.norms, np.nan)
+    at = 100 * (np.array([corner.factors for corner in box.corners]) - 1)
+    fine = np.array([corner.decays and corner.agrees for corner in box.corners])
+    verdict = "agrees and settles at every corner" if box.holds else "and analysis do not say the same at every corner"
+    nominal = controller.certificate.norm.value
+    title = f"other vehicles: worst norm {box.norm:.4g}, designed {nominal:.4g}\nMuJoCo {verdict}"
+    if len(percent) == 1:
+        curves, ground, height = [Curve(percent[0], norms, "H-infinity norm", LINE)], None, np.array([nominal])
+        heights = np.array([corner.norm for corner in box.corners])
+    else:
+        worst = norms.max(axis=tuple(range(2, norms.ndim)))
+        curves, ground, height, heights = [], Shades(percent[0], percent[1], worst.T, "H-infinity norm"), np.zeros(1), at[:, 1]
+    curves.append(Curve(np.zeros(1), height, "as designed", "#000000", "none", "+"))
+    for good, color, marker, _ in MARKERS:
+        some = fine != good
+        curves.append(Curve(at[some, 0], heights[some], "", color, "none", marker))
+    return Panel(title, labels[0], labels[1] if ground else "H-infinity norm", tuple(curves), ground)

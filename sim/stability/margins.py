@@ -1,0 +1,167 @@
+"""The margins of a loop, predicted from its transfer function and found in MuJoCo."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from models.reality import Implementation
+from models.vehicle import Vehicle
+from sim.linear.loop import taylor4
+from sim.stability.bisection import Search, run_searches
+from sim.stability.growth import Trial, silent
+from sim.stability.loop import Margins, cut, margins, sampled_gain_crossings
+from synth.controller import Controller
+
+SLOWEST = 2.0  # s; the longest delay and sample period that are tried where none is predicted to matter
+AMPLE = 32.0  # the largest gain that is tried where none is predicted to matter, not even for a sampled loop
+AGREES = 5e-3  # relative, of a gain; a search ends at 0.2 %, and what two of them tend to is known to 0.3 %
+WITHOUT_END = 1.5  # times as much at half the step: it goes with the step's inverse, where a loop's own end stays
+
+
+@dataclass(frozen=True, eq=False)
+class GainMargin:
+    """How many times more gain a loop bears, or how many times less, predicted and found; infinite where any.
+
+    Physics holds the force over a step, and so runs the sampled loop, whose margin tends to the loop's own with the first power
+    of the timestep. Where what is found at one step is not the loop's own, half the step tells what it tends to.
+
+    Attributes:
+        own: predicted of the loop itself, without sampling.
+        sampled: predicted of the sampled loop, as RK4 integrates it, at the timestep and at half of it.
+        search: for the margin at the timestep.
+        finer: at half of it; not run where it need not be.
+    """
+
+    own: float
+    sampled: tuple[float, float]
+    search: Search
+    finer: Search
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether what is found at the timestep is not the loop's own."""
+        return not _close(self.own, self.search.found, AGREES * self.own)
+
+    @property
+    def found(self) -> float:
+        """What physics tends to as its timestep shrinks. A margin that grows as the step shrinks is the sampling's alone."""
+        if not self.finer.tried:
+            return self.search.found
+        coarse, fine = self.search.found, self.finer.found
+        return math.inf if fine > WITHOUT_END * coarse or math.isinf(fine) else 2 * fine - coarse
+
+    @property
+    def agrees(self) -> bool:
+        """Whether physics bears what is predicted, at each step that it ran with and in what it tends to."""
+        pairs = [(self.sampled[0], self.search.found), (self.own, self.found)]
+        if self.finer.tried:
+            pairs.append((self.sampled[1], self.finer.found))
+        return all(_close(predicted, found, AGREES * predicted) for predicted, found in pairs)
+
+
+@dataclass(frozen=True, eq=False)
+class LoopMargins:
+    """The margins of one loop, predicted and found.
+
+    Attributes:
+        predicted: from the loop transfer function.
+        gain: how much more it bears.
+        gain_lower: how much less, as the factor's inverse.
+        delay, sample_period: the searches.
+        timestep: of the physics [s].
+    """
+
+    predicted: Margins
+    gain: GainMargin
+    gain_lower: GainMargin
+    delay: Search
+    sample_period: Search
+    timestep: float
+
+    @property
+    def found_gain_lower(self) -> float:
+        """The largest factor below 1 that grows; 0 where none does."""
+        return 1 / self.gain_lower.found
+
+    @property
+    def found_sample_period(self) -> float:
+        """The longest sample period before the first that grows [s]."""
+        return self.sample_period.unstable - self.timestep
+
+    @property
+    def found_phase(self) -> float:
+        """What the delay makes of phase at the crossover [rad]."""
+        if math.isinf(self.delay.unstable):
+            return math.inf
+        return self.delay.unstable * self.predicted.frequency
+
+    @property
+    def agrees(self) -> bool:
+        """Whether every margin is found where it is predicted: a gain to 0.5 %, a delay and a sample period to a timestep."""
+        return (
+            self.gain.agrees
+            and self.gain_lower.agrees
+            and _close(self.predicted.delay, self.delay.unstable, self.timestep)
+            and _close(self.predicted.sample_period, self.found_sample_period, self.timestep)
+        )
+
+
+def _close(predicted: float, found: float, within: float) -> bool:
+    return predicted == found or (math.isfinite(predicted) and abs(predicted - found) <= within)
+
+
+def find_margins(
+    vehicle: Vehicle, controller: Controller, timestep: float, progress: Callable[[str], None] = silent, each: bool = True
+) -> dict[str, LoopMargins]:
+    """The margins of all loops at once, under ""; and, if asked for, of each with the others closed, by actuator."""
+    names = vehicle.linear_model.inputs
+    loops = {"": list(range(len(names)))}
+    if each and len(names) > 1:
+        loops |= {name: [i] for i, name in enumerate(names)}
+    found = {name: searches(vehicle, controller, actuators, timestep) for name, actuators in loops.items()}
+    find_all(list(found.values()), timestep, progress)
+    return found
+
+
+def find_all(loops: Sequence[LoopMargins], timestep: float, progress: Callable[[str], None] = silent) -> None:
+    """Runs the searches of any loops, of several controllers too, to their ends: those of one round in one batch."""
+    gains = [gain for one in loops for gain in (one.gain, one.gain_lower)]
+    others = [search for one in loops for search in (one.delay, one.sample_period)]
+    run_searches([*(gain.search for gain in gains), *others], timestep, progress)
+    run_searches([gain.finer for gain in gains if gain.doubtful], timestep / 2, progress)
+
+
+def searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int], timestep: float) -> LoopMargins:
+    """The predicted margins of the loop cut at some actuators, and the searches for them, not yet run."""
+    loop = cut(vehicle, controller, actuators)
+    predicted = margins(loop)
+    mine = np.isin(np.arange(len(controller.gain)), actuators)[:, None]
+
+    def with_gain(factor: float) -> Trial:
+        return Trial(vehicle, replace(controller, gain=np.where(mine, factor, 1.0) * controller.gain))
+
+    def gain_margin(trial: Callable[[float], Trial], own: float, power: int) -> GainMargin:
+        # A factor to this power is an amount above 1: how many times more gain, or how many times less.
+        coarse, fine = (min((factor**power for factor in factors if factor**power > 1), default=math.inf) for factors in sampled)
+        return GainMargin(own, (coarse, fine), Search(trial, coarse, most=AMPLE), Search(trial, fine, most=AMPLE))
+
+    def built(how: Implementation) -> Trial:
+        cut_out, rest = (replace(controller, gain=np.where(part, controller.gain, 0.0)) for part in (mine, ~mine))
+        return Trial(replace(vehicle, implementation=how), cut_out, rest if np.any(rest.gain) else None)
+
+    sampled = [sampled_gain_crossings(loop, step, taylor4) for step in (timestep, timestep / 2)]
+    late = max(predicted.delay - timestep / 2, timestep)  # half a sample is in the hold
+    return LoopMargins(
+        predicted=predicted,
+        gain=gain_margin(with_gain, predicted.gain, 1),
+        gain_lower=gain_margin(
+            lambda amount: with_gain(1 / amount), 1 / predicted.gain_lower if predicted.gain_lower else math.inf, -1
+        ),
+        delay=Search(lambda amount: built(Implementation(delay=round(amount / timestep))), late, most=SLOWEST, step=timestep),
+        sample_period=Search(
+            lambda amount: built(Implementation(sample_period=amount)), predicted.sample_period, most=SLOWEST, step=timestep
+        ),
+        timestep=timestep,
+    )

@@ -1,0 +1,132 @@
+"""A controller on other vehicles than its own: the worst norm over a box of parameters, and the physics at its corners.
+
+Which parameters vary, and how far, is the kind's to say: `Parameter.varied`.
+"""
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy import optimize
+
+from models.common.arrays import Array
+from models.kind import Variation, VehicleKind
+from models.vehicle import Vehicle
+from sim.roads.road import Bump
+from sim.runs.run import run_all, sample_times
+from sim.stability.growth import Trial, grow, silent
+from synth.certificate.norm import hinf_norm
+from synth.controller import Controller, generalized_plant
+
+GRID = 81  # norms that are taken first, whatever the box's dimension
+BUMP = Bump(height=2e-2, track="left")  # high enough for what geometry makes to be told from rounding
+
+
+@dataclass(frozen=True)
+class Corner:
+    """A vehicle with other parameters than its controller was designed for.
+
+    Attributes:
+        factors: on what varies.
+        parameters: those that are others [SI].
+        norm: the H-infinity norm; infinite where unstable.
+        decays: whether MuJoCo settles after a small bump.
+        agrees: whether it agrees with the linear response over one.
+    """
+
+    factors: tuple[float, ...]
+    parameters: dict[str, float]
+    norm: float
+    decays: bool
+    agrees: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Robustness:
+    """A controller on a box of other vehicles.
+
+    Attributes:
+        varied: what varies, d of them.
+        norm: the largest H-infinity norm.
+        at: where it is, the parameters that are others [SI].
+        corners: of the box.
+        factors: of the vehicles whose norms were taken first, evenly over the box, along each of its d axes.
+        norms: of those; infinite where unstable.
+    """
+
+    varied: tuple[Variation, ...]
+    norm: float
+    at: dict[str, float]
+    corners: tuple[Corner, ...]
+    factors: tuple[Array, ...]
+    norms: Array
+
+    @property
+    def holds(self) -> bool:
+        """Whether physics and analysis say the same at every corner."""
+        return all(corner.agrees and corner.decays == math.isfinite(corner.norm) for corner in self.corners)
+
+
+def varied_text(kind: VehicleKind) -> str:
+    """What varies from vehicle to vehicle of a kind, and how far, in words."""
+    return ", ".join(map(str, kind.variations)) or f"nothing is varied: no parameter of a {kind.name} says how far it varies"
+
+
+def robustness(
+    vehicle: Vehicle, controller: Controller, timestep: float, progress: Callable[[str], None] = silent
+) -> Robustness | None:
+    """The worst norm over the box, on a grid and refined from there, and the physics at its corners.
+
+    None where the kind of vehicle varies nothing: then there is no other vehicle.
+    """
+    varied = tuple(vehicle.kind.variations)
+    if not varied:
+        return None
+    box = [(each.smallest, each.largest) for each in varied]
+
+    def norm(point: Sequence[float]) -> float:
+        other = _with_factors(vehicle, point)
+        return hinf_norm(generalized_plant(other).closed_loop(controller.state_gain(other))).value
+
+    count = max(3, round(GRID ** (1 / len(box))))
+    factors = tuple(np.linspace(*ends, count) for ends in box)
+    grid = list(itertools.product(*(axis.tolist() for axis in factors)))
+    values = [norm(point) for point in grid]
+    worst, at = max(values), grid[int(np.argmax(values))]
+    for i in np.argsort(values)[-3:] if math.isfinite(worst) else []:
+        refined: Any = optimize.minimize(
+            lambda point: -norm(point), grid[i], method="Nelder-Mead", bounds=box, options={"xatol": 1e-6}
+        )
+        if -refined.fun > worst:
+            worst, at = -float(refined.fun), tuple(refined.x)
+
+    corners = list(itertools.product(*box))
+    vehicles = [_with_factors(vehicle, corner) for corner in corners]
+    time = sample_times(vehicle, 3.0, timestep)
+    settled = [not growth.grows for growth in grow([Trial(other, controller) for other in vehicles], timestep, progress)]
+    runs = [run_all(other, [controller], BUMP, time)[0] for other in vehicles]
+    return Robustness(
+        varied=varied,
+        norm=worst,
+        at=_changed(vehicle, at),
+        corners=tuple(
+            Corner(corner, _changed(vehicle, corner), norm(corner), decays, run.agreement.agrees)
+            for corner, decays, run in zip(corners, settled, runs, strict=True)
+        ),
+        factors=factors,
+        norms=np.reshape(values, (count,) * len(box)),
+    )
+
+
+def _changed(vehicle: Vehicle, factors: Sequence[float]) -> dict[str, float]:
+    """The parameters of a vehicle on which there are these factors, one for each of its kind's variations [SI]."""
+    varied = zip(vehicle.kind.variations.values(), factors, strict=True)
+    changed = {name: float(vehicle.parameters[name] * factor) for names, factor in varied for name in names}
+    return {name: changed[name] for name in vehicle.parameters if name in changed}
+
+
+def _with_factors(vehicle: Vehicle, factors: Sequence[float]) -> Vehicle:
+    return replace(vehicle, parameters={**vehicle.parameters, **_changed(vehicle, factors)})

@@ -1,0 +1,1 @@
+"""Where linear analysis holds over a grid of bumps."""

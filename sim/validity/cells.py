@@ -1,0 +1,201 @@
+"""The map of validity: over a grid of bumps, where linear analysis holds, and what breaks first where it does not.
+
+Before anything breaks, physics *is* linear, so what breaks first, and when, follows from the linear response alone; and that is
+proportional to the height of the bump. One linear run per length and speed predicts a whole column of heights, and MuJoCo, run in
+every cell, says whether that is so.
+"""
+
+import math
+import threading
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.cores import cores
+from models.vehicle import Vehicle
+from sim.linear.loop import sampled_responses
+from sim.physics.simulate import BLOCK, in_blocks, runs_at_once
+from sim.response.regime import ENDS, Ends, first_end, reached, utilisation
+from sim.roads.road import Bump, under_wheels
+from synth.controller import Controller
+
+ENOUGH = 0.99  # of the cells have to break as predicted; the others lie at a boundary
+MOST_AT_ONCE = 64  # runs in a batch: more hardly save time, and an interruption loses the batches at work
+EDGE = 0.01  # relative height; a cell whose prediction changes within that lies at a boundary
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """Cells of the map, N of them, in the order of their bumps. Of a run that did not happen all is NaN, or -1, or 0.
+
+    Attributes:
+        bumps: one per cell.
+        done: whether it was run, shape (N,).
+        error: largest difference of physics from the linear prediction over the whole run, of any signal's peak, shape (N,).
+        first: what broke first in physics, as an index into `ENDS`, -1 for nothing, shape (N,).
+        time: when [s], infinite for never, shape (N,).
+        predicted: the same from the linear response, shape (N,).
+        predicted_time: the same [s], shape (N,).
+        used: how much of the way to each of `ENDS` the linear response goes, shape (N, 4).
+        edge: whether the prediction is another one at a height 1 % lower or higher, shape (N,).
+    """
+
+    bumps: tuple[Bump, ...]
+    done: Array
+    error: Array
+    first: Array
+    time: Array
+    predicted: Array
+    predicted_time: Array
+    used: Array
+    edge: Array
+
+    @property
+    def agrees(self) -> Array:
+        """Where physics breaks first what was predicted, shape (N,)."""
+        return self.done & (self.first == self.predicted)
+
+    @property
+    def agreement(self) -> float:
+        """Share of the cells run whose prediction was right."""
+        return float(self.agrees.sum() / max(self.done.sum(), 1))
+
+    @property
+    def unexplained(self) -> int:
+        """Cells whose prediction was wrong though they lie at no boundary."""
+        return int(np.sum(self.done & ~self.agrees & ~self.edge))
+
+    @property
+    def as_predicted(self) -> bool:
+        """Whether physics breaks first what is predicted: in all but a few cells, and those at a boundary."""
+        return self.agreement >= ENOUGH and not self.unexplained
+
+
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C, with what was done before it.
+
+    Attributes:
+        cells: all, those that were not run among them.
+    """
+
+    def __init__(self, cells: Cells) -> None:
+        super().__init__()
+        self.cells = cells
+
+
+def validity(
+    vehicle: Vehicle,
+    controller: Controller,
+    bumps: Sequence[Bump],
+    time: Array,
+    progress: Callable[[int], None] = lambda done: None,
+) -> Cells:
+    """Runs every bump in MuJoCo, in a few large batches, and compares with the linear prediction.
+
+    Args:
+        vehicle: the vehicle.
+        controller: its controller.
+        bumps: N of them.
+        time: equidistant sample times from 0 [s].
+        progress: is told how many cells are done.
+
+    Raises:
+        Interrupted: Ctrl-C came before the last cell was done.
+    """
+    # One linear response serves all heights, so they lie side by side. Every core takes batches of its own, on one thread, as
+    # many and as large as the others': faster than one batch on all, whose threads wait while Python has its turn.
+    order = sorted(range(len(bumps)), key=lambda i: (bumps[i].length, bumps[i].speed))
+    workers_at_once = cores()
+    at_once = min(MOST_AT_ONCE, runs_at_once(len(time), len(vehicle.kind.wheels)))
+    rounds = math.ceil(len(bumps) / (workers_at_once * at_once))
+    chunks = [chunk for chunk in np.array_split(order, workers_at_once * rounds) if len(chunk)]
+    parts: list[Cells | None] = [None] * len(chunks)
+    stop, workers = threading.Event(), ThreadPoolExecutor(workers_at_once)
+
+    def run(number: int) -> int:
+        some = [bumps[i] for i in chunks[number]]
+        parts[number] = _run(vehicle, controller, some, time, stop.is_set)
+        return len(some)
+
+    try:
+        done = 0
+        for part in as_completed([workers.submit(run, number) for number in range(len(chunks))]):
+            done += part.result()
+            progress(done)
+    except KeyboardInterrupt:
+        pass
+    finally:
+        stop.set()
+        workers.shutdown(cancel_futures=True)
+    complete = None not in parts
+    parts = [part or _not_run([bumps[i] for i in chunk]) for part, chunk in zip(parts, chunks, strict=True)]
+    back = np.argsort(order)
+    arrays = [name for name in Cells.__dataclass_fields__ if name != "bumps"]
+    cells = Cells(tuple(bumps), **{name: np.concatenate([getattr(part, name) for part in parts])[back] for name in arrays})
+    if not complete:
+        raise Interrupted(cells)
+    return cells
+
+
+def _run(
+    vehicle: Vehicle, controller: Controller, bumps: Sequence[Bump], time: Array, stopped: Callable[[], bool]
+) -> Cells | None:
+    """Some cells, in one batch that is compared with the linear response as it goes; None once it is stopped."""
+    count, timestep = len(bumps), float(time[1] - time[0])
+    heights = np.array([bump.height for bump in bumps])
+    keys = [(bump.length, bump.speed) for bump in bumps]
+    columns = {key: i for i, key in enumerate(dict.fromkeys(keys))}
+    column = np.array([columns[key] for key in keys])
+
+    # Of bumps one metre high: all else is proportional to it.
+    unit = sampled_responses(vehicle, controller, [Bump(1.0, *key) for key in columns], time)
+    outputs = [i for i, name in enumerate(unit.names) if name in vehicle.linear_model.outputs]
+    linear = np.moveaxis(unit.values, 0, 2)[:, outputs]
+    hole = replace(unit, values=-unit.values)
+    used = np.abs(heights)[:, None] * np.where(
+        heights[:, None] > 0, utilisation(vehicle, unit)[column], utilisation(vehicle, hole)[column]
+    )
+    times = np.empty((count, 3, len(ENDS)))
+    for i in columns.values():
+        mine = np.flatnonzero(column == i)
+        factors = heights[mine, None] * np.array([1, 1 - EDGE, 1 + EDGE])
+        times[mine] = reached(vehicle, unit.run(i), factors.ravel()).reshape(len(mine), 3, len(ENDS))
+    predicted = first_end(times)
+
+    halves = np.arange(2 * len(time)) * (timestep / 2)
+    road = np.stack([under_wheels(bump.displacement, bump, vehicle, halves) for bump in bumps], axis=1)
+    ends, diverged, apart = Ends([vehicle] * count, time), np.full(count, np.inf), np.zeros((len(outputs), count))
+    for block in in_blocks([vehicle] * count, [controller] * count, road[::2], road[1::2], timestep, 1, BLOCK):
+        if stopped():
+            return None
+        diverged = np.minimum(diverged, block.diverged(time))
+        if np.isfinite(diverged).any():
+            block.bound()
+        ends.update(block.start, block.values)
+        some = slice(block.start, block.start + len(block.values))
+        for worst, i, response in zip(apart, outputs, np.moveaxis(linear[some], 1, 0), strict=True):
+            np.maximum(worst, np.abs(block.values[:, i] - heights * response[:, column]).max(axis=0), out=worst)
+
+    scales = np.array([[unit.run(i).scale(unit.names[j]) or np.inf for j in outputs] for i in columns.values()])
+    error = (apart / (np.abs(heights) * scales[column].T)).max(axis=0)
+    broken = ends.first < diverged
+    return Cells(
+        bumps=tuple(bumps),
+        done=np.ones(count, dtype=bool),
+        error=np.where(np.isfinite(diverged), np.inf, error),
+        first=np.where(broken, ends.which, -1),
+        time=np.where(broken, ends.first, np.inf),
+        predicted=predicted[:, 0],
+        predicted_time=times[:, 0].min(axis=-1),
+        used=used,
+        edge=np.any(predicted != predicted[:, :1], axis=1),
+    )
+
+
+def _not_run(bumps: Sequence[Bump]) -> Cells:
+    count = len(bumps)
+    unknown, nothing, no = np.full(count, np.nan), np.full(count, -1), np.zeros(count, dtype=bool)
+    return Cells(tuple(bumps), no, unknown, nothing, unknown, nothing, unknown, np.zeros((count, len(ENDS))), no)

@@ -1,0 +1,83 @@
+"""The map of validity, drawn so that it needs no explanation."""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from models.vehicle import Vehicle
+from sim.figures.figure import Curve, Figure, Kinds, Panel, level
+from sim.response.regime import ENDS
+from sim.validity.cells import Cells
+from synth.controller import Controller
+
+if TYPE_CHECKING:
+    from sim.envelope import Axis
+
+LABELS = {"height": "bump height [m]", "length": "bump length [m]", "speed": "speed [m/s]"}
+NOTHING, UNKNOWN = "#dcefdc", "#ffffff"
+COLORS = ("#7aa6d8", "#e8955a", "#c9a3d9", "#555555")  # of ENDS
+NO_POINTS = np.zeros(0)
+
+
+def envelope_figure(
+    vehicle: Vehicle,
+    controller: Controller,
+    cells: Cells,
+    axes: "Sequence[Axis]",
+    fixed: Mapping[str, float],
+    threshold: float,
+) -> Figure:
+    """Colours say what broke first in MuJoCo; the solid line is what linear analysis predicts; dashed, where its error passes.
+
+    Args:
+        vehicle: the vehicle.
+        controller: its controller.
+        cells: of the grid, the second axis running faster.
+        axes: vertical and horizontal.
+        fixed: what is not varied.
+        threshold: error at which linear analysis is said to hold.
+    """
+    # Height, or else length, is vertical, whatever order was asked for.
+    shape = (len(axes[0].values), len(axes[1].values))
+    turned = axes[1].name == "height" or axes[0].name == "speed"
+    vertical, horizontal = (axes[1], axes[0]) if turned else (axes[0], axes[1])
+
+    def plane(values):
+        return values.reshape(shape).T if turned else values.reshape(shape)
+
+    x, y = np.array(horizontal.values), np.array(vertical.values)
+    broke = np.where(cells.done, cells.first, -2)
+    ground = Kinds(x, y, plane(broke + 2), (UNKNOWN, NOTHING, *COLORS))
+
+    limits = vehicle.limits
+    values = dict.fromkeys(ENDS, "")
+    if limits.suspension_stroke is not None:
+        values["bump stop"] = f" (at ±{limits.suspension_stroke:g} m)"
+    if limits.actuator_force is not None:
+        values["force saturation"] = f" (at ±{limits.actuator_force:g} N)"
+    first = [("nothing breaks: the regime is linear", NOTHING)]
+    first += [(f"{end} breaks first{values[end]}", COLORS[i]) for i, end in enumerate(ENDS) if np.any(broke == i)]
+    curves = [Curve(NO_POINTS, NO_POINTS, label, color, "none", "s") for label, color in first]
+
+    used = plane(np.where(cells.done, cells.used.max(axis=-1), np.nan))
+    if np.nanmin(used) < 1 < np.nanmax(used):
+        curves.append(Curve(*level(x, y, np.log(used), 0.0), "predicted end, from one linear run", "#000000", width=1.8))
+    error = plane(np.where(cells.done, np.clip(cells.error, threshold / 10, 10 * threshold), np.nan))
+    if np.nanmin(error) < threshold < np.nanmax(error):
+        text = f"linear prediction off by {100 * threshold:g} % of a peak"
+        curves.append(Curve(*level(x, y, np.log(error), float(np.log(threshold))), text, "#b22222", "dash", width=1.6))
+    wrong = cells.done & ~cells.agrees
+    if np.any(wrong):
+        row, column = np.nonzero(plane(wrong))
+        curves.append(Curve(x[column], y[row], "another end than predicted", "#000000", "none", "x"))
+
+    rest = ", ".join(
+        f"{LABELS[name].split(' [')[0]} {value:g} {LABELS[name].split('[')[1][:-1]}" for name, value in fixed.items()
+    )
+    title = (
+        f"How far linear analysis may be trusted: {vehicle.kind.name.replace('_', ' ')}, controller {controller.name}, {rest}\n"
+        f"{100 * cells.agreement:.4g} % of {int(cells.done.sum())} MuJoCo runs end the linear regime as predicted"
+    )
+    panel = Panel("", LABELS[horizontal.name], LABELS[vertical.name], tuple(curves), ground)
+    return Figure("envelope", title, (panel,), columns=1, size=(9.0, 5.2))

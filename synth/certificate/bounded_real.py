@@ -1,0 +1,57 @@
+"""The matrix of the Bounded Real Lemma, in the paper's variables: (20) for a closed loop, (21) for a design.
+
+With a feed-through Dw from w to z (zero in the paper) the same Schur complement gives
+
+    [ A X + X A' + B Y + Y' B' + eta Bw Bw'    *                  ]
+    [ C X + D Y + eta Dw Bw'                   -I + eta Dw Dw'    ]  < 0,
+
+which is still affine in X, Y and eta = gamma^-2.
+"""
+
+from fractions import Fraction
+
+import numpy as np
+
+from models.common.arrays import Array
+from synth.certificate.exact import floats, integers, product, zeros
+from synth.plant import GeneralizedPlant
+
+
+def bounded_real_matrix(plant: GeneralizedPlant, X: Array, Y: Array, eta: float) -> Array:
+    """The left side of (21), shape (n + d, n + d). With Y = 0 it is (20) for the plant as it is.
+
+    Args:
+        plant: n states, m inputs, d controlled outputs.
+        X: shape (n, n), symmetric.
+        Y: shape (m, n).
+        eta: gamma^-2.
+    """
+    top = plant.A @ X + plant.B @ Y
+    low = plant.C @ X + plant.D @ Y
+    disturbance = np.vstack([plant.Bw, plant.Dw])
+    d = len(plant.C)
+    return np.block([[top + top.T, low.T], [low, -np.eye(d)]]) + eta * disturbance @ disturbance.T
+
+
+def bounded_real_exactly(plant: GeneralizedPlant, G: Array, X: Array, eta: float) -> Array:
+    """The left side of (20) for the loop A + B G, C + D G, computed by integers; every entry is rounded once.
+
+    Args:
+        plant: n states, m inputs, d controlled outputs.
+        G: shape (m, n).
+        X: shape (n, n), symmetric.
+        eta: gamma^-2.
+
+    Raises:
+        OverflowError: an entry is too large for a float.
+    """
+    n, m = plant.B.shape
+    (system, unit), (gain, per), (unknown, over) = integers(plant.system_matrix), integers(G), integers(X)
+    eta_top, eta_bottom = float(eta).as_integer_ratio()
+    one, other = unit * per * over, eta_bottom * unit**2  # what the terms with X, and those with eta, are integers over
+    F = zeros(len(system), len(system))
+    F[:, :n] = product(system[:, :n] * per + product(system[:, n : n + m], gain), unknown)
+    F = F + F.T
+    F[np.arange(n, len(F)), np.arange(n, len(F))] = -one
+    from_w = system[:, n + m :]
+    return floats(F * other + eta_top * one * product(from_w, from_w.T), Fraction(1, one * other))

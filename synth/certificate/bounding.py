@@ -1,0 +1,79 @@
+"""The proof of a norm: an X for the bounded-real LMI (20), from a Riccati equation instead of an LMI solver."""
+
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+from scipy import linalg
+
+from models.common.arrays import Array
+from synth.certificate.certificate import Certificate, certify, eta_of, prove_bound
+from synth.certificate.lower_bound import LowerBound
+from synth.certificate.stability import balance
+from synth.plant import GeneralizedPlant
+from synth.scaling import size
+
+MARGINS = (1e-6, 1e-4, 1e-2, 0.1)  # how far above the norm the bound lies, the first that can be proved in floating point
+SMALL = (1e-9, 1e-6, 1e-3)  # of the size of the plant's matrices: bounds for norms that are zero, or nearly
+TO_SPARE = (1e-1, 1e-3, 1e-6)  # of the margin: how much more disturbance the proof allows for, which rounding must not use up
+EVERYWHERE = (1e-9, 1e-12, 1e-6, 1e-4, 1e-3)  # what is taken to disturb states that w does not reach; rounding decides
+
+
+def proved(plant: GeneralizedPlant, G: Array, lower: LowerBound | None = None) -> Certificate:
+    """The certificate of a stabilising state gain, with a bound just above its norm if one can be proved, else without.
+
+    Args:
+        plant: n states, m inputs.
+        G: state gain K C_y (6), shape (m, n).
+        lower: what no controller of the gain's kind can beat.
+    """
+    plain = certify(plant, G, lower=lower)
+    if not plain.stable or not np.isfinite(plain.norm.value):
+        return plain
+    loop = plant.closed_loop(G)
+    # Of a norm that is zero to rounding an absolute bound can be proved.
+    levels = [(plain.norm.value * (1 + margin), margin) for margin in MARGINS if plain.norm.value > 0]
+    unit = float(np.linalg.norm(plant.Dw, 2)) + size(plant.C) * size(plant.Bw) / size(plant.A)
+    levels += [(small * unit, 1.0) for small in SMALL if small * unit > 2 * plain.norm.value]
+    for gamma, margin in levels:
+        for share, everywhere in product(TO_SPARE, EVERYWHERE):
+            try:
+                X = bounding_x(loop, gamma, share * margin, everywhere)
+            except (np.linalg.LinAlgError, ValueError):  # too close to the norm for the Riccati solver
+                continue
+            certificate = replace(plain, proof=prove_bound(plant, G, X, eta_of(gamma)))  # the rest is as it was
+            if not certificate.failures:
+                return certificate
+    return plain
+
+
+def bounding_x(loop: GeneralizedPlant, gamma: float, more: float, everywhere: float) -> Array:
+    """X > 0 that satisfies (20) for a stable loop whose norm is below gamma, shape (n, n).
+
+    It solves A X + X A' + eta Bw~ Bw~' + (X C' + eta Bw Dw') (I - eta Dw Dw')^-1 (..)' = 0, the Schur complement of (20) with a
+    little to spare (Zhou, Doyle, Glover 1996, section 13.5): Bw~ is what disturbs the states, and `more` of it. In coordinates
+    where the states under white noise are uncorrelated and of one size, so that no unit and no cancellation costs digits.
+
+    Args:
+        loop: stable.
+        gamma: above its norm.
+        more: relative; small against how far gamma lies above the norm.
+        everywhere: of the disturbance's power, what disturbs states that w does not reach.
+
+    Raises:
+        LinAlgError: rounding leaves no solution.
+    """
+    _, scale = balance(loop.A)
+    loop = loop.in_coordinates(np.diag(scale))
+    eta, d, n = gamma**-2, len(loop.C), len(loop.A)
+    noise = loop.Bw @ loop.Bw.T
+    noise += everywhere * (float(np.trace(noise)) or 1.0) * np.eye(n)
+    covariance = linalg.solve_continuous_lyapunov(loop.A, -noise)
+    T = np.linalg.cholesky((covariance + covariance.T) / 2)
+    loop = loop.in_coordinates(T)
+    noise = np.linalg.solve(T, np.linalg.solve(T, noise).T)
+    constant = eta * (loop.Bw @ loop.Bw.T + more * noise)
+    weight = -(np.eye(d) - eta * loop.Dw @ loop.Dw.T)
+    X = linalg.solve_continuous_are(loop.A.T, loop.C.T, constant, weight, s=eta * loop.Bw @ loop.Dw.T)
+    T = scale[:, None] * T
+    return T @ (X + X.T) / 2 @ T.T

@@ -1,0 +1,246 @@
+"""What is true of a gain, checked with numpy alone and without the solver that found it.
+
+That the LMI holds is *proved*, in exact arithmetic on the numbers given (`definite.py`), and with it that the loop A + B G is
+stable and that its norm lies below the bound. The norm itself is computed, by two routes.
+"""
+
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError
+from synth.certificate.bounded_real import bounded_real_exactly
+from synth.certificate.definite import SMALLEST, Definiteness, definiteness
+from synth.certificate.lower_bound import LowerBound
+from synth.certificate.norm import Norm, gain_at, hinf_norm
+from synth.certificate.stability import Stability, balance, stability
+from synth.plant import GeneralizedPlant
+
+FASTEST = 100.0  # times the plant: an actuator of such a speed hardly exists
+BELOW = 1e-9  # relative; how far rounding may put a norm below what no controller can beat
+ROUTES_AGREE = 1e-6  # relative; the two norms of a well-conditioned plant agree to 1e-12
+PEAKS_AGREE = 1e-9  # relative; how far from the norm the gain at its peak may lie: the peak itself is flat
+
+
+@dataclass(frozen=True, eq=False)
+class LmiProof:
+    """The proof of a bound: X > 0 and LMI (20) < 0.
+
+    Attributes:
+        X: shape (n, n), symmetric.
+        eta: gamma^-2.
+        positive: of X.
+        negative: of (20), with its sign turned.
+    """
+
+    X: Array
+    eta: float
+    positive: Definiteness
+    negative: Definiteness
+
+    @property
+    def holds(self) -> bool:
+        """Whether both are proved."""
+        return self.positive.proved and self.negative.proved
+
+    @property
+    def bound(self) -> float:
+        """eta^-1/2, rounded upwards."""
+        return _inverse_root(self.eta)
+
+    @property
+    def failures(self) -> tuple[str, ...]:
+        """What is not proved, in words."""
+        failures = []
+        if not self.positive.proved:
+            failures.append(_not_proved("X is not positive definite", "X > 0 is not proved", "smallest", 1, self.positive))
+        if not self.negative.proved:
+            failures.append(_not_proved("LMI (20) is violated", "LMI (20) is not proved", "largest", -1, self.negative))
+        return tuple(failures)
+
+
+def _not_proved(false: str, open_: str, which: str, sign: int, found: Definiteness) -> str:
+    """Why an inequality does not count as proved."""
+    if np.isnan(found.smallest):
+        return f"{false}: a diagonal entry has the wrong sign, or an entry is beyond 1e200"
+    if found.smallest <= 0:
+        return f"{false}: balanced, its {which} eigenvalue is {sign * found.smallest:.1e}"
+    needed = f"{'above' if sign > 0 else 'below'} {sign * found.rounding:.0e}"
+    return f"{open_}: balanced, its {which} eigenvalue is {sign * found.smallest:.1e}, and must be {needed} to be beyond rounding"
+
+
+@dataclass(frozen=True, eq=False)
+class Certificate:
+    """Everything claimed of a closed loop.
+
+    Attributes:
+        loop: the closed loop itself.
+        stability: its poles, and where they lie.
+        norm: the H-infinity norm by two routes, and where it peaks.
+        proof: of the bound; None for a gain that came without one.
+        speed_up: magnitude of the fastest pole, over that of the plant's fastest pole without control.
+        norm_rounding: a norm below this is zero to rounding, and its routes need not agree.
+        lower: what no controller of its kind can beat, with its proof; None where nobody asked.
+    """
+
+    loop: GeneralizedPlant
+    stability: Stability
+    norm: Norm
+    proof: LmiProof | None
+    speed_up: float
+    norm_rounding: float
+    lower: LowerBound | None = None
+
+    @property
+    def bound(self) -> float | None:
+        """The gamma that the LMI proves; None for a gain that came without a proof."""
+        return self.proof.bound if self.proof is not None else None
+
+    @property
+    def poles(self) -> Array:
+        """Eigenvalues of A + B K C_y [rad/s], complex, shape (n,)."""
+        return self.stability.poles
+
+    @property
+    def stable(self) -> bool:
+        """Whether all poles lie left of the imaginary axis, by more than rounding."""
+        return self.stability.stable
+
+    @property
+    def gap(self) -> float | None:
+        """How far the norm lies above the lower bound, relative; None without a bound, or without a finite norm."""
+        if self.lower is None or self.lower.gamma == 0 or not np.isfinite(self.norm.value):
+            return None
+        return self.norm.value / self.lower.gamma - 1
+
+    @property
+    def beyond_actuators(self) -> bool:
+        """Whether the gain asks for more speed than actuators have. That makes no proof wrong, and many a gain useless."""
+        return self.speed_up > FASTEST
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What else there is to know, in words: no claim fails by it."""
+        if not self.beyond_actuators:
+            return ()
+        return (
+            f"beyond any actuator: a pole is {self.speed_up:.2g} times as fast as the plant's fastest without control; "
+            f"{FASTEST:g} times is much",
+        )
+
+    @property
+    def failures(self) -> tuple[str, ...]:
+        """The claims that do not hold, in words; empty where all do."""
+        failures = []
+        if not self.stable:
+            failures.append(self.stability.words)
+        elif self.norm.value > self.norm_rounding and self.norm.rounding > ROUTES_AGREE:
+            failures.append(
+                f"rounding may have moved the norm by {self.norm.rounding:.0e}: so near to marginal floats cannot tell"
+            )
+        elif self.norm.value > self.norm_rounding and self.norm.gap > ROUTES_AGREE:
+            failures.append(f"the two routes to the norm differ by {self.norm.gap:.0e}")
+        if self.proof is not None:
+            failures += self.proof.failures
+            if self.norm.value > self.proof.bound:
+                failures.append(f"the norm {self.norm.value:.7g} exceeds the bound {self.proof.bound:.7g}")
+        if self.gap is not None and self.gap < -BELOW:
+            failures.append(f"the norm {self.norm.value:.7g} lies below {self.lower.gamma:.7g}, which no controller can beat")  # pyright: ignore[reportOptionalMemberAccess]
+        return tuple(failures)
+
+    def peaks_at(self, omega: float) -> bool:
+        """Whether the gain at a frequency [rad/s] is the norm. A peak is flat: its frequency itself is good to 1e-5 only."""
+        if not np.isfinite(self.norm.value):
+            return False
+        there = gain_at(self.loop, omega)
+        allowed = PEAKS_AGREE * self.norm.value if self.norm.value > self.norm_rounding else self.norm_rounding
+        return abs(there - self.norm.value) <= allowed
+
+
+def certify(
+    plant: GeneralizedPlant, G: Array, X: Array | None = None, eta: float | None = None, lower: LowerBound | None = None
+) -> Certificate:
+    """Checks a gain, and its proof if it has one.
+
+    Args:
+        plant: n states, m inputs.
+        G: state gain K C_y (6), shape (m, n).
+        X: the matrix of (20), shape (n, n).
+        eta: gamma^-2 of (20); given with X.
+        lower: what no controller of the gain's kind can beat.
+
+    Raises:
+        InputError: eta or X is out of range.
+    """
+    loop = plant.closed_loop(G)
+    found = stability(loop.A)
+    return Certificate(
+        loop=loop,
+        stability=found,
+        norm=hinf_norm(loop),
+        proof=prove_bound(plant, G, X, eta) if X is not None and eta is not None else None,
+        speed_up=float(np.abs(found.poles).max() / (np.abs(np.linalg.eigvals(plant.A)).max() or 1.0)),
+        norm_rounding=_norm_rounding(loop),
+        lower=lower,
+    )
+
+
+def prove_bound(plant: GeneralizedPlant, G: Array, X: Array, eta: float) -> LmiProof:
+    """Whether X and eta satisfy X > 0 and (20) for the loop A + B G, C + D G.
+
+    All numbers are taken as they are, and the matrix of (20), see `bounded_real.py`, is computed without rounding.
+
+    Args:
+        plant: n states, m inputs.
+        G: shape (m, n).
+        X: shape (n, n); its symmetric part counts.
+        eta: gamma^-2.
+
+    Raises:
+        InputError: eta or X is out of range.
+    """
+    X = (X + X.T) / 2
+    try:
+        if not (SMALLEST <= eta <= 1 / SMALLEST and np.all(np.abs(X) <= 1 / SMALLEST)):
+            raise OverflowError
+        negative = -bounded_real_exactly(plant, G, X, eta)
+    except OverflowError:
+        raise InputError(
+            f"eta = {eta:g} with an X of size {np.abs(X).max(initial=0.0):g} is out of range, and proves no bound; give an eta "
+            f"from {SMALLEST:g} to {1 / SMALLEST:g} and no larger entry of X"
+        ) from None
+    return LmiProof(X, eta, definiteness(X), definiteness(negative))
+
+
+def eta_of(bound: float) -> float:
+    """gamma^-2, rounded upwards: what it proves lies at or below the bound."""
+    eta = bound**-2
+    while Fraction(bound) ** 2 * Fraction(eta) < 1:
+        eta = float(np.nextafter(eta, np.inf))
+    return eta
+
+
+def _inverse_root(eta: float) -> float:
+    """gamma = eta^-1/2, rounded upwards."""
+    bound = float(eta**-0.5)
+    while Fraction(bound) ** 2 * Fraction(eta) < 1:
+        bound = float(np.nextafter(bound, np.inf))
+    return bound
+
+
+def _norm_rounding(loop: GeneralizedPlant) -> float:
+    """What rounding makes of a transfer function that is zero: the parts that are 0 are not quite."""
+    A, scale = balance(loop.A)
+    poles, vectors = np.linalg.eig(A)
+    try:
+        left = np.linalg.inv(vectors)
+    except np.linalg.LinAlgError:  # a double pole without a second eigenvector
+        return 0.0
+    passes = np.linalg.norm(loop.C * scale) * np.linalg.norm(loop.Bw / scale[:, None])
+    with np.errstate(over="ignore"):
+        size = np.linalg.norm(vectors, axis=0) * np.linalg.norm(left, axis=1) / np.maximum(-np.real(poles), 1e-300)
+    if not np.all(np.isfinite(size)):  # as good as double
+        return 0.0
+    return float(100 * np.finfo(float).eps * passes * size.sum()) if len(poles) else 0.0

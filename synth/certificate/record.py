@@ -1,0 +1,152 @@
+"""A certificate in plain data: what goes into logs and, beside its gain, into a vehicle file, and what is read from there.
+
+Only what cannot be recomputed is needed to check it: the X of (20) and the witnesses of the lower bound. The numbers that are
+claimed stand beside them, so that a check can compare.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError, known, quoted
+from synth.certificate.certificate import Certificate, eta_of
+from synth.certificate.invariant import limit_at as proved_at
+from synth.certificate.lower_bound import LowerBound, Witness, lower_bound
+from synth.plant import GeneralizedPlant
+
+CLAIMS = ("norm", "peak_frequency", "bound", "lower_bound")
+PROOFS = ("X", "limit_at", "state", "observer")
+MAY_BE_ZERO = ("norm", "peak_frequency", "limit_at")
+SMALLEST, LARGEST = 1e-60, 1e60  # of the numbers in a certificate, in SI units: no vehicle has others
+SAME = 1e-9  # relative: how far rounding, on another machine, may move a number
+
+
+def to_record(certificate: Certificate) -> dict[str, Any]:
+    """Claims and proofs, as JSON and TOML can hold them; what does not exist or is not finite is left out."""
+    lower = certificate.lower
+    record: dict[str, Any] = {
+        "norm": certificate.norm.value,
+        "peak_frequency": certificate.norm.peak_frequency,
+        "bound": certificate.bound,
+        "lower_bound": lower.gamma if lower is not None and lower.gamma > 0 else None,
+        "limit_at": lower.limit_at if lower is not None else None,
+        "X": certificate.proof.X.tolist() if certificate.proof is not None else None,
+    }
+    for name in ("state", "observer"):
+        witness = getattr(lower, name, None)
+        if witness is not None:
+            record[name] = {"X": witness.X.tolist(), "eta": float(witness.eta)}
+    return {
+        key: value for key, value in record.items() if value is not None and (not isinstance(value, float) or np.isfinite(value))
+    }
+
+
+def read_proof(record: Mapping[str, Any], plant: GeneralizedPlant, Cy: Array) -> tuple[Array | None, float | None, LowerBound]:
+    """X and eta for (20), either None, and the lower bound that the record's witnesses prove, recomputed with numpy alone.
+
+    Args:
+        record: see `to_record`.
+        plant: n states.
+        Cy: what is measured, shape (q, n); any number of rows.
+
+    Raises:
+        InputError: a key is unknown or null, or not of the form that it must have.
+    """
+    for key in record:
+        if key not in CLAIMS + PROOFS:
+            raise InputError(f"unknown key {key!r} in a certificate; known: {known(CLAIMS + PROOFS)}")
+        if record[key] is None:
+            raise InputError(f"{key} in a certificate is null; what does not exist is left out, so save it again")
+    n = len(plant.A)
+    for key in ("norm", "peak_frequency", "lower_bound"):
+        _number(record, key)
+    X = _matrix(record, "X", (n, n))
+    if X is not None:
+        if not np.all(np.diagonal(X) >= SMALLEST):
+            raise InputError(
+                f"X = {quoted(record['X'])} in a certificate is not positive definite: no entry of its diagonal may be "
+                f"below {SMALLEST:g}"
+            )
+        size = np.sqrt(np.abs(np.diagonal(X)))
+        if np.any(np.abs(X - X.T) > SAME * np.outer(size, size)):
+            raise InputError("X in a certificate is not symmetric; save it again")
+    bound = _number(record, "bound")
+    eta = eta_of(bound) if bound is not None else None
+    lower = LowerBound(0.0)
+    limit_at = _number(record, "limit_at")
+    if limit_at is not None:
+        lower = LowerBound(proved_at(plant, limit_at), limit_at=limit_at)
+    state, observer = _witness(record, "state"), _witness(record, "observer")
+    if state is not None:
+        try:
+            proved = lower_bound(plant, state, Cy, observer)
+        except ValueError as error:
+            raise InputError(f"the witnesses of a certificate do not fit the vehicle: {error}; save it again") from error
+        lower = proved if proved.gamma > lower.gamma else lower
+    return X, eta, lower
+
+
+def untrue(record: Mapping[str, Any], certificate: Certificate) -> list[str]:
+    """The claims of a record that the recomputed certificate does not confirm, in words."""
+    found = to_record(certificate)
+    wrong = []
+    if certificate.proof is None and "bound" in record:
+        wrong.append(f"the bound is claimed to be {_number(record, 'bound'):.10g} without its proof: there is no X")
+    if certificate.proof is None and "X" in record:
+        wrong.append("there is an X and no bound that it proves")
+    peak = _number(record, "peak_frequency")
+    if peak is not None and not certificate.peaks_at(peak):
+        wrong.append(f"the norm is claimed to be reached at {peak:.10g} rad/s, and is not")
+    for claim in ("norm", "bound", "lower_bound"):
+        said, now = _number(record, claim), found.get(claim)
+        if said is None or (claim == "bound" and certificate.proof is None):
+            continue
+        zero = claim == "norm" and certificate.norm.value <= certificate.norm_rounding  # to rounding: no digit of it counts
+        allowed = certificate.norm_rounding if zero else SAME * said
+        if now is None or not abs(now - said) <= allowed:
+            is_now = f"{now:.10g}" if now is not None else "infinite" if claim == "norm" else "unproved"
+            wrong.append(f"the {claim.replace('_', ' ')} is claimed to be {said:.10g}, and is {is_now}")
+    return wrong
+
+
+def _number(record: Mapping[str, Any], key: str) -> float | None:
+    value = record.get(key)
+    if value is None:
+        return None
+    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    zero = key in MAY_BE_ZERO and number and value == 0
+    if not number or not (zero or SMALLEST <= value <= LARGEST):
+        raise InputError(
+            f"{key} = {quoted(value)} in a certificate is not a number from {SMALLEST:g} to {LARGEST:g}; save it again"
+        )
+    return float(value)
+
+
+def _matrix(record: Mapping[str, Any], key: str, shape: tuple[int, int] | None = None) -> Array | None:
+    value = record.get(key)
+    if value is None:
+        return None
+    try:
+        matrix = np.array(value, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        matrix = np.array(np.nan)
+    if matrix.ndim != 2 or not np.all(np.abs(matrix) <= LARGEST) or (shape is not None and matrix.shape != shape):
+        expected = f" of shape {shape}" if shape else ""
+        raise InputError(
+            f"{key} = {quoted(value)} in a certificate is not a matrix of finite numbers{expected}, none beyond {LARGEST:g}"
+        )
+    return matrix
+
+
+def _witness(record: Mapping[str, Any], key: str) -> Witness | None:
+    value = record.get(key)
+    if value is None:
+        return None
+    if not isinstance(value, Mapping):
+        value = {}
+    X, eta = _matrix(value, "X"), _number(value, "eta")
+    if X is None or eta is None or X.shape[0] != X.shape[1]:
+        raise InputError(f"{key} = {quoted(value)} in a certificate is no witness with X and eta")
+    return Witness(X, eta)

@@ -1,0 +1,139 @@
+"""Whether a loop is stable, marginal or unstable: the one place that decides it.
+
+Rounding turns A into A + E with |E| about eps |A|, so what is computed of A is true of some A + E. A pole lies on the imaginary
+axis *to rounding* if such an E puts one exactly there, above or below the pole: if the smallest singular value of A - j omega at
+its omega is no larger than |E| (Trefethen, Embree 2005, Spectra and Pseudospectra, section 2). For a simple pole that is the
+eigenvalue's condition number times the backward error. It is right for multiple poles as well, whose condition number is
+infinite: a double pole at the origin moves by sqrt(eps) and is still marginal, one at -1 moves as far and is stable.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from models.common.arrays import Array
+
+STABLE, MARGINAL, UNSTABLE = "stable", "marginal", "unstable"
+FAR = 1e3  # times what the first order says of rounding: a pole further from the axis than that is not on it
+
+
+@dataclass(frozen=True, eq=False)
+class Stability:
+    """The poles of a loop, and where they lie.
+
+    Attributes:
+        poles: eigenvalues of A [rad/s], complex, shape (n,), sorted.
+        on_axis: which of them lie on the imaginary axis to rounding, shape (n,).
+        rounding: size of E [rad/s].
+        vectors: right eigenvectors of the balanced A, of length one, complex, shape (n, n).
+    """
+
+    poles: Array
+    on_axis: Array
+    rounding: float
+    vectors: Array
+
+    @property
+    def verdict(self) -> str:
+        """`STABLE`, `MARGINAL` (nothing grows faster than rounding, but something does not decay) or `UNSTABLE`."""
+        if np.any(np.real(self.poles[~self.on_axis]) > 0):
+            return UNSTABLE
+        return MARGINAL if np.any(self.on_axis) else STABLE
+
+    @property
+    def stable(self) -> bool:
+        """Whether every pole lies left of the imaginary axis by more than rounding."""
+        return self.verdict == STABLE
+
+    @property
+    def worst(self) -> complex:
+        """The pole that decides: furthest to the right, of those on the axis where none lies beyond. -inf where there is none."""
+        deciding = self.poles[self.on_axis] if self.verdict == MARGINAL else self.poles
+        return complex(deciding[np.argmax(np.real(deciding))]) if len(deciding) else complex(-np.inf)
+
+    @property
+    def words(self) -> str:
+        """The verdict and the pole that decides, on one line."""
+        if self.verdict == STABLE:
+            return f"stable, slowest pole {self.worst.real:.4g} rad/s"
+        if self.verdict == MARGINAL:
+            at = abs(self.worst.imag)
+            where = f"0+{at:.4g}j" if at > self.rounding else "0"
+            return f"marginal: a pole at {where} rad/s, to rounding, which does not decay"
+        return f"unstable: a pole at {pole_text(self.worst)} rad/s"
+
+
+def stability(A: Array) -> Stability:
+    """Where the poles of x' = A x lie.
+
+    Args:
+        A: shape (n, n), finite.
+    """
+    return stability_of_balanced(balance(A)[0])
+
+
+def stability_of_balanced(A: Array) -> Stability:
+    """The same for a matrix that is balanced."""
+    poles, conditions, vectors = _eigen(A)
+    on_axis = _reached(A, conditions, 1j * np.imag(poles), np.abs(np.real(poles)))
+    return Stability(poles, on_axis, rounding(A), vectors)
+
+
+def sampled_growth(Phi: Array) -> float:
+    """By how much x[k+1] = Phi x[k] grows every step at most: its spectral radius, and exactly 1 where that is 1 to rounding.
+
+    Args:
+        Phi: shape (n, n), finite.
+    """
+    Phi, _ = balance(Phi)
+    poles, conditions, _ = _eigen(Phi)
+    size = np.abs(poles)
+    on_circle = _reached(Phi, conditions, np.exp(1j * np.angle(poles)), np.abs(size - 1))
+    if np.any(size[~on_circle] > 1):
+        return float(size.max())
+    return 1.0 if np.any(on_circle) else float(size.max(initial=0.0))
+
+
+def is_stable(A: Array) -> bool:
+    """Whether every eigenvalue lies left of the imaginary axis, by more than rounding."""
+    return stability(A).stable
+
+
+def balance(A: Array) -> tuple[Array, Array]:
+    """A in the diagonal coordinates that make its rows and columns alike, and that diagonal S: S^-1 A S, S of shape (n,)."""
+    if not len(A):
+        return A, np.ones(0)
+    balanced, (scale, _) = linalg.matrix_balance(A, permute=False, separate=True)
+    return np.asarray(balanced), np.asarray(scale)
+
+
+def rounding(A: Array) -> float:
+    """The size of E: what rounding may have added to a balanced matrix, shape (n, n), by the time its eigenvalues are known."""
+    return 10 * np.finfo(float).eps * float(np.linalg.norm(A)) if len(A) else 0.0
+
+
+def pole_text(pole: complex) -> str:
+    """A pole, or a pair, with four digits."""
+    return f"{pole.real:.4g}" if pole.imag == 0 else f"{pole.real:.4g}{abs(pole.imag):+.4g}j"
+
+
+def _eigen(A: Array) -> tuple[Array, Array, Array]:
+    """Eigenvalues, complex and sorted, their condition numbers, infinite for a defective one, and right eigenvectors."""
+    if not len(A):
+        return np.zeros(0, dtype=complex), np.zeros(0), np.zeros((0, 0), dtype=complex)
+    poles, left, right = (np.asarray(part) for part in linalg.eig(A, left=True, right=True))
+    with np.errstate(divide="ignore"):
+        conditions = 1 / np.abs(np.sum(left.conj() * right, axis=0))  # both have length one
+    order = np.lexsort((np.imag(poles), np.real(poles)))
+    return poles[order].astype(complex), conditions[order], right[:, order].astype(complex)
+
+
+def _reached(A: Array, conditions: Array, points: Array, distances: Array) -> Array:
+    """Which eigenvalues of a balanced matrix rounding may move as far as to points at some distances, shape (n,)."""
+    allowed = rounding(A)
+    reached = np.zeros(len(A), dtype=bool)
+    # The condition number is the first order of how far a pole moves: well beyond that nothing is to be looked at.
+    for i in np.flatnonzero(distances <= FAR * allowed * conditions):
+        reached[i] = np.linalg.svd(A - points[i] * np.eye(len(A)), compute_uv=False)[-1] <= allowed
+    return reached

@@ -1,0 +1,1 @@
+"""What `python -m synth` prints, saves and checks."""

@@ -1,0 +1,42 @@
+"""`python -m synth --check`: the gains of a vehicle file against what is claimed of them. No solver, no design."""
+
+from collections.abc import Sequence
+
+from models.common.command import chosen
+from models.common.errors import InputError, known
+from models.vehicle import ControllerEntry
+from synth.certificate.certificate import certify
+from synth.certificate.record import read_proof, untrue
+from synth.command.table import Row
+from synth.controller import Controller, Designer
+
+
+def check(designer: Designer, names: Sequence[str] | None) -> list[Row]:
+    """A row for every gain of the vehicle file, or for those asked for.
+
+    Raises:
+        InputError: a name is unknown or has no gain, there is no gain at all, or a certificate is malformed.
+    """
+    vehicle = designer.vehicle
+    gains = [name for name, entry in vehicle.controllers.items() if entry.gain is not None]
+    if not gains:
+        raise InputError(f"{vehicle.source} holds no controller with a gain to check; write one with --save")
+    for name in names or ():
+        if name in vehicle.controller_names and name not in gains:
+            raise InputError(f"--check: {name!r} has no gain in {vehicle.source}; with a gain there are {known(gains)}")
+    return [_checked(designer, vehicle.controllers[name]) for name in chosen(gains, names, gains)]
+
+
+def _checked(designer: Designer, entry: ControllerEntry) -> Row:
+    assert entry.gain is not None
+    Cy, _ = designer.vehicle.linear_model.rows(entry.measured)
+    record = entry.certificate or {}
+    try:
+        X, eta, lower = read_proof(record, designer.plant, Cy)
+    except InputError as error:
+        raise InputError(f"[controllers.{entry.name}] {error}") from error
+    certificate = certify(designer.plant, entry.gain @ Cy, X, eta, lower)
+    failures = (*certificate.failures, *untrue(record, certificate))
+    note = "checked: every claim of its certificate holds" if record and not failures else ""
+    note = note or ("its certificate does not hold" if record else "came without a certificate")
+    return Row(entry.name, Controller(entry.name, entry.measured, entry.gain, False, certificate), (note,), failures)

@@ -1,0 +1,66 @@
+"""A design as a controller of a vehicle file, with its certificate beside its gain; written whole or not at all."""
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from models.common.errors import InputError
+from models.common.whole_file import check_file, whole_file
+from models.vehicle import Vehicle, parse_vehicle
+from synth.certificate.record import to_record
+from synth.controller import Controller
+
+SUFFIX = "_designed"
+
+
+def check_save(path: Path, vehicle: Vehicle, names: Sequence[str]) -> None:
+    """Whether designs of these names can be added: asked before the work.
+
+    Raises:
+        InputError: there is nothing to write, a name is taken, or the file cannot be written.
+    """
+    if not names:
+        raise InputError(
+            "--save has nothing to write: no controller was designed; ask for one that the vehicle file gives no gain"
+        )
+    for name in names:
+        if name + SUFFIX in vehicle.controllers:
+            raise InputError(f"--save: {vehicle.source} has a controller {name + SUFFIX!r} already; rename or remove that one")
+    check_file(path, "--save")
+
+
+def save(path: Path, vehicle: Vehicle, controllers: Sequence[Controller]) -> None:
+    """Writes the vehicle file with each designed gain added as NAME_designed, for every other command to read.
+
+    Raises:
+        InputError: there is nothing to write, a name is taken, or the file cannot be written.
+    """
+    designed = [controller for controller in controllers if controller.designed and controller.measured]
+    check_save(path, vehicle, [controller.name for controller in designed])
+    text = vehicle.text.rstrip("\n") + "\n"
+    for controller in designed:
+        text += "\n" + "\n".join(_entry(controller.name + SUFFIX, controller)) + "\n"
+    parse_vehicle(text, folder=path.parent)  # what is written can be read
+    with whole_file(path, "--save") as beside:
+        beside.write_text(text, encoding="utf-8", newline="\n")
+
+
+def _entry(name: str, controller: Controller) -> list[str]:
+    record = to_record(controller.certificate)
+    key = name if name.isascii() else json.dumps(name)
+    return [
+        f"[controllers.{key}]",
+        f"measured = {_toml(list(controller.measured))}",
+        f"gain = {_toml(controller.gain.tolist())}",
+        "",
+        f"[controllers.{key}.certificate]    # checked by: python -m synth --check THIS_FILE",
+        *(f"{key} = {_toml(value)}" for key, value in record.items()),
+    ]
+
+
+def _toml(value: Any) -> str:
+    """A number, text, list or mapping of such, as TOML writes it on one line."""
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{key} = {_toml(item)}" for key, item in value.items()) + " }"
+    return json.dumps(value)

@@ -1,0 +1,196 @@
+"""Designs in words and numbers: the table on the terminal and the object for `--json`."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from models.common.shell import option
+from models.vehicle import Vehicle
+from synth.certificate.certificate import LmiProof
+from synth.certificate.record import to_record
+from synth.command.witness import Witness
+from synth.controller import Controller
+
+IDEAL_LOOP = "of the ideal loop, continuous and without [limits] and [implementation]"
+SETTLED = 1e-2  # relative: a gain that moves less over the last hundredfold of mu is within 1e-4 of the limit
+SHORT = 1e-6  # relative in gamma; less is the path's own end
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """One line of the table.
+
+    Attributes:
+        name: of the controller.
+        controller: None where it could not be designed.
+        notes: what else there is to say of it.
+        failures: claims that do not hold, or why there is no design; empty where all is well.
+        worth: what `--refine` lowers the norm by at least, relative; 0 where it is nothing to speak of.
+        witness: what a second solver says of the design, where it was asked.
+    """
+
+    name: str
+    controller: Controller | None
+    notes: tuple[str, ...]
+    failures: tuple[str, ...]
+    worth: float = 0.0
+    witness: Witness | None = None
+
+
+def row_object(row: Row) -> dict[str, Any]:
+    """A row as JSON has it: SI units, None for what is infinite or does not exist."""
+    if row.controller is None:
+        return {"name": row.name, "reason": "; ".join(row.failures)}
+    controller, certificate = row.controller, row.controller.certificate
+    norm = certificate.norm
+    return {
+        "name": row.name,
+        "measured": list(controller.measured),
+        "gain": controller.gain.tolist(),
+        "designed": controller.designed,
+        "bound": certificate.bound,
+        "norm": _finite(norm.value),
+        "routes_gap": norm.gap if certificate.stable else None,
+        "peak_frequency": _finite(norm.peak_frequency),
+        "poles": [[float(pole.real), float(pole.imag)] for pole in certificate.poles],
+        "lower_bound": certificate.lower.gamma if certificate.lower is not None and certificate.lower.gamma > 0 else None,
+        "gap": certificate.gap,
+        "stability": certificate.stability.verdict,
+        "lmi": _lmi_object(certificate.proof),
+        "certificate": to_record(certificate),
+        "notes": [*row.notes, *certificate.remarks],
+        "failures": list(row.failures),
+        "refine_lowers_by_at_least": row.worth or None,
+        "cross_check": _witness_object(row.witness) if row.witness is not None else None,
+    }
+
+
+def table_lines(rows: Sequence[Row]) -> list[str]:
+    """All controllers, one line each."""
+    lines = ["controller              bound       norm  at rad/s  no one below    above it  slowest pole"]
+    for row in rows:
+        if row.controller is None:
+            lines.append(f"{row.name:18s} NOT DESIGNED")
+            continue
+        certificate = row.controller.certificate
+        if not certificate.stable:
+            lines.append(f"{row.name:18s} {certificate.stability.verdict.upper()}")
+            continue
+        bound = f"{certificate.bound:.7g}" if certificate.bound is not None else "-"
+        at = f"{certificate.norm.peak_frequency:.5g}" if np.isfinite(certificate.norm.peak_frequency) else "-"
+        lower = f"{certificate.lower.gamma:.7g}" if certificate.gap is not None and certificate.lower is not None else "-"
+        gap = percent(certificate.gap) if certificate.gap is not None else "-"
+        slowest = f"{certificate.stability.worst.real:.4g}"
+        lines.append(
+            f"{row.name:18s} {bound:>10s} {certificate.norm.value:10.7g} {at:>9s} {lower:>13s} {gap:>11s} {slowest:>13s}"
+        )
+    return lines
+
+
+def detail_lines(row: Row) -> list[str]:
+    """One controller in full."""
+    if row.controller is None:
+        return [f"controller {row.name}", *(f"  NOT DESIGNED: {failure}" for failure in row.failures)]
+    controller, certificate = row.controller, row.controller.certificate
+    gain = "[" + ", ".join("[" + ", ".join(f"{entry:.6g}" for entry in line) + "]" for line in controller.gain) + "]"
+    lines = [f"controller {row.name}: measures {', '.join(controller.measured) or 'nothing'}"]
+    lines.append(f"  gain {gain}" if controller.measured else "  no control force")
+    lines.append("  poles " + "  ".join(_poles(certificate.poles)))
+    if certificate.stable:
+        lines.append(f"  norm by level sets and by a sweep, {certificate.norm.gap:.0e} apart")
+    if certificate.proof is not None:
+        positive, negative = certificate.proof.positive, certificate.proof.negative
+        lines.append(
+            f"  balanced, X > 0 by {positive.smallest:.1e}, and LMI (20) < 0 by {negative.smallest:.1e}; rounding is at most "
+            f"{positive.rounding:.0e} and {negative.rounding:.0e}"
+        )
+    if certificate.gap is not None:
+        lines.append(f"  within {percent(certificate.gap)} of the best any controller could do")
+    if row.witness is not None:
+        lines.append(f"  {row.witness.text}")
+    said = (*row.notes, *certificate.remarks)
+    return [*lines, *(f"  {note}" for note in said), *(f"  FAILS: {failure}" for failure in row.failures)]
+
+
+def _witness_object(witness: Witness) -> dict[str, Any]:
+    """A witness as JSON has it."""
+    return {**asdict(witness), "apart": witness.apart, "above": witness.above}
+
+
+def refine_lines(rows: Sequence[Row], vehicle: str) -> list[str]:
+    """Which norms `--refine` lowers by more than the table's last digit, and the command for it; empty where none.
+
+    Args:
+        rows: of the table.
+        vehicle: as `--vehicle` was given.
+    """
+    worth = [row for row in rows if row.worth]
+    if not worth:
+        return []
+    shares = ", ".join(f"{row.name} by {_at_least(row.worth)} or more" for row in worth)
+    what = " ".join(option("--controller", row.name) for row in worth)
+    return [
+        f"refine: --refine lowers the norm of {shares}:",
+        f"  python -m synth {option('--vehicle', vehicle)} {what} --refine",
+    ]
+
+
+def ideal_lines(vehicle: Vehicle) -> list[str]:
+    """Which loop the numbers are of, where the vehicle file has another one, too."""
+    return [] if vehicle.ideal else [f"bound, norm and poles are {IDEAL_LOOP}"]
+
+
+def _at_least(share: float) -> str:
+    """A share in percent, cut after two digits."""
+    percents = 100 * share
+    digit = 10.0 ** (math.floor(math.log10(percents)) - 1)
+    return f"{math.floor(percents / digit) * digit:.2g} %"
+
+
+def notes(controller: Controller) -> tuple[str, ...]:
+    """What is the case where there is no one optimum, what was done instead, how far from it a design is, what is in vain."""
+    found = [text for text in (controller.case, controller.instead) if text]
+    if controller.short > SHORT:
+        found.append(f"from an X {percent(controller.short)} short of the best state feedback; from the best there is no design")
+    if controller.stopped > SHORT:
+        found.append(f"bound {percent(controller.stopped)} short of the optimum, which only a gain beyond any actuator reaches")
+    elif controller.moved > SETTLED:
+        found.append(
+            f"gain not settled: over the last step of its path it moved by {percent(controller.moved)} of its largest entry, so "
+            "that its digits are not those of the optimum; the norm and its bound hold for it as it is"
+        )
+    if controller.redundant:
+        found.append(f"measures in vain: {', '.join(controller.redundant)} follows from the other signals and is given no gain")
+    return tuple(found)
+
+
+def percent(share: float) -> str:
+    """A share in percent; what rounding leaves is 0."""
+    if share <= 1e-9:
+        return "0 %"
+    return f"{100 * share:.2g} %" if share < 0.995 else f"{100 * share:.0f} %"
+
+
+def _poles(poles) -> list[str]:
+    return [
+        f"{pole.real:.4g}{pole.imag:+.4g}j".replace("+", " +- ") if pole.imag else f"{pole.real:.4g}"
+        for pole in poles
+        if pole.imag >= 0
+    ]
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _lmi_object(proof: LmiProof | None) -> dict[str, Any] | None:
+    """Smallest eigenvalues of X and of minus (20), balanced, with what each must exceed, and whether both are proved."""
+    if proof is None:
+        return None
+    parts = {"X": proof.positive, "minus_20": proof.negative}
+    return {"proved": proof.holds} | {
+        name: {"smallest": _finite(part.smallest), "rounding": _finite(part.rounding)} for name, part in parts.items()
+    }

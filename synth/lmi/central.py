@@ -1,0 +1,490 @@
+"""The central path of the design problem, followed to its limit: the one optimal solution that is unique.
+
+The optimum of (22) or (25) is attained on a whole face of pairs (X, Y): gamma is well defined, the gain is not, and an
+interior-point solver returns whichever point of the face its scaling and tolerance lead to. The limit of
+
+    maximise   eta / mu + log det X_Q + log det X_R + log det(-F(X_Q, X_R, Y_R, eta)),     mu -> 0,
+
+is unique, and depends on no solver and no choice of state coordinates, input units or time unit: changing them only adds
+constants to the logarithms. It is what the paper printed.
+
+It is followed by Newton's method (Boyd, Vandenberghe, Convex Optimization, chapter 11) with a predictor along its tangent in
+mu. Two changes of coordinates keep every number of order one. In the state coordinates T = [Q R], equation (12) reads
+X = diag(X_Q, X_R) and Y = [0 Y_R]; state feedback is the case of an empty Q and R = I. And at every stage the coordinates are
+moved to the current point, where X = I and, with the current gain absorbed in the plant, Y = 0.
+"""
+
+import functools
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy import linalg
+from scipy.linalg import lapack
+
+from models.common.arrays import Array
+from models.common.errors import InputError
+from models.common.threads import one_thread
+from synth.certificate.bounded_real import bounded_real_matrix
+from synth.errors import DesignError, InfeasibleError, TooLargeError
+from synth.lmi.barrier import Barrier, Derivatives, Factored, boundary, newton
+from synth.lmi.structured import Constraint, StructuredBarrier, path_constraints, start_constraints
+from synth.lmi.unseen import unseen
+from synth.plant import GeneralizedPlant
+from synth.scaling import reachable, size
+
+LIMIT = 1e-9
+"""Distance mu / eta at which the path counts as having arrived: gains are within 3e-6 of the limit for the paper's problem."""
+
+
+CENTRED = 1e-6  # Newton decrement at the points of the path: close enough for the duals that prove lower bounds
+RESTS = (1e-7, 1e-5, *(10.0**exponent for exponent in range(-3, 20)))  # mu over eta
+AT_REST = 1e-7  # relative in eta; how close the path comes to where it is to rest
+FIRST, LAST = 1.0, 1e-3  # rests that are kept exactly: before they are far from any optimum, after them eta hardly moves
+CORRECTIONS = 20  # of mu; one or two do, but where the path is entered beyond FIRST
+BACK = 3.0  # times mu at most, on the way back to FIRST
+FROM = 1e3  # where the path is entered: mu over the eta of the first feasible point, far from any optimum
+FAR = 1e5  # condition of X from which the coordinates, in which it was I, no longer fit
+MOST_MOVES = 12  # to other coordinates off the path; a larger X grows without end, and there is no centre
+DENSE = 200  # unknowns; up to so many a dense basis is quicker, for it takes fewer calls
+MOST = 2000  # unknowns, 62 states with one input: half a minute for a path; time grows with the cube, memory with the square
+LARGEST_Y = 10.0  # in the search for a feasible point
+INSIDE = 0.95  # of the way to the boundary, where a step along the path would leave
+
+
+@dataclass(frozen=True, eq=False)
+class CentralPoint:
+    """A strictly feasible point on the central path.
+
+    Attributes:
+        X: shape (n, n), by (12).
+        K: gain Y_R X_R^-1, shape (m, q), by (13). It acts on the q coordinates that R spans.
+        eta: gamma^-2 of the point; the optimum lies above it, by at most (2 n + d) mu.
+        mu: the parameter of the path, relative to eta.
+        proof: an X that proves the bound where X itself does not, for what z does not see only follows the rest in it; else None.
+    """
+
+    X: Array
+    K: Array
+    eta: float
+    mu: float
+    proof: Array | None = None
+
+    @property
+    def gamma(self) -> float:
+        """The bound eta^-1/2 that this point proves, (23) and (26)."""
+        return self.eta**-0.5
+
+    def in_units(self, states: Array, inputs: Array, measured: Array) -> "CentralPoint":
+        """The point of the same plant in other units.
+
+        Args:
+            states: what this plant's unit of each state counts in the other, shape (n,).
+            inputs: likewise, shape (m,).
+            measured: likewise of what K acts on, shape (q,).
+        """
+        square = np.outer(states, states)
+        proof = None if self.proof is None else square * self.proof
+        return replace(self, X=square * self.X, K=inputs[:, None] * self.K / measured, proof=proof)
+
+
+def central_path(plant: GeneralizedPlant, Q: Array, R: Array, mu: float = LIMIT) -> list[CentralPoint]:
+    """Points along the central path of (25), or of (22) with an empty Q and R = I. The last, at mu, is the design.
+
+    Args:
+        plant: n states, m inputs.
+        Q: shape (n, n - q).
+        R: shape (n, q); [Q R] is regular.
+        mu: where the path ends, relative to eta. The default is its limit; a larger one stays short of the optimum.
+
+    Returns:
+        Points with eta > 0, in the order of falling mu, each a tenth to a hundredth of the one before.
+
+    Raises:
+        InputError: nothing disturbs the plant, or nothing is weighed.
+        InfeasibleError: there is no feasible point with eta > 0.
+        TooLargeError: the problem has more than MOST unknowns.
+        DesignError: Newton's method broke down short of mu.
+    """
+    return list(along_path(plant, Q, R, mu))
+
+
+def along_path(plant: GeneralizedPlant, Q: Array, R: Array, mu: float = LIMIT) -> Iterator[CentralPoint]:
+    """The same points one by one, for those who can use the first where the last cannot be reached."""
+    if not (np.any(plant.Bw) or np.any(plant.Dw)):
+        raise InputError("the plant has no disturbance: Bw and Dw are zero; name one, or there is nothing to design against")
+    if not (np.any(plant.C) or np.any(plant.D)):
+        raise InputError("the controlled output is zero: C and D are; give at least one signal a weight above zero")
+    if not len(plant.A):
+        raise DesignError("z sees no state that a gain does not keep out of it: every such gain is an optimum")
+    part = unseen(plant, Q, R)
+    if part is not None:  # X may grow there without bound: the path is that of the rest
+        for point in along_path(part.rest, part.Q, part.R, mu):
+            proof = part.proof(point.K, point.X if point.proof is None else point.proof, point.eta)
+            yield CentralPoint(part.followed(point.K, point.X, point.eta), part.gain(point.K), point.eta, point.mu, proof)
+        return
+    fits(unknowns(plant, Q.shape[1]), MOST, "the central path is followed")
+    with one_thread():
+        try:
+            path = _Path(plant, Q, R)
+            path.find_feasible_point()
+        except np.linalg.LinAlgError as error:
+            raise InfeasibleError(
+                f"the LMI problem has no feasible point that is one beyond rounding ({error}): at best a mode stays on the "
+                "imaginary axis; measure more signals, or give other units"
+            ) from error
+        try:
+            yield from path.follow(mu)
+        except np.linalg.LinAlgError as error:
+            raise DesignError(f"the central path could not be followed: rounding ends it ({error}); give other units") from error
+
+
+def unknowns(plant: GeneralizedPlant, free: int = 0) -> int:
+    """How many entries X, Y and eta of (12) have: of (22), or of (25) with as many columns of Q."""
+    n, m = len(plant.A), plant.independent_inputs().shape[1]
+    q = n - free
+    return free * (free + 1) // 2 + q * (q + 1) // 2 + m * q + 1
+
+
+def fits(count: int, most: int, what: str) -> None:
+    """Raises a TooLargeError for more unknowns than `what` is done with."""
+    if count > most:
+        raise TooLargeError(f"the LMI problem has {count} unknowns, and {what} with at most {most}; take states out of the model")
+
+
+class _Path:
+    """A point that walks along the path. The only mutable thing in this package; it lives inside `central_path`."""
+
+    def __init__(self, plant: GeneralizedPlant, Q: Array, R: Array) -> None:
+        self.free = Q.shape[1]  # a = n - q
+        T = np.hstack([Q, R])
+        # Inputs that do nothing are left at zero, and those that do the same share it.
+        self.inputs = plant.independent_inputs()
+        plant = plant.with_inputs(self.inputs).in_coordinates(T)
+        # Only numerics from here on: states scaled by what the inputs can reach, and units in which A, B, Bw, C have size one.
+        scaling = reachable(plant, self.free)
+        plant = plant.in_coordinates(scaling)
+        self.rate = size(plant.A)
+        self.input_unit = self.rate / size(plant.B)
+        self.disturbance_unit = self.rate / size(plant.Bw)
+        self.output_unit = 1 / size(plant.C)
+        self.plant = GeneralizedPlant(
+            A=plant.A / self.rate,
+            B=plant.B * self.input_unit / self.rate,
+            Bw=plant.Bw * self.disturbance_unit / self.rate,
+            C=plant.C * self.output_unit,
+            D=plant.D * self.output_unit * self.input_unit,
+            Dw=plant.Dw * self.output_unit * self.disturbance_unit,
+        )
+        self.start = T @ scaling  # from the scaled coordinates of the beginning to the user's
+        self.block_start = scaling[self.free :, self.free :]
+        self.V = np.eye(len(T))  # from the current coordinates to those of the beginning
+        self.K = np.zeros((plant.B.shape[1], R.shape[1]))  # the gain absorbed so far, in those of the beginning
+        self.eta = 0.0
+        self.mu = np.inf
+        self.basis = self._basis()
+
+    def find_feasible_point(self) -> None:
+        """A strictly feasible point, or the proof that there is none.
+
+        Feasible points exist if and only if He(A X + B Y) < 0 has a solution of the structure (12): scaled down far enough, any
+        such pair satisfies (24) with some eta > 0. So: minimise s over He(A X + B Y) < s I, 0 < X < I, |Y| < LARGEST_Y, until
+        s < 0.
+        """
+        basis, n, m = self.basis, len(self.plant.A), self.plant.B.shape[1]
+        p = basis.pack(np.eye(n) / 2, np.zeros((m, n)), 0.0)
+        s = np.linalg.eigvalsh((self.plant.A + self.plant.A.T) / 2)[-1]
+        mu = max(abs(s), 1e-3)
+        p[-1] = s + mu
+        barrier = self._start_barrier()
+        while True:
+            p, _, _ = newton(barrier, p, _direction(basis.size, 1 / mu), tolerance=0.3)
+            if p[-1] < 0:
+                break
+            mu /= 10
+            if mu < 1e-10:
+                # On the path s exceeds its infimum by no more than (number of rows) mu, so the infimum is 0 to rounding.
+                raise InfeasibleError(
+                    f"the LMI problem is infeasible: no X > 0 of the required structure makes A X + B Y + (A X + B Y)' negative "
+                    f"definite (smallest largest eigenvalue found: {p[-1]:.0e}, in units of |A||X|)"
+                    + (
+                        ". The measured signals may not suffice, or L does not fit the problem; measure more signals, or use the "
+                        "L of equation (14)"
+                        if self.free
+                        else ": no gain from what is measured moves every mode off the imaginary axis by more than rounding"
+                    )
+                )
+
+        p[-1] = 0.0
+        X, Y, _ = basis.unpack(p)
+        X, Y, largest = self._scaled(X, Y)
+        self.eta = 0.5 * largest
+        self.mu = FROM * self.eta
+        self._move_to(X, Y)
+
+    def _scaled(self, X: Array, Y: Array) -> tuple[Array, Array, float]:
+        """A pair with He(A X + B Y) < 0, scaled to fit (24), and the largest eta that it then allows."""
+        n = len(self.plant.A)
+        F = bounded_real_matrix(self.plant, X, Y, 0.0)
+        low = F[n:, :n]
+        shrink = 0.5 / max(linalg.eigh(low.T @ low, -F[:n, :n], eigvals_only=True)[-1], 1e-12)
+        X, Y = shrink * X, shrink * Y
+        F = bounded_real_matrix(self.plant, X, Y, 0.0)
+        disturbance = np.vstack([self.plant.Bw, self.plant.Dw])
+        return X, Y, 1 / linalg.eigh(disturbance @ disturbance.T, -F, eigvals_only=True)[-1]
+
+    def follow(self, mu_end: float) -> Iterator[CentralPoint]:
+        """Walks along the path until mu = mu_end eta; yields the points it rests at."""
+        n, m = len(self.plant.A), self.plant.B.shape[1]
+        moves, rest = 0, np.inf
+        while True:
+            basis = self.basis
+            start = basis.pack(np.eye(n), np.zeros((m, n)), self.eta)
+            p, decrement, here = newton(self._barrier(), start, _direction(basis.size, -1 / self.mu), CENTRED, self._far)
+            if decrement > 0.5 and moves < MOST_MOVES and self._far(p) and self._feasible_at(p):
+                moves += 1
+                continue  # from there, in its own coordinates
+            if decrement > 0.5:
+                raise DesignError(
+                    f"the central path could not be followed below mu = {self.mu / abs(p[-1]):.1e} (Newton decrement "
+                    f"{decrement:.1e}): the optimum is probably reached only by an infinite gain; weigh the control force more"
+                )
+            if p[-1] > 0 and not np.isfinite(rest):
+                rest = max(FIRST, mu_end, nearest_rest(self.mu / p[-1], mu_end))
+            p, here, step = self._at_rest(p, here, rest)
+            X, Y, self.eta = basis.unpack(p)
+            if self.eta > 0:
+                yield self.point(X, Y)
+                if self.mu <= mu_end * self.eta * 1.001:
+                    return
+            rest = next_rest(self.mu / self.eta, mu_end) if self.eta > 0 else np.inf
+            ratio = _shift(rest * self.eta / self.mu, step[-1] / self.eta if _moving(rest) else 0.0) if self.eta > 0 else 0.1
+            # Along the tangent of the path in mu, but inside.
+            length = min(1 - ratio, INSIDE * boundary(here, step))
+            if not any(self._feasible_at(p + part * length * step) for part in (1.0, 0.5, 0.1, 0.0)):
+                raise DesignError(
+                    f"the central path could not be followed below mu = {self.mu / abs(self.eta):.1e}: rounding ends it there; "
+                    "the optimum is probably reached only by an infinite gain; weigh the control force more"
+                )
+            self.mu *= ratio
+
+    def _at_rest(self, p: Array, here: Factored, rest: float) -> tuple[Array, Factored, Array]:
+        """The point where mu over eta is what it is to be, the derivatives there, and the tangent over -log mu.
+
+        eta grows as mu falls, so that it is met by Newton's method over log mu. Only so the points of a path are the same in
+        whatever units and from wherever it is entered; some of them are designs, or where L (14) comes from.
+        """
+        back = BACK
+        for _ in range(CORRECTIONS):
+            step = here.solve(here.half(_direction(self.basis.size, 1 / self.mu)))
+            off = rest * p[-1] / self.mu
+            if not (p[-1] > 0 and _moving(rest)) or abs(off - 1) * step[-1] <= AT_REST * p[-1]:
+                return p, here, step
+            mu = self.mu * min(_shift(off, step[-1] / p[-1]), back)
+            moved, decrement, there = newton(self._barrier(), p, _direction(self.basis.size, -1 / mu), CENTRED, self._far)
+            if decrement > 0.5 or moved[-1] <= 0:
+                back = back**0.5
+                continue
+            p, here, self.mu = moved, there, mu
+        return p, here, here.solve(here.half(_direction(self.basis.size, 1 / self.mu)))
+
+    def _feasible_at(self, p: Array) -> bool:
+        """Moves to a point, unless rounding puts it outside the feasible set in the coordinates of its own."""
+        before = self.plant, self.V, self.K, self.basis
+        X, Y, eta = self.basis.unpack(p)
+        try:
+            self._move_to(X, Y)
+        except (np.linalg.LinAlgError, InputError):  # or where numbers leave all range
+            return False
+        m, n = Y.shape
+        if lapack.dpotrf(-bounded_real_matrix(self.plant, np.eye(n), np.zeros((m, n)), eta))[1] != 0:  # pyright: ignore[reportAttributeAccessIssue]
+            self.plant, self.V, self.K, self.basis = before
+            return False
+        self.eta = eta
+        return True
+
+    def _far(self, p: Array) -> bool:
+        """Whether X has become so different from I that other coordinates are needed."""
+        sizes = lapack.dsyevd(self.basis.unpack(p)[0], compute_v=0)[0]  # pyright: ignore[reportAttributeAccessIssue]
+        return bool(sizes[-1] > FAR * sizes[0])
+
+    def _barrier(self) -> Derivatives:
+        """The barrier of (24) and X > 0."""
+        basis, n = self.basis, len(self.plant.A)
+        if basis.size > DENSE:
+            return self._structured(path_constraints(self.plant))
+        return Barrier([(-basis.F0, -basis.F), (np.zeros((n, n)), basis.X)])
+
+    def _start_barrier(self) -> Derivatives:
+        """The barrier of the search for a feasible point, in which the last unknown is s."""
+        basis, n, m = self.basis, len(self.plant.A), self.plant.B.shape[1]
+        if basis.size > DENSE:
+            return self._structured(start_constraints(self.plant, LARGEST_Y))
+        lyapunov = basis.F[:, :n, :n].copy()
+        lyapunov[-1] = -np.eye(n)
+        box = np.zeros((basis.size, m + n, m + n))
+        box[:, :m, m:], box[:, m:, :m] = basis.Y, basis.Y.transpose(0, 2, 1)
+        return Barrier(
+            [
+                (np.zeros((n, n)), -lyapunov),
+                (np.zeros((n, n)), basis.X),
+                (np.eye(n), -basis.X),
+                (LARGEST_Y * np.eye(m + n), box),
+            ]
+        )
+
+    def _structured(self, constraints: list[Constraint]) -> StructuredBarrier:
+        n, m = self.plant.B.shape
+        return StructuredBarrier(constraints, *self.basis.places, n, m)
+
+    def point(self, X: Array, Y: Array) -> CentralPoint:
+        """A pair of the current coordinates as a point in the user's coordinates and units."""
+        T = self.start @ self.V
+        return CentralPoint(
+            X=T @ X @ T.T * (self.rate * self.output_unit**2),  # the units follow from (21)
+            K=self.inputs @ self._gain(X, Y) @ np.linalg.inv(self.block_start) * self.input_unit,
+            eta=self.eta * (self.disturbance_unit * self.output_unit) ** 2,
+            mu=self.mu / self.eta,
+        )
+
+    def _move_to(self, X: Array, Y: Array) -> None:
+        """Changes the coordinates so that X becomes I and Y becomes 0."""
+        a = self.free
+        S: Any = linalg.block_diag(np.linalg.cholesky(X[:a, :a]), np.linalg.cholesky(X[a:, a:]))
+        plant = self.plant.closed_loop(Y @ np.linalg.inv(X)).in_coordinates(S)
+        self.plant, self.K, self.V = plant, self._gain(X, Y), self.V @ S
+        self.basis = self._basis()
+
+    def _basis(self) -> "Basis":
+        return Basis.of(self.plant, self.free)
+
+    def _gain(self, X: Array, Y: Array) -> Array:
+        """Y_R X_R^-1 with all the gain absorbed before, in the coordinates of the beginning."""
+        a = self.free
+        return self.K + Y[:, a:] @ np.linalg.inv(X[a:, a:]) @ np.linalg.inv(self.V[a:, a:])
+
+
+def _moving(rest: float) -> bool:
+    """Whether eta moves that much about a rest, and it is that close to the optimum, that it matters where exactly it is."""
+    return LAST <= rest <= FIRST
+
+
+def _shift(off: float, growth: float) -> float:
+    """The factor of mu that changes mu / eta by `off`, where eta grows as mu^-growth."""
+    return off ** (1 / (1 + max(growth, 0.0)))
+
+
+def nearest_rest(mu: float, mu_end: float) -> float:
+    """The rest that is nearest to where the path is entered."""
+    rests = np.array([mu_end, *(rest for rest in RESTS if rest > mu_end)])
+    return float(rests[np.abs(np.log(rests / mu)).argmin()])
+
+
+def next_rest(mu: Any, mu_end: float) -> Any:
+    """Where the path rests next, mu over eta: hundredfold steps where it is nearly straight, the same rests for every plant.
+
+    Args:
+        mu: relative to eta; one, or an array of them.
+        mu_end: where the path ends, likewise.
+    """
+    rests = np.array([mu_end, *(rest for rest in RESTS if rest > mu_end)])
+    below = np.maximum(np.searchsorted(rests, 0.5 * mu) - 1, 0)
+    return np.minimum(rests[below], 0.5 * mu)
+
+
+class Basis:
+    """The N unknowns p = (X_Q, X_R, Y_R, eta), and the matrices they multiply, in coordinates where (12) is block diagonal.
+
+    Of one plant, or of many of the same shape side by side along leading axes (...).
+
+    Args:
+        system: [A B Bw; C D Dw], shape (..., k, n + m + r).
+        n, m, free: number of states, of inputs, and of columns of Q.
+
+    Attributes:
+        places: where the unknowns but the last stand in [X; Y], those of X above its diagonal: rows and columns, shapes (N - 1,).
+        size: N.
+    """
+
+    def __init__(self, system: Array, n: int, m: int, free: int) -> None:
+        self.system, self.n, self.m, self.free = system, n, m, free
+        self.places = _places(n, m, free)
+        self.size = len(self.places[0]) + 1
+        k = system.shape[-2]
+        self.F0 = np.zeros((k, k))
+        self.F0[n:, n:] = -np.eye(k - n)
+
+    @classmethod
+    def of(cls, plant: GeneralizedPlant, free: int) -> "Basis":
+        """The unknowns of one plant."""
+        n, m = plant.B.shape
+        return cls(plant.system_matrix, n, m, free)
+
+    @property
+    def X(self) -> Array:
+        """What each unknown multiplies in X, shape (N, n, n)."""
+        return _units(self.n, self.m, self.free)[0]
+
+    @property
+    def Y(self) -> Array:
+        """What each unknown multiplies in Y, shape (N, m, n)."""
+        return _units(self.n, self.m, self.free)[1]
+
+    @functools.cached_property
+    def F(self) -> Array:
+        """The matrix (24) is F0 + sum_i p_i F_i, with F0 of shape (k, k) and F of (..., N, k, k)."""
+        n, m, k = self.n, self.m, self.system.shape[-2]
+        # [A B; C D] [X; Y] for every unknown: the left columns of (24), and its upper rows.
+        left = self.system[..., None, :, : n + m] @ np.concatenate([self.X, self.Y], axis=1)
+        F = np.zeros((*self.system.shape[:-2], self.size, k, k))
+        F[..., :n] = left
+        F[..., :n, :] += left.swapaxes(-1, -2)
+        disturbance = self.system[..., n + m :]
+        F[..., -1, :, :] = disturbance @ disturbance.swapaxes(-1, -2)
+        return F
+
+    def pack(self, X: Array, Y: Array, last: float) -> Array:
+        """The unknowns of X, Y and the last."""
+        return np.append(np.concatenate([X, Y])[self.places], last)
+
+    def unpack(self, p: Array) -> tuple[Array, Array, Any]:
+        """X, Y and the last of the unknowns, of p of shape (..., N)."""
+        rows, columns = self.places
+        unknown = np.zeros((*p.shape[:-1], self.n + self.m, self.n))
+        unknown[..., rows, columns] = p[..., :-1]
+        of_x = rows < self.n
+        unknown[..., columns[of_x], rows[of_x]] = p[..., :-1][..., of_x]
+        return unknown[..., : self.n, :], unknown[..., self.n :, :], p.T[-1]
+
+
+@functools.cache
+def _places(n: int, m: int, free: int) -> tuple[Array, Array]:
+    """Where the unknowns but the last stand in [X; Y]: those of X_Q and X_R above the diagonal, then those of Y_R, by rows."""
+    rows, columns = np.triu_indices(n)
+    inside = (rows >= free) | (columns < free)  # no unknown couples the two blocks
+    index, q = np.arange(m * (n - free)), max(n - free, 1)
+    places = np.concatenate([rows[inside], n + index // q]), np.concatenate([columns[inside], free + index % q])
+    for each in places:
+        each.flags.writeable = False  # all paths of this size share them
+    return places
+
+
+@functools.cache
+def _units(n: int, m: int, free: int) -> tuple[Array, Array]:
+    """What each unknown multiplies in X and in Y."""
+    rows, columns = _places(n, m, free)
+    units, index = np.zeros((len(rows) + 1, n + m, n)), np.arange(len(rows))
+    units[index, rows, columns] = 1
+    of_x = rows < n
+    units[index[of_x], columns[of_x], rows[of_x]] = 1
+    X, Y = np.ascontiguousarray(units[:, :n]), np.ascontiguousarray(units[:, n:])
+    for each in (X, Y):
+        each.flags.writeable = False  # all paths of this size share them
+    return X, Y
+
+
+def _direction(size: int, value: float) -> Array:
+    c = np.zeros(size)
+    c[-1] = value
+    return c

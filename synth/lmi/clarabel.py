@@ -1,0 +1,85 @@
+"""The paper's LMI problems as the paper writes them, solved by Clarabel through cvxpy. The only file that knows cvxpy.
+
+An independent route to every bound: the designs come from the central path (`central.py`), which needs no solver.
+"""
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.common.arrays import Array
+from synth.errors import DesignError, InfeasibleError
+from synth.plant import GeneralizedPlant
+
+
+@dataclass(frozen=True, eq=False)
+class LmiSolution:
+    """What the solver returned: one point of the optimal face, up to its tolerance.
+
+    Attributes:
+        X: shape (n, n).
+        Y: shape (m, n).
+        eta: gamma^-2.
+        status: the solver's own word, "optimal" or "optimal_inaccurate".
+    """
+
+    X: Array
+    Y: Array
+    eta: float
+    status: str
+
+    @property
+    def gamma(self) -> float:
+        """The bound eta^-1/2, (23)."""
+        return self.eta**-0.5
+
+
+def solve_lmi(plant: GeneralizedPlant, Q: Array, R: Array, gain: Array | None = None) -> LmiSolution:
+    """Solves (25): maximise eta subject to (24) with X = Q X_Q Q' + R X_R R', Y = Y_R R' (12), X_Q > 0, X_R > 0.
+
+    With an empty Q and R = I it is (22); if the plant is a closed loop whose B is zero, it is (27).
+
+    Args:
+        plant: n states, m inputs.
+        Q: shape (n, n - q).
+        R: shape (n, q).
+        gain: K, shape (m, q): then Y_R = K X_R, and the optimum is the best bound that (25) has for that gain.
+
+    Raises:
+        InfeasibleError: the solver says so, or answers "optimal" with an eta that is zero to its tolerance.
+        DesignError: the solver gave up.
+    """
+    import cvxpy as cp  # 0.9 s, and only this function needs it
+
+    m = plant.B.shape[1]
+    d = len(plant.C)
+    X_R = cp.Variable((R.shape[1], R.shape[1]), symmetric=True)
+    Y_R = cp.Variable((m, R.shape[1])) if gain is None else gain @ X_R
+    eta = cp.Variable()
+    X, positive = R @ X_R @ R.T, [X_R >> 0]
+    if Q.shape[1]:
+        X_Q = cp.Variable((Q.shape[1], Q.shape[1]), symmetric=True)
+        X, positive = X + Q @ X_Q @ Q.T, [*positive, X_Q >> 0]
+    Y = Y_R @ R.T
+
+    top = plant.A @ X + plant.B @ Y
+    low = plant.C @ X + plant.D @ Y
+    disturbance = np.vstack([plant.Bw, plant.Dw])
+    F = cp.bmat([[top + top.T, low.T], [low, -np.eye(d)]]) + eta * (disturbance @ disturbance.T)
+    problem = cp.Problem(cp.Maximize(eta), [F << 0, *positive])
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # "may be inaccurate": the status says so too, and eta is looked at below
+            problem.solve(solver=cp.CLARABEL)
+    except cp.SolverError as error:
+        raise DesignError(f"Clarabel gave up on the LMI problem: {error}; rescale the plant or use the central path") from error
+    if problem.status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE):
+        raise InfeasibleError(f"the LMI problem has no solution with eta > 0: Clarabel reports {problem.status!r}")
+    X_value, Y_value, eta_value = np.asarray(X.value), np.asarray(Y.value), float(eta.value)  # pyright: ignore[reportArgumentType]
+    # Against the X that comes with it, what Clarabel's tolerance of 1e-8 cannot tell from zero is zero.
+    if eta_value <= 1e-8 * np.linalg.norm(X_value, 2):
+        raise InfeasibleError(
+            f"the LMI problem has no solution with eta > 0: Clarabel reports {problem.status!r} with eta = {eta_value:.1e}"
+        )
+    return LmiSolution(X_value, Y_value, eta_value, problem.status)

@@ -1,0 +1,78 @@
+"""Static output feedback u = K y, y = C_y x, in two steps: L (14) and R (9) from the state-feedback X, then (25) for K (13)."""
+
+import numpy as np
+from scipy import linalg
+
+from models.common.arrays import Array
+from synth.errors import InfeasibleError
+from synth.lmi.central import CentralPoint, central_path
+from synth.plant import GeneralizedPlant
+from synth.scaling import own_units
+
+DEPENDENT = 1e-10  # smallest singular value of rows of length one
+
+
+def nullspace(Cy: Array) -> Array:
+    """Q: an orthonormal basis of the nullspace of C_y, shape (n, n - q). Its signs and order are arbitrary; K is not affected."""
+    return linalg.null_space(_unit_rows(Cy)[0])
+
+
+def independent_rows(plant: GeneralizedPlant, Cy: Array) -> list[int]:
+    """Which rows of C_y do not follow from those before them, ascending; (9) needs full row rank.
+
+    It is decided in the plant's own units of the states and for rows of length one, so that no unit decides it.
+
+    Args:
+        plant: n states.
+        Cy: shape (q, n), no row zero.
+    """
+    rows, _ = _unit_rows(Cy * own_units(plant, Cy).states)
+    kept: list[int] = []
+    for i in range(len(rows)):
+        if np.linalg.svd(rows[[*kept, i]], compute_uv=False)[-1] > DEPENDENT and len(kept) < rows.shape[1]:
+            kept.append(i)
+    return kept
+
+
+def l_matrix(X: Array, Cy: Array, Q: Array) -> Array:
+    """L = Q^+ X C_y' (C_y X C_y')^-1, shape (n - q, q), equation (14).
+
+    Args:
+        X: the state-feedback X, shape (n, n).
+        Cy: shape (q, n), full row rank.
+        Q: shape (n, n - q).
+    """
+    rows, lengths = _unit_rows(Cy)
+    return np.linalg.pinv(Q) @ X @ rows.T @ np.linalg.inv(rows @ X @ rows.T) / lengths
+
+
+def r_matrix(Cy: Array, Q: Array, L: Array) -> Array:
+    """R = C_y^+ + Q L, shape (n, q), equation (9)."""
+    rows, lengths = _unit_rows(Cy)
+    return np.linalg.pinv(rows) / lengths + Q @ L
+
+
+def _unit_rows(Cy: Array) -> tuple[Array, Array]:
+    """Rows of length one, so that no unit of a measurement makes another vanish, and the lengths, shape (q,)."""
+    lengths = np.linalg.norm(Cy, axis=1)
+    return Cy / lengths[:, None], lengths
+
+
+def output_feedback(plant: GeneralizedPlant, Cy: Array, L: Array, Q: Array) -> list[CentralPoint]:
+    """The central path of (25) for a given L. Its last point is the controller u = K y, with K = Y_R X_R^-1 (13).
+
+    Args:
+        plant: n states, m inputs.
+        Cy: observed output y = C_y x, shape (q, n), full row rank.
+        L: shape (n - q, q): (14), or zero for the one-step design that remark 4 speaks of.
+        Q: basis of the nullspace of C_y, shape (n, n - q).
+
+    Raises:
+        InfeasibleError: (25) has no solution with eta > 0 for this L.
+        DesignError: see `central_path`.
+    """
+    try:
+        return central_path(plant, Q, r_matrix(Cy, Q, L))
+    except InfeasibleError as error:
+        which = "L = 0" if not np.any(L) else "this L"
+        raise InfeasibleError(f"problem (25) has no solution with eta > 0 for {which}: {error}") from error

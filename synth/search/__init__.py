@@ -1,0 +1,1 @@
+"""Descent on the norm itself, where the two steps end."""

@@ -1,0 +1,112 @@
+"""`--refine`: from a gain that the LMIs found down the norm itself, as far as it is worth it.
+
+Minimising the norm without bounds ruins a controller: from the paper's controller I it walks to [-72240, -82631] for a thousandth
+of gamma, because the infimum lies at infinite gain. So the gain grows by stages, at most twofold each, and a stage in which gamma
+gains less than a thousandth while the gain grows is undone.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.common.arrays import Array
+from synth.errors import DesignError
+from synth.plant import GeneralizedPlant
+from synth.search.descent import along_edges
+from synth.search.landscape import Landscape
+
+WORTH = 1e-3  # of gamma, relative: what a growing gain must buy
+STAGES = 20  # a growth of 2^20; nothing is worth more
+ROUNDS = 60  # of descent within a stage; it usually ends sooner
+GLANCE = 5  # rounds that tell whether there is anything to gain
+SEEN = 1e-6  # relative: what a table of seven digits shows
+
+
+@dataclass(frozen=True, eq=False)
+class Refinement:
+    """What a refinement reached, and what it traded.
+
+    Attributes:
+        gain: K, shape (m, q).
+        before: the norm it started from.
+        after: the norm it ended at.
+        growth: largest entry of the gain, after over before, each in the units in which the loop counts it.
+        refused: what one more stage would have bought of gamma, relative, and its growth; None where there is nothing to buy.
+    """
+
+    gain: Array
+    before: float
+    after: float
+    growth: float
+    refused: tuple[float, float] | None
+
+    @property
+    def traded(self) -> str:
+        """What was traded, in words."""
+        text = f"gamma {self.before:.7g} -> {self.after:.7g} ({100 * (self.after / self.before - 1):+.2g} %), "
+        text += f"largest gain times {self.growth:.3g}"
+        if self.refused is not None:
+            bought, growth = self.refused
+            text += f"; refused: {100 * bought:.2g} % more of gamma for {growth:.3g} times the gain"
+        return text
+
+
+def refine(plant: GeneralizedPlant, Cy: Array, K: Array) -> Refinement:
+    """Lowers the norm from a stabilising gain.
+
+    Args:
+        plant: n states, m inputs.
+        Cy: shape (q, n).
+        K: shape (m, q).
+
+    Raises:
+        DesignError: K does not stabilise the plant.
+    """
+    landscape = Landscape(plant, Cy)
+    x = start = landscape.point(K)
+    before, _ = landscape.norm(x)
+    if not np.isfinite(before):
+        raise DesignError("a gain that does not stabilise the plant cannot be refined; design one first")
+    if before == 0:
+        return Refinement(K, before, before, 1.0, None)
+    size = first = float(np.abs(x).max())
+    norm, refused = before, None
+    # First without any growth, then twofold at a time.
+    for stage in range(STAGES):
+        allowed = size if stage == 0 else 2 * size
+        moved, reached = along_edges(landscape, x, np.full(len(x), allowed), ROUNDS)
+        growth = float(np.abs(moved).max()) / size if size else 1.0
+        bought = 1 - reached / norm
+        if growth > 1 + 1e-6 and bought < WORTH:
+            refused = (bought, growth) if bought > 1e-6 else None
+            break
+        x, norm, size = moved, reached, float(np.abs(moved).max())
+        if stage and growth <= 1 + 1e-6:
+            break
+    if np.array_equal(x, start):
+        return Refinement(K, before, before, 1.0, refused)
+    return Refinement(landscape.gain(x), before, norm, size / first if first else 1.0, refused)
+
+
+def worth_refining(plant: GeneralizedPlant, Cy: Array, K: Array) -> float:
+    """What `refine` lowers the norm by at least, relative: as far as its first rounds go, which are quick.
+
+    Args:
+        plant: n states, m inputs.
+        Cy: shape (q, n).
+        K: a stabilising gain, shape (m, q).
+    """
+    landscape = Landscape(plant, Cy)
+    x = landscape.point(K)
+    before, _ = landscape.norm(x)
+    if not 0 < before < np.inf:
+        return 0.0
+    size = float(np.abs(x).max())
+    _, reached = along_edges(landscape, x, np.full(len(x), size), GLANCE)
+    if reached < before * (1 - SEEN):
+        return 1 - reached / before
+    # Nothing without growth: then what the first twofold growth buys, where it is worth it.
+    landscape = Landscape(plant, Cy)
+    x, norm = along_edges(landscape, x, np.full(len(x), size), ROUNDS)
+    _, reached = along_edges(landscape, x, np.full(len(x), 2 * float(np.abs(x).max())), GLANCE)
+    return 1 - reached / before if reached < norm * (1 - WORTH) else 1 - norm / before
