@@ -1,6 +1,5 @@
 """A kind of vehicle: what `models/<name>.py` must say so that everything after it works unchanged."""
 
-import importlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -168,25 +167,3 @@ class VehicleKind:
     def signal(self, name: str) -> Signal:
         """The signal of that name, which this kind has."""
         return next(signal for signal in self.signals if signal.name == name)
-
-
-def kinds(folder: Path = HERE) -> list[str]:
-    """The kinds of vehicle in a folder: those with equations and an MJCF. By default, those that ship."""
-    return sorted(path.stem for path in folder.glob("*.xml") if path.with_suffix(".py").exists())
-
-
-def kind(name: str, folder: Path | None = None) -> VehicleKind:
-    """The kind of vehicle of that name: one that ships, or one whose `.py` and `.xml` lie in a folder of the user's.
-
-    Raises:
-        InputError: there is none, or it is one of the user's own that does not work.
-    """
-    if name in kinds():
-        return importlib.import_module(f"models.{name}").KIND
-    own = kinds(folder) if folder else []
-    if folder is None or name not in own:
-        beside = f", or beside the vehicle file: {name}.py and {name}.xml" if folder else ""
-        raise InputError(f"unknown vehicle type {name!r}; known: {known([*kinds(), *own])}{beside}")
-    from models.own_kind import read_kind
-
-    return read_kind(folder, name)

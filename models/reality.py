@@ -147,3 +147,19 @@ def read_implementation(section: Mapping[str, Any], measurable: tuple[str, ...])
             for signal, value in values.items()
         }
     return Implementation(**found)
+
+
+def steps_per_sample(implementation: Implementation, timestep: float) -> int:
+    """How many timesteps the controller holds its force.
+
+    Raises:
+        InputError: the sample period is no multiple of the timestep.
+    """
+    if implementation.sample_period is None:
+        return 1
+    steps = round(implementation.sample_period / timestep)
+    if steps < 1 or abs(steps * timestep / implementation.sample_period - 1) > 1e-9:
+        raise InputError(
+            f"sample_period = {implementation.sample_period:g} s is no multiple of the timestep, {timestep:g} s; give such a one"
+        )
+    return steps

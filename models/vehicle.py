@@ -12,7 +12,8 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError, known, quoted
 from models.common.read_file import TEXT, read_text
-from models.kind import HERE, LARGEST, VehicleKind, kind, kinds
+from models.kind import HERE, LARGEST, VehicleKind
+from models.kinds import kind, kinds
 from models.linear_model import LinearModel
 from models.reality import Implementation, Limits, read_implementation, read_limits
 

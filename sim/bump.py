@@ -9,10 +9,11 @@ from models.common.errors import InputError
 from models.vehicle import Vehicle, read_vehicle
 from sim.command.asked import Asked
 from sim.command.comparison import add_how, check_view, compared_lines, run_chosen, view
+from sim.command.logs import log_lines, recorded, run_logs
 from sim.command.outputs import check_outputs
 from sim.roads.road import Bump
 from sim.runs.run import Run, check_road, sample_times
-from sim.runs.words import half_step_object, log_lines, run_object
+from sim.runs.words import half_step_object, run_object
 
 EPILOG = """
 exit code: 0 physics and analysis agree for every controller and energy balances, 1 not, 2 bad input
@@ -52,13 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "road": road.describe(),
         "timestep": options.timestep,
     }
-    logs = {"mcap": None, "layout": None, "rerun": None}
-    if options.logs is not None:
-        from sim.recording.provenance import record_runs, run_log
-
-        logs = record_runs(
-            options.logs, options.command_line, vehicle, names, [run_log(vehicle, road, run) for run in runs], result
-        )
+    logs = recorded(options, vehicle, names, lambda: run_logs(vehicle, road, runs), result)
     if options.json:
         print(json.dumps({**result, "logs": logs}, allow_nan=False))
     else:
@@ -108,9 +103,7 @@ def _text(vehicle: Vehicle, road: Bump, runs: Sequence[Run], passive: Run, optio
     ]
     for run in runs:
         lines += ["", *compared_lines(vehicle, run, passive)]
-    if logs["rerun"]:
-        lines += ["", *log_lines(logs)]
-    return lines
+    return [*lines, *log_lines(logs)]
 
 
 if __name__ == "__main__":

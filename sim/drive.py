@@ -11,6 +11,7 @@ from models.common.errors import InputError
 from models.vehicle import Vehicle, read_vehicle
 from sim.command.asked import Asked, same_path
 from sim.command.comparison import add_how, check_view, compared_lines, run_chosen, view
+from sim.command.logs import log_lines, recorded, run_logs
 from sim.command.outputs import check_outputs
 from sim.ride.measured import first_sample, measure_run, metric_lines, metrics_object
 from sim.ride.metrics import DEFINITIONS
@@ -18,7 +19,7 @@ from sim.roads.choice import FILE, SYNTAX, RoadChoice, choose_road
 from sim.roads.iso8608 import CLASSES
 from sim.roads.road import Road
 from sim.runs.run import check_road, sample_times
-from sim.runs.words import half_step_object, log_lines, run_object
+from sim.runs.words import half_step_object, run_object
 
 EPILOG = """
 exit code: 0 physics and analysis agree for every controller and energy balances, 1 not, 2 bad input. A run that ends early,
@@ -61,13 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "measured_from": float(time[first]),
         "definitions": DEFINITIONS,
     }
-    logs = {"mcap": None, "layout": None, "rerun": None}
-    if options.logs is not None:
-        from sim.recording.provenance import record_runs, run_log
-
-        logs = record_runs(
-            options.logs, options.command_line, vehicle, names, [run_log(vehicle, road, run) for run in runs], result
-        )
+    logs = recorded(options, vehicle, names, lambda: run_logs(vehicle, road, runs), result)
     if options.json:
         print(json.dumps({**result, "logs": logs}, allow_nan=False))
     else:
@@ -78,7 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for run, one in zip(runs, measured, strict=True):
             lines += ["", *compared_lines(vehicle, run, passive), ""]
             lines += metric_lines(vehicle, run, one, float(time[first]), options.duration)
-        print("\n".join(lines + (["", *log_lines(logs)] if logs["rerun"] else [])))
+        print("\n".join([*lines, *log_lines(logs)]))
     view(options, logs)
     return 0 if all(run.holds for run in runs) else 1
 

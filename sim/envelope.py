@@ -1,13 +1,10 @@
 """`python -m sim.envelope`: the map of validity, over any two of a bump's height, length and the speed."""
 
 import argparse
-import csv
-import itertools
+import functools
 import json
-import math
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,23 +12,22 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.command import Parser, one_chosen, run_command
-from models.common.errors import InputError, known
-from models.common.whole_file import whole_file
+from models.common.errors import InputError
 from models.vehicle import Vehicle, read_vehicle
 from sim.command.asked import Asked
+from sim.command.logs import log_lines, recorded
 from sim.command.outputs import check_outputs, written, written_lines
 from sim.command.progress import bar
 from sim.figures.picture import draw
 from sim.recording.run_log import RunLog
 from sim.response.regime import ENDS
-from sim.roads.road import LIMITS, Bump
+from sim.roads.road import Bump
 from sim.runs.run import LOWEST, run_all, sample_times
-from sim.runs.words import log_lines
 from sim.validity.cells import Cells, Interrupted, validity
-from synth.controller import Controller, design
-
-UNITS = {"height": "m", "length": "m", "speed": "m/s"}
-MOST_CELLS = 100_000
+from sim.validity.grid import UNITS, grid, read_axes
+from sim.validity.words import envelope_lines, envelope_object, write_csv
+from synth.controller import Controller
+from synth.designer import design
 
 EPILOG = """
 exit code: 0 physics breaks first what linear analysis predicts, 1 it does not, 2 bad input, 130 interrupted: what is done is kept
@@ -40,19 +36,6 @@ examples:
   python -m sim.envelope --controller I --vary height:0.02:0.3:20 --vary speed:3:30:20 --picture envelope.png
   python -m sim.envelope --controller II --vary length:1:10:30 --vary speed:4:30:30 --height 0.08 --csv envelope.csv
 """
-
-
-@dataclass(frozen=True)
-class Axis:
-    """One quantity of a bump, varied evenly.
-
-    Attributes:
-        name: height, length or speed.
-        values: ascending, in SI.
-    """
-
-    name: str
-    values: tuple[float, ...]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -88,19 +71,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         fixed = {name: getattr(options, name) for name in UNITS if name not in {axis.name for axis in axes}}
         draw(envelope_figure(vehicle, controller, cells, axes, fixed, options.threshold), options.picture)
-    result, logs = envelope_object(cells, axes, options), {"mcap": None, "layout": None, "rerun": None}
-    if options.logs is not None:
-        from sim.recording.provenance import record_runs
-
-        runs = _nearest_runs(vehicle, controller, cells, time)
-        logs = record_runs(options.logs, options.command_line, vehicle, [controller.name], runs, result)
+    result = envelope_object(cells, axes, name, options.threshold) | written(outputs)
+    nearest = functools.partial(_nearest_runs, vehicle, controller, cells, time)
+    logs = recorded(options, vehicle, [controller.name], nearest, result)
     if options.json:
         print(json.dumps({**result, "logs": logs}, allow_nan=False))
     else:
-        lines = [f"{vehicle.kind.name} ({vehicle.source}), controller {controller.name}", *_text(cells, options)]
-        print("\n".join([*lines, *written_lines(outputs)]))
-        if options.logs is not None:
-            print("\n".join(["", *log_lines(logs)]))
+        lines = [
+            f"{vehicle.kind.name} ({vehicle.source}), controller {controller.name}",
+            *envelope_lines(cells, options.threshold),
+        ]
+        print("\n".join([*lines, *written_lines(outputs), *log_lines(logs)]))
     if not cells.done.all():
         print(f"roadproof: interrupted after {int(cells.done.sum())} of {len(bumps)} cells; they are kept", file=sys.stderr)
         return 130
@@ -136,107 +117,6 @@ def _called(controller: str, end: int) -> str:
     return f"{controller}_{what}"
 
 
-def read_axes(texts: Sequence[str]) -> tuple[Axis, Axis]:
-    """Two axes from `name:low:high:count` each.
-
-    Raises:
-        InputError: not two, not different, an unknown quantity, no numbers, a grid of one point.
-    """
-    example = "as in --vary height:0.02:0.3:20 --vary speed:3:30:20"
-    if len(texts) != 2:
-        raise InputError(f"a map has two axes, {len(texts)} given; vary two of {known(UNITS)}, {example}")
-    axes = []
-    for text in texts:
-        name, *numbers = text.split(":")
-        if name not in UNITS:
-            raise InputError(f"--vary {text}: unknown quantity {name!r}; vary two of {known(UNITS)}, {example}")
-        try:
-            low, high, count = float(numbers[0]), float(numbers[1]), int(numbers[2])
-            wrong = len(numbers) != 3
-        except (ValueError, IndexError):
-            wrong, low, high, count = True, 0.0, 0.0, 0
-        if wrong:
-            raise InputError(f"--vary {text} is not name:low:high:count, {example}")
-        smallest, largest = LOWEST if name == "height" else LIMITS[name][0], LIMITS[name][1]
-        if not smallest <= low < high <= largest:
-            raise InputError(f"--vary {text}: give low < high, from {smallest:g} to {largest:g} {UNITS[name]}")
-        if not 2 <= count <= MOST_CELLS:
-            raise InputError(f"--vary {text}: {count} point(s) make no axis; give 2 or more")
-        axes.append(Axis(name, tuple(np.linspace(low, high, count).tolist())))
-    if axes[0].name == axes[1].name:
-        raise InputError(f"--vary {axes[0].name} twice; vary two different ones of {known(UNITS)}")
-    if len(axes[0].values) * len(axes[1].values) > MOST_CELLS:
-        raise InputError(f"{len(axes[0].values) * len(axes[1].values)} cells are too many; at most {MOST_CELLS}")
-    return axes[0], axes[1]
-
-
-def grid(axes: tuple[Axis, Axis], fixed: dict[str, float]) -> list[Bump]:
-    """The bump of every cell, the second axis running faster."""
-    pairs = itertools.product(axes[0].values, axes[1].values)
-    cells = [fixed | {axes[0].name: first, axes[1].name: second} for first, second in pairs]
-    return [Bump(cell["height"], cell["length"], cell["speed"]) for cell in cells]
-
-
-def write_csv(path: Path, cells: Cells, threshold: float) -> None:
-    """One line per cell that was run, SI units; what never happens is left empty."""
-    names = [end.replace(" ", "_").replace("-", "_") for end in ENDS]
-    with whole_file(path, "csv") as beside, beside.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        columns = ("error", "holds", "broke_first", "at", "predicted", "predicted_at", "agrees")
-        writer.writerow([*UNITS, *columns, *(f"linear_share_of_{name}" for name in names)])
-        for i in np.flatnonzero(cells.done):
-            bump, row = cells.bumps[i], _cell(cells, int(i), threshold)
-            writer.writerow([bump.height, bump.length, bump.speed, *(row[name] for name in columns), *cells.used[i].tolist()])
-
-
-def envelope_object(cells: Cells, axes: Sequence[Axis], options: Any) -> dict[str, Any]:
-    """The map as JSON has it: SI units, None for what never happens."""
-    done = np.flatnonzero(cells.done)
-    return {
-        "controller": options.controller,
-        "axes": {axis.name: list(axis.values) for axis in axes},
-        "threshold": options.threshold,
-        "agreement": cells.agreement,
-        "unexplained": cells.unexplained,
-        "done": len(done),
-        "complete": len(done) == len(cells.bumps),
-        "cells": [
-            {name: getattr(cells.bumps[i], name) for name in UNITS} | _cell(cells, int(i), options.threshold) for i in done
-        ],
-        **written({"csv": options.csv, "picture": options.picture}),
-    }
-
-
-def _cell(cells: Cells, i: int, threshold: float) -> dict[str, Any]:
-    return {
-        "error": _finite(cells.error[i]),
-        "holds": bool(cells.error[i] <= threshold),
-        "broke_first": ENDS[cells.first[i]] if cells.first[i] >= 0 else None,
-        "at": _finite(cells.time[i]),
-        "predicted": ENDS[cells.predicted[i]] if cells.predicted[i] >= 0 else None,
-        "predicted_at": _finite(cells.predicted_time[i]),
-        "agrees": bool(cells.agrees[i]),
-    }
-
-
-def _text(cells: Cells, options: Any) -> list[str]:
-    done = cells.done
-
-    def share(which: Array) -> str:
-        return f"{100 * which[done].mean():5.1f} % of the cells" if done.any() else "-"
-
-    lines = [
-        f"  {share(cells.error <= options.threshold)}: linear analysis holds to {options.threshold:g} of every signal's peak"
-    ]
-    lines.append(f"  {share(cells.first < 0)}: nothing breaks")
-    lines += [f"  {share(cells.first == i)}: {end} comes first" for i, end in enumerate(ENDS) if np.any(cells.first[done] == i)]
-    lines.append(
-        f"  {100 * cells.agreement:.2f} % of {int(done.sum())} cells break as linear analysis predicts; of the others "
-        f"{cells.unexplained} do not lie at a boundary"
-    )
-    return lines
-
-
 def _nearest_runs(vehicle: Vehicle, controller: Controller, cells: Cells, time: Array) -> list[RunLog]:
     """Of the cells where nothing breaks the one nearest to breaking, and of those where an end comes first the mildest."""
     from sim.recording.provenance import run_log
@@ -249,10 +129,6 @@ def _nearest_runs(vehicle: Vehicle, controller: Controller, cells: Cells, time: 
             run = run_all(vehicle, [controller], cells.bumps[i], time)[0]
             found.append(run_log(vehicle, cells.bumps[i], run, _called(controller.name, end)))
     return found
-
-
-def _finite(value: Any) -> float | None:
-    return float(value) if math.isfinite(value) else None
 
 
 def _check(bumps: Sequence[Bump], duration: float, timestep: float, threshold: float) -> None:

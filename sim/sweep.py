@@ -2,9 +2,7 @@
 
 import argparse
 import json
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,22 +11,19 @@ from models.common.command import Parser, chosen, run_command
 from models.common.errors import InputError
 from models.vehicle import Vehicle, read_vehicle
 from sim.command.asked import Asked
+from sim.command.logs import log_lines, recorded
 from sim.command.outputs import check_outputs, written, written_lines
 from sim.figures.picture import draw
-from sim.frequency.extremes import DURATION, Extremes, extremes
-from sim.frequency.identification import HIGHEST, LOWEST, Lines, ideal_measurements, identify
+from sim.frequency.extremes import DURATION
+from sim.frequency.identification import HIGHEST, LOWEST, ideal_measurements
+from sim.frequency.sweep import Sweep, failures, sweep, sweep_lines, sweep_object
 from sim.recording.run_log import RunLog
 from sim.roads.description import described_road
 from sim.roads.sinusoids import Multisine, sinusoid
 from sim.runs.run import run_all, sample_times
-from sim.runs.words import log_lines
-from synth.controller import Controller, Designer
+from synth.designer import Designer
 
 FIGURE_3 = ("passive", "state", "I", "II")
-TOLERANCE = 1e-4  # of the response at a line; RK4's own error at 1 ms is 3e-6, so more is no frequency response of this loop
-ABOVE = 1e-5  # above the norm, relative: RK4's own error again
-REACHED = 1e-3  # below the norm
-WIDTH = 38  # of the column of names
 
 EPILOG = """
 exit code: 0 every claim holds, or physics has left the linear regime and the text says how; 1 a claim fails, 2 bad input
@@ -70,11 +65,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "timestep": options.timestep,
         "speed": options.speed,
     }
-    logs = {"mcap": None, "layout": None, "rerun": None}
-    if options.logs is not None:
-        from sim.recording.provenance import record_runs
-
-        logs = record_runs(options.logs, options.command_line, vehicle, names, _worst_runs(vehicle, sweeps, options), result)
+    logs = recorded(options, vehicle, names, lambda: _worst_runs(vehicle, sweeps, options), result)
     if options.json:
         print(json.dumps({**result, **written(outputs), "logs": logs}, allow_nan=False))
     else:
@@ -85,9 +76,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         )
         for one in sweeps:
             print("\n".join(["", *sweep_lines(one)]))
-        print("\n".join(written_lines(outputs)), end="\n" if options.picture else "")
-        if options.logs is not None:
-            print("\n".join(["", *log_lines(logs)]))
+        print("".join(f"{line}\n" for line in [*written_lines(outputs), *log_lines(logs)]), end="")
     return 0 if all(one.ended or not failures(one) for one in sweeps) else 1
 
 
@@ -109,122 +98,6 @@ def _names(vehicle: Vehicle, options: argparse.Namespace) -> list[str]:
     return chosen(vehicle.controller_names, options.controller, usual)
 
 
-@dataclass(frozen=True, eq=False)
-class Sweep:
-    """What was found of one controller: its frequency response, and the most that it lets through."""
-
-    lines: Lines
-    extremes: Extremes
-
-    @property
-    def ended(self) -> tuple[str, ...]:
-        """What ended the linear regime, in whichever run."""
-        return tuple(dict.fromkeys((*self.lines.ended, *self.extremes.ended)))
-
-    @property
-    def gains(self) -> dict[str, float]:
-        """L2 gain by road."""
-        return {**self.extremes.gains, "chirp": self.lines.gain}
-
-
-def sweep(vehicle: Vehicle, controllers: Sequence[Controller], amplitude: float, timestep: float, speed: float) -> list[Sweep]:
-    """Everything, of every controller. Arguments and errors as for `sim.frequency.identification.identify`."""
-    lines = identify(vehicle, controllers, amplitude, timestep, speed)
-    most = extremes(vehicle, controllers, amplitude, timestep, speed)
-    return [Sweep(*pair) for pair in zip(lines, most, strict=True)]
-
-
-def failures(one: Sweep) -> list[str]:
-    """The claims that do not hold of a sweep, in words."""
-    failed = []
-    error, norm = float(one.lines.error(one.lines.sampled).max()), one.extremes.worst.gain
-    if not error <= TOLERANCE:
-        failed.append(f"a line is {error:.1e} off the sampled response; {TOLERANCE:g} is allowed")
-    for invariant in one.extremes.invariants:
-        if not invariant.error <= invariant.allowed:
-            failed.append(f"{invariant.name} is {invariant.error:.1e} off its invariant; {invariant.allowed:.1e} is allowed")
-    if not one.extremes.lti:
-        return failed
-    for name, gain in one.gains.items():
-        if not gain <= norm * (1 + ABOVE):
-            failed.append(f"the {name} has an L2 gain of {gain:.7g}, above the norm {norm:.7g}")
-    if not one.gains["worst sinusoid"] >= norm * (1 - REACHED):
-        failed.append(f"the worst sinusoid reaches {one.gains['worst sinusoid']:.7g} of the norm {norm:.7g} only")
-    return failed
-
-
-def sweep_lines(one: Sweep) -> list[str]:
-    """A sweep in words and numbers."""
-    norm, failed, found = one.extremes.worst, failures(one), one.lines
-    sampled, continuous = found.error(found.sampled), found.error(found.continuous)
-    lines = [
-        f"controller {found.controller.name}",
-        f"  {'largest relative error over the lines:':{WIDTH}}{'to sampled':>12}{'to continuous':>16}",
-    ]
-    lines += [
-        f"  {name:{WIDTH}}{a:12.1e}{b:16.1e}"
-        for name, a, b in zip(found.outputs, sampled.tolist(), continuous.tolist(), strict=True)
-    ]
-    if math.isfinite(found.order):
-        lines.append(f"  sampled tends to continuous with the timestep to the power {found.order:.2f}")
-    for invariant in one.extremes.invariants:
-        lines.append(
-            f"  |{invariant.name}| = {invariant.measured:.6f} at {invariant.omega:.2f} rad/s, {invariant.expected:.6f} for any "
-            f"suspension ({invariant.error:.1e} off)"
-        )
-    lines.append(
-        f"  norm of the sampled loop, one road under all wheels: {norm.gain:.7g} at {norm.omega:.5g} rad/s; of the "
-        f"continuous one, any road under any wheel: {_norm(one):.7g}"
-    )
-    gains = ", ".join(f"{name} {gain:.5g}" for name, gain in one.gains.items() if name != "worst sinusoid")
-    shares = one.gains["worst sinusoid"] / norm.gain
-    lines.append(f"  L2 gains in MuJoCo: worst sinusoid {one.gains['worst sinusoid']:.7g} ({100 * shares:.4f} %), {gains}")
-    if not one.extremes.lti:
-        lines.append("  the controller is slower than the timestep, so its loop has harmonics: the norm is without them")
-    if one.ended:
-        lines.append(
-            f"  outside the linear regime: {', '.join(one.ended)}; what physics does there is shown, and is no disagreement"
-        )
-    elif failed:
-        lines += [f"  DOES NOT AGREE: {text}" for text in failed]
-    else:
-        norm_too = "and the norm as the largest gain" if one.extremes.lti else "without the norm"
-        lines.append(f"  agrees: every line, the invariants, {norm_too}")
-    return lines
-
-
-def sweep_object(one: Sweep) -> dict[str, Any]:
-    """A sweep as JSON has it: SI units, complex numbers as [real, imaginary], None for what does not exist."""
-
-    def pairs(values) -> list[list[float | None]]:
-        return [[_finite(value.real), _finite(value.imag)] for value in values]
-
-    found, norm = one.lines, one.extremes.worst
-    error = {"sampled": found.error(found.sampled), "continuous": found.error(found.continuous)}
-    return {
-        "controller": found.controller.name,
-        "omega": found.omega.tolist(),
-        "signals": {
-            name: {
-                "measured": pairs(found.measured[:, i]),
-                "sampled": pairs(found.sampled[:, i]),
-                "continuous": pairs(found.continuous[:, i]),
-                "error": {key: _finite(value[i]) for key, value in error.items()},
-            }
-            for i, name in enumerate(found.outputs)
-        },
-        "order": _finite(found.order),
-        "invariants": [
-            {"name": i.name, "omega": i.omega, "expected": i.expected, "measured": _finite(i.measured)}
-            for i in one.extremes.invariants
-        ],
-        "norm": {"sampled": norm.gain, "peak_frequency": norm.omega, "continuous": _finite(_norm(one))},
-        "gains": {name: _finite(gain) for name, gain in one.gains.items()},
-        "ended": list(one.ended),
-        "failures": failures(one),
-    }
-
-
 def _worst_runs(vehicle: Vehicle, sweeps: Sequence[Sweep], options: Any) -> "list[RunLog]":
     """Every controller on its worst sinusoid, from rest, to be recorded."""
     from sim.recording.provenance import run_log
@@ -243,14 +116,6 @@ def _worst_times(vehicle: Vehicle, options: argparse.Namespace) -> Array:
 
 def _worst_road(omega: float, options: argparse.Namespace) -> Multisine:
     return sinusoid(omega, options.speed).scaled(options.amplitude / 2)
-
-
-def _norm(one: Sweep) -> float:
-    return one.lines.controller.certificate.norm.value
-
-
-def _finite(value: Any) -> float | None:
-    return float(value) if math.isfinite(value) else None
 
 
 def parser() -> Parser:

@@ -13,11 +13,12 @@ from models.vehicle import Vehicle, read_vehicle
 from synth.certificate.lower_bound import LowerBound
 from synth.command.check import check
 from synth.command.save import check_save, save
-from synth.command.table import Row, detail_lines, ideal_lines, notes, refine_lines, row_object, table_lines
+from synth.command.table import Row, detail_lines, refine_lines, row_object, table_lines
 from synth.command.witness import cross_check
-from synth.controller import Designer
+from synth.designer import Designer
 from synth.errors import DesignError
 from synth.search.flat import free_moves
+from synth.words import ideal_lines, notes
 
 FLAT = 1e-4  # of gamma: how far the gains may move for it is printed
 

@@ -7,7 +7,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.vehicle import Vehicle, read_vehicle
 from synth.certificate.certificate import certify
-from synth.controller import Designer
+from synth.designer import Designer
 from synth.lmi.output_feedback import l_matrix, output_feedback, r_matrix
 
 # The bases (47) and (57) that the paper chose; L depends on them, K does not.

@@ -1,13 +1,19 @@
 """A plant from a `control.StateSpace` with named signals; any object with its attributes will do."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, known
+from models.vehicle import Vehicle
+from synth.controller import Controller, generalized_plant
 from synth.plant import GeneralizedPlant
+
+if TYPE_CHECKING:
+    import control
 
 
 def from_state_space(
@@ -56,3 +62,70 @@ def from_state_space(
     weight = np.array(list(weights.values()))[:, None]
     plant = GeneralizedPlant(A, B[:, u], B[:, w], weight * C[z], weight * D[np.ix_(z, u)], weight * D[np.ix_(z, w)])
     return plant, C[y]
+
+
+def vehicle_system(vehicle: Vehicle) -> "control.StateSpace":
+    """The vehicle (29), continuous: from road velocities and control forces to all its outputs, all by name.
+
+    Where the road's height acts as such (a full car's twist) there is no such system without another state; see `closed_loop`.
+
+    Raises:
+        ValueError: the road's height acts as such.
+    """
+    from control import StateSpace, ss
+
+    model = vehicle.linear_model
+    if np.any(model.Br) or np.any(model.Cr):
+        raise ValueError(f"in a {vehicle.kind.name} the road's height acts beside its velocity; use closed_loop")
+    roads = [wheel.road_velocity for wheel in vehicle.kind.wheels]
+    system = ss(
+        model.A,
+        np.hstack([model.Bw, model.B]),
+        model.C,
+        np.hstack([np.zeros((len(model.C), len(roads))), model.D]),
+        name=vehicle.kind.name,
+        states=list(model.states),
+        inputs=[*roads, *model.inputs],
+        outputs=list(model.outputs),
+    )
+    assert isinstance(system, StateSpace)
+    return system
+
+
+def closed_loop(vehicle: Vehicle, controller: Controller) -> "control.StateSpace":
+    """The closed loop (16), continuous, from the roads to every output of the vehicle, each by its name and in its unit.
+
+    The first inputs are the road velocities [m/s]. Where the road's height acts as such, as in a full car, its twists follow,
+    each as a velocity: its height times the model's `twist_rate`.
+    """
+    outputs = vehicle.linear_model.outputs
+    return _loop(replace(vehicle, performance=dict.fromkeys(outputs, 1.0)), controller, outputs)
+
+
+def weighted_loop(vehicle: Vehicle, controller: Controller) -> "control.StateSpace":
+    """The same to the weighted output z (34) alone: its norm is the certificate's.
+
+    Each output is a signal times its weight in `[performance]`, and is called `z[signal]`.
+    """
+    return _loop(vehicle, controller, [f"z[{signal}]" for signal, weight in vehicle.performance.items() if weight > 0])
+
+
+def _loop(vehicle: Vehicle, controller: Controller, outputs: Sequence[str]) -> "control.StateSpace":
+    """The closed loop to a vehicle's z, whose entries are called so."""
+    from control import StateSpace, ss
+
+    loop = generalized_plant(vehicle).closed_loop(controller.state_gain(vehicle))
+    roads = [wheel.road_velocity for wheel in vehicle.kind.wheels]
+    more = [f"road_twist_{k}" for k in range(1, loop.Bw.shape[1] - len(roads) + 1)]
+    system = ss(
+        loop.A,
+        loop.Bw,
+        loop.C,
+        loop.Dw,
+        name=f"{vehicle.kind.name}_{controller.name}",
+        states=list(vehicle.linear_model.states),
+        inputs=[*roads, *more],
+        outputs=list(outputs),
+    )
+    assert isinstance(system, StateSpace)
+    return system

@@ -10,7 +10,7 @@ from models.vehicle import Vehicle, read_vehicle
 from sim.recording.run_log import RunLog
 from sim.roads.road import Bump
 from sim.runs.run import run_all, sample_times
-from synth.controller import Designer
+from synth.designer import Designer
 from synth.plant import GeneralizedPlant
 
 

@@ -1,54 +1,205 @@
-"""The house: imports point one way, and each heavy package is known to one file."""
+"""The house: imports point one way, from room to room as the table says, and each heavy package is known to one file."""
 
 import ast
+import graphlib
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parent.parent
-FLOORS = ["models", "synth", "sim"]  # each may import those before it
-FILES = [path for floor in FLOORS for path in sorted((ROOT / floor).glob("*.py"))]
+FILES = sorted(path for floor in ("models", "synth", "sim") for path in (ROOT / floor).rglob("*.py"))
+NAMES = {path: ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__") for path in FILES}
+MODULES = {name: path for path, name in NAMES.items()}
+
+# A room is a folder, or a file that lies in none, and may import what stands behind it here: rooms of rows above its own, so that
+# there can be no circle. What a row does not name it does not know.
+ROOMS = {
+    # models: what a vehicle is
+    "models.common": "",
+    "models": "models.common",
+    # synth: what a controller is; of vehicles it knows nothing below `controller`
+    "synth": "",
+    "synth.errors": "",
+    "synth.extended": "",
+    "synth.plant": "synth.extended",
+    "synth.scaling": "synth.plant",
+    "synth.certificate": "synth.extended synth.plant synth.scaling",
+    "synth.modes": "synth.certificate synth.plant synth.scaling",
+    "synth.lmi": "synth.certificate synth.errors synth.plant synth.scaling",
+    "synth.posed": "synth.certificate synth.lmi synth.modes synth.plant synth.scaling",
+    "synth.design": "synth.certificate synth.errors synth.lmi synth.modes synth.plant synth.posed synth.scaling",
+    "synth.search": "synth.certificate synth.design synth.errors synth.lmi synth.plant synth.scaling",
+    "synth.fallback": "synth.certificate synth.design synth.errors synth.lmi synth.plant synth.search",
+    "synth.redesign": "synth.design synth.errors synth.fallback synth.lmi synth.plant",
+    "synth.controller": "models synth.certificate synth.plant",
+    "synth.words": "models synth.controller",
+    "synth.designer": "models synth.certificate synth.controller synth.design synth.errors synth.fallback synth.lmi "
+    "synth.redesign synth.search",
+    "synth.state_space": "models synth.controller synth.plant",
+    "synth.paper": "models synth.certificate synth.designer synth.lmi",
+    "synth.command": "models synth.certificate synth.controller synth.design synth.designer synth.errors synth.lmi synth.plant "
+    "synth.posed synth.scaling synth.words",
+    "synth.__main__": "models synth.certificate synth.command synth.designer synth.errors synth.search synth.words",
+    # sim: what a run is
+    "sim": "",
+    "sim.figures": "",
+    "sim.roads": "",
+    "sim.response": "",
+    "sim.linear": "sim.response sim.roads",
+    "sim.physics": "sim.response sim.roads",
+    "sim.runs": "sim.linear sim.physics sim.response sim.roads synth.words",
+    "sim.ride": "sim.linear sim.response sim.roads sim.runs",
+    "sim.validity": "sim.figures sim.linear sim.physics sim.response sim.roads sim.runs",
+    "sim.stability": "sim.figures sim.linear sim.physics sim.roads sim.runs",
+    "sim.frequency": "sim.figures sim.linear sim.physics sim.response sim.roads sim.runs",
+    "sim.recording": "sim.figures sim.physics sim.response sim.roads sim.runs",
+    "sim.command": "sim.figures sim.recording sim.roads sim.runs synth.designer",
+    "sim.inspect": "sim.command sim.linear sim.physics sim.recording sim.response sim.ride sim.roads sim.runs synth.words",
+    "sim.campaign": "sim.command sim.linear sim.physics sim.recording sim.response sim.ride sim.roads sim.runs synth.designer",
+    "sim.report": "sim.command sim.figures sim.frequency sim.linear sim.physics sim.recording sim.response sim.ride sim.roads "
+    "sim.runs sim.stability sim.validity synth.designer synth.paper synth.words",
+    "sim.bump": "sim.command sim.roads sim.runs",
+    "sim.drive": "sim.command sim.ride sim.roads sim.runs",
+    "sim.sweep": "sim.command sim.figures sim.frequency sim.recording sim.roads sim.runs synth.designer",
+    "sim.margins": "sim.command sim.figures sim.linear sim.recording sim.runs sim.stability synth.designer",
+    "sim.envelope": "sim.command sim.figures sim.recording sim.response sim.roads sim.runs sim.validity synth.designer",
+}
+OF_ALL = "models.common"
+OF_SIM = {"models", "synth.certificate", "synth.controller"}  # what all of sim may import
+MOST_FLOORS = 8  # of rooms in sim, each standing on those below
+MOST_FILES = 16  # in a room, beside its __init__
+MOST_LINES = 300
+LONG: dict[str, str] = {  # files with more lines, and why
+    "synth.lmi.central": "one path, from its start to its rests, is one walk",
+    "synth.certificate.norm": "two routes to one number share how a gain is computed",
+}
 
 # Who may import what is heavy, or replaceable.
 OWNERS = {
-    "cvxpy": {"synth/lmi.py"},
-    "mujoco": {"models/mjcf.py", "sim/readout.py", "sim/physics.py", "sim/energy.py", "sim/drawing.py"},
-    "mcap": {"sim/recording_mcap.py", "sim/mcap_file.py"},
-    "zstandard": {"sim/mcap_file.py"},
-    "lz4": {"sim/mcap_file.py"},
-    "mcap_protobuf": {"sim/recording_mcap.py"},
-    "google": {"sim/recording_mcap.py", "sim/recorded.py", "sim/foxglove_scene.py"},
-    "foxglove_schemas_protobuf": {"sim/foxglove_scene.py"},
-    "rerun": {"sim/recording_rerun.py", "sim/rerun_signals.py", "sim/rerun_scene.py", "sim/rerun_layout.py"},
-    "control": {"sim/convert.py"},
-    "pandas": {"sim/convert.py"},
-    "matplotlib": {"sim/picture.py"},
-    "contourpy": {"sim/figure.py"},
-    "plotly": {"sim/page.py"},
-    "jinja2": {"sim/page.py"},
-    "pyopencrg": {"sim/opencrg.py"},
-    "filelock": {"sim/campaign_manifest.py"},
-    "pyarrow": {"sim/campaign_store.py", "sim/campaign_verify.py"},
-    "ray": {"sim/campaign_workers.py"},
+    "cvxpy": {"synth/lmi/clarabel.py"},
+    "mujoco": {
+        "models/mjcf.py",
+        "sim/physics/readout.py",
+        "sim/physics/simulate.py",
+        "sim/physics/energy.py",
+        "sim/recording/drawing.py",
+    },
+    "mcap": {"sim/recording/mcap_writer.py", "sim/inspect/mcap_reader.py", "sim/inspect/mcap_stream.py"},
+    "zstandard": {"sim/inspect/mcap_stream.py"},
+    "lz4": {"sim/inspect/mcap_stream.py"},
+    "mcap_protobuf": {"sim/recording/mcap_writer.py"},
+    "google": {"sim/recording/mcap_writer.py", "sim/inspect/log.py", "sim/recording/foxglove_scene.py"},
+    "foxglove_schemas_protobuf": {"sim/recording/foxglove_scene.py"},
+    "rerun": {
+        "sim/recording/rerun_writer.py",
+        "sim/recording/rerun_signals.py",
+        "sim/recording/rerun_scene.py",
+        "sim/recording/rerun_layout.py",
+    },
+    "control": {"sim/response/export.py", "synth/state_space.py"},
+    "pandas": {"sim/response/export.py"},
+    "matplotlib": {"sim/figures/picture.py"},
+    "contourpy": {"sim/figures/figure.py"},
+    "plotly": {"sim/figures/page.py"},
+    "jinja2": {"sim/figures/page.py"},
+    "pyopencrg": {"sim/roads/opencrg.py"},
+    "filelock": {"sim/campaign/manifest.py"},
+    "pyarrow": {"sim/campaign/store.py", "sim/campaign/verify.py"},
+    "ray": {"sim/campaign/workers.py"},
 }
 
 
-def imports(path: Path) -> set[str]:
-    """Every package that a file imports, anywhere in it."""
-    found = set()
-    for node in ast.walk(ast.parse(path.read_text())):
+def imported(path: Path) -> Iterator[str]:
+    """Every module that a file imports, anywhere in it, with what it takes from it behind a dot."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
-            found |= {alias.name.split(".")[0] for alias in node.names}
+            yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module:
-            found.add(node.module.split(".")[0])
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def module_of(name: str) -> str | None:
+    """The module of ours that a name is, or lies in."""
+    while name and name not in MODULES:
+        name = name.rpartition(".")[0]
+    return name or None
+
+
+def room_of(module: str) -> str:
+    """The room of a module: its folder below the floor, or itself; in models all files but the common ones are one room."""
+    floor, _, rest = module.partition(".")
+    path = MODULES[module]
+    if path.parent != ROOT / floor:
+        return f"{floor}.{path.parent.relative_to(ROOT / floor).parts[0]}"
+    return module if floor != "models" and rest else floor
+
+
+def arrows() -> dict[str, set[str]]:
+    """The rooms that each room imports."""
+    found: dict[str, set[str]] = {room_of(module): set() for module in MODULES}
+    for module, path in MODULES.items():
+        for name in imported(path):
+            other = module_of(name)
+            if other and room_of(other) != room_of(module):
+                found[room_of(module)].add(room_of(other))
     return found
+
+
+def allowed(room: str) -> set[str]:
+    """What a room may import."""
+    own = {OF_ALL} - {room} | (OF_SIM if room.startswith("sim") else set())
+    return own | set(ROOMS[room].split())
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(ROOT)))
 def test_imports(path):
-    """A file imports no floor above its own, and no package that belongs to another file."""
-    own = path.relative_to(ROOT).as_posix()
-    above = FLOORS[FLOORS.index(path.parent.name) + 1 :]
-    for package in imports(path):
-        assert package not in above
-        assert own in OWNERS.get(package, {own})
+    """A file imports no room that its row does not name, and no package that belongs to another file."""
+    own, room = path.relative_to(ROOT).as_posix(), room_of(NAMES[path])
+    for name in imported(path):
+        other = module_of(name)
+        assert other is None or room_of(other) == room or room_of(other) in allowed(room), f"{own} imports {name}"
+        assert own in OWNERS.get(name.split(".")[0], {own}), f"{name} is not for {own}"
+
+
+def test_the_table_is_the_house():
+    """The table names the rooms that there are, each with what it imports and nothing in vain, and only rooms above its row."""
+    found = arrows()
+    assert set(found) == set(ROOMS)
+    rows = list(ROOMS)
+    for room, names in ROOMS.items():
+        assert all(rows.index(name) < rows.index(room) for name in allowed(room)), room
+        assert set(names.split()) <= found[room], f"{room} has in its row what it does not import"
+
+
+def test_no_circle():
+    """No file imports itself by way of others, not even where it is used."""
+    graph = {module: {module_of(name) for name in imported(path)} - {None, module} for module, path in MODULES.items()}
+    graphlib.TopologicalSorter(graph).prepare()  # raises CycleError
+
+
+def test_floors():
+    """The rooms of sim stand on few floors."""
+    found, floors = arrows(), {}
+    for room in graphlib.TopologicalSorter(found).static_order():
+        floors[room] = 1 + max((floors[other] for other in found[room] if other.startswith("sim")), default=0)
+    assert max(floors[room] for room in floors if room.startswith("sim")) <= MOST_FLOORS
+
+
+def test_sizes():
+    """No room holds more files than one overlooks, and no file more lines than one reads, without a reason."""
+    for folder in {path.parent for path in FILES}:
+        assert len([path for path in folder.glob("*.py") if path.name != "__init__.py"]) <= MOST_FILES
+    long = {name for path, name in NAMES.items() if len(path.read_text(encoding="utf-8").splitlines()) > MOST_LINES}
+    assert long == set(LONG)
+
+
+def test_checked_without_the_solver():
+    """What certifies, checks and inspects imports nothing, by whatever way, that could solve or search for a gain."""
+    ways, seen = ["synth.controller", "sim.inspect.__main__", *(m for m in MODULES if m.startswith("synth.certificate."))], set()
+    while ways:
+        module = ways.pop()
+        if module not in seen:
+            seen.add(module)
+            ways += [other for name in imported(MODULES[module]) if (other := module_of(name))]
+    assert not {module for module in seen if room_of(module) in ("synth.lmi", "synth.search", "synth.design", "synth.designer")}

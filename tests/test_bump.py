@@ -21,7 +21,7 @@ from sim.physics.simulate import simulate
 from sim.roads.road import Bump
 from sim.runs.agreement import ROUNDING, compare
 from sim.runs.run import run_all, sample_times
-from synth.controller import Designer
+from synth.designer import Designer
 
 ROOT = Path(__file__).parent.parent
 VEHICLE = (ROOT / "models" / "quarter_car.toml").read_text()

@@ -29,7 +29,7 @@ from sim.ride.expected import expect
 from sim.ride.metrics import measure, metrics_of
 from sim.ride.settled import settled
 from sim.roads.iso8608 import Iso8608
-from synth.controller import Designer
+from synth.designer import Designer
 
 ROOT = Path(__file__).parent.parent
 SMALL = """

@@ -18,7 +18,7 @@ from sim.physics import readout
 from sim.physics.simulate import simulate
 from sim.roads.road import Bump
 from sim.runs.run import run_all, sample_times
-from synth.controller import Designer
+from synth.designer import Designer
 from tests.conftest import random_vehicles
 
 CARS = ["half_car", "full_car"]

@@ -9,8 +9,8 @@ from sim.runs.words import controller_lines
 from synth.certificate.bounding import proved
 from synth.certificate.certificate import FASTEST, certify
 from synth.command.table import Row, detail_lines, row_object
-from synth.controller import given
 from synth.design import furthest, state_path, two_step_design
+from synth.designer import given
 from synth.errors import DesignError
 from synth.plant import GeneralizedPlant
 from synth.redesign import state_designs

@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from sim.campaign.__main__ import main
-from sim.campaign.batch import Plan
+from sim.campaign.plan import Plan
 from sim.campaign.workers import AHEAD, on_ray
 
 ROOT = Path(__file__).parent.parent

@@ -6,10 +6,11 @@ import pytest
 
 from models.vehicle import read_vehicle
 from sim.linear.loop import continuous_response
-from sim.response.export import closed_loop, to_control, to_pandas, vehicle_system, weighted_loop
+from sim.response.export import to_control, to_pandas
 from sim.response.response import Response
 from sim.roads.road import Bump
-from synth.controller import design
+from synth.designer import design
+from synth.state_space import closed_loop, vehicle_system, weighted_loop
 
 TIME = np.arange(2001) * 1e-3
 

@@ -6,9 +6,8 @@ import pytest
 
 from models.common.errors import InputError
 from models.vehicle import parse_vehicle, read_vehicle
-from synth.command.table import notes
-from synth.controller import Designer
 from synth.design import state_design, state_path, two_step_design
+from synth.designer import Designer
 from synth.errors import DesignError, InfeasibleError
 from synth.lmi.clarabel import solve_lmi
 from synth.lmi.full_order import best_possible
@@ -17,6 +16,7 @@ from synth.lmi.state_feedback import state_feedback
 from synth.modes import obstacles
 from synth.plant import GeneralizedPlant
 from synth.state_space import from_state_space
+from synth.words import notes
 
 GOOD = {
     "A": np.diag([-1.0, -2.0]),

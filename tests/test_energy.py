@@ -14,7 +14,7 @@ from sim.physics.energy import Energy, energy
 from sim.physics.simulate import PhysicsRuns, simulate
 from sim.response.response import Response
 from sim.roads.road import Bump
-from synth.controller import design
+from synth.designer import design
 
 LAG = "\n[limits]\nactuator_bandwidth = 60.0\n"
 ALL = (

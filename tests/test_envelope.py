@@ -10,14 +10,15 @@ import pytest
 from models.common.errors import InputError
 from models.reality import Limits
 from models.vehicle import read_vehicle
-from sim.envelope import grid, main, read_axes
+from sim.envelope import main
 from sim.figures.figure import Kinds
 from sim.linear.loop import sampled_response
 from sim.response.regime import ENDS, first_end, reached, utilisation
 from sim.roads.road import Bump
 from sim.validity.cells import Interrupted, validity
 from sim.validity.figure import envelope_figure
-from synth.controller import Designer
+from sim.validity.grid import grid, read_axes
+from synth.designer import Designer
 from tests.conftest import recorded_runs
 
 TIME = np.arange(1501) * 2e-3

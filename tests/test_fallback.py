@@ -10,10 +10,9 @@ from models.vehicle import read_vehicle
 from synth import design
 from synth.__main__ import main
 from synth.certificate.certificate import certify
-from synth.command.table import notes
 from synth.command.witness import cross_check
-from synth.controller import Designer
 from synth.design import state_path, two_step_design
+from synth.designer import Designer
 from synth.errors import DesignError, InfeasibleError, TooLargeError
 from synth.fallback import two_steps_or_descent
 from synth.lmi import central
@@ -22,6 +21,7 @@ from synth.search import static
 from synth.search.landscape import Landscape
 from synth.search.projected import projected_starts
 from synth.search.static import static_output_feedback
+from synth.words import notes
 from tests.benchmarks.states import chain
 
 TOO_LARGE = (

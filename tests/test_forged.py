@@ -19,7 +19,7 @@ from synth.certificate.definite import definiteness
 from synth.certificate.norm import hinf_norm
 from synth.certificate.record import to_record
 from synth.command.check import check
-from synth.controller import Designer
+from synth.designer import Designer
 from synth.plant import GeneralizedPlant
 from tests import exactly
 

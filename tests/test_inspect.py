@@ -519,7 +519,8 @@ def test_command(log, tmp_path):
     assert "python -m pytest" in run.stdout or "command   python" in run.stdout
     bad = subprocess.run([sys.executable, "-m", "sim.inspect", __file__], capture_output=True, text=True, timeout=60)
     assert (bad.returncode, bad.stdout, bad.stderr.count("\n")) == (2, "", 1)
-    code = "import sys; from sim.inspect.__main__ import main; main(sys.argv[1:]); print({'cvxpy', 'control', 'rerun'} & set(sys.modules))"
+    code = "import sys; from sim.inspect.__main__ import main; main(sys.argv[1:]); "
+    code += "print({'cvxpy', 'control', 'rerun'} & set(sys.modules))"
     run = subprocess.run([sys.executable, "-c", code, str(log)], capture_output=True, text=True, timeout=60)
     assert run.stdout.endswith("set()\n")
 

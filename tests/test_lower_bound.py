@@ -139,7 +139,7 @@ def test_no_controller_beats_the_limit_anywhere(designer, paper, name):
 def test_limit_of_the_other_cars(kind):
     """Their best state feedback reaches the invariant limit too, which the dual proves to 2e-4."""
     from models.vehicle import read_vehicle
-    from synth.controller import Designer
+    from synth.designer import Designer
 
     designer = Designer(read_vehicle(kind))
     best = designer.state_feedback.gamma

@@ -27,7 +27,8 @@ from sim.stability.robustness import robustness, varied_text
 from sim.stability.slowest_mode import slowest_rate
 from synth.certificate.certificate import certify
 from synth.certificate.norm import hinf_norm
-from synth.controller import Designer, design, generalized_plant
+from synth.controller import generalized_plant
+from synth.designer import Designer, design
 from tests.conftest import recorded_runs
 
 README = (Path(__file__).parent.parent / "README.md").read_text(encoding="utf-8")

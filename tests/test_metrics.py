@@ -20,7 +20,7 @@ from sim.ride.settled import settled, settled_shares
 from sim.ride.weighting import sampled_wk, wk
 from sim.roads.iso8608 import Iso8608, long_enough
 from sim.roads.road import track_width
-from synth.controller import Designer
+from synth.designer import Designer
 
 # |W_k| of ISO 2631-1, table 3, in thousandths.
 TABLE = {0.5: 418, 1: 482, 2: 531, 4: 967, 5: 1039, 8: 1036, 10: 988, 16: 769, 31.5: 405, 80: 132}

@@ -12,7 +12,7 @@ import pytest
 
 from models.common.errors import InputError
 from models.vehicle import read_vehicle
-from synth.controller import Designer
+from synth.designer import Designer
 
 MAP = ("--vary", "height:0.1:0.2:2", "--vary", "speed:5:10:2")
 COMMANDS = {  # with the least that each needs

@@ -8,7 +8,7 @@ import pytest
 
 from models.common.errors import InputError
 from models.common.read_file import TEXT
-from models.kind import kinds
+from models.kinds import kinds
 from models.sound_kind import wrong_distance, wrong_linear_model, wrong_parts, wrong_place, wrong_rest
 from models.vehicle import read_vehicle
 from sim.bump import main

@@ -16,7 +16,7 @@ from sim.physics.simulate import simulate
 from sim.roads.road import Bump
 from sim.runs.run import sample_times
 from synth.__main__ import main as design_main
-from synth.controller import Designer
+from synth.designer import Designer
 
 README = (Path(__file__).parent.parent / "README.md").read_text(encoding="utf-8")
 

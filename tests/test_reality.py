@@ -14,7 +14,7 @@ from sim.physics.simulate import simulate
 from sim.roads.road import Bump
 from sim.runs.run import run_all, sample_times
 from sim.runs.words import verdict_lines
-from synth.controller import Designer
+from synth.designer import Designer
 
 
 def with_reality(vehicle, limits=None, implementation=None):

@@ -7,8 +7,9 @@ import pytest
 
 from models.common.errors import InputError
 from models.vehicle import read_vehicle
-from synth.controller import Designer, generalized_plant
+from synth.controller import generalized_plant
 from synth.design import two_step_design
+from synth.designer import Designer
 from synth.errors import BatchError
 from synth.lmi.barrier import Barrier, newton
 from synth.lmi.barrier_batch import cholesky, inverse, minimise

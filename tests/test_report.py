@@ -20,7 +20,7 @@ from sim.ride.expected import settling_time
 from sim.ride.metrics import measure
 from sim.roads.iso8608 import Iso8608
 from sim.runs.run import sample_times
-from synth.controller import Designer
+from synth.designer import Designer
 
 pytest.importorskip("plotly", reason="a report needs the extra [report]")
 pytest.importorskip("matplotlib", reason="a report needs the extra [report]")

@@ -8,7 +8,8 @@ from synth.certificate.bounded_real import bounded_real_matrix
 from synth.design import two_step_design
 from synth.lmi import central, structured
 from synth.lmi.barrier import Barrier, Factored
-from synth.lmi.central import Basis, central_path
+from synth.lmi.basis import Basis
+from synth.lmi.central import central_path
 from synth.lmi.structured import StructuredBarrier, path_constraints, start_constraints
 from synth.plant import GeneralizedPlant
 from tests.benchmarks.states import chain

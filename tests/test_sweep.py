@@ -10,11 +10,12 @@ from models.common.errors import InputError
 from models.reality import Implementation, Limits
 from models.vehicle import read_vehicle
 from sim.frequency.identification import identify
+from sim.frequency.sweep import failures, sweep
 from sim.linear.frequency import as_met, continuous_frequency_response, sampled_frequency_response, worst_sinusoid
 from sim.linear.loop import sampled_response
 from sim.roads.sinusoids import chirp, random_road, sinusoid
-from sim.sweep import failures, main, sweep
-from synth.controller import Designer
+from sim.sweep import main
+from synth.designer import Designer
 from tests.conftest import recorded_runs
 
 FIGURE_3 = ("passive", "state", "I", "II")

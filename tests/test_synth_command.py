@@ -16,7 +16,7 @@ from sim.bump import main as bump
 from synth.__main__ import main
 from synth.certificate.invariant import invariant_limit
 from synth.command.witness import cross_check
-from synth.controller import Designer
+from synth.designer import Designer
 from synth.errors import DesignError
 from synth.lmi import full_order
 

@@ -11,10 +11,11 @@ from pathlib import Path
 from models.common.command import Parser, run_command
 from models.common.cores import cores
 from models.common.errors import InputError
-from sim.campaign.batch import Plan
 from sim.campaign.columns import columns, described
-from sim.campaign.file import MOST_RUNS, Campaign, read_campaign
+from sim.campaign.file import Campaign, read_campaign
 from sim.campaign.manifest import ELSEWHERE, Gains, Manifest, check_same, digest, gains_of, held, read_manifest
+from sim.campaign.plan import Plan
+from sim.campaign.samples import MOST_RUNS
 from sim.campaign.store import Store
 from sim.campaign.summary import summarise, summary_lines
 from sim.campaign.verify import verify
@@ -22,7 +23,8 @@ from sim.campaign.workers import HERE, Rows, cluster, run_batches
 from sim.command.progress import bar, show
 from sim.physics.simulate import RUNS_AT_ONCE
 from sim.recording.provenance import versions
-from synth.controller import Controller, Designer, given
+from synth.controller import Controller
+from synth.designer import Designer, given
 
 MOST_WORKERS = 1024
 NUMBERS = ("roadproof", "mujoco", "numpy", "scipy")  # packages whose versions decide the numbers

@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from sim.campaign.batch import Plan
+from models.common.numbers import cell
 from sim.campaign.columns import EXPECTED, LINEAR
+from sim.campaign.plan import Plan
 from sim.campaign.store import Store
 from sim.ride.metrics import dynamic_load, points
 
@@ -103,11 +104,7 @@ def summary_lines(entries: Sequence[Mapping[str, Any]]) -> list[str]:
             lines += [f"  {'':{width}}{'':>8}{title}{'left linear':>14}"]
             lines += [f"  {'controller':{width}}{'runs':>8}" + "".join(f"{head:>10}" for head in heads * len(UNITS))]
             before = where
-        cells = "".join(_cell(entry[name][key]) for name in UNITS for key in ("rms", "p95", "predicted"))
+        cells = "".join(f"{cell(entry[name][key], '.4g'):>10}" for name in UNITS for key in ("rms", "p95", "predicted"))
         broke_off = f", {entry['broke_off']} broke off" if entry["broke_off"] else ""
         lines.append(f"  {entry['controller']:{width}}{entry['runs']:>8}{cells}{entry['left']:>14}{broke_off}")
     return lines
-
-
-def _cell(value: float | None) -> str:
-    return f"{value:10.4g}" if value is not None else f"{'-':>10}"

@@ -14,10 +14,11 @@ import pyarrow as pa
 
 from models.common.errors import InputError
 from models.common.threads import one_thread
-from sim.campaign.batch import Plan, run_batch
+from sim.campaign.batch import run_batch
 from sim.campaign.manifest import Gains, gains_of
+from sim.campaign.plan import Plan
 from sim.campaign.store import Store
-from synth.controller import Designer
+from synth.designer import Designer
 
 SAME_GAIN = 1e-9  # relative: how far rounding on another machine may move a designed gain
 

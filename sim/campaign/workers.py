@@ -14,7 +14,8 @@ from typing import Any
 
 from models.common.errors import InputError
 from models.common.threads import one_thread
-from sim.campaign.batch import Plan, run_batch
+from sim.campaign.batch import run_batch
+from sim.campaign.plan import Plan
 
 Rows = list[dict[str, Any]]
 Done = tuple[int, Rows, float]  # first run of a batch, its rows, and the time that it took [s]

@@ -12,7 +12,7 @@ from models.vehicle import Vehicle
 from sim.roads.road import Road
 from sim.runs.run import Run, run_all
 from sim.runs.words import controller_lines, energy_lines, run_lines, verdict_lines
-from synth.controller import Designer
+from synth.designer import Designer
 
 
 def add_how(parser: Parser, duration: float) -> None:

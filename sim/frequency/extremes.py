@@ -9,11 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from models.reality import steps_per_sample
 from models.vehicle import Vehicle
 from sim.frequency.identification import HIGHEST, LINES, LOWEST, check, fit, ideal_measurements, l2_gain
 from sim.linear.frequency import Worst, sampled_frequency_response, worst_sinusoid
 from sim.linear.loop import sampled_radius
-from sim.physics.sampler import steps_per_sample
 from sim.physics.simulate import simulate
 from sim.response.regime import ended_by
 from sim.response.response import Response

@@ -14,11 +14,10 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.reality import Implementation
+from models.reality import Implementation, steps_per_sample
 from models.vehicle import Vehicle
 from sim.linear.frequency import as_met, continuous_frequency_response, sampled_frequency_response, weights
 from sim.linear.loop import implemented_loop, sampled_radius
-from sim.physics.sampler import steps_per_sample
 from sim.physics.simulate import simulate
 from sim.response.regime import ended_by
 from sim.response.response import SILENT, Response

@@ -13,7 +13,8 @@ from sim.inspect.claims import HOLDS, NOTE, Finding
 from sim.inspect.log import Recorded, RecordedRun, read_json, read_log
 from sim.inspect.proof import Inspected, Proof, prove
 from sim.inspect.table import write_signals
-from sim.runs.words import controller_object, gain_text, run_object
+from sim.runs.words import controller_object, run_object
+from synth.words import gain_text
 
 LONGEST = 400  # characters of a text from a log on the terminal
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
+from models.common.numbers import finite
 from sim.inspect.log import Recorded, RecordedRun, read_json
 from sim.inspect.reproduction import FEWEST, Reproduction, as_response
 from sim.recording.format import RESULTS, WHOLE
@@ -76,7 +77,7 @@ def check_certificate(controller: Controller, recorded: RecordedRun, current: bo
     if recorded.claim("stable") is not certificate.stable:
         wrong.append(f"the log says otherwise, but it is {certificate.stability.words}")
     for key, now in {"norm": certificate.norm.value, "bound": certificate.bound}.items():
-        if not _same(recorded.claim(key), _finite(now), ROUNDING, 0.0):
+        if not _same(recorded.claim(key), finite(now), ROUNDING, 0.0):
             wrong.append(f"its {key} is not what was claimed")
     peak, there = recorded.claim("peak_frequency"), math.isfinite(certificate.norm.peak_frequency)
     number = isinstance(peak, (int, float)) and not isinstance(peak, bool)
@@ -131,7 +132,7 @@ def check_physics(again: Reproduction, recorded: RecordedRun, run: Run, whole: b
         half, said = half_step_object(run), recorded.claims.get("half_step")
         if said is not None and list(different({"half_step": read_json(said, "half_step")}, {"half_step": half}, exact=True)):
             wrong.append("what half the step changes is not what was claimed")
-        now = {name: _finite(signal.sampled) for name, signal in agreement.signals.items()}
+        now = {name: finite(signal.sampled) for name, signal in agreement.signals.items()}
         others = list(different(recorded.claim("errors"), now, exact=True))
         if others:
             wrong.append(f"the error of {folded(others, 'errors')} is not what was claimed")
@@ -296,7 +297,3 @@ def _matrix(value: Any, shape: tuple[int, int]) -> Array:
 def _controller_name(one: Mapping[str, Any]) -> Any:
     controller = one.get("controller")
     return controller.get("name") if isinstance(controller, dict) else None
-
-
-def _finite(value: float | None) -> float | None:
-    return float(value) if value is not None and math.isfinite(value) else None

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from models.common.errors import InputError
-from models.kind import HERE, kinds
+from models.kind import HERE
+from models.kinds import kinds
 from models.reality import Implementation
 from models.vehicle import Vehicle
 from sim.command.asked import Asked, same_path

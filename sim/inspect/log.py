@@ -19,6 +19,7 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from sim.inspect.mcap_contents import Logged, McapFile
 from sim.inspect.mcap_reader import read_mcap
+from sim.recording.format import FORMAT, SINCE
 from sim.recording.mcap_writer import PACKAGE
 
 RESPONSES = ("mujoco", "linear", "continuous")
@@ -237,3 +238,20 @@ def _whole(text: str) -> int:
     if abs(value) >= 2**64:
         raise ValueError("beyond every whole number of ours")
     return value
+
+
+def is_current(log: Recorded) -> bool:
+    """Whether a log is of this format; False for one that is older than formats are numbered.
+
+    Raises:
+        InputError: it is of another, or of none and yet younger.
+    """
+    number = log.metadata.get("format")
+    if number is not None and number != str(FORMAT):
+        raise InputError(
+            f"the log is of format {number[:20]!r}, and this version reads {FORMAT} and older; take the one that wrote it"
+        )
+    younger = [key for run in log.runs for key in SINCE if key in run.claims]
+    if number is None and younger:
+        raise InputError(f"the log is of no format, and claims {younger[0]}, which no log before formats does")
+    return number is not None

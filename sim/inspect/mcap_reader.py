@@ -6,7 +6,6 @@ out, and said. The library's own readers are for files that one trusts: they ask
 decompress without a limit. Its records read themselves here, each from bytes of its own that it cannot look beyond.
 """
 
-import io
 import os
 import struct
 import zlib
@@ -16,22 +15,18 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO, TypeVar
 
-import lz4.frame
 import numpy as np
-import zstandard
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import EndOfFile, McapError
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, DataEnd, Footer, McapRecord, Metadata, Schema
 
 from models.common.errors import InputError
 from models.common.read_file import open_plain
 from sim.inspect.mcap_contents import Attached, Logged, McapFile
+from sim.inspect.mcap_stream import MIB, MOST_RECORD, ExactStream, decompressed
 
 GIVE = "give an .mcap file that a run has written"
 MAGIC = b"\x89MCAP0\r\n"
-MIB = 2**20
-MOST_RECORD = 64 * MIB  # of the file, and of a decompressed chunk; writers end a chunk at 1 to 8 MiB
 MOST_KEPT = 256 * MIB  # of metadata and attachments together
 MOST_DATA = 4096 * MIB  # of all decompressed chunks together; a million samples of a full car take 900 MiB
 GROWTH = 200  # times the file's own size, for the same; a vehicle at rest on a flat road, all zeros, compresses 40 times
@@ -217,7 +212,7 @@ class _Reader:
             self._damaged(f"the chunk {where} grows to {size} bytes when decompressed, beyond what is allowed{lost}")
             return
         self._budget -= size
-        data = _decompressed(chunk)
+        data = decompressed(chunk)
         if data is None or len(data) != size or chunk.uncompressed_crc not in (0, zlib.crc32(data)):
             self._damaged(f"the chunk {where} is damaged{lost}")
             return
@@ -286,44 +281,10 @@ class _Reader:
 
     def _parsed(self, kind: type[AnyRecord], where: str, content: bytes) -> AnyRecord | None:
         try:
-            return kind.read(_Exactly(content))  # pyright: ignore[reportAttributeAccessIssue] - those used here have it
+            return kind.read(ExactStream(content))  # pyright: ignore[reportAttributeAccessIssue] - those used here have it
         except _BROKEN:
             self._damaged(f"the {kind.__name__.lower()} {where} is no such record")
             return None
-
-
-class _Exactly(ReadDataStream):
-    """The bytes of one record. A length beyond its end is an error, where the library takes what there is."""
-
-    def __init__(self, content: bytes) -> None:
-        super().__init__(io.BytesIO(content))
-        self._end = len(content)
-
-    def read(self, length: int) -> bytes:
-        """The next bytes, all of them.
-
-        Raises:
-            EndOfFile: there are fewer.
-        """
-        if length > self._end - self.count:
-            raise EndOfFile
-        return super().read(length)
-
-
-def _decompressed(chunk: Chunk) -> bytes | None:
-    """A chunk's records, at most one byte more than it says; None where it is not compressed as it says."""
-    most = chunk.uncompressed_size + 1
-    try:
-        if chunk.compression == "":
-            return chunk.data
-        if chunk.compression == "zstd":
-            # Streaming: in one go it would allocate what the frame's own header says.
-            return zstandard.ZstdDecompressor(max_window_size=MOST_RECORD).stream_reader(chunk.data).read(most)
-        if chunk.compression == "lz4":
-            return lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, most)
-    except (zstandard.ZstdError, RuntimeError, EOFError):
-        pass
-    return None
 
 
 def _name(opcode: int) -> str:

@@ -26,7 +26,7 @@ from sim.inspect.claims import (
 from sim.inspect.commanded import Held, check_command
 from sim.inspect.contents import check_contents, check_whole_result
 from sim.inspect.driven_again import balanced_again, driven_again, written_again
-from sim.inspect.log import Recorded, RecordedRun, read_json, timestep
+from sim.inspect.log import Recorded, RecordedRun, is_current, read_json, timestep
 from sim.inspect.reproduction import (
     FEWEST,
     Reproduction,
@@ -38,7 +38,6 @@ from sim.inspect.reproduction import (
     reproduce,
     usable_samples,
 )
-from sim.recording.format import is_current
 from sim.recording.run_log import RunLog
 from sim.runs.run import Run
 

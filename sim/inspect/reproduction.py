@@ -15,7 +15,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError, known
 from models.kind import LARGEST
-from models.kind import kinds as kind_names
+from models.kinds import kinds as kind_names
 from models.reality import read_implementation, read_limits
 from models.vehicle import Vehicle, parse_vehicle
 from sim.inspect.log import Recorded, RecordedRun

@@ -23,9 +23,9 @@ from scipy import linalg, optimize
 
 from models.common.arrays import Array
 from models.linear_model import LinearModel
+from models.reality import steps_per_sample
 from models.vehicle import Vehicle
 from sim.linear.loop import driven, held_inputs
-from sim.physics.sampler import steps_per_sample
 from synth.controller import Controller
 
 LOWEST, GRID = 1e-2, 3000  # rad/s, points: a peak is looked for from here to the Nyquist frequency

@@ -23,8 +23,8 @@ from scipy import linalg
 
 from models.common.arrays import Array
 from models.linear_model import LinearModel
+from models.reality import steps_per_sample
 from models.vehicle import Vehicle
-from sim.physics.sampler import steps_per_sample
 from sim.response.response import Response
 from sim.roads.road import Road, delays, under_wheels
 from synth.certificate.stability import sampled_growth

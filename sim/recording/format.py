@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from typing import Any
 
 from models.common.errors import InputError
-from sim.inspect.log import Recorded
 
 FORMAT = 1
 SINCE = ("half_step",)  # claims of a run that came with the first format that has a number: no older log has them
@@ -47,20 +46,3 @@ def check_keys(command: str, result: Mapping[str, Any]) -> None:
     if absent or extra:
         what = f"lacks {absent[0]}" if absent else f"has {extra[0][:40]!r}, which is none of it"
         raise InputError(f"the result of sim.{command} {what}")
-
-
-def is_current(log: Recorded) -> bool:
-    """Whether a log is of this format; False for one that is older than formats are numbered.
-
-    Raises:
-        InputError: it is of another, or of none and yet younger.
-    """
-    number = log.metadata.get("format")
-    if number is not None and number != str(FORMAT):
-        raise InputError(
-            f"the log is of format {number[:20]!r}, and this version reads {FORMAT} and older; take the one that wrote it"
-        )
-    younger = [key for run in log.runs for key in SINCE if key in run.claims]
-    if number is None and younger:
-        raise InputError(f"the log is of no format, and claims {younger[0]}, which no log before formats does")
-    return number is not None

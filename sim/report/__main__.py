@@ -50,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from sim.recording.provenance import versions
     from sim.report.content import page, report_object
     from sim.report.scope import Scope, check_scope
-    from synth.controller import Designer
+    from synth.designer import Designer
 
     check_scope(vehicle, options.timestep)
 

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 from sim.figures.page import State
 from sim.frequency.identification import Lines
+from sim.frequency.sweep import Sweep, failures
 from sim.report.regime_end import REACHES, RegimeEnd
 from sim.report.scope import BUMP_DURATION, Scope, at_most, joined
 from sim.roads.road import Bump
 from sim.runs.run import Run
-from sim.sweep import Sweep, failures
 from synth.controller import Controller
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 from sim.figures.page import Page, Section, Table
 from sim.frequency.identification import ideal_measurements, identify
+from sim.frequency.sweep import sweep
 from sim.report import answer as report_answer
 from sim.report.agreement import agreement_section, bump_section
 from sim.report.designs import design_section, frequency_section
@@ -16,7 +17,6 @@ from sim.report.ride import SEEDS, ride_section
 from sim.report.scope import AMPLITUDE, BUMP_DURATION, Scope
 from sim.roads.road import Bump
 from sim.runs.run import run_all, sample_times
-from sim.sweep import sweep
 from synth.paper import PRINTED, entry_of, is_the_papers, ours
 
 

@@ -6,10 +6,9 @@ from dataclasses import replace
 from sim.figures.page import Section, Table
 from sim.frequency.figure import sweep_figure
 from sim.frequency.identification import Lines
+from sim.frequency.sweep import Sweep
 from sim.report.scope import AMPLITUDE, Scope, joined, number
-from sim.runs.words import gain_text
-from sim.sweep import Sweep
-from synth.command.table import percent
+from synth.words import gain_text, percent
 
 
 def design_section(scope: Scope) -> Section:

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from models.reality import Implementation
-from sim.envelope import grid, read_axes
 from sim.figures.page import Section, Table
 from sim.frequency.identification import ideal_measurements
 from sim.report.answer import Finding
@@ -21,6 +20,7 @@ from sim.stability.margins import find_all, searches
 from sim.stability.robustness import robustness, varied_text
 from sim.validity.cells import validity
 from sim.validity.figure import envelope_figure
+from sim.validity.grid import grid, read_axes
 from synth.controller import Controller
 
 MAP = ("height:0.02:0.3:20", "speed:3:30:20")

@@ -7,16 +7,16 @@ from functools import cached_property
 
 import numpy as np
 
-from models.reality import Limits
+from models.reality import Limits, steps_per_sample
 from models.vehicle import Vehicle
 from sim.frequency.identification import check
 from sim.linear.frequency import Worst, sampled_frequency_response, worst_sinusoid
 from sim.linear.loop import sampled_radius
-from sim.physics.sampler import steps_per_sample
 from sim.roads.road import Bump
 from sim.runs.run import sample_times
 from sim.stability.growth import TIMESTEP
-from synth.controller import Controller, Designer
+from synth.controller import Controller
+from synth.designer import Designer
 
 BUMP_DURATION = 3.0  # s
 AMPLITUDE = 1e-4  # m, of the roads that frequency responses are identified on

@@ -25,10 +25,10 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.threads import one_thread
+from models.reality import steps_per_sample
 from models.vehicle import Vehicle
 from sim.linear.frequency import as_met, sampled_frequency_response, stepwise_frequency_response
 from sim.linear.loop import driven, implemented_loop, sampled_radius
-from sim.physics.sampler import steps_per_sample
 from sim.ride.gaussian import Gaussian, positive_part
 from sim.ride.metrics import RUNNING, dynamic_load, energy, off_ground, points, power
 from sim.ride.quadrature import sample_band

@@ -1,12 +1,12 @@
 """The metrics of a run, in MuJoCo, in the linear response over the same road, and expected over all such roads; in words, too."""
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from models.common.numbers import cell, finite
 from models.vehicle import Vehicle
 from sim.ride.expected import APPROXIMATE, EXACT, Expected, expect, settling_time
 from sim.ride.metrics import measure, metrics_of
@@ -126,9 +126,9 @@ def metric_lines(vehicle: Vehicle, run: Run, found: RunMetrics, start: float, en
     head = f"  {f'measured from {start:.4g} to {end:.4g} s':{width}}  {'unit':8}{'MuJoCo':>11}{'linear':>11}"
     lines = [head + (f"{'expected':>11}{'from road to road':>20}" if random else "")]
     for name, one in measured.items():
-        line = f"  {name:{width}}  {one.unit:8}{_cell(one.mujoco):>11}{_cell(one.linear):>11}"
-        spread = f"+- {_cell(one.spread)}" if one.spread is not None else ""
-        expected = ("~" if one.approximate and one.expected else "") + _cell(one.expected)
+        line = f"  {name:{width}}  {one.unit:8}{cell(one.mujoco, '.4g'):>11}{cell(one.linear, '.4g'):>11}"
+        spread = f"+- {cell(one.spread, '.4g')}" if one.spread is not None else ""
+        expected = ("~" if one.approximate and one.expected else "") + cell(one.expected, ".4g")
         lines.append((line + (f"{expected:>11}{spread:>20}" if random else "")).rstrip())
     return [*lines, *(f"  {note}" for note in notes)]
 
@@ -139,7 +139,7 @@ def metrics_object(run: Run, found: RunMetrics) -> dict[str, Any]:
     return {
         "broke_off": {"by": broke[0], "at": broke[1]} if broke else None,
         "settled": {"share": found.settled.share, "signal": found.settled.signal} if found.settled else None,
-        "expected_error": _finite(found.error),
+        "expected_error": finite(found.error),
         "metrics": _metrics(found.metrics),
     }
 
@@ -148,19 +148,11 @@ def _metrics(measured: Mapping[str, Measured]) -> dict[str, Any]:
     return {
         name: {
             "unit": one.unit,
-            "mujoco": _finite(one.mujoco),
-            "linear": _finite(one.linear),
-            "expected": _finite(one.expected),
-            "spread": _finite(one.spread),
+            "mujoco": finite(one.mujoco),
+            "linear": finite(one.linear),
+            "expected": finite(one.expected),
+            "spread": finite(one.spread),
             "approximate": one.approximate,
         }
         for name, one in measured.items()
     }
-
-
-def _cell(value: float | None) -> str:
-    return f"{value:.4g}" if value is not None and math.isfinite(value) else "-"
-
-
-def _finite(value: float | None) -> float | None:
-    return value if value is not None and math.isfinite(value) else None

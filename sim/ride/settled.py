@@ -20,10 +20,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.arrays import Array
+from models.reality import steps_per_sample
 from models.vehicle import Vehicle
 from sim.linear.frequency import as_met, sampled_states
 from sim.linear.loop import driven, implemented_loop, sampled_radius
-from sim.physics.sampler import steps_per_sample
 from sim.ride.expected import longest_panel, loop_poles, power_of, tracks
 from sim.ride.metrics import points
 from sim.ride.quadrature import sample_band

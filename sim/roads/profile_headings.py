@@ -114,10 +114,11 @@ def choose_columns(headings: Sequence[Heading], columns: Sequence[int]) -> tuple
     if len(used) not in (2, 3):
         return used
     tracks = (("height", "left", "right"),) if len(used) == 2 else (("height", "left"), ("height", "right"))
-    for i, allowed in zip(used, (("distance",), *tracks), strict=True):
+    roles: tuple[tuple[str, ...], ...] = (("distance",), *tracks)
+    for i, allowed in zip(used, roles, strict=True):
         meaning = headings[i].meaning if i < len(headings) else ""
         if meaning and meaning not in allowed:
-            role = allowed[0] if len(used) == 2 or allowed[0] == "distance" else f"the height of the {allowed[1]} track"
+            role = allowed[0] if len(allowed) == 1 or len(used) == 2 else f"the height of the {allowed[-1]} track"
             raise InputError(f"column {i + 1} is called {headings[i].text!r}, and would be read as {role}; {SAY}")
     return used
 

@@ -1,21 +1,20 @@
 """Runs in words and numbers: the table on the terminal, the object for `--json`, the text and events in the logs."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from models.common.arrays import Array
+from models.common.numbers import cell, finite
 from models.kind import MOST_SQUEEZE
 from models.vehicle import Vehicle
 from sim.physics.energy import BALANCED, Energy
 from sim.runs.agreement import COARSEST, SLACK, SMALL
 from sim.runs.run import Run
-from synth.command.table import ideal_lines, notes
 from synth.controller import Controller
+from synth.words import gain_text, ideal_lines, notes
 
 
 @np.errstate(over="ignore")  # an unstable loop's squares overflow; what is infinite is None
@@ -28,9 +27,9 @@ def run_object(vehicle: Vehicle, run: Run) -> dict[str, Any]:
         "signals": {
             name: {
                 "unit": vehicle.kind.signal(name).unit,
-                "peak": {key: _finite(response.peak(name)) for key, response in responses.items()},
-                "rms": {key: _finite(response.rms(name)) for key, response in responses.items()},
-                "error": {"sampled": _finite(signal.sampled), "continuous": _finite(signal.continuous)},
+                "peak": {key: finite(response.peak(name)) for key, response in responses.items()},
+                "rms": {key: finite(response.rms(name)) for key, response in responses.items()},
+                "error": {"sampled": finite(signal.sampled), "continuous": finite(signal.continuous)},
             }
             for name, signal in agreement.signals.items()
         },
@@ -41,7 +40,7 @@ def run_object(vehicle: Vehicle, run: Run) -> dict[str, Any]:
 
 def energy_object(energy: Energy) -> dict[str, float | bool | None]:
     """An energy balance as JSON has it [J]; its residual is a share of `turnover`."""
-    return {name: _finite(value) for name, value in asdict(energy).items()} | {"balances": energy.balances}
+    return {name: finite(value) for name, value in asdict(energy).items()} | {"balances": energy.balances}
 
 
 def energy_lines(run: Run) -> list[str]:
@@ -59,7 +58,7 @@ def energy_lines(run: Run) -> list[str]:
 def half_step_object(run: Run) -> dict[str, Any] | None:
     """What half the step changes after a lift-off, as JSON has it; None where that is not known."""
     found = run.half_step
-    return {"difference": _finite(found.difference), "signal": found.signal} if found else None
+    return {"difference": finite(found.difference), "signal": found.signal} if found else None
 
 
 def controller_object(controller: Controller) -> dict[str, Any]:
@@ -70,8 +69,8 @@ def controller_object(controller: Controller) -> dict[str, Any]:
         "measured": list(controller.measured),
         "gain": controller.gain.tolist(),
         "bound": certificate.bound,
-        "norm": _finite(certificate.norm.value),
-        "peak_frequency": _finite(certificate.norm.peak_frequency),
+        "norm": finite(certificate.norm.value),
+        "peak_frequency": finite(certificate.norm.peak_frequency),
         "stability": certificate.stability.verdict,
     }
 
@@ -163,9 +162,9 @@ def run_lines(vehicle: Vehicle, run: Run, passive: Run | None) -> list[str]:
         for kind in ("peak", "rms"):
             values = [float(getattr(response, kind)(name)) for response in (run.physics, run.sampled, run.continuous)]
             reference = float(getattr(passive.physics, kind)(name)) if passive else 0.0
-            change = _cell(100 * (values[0] / reference - 1), "+.1f", " %") if reference and not silent else "-"
-            errors = (_cell(signal.sampled, ".1e"), _cell(signal.continuous, ".1e")) if kind == "peak" else ("", "")
-            numbers = (_cell(value, ".6g") for value in values)
+            change = cell(100 * (values[0] / reference - 1), "+.1f", " %") if reference and not silent else "-"
+            errors = (cell(signal.sampled, ".1e"), cell(signal.continuous, ".1e")) if kind == "peak" else ("", "")
+            numbers = (cell(value, ".6g") for value in values)
             rows.append((name if kind == "peak" else "", unit, kind, *numbers, *errors, change))
     return [f"  {line}" for line in _table(rows)]
 
@@ -197,18 +196,6 @@ def summary(vehicle: Vehicle, run: Run) -> str:
     return "\n".join(lines) + "\n"
 
 
-def log_lines(logs: Mapping[str, str | None]) -> list[str]:
-    """Where a command has recorded, and how to open it."""
-    from sim.recording.files import opening_lines
-
-    return ["logs", *(f"  {line}" for line in opening_lines({name: Path(path) for name, path in logs.items() if path}))]
-
-
-def gain_text(gain: Array) -> str:
-    """A gain matrix on one line, as a vehicle file has it."""
-    return "[" + ", ".join("[" + ", ".join(f"{entry:.6g}" for entry in row) + "]" for row in gain) + "]"
-
-
 def _table(rows: Sequence[Sequence[str]]) -> list[str]:
     """Rows in aligned columns: the first three to the left, numbers to the right."""
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
@@ -216,12 +203,3 @@ def _table(rows: Sequence[Sequence[str]]) -> list[str]:
         "  ".join(cell.ljust(w) if i < 3 else cell.rjust(w) for i, (cell, w) in enumerate(zip(row, widths, strict=True))).rstrip()
         for row in rows
     ]
-
-
-def _cell(value: float, form: str, unit: str = "") -> str:
-    """A number as a table has it, "-" for one that does not exist."""
-    return f"{value:{form}}{unit}" if math.isfinite(value) else "-"
-
-
-def _finite(value: Any) -> float | None:
-    return float(value) if math.isfinite(value) else None

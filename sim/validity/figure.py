@@ -12,7 +12,7 @@ from sim.validity.cells import Cells
 from synth.controller import Controller
 
 if TYPE_CHECKING:
-    from sim.envelope import Axis
+    from sim.validity.grid import Axis
 
 LABELS = {"height": "bump height [m]", "length": "bump length [m]", "speed": "speed [m/s]"}
 NOTHING, UNKNOWN = "#dcefdc", "#ffffff"

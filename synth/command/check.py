@@ -8,7 +8,8 @@ from models.vehicle import ControllerEntry
 from synth.certificate.certificate import certify
 from synth.certificate.record import read_proof, untrue
 from synth.command.table import Row
-from synth.controller import Controller, Designer
+from synth.controller import Controller
+from synth.designer import Designer
 
 
 def check(designer: Designer, names: Sequence[str] | None) -> list[Row]:

@@ -7,16 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from models.common.numbers import finite
 from models.common.shell import option
-from models.vehicle import Vehicle
 from synth.certificate.certificate import LmiProof
 from synth.certificate.record import to_record
 from synth.command.witness import Witness
 from synth.controller import Controller
-
-IDEAL_LOOP = "of the ideal loop, continuous and without [limits] and [implementation]"
-SETTLED = 1e-2  # relative: a gain that moves less over the last hundredfold of mu is within 1e-4 of the limit
-SHORT = 1e-6  # relative in gamma; less is the path's own end
+from synth.words import percent
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,9 +49,9 @@ def row_object(row: Row) -> dict[str, Any]:
         "gain": controller.gain.tolist(),
         "designed": controller.designed,
         "bound": certificate.bound,
-        "norm": _finite(norm.value),
+        "norm": finite(norm.value),
         "routes_gap": norm.gap if certificate.stable else None,
-        "peak_frequency": _finite(norm.peak_frequency),
+        "peak_frequency": finite(norm.peak_frequency),
         "poles": [[float(pole.real), float(pole.imag)] for pole in certificate.poles],
         "lower_bound": certificate.lower.gamma if certificate.lower is not None and certificate.lower.gamma > 0 else None,
         "gap": certificate.gap,
@@ -138,40 +135,11 @@ def refine_lines(rows: Sequence[Row], vehicle: str) -> list[str]:
     ]
 
 
-def ideal_lines(vehicle: Vehicle) -> list[str]:
-    """Which loop the numbers are of, where the vehicle file has another one, too."""
-    return [] if vehicle.ideal else [f"bound, norm and poles are {IDEAL_LOOP}"]
-
-
 def _at_least(share: float) -> str:
     """A share in percent, cut after two digits."""
     percents = 100 * share
     digit = 10.0 ** (math.floor(math.log10(percents)) - 1)
     return f"{math.floor(percents / digit) * digit:.2g} %"
-
-
-def notes(controller: Controller) -> tuple[str, ...]:
-    """What is the case where there is no one optimum, what was done instead, how far from it a design is, what is in vain."""
-    found = [text for text in (controller.case, controller.instead) if text]
-    if controller.short > SHORT:
-        found.append(f"from an X {percent(controller.short)} short of the best state feedback; from the best there is no design")
-    if controller.stopped > SHORT:
-        found.append(f"bound {percent(controller.stopped)} short of the optimum, which only a gain beyond any actuator reaches")
-    elif controller.moved > SETTLED:
-        found.append(
-            f"gain not settled: over the last step of its path it moved by {percent(controller.moved)} of its largest entry, so "
-            "that its digits are not those of the optimum; the norm and its bound hold for it as it is"
-        )
-    if controller.redundant:
-        found.append(f"measures in vain: {', '.join(controller.redundant)} follows from the other signals and is given no gain")
-    return tuple(found)
-
-
-def percent(share: float) -> str:
-    """A share in percent; what rounding leaves is 0."""
-    if share <= 1e-9:
-        return "0 %"
-    return f"{100 * share:.2g} %" if share < 0.995 else f"{100 * share:.0f} %"
 
 
 def _poles(poles) -> list[str]:
@@ -182,15 +150,11 @@ def _poles(poles) -> list[str]:
     ]
 
 
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
 def _lmi_object(proof: LmiProof | None) -> dict[str, Any] | None:
     """Smallest eigenvalues of X and of minus (20), balanced, with what each must exceed, and whether both are proved."""
     if proof is None:
         return None
     parts = {"X": proof.positive, "minus_20": proof.negative}
     return {"proved": proof.holds} | {
-        name: {"smallest": _finite(part.smallest), "rounding": _finite(part.rounding)} for name, part in parts.items()
+        name: {"smallest": finite(part.smallest), "rounding": finite(part.rounding)} for name, part in parts.items()
     }

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from synth.controller import Controller, Designer
+from synth.controller import Controller
 from synth.design import measurement
+from synth.designer import Designer
 from synth.errors import DesignError
 from synth.lmi.clarabel import solve_lmi
 from synth.lmi.output_feedback import l_matrix, nullspace, r_matrix

@@ -11,7 +11,8 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.threads import one_thread
 from synth.lmi.barrier_batch import cholesky, inverse, minimise
-from synth.lmi.central import CENTRED, INSIDE, LIMIT, Basis, CentralPoint, next_rest
+from synth.lmi.basis import Basis
+from synth.lmi.central import CENTRED, INSIDE, LIMIT, CentralPoint, next_rest
 from synth.plant import GeneralizedPlant
 
 FROM = 3.0  # mu over the eta of the first feasible point, where the paths are entered: the fewest steps in all

@@ -23,18 +23,19 @@ import pytest
 from models.mjcf import build_model
 from models.vehicle import read_vehicle
 from sim.campaign.__main__ import FEWEST
-from sim.campaign.batch import Plan
 from sim.campaign.columns import columns
 from sim.campaign.file import read_campaign
 from sim.campaign.manifest import Manifest
+from sim.campaign.plan import Plan
 from sim.campaign.store import Store
 from sim.campaign.workers import run_batches
-from sim.envelope import grid, read_axes
 from sim.physics.simulate import simulate
 from sim.roads.road import Bump
 from sim.validity.cells import validity
+from sim.validity.grid import grid, read_axes
 from synth.certificate.norm import hinf_norm
-from synth.controller import Designer, generalized_plant
+from synth.controller import generalized_plant
+from synth.designer import Designer
 from synth.lmi.clarabel import solve_lmi
 from tests.benchmarks.states import chain
 from tests.conftest import random_vehicles

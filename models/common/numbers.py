@@ -1,0 +1,14 @@
+"""Numbers as JSON and tables have them."""
+
+import math
+from typing import Any
+
+
+def finite(value: Any) -> float | None:
+    """A number as JSON has it: None for what is infinite or does not exist."""
+    return float(value) if value is not None and math.isfinite(value) else None
+
+
+def cell(value: float | None, form: str, unit: str = "") -> str:
+    """A number as a table has it, "-" for one that is infinite or does not exist."""
+    return f"{value:{form}}{unit}" if value is not None and math.isfinite(value) else "-"

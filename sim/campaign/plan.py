@@ -1,0 +1,113 @@
+"""The runs of a campaign: which there are, in what order, and which are driven side by side."""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.vehicle import Vehicle
+from sim.campaign.file import Campaign
+from sim.physics.simulate import runs_at_once
+from sim.roads.road import Road
+from synth.controller import Controller
+
+
+@dataclass(frozen=True)
+class RunKey:
+    """One run of a campaign, by index into its lists."""
+
+    vehicle: int
+    controller: int
+    road: int
+    speed: int
+    sample: int
+    seed: int
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Every run of a campaign, numbered: vehicles slowest, seeds fastest. Roads without a seed run once.
+
+    Attributes:
+        campaign: the campaign.
+        gains: the controllers, by vehicle and name.
+    """
+
+    campaign: Campaign
+    controllers: Mapping[str, Mapping[str, Controller]]
+
+    @cached_property
+    def _blocks(self) -> list[tuple[int, int, int, int, int]]:
+        """(first run, vehicle, controller, road, speed) of every combination, ascending; sample and seed count within."""
+        c, found, start = self.campaign, [], 0
+        for v, name in enumerate(c.vehicles):
+            for k in range(len(c.controllers)):
+                for r, road in enumerate(c.roads):
+                    for s in range(len(c.speeds)):
+                        found.append((start, v, k, r, s))
+                        start += len(c.samples[name]) * (len(c.seeds) if road.random else 1)
+        return [*found, (start, -1, -1, -1, -1)]
+
+    @property
+    def count(self) -> int:
+        """How many runs there are."""
+        return self._blocks[-1][0]
+
+    @cached_property
+    def _starts(self) -> Array:
+        return np.array([block[0] for block in self._blocks])
+
+    def key(self, run: int) -> RunKey:
+        """What run it is."""
+        start, v, k, r, s = self._blocks[int(np.searchsorted(self._starts, run, side="right")) - 1]
+        seeds = len(self.campaign.seeds) if self.campaign.roads[r].random else 1
+        sample, seed = divmod(run - start, seeds)
+        return RunKey(v, k, r, s, sample, seed)
+
+    def batches(self, gaps: Iterable[tuple[int, int]], most: Callable[[], int]) -> Iterator[tuple[int, int]]:
+        """The runs of gaps (start, stop), cut into batches of one vehicle that fit into memory.
+
+        Args:
+            gaps: ascending.
+            most: asked before each batch how many runs it may have.
+        """
+        vehicles = list(self.campaign.vehicles.values())
+        for start, stop in gaps:
+            while start < stop:
+                v = self.key(start).vehicle
+                same = next((block[0] for block in self._blocks if block[0] > start and block[1] != v), self.count)
+                size = runs_at_once(len(self.campaign.time), len(vehicles[v].kind.wheels))
+                end = min(stop, same, start + min(size, most()))
+                yield start, end
+                start = end
+
+    def inputs(self, key: RunKey) -> dict[str, Any]:
+        """What a run is, as its row says."""
+        c = self.campaign
+        name, road = list(c.vehicles)[key.vehicle], c.roads[key.road]
+        sample = c.samples[name][key.sample]
+        return {
+            "vehicle": name,
+            "controller": c.controllers[key.controller],
+            "road": road.text,
+            "speed": c.speeds[key.speed],
+            "seed": c.seeds[key.seed] if road.random else None,
+            "sample": key.sample if sample else None,
+            **{f"parameter_{parameter}": value for parameter, value in sample.items()},
+        }
+
+
+class PlannedRun:
+    """One run, with everything that it needs."""
+
+    def __init__(self, plan: Plan, key: RunKey, vehicle: Vehicle) -> None:
+        c = plan.campaign
+        self.name, self.vehicle, self.key = list(c.vehicles)[key.vehicle], vehicle, key
+        self.controller = plan.controllers[self.name][c.controllers[key.controller]]
+        self.choice, self.speed, self.seed = c.roads[key.road], c.speeds[key.speed], c.seeds[key.seed]
+        self.road: Road = self.choice.build(vehicle, self.speed, self.seed, self.speed * c.duration)
+        self.system = (id(vehicle), key.controller)
+        self.inputs = plan.inputs(key)

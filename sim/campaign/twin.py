@@ -1,0 +1,111 @@
+"""The exact linear responses of many runs, beside them and as fast."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from scipy import linalg
+
+from models.common.arrays import Array
+from models.vehicle import Vehicle
+from sim.campaign.plan import PlannedRun
+from sim.linear.loop import driven, held_inputs
+from sim.physics.simulate import DIVERGED
+from sim.response.response import SILENT
+from sim.ride.metrics import Meter
+from synth.controller import Controller
+
+
+class Twin:
+    """The exact linear responses of the runs, sampled as in `sim.linear.loop`, beside them and as fast.
+
+    Sums run over states one by one, as in `sim.physics.simulate`. A controller that is more than a gain has no twin here.
+    """
+
+    def __init__(self, runs: Sequence[PlannedRun], now: Array, midway: Array, timestep: float, first: int | None) -> None:
+        """Measured from sample `first` on; not at all, if that is None."""
+        vehicle = runs[0].vehicle
+        self.signals, self.now, self.midway = vehicle.kind.signals, now, midway
+        self.ideal = vehicle.implementation.ideal
+        systems: dict[Any, Any] = {}
+        for run in runs:
+            if run.system not in systems:
+                systems[run.system] = _system(run.vehicle, run.controller, timestep)
+        # By entry of the matrices, runs last: shapes (n, n, N), (n, r, N), (n, r, N), (n, r, N), (p, n, N), (p, r, N).
+        self.loop, self.of_now, self.of_midway, self.jump, self.C, self.Cr = (
+            np.stack([systems[run.system][i] for run in runs], axis=-1) for i in range(6)
+        )
+        self.outputs = vehicle.linear_model.outputs
+        place = [signal.name for signal in self.signals]
+        self.index = [place.index(name) for name in self.outputs]
+        self.xi = np.zeros((self.loop.shape[0], len(runs)))
+        self.off, self.peak = np.zeros((len(self.outputs), len(runs))), np.zeros((len(self.outputs), len(runs)))
+        self.known = [i for i, name in enumerate(self.outputs) if name in vehicle.linear_model.states]
+        self.meter = None if first is None else Meter([run.vehicle for run in runs], timestep, first)
+
+    def update(self, start: int, values: Array, until: Array, times: Array) -> None:
+        """Compares the next block of signals, shape (B, S, N), before the times [s] until which it is linear, shape (N,)."""
+        if not self.ideal:
+            return
+        some = slice(start, start + len(values))
+        now, midway = np.moveaxis(self.now[some], 1, 2), np.moveaxis(self.midway[some], 1, 2)
+        push, jump = _applied(self.of_now, now) + _applied(self.of_midway, midway), _applied(self.jump, now)
+        states = np.empty_like(push)
+        with np.errstate(over="ignore", invalid="ignore"):  # an unstable loop overflows; its run says so
+            for k in range(len(values)):
+                states[k] = self.xi
+                self.xi = (self.loop * self.xi).sum(axis=1) + push[k]
+            states += jump
+            linear = times[-1] < until
+            for i in self.known if self.meter is None else range(len(self.outputs)):
+                output = states[:, i] if self.meter is None else _row(self.C[i], states) + _row(self.Cr[i], now)
+                apart = np.abs(values[:, self.index[i]] - output)
+                size = np.abs(output)
+                if not linear.all():
+                    before = times[:, None] < until
+                    apart, size = np.where(before, apart, 0.0), np.where(before, size, 0.0)
+                self.off[i] = np.maximum(self.off[i], apart.max(axis=0))
+                self.peak[i] = np.maximum(self.peak[i], size.max(axis=0))
+                if self.meter is not None:
+                    values[:, self.index[i]] = output
+            if self.meter is not None:
+                self.meter.update(np.clip(values, -DIVERGED, DIVERGED))
+
+    def errors(self) -> Array:
+        """Largest difference of any state from its twin, over the twin's peak, shape (N,); NaN where there is no twin."""
+        if not self.ideal:
+            return np.full(self.off.shape[1], np.nan)
+        units = [next(signal.unit for signal in self.signals if signal.name == name) for name in self.outputs]
+        worst = np.zeros(self.off.shape[1])
+        for i in self.known:
+            loudest = np.max([self.peak[j] for j in self.known if units[j] == units[i]], axis=0)
+            scale = np.maximum(self.peak[i], SILENT * loudest)
+            worst = np.maximum(worst, np.divide(self.off[i], scale, out=np.zeros_like(scale), where=scale > 0))
+        return worst
+
+    def metrics(self) -> Mapping[str, Array]:
+        """The twin's metrics, where a road that is not random asks for them."""
+        return self.meter.result() if self.meter is not None and self.ideal else {}
+
+
+def _system(vehicle: Vehicle, controller: Controller, timestep: float) -> tuple[Array, ...]:
+    """The sampled loop as `sim.linear.loop` has it: xi' = loop xi + of_now z_r + of_midway z_r(h/2), x = xi + jump z_r."""
+    model, G = driven(vehicle, controller)
+    Phi, Gamma_u, Gamma_r = held_inputs(model.A, timestep, linalg.expm, model.B, model.A @ model.Bw + model.Br)
+    return Phi + Gamma_u @ G, Gamma_u @ G @ model.Bw, Gamma_r, model.Bw, model.C + model.D @ G, model.Cr
+
+
+def _applied(matrix: Array, inputs: Array) -> Array:
+    """A matrix per run, shape (n, r, N), on inputs (B, r, N), shape (B, n, N)."""
+    total = np.zeros((len(inputs), matrix.shape[0], matrix.shape[2]))
+    for i in range(matrix.shape[0]):
+        total[:, i] = _row(matrix[i], inputs)
+    return total
+
+
+def _row(row: Array, inputs: Array) -> Array:
+    """One row of such a matrix, shape (r, N), on inputs (B, r, N), shape (B, N)."""
+    total = np.zeros((len(inputs), row.shape[1]))
+    for j in np.flatnonzero(row.any(axis=1)):
+        total += row[j] * inputs[:, j]
+    return total

@@ -1,0 +1,53 @@
+"""The life of `--logs`: what a command has run is recorded where it was asked for, and how to open that is said."""
+
+import argparse
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from models.vehicle import Vehicle
+from sim.roads.road import Road
+from sim.runs.run import Run
+
+if TYPE_CHECKING:
+    from sim.recording.run_log import RunLog
+
+
+def recorded(
+    options: argparse.Namespace,
+    vehicle: Vehicle,
+    controllers: Sequence[str],
+    runs: "Callable[[], Sequence[RunLog]]",
+    result: Mapping[str, Any],
+) -> dict[str, str | None]:
+    """Records what a command has run, as `record_runs` does; None for every file where there is no folder.
+
+    Args:
+        options: as the command's parser read them, `--logs` among them.
+        vehicle: as it was read.
+        controllers: names of those that were run.
+        runs: makes what is recorded, and is not called in vain.
+        result: as `--json` prints it.
+    """
+    if options.logs is None:
+        return {"mcap": None, "layout": None, "rerun": None}
+    from sim.recording.provenance import record_runs  # it imports Rerun
+
+    return {**record_runs(options.logs, options.command_line, vehicle, controllers, runs(), result)}
+
+
+def run_logs(vehicle: Vehicle, road: Road, runs: Sequence[Run]) -> "list[RunLog]":
+    """Runs over one road as they are recorded."""
+    from sim.recording.provenance import run_log
+
+    return [run_log(vehicle, road, run) for run in runs]
+
+
+def log_lines(logs: Mapping[str, str | None]) -> list[str]:
+    """Where a command has recorded, and how to open it; none where it has not."""
+    paths = {name: Path(path) for name, path in logs.items() if path}
+    if not paths:
+        return []
+    from sim.recording.files import opening_lines
+
+    return ["", "logs", *(f"  {line}" for line in opening_lines(paths))]

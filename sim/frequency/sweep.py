@@ -1,0 +1,143 @@
+"""What a sweep finds of a controller, held against its claims: in words, and as `--json` has it."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from models.common.numbers import finite
+from models.vehicle import Vehicle
+from sim.frequency.extremes import Extremes, extremes
+from sim.frequency.identification import Lines, identify
+from synth.controller import Controller
+
+TOLERANCE = 1e-4  # of the response at a line; RK4's own error at 1 ms is 3e-6, so more is no frequency response of this loop
+
+
+ABOVE = 1e-5  # above the norm, relative: RK4's own error again
+
+
+REACHED = 1e-3  # below the norm
+
+
+WIDTH = 38  # of the column of names
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """What was found of one controller: its frequency response, and the most that it lets through."""
+
+    lines: Lines
+    extremes: Extremes
+
+    @property
+    def ended(self) -> tuple[str, ...]:
+        """What ended the linear regime, in whichever run."""
+        return tuple(dict.fromkeys((*self.lines.ended, *self.extremes.ended)))
+
+    @property
+    def gains(self) -> dict[str, float]:
+        """L2 gain by road."""
+        return {**self.extremes.gains, "chirp": self.lines.gain}
+
+
+def sweep(vehicle: Vehicle, controllers: Sequence[Controller], amplitude: float, timestep: float, speed: float) -> list[Sweep]:
+    """Everything, of every controller. Arguments and errors as for `sim.frequency.identification.identify`."""
+    lines = identify(vehicle, controllers, amplitude, timestep, speed)
+    most = extremes(vehicle, controllers, amplitude, timestep, speed)
+    return [Sweep(*pair) for pair in zip(lines, most, strict=True)]
+
+
+def failures(one: Sweep) -> list[str]:
+    """The claims that do not hold of a sweep, in words."""
+    failed = []
+    error, norm = float(one.lines.error(one.lines.sampled).max()), one.extremes.worst.gain
+    if not error <= TOLERANCE:
+        failed.append(f"a line is {error:.1e} off the sampled response; {TOLERANCE:g} is allowed")
+    for invariant in one.extremes.invariants:
+        if not invariant.error <= invariant.allowed:
+            failed.append(f"{invariant.name} is {invariant.error:.1e} off its invariant; {invariant.allowed:.1e} is allowed")
+    if not one.extremes.lti:
+        return failed
+    for name, gain in one.gains.items():
+        if not gain <= norm * (1 + ABOVE):
+            failed.append(f"the {name} has an L2 gain of {gain:.7g}, above the norm {norm:.7g}")
+    if not one.gains["worst sinusoid"] >= norm * (1 - REACHED):
+        failed.append(f"the worst sinusoid reaches {one.gains['worst sinusoid']:.7g} of the norm {norm:.7g} only")
+    return failed
+
+
+def sweep_lines(one: Sweep) -> list[str]:
+    """A sweep in words and numbers."""
+    norm, failed, found = one.extremes.worst, failures(one), one.lines
+    sampled, continuous = found.error(found.sampled), found.error(found.continuous)
+    lines = [
+        f"controller {found.controller.name}",
+        f"  {'largest relative error over the lines:':{WIDTH}}{'to sampled':>12}{'to continuous':>16}",
+    ]
+    lines += [
+        f"  {name:{WIDTH}}{a:12.1e}{b:16.1e}"
+        for name, a, b in zip(found.outputs, sampled.tolist(), continuous.tolist(), strict=True)
+    ]
+    if math.isfinite(found.order):
+        lines.append(f"  sampled tends to continuous with the timestep to the power {found.order:.2f}")
+    for invariant in one.extremes.invariants:
+        lines.append(
+            f"  |{invariant.name}| = {invariant.measured:.6f} at {invariant.omega:.2f} rad/s, {invariant.expected:.6f} for any "
+            f"suspension ({invariant.error:.1e} off)"
+        )
+    lines.append(
+        f"  norm of the sampled loop, one road under all wheels: {norm.gain:.7g} at {norm.omega:.5g} rad/s; of the "
+        f"continuous one, any road under any wheel: {_norm(one):.7g}"
+    )
+    gains = ", ".join(f"{name} {gain:.5g}" for name, gain in one.gains.items() if name != "worst sinusoid")
+    shares = one.gains["worst sinusoid"] / norm.gain
+    lines.append(f"  L2 gains in MuJoCo: worst sinusoid {one.gains['worst sinusoid']:.7g} ({100 * shares:.4f} %), {gains}")
+    if not one.extremes.lti:
+        lines.append("  the controller is slower than the timestep, so its loop has harmonics: the norm is without them")
+    if one.ended:
+        lines.append(
+            f"  outside the linear regime: {', '.join(one.ended)}; what physics does there is shown, and is no disagreement"
+        )
+    elif failed:
+        lines += [f"  DOES NOT AGREE: {text}" for text in failed]
+    else:
+        norm_too = "and the norm as the largest gain" if one.extremes.lti else "without the norm"
+        lines.append(f"  agrees: every line, the invariants, {norm_too}")
+    return lines
+
+
+def sweep_object(one: Sweep) -> dict[str, Any]:
+    """A sweep as JSON has it: SI units, complex numbers as [real, imaginary], None for what does not exist."""
+
+    def pairs(values) -> list[list[float | None]]:
+        return [[finite(value.real), finite(value.imag)] for value in values]
+
+    found, norm = one.lines, one.extremes.worst
+    error = {"sampled": found.error(found.sampled), "continuous": found.error(found.continuous)}
+    return {
+        "controller": found.controller.name,
+        "omega": found.omega.tolist(),
+        "signals": {
+            name: {
+                "measured": pairs(found.measured[:, i]),
+                "sampled": pairs(found.sampled[:, i]),
+                "continuous": pairs(found.continuous[:, i]),
+                "error": {key: finite(value[i]) for key, value in error.items()},
+            }
+            for i, name in enumerate(found.outputs)
+        },
+        "order": finite(found.order),
+        "invariants": [
+            {"name": i.name, "omega": i.omega, "expected": i.expected, "measured": finite(i.measured)}
+            for i in one.extremes.invariants
+        ],
+        "norm": {"sampled": norm.gain, "peak_frequency": norm.omega, "continuous": finite(_norm(one))},
+        "gains": {name: finite(gain) for name, gain in one.gains.items()},
+        "ended": list(one.ended),
+        "failures": failures(one),
+    }
+
+
+def _norm(one: Sweep) -> float:
+    return one.lines.controller.certificate.norm.value

@@ -1,0 +1,104 @@
+"""Margins in words, and as JSON has them."""
+
+import math
+from typing import Any
+
+from models.common.numbers import finite
+from models.vehicle import Vehicle
+from sim.stability.margins import GainMargin, LoopMargins
+from sim.stability.robustness import Robustness, varied_text
+from synth.controller import Controller
+
+
+def margins_object(controller: Controller, found: dict[str, LoopMargins], box: Robustness | None) -> dict[str, Any]:
+    """The result as JSON has it: SI units, None for what is infinite or does not exist."""
+    loops = {name: _loop_object(one) for name, one in found.items() if name}
+    result = {"controller": controller.name, **_loop_object(found[""]), "loops": loops}
+    if box is None:
+        return {**result, "robustness": None}
+    varied = {one.name: [one.smallest, one.largest] for one in box.varied}
+    corners = [
+        {**corner.parameters, "norm": finite(corner.norm), "stable": corner.decays, "agrees": corner.agrees}
+        for corner in box.corners
+    ]
+    result["robustness"] = {"varied": varied, "worst_norm": finite(box.norm), "at": box.at, "corners": corners}
+    return result
+
+
+def _loop_object(one: LoopMargins) -> dict[str, Any]:
+    predicted = one.predicted
+    gain = {
+        "predicted": finite(predicted.gain),
+        "found": finite(one.gain.found),
+        "lower": {"predicted": predicted.gain_lower or None, "found": one.found_gain_lower or None},
+        "sampled": [
+            {"timestep": one.timestep / k, "predicted": finite(at), "found": finite(search.found)}
+            for k, at, search in zip((1, 2), one.gain.sampled, (one.gain.search, one.gain.finer), strict=True)
+            if search.tried
+        ],
+    }
+    phase = {  # lag: what a delay makes
+        "predicted": finite(predicted.phase),
+        "found": finite(one.found_phase),
+        "frequency": finite(predicted.frequency),
+        "smallest": finite(predicted.smallest_phase),
+    }
+    return {
+        "gain": gain,
+        "phase": phase,
+        "delay": {"predicted": finite(predicted.delay), "found": finite(one.delay.unstable)},
+        "sample_period": {"predicted": finite(predicted.sample_period), "found": finite(one.found_sample_period)},
+    }
+
+
+def margins_lines(
+    vehicle: Vehicle, controller: Controller, found: dict[str, LoopMargins], box: Robustness | None, timestep: float
+) -> list[str]:
+    """What a loop bears, predicted and found, in lines for a terminal."""
+    lines = [f"{vehicle.kind.name} ({vehicle.source}), controller {controller.name}; MuJoCo at {timestep:g} s"]
+    for name, one in found.items():
+        what = f"the loop of {name}, the others closed" if name else ("all loops at once" if len(found) > 1 else "the loop")
+        lines += ["", f"{what:32}{'predicted':>12}{'MuJoCo':>12}", *_loop_lines(one)]
+        lines.append("  agrees" if one.agrees else "  DOES NOT AGREE; where the timestep is too coarse, give a smaller one")
+
+    if box is None:
+        return [*lines, "", f"other vehicles: {varied_text(vehicle.kind)}"]
+    at = ", ".join(f"{name} {value:.5g}" for name, value in box.at.items())
+    lines += ["", f"{varied_text(vehicle.kind)}: worst norm {box.norm:.6g} at {at}"]
+    for corner in box.corners:
+        at = ", ".join(f"{name} {value:.5g}" for name, value in corner.parameters.items())
+        physics = f"MuJoCo {'settles' if corner.decays else 'GROWS'}, {'agrees' if corner.agrees else 'DOES NOT AGREE'}"
+        lines.append(f"  {at}: norm {corner.norm:.6g}; {physics}")
+    return lines
+
+
+def _loop_lines(one: LoopMargins) -> list[str]:
+    predicted, h = one.predicted, one.timestep
+    rows = [("gain, factor", predicted.gain, one.gain.found, ""), *_sampled_rows(one.gain, h, 1)]
+    if predicted.gain_lower or one.found_gain_lower:
+        rows.append(("gain, lower factor", predicted.gain_lower, one.found_gain_lower, ""))
+        rows += _sampled_rows(one.gain_lower, h, -1)
+    where = f"at {predicted.frequency:.5g} rad/s" if predicted.crossovers else ""
+    if predicted.smallest_phase < predicted.phase * (1 - 1e-9):
+        where += f"; another crossover needs less, {predicted.smallest_phase:.4g}, but more delay"
+    rows.append(("phase lag, rad", predicted.phase, one.found_phase, where))
+    samples = ""
+    if math.isfinite(one.delay.unstable):
+        samples = f"decays with {round(one.delay.stable / h)} samples, grows with {round(one.delay.unstable / h)}"
+    rows.append(("delay, ms", 1e3 * predicted.delay, 1e3 * one.delay.unstable, samples))
+    rows.append(("sample period, ms", 1e3 * predicted.sample_period, 1e3 * one.found_sample_period, ""))
+    return [f"  {name:30}{_cell(first)}{_cell(second)}  {note}".rstrip() for name, first, second, note in rows]
+
+
+def _sampled_rows(gain: GainMargin, h: float, power: int) -> list[tuple[str, float, float, str]]:
+    """What the sampled loop bears at both timesteps, where that is not what the loop itself does; a lower factor has power -1."""
+    searches = zip((h, h / 2), gain.sampled, (gain.search, gain.finer), strict=True)
+    return [
+        (f"  sampled every {1e3 * step:g} ms", at**power, search.found**power, "" if step == h else "above: what these tend to")
+        for step, at, search in searches
+        if gain.finer.tried
+    ]
+
+
+def _cell(value: float) -> str:
+    return f"{'any' if math.isinf(value) else format(value, '.6g'):>12}"

@@ -1,0 +1,71 @@
+"""A map of validity in words, as JSON, and as a table."""
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.numbers import finite
+from models.common.whole_file import whole_file
+from sim.response.regime import ENDS
+from sim.validity.cells import Cells
+from sim.validity.grid import UNITS, Axis
+
+
+def write_csv(path: Path, cells: Cells, threshold: float) -> None:
+    """One line per cell that was run, SI units; what never happens is left empty."""
+    names = [end.replace(" ", "_").replace("-", "_") for end in ENDS]
+    with whole_file(path, "csv") as beside, beside.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        columns = ("error", "holds", "broke_first", "at", "predicted", "predicted_at", "agrees")
+        writer.writerow([*UNITS, *columns, *(f"linear_share_of_{name}" for name in names)])
+        for i in np.flatnonzero(cells.done):
+            bump, row = cells.bumps[i], _cell(cells, int(i), threshold)
+            writer.writerow([bump.height, bump.length, bump.speed, *(row[name] for name in columns), *cells.used[i].tolist()])
+
+
+def envelope_object(cells: Cells, axes: Sequence[Axis], controller: str, threshold: float) -> dict[str, Any]:
+    """The map as JSON has it: SI units, None for what never happens."""
+    done = np.flatnonzero(cells.done)
+    return {
+        "controller": controller,
+        "axes": {axis.name: list(axis.values) for axis in axes},
+        "threshold": threshold,
+        "agreement": cells.agreement,
+        "unexplained": cells.unexplained,
+        "done": len(done),
+        "complete": len(done) == len(cells.bumps),
+        "cells": [{name: getattr(cells.bumps[i], name) for name in UNITS} | _cell(cells, int(i), threshold) for i in done],
+    }
+
+
+def _cell(cells: Cells, i: int, threshold: float) -> dict[str, Any]:
+    return {
+        "error": finite(cells.error[i]),
+        "holds": bool(cells.error[i] <= threshold),
+        "broke_first": ENDS[cells.first[i]] if cells.first[i] >= 0 else None,
+        "at": finite(cells.time[i]),
+        "predicted": ENDS[cells.predicted[i]] if cells.predicted[i] >= 0 else None,
+        "predicted_at": finite(cells.predicted_time[i]),
+        "agrees": bool(cells.agrees[i]),
+    }
+
+
+def envelope_lines(cells: Cells, threshold: float) -> list[str]:
+    """What a map shows, in lines for a terminal."""
+    done = cells.done
+
+    def share(which: Array) -> str:
+        return f"{100 * which[done].mean():5.1f} % of the cells" if done.any() else "-"
+
+    lines = [f"  {share(cells.error <= threshold)}: linear analysis holds to {threshold:g} of every signal's peak"]
+    lines.append(f"  {share(cells.first < 0)}: nothing breaks")
+    lines += [f"  {share(cells.first == i)}: {end} comes first" for i, end in enumerate(ENDS) if np.any(cells.first[done] == i)]
+    lines.append(
+        f"  {100 * cells.agreement:.2f} % of {int(done.sum())} cells break as linear analysis predicts; of the others "
+        f"{cells.unexplained} do not lie at a boundary"
+    )
+    return lines

@@ -1,0 +1,262 @@
+"""The designs of a vehicle file: from a controller's name to a certified gain."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError, known
+from models.vehicle import ControllerEntry, Vehicle
+from synth.certificate.bounding import proved
+from synth.certificate.certificate import certify
+from synth.certificate.lower_bound import LowerBound
+from synth.controller import Controller, generalized_plant
+from synth.design import Design, state_design, state_path, zero_l_design
+from synth.errors import BatchError, DesignError
+from synth.fallback import two_steps_or_descent
+from synth.lmi.central import CentralPoint
+from synth.lmi.full_order import best_possible, bound_beyond_control
+from synth.lmi.output_feedback import independent_rows
+from synth.redesign import state_designs, two_step_designs
+from synth.search.refine import SEEN, Refinement, refine, worth_refining
+from synth.search.static import static_output_feedback
+
+
+@dataclass(frozen=True, eq=False)
+class Refined:
+    """A controller whose norm was lowered, and what that took.
+
+    Attributes:
+        controller: the refined one, with its certificate.
+        start: what it was refined from; None where the two steps find no gain.
+        origin: where the descent began instead, in words; empty where at `start`.
+        refinement: the norms before and after, the growth of the gain, and what was refused.
+    """
+
+    controller: Controller
+    start: Controller | None
+    origin: str
+    refinement: Refinement
+
+    @property
+    def traded(self) -> str:
+        """What was traded, in words."""
+        return f"refined: {f'from {self.origin}; ' if self.origin else ''}{self.refinement.traded}"
+
+
+class Designer:
+    """Designs the controllers of one vehicle. The state-feedback step (22) is shared by them all, and done when first needed."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self.vehicle = vehicle
+        self.plant = generalized_plant(vehicle)
+
+    @cached_property
+    def state_path(self) -> list[CentralPoint]:
+        """The central path of (22)."""
+        return state_path(self.plant, self.vehicle.linear_model.states)
+
+    @property
+    def state_feedback(self) -> CentralPoint:
+        """The optimum of (22)."""
+        return self.state_path[-1]
+
+    @cached_property
+    def beyond_control(self) -> LowerBound:
+        """What no control force changes, whatever is measured."""
+        return bound_beyond_control(self.plant)
+
+    @cached_property
+    def _bounds(self) -> dict[tuple[str, ...], LowerBound]:
+        return {}
+
+    def best_possible(self, measured: Sequence[str]) -> LowerBound:
+        """What no controller that measures these signals can beat, of whatever order; full state feedback for all states."""
+        key = tuple(measured)
+        if key not in self._bounds:
+            everything = not key or key == self.vehicle.linear_model.states
+            Cy = None if everything else self.vehicle.linear_model.rows(key)[0]
+            try:
+                path = self.state_path
+            except DesignError:  # what cannot be designed may be checked
+                path = []
+            self._bounds[key] = best_possible(self.plant, Cy, path, self.beyond_control)
+        return self._bounds[key]
+
+    def design(self, name: str, zero_l: bool = False) -> Controller:
+        """The controller of that name: `passive`, `state`, or one of the vehicle file, designed unless the file gives its gain.
+
+        Args:
+            name: of the controller.
+            zero_l: L = 0 instead of (14), as in remark 4; for a controller that is designed from measurements.
+
+        Raises:
+            InputError: no controller has that name.
+            DesignError: it could not be designed, or its certificate fails. A gain from the file is reported as it is. Where the
+                two steps cannot be gone to their end, descent on the norm goes on instead, and the result says so.
+        """
+        entry, model = self._entry(name), self.vehicle.linear_model
+        if entry.gain is not None:
+            return self._given(entry)
+        Cy, _ = model.rows(entry.measured)
+        try:
+            lower = self.best_possible(entry.measured)
+            if name == "state":
+                design = state_design(self.plant, self.state_path, lower)
+            elif zero_l:
+                design = zero_l_design(self.plant, Cy, lower)
+            else:
+                design = two_steps_or_descent(self.plant, Cy, lambda: self.state_path, lower, model.states)
+        except DesignError as error:
+            raise type(error)(f"controller {name!r}: {error}") from error
+        return _designed(entry, design)
+
+    def refine(self, name: str, zero_l: bool = False) -> Refined:
+        """The controller of that name with a lower norm, as far as it is worth a larger gain (`synth.search.refine`).
+
+        Where the two steps find no gain, it is the best that any start leads to.
+
+        Args:
+            name: of the controller.
+            zero_l: as for `design`.
+
+        Raises:
+            InputError: no controller has that name, or it has no gain to change, as `passive`.
+            DesignError: it does not stabilise the vehicle, or no start leads to a gain.
+        """
+        measured = self._entry(name).measured
+        if not measured:
+            raise InputError(f"controller {name!r} measures nothing, so that it has no gain to refine; give one that does")
+        try:
+            start = self.design(name, zero_l)
+        except DesignError:
+            start = None
+        rows, _ = self.vehicle.linear_model.rows(measured)
+        kept = independent_rows(self.plant, rows)
+        Cy, origin, lower = rows[kept], "", self.best_possible(measured)
+        if start is None:
+            found = static_output_feedback(self.plant, Cy, lower=lower)
+            K, origin = found.gain, found.origin
+        else:
+            K = _from_some(start.gain, rows, kept)
+        refinement = refine(self.plant, Cy, K)
+        gain = np.zeros((len(K), len(measured)))
+        gain[:, kept] = refinement.gain
+        certificate = proved(self.plant, refinement.gain @ Cy, lower)
+        return Refined(Controller(name, measured, gain, True, certificate), start, origin, refinement)
+
+    def worth_refining(self, controller: Controller) -> float:
+        """By how much `refine` lowers a designed controller's norm at least, relative; 0 where not by what seven digits show."""
+        gap = controller.certificate.gap
+        if (
+            not controller.designed
+            or not controller.measured
+            or not controller.certificate.stable
+            or (gap is not None and gap <= SEEN)
+        ):
+            return 0.0
+        rows, _ = self.vehicle.linear_model.rows(controller.measured)
+        kept = independent_rows(self.plant, rows)
+        share = worth_refining(self.plant, rows[kept], _from_some(controller.gain, rows, kept))
+        return share if share > SEEN else 0.0
+
+    def redesign(self, vehicles: Sequence[Vehicle], name: str) -> list[Controller]:
+        """A controller of this vehicle for many others like it: `design` for each, side by side, which is several times as fast.
+
+        The others lend their parameters and weights; what is measured says this one. The gains are those of `design`, up to where
+        the central path is stopped. They come without a lower bound: `Designer(vehicle).best_possible(measured)` has it.
+
+        Args:
+            vehicles: of this vehicle's kind.
+            name: `state`, or a controller of this vehicle that its file gives no gain for.
+
+        Returns:
+            A controller for each vehicle, in their order.
+
+        Raises:
+            InputError: no controller has that name, its gain is given, or a vehicle is of another kind.
+            BatchError: some vehicles have no such controller; the message names them by index, and the error carries the
+                controllers of the others, `designs`, and why these have none, `failures`, each by index.
+        """
+        entry = self._entry(name)
+        if entry.gain is not None:
+            raise InputError(f"controller {name!r} has its gain and is not designed; `design` certifies it for a vehicle")
+        for i, vehicle in enumerate(vehicles):
+            if vehicle.kind.name != self.vehicle.kind.name:
+                raise InputError(
+                    f"vehicle {i} is a {vehicle.kind.name}; expected {self.vehicle.kind.name}, as the vehicle that is redesigned"
+                )
+        plants = [generalized_plant(vehicle) for vehicle in vehicles]
+        states = self.vehicle.linear_model.states
+        try:
+            if name == "state":
+                designs = state_designs(self.plant, self.state_path, plants, states)
+            else:
+                Cy, *Cys = (each.linear_model.rows(entry.measured)[0] for each in (self.vehicle, *vehicles))
+                designs = two_step_designs(self.plant, self.state_path, Cy, plants, Cys, states)
+        except BatchError as error:
+            controllers = {i: _designed(entry, design) for i, design in error.designs.items()}
+            raise BatchError(f"controller {name!r}: {error}", controllers, error.failures) from error
+        except DesignError as error:
+            raise type(error)(f"controller {name!r}: {error}") from error
+        return [_designed(entry, design) for design in designs]
+
+    def _entry(self, name: str) -> ControllerEntry:
+        """What is to be designed or certified under a name."""
+        model = self.vehicle.linear_model
+        if name == "passive":
+            return ControllerEntry(name, (), np.zeros((len(model.inputs), 0)))
+        if name == "state":
+            return ControllerEntry(name, model.states)
+        if name not in self.vehicle.controllers:
+            raise InputError(f"unknown controller {name!r}; this vehicle has {known(self.vehicle.controller_names)}")
+        return self.vehicle.controllers[name]
+
+    def _given(self, entry: ControllerEntry) -> Controller:
+        assert entry.gain is not None
+        Cy, _ = self.vehicle.linear_model.rows(entry.measured)
+        certificate = certify(self.plant, entry.gain @ Cy, lower=self.best_possible(entry.measured))
+        return Controller(entry.name, entry.measured, entry.gain, designed=False, certificate=certificate)
+
+
+def _designed(entry: ControllerEntry, design: Design) -> Controller:
+    redundant = tuple(entry.measured[i] for i in design.redundant)
+    return Controller(
+        entry.name,
+        entry.measured,
+        design.gain,
+        designed=True,
+        certificate=design.certificate,
+        short=design.short,
+        stopped=design.stopped,
+        moved=design.moved,
+        redundant=redundant,
+        case=design.case,
+        instead=design.instead,
+    )
+
+
+def _from_some(gain: Array, rows: Array, kept: Sequence[int]) -> Array:
+    """The same force from those of the measurements that the others follow from, shape (m, len(kept))."""
+    left_out = [i for i in range(len(rows)) if i not in kept]
+    return gain[:, kept] + gain[:, left_out] @ rows[left_out] @ np.linalg.pinv(rows[kept]) if left_out else gain
+
+
+def given(vehicle: Vehicle, name: str, measured: Sequence[str], gain: Sequence[Sequence[float]]) -> Controller:
+    """A controller whose gain is known, whatever its name, certified as it is.
+
+    Args:
+        vehicle: of which it is.
+        name: its name.
+        measured: the signals y, q of them.
+        gain: K, m rows of q numbers [N per measured unit].
+    """
+    entry = ControllerEntry(name, tuple(measured), np.array(gain, dtype=float).reshape(len(gain), len(measured)))
+    return Designer(vehicle)._given(entry)
+
+
+def design(vehicle: Vehicle, name: str) -> Controller:
+    """One controller of a vehicle; `Designer` shares work between several."""
+    return Designer(vehicle).design(name)

@@ -1,0 +1,106 @@
+"""The elementary matrices that the unknowns of (22) and (25) multiply."""
+
+import functools
+from typing import Any
+
+import numpy as np
+
+from models.common.arrays import Array
+from synth.plant import GeneralizedPlant
+
+
+class Basis:
+    """The N unknowns p = (X_Q, X_R, Y_R, eta), and the matrices they multiply, in coordinates where (12) is block diagonal.
+
+    Of one plant, or of many of the same shape side by side along leading axes (...).
+
+    Args:
+        system: [A B Bw; C D Dw], shape (..., k, n + m + r).
+        n, m, free: number of states, of inputs, and of columns of Q.
+
+    Attributes:
+        places: where the unknowns but the last stand in [X; Y], those of X above its diagonal: rows and columns, shapes (N - 1,).
+        size: N.
+    """
+
+    def __init__(self, system: Array, n: int, m: int, free: int) -> None:
+        self.system, self.n, self.m, self.free = system, n, m, free
+        self.places = _places(n, m, free)
+        self.size = len(self.places[0]) + 1
+        k = system.shape[-2]
+        self.F0 = np.zeros((k, k))
+        self.F0[n:, n:] = -np.eye(k - n)
+
+    @classmethod
+    def of(cls, plant: GeneralizedPlant, free: int) -> "Basis":
+        """The unknowns of one plant."""
+        n, m = plant.B.shape
+        return cls(plant.system_matrix, n, m, free)
+
+    @property
+    def X(self) -> Array:
+        """What each unknown multiplies in X, shape (N, n, n)."""
+        return _units(self.n, self.m, self.free)[0]
+
+    @property
+    def Y(self) -> Array:
+        """What each unknown multiplies in Y, shape (N, m, n)."""
+        return _units(self.n, self.m, self.free)[1]
+
+    @functools.cached_property
+    def F(self) -> Array:
+        """The matrix (24) is F0 + sum_i p_i F_i, with F0 of shape (k, k) and F of (..., N, k, k)."""
+        n, m, k = self.n, self.m, self.system.shape[-2]
+        # [A B; C D] [X; Y] for every unknown: the left columns of (24), and its upper rows.
+        left = self.system[..., None, :, : n + m] @ np.concatenate([self.X, self.Y], axis=1)
+        F = np.zeros((*self.system.shape[:-2], self.size, k, k))
+        F[..., :n] = left
+        F[..., :n, :] += left.swapaxes(-1, -2)
+        disturbance = self.system[..., n + m :]
+        F[..., -1, :, :] = disturbance @ disturbance.swapaxes(-1, -2)
+        return F
+
+    def pack(self, X: Array, Y: Array, last: float) -> Array:
+        """The unknowns of X, Y and the last."""
+        return np.append(np.concatenate([X, Y])[self.places], last)
+
+    def unpack(self, p: Array) -> tuple[Array, Array, Any]:
+        """X, Y and the last of the unknowns, of p of shape (..., N)."""
+        rows, columns = self.places
+        unknown = np.zeros((*p.shape[:-1], self.n + self.m, self.n))
+        unknown[..., rows, columns] = p[..., :-1]
+        of_x = rows < self.n
+        unknown[..., columns[of_x], rows[of_x]] = p[..., :-1][..., of_x]
+        return unknown[..., : self.n, :], unknown[..., self.n :, :], p.T[-1]
+
+
+@functools.cache
+def _places(n: int, m: int, free: int) -> tuple[Array, Array]:
+    """Where the unknowns but the last stand in [X; Y]: those of X_Q and X_R above the diagonal, then those of Y_R, by rows."""
+    rows, columns = np.triu_indices(n)
+    inside = (rows >= free) | (columns < free)  # no unknown couples the two blocks
+    index, q = np.arange(m * (n - free)), max(n - free, 1)
+    places = np.concatenate([rows[inside], n + index // q]), np.concatenate([columns[inside], free + index % q])
+    for each in places:
+        each.flags.writeable = False  # all paths of this size share them
+    return places
+
+
+@functools.cache
+def _units(n: int, m: int, free: int) -> tuple[Array, Array]:
+    """What each unknown multiplies in X and in Y."""
+    rows, columns = _places(n, m, free)
+    units, index = np.zeros((len(rows) + 1, n + m, n)), np.arange(len(rows))
+    units[index, rows, columns] = 1
+    of_x = rows < n
+    units[index[of_x], columns[of_x], rows[of_x]] = 1
+    X, Y = np.ascontiguousarray(units[:, :n]), np.ascontiguousarray(units[:, n:])
+    for each in (X, Y):
+        each.flags.writeable = False  # all paths of this size share them
+    return X, Y
+
+
+def _direction(size: int, value: float) -> Array:
+    c = np.zeros(size)
+    c[-1] = value
+    return c
