@@ -49,11 +49,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     runs, passive = run_chosen(vehicle, names, road, time)
     result = {
-        "runs": [run_object(vehicle, run) | {"half_step": half_step_object(run)} for run in runs],
+        "runs": [run_object(run) | {"half_step": half_step_object(run)} for run in runs],
         "road": road.describe(),
         "timestep": options.timestep,
     }
-    logs = recorded(options, vehicle, names, lambda: run_logs(vehicle, road, runs), result)
+    logs = recorded(options, vehicle, names, lambda: run_logs(runs), result)
     if options.json:
         print(json.dumps({**result, "logs": logs}, allow_nan=False))
     else:
@@ -102,7 +102,7 @@ def _text(vehicle: Vehicle, road: Bump, runs: Sequence[Run], passive: Run, optio
         f"{options.duration:g} s at {options.timestep:g} s"
     ]
     for run in runs:
-        lines += ["", *compared_lines(vehicle, run, passive)]
+        lines += ["", *compared_lines(run, passive)]
     return [*lines, *log_lines(logs)]
 
 

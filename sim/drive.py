@@ -51,10 +51,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     runs, passive = run_chosen(vehicle, names, road, time)
     first = first_sample(vehicle, [run.controller for run in runs], road, options.duration, options.timestep)
-    measured = [measure_run(vehicle, run, road, first) for run in runs]
+    measured = [measure_run(run, first) for run in runs]
     result = {
         "runs": [
-            run_object(vehicle, run) | {"half_step": half_step_object(run)} | metrics_object(run, one)
+            run_object(run) | {"half_step": half_step_object(run)} | metrics_object(run, one)
             for run, one in zip(runs, measured, strict=True)
         ],
         "road": road.describe(),
@@ -62,7 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "measured_from": float(time[first]),
         "definitions": DEFINITIONS,
     }
-    logs = recorded(options, vehicle, names, lambda: run_logs(vehicle, road, runs), result)
+    logs = recorded(options, vehicle, names, lambda: run_logs(runs), result)
     if options.json:
         print(json.dumps({**result, "logs": logs}, allow_nan=False))
     else:
@@ -71,8 +71,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         )
         lines = [f"{vehicle.kind.name} ({vehicle.source}) over a road: {about}; {options.duration:g} s at {options.timestep:g} s"]
         for run, one in zip(runs, measured, strict=True):
-            lines += ["", *compared_lines(vehicle, run, passive), ""]
-            lines += metric_lines(vehicle, run, one, float(time[first]), options.duration)
+            lines += ["", *compared_lines(run, passive), ""]
+            lines += metric_lines(run, one, float(time[first]), options.duration)
         print("\n".join([*lines, *log_lines(logs)]))
     view(options, logs)
     return 0 if all(run.holds for run in runs) else 1

@@ -127,7 +127,7 @@ def _nearest_runs(vehicle: Vehicle, controller: Controller, cells: Cells, time: 
         if len(mine):
             i = mine[used[mine].argmax() if end < 0 else used[mine].argmin()]
             run = run_all(vehicle, [controller], cells.bumps[i], time)[0]
-            found.append(run_log(vehicle, cells.bumps[i], run, _called(controller.name, end)))
+            found.append(run_log(run, _called(controller.name, end)))
     return found
 
 

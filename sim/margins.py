@@ -125,7 +125,7 @@ def _delayed_runs(vehicle: Vehicle, controller: Controller, loop: LoopMargins, t
     for samples in (round(delay / timestep) for delay in delays):
         delayed = replace(vehicle, implementation=Implementation(delay=samples))
         run = run_all(delayed, [controller], BUMP, time)[0]
-        found.append(run_log(delayed, BUMP, run, _late(controller.name, samples)))
+        found.append(run_log(run, _late(controller.name, samples)))
     return found
 
 

@@ -106,7 +106,7 @@ def _worst_runs(vehicle: Vehicle, sweeps: Sequence[Sweep], options: Any) -> "lis
     time = _worst_times(vehicle, options)
     for one in sweeps:
         road = _worst_road(one.extremes.tried, options)
-        found.append(run_log(vehicle, road, run_all(vehicle, [one.lines.controller], road, time)[0]))
+        found.append(run_log(run_all(vehicle, [one.lines.controller], road, time)[0]))
     return found
 
 

@@ -33,7 +33,7 @@ def lifting(designer: Designer) -> RunLog:
 
     vehicle, road = designer.vehicle, Bump(height=0.2, speed=20.0)
     time = sample_times(vehicle, 0.5, 1e-3)
-    return run_log(vehicle, road, run_all(vehicle, [designer.design("I")], road, time)[0])
+    return run_log(run_all(vehicle, [designer.design("I")], road, time)[0])
 
 
 def random_vehicles(vehicle: Vehicle, count: int, spread: float = 0.5) -> list[Vehicle]:

@@ -16,10 +16,10 @@ from mcap.reader import make_reader
 from models.common.errors import InputError
 from models.vehicle import read_vehicle
 from sim.bump import main
-from sim.linear.loop import sampled_response, taylor4
 from sim.physics.simulate import simulate
 from sim.roads.road import Bump
 from sim.runs.agreement import ROUNDING, compare
+from sim.runs.prediction import predict
 from sim.runs.run import run_all, sample_times
 from synth.designer import Designer
 
@@ -255,15 +255,8 @@ def test_another_vehicles_prediction_does_not_agree(paper, designer):
     """The verdict notices a prediction whose height is off by a millionth."""
     passive, moment = designer.design("passive"), sample_times(paper, 0.5, 2e-4)
     physics = run_all(paper, [passive], Bump(), moment)[0].physics
-    predictions = [
-        [
-            sampled_response(paper, passive, Bump(height), moment),
-            sampled_response(paper, passive, Bump(height), moment, exponential=taylor4),
-        ]
-        for height in (0.1, 0.1 * (1 + 1e-6))
-    ]
     # RK4's own error at this step is 1e-9 of a peak, as the rounding that is allowed.
-    verdicts = (compare(paper, physics, sampled, integrated, sampled, float("inf"), {}) for sampled, integrated in predictions)
+    verdicts = (compare(predict(paper, passive, Bump(height), moment), physics) for height in (0.1, 0.1 * (1 + 1e-6)))
     right, wrong = verdicts
     assert right.agrees
     assert not wrong.agrees

@@ -27,6 +27,7 @@ from sim.recording.format import RESULTS
 from sim.recording.provenance import record_runs, run_log
 from sim.roads.road import Bump
 from sim.roads.sinusoids import sinusoid
+from sim.runs.prediction import predict
 from sim.runs.run import run_all, sample_times
 from sim.sweep import main as sweep
 from tests.rewriting import Contents, contents, written
@@ -162,13 +163,36 @@ def test_limits_and_noise(paper, tmp_path, capsys):
     assert any("bump stop" in finding["text"] for finding in found["runs"][0]["findings"])
 
 
+def test_noise_and_geometry(tmp_path, capsys):
+    """A run that turns and is measured with noise is judged again as it was judged: geometry is told from error there, too."""
+    vehicle = tmp_path / "noisy.toml"
+    vehicle.write_text(read_vehicle("half_car").text + "\n[implementation.noise]\nheave_velocity = 1e-7\n")
+    bump(["--vehicle", str(vehicle), "--controller", "I", "--duration", "1", "--logs", str(tmp_path)])
+    code, found = inspected(next(tmp_path.glob("*.mcap")), capsys)
+    assert (code, broken(found)) == (0, set())
+    assert any("geometry and noise make up to" in finding["text"] for finding in found["runs"][0]["findings"])
+
+
+def test_loops_too_large_to_judge(designer, paper):
+    """Of a loop with more delayed forces than asked for, growth is not said, and with noise nothing is predicted at all."""
+    late, time = replace(paper, implementation=Implementation(delay=20)), sample_times(paper, 0.1, 1e-3)
+    controller = designer.design("II")
+    states = len(paper.linear_model.A) + 20
+    assert predict(late, controller, Bump(), time, states).radius == predict(late, controller, Bump(), time).radius
+    assert np.isnan(predict(late, controller, Bump(), time, states - 1).radius)
+    noisy = replace(paper, implementation=Implementation(delay=20, noise={"sprung_velocity": 1e-3}))
+    assert predict(noisy, controller, Bump(), time, states).spread
+    with pytest.raises(InputError, match="too many delayed forces"):
+        predict(noisy, controller, Bump(), time, states - 1)
+
+
 def test_late_and_unstable(designer, paper, tmp_path, capsys):
     """Runs of margins and sweeps, late, growing, on a sinusoid, are proved; what else their result rests on is said."""
     late = replace(paper, implementation=Implementation(delay=200))
     controller, time = designer.design("II"), sample_times(paper, 2.0, 1e-3)
     runs = []
     for name, vehicle, road in (("late", late, Bump(0.002)), ("worst", paper, sinusoid(64.2, 12.5).scaled(5e-5))):
-        runs.append(run_log(vehicle, road, run_all(vehicle, [controller], road, time)[0], f"II_{name}"))
+        runs.append(run_log(run_all(vehicle, [controller], road, time)[0], f"II_{name}"))
     result = dict.fromkeys(RESULTS["margins"]) | {"controller": "II"}
     path = record_runs(tmp_path, "python -m sim.margins --controller II", paper, ["II"], runs, result)["mcap"]
     code, found = inspected(Path(path), capsys)

@@ -85,11 +85,11 @@ def run_chosen(vehicle: Vehicle, names: Sequence[str], road: Road, time: Array) 
     return everything[: len(names)], everything[with_passive.index("passive")]
 
 
-def compared_lines(vehicle: Vehicle, run: Run, passive: Run) -> list[str]:
+def compared_lines(run: Run, passive: Run) -> list[str]:
     """One run: its controller, its table, its verdict."""
-    table = run_lines(vehicle, run, passive if run is not passive else None)
+    table = run_lines(run, passive if run is not passive else None)
     return [
-        *controller_lines(vehicle, run.controller),
+        *controller_lines(run.vehicle, run.controller),
         "",
         *table,
         "",

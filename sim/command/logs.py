@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from models.vehicle import Vehicle
-from sim.roads.road import Road
 from sim.runs.run import Run
 
 if TYPE_CHECKING:
@@ -36,11 +35,11 @@ def recorded(
     return {**record_runs(options.logs, options.command_line, vehicle, controllers, runs(), result)}
 
 
-def run_logs(vehicle: Vehicle, road: Road, runs: Sequence[Run]) -> "list[RunLog]":
-    """Runs over one road as they are recorded."""
+def run_logs(runs: Sequence[Run]) -> "list[RunLog]":
+    """Runs as they are recorded."""
     from sim.recording.provenance import run_log
 
-    return [run_log(vehicle, road, run) for run in runs]
+    return [run_log(run) for run in runs]
 
 
 def log_lines(logs: Mapping[str, str | None]) -> list[str]:

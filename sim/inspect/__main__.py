@@ -116,7 +116,7 @@ def _run_object(one: Inspected) -> dict[str, Any]:
         "findings": [vars(finding) for finding in one.findings],
         "controller": controller_object(again.controller) if again else None,
         "road": _road(one.recorded),
-        "again": run_object(again.vehicle, one.run) if again and one.run else None,
+        "again": run_object(one.run) if one.run else None,
     }
 
 

@@ -12,11 +12,12 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.numbers import finite
 from sim.inspect.log import Recorded, RecordedRun, read_json
-from sim.inspect.reproduction import FEWEST, Reproduction, as_response
+from sim.inspect.reproduction import FEWEST, as_response
 from sim.recording.format import RESULTS, WHOLE
 from sim.response.response import Response
 from sim.ride.metrics import DEFINITIONS
 from sim.runs.agreement import ROUNDING
+from sim.runs.prediction import Prediction
 from sim.runs.run import Run
 from sim.runs.words import energy_lines, energy_object, half_step_object, run_object, verdict_lines
 from synth.certificate.record import to_record, untrue
@@ -101,7 +102,7 @@ def check_certificate(controller: Controller, recorded: RecordedRun, current: bo
     yield Finding("certificate", HOLDS, f"stable, norm {certificate.norm.value:.7g}{at}{bound}{below}")
 
 
-def check_linear(again: Reproduction, recorded: RecordedRun, samples: int) -> Iterator[Finding]:
+def check_linear(again: Prediction, recorded: RecordedRun, samples: int) -> Iterator[Finding]:
     """The logged linear responses, road included, against those that follow from gain and road."""
     worst = 0.0
     for name, response in {"linear": again.sampled, "continuous": again.continuous}.items():
@@ -114,12 +115,12 @@ def check_linear(again: Reproduction, recorded: RecordedRun, samples: int) -> It
         yield Finding("linear response", HOLDS, f"sampled and continuous come out as they were logged, {how}")
 
 
-def check_physics(again: Reproduction, recorded: RecordedRun, run: Run, whole: bool) -> Iterator[Finding]:
+def check_physics(recorded: RecordedRun, run: Run, whole: bool) -> Iterator[Finding]:
     """The verdict on the logged physics against the one that was claimed."""
     wrong = []
-    for wheel in again.vehicle.kind.wheels:
+    for wheel in run.vehicle.kind.wheels:
         for signal in (wheel.road_displacement, wheel.road_velocity):
-            far = _off(run.physics.until(run.diverged)[signal], again.sampled.until(run.diverged)[signal])
+            far = _off(run.physics.until(run.diverged)[signal], run.sampled.until(run.diverged)[signal])
             if not far <= ROUNDING:
                 wrong.append(f"{signal} is not that of the road: {far:.1e} of its peak off")
     agreement = run.agreement
@@ -164,7 +165,7 @@ def check_energy(recorded: RecordedRun, run: Run, anew: Response, current: bool)
         yield Finding("energy", HOLDS, f"MuJoCo makes the same run again, {how}; {balance}")
 
 
-def check_result(log: Recorded, again: Reproduction, recorded: RecordedRun, run: Run, current: bool) -> Iterator[Finding]:
+def check_result(log: Recorded, recorded: RecordedRun, run: Run, current: bool) -> Iterator[Finding]:
     """The attached result of the command, where it is of the logged runs alone."""
     try:
         result = log.result
@@ -186,12 +187,12 @@ def check_result(log: Recorded, again: Reproduction, recorded: RecordedRun, run:
     if any(not isinstance(one, dict) or _controller_name(one) not in logged for one in runs):
         yield Finding("result", MISSING, "result.json has runs that the log does not hold")
         return
-    now: dict[str, Any] = json.loads(json.dumps(run_object(again.vehicle, run) | {"half_step": half_step_object(run)}))
-    now["road"], now["timestep"] = recorded.claim("road"), again.timestep
+    now: dict[str, Any] = json.loads(json.dumps(run_object(run) | {"half_step": half_step_object(run)}))
+    now["road"], now["timestep"] = recorded.claim("road"), run.prediction.timestep
     said = {**mine[0], "road": result.get("road"), "timestep": result.get("timestep")}
     measured = "metrics" in said or (current and command == "drive")
     if measured and result.get("definitions") == DEFINITIONS:
-        now |= json.loads(json.dumps(_metrics(again, run, result.get("measured_from"))))
+        now |= json.loads(json.dumps(_metrics(run, result.get("measured_from"))))
     elif measured:
         text = "its metrics are of other definitions than this version's; the version that wrote the log computes them again"
         yield Finding("result", MISSING, text)
@@ -203,13 +204,13 @@ def check_result(log: Recorded, again: Reproduction, recorded: RecordedRun, run:
         yield Finding("result", HOLDS, f"result.json: {_count(now)} numbers as computed again")
 
 
-def _metrics(again: Reproduction, run: Run, start: Any) -> dict[str, Any]:
+def _metrics(run: Run, start: Any) -> dict[str, Any]:
     """Ride metrics, and what they rest on, from the sample at which the log says that measuring began."""
     from sim.ride.measured import measure_run, metrics_object
 
     if isinstance(start, bool) or not isinstance(start, (int, float)) or not 0 <= start <= run.physics.time[-2]:
         raise InputError("result.json does not say from when its metrics were measured")
-    return metrics_object(run, measure_run(again.vehicle, run, again.road, round(start / again.timestep)))
+    return metrics_object(run, measure_run(run, round(start / run.prediction.timestep)))
 
 
 def _apart(logged: Response, again: Response) -> tuple[float, str]:

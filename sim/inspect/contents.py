@@ -12,13 +12,13 @@ from models.vehicle import Vehicle
 from sim.inspect.claims import FAILS, HOLDS, MISSING, NOTE, Finding, different, folded
 from sim.inspect.log import Recorded, read_json
 from sim.inspect.mcap_contents import Logged
-from sim.inspect.reproduction import Reproduction
 from sim.recording.format import WHOLE, check_keys
 from sim.recording.mcap_writer import PACKAGE, Channel, channels, records
 from sim.recording.provenance import attachments, common_metadata, versions
 from sim.recording.run_log import RunLog
 from sim.ride.measured import first_sample
 from sim.ride.metrics import DEFINITIONS
+from sim.runs.prediction import Prediction
 
 ELSEWHERE = (  # claims of a run that other checks hold, with a tolerance and words of their own
     "certificate",
@@ -65,12 +65,12 @@ def check_contents(log: Recorded, vehicle: Vehicle, timestep: float, made: Seque
         yield Finding("format", NOTE, f"the schemas of {', '.join(older)} are of another version of {' or '.join(SCHEMAS)}")
 
 
-def check_whole_result(log: Recorded, again: Sequence[Reproduction]) -> Iterator[Finding]:
+def check_whole_result(log: Recorded, again: Sequence[Prediction]) -> Iterator[Finding]:
     """What is in the result beside its runs.
 
     Args:
         log: of this format.
-        again: its runs, made anew.
+        again: what analysis predicts of its runs, anew.
     """
     try:
         result, command = log.result, log.metadata.get("command", "")
@@ -84,10 +84,10 @@ def check_whole_result(log: Recorded, again: Sequence[Reproduction]) -> Iterator
     if names != [run.name for run in log.runs]:
         yield Finding("result", FAILS, "the runs of result.json are not those of the log, in their order")
     if command == "drive":
-        first, samples = again[0], len(again[0].sampled.time)
+        first, samples = again[0], len(again[0].time)
         duration = (samples - 1) * first.timestep
         start = first_sample(first.vehicle, [one.controller for one in again], first.road, duration, first.timestep)
-        if result["measured_from"] != float(first.sampled.time[start]):
+        if result["measured_from"] != float(first.time[start]):
             yield Finding("result", FAILS, "measured_from is not when measuring of such runs begins")
         if result["definitions"] != DEFINITIONS:
             yield Finding("result", MISSING, "the definitions of its metrics are not this version's")

@@ -25,21 +25,21 @@ from sim.inspect.claims import (
 )
 from sim.inspect.commanded import Held, check_command
 from sim.inspect.contents import check_contents, check_whole_result
-from sim.inspect.driven_again import balanced_again, driven_again, written_again
+from sim.inspect.driven_again import balanced_again, written_again
 from sim.inspect.log import Recorded, RecordedRun, is_current, read_json, timestep
 from sim.inspect.reproduction import (
     FEWEST,
-    Reproduction,
     as_response,
     implemented,
+    predicted_again,
     recorded_controller,
     recorded_road,
     recorded_vehicle,
-    reproduce,
     usable_samples,
 )
 from sim.recording.run_log import RunLog
-from sim.runs.run import Run
+from sim.runs.prediction import Prediction
+from sim.runs.run import Run, judge
 
 UNCHECKED = (
     "who wrote it and when, with which versions and library, in which folders vehicle file and log lay, what a road file held "
@@ -55,7 +55,7 @@ class Inspected:
         recorded: as it was logged.
         samples: how many could be used.
         findings: every claim.
-        again: the run made anew; None where that was not possible.
+        again: what analysis predicts of it anew; None where that was not possible.
         run: with the physics of the log and the verdict on it, anew; None where there is none.
         made: as it would be written now, its responses as they were logged; None where it is not whole.
     """
@@ -63,7 +63,7 @@ class Inspected:
     recorded: RecordedRun
     samples: int
     findings: tuple[Finding, ...]
-    again: Reproduction | None
+    again: Prediction | None
     run: Run | None
     made: RunLog | None = None
 
@@ -179,7 +179,7 @@ def _inspect(log: Recorded, vehicle: Vehicle, recorded: RecordedRun, h: float, c
     samples = usable_samples(recorded, h)
     findings += _guarded("samples", MISSING, lambda: check_samples(recorded, samples, h))
 
-    def inspected(again: Reproduction | None = None, run: Run | None = None, made: RunLog | None = None) -> Inspected:
+    def inspected(again: Prediction | None = None, run: Run | None = None, made: RunLog | None = None) -> Inspected:
         return Inspected(recorded, samples, tuple(findings), again, run, made)
 
     try:
@@ -194,13 +194,13 @@ def _inspect(log: Recorded, vehicle: Vehicle, recorded: RecordedRun, h: float, c
     if samples < FEWEST:
         return inspected()
     try:
-        again = reproduce(own, controller, recorded_road(log, recorded, samples), samples, h)
+        again = predicted_again(own, controller, recorded_road(log, recorded, samples), samples, h)
     except (ValueError, ArithmeticError) as error:
         findings.append(Finding("road", MISSING, f"it cannot be driven again: {error}"))
         return inspected()
     findings += _guarded("linear response", MISSING, lambda: check_linear(again, recorded, samples))
     try:
-        run = driven_again(again, as_response(own, recorded, "mujoco", samples, h))
+        (run,) = judge([again], [as_response(own, recorded, "mujoco", samples, h)])
     except (ValueError, ArithmeticError, RuntimeError) as error:
         findings.append(Finding("physics", MISSING, str(error)))
         return inspected(again)
@@ -208,14 +208,14 @@ def _inspect(log: Recorded, vehicle: Vehicle, recorded: RecordedRun, h: float, c
     stumbled = "it is of the whole run"
     if whole:
         try:
-            run, anew = balanced_again(again, run)
-            made = written_again(again, recorded, run, samples)
+            run, anew = balanced_again(run)
+            made = written_again(recorded, run, samples)
         except (ValueError, ArithmeticError, RuntimeError) as error:
             stumbled = str(error)
-    findings += _guarded("physics", FAILS, lambda: check_physics(again, recorded, run, whole))
+    findings += _guarded("physics", FAILS, lambda: check_physics(recorded, run, whole))
     if anew is not None and made is not None:
         findings += _guarded("energy", FAILS, lambda: check_energy(recorded, run, anew, current))
-        findings += _guarded("result", FAILS, lambda: check_result(log, again, recorded, run, current))
+        findings += _guarded("result", FAILS, lambda: check_result(log, recorded, run, current))
     else:
         findings += [Finding(part, MISSING, stumbled) for part in ("energy", "result")]
     return inspected(again, run, made)

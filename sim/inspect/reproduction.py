@@ -6,7 +6,7 @@ What the log gives is bounded before it is used, so that no file of a few bytes 
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +19,13 @@ from models.kinds import kinds as kind_names
 from models.reality import read_implementation, read_limits
 from models.vehicle import Vehicle, parse_vehicle
 from sim.inspect.log import Recorded, RecordedRun
-from sim.linear.loop import continuous_response, largest_timestep, sampled_response, taylor4
+from sim.linear.loop import largest_timestep
 from sim.response.response import Response
 from sim.roads.description import described_road
 from sim.roads.iso8608 import Iso8608
 from sim.roads.road import Road
 from sim.roads.sinusoids import Multisine
+from sim.runs.prediction import Prediction, predict
 from synth.certificate.certificate import certify
 from synth.certificate.record import read_proof
 from synth.controller import Controller, generalized_plant
@@ -32,33 +33,8 @@ from synth.controller import Controller, generalized_plant
 MOST_VEHICLE = 256 * 1024  # bytes of a vehicle file; one with ten saved certificates of a full car has 100 KiB
 MOST_DOTS = 64  # within one key; TOML readers take the square of it in memory
 MOST_SINES = 200_000_000  # lines times samples of a sum of sinusoids
+MOST_STATES = 1000  # of a loop with all its delayed forces; its eigenvalues take seconds
 FEWEST = 3  # samples that make a run
-
-
-@dataclass(frozen=True, eq=False)
-class Reproduction:
-    """A run as its log determines it.
-
-    Attributes:
-        vehicle: with the limits and implementation of this run.
-        controller: its gain, certified anew.
-        road: the road.
-        sampled: exact linear response of the sampled loop, over the samples that the log has.
-        integrated: the same as RK4 makes it.
-        continuous: exact linear response of the continuous closed loop.
-    """
-
-    vehicle: Vehicle
-    controller: Controller
-    road: Road
-    sampled: Response
-    integrated: Response
-    continuous: Response
-
-    @property
-    def timestep(self) -> float:
-        """Of the run [s]."""
-        return float(self.sampled.time[1])
 
 
 def recorded_vehicle(log: Recorded, kinds: Path | None) -> Vehicle:
@@ -154,23 +130,16 @@ def recorded_road(log: Recorded, run: RecordedRun, samples: int) -> Road:
     return road
 
 
-def reproduce(vehicle: Vehicle, controller: Controller, road: Road, samples: int, timestep: float) -> Reproduction:
-    """The linear responses, anew.
+def predicted_again(vehicle: Vehicle, controller: Controller, road: Road, samples: int, timestep: float) -> Prediction:
+    """What linear analysis says of a run, anew.
 
     Raises:
-        InputError: no run could have had this timestep, or the road cannot be driven with it.
+        InputError: no run could have had this timestep, the road cannot be driven with it, or noise goes through a loop with too
+            many delayed forces.
     """
     if not timestep <= largest_timestep(vehicle):
         raise InputError(f"the timestep of {timestep:g} s is one with which RK4 is unstable on this vehicle")
-    time = np.arange(samples) * timestep
-    return Reproduction(
-        vehicle,
-        controller,
-        road,
-        sampled_response(vehicle, controller, road, time),
-        sampled_response(vehicle, controller, road, time, exponential=taylor4),
-        continuous_response(vehicle, controller, road, time),
-    )
+    return predict(vehicle, controller, road, np.arange(samples) * timestep, MOST_STATES)
 
 
 def usable_samples(run: RecordedRun, timestep: float) -> int:

@@ -18,7 +18,6 @@ from sim.recording.drawing import draw
 from sim.recording.format import FORMAT, check_keys
 from sim.recording.run_log import RunLog
 from sim.roads.profile import Profile
-from sim.roads.road import Road
 from sim.runs.run import Run
 from sim.runs.words import controller_object, energy_object, events, half_step_object, summary
 from synth.certificate.record import to_record
@@ -117,9 +116,10 @@ def record_runs(
     return {name: str(path) for name, path in paths.items()}
 
 
-def run_log(vehicle: Vehicle, road: Road, run: Run, name: str | None = None) -> RunLog:
+def run_log(run: Run, name: str | None = None) -> RunLog:
     """One run as it is written down; it is called like its controller unless it has a name of its own."""
-    certificate, agreement = run.controller.certificate, run.agreement
+    vehicle, road, certificate, agreement = run.vehicle, run.road, run.controller.certificate, run.agreement
+    assert run.qpos is not None, "what is written down MuJoCo has run"
     files = {}
     if isinstance(road, Profile):  # its numbers alone do not make it again
         points = road.to_csv().encode()
@@ -147,7 +147,7 @@ def run_log(vehicle: Vehicle, road: Road, run: Run, name: str | None = None) -> 
         responses={"mujoco": run.physics, "linear": run.sampled, "continuous": run.continuous},
         metadata={key: value if isinstance(value, str) else json.dumps(value) for key, value in claims.items()},
         events=events(run),
-        summary=summary(vehicle, run),
+        summary=summary(run),
         scene=draw(vehicle, road, run.physics, run.qpos),
         files=files,
     )

@@ -57,6 +57,12 @@ class Response:
         count = int(np.searchsorted(self.time, time))
         return Response(self.time[:count], self.signals, self.values[..., :count, :])
 
+    @property
+    def diverged(self) -> float:
+        """When a single run diverged [s], the first sample of which a number is none; infinite where it did not."""
+        broken = ~np.all(np.isfinite(self.values), axis=-1)
+        return float(self.time[broken.argmax()]) if broken.any() else np.inf
+
     def peak(self, signal: str) -> Array:
         """Largest magnitude of a signal, shape (...,), NaN where a run broke off (see `sim.physics.simulate`)."""
         return np.max(np.abs(self[signal]), axis=-1)

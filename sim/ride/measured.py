@@ -61,9 +61,9 @@ def first_sample(vehicle: Vehicle, controllers: Sequence[Controller], road: Road
     return round(min(settled, duration / 2) / timestep)
 
 
-def measure_run(vehicle: Vehicle, run: Run, road: Road, first: int) -> RunMetrics:
+def measure_run(run: Run, first: int) -> RunMetrics:
     """The metrics of a run from sample `first` on, beside their linear predictions."""
-    time, timestep = run.physics.time, float(run.physics.time[1])
+    vehicle, road, time, timestep = run.vehicle, run.road, run.prediction.time, run.prediction.timestep
     expected: Expected | None = None
     begun: Settled | None = None
     if isinstance(road, Iso8608):
@@ -98,7 +98,7 @@ def beside(vehicle: Vehicle) -> list[str]:
     return lines
 
 
-def metric_lines(vehicle: Vehicle, run: Run, found: RunMetrics, start: float, end: float) -> list[str]:
+def metric_lines(run: Run, found: RunMetrics, start: float, end: float) -> list[str]:
     """The metrics of a run as a table, and what they rest on in sentences."""
     measured, notes = found.metrics, []
     if run.broke_off is not None:
@@ -113,7 +113,7 @@ def metric_lines(vehicle: Vehicle, run: Run, found: RunMetrics, start: float, en
             "~ is approximate: mtvv to 7 %, crest to 10 %, peaks to 20 %; vdv is the fourth root of a mean; of short or lightly "
             "damped runs the +- is up to 45 % too large"
         )
-    notes += beside(vehicle)
+    notes += beside(run.vehicle)
     if found.error is not None and found.error > EXACT:
         notes.append(
             f"expected values may be off by {min(found.error, 1.0):.1g}: a resonance is too narrow for the lines of this road, "

@@ -16,6 +16,7 @@ import numpy as np
 from models.vehicle import Vehicle
 from sim.response.regime import ENDS, reached
 from sim.response.response import Response
+from sim.runs.prediction import Prediction
 
 ROUNDING = 1e-9  # of a peak, over thousands of steps; a vehicle at rest to 1e-16 of its spring forces stays below 1e-12
 COARSEST = 1e-2  # of a peak; physics that is further off confirms nothing, even if the integrator has to be
@@ -76,26 +77,10 @@ class Agreement:
         return all(signal.agrees for signal in self.signals.values())
 
 
-def compare(
-    vehicle: Vehicle,
-    physics: Response,
-    sampled: Response,
-    integrated: Response,
-    continuous: Response,
-    diverged: float,
-    spread: Mapping[str, float],
-) -> Agreement:
-    """Compares one run with its three predictions.
-
-    Args:
-        vehicle: the vehicle.
-        physics: what MuJoCo did.
-        sampled: exact response of the sampled loop.
-        integrated: the same as RK4 makes it.
-        continuous: response of the continuous closed loop.
-        diverged: when the run diverged [s]; infinite where it did not.
-        spread: rms that noise and quantisation of the measurements give each signal; empty without them.
-    """
+def compare(prediction: Prediction, physics: Response) -> Agreement:
+    """Compares what MuJoCo did in one run with its prediction."""
+    vehicle, spread, diverged = prediction.vehicle, prediction.spread, physics.diverged
+    sampled, integrated, continuous = prediction.sampled, prediction.integrated, prediction.continuous
     lift_off = lift_off_intervals(vehicle, physics)
     # A hub that goes through the road within a step escapes the physics' own samples, but not the prediction's.
     _, stopped, saturated, flat = reached(vehicle, physics).tolist()
@@ -114,14 +99,15 @@ def compare(
     return Agreement(signals, lift_off, flat, until, stopped, saturated, blurred=bool(spread))
 
 
-def look_closer(agreement: Agreement, physics: Response, sampled: Response) -> Agreement:
+def look_closer(agreement: Agreement, prediction: Prediction, physics: Response) -> Agreement:
     """Asks of a run that does not agree whether that is geometry: then it vanishes with the amplitude.
 
     Args:
         agreement: the run's.
+        prediction: the run's, over the road at its full height.
         physics: what MuJoCo did over the same road at `SMALL` of its height.
-        sampled: the run's exact sampled response, over the road at its full height.
     """
+    sampled = prediction.sampled
     small = Response(sampled.time, sampled.signals, SMALL * sampled.values)
     signals = {name: replace(signal, small=_difference(physics, small, name)) for name, signal in agreement.signals.items()}
     return replace(agreement, signals=signals)

@@ -1,7 +1,7 @@
 """One vehicle, one road, some controllers: physics, its linear predictions, and the verdict on each."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,12 +9,13 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError, known
 from models.vehicle import Vehicle
-from sim.linear.loop import continuous_response, largest_timestep, noise_spread, sampled_radius, sampled_response, taylor4
+from sim.linear.loop import largest_timestep
 from sim.physics.energy import Energy, energy
-from sim.physics.simulate import simulate
+from sim.physics.simulate import PhysicsRuns, simulate
 from sim.response.response import Response
 from sim.roads.road import Road, under_wheels
 from sim.runs.agreement import SMALL, Agreement, compare, look_closer
+from sim.runs.prediction import Prediction, predict
 from synth.controller import Controller
 
 MOST_SAMPLES = 1_000_000  # a run of these takes 0.4 GB and half a minute
@@ -38,32 +39,55 @@ class HalfStep:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One controller over one road.
+    """One prediction beside its physics.
 
     Attributes:
-        controller: the controller.
+        prediction: what linear analysis says of this vehicle, controller and road.
         physics: what MuJoCo did.
-        sampled: exact linear response of the sampled loop.
-        continuous: exact linear response of the continuous closed loop.
-        qpos: generalized positions of the physics, shape (T, nq).
-        diverged: when the physics diverged [s]; infinite where it did not.
-        sampled_radius: spectral radius of the sampled loop; above 1 it is unstable.
         agreement: physics against analysis.
-        energy: its balance; None where it is not known, as of a part of a run that is read from a log.
+        qpos: generalized positions of the physics, shape (T, nq), to draw it; None where MuJoCo has not run here, as of what is
+            read from a log.
+        energy: its balance; None there, too.
         half_step: how far the physics holds after a lift-off; None where no tyre lifted, the run broke off, or what is measured
             is noisy or quantised, which it would be otherwise at other steps.
     """
 
-    controller: Controller
+    prediction: Prediction
     physics: Response
-    sampled: Response
-    continuous: Response
-    qpos: Array
-    diverged: float
-    sampled_radius: float
     agreement: Agreement
+    qpos: Array | None = None
     energy: Energy | None = None
     half_step: HalfStep | None = None
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """The vehicle, with the limits and implementation of this run."""
+        return self.prediction.vehicle
+
+    @property
+    def controller(self) -> Controller:
+        """Its controller."""
+        return self.prediction.controller
+
+    @property
+    def road(self) -> Road:
+        """The road."""
+        return self.prediction.road
+
+    @property
+    def sampled(self) -> Response:
+        """Exact linear response of the sampled loop."""
+        return self.prediction.sampled
+
+    @property
+    def continuous(self) -> Response:
+        """Exact linear response of the continuous closed loop."""
+        return self.prediction.continuous
+
+    @property
+    def diverged(self) -> float:
+        """When the physics diverged [s]; infinite where it did not."""
+        return self.physics.diverged
 
     @property
     def broke_off(self) -> tuple[str, float] | None:
@@ -137,59 +161,85 @@ def run_all(vehicle: Vehicle, controllers: Sequence[Controller], road: Road, tim
         road: the road.
         time: equidistant sample times from 0 [s], see `sample_times`.
     """
-    count, timestep = len(controllers), float(time[1] - time[0])
     _check_noise(vehicle, controllers)
-    physics = simulate([vehicle] * count, controllers, [road] * count, time)
-    runs = []
-    for i, controller in enumerate(controllers):
-        measured, diverged = physics.response.run(i), float(physics.diverged[i])
-        sampled = sampled_response(vehicle, controller, road, time)
-        integrated = sampled_response(vehicle, controller, road, time, exponential=taylor4)
-        continuous = continuous_response(vehicle, controller, road, time)
-        spread = noise_spread(vehicle, controller, timestep)
-        agreement = compare(vehicle, measured, sampled, integrated, continuous, diverged, spread)
-        runs.append(
-            Run(
-                controller=controller,
-                physics=measured,
-                sampled=sampled,
-                continuous=continuous,
-                qpos=physics.qpos[i],
-                diverged=diverged,
-                sampled_radius=sampled_radius(vehicle, controller, timestep),
-                agreement=agreement,
-                energy=energy(vehicle, physics, i, road, until=agreement.flat),
-            )
-        )
+    predictions = [predict(vehicle, controller, road, time) for controller in controllers]
+    made = simulate([vehicle] * len(controllers), controllers, [road] * len(controllers), time)
+    return balanced(judge(predictions, [made.response.run(i) for i in range(len(predictions))]), made)
+
+
+def judge(predictions: Sequence[Prediction], physics: Sequence[Response]) -> list[Run]:
+    """The verdict on each of some runs: its physics, of now or from a log, against its prediction.
+
+    Args:
+        predictions: over the same sample times, of vehicles of the same kind.
+        physics: what MuJoCo made of each.
+    """
+    pairs = list(zip(predictions, physics, strict=True))
+    runs = [Run(prediction, response, compare(prediction, response)) for prediction, response in pairs]
     doubtful = [i for i, run in enumerate(runs) if not run.agreement.agrees]
     if doubtful:
-        again, quiet = [controllers[i] for i in doubtful], replace(vehicle, implementation=vehicle.implementation.scaled(SMALL))
-        small = simulate([quiet] * len(again), again, [road.scaled(SMALL)] * len(again), time).response
+        again = [predictions[i] for i in doubtful]
+        small = _simulated(again, again[0].time, _with_small_noise, lambda road: road.scaled(SMALL)).response
         for k, i in enumerate(doubtful):
-            runs[i] = replace(runs[i], agreement=look_closer(runs[i].agreement, small.run(k), runs[i].sampled))
-    return halved(vehicle, runs, road, time)
-
-
-def halved(vehicle: Vehicle, runs: Sequence[Run], road: Road, time: Array) -> list[Run]:
-    """Runs with what half the step changes in those where a tyre lifted."""
-    runs, timestep = list(runs), float(time[1] - time[0])
-    lifted = [i for i, run in enumerate(runs) if run.agreement.lift_off and run.broke_off is None and not run.agreement.blurred]
-    if lifted:
-        again, halves = [runs[i].controller for i in lifted], np.arange(2 * len(time) - 1) * (timestep / 2)
-        period = vehicle.implementation.sample_period or timestep
-        held = replace(vehicle, implementation=replace(vehicle.implementation, sample_period=period))
-        finer = simulate([held] * len(again), again, [road] * len(again), halves).response
-        for k, i in enumerate(lifted):
-            runs[i] = replace(runs[i], half_step=_half_step(vehicle, runs[i], finer.run(k)))
+            runs[i] = replace(runs[i], agreement=look_closer(runs[i].agreement, predictions[i], small.run(k)))
     return runs
 
 
-def _half_step(vehicle: Vehicle, run: Run, finer: Response) -> HalfStep:
+def balanced(runs: Sequence[Run], made: PhysicsRuns) -> list[Run]:
+    """Runs with what MuJoCo's own states say of them: positions, energy, and what half the step changes after a lift-off.
+
+    Args:
+        runs: over the same sample times, of vehicles of the same kind.
+        made: what MuJoCo makes of them.
+    """
+    runs = [
+        replace(run, qpos=made.qpos[i], energy=energy(run.vehicle, made, i, run.road, until=run.agreement.flat))
+        for i, run in enumerate(runs)
+    ]
+    lifted = [i for i, run in enumerate(runs) if run.agreement.lift_off and run.broke_off is None and not run.agreement.blurred]
+    if lifted:
+        again, timestep = [runs[i].prediction for i in lifted], runs[0].prediction.timestep
+        halves = np.arange(2 * len(again[0].time) - 1) * (timestep / 2)
+        finer = _simulated(again, halves, lambda vehicle: _sampled_as_before(vehicle, timestep)).response
+        for k, i in enumerate(lifted):
+            runs[i] = replace(runs[i], half_step=_half_step(runs[i], finer.run(k)))
+    return runs
+
+
+def _simulated(
+    predictions: Sequence[Prediction],
+    time: Array,
+    vehicle: Callable[[Vehicle], Vehicle] = lambda same: same,
+    road: Callable[[Road], Road] = lambda same: same,
+) -> PhysicsRuns:
+    """What MuJoCo makes of what is predicted, with other vehicles and roads if asked: of those that runs share, one."""
+    vehicles = {id(each.vehicle): vehicle(each.vehicle) for each in predictions}
+    roads = {id(each.road): road(each.road) for each in predictions}
+    return simulate(
+        [vehicles[id(each.vehicle)] for each in predictions],
+        [each.controller for each in predictions],
+        [roads[id(each.road)] for each in predictions],
+        time,
+    )
+
+
+def _with_small_noise(vehicle: Vehicle) -> Vehicle:
+    """The vehicle with noise as small as its road, where that is `SMALL`."""
+    return replace(vehicle, implementation=vehicle.implementation.scaled(SMALL))
+
+
+def _sampled_as_before(vehicle: Vehicle, timestep: float) -> Vehicle:
+    """The vehicle with the sample period that it has at a timestep, to be run at another."""
+    period = vehicle.implementation.sample_period or timestep
+    return replace(vehicle, implementation=replace(vehicle.implementation, sample_period=period))
+
+
+def _half_step(run: Run, finer: Response) -> HalfStep:
     """The physics of a run against that at half the step, from its first lift-off on."""
     lifted = run.physics.time >= run.agreement.lift_off[0][0]
     apart = {
         name: float(np.abs(run.physics[name] - finer[name][::2])[lifted].max()) / (run.physics.scale(name) or 1.0)
-        for name in vehicle.linear_model.outputs
+        for name in run.vehicle.linear_model.outputs
     }
     apart = {name: far if math.isfinite(far) else math.inf for name, far in apart.items()}
     furthest = max(apart, key=lambda name: apart[name])

@@ -18,7 +18,7 @@ from synth.words import gain_text, ideal_lines, notes
 
 
 @np.errstate(over="ignore")  # an unstable loop's squares overflow; what is infinite is None
-def run_object(vehicle: Vehicle, run: Run) -> dict[str, Any]:
+def run_object(run: Run) -> dict[str, Any]:
     """One run as JSON has it: SI units, None for what is infinite or does not exist."""
     responses = {"mujoco": run.physics, "sampled": run.sampled, "continuous": run.continuous}
     agreement = run.agreement
@@ -26,7 +26,7 @@ def run_object(vehicle: Vehicle, run: Run) -> dict[str, Any]:
         "controller": controller_object(run.controller),
         "signals": {
             name: {
-                "unit": vehicle.kind.signal(name).unit,
+                "unit": run.vehicle.kind.signal(name).unit,
                 "peak": {key: finite(response.peak(name)) for key, response in responses.items()},
                 "rms": {key: finite(response.rms(name)) for key, response in responses.items()},
                 "error": {"sampled": finite(signal.sampled), "continuous": finite(signal.continuous)},
@@ -96,9 +96,9 @@ def controller_lines(vehicle: Vehicle, controller: Controller) -> list[str]:
 def verdict_lines(run: Run) -> list[str]:
     """What the comparison of physics and analysis came to, in sentences."""
     agreement, lines = run.agreement, []
-    if run.sampled_radius > 1:
-        lines.append(f"unstable: the sampled loop grows by a factor of {run.sampled_radius:.6g} every step")
-    elif run.sampled_radius == 1:
+    if run.prediction.radius > 1:
+        lines.append(f"unstable: the sampled loop grows by a factor of {run.prediction.radius:.6g} every step")
+    elif run.prediction.radius == 1:
         lines.append("marginal: to rounding, something in the sampled loop neither grows nor decays")
     if math.isfinite(run.diverged):
         lines.append(f"diverged: MuJoCo was stopped at {run.diverged:.4g} s; there is no vehicle any more")
@@ -152,12 +152,12 @@ def verdict_lines(run: Run) -> list[str]:
 
 
 @np.errstate(over="ignore")
-def run_lines(vehicle: Vehicle, run: Run, passive: Run | None) -> list[str]:
+def run_lines(run: Run, passive: Run | None) -> list[str]:
     """The table of one run: peak and rms of every signal, physics and linear, their errors, the change against passive."""
     headings = ("signal", "unit", "", "MuJoCo", "sampled", "continuous", "error", "to cont.", "vs passive")
     rows: list[tuple[str, ...]] = [headings]
     for name, signal in run.agreement.signals.items():
-        unit = vehicle.kind.signal(name).unit
+        unit = run.vehicle.kind.signal(name).unit
         silent = passive is not None and float(passive.physics.peak(name)) < passive.physics.scale(name)
         for kind in ("peak", "rms"):
             values = [float(getattr(response, kind)(name)) for response in (run.physics, run.sampled, run.continuous)]
@@ -182,15 +182,15 @@ def events(run: Run) -> tuple[tuple[float, str], ...]:
     return tuple(sorted(happened))
 
 
-def summary(vehicle: Vehicle, run: Run) -> str:
+def summary(run: Run) -> str:
     """Design and verdict as Markdown."""
     lines = [f"# {run.controller.name}", ""]
-    lines += [f"- {line.strip()}" for line in controller_lines(vehicle, run.controller)[1:]]
+    lines += [f"- {line.strip()}" for line in controller_lines(run.vehicle, run.controller)[1:]]
     lines += [f"- measures {', '.join(run.controller.measured) or 'nothing'}", "", "## Verdict", ""]
     lines += [f"- {line}" for line in [*verdict_lines(run), *energy_lines(run)]]
     lines += ["", "| signal | peak MuJoCo | peak linear | error |", "|---|---|---|---|"]
     for name, signal in run.agreement.signals.items():
-        unit = vehicle.kind.signal(name).unit
+        unit = run.vehicle.kind.signal(name).unit
         physics, linear = float(run.physics.peak(name)), float(run.sampled.peak(name))
         lines.append(f"| {name} [{unit}] | {physics:.6g} | {linear:.6g} | {signal.sampled:.1e} |")
     return "\n".join(lines) + "\n"

@@ -1,0 +1,79 @@
+"""What linear analysis says of one vehicle with one controller over one road, before any physics is run."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from models.common.arrays import Array
+from models.common.errors import InputError
+from models.vehicle import Vehicle
+from sim.linear.loop import continuous_response, driven, noise_spread, sampled_radius, sampled_response, taylor4
+from sim.response.response import Response
+from sim.roads.road import Road
+from synth.controller import Controller
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """The linear responses of one run, and how well they are to be met.
+
+    Attributes:
+        vehicle: the vehicle, with the limits and implementation of this run.
+        controller: its controller.
+        road: the road.
+        sampled: exact linear response of the sampled loop.
+        integrated: the same as RK4 makes it.
+        continuous: exact linear response of the continuous closed loop.
+        spread: rms that noise and quantisation of the measurements give each signal; empty without them.
+        radius: growth per timestep of the sampled loop: above 1 it is unstable; NaN where it is too large to be asked.
+    """
+
+    vehicle: Vehicle
+    controller: Controller
+    road: Road
+    sampled: Response
+    integrated: Response
+    continuous: Response
+    spread: Mapping[str, float]
+    radius: float
+
+    @property
+    def time(self) -> Array:
+        """Equidistant sample times from 0 [s], shape (T,)."""
+        return self.sampled.time
+
+    @property
+    def timestep(self) -> float:
+        """Of the run [s]."""
+        return float(self.time[1])
+
+
+def predict(vehicle: Vehicle, controller: Controller, road: Road, time: Array, most_states: float = math.inf) -> Prediction:
+    """The prediction of one run, from rest.
+
+    Args:
+        vehicle: the vehicle.
+        controller: its controller.
+        road: the road.
+        time: equidistant sample times from 0 [s], shape (T,).
+        most_states: of a loop, its delayed forces among them, of which eigenvalues are still taken.
+
+    Raises:
+        InputError: noise goes through a larger loop than that, and its spread is not known.
+    """
+    timestep = float(time[1] - time[0])
+    model, _ = driven(vehicle, controller)
+    small = len(model.A) + vehicle.implementation.delay * len(model.inputs) <= most_states
+    noisy = any(vehicle.implementation.noise.values()) or any(vehicle.implementation.quantisation.values())
+    if noisy and not small:
+        raise InputError("its noise goes through a loop with too many delayed forces to compute its spread")
+    return Prediction(
+        vehicle=vehicle,
+        controller=controller,
+        road=road,
+        sampled=sampled_response(vehicle, controller, road, time),
+        integrated=sampled_response(vehicle, controller, road, time, exponential=taylor4),
+        continuous=continuous_response(vehicle, controller, road, time),
+        spread=noise_spread(vehicle, controller, timestep) if noisy else {},
+        radius=sampled_radius(vehicle, controller, timestep) if small else math.nan,
+    )
