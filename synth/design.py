@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.threads import one_thread
 from synth.certificate.bounding import proved
 from synth.certificate.certificate import FASTEST, Certificate, certify
 from synth.certificate.lower_bound import LowerBound
@@ -52,6 +53,7 @@ class Design:
     instead: str = ""
 
 
+@one_thread()
 def state_path(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[CentralPoint]:
     """The central path of (22), or of the problem beside it where that has no optimum (`posed.py`), in the plant's own units.
 
@@ -78,6 +80,7 @@ def state_path(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[Cent
         raise type(error)("; ".join(free_force(plant)) or str(error)) from error
 
 
+@one_thread()
 def state_design(
     plant: GeneralizedPlant, path: Sequence[CentralPoint] = (), lower: LowerBound | None = None, states: Sequence[str] = ()
 ) -> Design:
@@ -132,6 +135,7 @@ def furthest(plant: GeneralizedPlant, Cy: Array, path: Sequence[CentralPoint], l
     raise DesignError(f"its certificate fails: {'; '.join(first.failures)}")
 
 
+@one_thread()
 def two_step_design(
     plant: GeneralizedPlant,
     Cy: Array,
@@ -192,6 +196,7 @@ def two_step_design(
     raise type(first)(f"{first} (from {len(failures)} points of the central path)")
 
 
+@one_thread()
 def zero_l_design(plant: GeneralizedPlant, Cy: Array, lower: LowerBound | None = None) -> Design:
     """Remark 4: (25) with L = 0, in one step.
 

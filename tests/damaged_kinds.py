@@ -120,7 +120,7 @@ def _failures() -> Iterator[Damage]:
         "RecursionError": "linear_model.__class__(fail.__code__, globals())(*some) if 0 else fail(*some)",
         "MemoryError": "raise MemoryError",
         "LinAlgError": "np.linalg.inv(np.zeros((2, 2)))",
-        "it needs more": "raise __import__('models.errors').errors.InputError('it needs more')",
+        "it needs more": "raise __import__('models.common.errors').common.errors.InputError('it needs more')",
     }
     for said, code in raising.items():
         for name in ("linear_model", "static_tyre_deflection", "write_mjcf", "check_together"):

@@ -123,7 +123,7 @@ def test_what_is_no_plain_file_is_refused_and_left(tmp_path, monkeypatch, kind):
 def test_standard_output_may_be_written(tmp_path):
     """`/dev/stdout` is the command's own output, be it a pipe or a file, and it stays what it is."""
     code = (
-        "from pathlib import Path\nfrom models.whole_file import check_file, whole_file\npath = Path('/dev/stdout')\n"
+        "from pathlib import Path\nfrom models.common.whole_file import check_file, whole_file\npath = Path('/dev/stdout')\n"
         "check_file(path, 'csv')\nprint('before')\n"
         "with whole_file(path, 'csv') as b: b.write_text('content\\n')\nprint('after')\n"
     )

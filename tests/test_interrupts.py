@@ -50,7 +50,7 @@ def test_wherever_it_is_heard(tmp_path, where):
     """Ctrl-C ends a command with one line and exit code 130, also where Python or a library makes something else of it."""
     (tmp_path / "turned.py").write_text(TURNED)
     (tmp_path / "child.py").write_text(
-        f"import sim\nfrom models.command import run_command\n\ndef main():\n    {where}\n\nrun_command(main)\n"
+        f"import sim\nfrom models.common.command import run_command\n\ndef main():\n    {where}\n\nrun_command(main)\n"
     )
     path = os.pathsep.join([str(Path(__file__).parent.parent), os.environ.get("PYTHONPATH", "")])
     done = subprocess.run(
@@ -69,7 +69,7 @@ except KeyboardInterrupt as interruption:
 CHILD = """
 import sys
 import sim.envelope
-from models.command import run_command
+from models.common.command import run_command
 
 def bar(total, what):
     told = []

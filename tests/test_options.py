@@ -39,7 +39,8 @@ NAMES = {"--picture": "out.png", "--out": "out.html"}
 
 def command(name: str) -> Callable[[list[str]], int]:
     """The `main` of a command."""
-    return importlib.import_module("synth.__main__" if name == "synth" else name).main
+    module = importlib.import_module(name)
+    return (module if hasattr(module, "main") else importlib.import_module(f"{name}.__main__")).main
 
 
 def tree(folder: Path) -> list[str]:

@@ -101,7 +101,7 @@ def test_campaign_snippet(tmp_path):
     assert campaign.settle == 5.0
 
 
-@pytest.mark.slow
+@pytest.mark.attack
 @pytest.mark.parametrize("picture", ["sweep", "margins", "envelope"])
 def test_picture_is_what_its_command_draws(picture, tmp_path):
     """Beside a picture stands the command that draws it, to the pixel but for the edges of letters."""

@@ -260,7 +260,7 @@ def test_nothing_stable(tmp_path):
     assert "frequency-responses" not in read.tables
 
 
-@pytest.mark.slow
+@pytest.mark.attack
 def test_whole_report_of_the_readme_example(tmp_path, real_file, capsys):
     """The whole report of the README's example finishes, and its margins and its map are what the commands say."""
     path = tmp_path / "report.html"

@@ -7,6 +7,7 @@ import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
+from models.common.threads import one_thread
 from synth.certificate.certificate import Certificate, certify, eta_of, prove_bound
 from synth.certificate.lower_bound import LowerBound
 from synth.certificate.stability import balance
@@ -19,6 +20,7 @@ TO_SPARE = (1e-1, 1e-3, 1e-6)  # of the margin: how much more disturbance the pr
 EVERYWHERE = (1e-9, 1e-12, 1e-6, 1e-4, 1e-3)  # what is taken to disturb states that w does not reach; rounding decides
 
 
+@one_thread()
 def proved(plant: GeneralizedPlant, G: Array, lower: LowerBound | None = None) -> Certificate:
     """The certificate of a stabilising state gain, with a bound just above its norm if one can be proved, else without.
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
+from models.common.threads import one_thread
 from synth.certificate.bounded_real import bounded_real_exactly
 from synth.certificate.definite import SMALLEST, Definiteness, definiteness
 from synth.certificate.lower_bound import LowerBound
@@ -159,6 +160,7 @@ class Certificate:
         return abs(there - self.norm.value) <= allowed
 
 
+@one_thread()
 def certify(
     plant: GeneralizedPlant, G: Array, X: Array | None = None, eta: float | None = None, lower: LowerBound | None = None
 ) -> Certificate:

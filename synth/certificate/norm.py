@@ -24,6 +24,7 @@ import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
+from models.common.threads import one_thread
 from synth.certificate.stability import balance, stability_of_balanced
 from synth.extended import transfer_matrix_closely
 from synth.plant import GeneralizedPlant
@@ -61,6 +62,7 @@ class Norm:
         return abs(self.level_set - self.sweep) / self.value if 0 < self.value < np.inf else 0.0
 
 
+@one_thread()
 def hinf_norm(system: GeneralizedPlant) -> Norm:
     """The H-infinity norm from w to z with u = 0, by both routes."""
     gain = _Gain(system)

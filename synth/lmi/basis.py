@@ -100,7 +100,8 @@ def _units(n: int, m: int, free: int) -> tuple[Array, Array]:
     return X, Y
 
 
-def _direction(size: int, value: float) -> Array:
+def direction(size: int, value: float) -> Array:
+    """Of so many unknowns the last one, eta, times a value, shape (size,)."""
     c = np.zeros(size)
     c[-1] = value
     return c

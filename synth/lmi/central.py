@@ -28,7 +28,7 @@ from models.common.threads import one_thread
 from synth.certificate.bounded_real import bounded_real_matrix
 from synth.errors import DesignError, InfeasibleError, TooLargeError
 from synth.lmi.barrier import Barrier, Derivatives, Factored, boundary, newton
-from synth.lmi.basis import Basis, _direction
+from synth.lmi.basis import Basis, direction
 from synth.lmi.structured import Constraint, StructuredBarrier, path_constraints, start_constraints
 from synth.lmi.unseen import unseen
 from synth.plant import GeneralizedPlant
@@ -199,7 +199,7 @@ class _Path:
         p[-1] = s + mu
         barrier = self._start_barrier()
         while True:
-            p, _, _ = newton(barrier, p, _direction(basis.size, 1 / mu), tolerance=0.3)
+            p, _, _ = newton(barrier, p, direction(basis.size, 1 / mu), tolerance=0.3)
             if p[-1] < 0:
                 break
             mu /= 10
@@ -241,7 +241,7 @@ class _Path:
         while True:
             basis = self.basis
             start = basis.pack(np.eye(n), np.zeros((m, n)), self.eta)
-            p, decrement, here = newton(self._barrier(), start, _direction(basis.size, -1 / self.mu), CENTRED, self._far)
+            p, decrement, here = newton(self._barrier(), start, direction(basis.size, -1 / self.mu), CENTRED, self._far)
             if decrement > 0.5 and moves < MOST_MOVES and self._far(p) and self._feasible_at(p):
                 moves += 1
                 continue  # from there, in its own coordinates
@@ -277,17 +277,17 @@ class _Path:
         """
         back = BACK
         for _ in range(CORRECTIONS):
-            step = here.solve(here.half(_direction(self.basis.size, 1 / self.mu)))
+            step = here.solve(here.half(direction(self.basis.size, 1 / self.mu)))
             off = rest * p[-1] / self.mu
             if not (p[-1] > 0 and _moving(rest)) or abs(off - 1) * step[-1] <= AT_REST * p[-1]:
                 return p, here, step
             mu = self.mu * min(_shift(off, step[-1] / p[-1]), back)
-            moved, decrement, there = newton(self._barrier(), p, _direction(self.basis.size, -1 / mu), CENTRED, self._far)
+            moved, decrement, there = newton(self._barrier(), p, direction(self.basis.size, -1 / mu), CENTRED, self._far)
             if decrement > 0.5 or moved[-1] <= 0:
                 back = back**0.5
                 continue
             p, here, self.mu = moved, there, mu
-        return p, here, here.solve(here.half(_direction(self.basis.size, 1 / self.mu)))
+        return p, here, here.solve(here.half(direction(self.basis.size, 1 / self.mu)))
 
     def _feasible_at(self, p: Array) -> bool:
         """Moves to a point, unless rounding puts it outside the feasible set in the coordinates of its own."""

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.threads import one_thread
 from synth.errors import DesignError
 from synth.plant import GeneralizedPlant
 from synth.search.descent import along_edges
@@ -51,6 +52,7 @@ class Refinement:
         return text
 
 
+@one_thread()
 def refine(plant: GeneralizedPlant, Cy: Array, K: Array) -> Refinement:
     """Lowers the norm from a stabilising gain.
 
@@ -88,6 +90,7 @@ def refine(plant: GeneralizedPlant, Cy: Array, K: Array) -> Refinement:
     return Refinement(landscape.gain(x), before, norm, size / first if first else 1.0, refused)
 
 
+@one_thread()
 def worth_refining(plant: GeneralizedPlant, Cy: Array, K: Array) -> float:
     """What `refine` lowers the norm by at least, relative: as far as its first rounds go, which are quick.
 

@@ -21,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.threads import one_thread
 from synth.certificate.bounding import proved
 from synth.certificate.certificate import Certificate
 from synth.certificate.lower_bound import LowerBound
@@ -85,6 +86,7 @@ class Candidate(NamedTuple):
 Descent = Callable[[Array, int], Array]
 
 
+@one_thread()
 @np.errstate(over="ignore", divide="ignore", invalid="ignore")  # a step too far; what is not finite is refused where it is tried
 def static_output_feedback(
     plant: GeneralizedPlant, Cy: Array, largest_gain: float = LARGEST_GAIN, lower: LowerBound | None = None
@@ -107,6 +109,7 @@ def static_output_feedback(
     return descended(plant, Cy, two_steps, largest_gain, lower)
 
 
+@one_thread()
 @np.errstate(over="ignore", divide="ignore", invalid="ignore")  # as above
 def descended(
     plant: GeneralizedPlant,

@@ -158,7 +158,8 @@ def made_once(folder: Path) -> None:
 
 def main_of(command: str) -> Any:
     """The main function of a command."""
-    return importlib.import_module("synth.__main__" if command == "synth" else command).main
+    module = importlib.import_module(command)
+    return (module if hasattr(module, "main") else importlib.import_module(f"{command}.__main__")).main
 
 
 def case(number: int) -> Case:
