@@ -17,7 +17,7 @@ from synth.certificate.bounding import bounding_x
 from synth.certificate.certificate import LmiProof, certify, eta_of, prove_bound
 from synth.certificate.definite import definiteness
 from synth.certificate.norm import hinf_norm
-from synth.certificate.record import to_record
+from synth.certificate.record import to_record, untrue
 from synth.command.check import check
 from synth.designer import Designer
 from synth.plant import GeneralizedPlant
@@ -179,6 +179,17 @@ def test_peak_is_good_to_what_flatness_allows(designer, honest):
     for factor, holds in ((1 + 1e-6, True), (1 - 1e-6, True), (1.001, False), (0.999, False)):
         found = failures(designer, controller, {**record, "peak_frequency": factor * record["peak_frequency"]})
         assert (found == ()) == holds
+
+
+@pytest.mark.parametrize("apart", [1e-4, 1e-8, 1e-12, 0.0])
+@pytest.mark.parametrize("claim", [0.0, 1.05, 100.0])
+def test_norm_of_poles_that_nearly_meet(apart, claim):
+    """However near two poles are, and their eigenvectors, the norm is known to rounding, and no other one is believed."""
+    A = np.array([[-1.0, 1.0], [0.0, -1.0 - apart]])
+    plant = GeneralizedPlant(A, np.eye(2)[:, 1:], np.eye(2)[:, 1:], np.eye(2)[:1], np.zeros((1, 1)), np.zeros((1, 1)))
+    certificate = certify(plant, np.zeros((1, 2)))
+    assert certificate.norm.value == pytest.approx(1 / (1 + apart), rel=1e-12)
+    assert untrue({**to_record(certificate), "norm": claim}, certificate)
 
 
 def test_bound_is_rounded_upwards():

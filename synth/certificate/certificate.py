@@ -177,14 +177,14 @@ def certify(
         InputError: eta or X is out of range.
     """
     loop = plant.closed_loop(G)
-    found = stability(loop.A)
+    found, norm = stability(loop.A), hinf_norm(loop)
     return Certificate(
         loop=loop,
         stability=found,
-        norm=hinf_norm(loop),
+        norm=norm,
         proof=prove_bound(plant, G, X, eta) if X is not None and eta is not None else None,
         speed_up=float(np.abs(found.poles).max() / (np.abs(np.linalg.eigvals(plant.A)).max() or 1.0)),
-        norm_rounding=_norm_rounding(loop),
+        norm_rounding=_norm_rounding(loop, norm.peak_frequency) if found.stable else 0.0,
         lower=lower,
     )
 
@@ -232,17 +232,10 @@ def _inverse_root(eta: float) -> float:
     return bound
 
 
-def _norm_rounding(loop: GeneralizedPlant) -> float:
-    """What rounding makes of a transfer function that is zero: the parts that are 0 are not quite."""
+def _norm_rounding(loop: GeneralizedPlant, at: float) -> float:
+    """What rounding makes of a transfer function that is zero, near a frequency [rad/s]: the parts that are 0 are not quite."""
     A, scale = balance(loop.A)
-    poles, vectors = np.linalg.eig(A)
-    try:
-        left = np.linalg.inv(vectors)
-    except np.linalg.LinAlgError:  # a double pole without a second eigenvector
-        return 0.0
-    passes = np.linalg.norm(loop.C * scale) * np.linalg.norm(loop.Bw / scale[:, None])
-    with np.errstate(over="ignore"):
-        size = np.linalg.norm(vectors, axis=0) * np.linalg.norm(left, axis=1) / np.maximum(-np.real(poles), 1e-300)
-    if not np.all(np.isfinite(size)):  # as good as double
-        return 0.0
-    return float(100 * np.finfo(float).eps * passes * size.sum()) if len(poles) else 0.0
+    rates = np.array([0.0, at if np.isfinite(at) else 0.0])
+    R = np.abs(np.linalg.inv(1j * rates[:, None, None] * np.eye(len(A)) - A))
+    passes = np.abs(loop.C * scale) @ R @ np.abs(loop.Bw / scale[:, None])
+    return float(100 * np.finfo(float).eps * np.linalg.norm(passes, axis=(1, 2)).max(initial=0.0))
