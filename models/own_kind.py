@@ -15,7 +15,7 @@ from models.common.read_file import TEXT, read_text
 from models.kind import VehicleKind
 from models.sound_kind import wrong_distance, wrong_linear_model, wrong_parts, wrong_place, wrong_rest
 
-GIVE = "give the equations of the kind, as README.md shows them"
+GIVE = "give the equations of the kind, as models/README.md shows them"
 
 
 def read_kind(folder: Path, name: str) -> VehicleKind:
@@ -38,7 +38,7 @@ def read_kind(folder: Path, name: str) -> VehicleKind:
     found = vars(module).get("KIND")
     if not isinstance(found, VehicleKind):
         has = f"its KIND is a {type(found).__name__}" if "KIND" in vars(module) else "it has no KIND"
-        raise InputError(f"{what}: {has}; end it with KIND = VehicleKind(...), as README.md shows")
+        raise InputError(f"{what}: {has}; end it with KIND = VehicleKind(...), as models/README.md shows")
     if found.name != name:
         raise InputError(f"{what}: its KIND is called {found.name!r}; call it {name!r}, as its files are")
     if wrong := _run(path, "its KIND", lambda: wrong_parts(found)):

@@ -63,6 +63,7 @@ ROOMS = {
     "sim.drive": "sim.command sim.ride sim.roads sim.runs",
     "sim.sweep": "sim.command sim.figures sim.frequency sim.recording sim.roads sim.runs synth.designer",
     "sim.margins": "sim.command sim.figures sim.linear sim.recording sim.runs sim.stability synth.designer",
+    "sim.__main__": "",
     "sim.envelope": "sim.command sim.figures sim.recording sim.response sim.roads sim.runs sim.validity synth.designer",
 }
 OF_ALL = "models.common"

@@ -3,7 +3,6 @@
 import dataclasses
 import json
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +14,7 @@ from sim.physics.simulate import PhysicsRuns, simulate
 from sim.response.response import Response
 from sim.roads.road import Bump
 from synth.designer import design
+from tests.pages import hopper
 
 LAG = "\n[limits]\nactuator_bandwidth = 60.0\n"
 ALL = (
@@ -190,10 +190,7 @@ def test_own_kind_balances_and_its_faults_show(tmp_path, capsys):
     In a fluid it agrees with the linear analysis still, which ends where the tyre lifts; its energy says otherwise, and the exit
     code with it.
     """
-    recipe = (Path(__file__).parent.parent / "README.md").read_text().split("## Add your own kind of vehicle")[1]
-    for suffix, language in (("py", "python"), ("xml", "xml"), ("toml", "toml")):
-        (tmp_path / f"hopper.{suffix}").write_text(re.findall(rf"^```{language}\n(.*?)^```", recipe, re.M | re.S)[0])
-    command = ["--vehicle", str(tmp_path / "hopper.toml"), "--controller", "I", "--no-logs", "--json"]
+    command = ["--vehicle", str(hopper(tmp_path)), "--controller", "I", "--no-logs", "--json"]
     assert main(command) == 0
     (clean,) = json.loads(capsys.readouterr().out)["runs"]
     assert clean["energy"]["residual"] < 1e-6  # 1e-7 measured

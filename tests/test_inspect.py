@@ -30,6 +30,7 @@ from sim.roads.sinusoids import sinusoid
 from sim.runs.prediction import predict
 from sim.runs.run import run_all, sample_times
 from sim.sweep import main as sweep
+from tests.pages import hopper
 from tests.rewriting import Contents, contents, written
 
 LIMITED = """
@@ -233,13 +234,7 @@ def test_every_command(command, options, tmp_path, capsys):
 
 def test_own_kind(tmp_path, capsys):
     """A kind of vehicle of the user's own is known again from its folder, and its code is run from nowhere else."""
-    recipe = (
-        (Path(__file__).parent.parent / "README.md").read_text().split("## Add your own kind of vehicle")[1].split("\n## ")[0]
-    )
-    for suffix, language in (("py", "python"), ("xml", "xml"), ("toml", "toml")):
-        (block,) = re.findall(rf"^```{language}\n(.*?)^```", recipe, re.M | re.S)
-        (tmp_path / f"hopper.{suffix}").write_text(block)
-    bump(["--vehicle", str(tmp_path / "hopper.toml"), "--controller", "I", "--duration", "1", "--logs", str(tmp_path / "logs")])
+    bump(["--vehicle", str(hopper(tmp_path)), "--controller", "I", "--duration", "1", "--logs", str(tmp_path / "logs")])
     path = next((tmp_path / "logs").glob("*.mcap"))
     code, found = inspected(path, capsys)
     assert code == 1

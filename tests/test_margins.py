@@ -5,7 +5,6 @@ import itertools
 import json
 import math
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -29,9 +28,8 @@ from synth.certificate.certificate import certify
 from synth.certificate.norm import hinf_norm
 from synth.controller import generalized_plant
 from synth.designer import Designer, design
+from tests import pages
 from tests.conftest import recorded_runs
-
-README = (Path(__file__).parent.parent / "README.md").read_text(encoding="utf-8")
 
 # Found before by other means: delay [ms], its crossover [rad/s], and half of the delay's last digit. That of II was for -8970.
 KNOWN = {"II_printed": (87.097, 18.18, 0.005), "I_printed": (293.0, 7.70, 0.05), "state_printed": (388.1, 7.01, 0.05)}
@@ -282,15 +280,14 @@ measured = ["sprung_velocity"]
 @pytest.fixture
 def hopper(tmp_path, request):
     """The README's hopper with parameters of other names, and what its kind says of their variation."""
-    recipe = README.split("## Add your own kind of vehicle")[1].split("\n## ")[0]
-    source, xml = (re.findall(rf"^```{language}\n(.*?)^```", recipe, re.M | re.S)[0] for language in ("python", "xml"))
+    pages.hopper(tmp_path)
+    source = (tmp_path / "hopper.py").read_text(encoding="utf-8")
     source = source.replace('p["mass"]', 'p["weight"]').replace('p["stiffness"]', 'p["rate"]')
     weight, rate = request.param
     source = source.replace('"mass", "kg", "all of it"', f'"weight", "kg", "all of it"{weight}')
     source = source.replace('"stiffness", "N/m", "of its tyre"', f'"rate", "N/m", "of its tyre"{rate}')
     source = source.replace("import GRAVITY, Parameter,", "import GRAVITY, Parameter, Variation,")
     (tmp_path / "hopper.py").write_text(source)
-    (tmp_path / "hopper.xml").write_text(xml)
     (tmp_path / "own.toml").write_text(OWN.format(kind="hopper"))
     return tmp_path / "own.toml"
 

@@ -13,8 +13,8 @@ from models.sound_kind import wrong_distance, wrong_linear_model, wrong_parts, w
 from models.vehicle import read_vehicle
 from sim.bump import main
 from tests.damaged_kinds import damages
+from tests.pages import hopper
 
-BLOCKS = re.findall(r"```(python|xml|toml)\n(.*?)```", (Path(__file__).parent.parent / "README.md").read_text("utf-8"), re.DOTALL)
 BUILD = "def linear_model(p):"
 SENSOR = '<jointvel name="sprung_velocity" joint="sprung" user="1"/>'
 ROAD = '<body name="road" mocap="true">'
@@ -22,11 +22,8 @@ ROAD = '<body name="road" mocap="true">'
 
 @pytest.fixture
 def folder(tmp_path):
-    """The hopper of README.md."""
-    for kind, start, suffix in (("python", "import numpy", "py"), ("xml", "<mujoco", "xml"), ("toml", 'type = "hopper"', "toml")):
-        (text,) = [text for language, text in BLOCKS if language == kind and text.startswith(start) and "hopper" in text]
-        (tmp_path / f"hopper.{suffix}").write_text(text)
-    return tmp_path
+    """The hopper of models/README.md."""
+    return hopper(tmp_path).parent
 
 
 def refusal(folder: Path) -> str:
@@ -38,7 +35,7 @@ def refusal(folder: Path) -> str:
 
 
 def test_it_works(folder):
-    """As README.md has them, they do."""
+    """As models/README.md has them, they do."""
     assert main(["--vehicle", str(folder / "hopper.toml"), "--controller", "passive", "--duration", "1", "--no-logs"]) == 0
 
 

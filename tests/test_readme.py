@@ -1,34 +1,30 @@
-"""The README's recipes work as they stand there."""
+"""The READMEs' snippets and recipes work as they stand there, and what they list is what there is."""
 
+import ast
+import importlib
 import re
-import subprocess
-import sys
-from pathlib import Path
 
-import numpy as np
 import pytest
 
+from models.common.errors import InputError
 from models.vehicle import parse_vehicle, read_vehicle
+from sim.__main__ import COMMANDS
+from sim.__main__ import main as commands_main
 from sim.bump import main
 from sim.campaign.file import read_campaign
 from sim.linear.loop import sampled_response, taylor4
 from sim.physics.simulate import simulate
 from sim.roads.road import Bump
 from sim.runs.run import sample_times
-from synth.__main__ import main as design_main
 from synth.designer import Designer
-
-README = (Path(__file__).parent.parent / "README.md").read_text(encoding="utf-8")
+from tests import pages
+from tests.pages import ROOT, section
 
 
 @pytest.fixture
 def hopper(tmp_path):
     """The vehicle of "Add your own kind of vehicle", its three files written to a folder of its own."""
-    recipe = README.split("## Add your own kind of vehicle")[1].split("\n## ")[0]
-    for suffix, language in (("py", "python"), ("xml", "xml"), ("toml", "toml")):
-        (block,) = re.findall(rf"^```{language}\n(.*?)^```", recipe, re.M | re.S)
-        (tmp_path / f"hopper.{suffix}").write_text(block)
-    return tmp_path / "hopper.toml"
+    return pages.hopper(tmp_path)
 
 
 def test_own_kind_of_vehicle(hopper, tmp_path, capsys):
@@ -58,33 +54,26 @@ def test_unknown_kind_is_named(hopper):
         read_vehicle(hopper)
 
 
-def test_design_table(capsys):
-    """The README's design table is what the command prints."""
-    assert design_main([]) == 0
-    printed = capsys.readouterr().out
-    (table,) = re.findall(r"^```text\n(controller  .*?)^```", README, re.M | re.S)
-    for line in filter(None, table.splitlines()):
-        assert line in printed
-
-
 def test_any_plant(capsys):
-    """The README's plant from matrices is designed and certified."""
-    (snippet,) = re.findall(r"^```python\n(import numpy as np\n\nfrom synth.*?)^```", README, re.M | re.S)
+    """The plant from matrices is designed and certified."""
+    (snippet,) = section("synth/README.md", "Any plant").blocks("python")
     exec(snippet, {})
     assert capsys.readouterr().out.endswith("()\n")
 
 
 def test_many_vehicles(capsys):
-    """The README's hundred vehicles are redesigned."""
-    snippet = README.split("there is `redesign`")[1].split("```python\n")[1].split("```")[0]
+    """The hundred vehicles are redesigned."""
+    (snippet,) = section("synth/README.md", "Many vehicles").blocks("python")
     exec(snippet, {})
     assert capsys.readouterr().out.startswith("[[")
 
 
 def test_vehicle_file_snippets():
-    """The README's controllers, limits and implementation are accepted in a vehicle file."""
-    snippets = re.findall(r"^```toml\n(\[.*?)^```", README, re.M | re.S)
-    assert len(snippets) == 2
+    """The controllers, limits and implementation are accepted in a vehicle file."""
+    snippets = [
+        *section("models/README.md", "Your own vehicle").blocks("toml"),
+        *section("models/README.md", "Limits").blocks("toml"),
+    ]
     vehicle = parse_vehicle(read_vehicle("quarter_car").text + "\n".join(snippets))
     assert {"soft", "mine"} < set(vehicle.controllers)
     assert vehicle.limits.actuator_force == 2000.0
@@ -92,8 +81,8 @@ def test_vehicle_file_snippets():
 
 
 def test_campaign_snippet(tmp_path):
-    """The README's campaign file is one."""
-    (snippet,) = re.findall(r"^```toml\n(vehicles.*?)^```", README, re.M | re.S)
+    """The campaign file is one."""
+    (snippet,) = section("sim/README.md", "What comes out over thousands").blocks("toml")
     (tmp_path / "campaign.toml").write_text(snippet)
     campaign = read_campaign(tmp_path / "campaign.toml")
     assert len(campaign.seeds) == 100
@@ -101,35 +90,99 @@ def test_campaign_snippet(tmp_path):
     assert campaign.settle == 5.0
 
 
-@pytest.mark.attack
-@pytest.mark.parametrize("picture", ["sweep", "margins", "envelope"])
-def test_picture_is_what_its_command_draws(picture, tmp_path):
-    """Beside a picture stands the command that draws it, to the pixel but for the edges of letters."""
-    pytest.importorskip("matplotlib", reason="needs the extra [report]")
-    from matplotlib.image import imread
-
-    section = README.split(f".github/pictures/{picture}.png")[1].split("\n## ")[0]
-    lines = re.findall(r"^```sh\n(.*?)^```", section, re.M | re.S)[0].splitlines()
-    (drawing,) = [i for i, line in enumerate(lines) if f"--picture {picture}.png" in line]
-    script = (
-        "\n".join(lines[: drawing + 1]).replace("/tmp/", f"{tmp_path}/").replace(f"{picture}.png", str(tmp_path / "drawn.png"))
-    )
-    root = Path(__file__).parent.parent
-    subprocess.run(["sh", "-ec", script.replace("python -m", f"{sys.executable} -m")], cwd=root, check=True)
-    drawn, shown = (imread(path) for path in (tmp_path / "drawn.png", root / f".github/pictures/{picture}.png"))
-    assert drawn.shape == shown.shape
-    # Other fonts and versions of Matplotlib move letters by a pixel; another curve, or another cell, is more than that.
-    assert np.mean(np.abs(drawn - shown).max(axis=-1) > 0.1) < 0.01
-
-
 def test_notebook_snippet(tmp_path, monkeypatch, capsys):
     """The README's script designs, runs, compares and plots."""
     pytest.importorskip("pandas", reason="needs the extra [report]")
     pytest.importorskip("matplotlib", reason="needs the extra [report]")
-    snippet = README.split("## From a notebook")[1].split("```python\n")[1].split("```")[0]
+    (snippet,) = section("README.md", "From a notebook").blocks("python")
     assert len(snippet.splitlines()) <= 15
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MPLBACKEND", "agg")
     exec(compile(snippet, "README", "exec"), {})
     assert capsys.readouterr().out.startswith("[True, True]")
     assert (tmp_path / "bump.png").stat().st_size > 10_000
+
+
+def commands_there_are() -> set[str]:
+    """Every module that `python -m` runs, as it is called."""
+    files = [path for floor in ("synth", "sim") for path in (ROOT / floor).rglob("*.py")]
+    running = [path for path in files if "\n    run_command(main)\n" in path.read_text(encoding="utf-8")]
+    names = {".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__main__") for path in running}
+    return names - {"sim"}
+
+
+def rows(text: str) -> list[list[str]]:
+    """The cells of a page's tables."""
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in text.splitlines() if line.startswith("| `")]
+
+
+def test_table_of_commands(capsys):
+    """`python -m sim` names every command with its question, as README.md and the headings of sim/README.md do."""
+    assert {name for name, _, _ in COMMANDS} == commands_there_are()
+    assert commands_main([]) == 0
+    printed = capsys.readouterr().out
+    front = {row[0].strip("`"): row[1] for row in rows(section("README.md", "The commands").text)}
+    headings = [one.heading for one in pages.sections("sim/README.md")]
+    for name, question, options in COMMANDS:
+        assert f"  {name:12}  {question}\n" in printed
+        assert f"  {'':12}  {options}\n" in printed
+        assert front[name] == question
+        assert name == "synth" or [each for each in headings if each.lower() == f"{question} `{name}`".lower()]
+    assert all(len(line) <= 80 for line in printed.splitlines())
+
+
+@pytest.mark.parametrize("name", [name for name, _, _ in COMMANDS])
+def test_help_points_to_the_page(name, capsys):
+    """`--help` knows the options that the table names, and says where to read on: a page that has the command."""
+    module = importlib.import_module(name)
+    main = module.main if hasattr(module, "main") else importlib.import_module(f"{name}.__main__").main
+    with pytest.raises(SystemExit) as done:
+        main(["--help"])
+    assert done.value.code == 0
+    printed = capsys.readouterr().out
+    (options,) = [options for known, _, options in COMMANDS if known == name]
+    assert all(re.search(rf"^  {option}\b", printed, re.M) for option in options.split())
+    path = printed.strip().splitlines()[-1].partition(": ")[2]
+    assert f"python -m {name} " in pages.page(path)
+
+
+def test_no_other_arguments():
+    """`python -m sim` takes none."""
+    for arguments in (["bump"], ["--json"]):
+        with pytest.raises(InputError, match=r"unrecognized arguments: .*; see python -m sim --help"):
+            commands_main(arguments)
+
+
+def test_every_room_has_a_line():
+    """sim/README.md and synth/README.md name the rooms that there are."""
+    for floor in ("sim", "synth"):
+        found = {row[0].strip("`/") for row in rows(section(f"{floor}/README.md", "The rooms").text)}
+        assert found == {path.parent.name for path in (ROOT / floor).glob("*/__init__.py")}
+
+
+def test_equations():
+    """Every place that synth/README.md names for an equation is there, and every equation of the method has one."""
+    lines = section("synth/README.md", "Where").text.splitlines()
+    table = [line.strip("|").split(" | ") for line in lines if line.startswith("| ")]
+    equations = {int(number) for equation, *_ in table[1:] for number in re.findall(r"\((\d+)\)", equation)}
+    assert {9, 12, 13, 14, 20, 21, 22, 25} <= equations
+    for *_, where in table[1:]:
+        place = where.strip().strip("`")
+        if place.endswith(".toml"):
+            assert (ROOT / place).exists()
+            continue
+        module, rest = place.rsplit(".", 1)
+        if not (ROOT / (module.replace(".", "/") + ".py")).exists():
+            module, owner = module.rsplit(".", 1)
+            rest = f"{owner}.{rest}"
+        found = importlib.import_module(module)
+        for name in rest.split("."):
+            found = getattr(found, name)
+
+
+@pytest.mark.parametrize("name", [*pages.PAGES, ".github/CONTRIBUTING.md"])
+def test_snippets_are_formed_well(name):
+    """Every Python block of a page is Python."""
+    for one in pages.sections(name):
+        for block in one.blocks("python"):
+            ast.parse(block)

@@ -22,12 +22,12 @@ from sim.roads.road import Bump
 from sim.runs.run import run_all, sample_times
 from sim.sweep import main as sweep
 from synth.__main__ import main as synth
+from tests.pages import section
 from tests.reading import PageRead
 
 pytest.importorskip("plotly", reason="a report needs the extra [report]")
 
-README = (Path(__file__).parent.parent / "README.md").read_text(encoding="utf-8")
-REALITY = re.findall(r"^```toml\n(\[limits\].*?)^```", README, re.M | re.S)[0]
+(REALITY,) = section("models/README.md", "Limits").blocks("toml")
 NAMES = ("passive", "state", "I", "II")
 STEP = ("--timestep", "0.0025")  # divides the README's sample period, and a run takes less than half the time of one at 1 ms
 

@@ -15,7 +15,7 @@ from sim.roads import opencrg, profile_file
 from sim.roads.choice import choose_road
 from sim.roads.description import described_road
 from sim.roads.iso8608 import CLASSES, Iso8608, coherency, long_enough, roughness
-from sim.roads.obstacles import Pothole, SineSweep, Step, WattsHump
+from sim.roads.obstacles import OBSTACLES, Pothole, SineSweep, Step, WattsHump
 from sim.roads.profile import Profile
 from sim.roads.profile_file import read_profile
 from sim.roads.road import Bump, track_width, under_wheels
@@ -28,11 +28,7 @@ SAMPLES = 20_000  # 800 m
 X = np.linspace(0, 30, 301)
 ROADS = [
     Iso8608("C", 3, 20.0, 1.5),
-    Bump(),
-    WattsHump(),
-    Step(),
-    Pothole(),
-    SineSweep(),
+    *(obstacle() for obstacle in OBSTACLES.values()),
     Profile(X, 0.01 * np.stack([np.sin(X), np.cos(2 * X)], axis=-1), 10.0),
     Iso8608("A", 1, 15.0).scaled(0.3),
     WattsHump().scaled(0.01),

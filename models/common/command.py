@@ -22,10 +22,11 @@ class Parser(argparse.ArgumentParser):
     """The one door for options: errors are one line, no option is empty, and none is given twice unless it says so."""
 
     def __init__(self, prog: str, description: str, epilog: str = "") -> None:
+        page = f"{prog.partition('.')[0]}/README.md"
         super().__init__(
             prog=f"python -m {prog}",
             description=description,
-            epilog=epilog,
+            epilog=f"{epilog.rstrip()}\n\nwhat it prints and how to read it: {page}",
             formatter_class=argparse.RawDescriptionHelpFormatter,
             allow_abbrev=False,
         )

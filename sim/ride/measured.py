@@ -25,7 +25,8 @@ class Measured:
         unit: SI.
         mujoco: of the physics; None where the run broke off.
         linear: of the exact sampled response over the same road; None where the run broke off.
-        expected: over all roads of this kind, from their spectrum; None where the road has none, or the loop is unstable.
+        expected: over all roads of this kind, from their spectrum; None where the road has none, the loop is unstable, or nobody
+            has worked it out.
         spread: its standard deviation from road to road; None where it is not known.
         approximate: whether what is expected is.
     """
@@ -79,7 +80,7 @@ def measure_run(run: Run, first: int) -> RunMetrics:
             metric.unit,
             mujoco.get(metric.name),
             linear.get(metric.name),
-            expected.mean[metric.name] if expected else None,
+            expected.mean.get(metric.name) if expected else None,
             expected.spread.get(metric.name) if expected else None,
             expected is not None and metric.name.endswith(APPROXIMATE),
         )

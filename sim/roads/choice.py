@@ -10,19 +10,12 @@ from typing import Any
 from models.common.errors import InputError, known
 from models.vehicle import Vehicle
 from sim.roads.iso8608 import Iso8608, long_enough, roughness
-from sim.roads.obstacles import Pothole, SineSweep, Step, WattsHump
+from sim.roads.obstacles import OBSTACLES
 from sim.roads.opencrg import Surface, read_surface
 from sim.roads.profile import Profile
 from sim.roads.profile_file import read_profile, read_table
-from sim.roads.road import Bump, Road, track_width
+from sim.roads.road import Road, track_width
 
-OBSTACLES: Mapping[str, type] = {
-    "bump": Bump,
-    "watts_hump": WattsHump,
-    "step": Step,
-    "pothole": Pothole,
-    "sweep": SineSweep,
-}
 KINDS = ("iso8608", *OBSTACLES)
 SYNTAX = (
     f"give {', '.join(KINDS)}, each with :NAME=VALUE for its numbers, as in pothole:depth=0.03:length=2, or a .csv, .txt or .crg "

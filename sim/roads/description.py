@@ -6,9 +6,8 @@ from dataclasses import fields
 from typing import Any
 
 from models.common.errors import InputError, known, quoted
-from sim.roads.choice import OBSTACLES
 from sim.roads.iso8608 import HIGHEST, LOWEST, Iso8608, check_seed, roughness
-from sim.roads.obstacles import Scaled
+from sim.roads.obstacles import OBSTACLES, Scaled
 from sim.roads.profile import from_csv
 from sim.roads.road import Road
 from sim.roads.sinusoids import MULTISINES, Multisine

@@ -1,12 +1,13 @@
 """Single obstacles and the sine sweep: roads that are one formula long."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
 from models.common.arrays import Array
-from sim.roads.road import LIMITS, Road, check_numbers
+from sim.roads.road import LIMITS, Bump, Road, check_numbers
 
 
 @dataclass(frozen=True)
@@ -275,3 +276,13 @@ class Scaled(Road):
     def scaled(self, factor: float) -> "Scaled":
         """The same road, higher or lower."""
         return Scaled(self.road, self.factor * factor)
+
+
+# By the name that a command line, a campaign file or a log has for them.
+OBSTACLES: Mapping[str, type] = {
+    "bump": Bump,
+    "watts_hump": WattsHump,
+    "step": Step,
+    "pothole": Pothole,
+    "sweep": SineSweep,
+}

@@ -29,6 +29,7 @@ import numpy as np
 from models.common.command import run_command
 from models.kind import HERE
 from tests.damaged_kinds import damages
+from tests.pages import hopper
 
 SLOWEST, LARGEST = 10.0, 1.2e9  # s, bytes of a case
 COMMANDS = {
@@ -129,12 +130,7 @@ def good_files(folder: Path) -> None:
     x = np.linspace(0, 5, 51)
     lines = [f"{a:.3f},{b:.5f}" for a, b in zip(x, 0.01 * np.sin(x), strict=True)]
     (folder / "road.csv").write_text("\n".join(["distance,height", *lines]) + "\n", encoding="utf-8")
-    readme = (HERE.parent / "README.md").read_text(encoding="utf-8")
-    for suffix, start in {"py": "import numpy", "xml": "<mujoco", "toml": 'type = "hopper"'}.items():
-        block = next(
-            text for text in re.findall(r"```\w+\n(.*?)```", readme, re.DOTALL) if text.startswith(start) and "hopper" in text
-        )
-        (folder / f"hopper.{suffix}").write_text(block, encoding="utf-8")
+    hopper(folder)
     (folder / "read_only.csv").write_text("mine\n", encoding="utf-8")
     (folder / "read_only.csv").chmod(0o444)
     (folder / "folder").mkdir()

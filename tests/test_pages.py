@@ -1,0 +1,62 @@
+"""Every command of the READMEs runs as it stands there, prints what stands beside it, and draws the picture above it."""
+
+import re
+
+import pytest
+
+from tests.pages import PAGES, PICTURES, Section, missing, page, run, same_picture, sections
+
+SECTIONS = [each for name in PAGES for each in sections(name) if each.commands]
+# Each some seconds or more; in test_slow_pages.py, so that another process may run them.
+SLOW = ("sim.sweep", "sim.margins", "sim.envelope", "sim.report")
+
+
+def slow(one: Section) -> bool:
+    """Whether a section is for test_slow_pages.py."""
+    return any(f"-m {command} " in line for command in SLOW for line in one.commands)
+
+
+def check(one: Section, folder, monkeypatch, capsys) -> None:
+    """Runs a section; holds what it prints and draws against the page."""
+    if any("--picture" in line or "sim.report" in line for line in one.commands):
+        pytest.importorskip("matplotlib", reason="needs the extra [report]")
+        pytest.importorskip("plotly", reason="needs the extra [report]")
+    monkeypatch.chdir(folder)
+    run(one, folder)
+    printed = capsys.readouterr().out
+    for text in one.blocks("text"):
+        assert missing(text, printed) is None
+    for name in re.findall(r"--picture (\S+)", "\n".join(one.commands)):
+        assert same_picture(folder / name, PICTURES / name)
+
+
+@pytest.mark.parametrize("one", [each for each in SECTIONS if not slow(each)], ids=str)
+def test_commands(one, tmp_path, monkeypatch, capsys):
+    """Every command exits with 0, and prints the lines that stand beside it."""
+    check(one, tmp_path, monkeypatch, capsys)
+
+
+def test_a_stale_line_is_found():
+    """A line that is not printed, or not in its place, is named; dots stand for anything in between."""
+    printed = "first\nthe norm is 7.84, at 63\nlast\n"
+    assert missing("first\n...\nlast\n", printed) is None
+    assert missing("the norm ... at 63\n", printed) is None
+    assert missing("the norm is 7.84, ...\n", printed) is None
+    assert missing("the norm is 7.84\n", printed) == "the norm is 7.84"
+    assert missing("last\nfirst\n", printed) == "first"
+
+
+@pytest.mark.parametrize("name", [*PAGES, ".github/CONTRIBUTING.md"])
+def test_links_and_tables(name):
+    """What a page links to is there, heading included, and its tables are at most 100 columns wide."""
+    text, folder = page(name), (PICTURES.parent.parent / name).parent
+    for path, _, heading in (link.partition("#") for link in re.findall(r"\]\((?!https?:)([^)]+)\)", text)):
+        assert (folder / path).exists(), path
+        headings = re.findall(r"^#+ (.*)$", (folder / path).read_text(encoding="utf-8"), re.M) if heading else []
+        assert not heading or heading in [re.sub(r"[^\w -]", "", each.lower()).replace(" ", "-") for each in headings]
+    assert all(len(line) <= 100 for line in text.splitlines() if line.startswith("|"))
+
+
+def test_the_front_page_is_short():
+    """One reads it whole."""
+    assert len(page("README.md").splitlines()) <= 170

@@ -1,0 +1,12 @@
+"""The sections of the READMEs whose commands take tens of seconds: as `test_pages.py` has the others, after the suite."""
+
+import pytest
+
+from tests.test_pages import SECTIONS, check, slow
+
+
+@pytest.mark.attack
+@pytest.mark.parametrize("one", [each for each in SECTIONS if slow(each)], ids=str)
+def test_commands(one, tmp_path, monkeypatch, capsys):
+    """Every command exits with 0, prints the lines that stand beside it, and draws the picture that is shown."""
+    check(one, tmp_path, monkeypatch, capsys)
