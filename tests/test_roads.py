@@ -15,11 +15,11 @@ from sim.roads import opencrg, profile_file
 from sim.roads.choice import choose_road
 from sim.roads.description import described_road
 from sim.roads.iso8608 import CLASSES, Iso8608, coherency, long_enough, roughness
-from sim.roads.obstacles import OBSTACLES, Pothole, SineSweep, Step, WattsHump
+from sim.roads.obstacles import OBSTACLES, Pothole, Step, WattsHump
 from sim.roads.profile import Profile
 from sim.roads.profile_file import read_profile
 from sim.roads.road import Bump, track_width, under_wheels
-from sim.roads.sinusoids import random_road, sinusoid
+from sim.roads.sinusoids import SineSweep, random_road, sinusoid
 
 SPEED, STEP = 20.0, 0.04  # m/s, m between samples of a spectrum
 SEEDS = 200

@@ -7,9 +7,9 @@ from typing import Any
 
 from models.common.errors import InputError, known, quoted
 from sim.roads.iso8608 import HIGHEST, LOWEST, Iso8608, check_seed, roughness
-from sim.roads.obstacles import OBSTACLES, Scaled
+from sim.roads.obstacles import OBSTACLES
 from sim.roads.profile import from_csv
-from sim.roads.road import Road
+from sim.roads.road import Road, Scaled
 from sim.roads.sinusoids import MULTISINES, Multisine
 
 KINDS = ("iso8608", "profile", *OBSTACLES, *MULTISINES)

@@ -1,13 +1,13 @@
-"""Single obstacles and the sine sweep: roads that are one formula long."""
+"""Single obstacles: roads that are one formula long; and every road that is given by its name and a few numbers."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
 from models.common.arrays import Array
-from sim.roads.road import LIMITS, Bump, Road, check_numbers
+from sim.roads.road import LIMITS, Bump, Road, Scaled, check_numbers
+from sim.roads.sinusoids import SineSweep
 
 
 @dataclass(frozen=True)
@@ -177,105 +177,6 @@ class Pothole(Road):
 
     def _under(self, side: str) -> float:
         return 1.0 if not side or self.track in ("both", side) else 0.0
-
-
-@dataclass(frozen=True)
-class SineSweep(Road):
-    """A sine whose frequency f rises by the same factor every second, and whose height falls as 1/f.
-
-        z_r = amplitude exp(-k t) sin(2 pi lowest (exp(k t) - 1) / k),    k = ln(highest / lowest) / duration.
-
-    So the road's velocity, to which a vehicle responds, has nearly the same amplitude at all frequencies.
-
-    Attributes:
-        amplitude: at the beginning [m].
-        lowest, highest: f at the beginning and at the end [Hz].
-        duration: from one to the other [s]; then the road is level.
-        speed: V [m/s]; only the later wheels of a vehicle notice.
-
-    Raises:
-        InputError: a number beyond its limits.
-    """
-
-    amplitude: float = 0.02
-    lowest: float = 0.5
-    highest: float = 25.0
-    duration: float = 10.0
-    speed: float = 20.0
-
-    def __post_init__(self) -> None:
-        limits = {"amplitude": LIMITS["height"], "lowest": (0.01, 100.0), "highest": (self.lowest * 1.001, 100.0)}
-        check_numbers("sweep", self, limits | {"duration": (0.1, 1e4), "speed": LIMITS["speed"]})
-
-    def displacement(self, t: Array, side: str = "") -> Array:
-        """The sweep. Every side has the same; at its end it stays where it is."""
-        t = np.clip(t, 0.0, self.duration)
-        return self.amplitude * np.exp(-self._rate * t) * np.sin(self._angle(t))
-
-    def velocity(self, t: Array, side: str = "") -> Array:
-        """Its exact derivative."""
-        on, s = (t >= 0) & (t <= self.duration), np.clip(t, 0.0, self.duration)
-        fading = self._rate * np.exp(-self._rate * s) * np.sin(self._angle(s))
-        return np.where(on, self.amplitude * (2 * np.pi * self.lowest * np.cos(self._angle(s)) - fading), 0.0)
-
-    @property
-    def kinks(self) -> tuple[float, ...]:
-        """Its beginning and its end."""
-        return (0.0, self.duration)
-
-    def describe(self) -> dict[str, float | str]:
-        """Amplitude, lowest, highest, duration, speed."""
-        return {"type": "sweep", **asdict(self)}
-
-    def scaled(self, factor: float) -> "SineSweep":
-        """The same sweep, higher or lower."""
-        return replace(self, amplitude=self.amplitude * factor)
-
-    @property
-    def _rate(self) -> float:
-        return math.log(self.highest / self.lowest) / self.duration
-
-    def _angle(self, t: Array) -> Array:
-        return 2 * np.pi * self.lowest / self._rate * np.expm1(self._rate * t)
-
-
-@dataclass(frozen=True)
-class Scaled(Road):
-    """A road whose heights are multiplied.
-
-    Attributes:
-        road: the road.
-        factor: what its heights are multiplied by.
-    """
-
-    road: Road
-    factor: float
-
-    @property
-    def speed(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """That of the road [m/s]."""
-        return self.road.speed
-
-    def displacement(self, t: Array, side: str = "") -> Array:
-        """The multiplied height."""
-        return self.factor * self.road.displacement(t, side)
-
-    def velocity(self, t: Array, side: str = "") -> Array:
-        """The multiplied velocity."""
-        return self.factor * self.road.velocity(t, side)
-
-    @property
-    def kinks(self) -> tuple[float, ...]:
-        """Those of the road."""
-        return self.road.kinks
-
-    def describe(self) -> dict[str, float | str]:
-        """The road and the factor."""
-        return {**self.road.describe(), "factor": self.factor}
-
-    def scaled(self, factor: float) -> "Scaled":
-        """The same road, higher or lower."""
-        return Scaled(self.road, self.factor * factor)
 
 
 # By the name that a command line, a campaign file or a log has for them.

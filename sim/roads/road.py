@@ -108,6 +108,45 @@ class Bump(Road):
         return (t >= 0) & (t <= self.duration) & (not side or self.track in ("both", side))
 
 
+@dataclass(frozen=True)
+class Scaled(Road):
+    """A road whose heights are multiplied.
+
+    Attributes:
+        road: the road.
+        factor: what its heights are multiplied by.
+    """
+
+    road: Road
+    factor: float
+
+    @property
+    def speed(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """That of the road [m/s]."""
+        return self.road.speed
+
+    def displacement(self, t: Array, side: str = "") -> Array:
+        """The multiplied height."""
+        return self.factor * self.road.displacement(t, side)
+
+    def velocity(self, t: Array, side: str = "") -> Array:
+        """The multiplied velocity."""
+        return self.factor * self.road.velocity(t, side)
+
+    @property
+    def kinks(self) -> tuple[float, ...]:
+        """Those of the road."""
+        return self.road.kinks
+
+    def describe(self) -> dict[str, float | str]:
+        """The road and the factor."""
+        return {**self.road.describe(), "factor": self.factor}
+
+    def scaled(self, factor: float) -> "Scaled":
+        """The same road, higher or lower."""
+        return Scaled(self.road, self.factor * factor)
+
+
 def delays(road: Road, vehicle: Vehicle) -> list[float]:
     """How much later than the first wheel each wheel meets the road [s]."""
     return [wheel.behind(vehicle.parameters) / road.speed for wheel in vehicle.kind.wheels]
