@@ -5,14 +5,13 @@ import json
 from collections.abc import Sequence
 
 from models.common.command import Parser, chosen, run_command
-from models.common.errors import InputError
 from models.vehicle import Vehicle, read_vehicle
 from sim.command.asked import Asked
 from sim.command.comparison import add_how, check_view, compared_lines, run_chosen, view
 from sim.command.logs import log_lines, recorded, run_logs
 from sim.command.outputs import check_outputs
 from sim.roads.road import Bump
-from sim.runs.run import Run, check_road, sample_times
+from sim.runs.run import Run, sample_times
 from sim.runs.words import half_step_object, run_object
 
 EPILOG = """
@@ -35,15 +34,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser().parse_args(arguments)
     vehicle = read_vehicle(options.vehicle)
     names, road = chosen(vehicle.controller_names, options.controller), _road(options)
-    if road.track != "both" and not any(wheel.side for wheel in vehicle.kind.wheels):
-        raise InputError(f"--track {road.track}: a {vehicle.kind.name} has only one track; leave the option out")
     time = sample_times(vehicle, options.duration, options.timestep)
-    if road.duration < 2 * options.timestep:
-        raise InputError(
-            f"the bump is over in {road.duration:.3g} s, less than two timesteps of {options.timestep:g} s, so physics would not "
-            "see it; give a longer one, less speed, or a smaller timestep"
-        )
-    check_road(vehicle, road, time)
+    road.check(vehicle, time)
     check_view(options)
     check_outputs({"logs": options.logs}, [vehicle.source])
 

@@ -2,10 +2,10 @@
 
 import argparse
 import json
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from models.common.arrays import Array
 from models.common.command import Parser, chosen, run_command
 from models.common.errors import InputError
 from models.vehicle import Vehicle, read_vehicle
@@ -18,7 +18,7 @@ from sim.ride.metrics import DEFINITIONS
 from sim.roads.choice import FILE, SYNTAX, RoadChoice, choose_road
 from sim.roads.iso8608 import CLASSES
 from sim.roads.road import Road
-from sim.runs.run import check_road, sample_times
+from sim.runs.run import sample_times
 from sim.runs.words import half_step_object, run_object
 
 EPILOG = """
@@ -44,8 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     vehicle = read_vehicle(options.vehicle)
     names = chosen(vehicle.controller_names, options.controller)
     time = sample_times(vehicle, options.duration, options.timestep)
-    road = _road(vehicle, options)
-    check_road(vehicle, road, time)
+    road = _road(vehicle, options, time)
     check_view(options)
     check_outputs({"logs": options.logs}, [vehicle.source])
 
@@ -107,20 +106,16 @@ def _built(vehicle: Vehicle, options: argparse.Namespace, choice: RoadChoice) ->
     return choice.build(vehicle, options.speed, options.seed, options.speed * options.duration)
 
 
-def _road(vehicle: Vehicle, options: argparse.Namespace) -> Road:
-    """The road that was asked for."""
+def _road(vehicle: Vehicle, options: argparse.Namespace, time: Array) -> Road:
+    """The road that was asked for, if it can be driven."""
     choice = choose_road(_road_text(options))
     if "seed" in options.given and not choice.random:
         raise InputError(f"--seed says which random road, and {choice.text!r} is none; leave it out")
     road = _built(vehicle, options, choice)
-    passed = getattr(road, "duration", math.inf)
-    if passed < 2 * options.timestep:
-        raise InputError(
-            f"road {choice.text!r} is over in {passed:.3g} s, less than two timesteps of {options.timestep:g} s, so physics "
-            "would not see it; give a longer one, less speed, or a smaller timestep"
-        )
-    if getattr(road, "track", "both") != "both" and not any(wheel.side for wheel in vehicle.kind.wheels):
-        raise InputError(f"road {choice.text!r}: a {vehicle.kind.name} has only one track; leave track out")
+    try:
+        road.check(vehicle, time)
+    except InputError as error:
+        raise InputError(f"road {choice.text!r}: {error}") from error
     return road
 
 

@@ -21,8 +21,8 @@ from sim.command.progress import bar
 from sim.figures.picture import draw
 from sim.recording.run_log import RunLog
 from sim.response.regime import ENDS
-from sim.roads.road import Bump
-from sim.runs.run import LOWEST, run_all, sample_times
+from sim.roads.road import LOWEST, Bump
+from sim.runs.run import run_all, sample_times
 from sim.validity.cells import Cells, Interrupted, validity
 from sim.validity.grid import UNITS, grid, read_axes
 from sim.validity.words import envelope_lines, envelope_object, write_csv
@@ -53,7 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise InputError(f"--{axis.name} is of what is not varied, and --vary {axis.name} varies it; leave one of them out")
     bumps = grid(axes, {name: getattr(options, name) for name in UNITS})
     time = sample_times(vehicle, options.duration, options.timestep)
-    _check(bumps, options.duration, options.timestep, options.threshold)
+    _check(vehicle, bumps, time, options.threshold)
     outputs = {"csv": options.csv, "picture": options.picture}
     check_outputs(outputs | {"logs": options.logs}, [vehicle.source], options.json)
     controller = design(vehicle, name)
@@ -131,20 +131,16 @@ def _nearest_runs(vehicle: Vehicle, controller: Controller, cells: Cells, time: 
     return found
 
 
-def _check(bumps: Sequence[Bump], duration: float, timestep: float, threshold: float) -> None:
+def _check(vehicle: Vehicle, bumps: Sequence[Bump], time: Array, threshold: float) -> None:
     if not 0 < threshold < 1:
         raise InputError(f"threshold = {threshold:g} is not allowed; give a share of a peak above 0 and below 1, such as 0.05")
     if abs(bumps[0].height) < LOWEST:
         raise InputError(f"height = {bumps[0].height:g} m is lost in rounding; give at least {LOWEST:g} m, either way")
-    durations = [bump.duration for bump in bumps]
-    if min(durations) < 2 * timestep:
+    shortest, longest = (pick(bumps, key=lambda bump: bump.duration) for pick in (min, max))
+    shortest.check(vehicle, time)
+    if longest.duration > time[-1]:
         raise InputError(
-            f"the shortest bump is over in {min(durations):.3g} s, less than two timesteps of {timestep:g} s; give a longer one, "
-            "less speed, or a smaller timestep"
-        )
-    if max(durations) > duration:
-        raise InputError(
-            f"the longest bump takes {max(durations):.3g} s, more than the run of {duration:g} s; give a longer --duration"
+            f"the longest bump takes {longest.duration:.3g} s, more than the run of {time[-1]:g} s; give a longer --duration"
         )
 
 

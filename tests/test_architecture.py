@@ -50,7 +50,7 @@ ROOMS = {
     "sim.physics": "sim.response sim.roads",
     "sim.runs": "sim.linear sim.physics sim.response sim.roads synth.words",
     "sim.ride": "sim.linear sim.response sim.roads sim.runs",
-    "sim.validity": "sim.figures sim.linear sim.physics sim.response sim.roads sim.runs",
+    "sim.validity": "sim.figures sim.linear sim.physics sim.response sim.roads",
     "sim.stability": "sim.figures sim.linear sim.physics sim.roads sim.runs",
     "sim.frequency": "sim.figures sim.linear sim.physics sim.response sim.roads sim.runs",
     "sim.recording": "sim.figures sim.physics sim.response sim.roads sim.runs",

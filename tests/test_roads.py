@@ -14,12 +14,13 @@ from models.vehicle import read_vehicle
 from sim.roads import opencrg, profile_file
 from sim.roads.choice import choose_road
 from sim.roads.description import described_road
-from sim.roads.iso8608 import CLASSES, Iso8608, coherency, long_enough, roughness
+from sim.roads.iso8608 import CLASSES, Iso8608, long_enough, roughness
 from sim.roads.obstacles import OBSTACLES, Pothole, Step, WattsHump
 from sim.roads.profile import Profile
 from sim.roads.profile_file import read_profile
-from sim.roads.road import Bump, track_width, under_wheels
+from sim.roads.road import Bump, Scaled, track_width, under_wheels
 from sim.roads.sinusoids import SineSweep, random_road, sinusoid
+from sim.roads.spectrum import coherency
 
 SPEED, STEP = 20.0, 0.04  # m/s, m between samples of a spectrum
 SEEDS = 200
@@ -426,7 +427,7 @@ def test_what_is_written_is_read(tmp_path):
     """A profile's own file, with its headings, is the same profile to the last bit."""
     rng = np.random.default_rng(5)
     road = Profile(np.cumsum(rng.uniform(0.1, 0.2, 50)), rng.normal(0, 0.01, (50, 2)), 20.0)
-    (tmp_path / "road.csv").write_text(road.to_csv())
+    (tmp_path / "road.csv").write_bytes(road.points)
     again = choose_road("road.csv", tmp_path).profile
     assert again is not None
     assert np.array_equal(again.distance, road.distance)
@@ -505,20 +506,61 @@ def test_bad_seeds(seed):
         Iso8608("C", seed)
 
 
-@pytest.mark.parametrize(
-    "road",
-    [
-        *ROADS,
-        Bump(0.03, 2.0, 7.0, "left"),
-        Pothole(track="right"),
-        random_road(np.array([1.0, 2.5]), 3, 9.0).scaled(0.1),
-        sinusoid(63.6, 8.0),
-    ],
-    ids=lambda road: road.describe()["type"],
-)
+EVERY = [
+    *ROADS,
+    Bump(0.03, 2.0, 7.0, "left"),
+    Pothole(track="right"),
+    random_road(np.array([1.0, 2.5]), 3, 9.0).scaled(0.1),
+    sinusoid(63.6, 8.0),
+]
+
+
+@pytest.mark.parametrize("road", EVERY, ids=lambda road: road.describe()["type"])
+def test_a_road_is_level_after_its_duration(road):
+    """Nothing moves after a road's own end, and something does right before; scaled, it ends then, too, under the same wheels."""
+    sides = [side for side in ("left", "right") if road.track in ("both", side)]
+    if np.isfinite(road.duration):
+        assert road.duration == max(road.kinks)
+        late, before = road.duration + np.linspace(1e-9, 3.0, 1000), road.duration * np.linspace(0.9, 1 - 1e-6, 1000)
+        for side in sides:
+            moving = np.abs(road.velocity(before, side)).max()
+            assert np.abs(road.velocity(late, side)).max() < 1e-12 * moving  # the sine of pi
+    else:
+        late = 1e3 + np.linspace(0.0, 3.0, 1000)
+        assert all(np.any(road.velocity(late, side) != 0) for side in sides)
+    other = road.scaled(0.5)
+    assert (other.duration, other.track) == (road.duration, road.track)
+
+
+def test_roads_that_cannot_be_driven():
+    """What is over within two timesteps, beside a vehicle's only track, or lost in rounding is refused; a flat road is not."""
+    quarter, full, time = read_vehicle("quarter_car"), read_vehicle("full_car"), np.arange(1000) * 1e-3
+    for vehicle, road, words in (
+        (quarter, Bump(length=0.0249), "the road is over in 0.00199 s, less than two timesteps of 0.001 s"),
+        (quarter, Scaled(Pothole(track="left"), 2.0), "lies under the left side, and a quarter_car has only one track"),
+        (full, Bump(height=0.9e-5), "moves by only 9e-06 m in the 0.999 s of the run, and less than 1e-05 m is lost"),
+    ):
+        with pytest.raises(InputError, match=words):
+            road.check(vehicle, time)
+    for vehicle, road in ((quarter, Bump(length=0.0251)), (full, Pothole(track="left")), (full, Bump(height=1.1e-5))):
+        road.check(vehicle, time)
+        Scaled(road, 0.0).check(vehicle, time)
+
+
+def test_roads_that_cost_too_much():
+    """A road as long as any run needs costs less than 1, also the longest run; one that is made up to be costly more."""
+    for samples in (3, 1000, 1_000_000):
+        assert Iso8608(length=long_enough(20.0 * 1e-3 * samples)).cost(samples) < 1
+        assert sinusoid(63.6, 8.0).cost(samples) < 1
+        assert Bump().cost(samples) < 1
+    assert Iso8608(length=1e6).cost(1000) > 1
+    assert random_road(np.linspace(1.0, 2.0, 1000), 3, 9.0).cost(1_000_000) > 1
+
+
+@pytest.mark.parametrize("road", EVERY, ids=lambda road: road.describe()["type"])
 def test_description_is_enough(road):
     """A road comes back from its description as JSON holds it, to the last bit; a profile needs its points as CSV besides."""
-    points = road.to_csv().encode() if isinstance(road, Profile) else None
+    points = road.points
     again = described_road(json.loads(json.dumps(road.describe())), points)
     t = np.linspace(-0.1, 3.0, 1234)
     for side in ("", "left", "right"):

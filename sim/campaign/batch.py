@@ -18,7 +18,6 @@ from sim.response.regime import ENDS, Ends
 from sim.ride.expected import Expected, expect
 from sim.ride.metrics import Meter
 from sim.ride.settled import Settled, settled
-from sim.roads.iso8608 import Iso8608
 from sim.roads.road import under_wheels
 
 
@@ -113,13 +112,14 @@ class _Expectations:
         self.begun: dict[Any, Settled | None] = {}
 
     def __call__(self, run: PlannedRun) -> dict[str, Any]:
-        assert isinstance(run.road, Iso8608)
+        spectrum = run.road.spectrum
+        assert spectrum is not None, "the road is random"
         c, of = self.campaign, (*run.system, run.speed)
-        key = (*of, run.road.road_class)
+        key = (*of, spectrum.density)
         if key not in self.made:
-            self.made[key] = expect(run.vehicle, run.controller, run.road, c.timestep, (len(c.time) - c.first) * c.timestep)
+            self.made[key] = expect(run.vehicle, run.controller, spectrum, c.timestep, (len(c.time) - c.first) * c.timestep)
         if of not in self.begun:
-            self.begun[of] = settled(run.vehicle, run.controller, run.road, c.timestep, float(c.time[c.first]))
+            self.begun[of] = settled(run.vehicle, run.controller, spectrum, c.timestep, float(c.time[c.first]))
         expected, begun = self.made[key], self.begun[of]
         found: dict[str, Any] = {}
         if expected is not None:

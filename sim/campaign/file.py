@@ -1,7 +1,6 @@
 """A campaign file (TOML): which vehicles, controllers, roads, speeds, seeds and sampled parameters are combined."""
 
 import hashlib
-import math
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -133,10 +132,10 @@ def _parse(text: str, folder: Path) -> Campaign:
 
 def _check_road(name: str, vehicle: Vehicle, road: RoadChoice, speed: float, campaign: Campaign) -> None:
     built = road.build(vehicle, speed, campaign.seeds[0], speed * campaign.duration)
-    if getattr(built, "duration", math.inf) < 2 * campaign.timestep:
-        raise InputError(f"road {road.text!r} is over within two timesteps at {speed:g} m/s; give a longer one or less speed")
-    if getattr(built, "track", "both") != "both" and not any(wheel.side for wheel in vehicle.kind.wheels):
-        raise InputError(f"road {road.text!r}: vehicle {name!r} has only one track; leave track out")
+    try:
+        built.check(vehicle, campaign.time)
+    except InputError as error:
+        raise InputError(f"road {road.text!r} at {speed:g} m/s under vehicle {name!r}: {error}") from error
 
 
 def _seeds(data: Mapping[str, Any]) -> tuple[int, ...]:

@@ -22,9 +22,7 @@ from sim.inspect.log import Recorded, RecordedRun
 from sim.linear.loop import largest_timestep
 from sim.response.response import Response
 from sim.roads.description import described_road
-from sim.roads.iso8608 import Iso8608
 from sim.roads.road import Road
-from sim.roads.sinusoids import Multisine
 from sim.runs.prediction import Prediction, predict
 from synth.certificate.certificate import certify
 from synth.certificate.record import read_proof
@@ -32,7 +30,6 @@ from synth.controller import Controller, generalized_plant
 
 MOST_VEHICLE = 256 * 1024  # bytes of a vehicle file; one with ten saved certificates of a full car has 100 KiB
 MOST_DOTS = 64  # within one key; TOML readers take the square of it in memory
-MOST_SINES = 200_000_000  # lines times samples of a sum of sinusoids
 MOST_STATES = 1000  # of a loop with all its delayed forces; its eigenvalues take seconds
 FEWEST = 3  # samples that make a run
 
@@ -123,10 +120,9 @@ def recorded_road(log: Recorded, run: RecordedRun, samples: int) -> Road:
     if not isinstance(description, dict):
         raise InputError("its description is none")
     road = described_road(description, log.attachments.get(run.claims.get("road_file", "")))
-    if isinstance(road, Iso8608) and len(road.n) > 40_000 + 100 * samples:
-        raise InputError(f"{road.length:g} m of random road are absurd for {samples} samples")
-    if isinstance(road, Multisine) and len(road.omega) * samples > MOST_SINES:
-        raise InputError(f"{len(road.omega)} sinusoids are too many for {samples} samples")
+    cost = road.cost(samples)
+    if cost > 1:
+        raise InputError(f"it would take {cost:.2g} times as much as any such road needs to compute its {samples} samples")
     return road
 
 

@@ -17,7 +17,6 @@ from models.vehicle import Vehicle
 from sim.recording.drawing import draw
 from sim.recording.format import FORMAT, check_keys
 from sim.recording.run_log import RunLog
-from sim.roads.profile import Profile
 from sim.runs.run import Run
 from sim.runs.words import controller_object, energy_object, events, half_step_object, summary
 from synth.certificate.record import to_record
@@ -121,8 +120,8 @@ def run_log(run: Run, name: str | None = None) -> RunLog:
     vehicle, road, certificate, agreement = run.vehicle, run.road, run.controller.certificate, run.agreement
     assert run.qpos is not None, "what is written down MuJoCo has run"
     files = {}
-    if isinstance(road, Profile):  # its numbers alone do not make it again
-        points = road.to_csv().encode()
+    points = road.points
+    if points is not None:
         files[f"road-{hashlib.sha256(points).hexdigest()[:16]}.csv"] = ("text/csv", points)
     claims = {
         **controller_object(run.controller),

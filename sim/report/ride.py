@@ -65,7 +65,7 @@ def _rows(vehicle: Vehicle, controller: Controller, timestep: float) -> list[tup
     for k, road_class in enumerate(CLASSES):
         runs = range(k * len(SEEDS), (k + 1) * len(SEEDS))
         some = [measured[i] for i in runs if np.isinf(ended[i])]
-        expected = expect(ideal, controller, roads[k * len(SEEDS)], timestep, WINDOW)
+        expected = expect(ideal, controller, roads[k * len(SEEDS)].spectrum, timestep, WINDOW)
         lifted = max((one[off_ground(tyre)] for one in some for tyre in where.tyres), default=0.0)
         events = f"{100 * lifted:.2f} %" if lifted else "none"
         if len(some) < len(SEEDS):

@@ -33,7 +33,7 @@ from sim.ride.gaussian import Gaussian, positive_part
 from sim.ride.metrics import RUNNING, dynamic_load, energy, off_ground, points, power
 from sim.ride.quadrature import sample_band
 from sim.ride.weighting import POLES, sampled_wk
-from sim.roads.iso8608 import N0, Iso8608, coherency, roughness
+from sim.roads.spectrum import Spectrum
 from synth.certificate.stability import stability
 from synth.controller import Controller
 
@@ -65,41 +65,40 @@ def settling_time(vehicle: Vehicle, controller: Controller) -> float:
     return math.log(FORGOTTEN) / (2 * found.worst.real) if found.stable else math.inf
 
 
-def tracks(vehicle: Vehicle, road: Iso8608, omega: Array) -> Array:
+def tracks(vehicle: Vehicle, road: Spectrum, omega: Array) -> Array:
     """What every wheel's track has of the two independent sources of a road, shape (F, r, 2)."""
-    alike = coherency(omega / (2 * np.pi * road.speed), road.track_width)
+    alike = road.coherency(omega)
     left, right = np.stack([np.ones_like(alike), np.zeros_like(alike)]), np.stack([alike, np.sqrt(1 - alike**2)])
     return np.moveaxis(np.stack([right if wheel.side == "right" else left for wheel in vehicle.kind.wheels]), -1, 0)
 
 
-def sources(vehicle: Vehicle, road: Iso8608, omega: Array) -> Array:
+def sources(vehicle: Vehicle, road: Spectrum, omega: Array) -> Array:
     """What every wheel meets of the two independent sources of a road, complex, shape (F, r, 2)."""
     return as_met(vehicle, omega, road.speed)[..., None] * tracks(vehicle, road, omega)
 
 
 @one_thread()
-def expect(vehicle: Vehicle, controller: Controller, road: Iso8608, timestep: float, window: float) -> Expected | None:
+def expect(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: float, window: float) -> Expected | None:
     """The expected metrics; None where the loop is not stable and has no variance.
 
     Args:
         vehicle: the vehicle.
         controller: its controller.
-        road: of which kind; its seed does not matter.
+        road: the spectrum of the road.
         timestep: of the sampled loop [s].
         window: how long is measured [s].
     """
     if sampled_radius(vehicle, controller, timestep) >= 1:
         return None
-    low, high = (2 * np.pi * road.speed * n for n in road.band)
+    low, high = road.band
     poles, doubt = loop_poles(vehicle, controller, timestep, high)
-    density = (2 * np.pi * N0) ** 2 * roughness(road.road_class) * road.factor**2 * road.speed
     where, static = points(vehicle), vehicle.kind.static_tyre_deflection(vehicle.parameters)
     index = {name: i for i, name in enumerate(vehicle.linear_model.outputs)}
     ride, weigh = [index[name] for name in where.accelerations], sampled_wk(timestep)
 
     def response(omega: Array) -> Array:
         """Every signal's amplitudes by source, shape (F, p, 2)."""
-        return math.sqrt(density) * (
+        return math.sqrt(road.density) * (
             sampled_frequency_response(vehicle, controller, omega, timestep) @ sources(vehicle, road, omega)
         )
 
@@ -155,7 +154,7 @@ def expect(vehicle: Vehicle, controller: Controller, road: Iso8608, timestep: fl
         mean[f"{name}_peak"] = signal.largest(window) * signal.sigma
     at_steps = stepwise_frequency_response(vehicle, controller, omega, timestep) @ sources(vehicle, road, omega)
     for name, travel in pushing.items():
-        force, along = (math.sqrt(density) * at_steps[:, :, index[signal]] for signal in (name, travel))
+        force, along = (math.sqrt(road.density) * at_steps[:, :, index[signal]] for signal in (name, travel))
         lags = vehicle.limits.actuator_bandwidth is not None
         net, positive = work_rate((force[:-1] + force[1:]) / 2 if lags else force[:-1], np.diff(along, axis=0), band.share)
         # n samples have n - 1 steps between them.

@@ -11,7 +11,6 @@ from models.vehicle import Vehicle
 from sim.ride.expected import APPROXIMATE, EXACT, Expected, expect, settling_time
 from sim.ride.metrics import measure, metrics_of
 from sim.ride.settled import Settled, settled
-from sim.roads.iso8608 import Iso8608
 from sim.roads.road import Road
 from sim.runs.run import Run
 from synth.controller import Controller
@@ -56,7 +55,7 @@ class RunMetrics:
 
 def first_sample(vehicle: Vehicle, controllers: Sequence[Controller], road: Road, duration: float, timestep: float) -> int:
     """The sample from which is measured: when a random road's vehicle has forgotten its start, half of the run at the latest."""
-    if not isinstance(road, Iso8608):
+    if road.spectrum is None:
         return 0
     settled = max(settling_time(vehicle, controller) for controller in controllers)
     return round(min(settled, duration / 2) / timestep)
@@ -67,9 +66,9 @@ def measure_run(run: Run, first: int) -> RunMetrics:
     vehicle, road, time, timestep = run.vehicle, run.road, run.prediction.time, run.prediction.timestep
     expected: Expected | None = None
     begun: Settled | None = None
-    if isinstance(road, Iso8608):
-        expected = expect(vehicle, run.controller, road, timestep, (len(time) - first) * timestep)
-        begun = settled(vehicle, run.controller, road, timestep, float(time[first]))
+    if (spectrum := road.spectrum) is not None:
+        expected = expect(vehicle, run.controller, spectrum, timestep, (len(time) - first) * timestep)
+        begun = settled(vehicle, run.controller, spectrum, timestep, float(time[first]))
     mujoco: Mapping[str, float] = {}
     linear: Mapping[str, float] = {}
     if run.broke_off is None:

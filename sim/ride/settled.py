@@ -27,7 +27,7 @@ from sim.linear.loop import driven, implemented_loop, sampled_radius
 from sim.ride.expected import longest_panel, loop_poles, power_of, tracks
 from sim.ride.metrics import points
 from sim.ride.quadrature import sample_band
-from sim.roads.iso8608 import Iso8608
+from sim.roads.spectrum import Spectrum
 from synth.controller import Controller
 
 STILL = 1e-12  # of the largest variance in its unit: a signal that does not move
@@ -46,13 +46,13 @@ class Settled:
     signal: str
 
 
-def settled(vehicle: Vehicle, controller: Controller, road: Iso8608, timestep: float, start: float) -> Settled | None:
+def settled(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: float, start: float) -> Settled | None:
     """The measured signal that is furthest from its final variance when measuring begins; None for an unstable loop.
 
     Args:
         vehicle: the vehicle.
         controller: its controller.
-        road: of which kind; neither its class nor its seed matters.
+        road: the spectrum of the road; how rough it is does not matter.
         timestep: of the sampled loop [s].
         start: when measuring begins [s]; rounded to a sample of the controller, as is when a rear wheel comes onto the road.
     """
@@ -63,7 +63,7 @@ def settled(vehicle: Vehicle, controller: Controller, road: Iso8608, timestep: f
     return Settled(shares[furthest], furthest)
 
 
-def settled_shares(vehicle: Vehicle, controller: Controller, road: Iso8608, timestep: float, start: float) -> dict[str, float]:
+def settled_shares(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: float, start: float) -> dict[str, float]:
     """The same of every measured signal that moves, by name; empty for an unstable loop."""
     if sampled_radius(vehicle, controller, timestep) >= 1:
         return {}
@@ -94,7 +94,7 @@ def settled_shares(vehicle: Vehicle, controller: Controller, road: Iso8608, time
         met = as_met(vehicle, omega, road.speed)[..., None] * tracks(vehicle, road, omega)
         return power_of((C @ X + model.Cr / s) @ met)
 
-    low, high = (2 * np.pi * road.speed * n for n in road.band)
+    low, high = road.band
     poles, _ = loop_poles(vehicle, controller, timestep, high)
     band = sample_band(amplitudes, lambda _, both: power_of(both), low, high, poles, longest_panel(vehicle, road.speed))
     A, B = np.split(band.values, 2, axis=1)

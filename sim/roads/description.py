@@ -23,7 +23,7 @@ def described_road(description: Mapping[str, Any], points: bytes | None = None) 
 
     Args:
         description: what `Road.describe` gave, through JSON or not.
-        points: of a profile, what `Profile.to_csv` gave; a description has not room for them.
+        points: of a profile, what `Profile.points` gave; a description has not room for them.
 
     Raises:
         InputError: it describes no road, or not all of one.

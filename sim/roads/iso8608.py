@@ -25,11 +25,11 @@ from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
-from scipy import special
 
 from models.common.arrays import Array
 from models.common.errors import InputError
 from sim.roads.road import Road, check_numbers
+from sim.roads.spectrum import Spectrum, coherency
 
 CLASSES = "ABCDEFGH"
 N0 = 0.1  # cycle/m
@@ -38,6 +38,7 @@ LENGTH = 1024.0  # m
 MOST_SEED = 2**63 - 1
 LIMITS = {"speed": (0.1, 200.0), "track_width": (0.0, 10.0), "length": (100.0, 1e6)}  # SI
 BLOCK = 1_000_000  # terms that are summed at once where times are not evenly spaced
+USUAL_LINES, LINES_PER_SAMPLE = 40_000, 100  # more no run needs that this road does not repeat under
 FEW = 10  # times; more, if evenly spaced, are faster by transform
 
 
@@ -61,17 +62,6 @@ def check_seed(seed: Any) -> int:
     if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed <= MOST_SEED:
         raise InputError(f"seed = {seed!r} is not allowed; give a whole number from 0 to {MOST_SEED}")
     return seed
-
-
-def coherency(n: Array, width: float) -> Array:
-    """Coherency of two tracks of an isotropic surface, shape like n.
-
-    Args:
-        n: spatial frequencies [cycle/m].
-        width: between the tracks [m].
-    """
-    x = 2 * np.pi * np.asarray(n) * width
-    return np.where(x > 0, x * special.k1(np.where(x > 0, x, 1.0)), 1.0)
 
 
 @dataclass(frozen=True)
@@ -148,6 +138,17 @@ class Iso8608(Road):
     def band(self) -> tuple[float, float]:
         """The spatial frequencies that its lines stand for [cycle/m]: half a line further out than the first and the last."""
         return float(self.n[0]) - 0.5 / self.length, float(self.n[-1]) + 0.5 / self.length
+
+    @property
+    def spectrum(self) -> Spectrum:
+        """That of its class."""
+        low, high = (2 * np.pi * self.speed * n for n in self.band)
+        density = (2 * np.pi * N0) ** 2 * roughness(self.road_class) * self.factor**2 * self.speed
+        return Spectrum(density, (low, high), self.speed, self.length, self.track_width)
+
+    def cost(self, samples: int) -> float:
+        """Its lines are held."""
+        return len(self.n) / (USUAL_LINES + LINES_PER_SAMPLE * samples)
 
     @cached_property
     def _left(self) -> Array:

@@ -62,10 +62,11 @@ class Profile(Road):
         """Both ends. At the other points only the third derivative jumps: a step's quadrature does not see it."""
         return (0.0, self.duration)
 
-    def to_csv(self) -> str:
+    @property
+    def points(self) -> bytes:
         """Its points to the last bit, as a file that is read again: distance, left, right [m]."""
         rows = np.column_stack([self.distance, self.heights]).tolist()
-        return "distance,left,right\n" + "".join(",".join(map(repr, row)) + "\n" for row in rows)
+        return ("distance,left,right\n" + "".join(",".join(map(repr, row)) + "\n" for row in rows)).encode()
 
     def describe(self) -> dict[str, float | str]:
         """File, points, length, roughest height, speed."""
@@ -132,7 +133,7 @@ def check_points(distance: Array, heights: Array, where: Callable[[int], str] = 
 
 
 def from_csv(content: bytes, speed: float, source: str) -> Profile:
-    """A profile from what `Profile.to_csv` wrote, to the last bit.
+    """A profile from what `Profile.points` wrote, to the last bit.
 
     Raises:
         InputError: it is not that.

@@ -1,5 +1,6 @@
 """Roads: the height under a wheel as a function of time, and its exact derivative."""
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
@@ -9,6 +10,9 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.vehicle import Vehicle
+from sim.roads.spectrum import Spectrum
+
+LOWEST = 1e-5  # m; what a lower road does to a vehicle is lost in the rounding of its weight
 
 
 class Road(ABC):
@@ -16,6 +20,24 @@ class Road(ABC):
 
     speed: float
     """Forward velocity of the vehicle [m/s]."""
+
+    track: str = "both"
+    """The side that it lies under: "left", "right" or "both"."""
+
+    @property
+    def duration(self) -> float:
+        """How long a wheel is on it [s]; infinite where it has no end."""
+        return math.inf
+
+    @property
+    def spectrum(self) -> Spectrum | None:
+        """Of a random road; None for others."""
+        return None
+
+    @property
+    def points(self) -> bytes | None:
+        """What `describe` has not room for, as a CSV file; None where its description makes a road again."""
+        return None
 
     @abstractmethod
     def displacement(self, t: Array, side: str = "") -> Array:
@@ -37,6 +59,33 @@ class Road(ABC):
     @abstractmethod
     def describe(self) -> dict[str, float | str]:
         """What it is: its kind under `type`, then its numbers in SI."""
+
+    def cost(self, samples: int) -> float:
+        """What it takes to compute so many samples, over what any run needs: a road from a log is not computed at any price."""
+        return 0.0
+
+    def check(self, vehicle: Vehicle, time: Array) -> None:
+        """Whether a vehicle can be driven over it at these sample times from 0 [s], and feels it. A flat one is fine.
+
+        Raises:
+            InputError: it is over within two timesteps, lies under one side of a vehicle with one track, or hardly moves.
+        """
+        timestep = float(time[1])
+        if self.duration < 2 * timestep:
+            raise InputError(
+                f"the road is over in {self.duration:.3g} s, less than two timesteps of {timestep:g} s, so physics would not see "
+                "it; give a longer one, less speed, or a smaller timestep"
+            )
+        if self.track != "both" and not any(wheel.side for wheel in vehicle.kind.wheels):
+            raise InputError(
+                f"the road lies under the {self.track} side, and a {vehicle.kind.name} has only one track; leave track out"
+            )
+        highest = float(np.abs(under_wheels(self.displacement, self, vehicle, time)).max())
+        if 0 < highest < LOWEST:
+            raise InputError(
+                f"the road moves by only {highest:.2g} m in the {time[-1]:.4g} s of the run, and less than {LOWEST:g} m is lost "
+                "in rounding; give a higher or shorter one, more speed, a longer duration, or 0 height"
+            )
 
 
 LIMITS = {"height": (-100.0, 100.0), "length": (1e-3, 1e4), "speed": (1e-3, 1e3)}  # SI; no road vehicle is beyond them
@@ -124,6 +173,16 @@ class Scaled(Road):
     def speed(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
         """That of the road [m/s]."""
         return self.road.speed
+
+    @property
+    def track(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """That of the road."""
+        return self.road.track
+
+    @property
+    def duration(self) -> float:
+        """That of the road [s]."""
+        return self.road.duration
 
     def displacement(self, t: Array, side: str = "") -> Array:
         """The multiplied height."""

@@ -9,6 +9,7 @@ import numpy as np
 from models.common.arrays import Array
 from sim.roads.road import LIMITS, Road, check_numbers
 
+MOST_SINES = 200_000_000  # lines times samples
 BLOCK = 4_000_000  # sines that are evaluated at once; more only costs memory
 MULTISINES = ("multisine", "chirp", "random", "sinusoid")  # what they are called in a log
 
@@ -64,6 +65,10 @@ class Multisine(Road):
     def scaled(self, factor: float) -> "Multisine":
         """The same road, higher or lower."""
         return replace(self, amplitudes=tuple(factor * a for a in self.amplitudes))
+
+    def cost(self, samples: int) -> float:
+        """Every line is evaluated at every sample."""
+        return len(self.omega) * samples / MOST_SINES
 
     def to_height(self, height: float, time: Array) -> "Multisine":
         """The same road, scaled so that over these times [s] it reaches this height [m], either way."""
@@ -137,7 +142,7 @@ class SineSweep(Road):
     amplitude: float = 0.02
     lowest: float = 0.5
     highest: float = 25.0
-    duration: float = 10.0
+    duration: float = 10.0  # pyright: ignore[reportIncompatibleMethodOverride]
     speed: float = 20.0
 
     def __post_init__(self) -> None:

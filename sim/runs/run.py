@@ -13,13 +13,12 @@ from sim.linear.loop import largest_timestep
 from sim.physics.energy import Energy, energy
 from sim.physics.simulate import PhysicsRuns, simulate
 from sim.response.response import Response
-from sim.roads.road import Road, under_wheels
+from sim.roads.road import Road
 from sim.runs.agreement import SMALL, Agreement, compare, look_closer
 from sim.runs.prediction import Prediction, predict
 from synth.controller import Controller
 
 MOST_SAMPLES = 1_000_000  # a run of these takes 0.4 GB and half a minute
-LOWEST = 1e-5  # m; what a lower road does to a vehicle is lost in the rounding of its weight
 
 
 @dataclass(frozen=True)
@@ -121,20 +120,6 @@ def sample_times(vehicle: Vehicle, duration: float, timestep: float) -> Array:
     if duration / timestep > MOST_SAMPLES:
         raise InputError(f"{duration / timestep:.2g} samples are too many; at most {MOST_SAMPLES} (duration / timestep)")
     return np.arange(round(duration / timestep) + 1) * timestep
-
-
-def check_road(vehicle: Vehicle, road: Road, time: Array) -> None:
-    """Whether a vehicle feels a road at these sample times. A flat one is fine.
-
-    Raises:
-        InputError: the road hardly moves during the run.
-    """
-    highest = float(np.abs(under_wheels(road.displacement, road, vehicle, time)).max())
-    if 0 < highest < LOWEST:
-        raise InputError(
-            f"the road moves by only {highest:.2g} m in the {time[-1]:.4g} s of the run, and less than {LOWEST:g} m is lost in "
-            "rounding; give a higher or shorter one, more speed, a longer duration, or 0 height"
-        )
 
 
 def _check_noise(vehicle: Vehicle, controllers: Sequence[Controller]) -> None:

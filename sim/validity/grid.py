@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.errors import InputError, known
-from sim.roads.road import LIMITS, Bump
-from sim.runs.run import LOWEST
+from sim.roads.road import LIMITS, LOWEST, Bump
 
 UNITS = {"height": "m", "length": "m", "speed": "m/s"}
 

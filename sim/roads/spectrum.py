@@ -1,0 +1,42 @@
+"""What is known of a random road before its phases are drawn: how rough it is, and how much one track has of the other."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import special
+
+from models.common.arrays import Array
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """The spectrum of a random road that is driven at constant speed.
+
+    Attributes:
+        density: one-sided, of the road's vertical velocity, which is white within the band [(m/s)^2/Hz].
+        band: where it lies, from and to [rad/s].
+        speed: V [m/s].
+        length: after this distance the road repeats: it is a sum of lines, 1 / length apart [m].
+        track_width: from the right track to the left [m].
+    """
+
+    density: float
+    band: tuple[float, float]
+    speed: float
+    length: float
+    track_width: float
+
+    def coherency(self, omega: Array) -> Array:
+        """Of the two tracks, at angular frequencies [rad/s], shape like omega."""
+        return coherency(omega / (2 * np.pi * self.speed), self.track_width)
+
+
+def coherency(n: Array, width: float) -> Array:
+    """Coherency of two tracks of an isotropic surface, x K_1(x) with x = 2 pi n b (see `iso8608`), shape like n.
+
+    Args:
+        n: spatial frequencies [cycle/m].
+        width: between the tracks, b [m].
+    """
+    x = 2 * np.pi * np.asarray(n) * width
+    return np.where(x > 0, x * special.k1(np.where(x > 0, x, 1.0)), 1.0)
