@@ -18,8 +18,9 @@ vehicles = ["quarter_car"]
 controllers = ["passive", "I"]
 roads = ["bump", "iso8608:class=C"]
 speeds = [10.0]
-count = 2
+seeds = 2
 duration = 2.0
+settle = 1.0
 """
 COMMANDS = (
     ("synth",),
@@ -38,6 +39,7 @@ COMMANDS = (
     ("sim.campaign", "campaign.toml"),
     ("sim.report", "--quick"),
 )
+BAD_INPUT = 2
 ELSEWHERE = {"logs", "seconds", "report", "results", "folder", "source"}  # keys of paths and times
 
 
@@ -74,6 +76,8 @@ def main() -> int:
         for command in COMMANDS:
             answers = [said(checkout, folder, command) for checkout, folder in zip((old, new), folders, strict=True)]
             found = [str(text) for text in differences([*answers[0]], [*answers[1]])]
+            if answers[0][0] == BAD_INPUT:  # nothing was compared
+                found.insert(0, f"the old one refuses it: {answers[0][1]}")
             print(f"{'DIFFERS' if found else 'same':8}{' '.join(command)}", *found[:5], sep="\n    ", flush=True)
             code |= bool(found)
         for log in sorted(folders[0].glob("logs/*.mcap")):

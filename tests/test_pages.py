@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from tests.pages import PAGES, PICTURES, Section, missing, page, run, same_picture, sections
+from tests.pages import LIGHTER, PAGES, PICTURES, THINNER, Section, missing, page, run, same_picture, sections
 
 SECTIONS = [each for name in PAGES for each in sections(name) if each.commands]
 # Each some seconds or more; in test_slow_pages.py, so that another process may run them.
@@ -34,6 +34,13 @@ def check(one: Section, folder, monkeypatch, capsys) -> None:
 def test_commands(one, tmp_path, monkeypatch, capsys):
     """Every command exits with 0, and prints the lines that stand beside it."""
     check(one, tmp_path, monkeypatch, capsys)
+
+
+def test_what_is_made_lighter_is_there():
+    """Every line and every setting that is given less to do stands on a page."""
+    lines = [line for one in SECTIONS for line in one.commands]
+    assert all(any(line.startswith(f"python -m {start}") for line in lines) for start in LIGHTER)
+    assert all(much in page("sim/README.md") for much in THINNER)
 
 
 def test_a_stale_line_is_found():
