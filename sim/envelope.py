@@ -20,7 +20,7 @@ from sim.command.outputs import check_outputs, written, written_lines
 from sim.command.progress import bar
 from sim.figures.picture import draw
 from sim.recording.run_log import RunLog
-from sim.response.regime import ENDS
+from sim.response.regime import END_NAMES
 from sim.roads.road import LOWEST, Bump
 from sim.runs.run import run_all, sample_times
 from sim.validity.cells import Cells, Interrupted, validity
@@ -105,15 +105,15 @@ def asked(vehicle: Vehicle, options: argparse.Namespace) -> Asked:
         "threshold": options.threshold,
         **written({"csv": options.csv, "picture": options.picture}),
     }
-    names = {_called(name, end) for end in (-1, *range(len(ENDS)))}
+    names = {_called(name, end) for end in (-1, *range(len(END_NAMES)))}
     return Asked(
         [name], samples, options.timestep, is_it, lambda run, how: run in names and how == vehicle.implementation, result
     )
 
 
 def _called(controller: str, end: int) -> str:
-    """What a run is called by what broke first, of `ENDS`; -1 for nothing."""
-    what = "nothing_breaks" if end < 0 else ENDS[end].replace(" ", "_").replace("-", "_")
+    """What a run is called by what broke first, of `REGIME_ENDS`; -1 for nothing."""
+    what = "nothing_breaks" if end < 0 else END_NAMES[end].replace(" ", "_").replace("-", "_")
     return f"{controller}_{what}"
 
 
@@ -122,7 +122,7 @@ def _nearest_runs(vehicle: Vehicle, controller: Controller, cells: Cells, time: 
     from sim.recording.provenance import run_log
 
     found, used = [], cells.used.max(axis=-1)
-    for end in (-1, *range(len(ENDS))):
+    for end in (-1, *range(len(END_NAMES))):
         mine = np.flatnonzero(cells.done & (cells.first == end))
         if len(mine):
             i = mine[used[mine].argmax() if end < 0 else used[mine].argmin()]

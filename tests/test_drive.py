@@ -171,7 +171,7 @@ def test_why_the_comparison_ends_is_said(paper, designer):
     """Where it ends before the first lift-off, that a tyre may leave the road within a step is said; at a lift-off, nothing."""
     run = run_all(paper, [designer.design("passive")], Bump(), np.arange(200) * 1e-3)[0]
     for until, said in ((0.05, True), (0.1, False)):
-        agreement = dataclasses.replace(run.agreement, lift_off=((0.1, 0.12),), until=until)
+        agreement = dataclasses.replace(run.agreement, ended={**run.agreement.ended, "lift-off": 0.1}, until=until)
         (line,) = [one for one in verdict_lines(dataclasses.replace(run, agreement=agreement)) if "does not apply" in one]
         assert line.startswith(f"the linear comparison does not apply from {until:g} s on")
         assert line.endswith("within a step, a tyre may leave the road there") == said

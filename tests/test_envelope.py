@@ -13,7 +13,7 @@ from models.vehicle import read_vehicle
 from sim.envelope import main
 from sim.figures.figure import Kinds
 from sim.linear.loop import sampled_response
-from sim.response.regime import ENDS, first_end, reached, utilisation
+from sim.response.regime import END_NAMES, first_end, reached, utilisation
 from sim.roads.road import Bump
 from sim.validity.cells import Interrupted, validity
 from sim.validity.figure import envelope_figure
@@ -71,7 +71,7 @@ def test_off_where_absent(paper, designer):
     """A vehicle without limits only lifts off, however hard a controller works."""
     bumps = grid(read_axes(["height:0.2:0.6:3", "speed:10:30:3"]), FIXED)
     found = validity(paper, designer.design("I"), bumps, TIME)
-    assert {ENDS[i] for i in found.first if i >= 0} <= {"lift-off", "flat tyre"}
+    assert {END_NAMES[i] for i in found.first if i >= 0} <= {"lift-off", "flat tyre"}
 
 
 def test_car(designer):
@@ -149,7 +149,9 @@ def test_words_are_the_cells(tmp_path, capsys):
     assert len(firsts) >= 2
     expected = [f"{share(lambda cell: cell['holds'])}: linear analysis holds to 0.05 of every signal's peak"]
     expected.append(f"{share(lambda cell: cell['broke_first'] is None)}: nothing breaks")
-    expected += [f"{share(lambda cell, end=end: cell['broke_first'] == end)}: {end} comes first" for end in ENDS if end in firsts]
+    expected += [
+        f"{share(lambda cell, end=end: cell['broke_first'] == end)}: {end} comes first" for end in END_NAMES if end in firsts
+    ]
     agree = sum(cell["agrees"] for cell in cells)
     expected.append(
         f"{100 * agree / 30:.2f} % of 30 cells break as linear analysis predicts; of the others 0 do not lie at a boundary"
@@ -163,7 +165,7 @@ def test_words_are_the_cells(tmp_path, capsys):
             assert row[name] == ("" if cell[name] is None else repr(cell[name]))
         assert (row["broke_first"], row["predicted"]) == (cell["broke_first"] or "", cell["predicted"] or "")
         assert (row["holds"], row["agrees"]) == (str(cell["holds"]), str(cell["agrees"]))
-        shares = {end: float(row[f"linear_share_of_{end.replace(' ', '_').replace('-', '_')}"]) for end in ENDS}
+        shares = {end: float(row[f"linear_share_of_{end.replace(' ', '_').replace('-', '_')}"]) for end in END_NAMES}
         assert (max(shares.values()) >= 1) == (cell["predicted"] is not None)
         assert cell["predicted"] is None or shares[cell["predicted"]] >= 1
 
@@ -185,7 +187,7 @@ def test_picture_is_the_cells(limited, designer, cells, axes):
     for bump, first in zip(found.bumps, found.first, strict=True):
         color = ground.colors[ground.kind[list(ground.y).index(bump.height), list(ground.x).index(bump.speed)]]
         (label,) = [text for text, its in legend.items() if its == color and ("breaks" in text)]
-        assert label.startswith("nothing breaks" if first < 0 else f"{ENDS[first]} breaks first")
+        assert label.startswith("nothing breaks" if first < 0 else f"{END_NAMES[first]} breaks first")
     assert "force saturation breaks first (at ±1400 N)" in legend
     assert "100 % of 196 MuJoCo runs end the linear regime as predicted" in figure.title
     # The line lies where the linear share is one: at the height that the column's own linear run says.

@@ -14,7 +14,7 @@ from sim.campaign.samples import with_sample
 from sim.campaign.twin import Twin
 from sim.physics.readout import reads_out
 from sim.physics.simulate import BLOCK, DIVERGED, in_blocks
-from sim.response.regime import ENDS, Ends
+from sim.response.regime import END_NAMES, EndDetector
 from sim.ride.expected import Expected, expect
 from sim.ride.metrics import Meter
 from sim.ride.settled import Settled, settled
@@ -62,7 +62,7 @@ def _drive(campaign: Campaign, runs: Sequence[PlannedRun], stopped: Callable[[],
     first = campaign.first if random else 0
     meter = Meter(vehicles, h, first)
     twin = Twin(runs, now, midway, h, None if random else first)
-    ends = Ends(vehicles, time)
+    ends = EndDetector(vehicles, time)
     diverged = np.full(len(runs), np.inf)
     for block in in_blocks(vehicles, [run.controller for run in runs], now, midway, h, 1, BLOCK):
         if stopped():
@@ -92,7 +92,7 @@ def _drive(campaign: Campaign, runs: Sequence[PlannedRun], stopped: Callable[[],
         )
         absent = row["reason"] is not None
         row["diverged_at"] = float(diverged[i]) if broken else None
-        row["ended_by"] = None if np.isinf(ended) else "divergence" if diverged[i] <= ends.first[i] else ENDS[ends.which[i]]
+        row["ended_by"] = None if np.isinf(ended) else "divergence" if diverged[i] <= ends.first[i] else END_NAMES[ends.which[i]]
         row["ended_at"] = float(ended) if np.isfinite(ended) else None
         row["linear_error"] = finite(errors[i])
         row |= {name: None if absent else finite(values[i]) for name, values in measured.items()}

@@ -10,19 +10,15 @@ from sim.figures.figure import rgb, styles, tint
 from sim.recording.run_log import RunLog
 from sim.recording.signal_groups import PALETTE, RESPONSES, groups, shown, signals_of
 from sim.response.difference import difference
+from sim.response.regime import REGIME_ENDS
 
 TIMELINE = "time"
 
 ANY_RESPONSE = (0.3, 2.0)
 
 # What happens, by its text: (shape, colour that no curve has). Anything else is a cross.
-MARKERS = {
-    "lift-off": (rr.components.MarkerShape.Up, (255, 221, 0)),
-    "landing": (rr.components.MarkerShape.Down, (255, 255, 255)),
-    "bump stop": (rr.components.MarkerShape.Square, (255, 0, 200)),
-    "actuator saturated": (rr.components.MarkerShape.Diamond, (0, 220, 220)),
-}
-ANY_MARKER = (rr.components.MarkerShape.Cross, (20, 20, 20))
+MARKERS = {end.event: end.marker for end in REGIME_ENDS} | {"landing": ("Down", (255, 255, 255))}
+ANY_MARKER = ("Cross", (20, 20, 20))
 
 
 def entity(*parts: str) -> str:
@@ -89,11 +85,12 @@ def log_events(recording: rr.RecordingStream, run: RunLog) -> None:
     response = run.responses[shown(run)]
     for text in dict.fromkeys(texts):
         shape, colour = MARKERS.get(text, ANY_MARKER)
+        looks = rr.SeriesPoints(names=text, colors=colour, markers=rr.components.MarkerShape[shape], marker_sizes=7.0)
         times = np.array([time for time, what in run.events if what == text])
         samples = np.clip(np.searchsorted(response.time, times), 0, len(response.time) - 1)
         for signal in response.signals:
             path = entity(run.name, "signals", signal.name, text)
-            recording.log(path, rr.SeriesPoints(names=text, colors=colour, markers=shape, marker_sizes=7.0), static=True)
+            recording.log(path, looks, static=True)
             recording.send_columns(path, time_index(times), rr.Scalars.columns(scalars=response[signal.name][samples]))
 
 

@@ -9,6 +9,7 @@ from sim.frequency.identification import Lines
 from sim.frequency.sweep import Sweep, failures
 from sim.report.regime_end import REACHES, RegimeEnd
 from sim.report.scope import BUMP_DURATION, Scope, at_most, joined
+from sim.response.regime import REGIME_ENDS
 from sim.roads.road import Bump
 from sim.runs.run import Run
 from synth.controller import Controller
@@ -113,13 +114,7 @@ def _how(scope: Scope, runs: Sequence[Run]) -> str:
 def what_ended(run: Run) -> str:
     """What ended the comparison of a run, in words."""
     one = run.agreement
-    causes = {
-        "a tyre leaves the road": min((start for start, _ in one.lift_off), default=math.inf),
-        "a suspension meets its bump stop": one.stopped,
-        "an actuator gives all its force": one.saturated,
-        "a tyre is squeezed flat": one.flat,
-        "the run diverges": run.diverged,
-    }
+    causes = {end.happens: one.ended[end.name] for end in REGIME_ENDS} | {"the run diverges": run.diverged}
     return next((text for text, when in causes.items() if when == one.until), "within a step, a tyre may leave the road")
 
 

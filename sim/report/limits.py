@@ -12,7 +12,7 @@ from sim.frequency.identification import ideal_measurements
 from sim.report.answer import Finding
 from sim.report.regime_end import RegimeEnd
 from sim.report.scope import BUMP_DURATION, Scope, number
-from sim.response.regime import ENDS
+from sim.response.regime import END_NAMES
 from sim.roads.road import Bump
 from sim.runs.run import sample_times
 from sim.stability.figure import margins_figure
@@ -125,7 +125,7 @@ def validity_section(scope: Scope, bump: Bump) -> tuple[Section, list[Finding]]:
         cells = validity(vehicle, one, grid(axes, fixed), time)
         figure = envelope_figure(vehicle, one, cells, axes, {"length": bump.length}, THRESHOLD)
         figures.append(replace(figure, name=f"map-{one.name}"))
-        shares = [np.mean(cells.first == end) for end in (-1, *range(len(ENDS)))]
+        shares = [np.mean(cells.first == end) for end in (-1, *range(len(END_NAMES)))]
         rows.append(
             (
                 one.name,
@@ -142,7 +142,7 @@ def validity_section(scope: Scope, bump: Bump) -> tuple[Section, list[Finding]]:
         "controller",
         "linear analysis holds",
         "nothing breaks",
-        *(f"{end} first" for end in ENDS),
+        *(f"{end} first" for end in END_NAMES),
         "as predicted",
         "of the others not at a boundary",
     )

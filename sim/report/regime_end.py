@@ -12,7 +12,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.vehicle import Vehicle
 from sim.linear.loop import sampled_response
-from sim.response.regime import ENDS, utilisation
+from sim.response.regime import END_NAMES, utilisation
 from sim.roads.road import LIMITS, Bump
 from sim.validity.cells import validity
 from synth.controller import Controller
@@ -29,13 +29,13 @@ class RegimeEnd:
 
     Attributes:
         predicted: height at which linear analysis says that it does [m].
-        predicted_end: by which of `ENDS`.
-        near: what of `ENDS` comes within the second of `REACHES` of that height: a body that turns may meet another one first.
+        predicted_end: by which of `REGIME_ENDS`.
+        near: what of these comes within the second of `REACHES` of that height: a body that turns may meet another one first.
         stays: the highest bump that was run in MuJoCo and broke nothing [m]; 0 where every one did.
         error: largest difference of that run from the linear prediction, over the whole run, of any signal's peak; 0 where there
             is none.
         leaves: the lowest bump that was run and broke something [m]; infinite where none did.
-        end: what broke first there, of `ENDS`; empty where nothing did.
+        end: what broke first there, of `REGIME_ENDS`; empty where nothing did.
     """
 
     predicted: float
@@ -66,8 +66,8 @@ def regime_end(vehicle: Vehicle, controller: Controller, bump: Bump, time: Array
         return None
     predicted = float(1 / used.max())
 
-    near = tuple(end for end, use in zip(ENDS, used, strict=True) if use * REACHES[1] >= used.max())
-    found = RegimeEnd(predicted, ENDS[int(used.argmax())], near, stays=0.0, error=0.0, leaves=math.inf, end="")
+    near = tuple(end for end, use in zip(END_NAMES, used, strict=True) if use * REACHES[1] >= used.max())
+    found = RegimeEnd(predicted, END_NAMES[int(used.argmax())], near, stays=0.0, error=0.0, leaves=math.inf, end="")
     for reach in REACHES:
         heights = predicted * np.geomspace(1 / reach, reach, POINTS if reach > REACHES[0] else 2)
         found = _narrowed(found, vehicle, controller, bump, heights, time)
@@ -87,6 +87,6 @@ def _narrowed(found: RegimeEnd, vehicle: Vehicle, controller: Controller, bump: 
     if first > 0 and heights[first - 1] > found.stays:
         found = replace(found, stays=float(heights[first - 1]), error=float(cells.error[first - 1]))
     if first < len(heights) and heights[first] < found.leaves:
-        end = ENDS[cells.first[first]] if cells.first[first] >= 0 else "divergence"
+        end = END_NAMES[cells.first[first]] if cells.first[first] >= 0 else "divergence"
         found = replace(found, leaves=float(heights[first]), end=end)
     return found

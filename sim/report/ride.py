@@ -9,7 +9,7 @@ from models.vehicle import Vehicle
 from sim.figures.page import Section, Table
 from sim.physics.simulate import simulate
 from sim.report.scope import joined
-from sim.response.regime import ENDS, reached
+from sim.response.regime import FLAT, REGIME_ENDS, reached
 from sim.ride.expected import expect, settling_time
 from sim.ride.metrics import dynamic_load, measure, off_ground, points
 from sim.roads.iso8608 import Iso8608, long_enough
@@ -53,7 +53,7 @@ def _rows(vehicle: Vehicle, controller: Controller, timestep: float) -> list[tup
     count = len(roads)
     physics = simulate([vehicle] * count, [controller] * count, roads, time, threads=0)
     response = physics.response
-    ended = np.minimum(physics.diverged, reached(vehicle, response)[:, ENDS.index("flat tyre")])
+    ended = np.minimum(physics.diverged, reached(vehicle, response)[:, REGIME_ENDS.index(FLAT)])
     measured = [measure(vehicle, response.run(i), first) for i in range(count)]
     ideal = replace(vehicle, implementation=replace(vehicle.implementation, noise={}, quantisation={}))
 

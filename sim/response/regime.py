@@ -1,6 +1,7 @@
 """What ends the linear regime, and when: a tyre off the road, a suspension at its bump stop, an actuator at its limit."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -9,37 +10,125 @@ from models.kind import MOST_SQUEEZE
 from models.vehicle import Vehicle
 from sim.response.response import Response
 
-ENDS = ("lift-off", "bump stop", "force saturation", "flat tyre")
+AT = 1 - 1e-12  # of a threshold: a force at its limit is equal to it, to rounding
 
 
-def thresholds(vehicle: Vehicle) -> list[list[tuple[str, float, float]]]:
-    """For each of `ENDS`, where the linear regime of a vehicle ends: (signal, sign, value), reached by sign * signal >= value.
+@dataclass(frozen=True)
+class Threshold:
+    """Where a signal ends the linear regime.
 
-    A sign of 0 is either way. A limit that the vehicle has not, has no thresholds.
+    Attributes:
+        signal: its name.
+        sign: of the side on which it does; 0 for either.
+        value: sign * signal, or its magnitude, that is too much [the signal's unit].
     """
-    names, limits = vehicle.linear_model.outputs, vehicle.limits
-    lift = [(name, 1.0, static) for name, static in vehicle.kind.static_tyre_deflection(vehicle.parameters).items()]
-    found = [lift]
-    for kind, limit in (("suspension_deflection", limits.suspension_stroke), ("control_force", limits.actuator_force)):
-        found.append([(name, 0.0, limit) for name in names if name.startswith(kind)] if limit is not None else [])
-    found.append([(name, -1.0, MOST_SQUEEZE) for name in vehicle.kind.static_tyre_deflection(vehicle.parameters)])
-    return found
+
+    signal: str
+    sign: float
+    value: float
+
+    def towards(self, values: Array) -> Array:
+        """Values of the signal as they are held against the threshold."""
+        return self.sign * values if self.sign else np.abs(values)
+
+
+@dataclass(frozen=True)
+class End:
+    """One thing that ends the linear regime.
+
+    Attributes:
+        name: as tables, maps and JSON have it.
+        happens: in words, what happens.
+        event: what its first time is called among a log's events; empty where it is none of them.
+        verdict: the line of a verdict that says so, of `when` [s]; empty where that is said otherwise.
+        color: in a map, on light ground.
+        marker: on curves, on dark ground: its shape, as Rerun names it, and a colour that no curve has.
+        thresholds: of a vehicle; none where it has no such limit.
+    """
+
+    name: str
+    happens: str
+    event: str
+    verdict: str
+    color: str
+    marker: tuple[str, tuple[int, int, int]]
+    thresholds: Callable[[Vehicle], list[Threshold]]
+
+
+def _on_every_tyre(sign: float, limit: Callable[[float], float]) -> Callable[[Vehicle], list[Threshold]]:
+    """Thresholds on every tyre's deflection, each from its static one."""
+
+    def thresholds(vehicle: Vehicle) -> list[Threshold]:
+        static = vehicle.kind.static_tyre_deflection(vehicle.parameters)
+        return [Threshold(name, sign, limit(value)) for name, value in static.items()]
+
+    return thresholds
+
+
+def _either_way(kind: str, limit: Callable[[Vehicle], float | None]) -> Callable[[Vehicle], list[Threshold]]:
+    """Thresholds on every signal whose name begins so."""
+
+    def thresholds(vehicle: Vehicle) -> list[Threshold]:
+        value = limit(vehicle)
+        names = [name for name in vehicle.linear_model.outputs if name.startswith(kind)]
+        return [Threshold(name, 0.0, value) for name in names] if value is not None else []
+
+    return thresholds
+
+
+LIFT_OFF = End(
+    "lift-off",
+    "a tyre leaves the road",
+    "lift-off",
+    "",
+    "#7aa6d8",
+    ("Up", (255, 221, 0)),
+    _on_every_tyre(1.0, lambda static: static),
+)
+BUMP_STOP = End(
+    "bump stop",
+    "a suspension meets its bump stop",
+    "bump stop",
+    "bump stop: a suspension is at the end of its stroke first at {when:.4g} s",
+    "#e8955a",
+    ("Square", (255, 0, 200)),
+    _either_way("suspension_deflection", lambda vehicle: vehicle.limits.suspension_stroke),
+)
+SATURATION = End(
+    "force saturation",
+    "an actuator gives all its force",
+    "actuator saturated",
+    "saturation: an actuator gives all its force first at {when:.4g} s",
+    "#c9a3d9",
+    ("Diamond", (0, 220, 220)),
+    _either_way("control_force", lambda vehicle: vehicle.limits.actuator_force),
+)
+FLAT = End(  # no model of the vehicle holds from there
+    "flat tyre",
+    "a tyre is squeezed flat",
+    "",
+    "",
+    "#555555",
+    ("Cross", (20, 20, 20)),
+    _on_every_tyre(-1.0, lambda static: MOST_SQUEEZE),
+)
+REGIME_ENDS = (LIFT_OFF, BUMP_STOP, SATURATION, FLAT)
+END_NAMES = tuple(end.name for end in REGIME_ENDS)
 
 
 def utilisation(vehicle: Vehicle, response: Response) -> Array:
-    """How much of the way to each of `ENDS` a response goes, shape (..., 4): 1 reaches it, 0 where there is no such limit."""
+    """How much of the way to each of `REGIME_ENDS` a response goes, shape (..., 4): 1 reaches it, 0 where there is none."""
     columns = []
-    for signals in thresholds(vehicle):
+    for end in REGIME_ENDS:
         share = np.zeros(response.values.shape[:-2])
-        for name, sign, value in signals:
-            signal = response[name]
-            share = np.maximum(share, (sign * signal if sign else np.abs(signal)).max(axis=-1) / value)
+        for limit in end.thresholds(vehicle):
+            share = np.maximum(share, limit.towards(response[limit.signal]).max(axis=-1) / limit.value)
         columns.append(share)
     return np.stack(columns, axis=-1)
 
 
 def reached(vehicle: Vehicle, response: Response, factor: Array | float = 1.0) -> Array:
-    """When each of `ENDS` is first reached [s], infinite where it is not, shape (..., 4).
+    """When each of `REGIME_ENDS` is first reached [s], infinite where it is not, shape (..., 4).
 
     Args:
         vehicle: the vehicle.
@@ -49,17 +138,16 @@ def reached(vehicle: Vehicle, response: Response, factor: Array | float = 1.0) -
     """
     factor = np.asarray(factor)[..., None]
     columns = []
-    for signals in thresholds(vehicle):
+    for end in REGIME_ENDS:
         first = np.full(np.broadcast_shapes(factor.shape[:-1], response.values.shape[:-2]), np.inf)
-        for name, sign, value in signals:
-            signal = response[name]
-            beyond = factor * (sign * signal if sign else np.abs(signal)) >= value * (1 - 1e-12)  # a force at its limit is equal
+        for limit in end.thresholds(vehicle):
+            beyond = factor * limit.towards(response[limit.signal]) >= AT * limit.value
             first = np.minimum(first, np.where(beyond.any(axis=-1), response.time[beyond.argmax(axis=-1)], np.inf))
         columns.append(first)
     return np.stack(columns, axis=-1)
 
 
-class Ends:
+class EndDetector:
     """What ends the linear regime of each of N runs first, and when, from their signals block by block.
 
     A tyre's length is never below zero, so where a road rises through a hub within a step, the reading is that of a tyre that is
@@ -67,7 +155,7 @@ class Ends:
 
     Attributes:
         first: when [s], infinite for never, shape (N,).
-        which: what, as an index into `ENDS`, -1 for nothing, shape (N,). Of two at one sample, the one that is named first.
+        which: what, as an index into `REGIME_ENDS`, -1 for nothing, shape (N,). Of two at one sample, the one named first.
         flat: when a tyre is first flat, whatever came before, shape (N,).
     """
 
@@ -78,23 +166,22 @@ class Ends:
         roads = {wheel.tyre_deflection: wheel.road_displacement for wheel in vehicles[0].kind.wheels}
         self.road = {names.index(tyre): names.index(road) for tyre, road in roads.items()}
         self.hub: dict[int, Array] = {}  # at the last sample, by tyre [m], shape (N,)
-        each = [thresholds(vehicle) for vehicle in vehicles]
-        # (end, signal, sign, value of every run)
+        # (end, threshold of the first run, its signal, the value of every run)
         self.limits = [
-            (end, names.index(signal), sign, np.array([one[end][j][2] for one in each]) * (1 - 1e-12))
-            for end, signals in enumerate(each[0])
-            for j, (signal, sign, _) in enumerate(signals)
+            (end, limits[0], names.index(limits[0].signal), AT * np.array([limit.value for limit in limits]))
+            for end, kind in enumerate(REGIME_ENDS)
+            for limits in zip(*(kind.thresholds(vehicle) for vehicle in vehicles), strict=True)
         ]
 
     def update(self, start: int, values: Array) -> None:
         """Takes the block of signals, shape (B, S, N), that starts at a sample."""
-        for end, signal, sign, limit in self.limits:
-            reached = sign * values[:, signal] if sign else np.abs(values[:, signal])
-            if ENDS[end] == "flat tyre":
+        for end, threshold, signal, limit in self.limits:
+            reached = threshold.towards(values[:, signal])
+            if REGIME_ENDS[end] is FLAT:
                 reached = np.maximum(reached, self._risen(signal, values))
             for i in np.flatnonzero(reached.max(axis=0) >= limit):
                 when = self.time[start + int(np.argmax(reached[:, i] >= limit[i]))]
-                if ENDS[end] == "flat tyre":
+                if REGIME_ENDS[end] is FLAT:
                     self.flat[i] = min(self.flat[i], when)
                 if when < self.first[i]:
                     self.first[i], self.which[i] = when, end
@@ -109,7 +196,7 @@ class Ends:
 
 
 def first_end(times: Array) -> Array:
-    """Which of `ENDS` comes first, as its index, and -1 where none does; from `reached`, shape (..., 4) to (...,).
+    """Which of `REGIME_ENDS` comes first, as its index, and -1 where none does; from `reached`, shape (..., 4) to (...,).
 
     Of two at one sample, the one that is named first.
     """
@@ -117,6 +204,6 @@ def first_end(times: Array) -> Array:
 
 
 def ended_by(vehicle: Vehicle, response: Response) -> tuple[str, ...]:
-    """What of `ENDS`, or "divergence", happens in the physics of one run."""
-    ended = [name for name, when in zip(ENDS, reached(vehicle, response), strict=True) if np.isfinite(when)]
+    """What of `REGIME_ENDS`, or "divergence", happens in the physics of one run."""
+    ended = [name for name, when in zip(END_NAMES, reached(vehicle, response), strict=True) if np.isfinite(when)]
     return (*ended, *(() if np.all(np.isfinite(response.values)) else ("divergence",)))

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from models.vehicle import Vehicle
-from sim.response.regime import ENDS, reached
+from sim.response.regime import AT, END_NAMES, FLAT, LIFT_OFF, REGIME_ENDS, reached
 from sim.response.response import Response
 from sim.runs.prediction import Prediction
 
@@ -56,19 +56,15 @@ class Agreement:
     Attributes:
         signals: by name.
         lift_off: intervals [s] in which a tyre is off the road.
-        flat: when a tyre is first squeezed further than a tyre can be [s]; infinite where none is. No model holds from there.
+        ended: when each of `REGIME_ENDS` first happens [s], by name; infinite where it does not.
         until: the linear comparison applies before this time [s]; infinite where it always does.
-        stopped: when a suspension first touches a bump stop [s]; infinite where none does.
-        saturated: when an actuator first gives all it can [s]; infinite where none does.
         blurred: whether measurements are noisy or quantised: then the comparison is with their predicted spread.
     """
 
     signals: Mapping[str, SignalAgreement]
     lift_off: tuple[tuple[float, float], ...]
-    flat: float
+    ended: Mapping[str, float]
     until: float
-    stopped: float = np.inf
-    saturated: float = np.inf
     blurred: bool = False
 
     @property
@@ -81,11 +77,11 @@ def compare(prediction: Prediction, physics: Response) -> Agreement:
     """Compares what MuJoCo did in one run with its prediction."""
     vehicle, spread, diverged = prediction.vehicle, prediction.spread, physics.diverged
     sampled, integrated, continuous = prediction.sampled, prediction.integrated, prediction.continuous
-    lift_off = lift_off_intervals(vehicle, physics)
+    ended = dict(zip(END_NAMES, reached(vehicle, physics).tolist(), strict=True))
     # A hub that goes through the road within a step escapes the physics' own samples, but not the prediction's.
-    _, stopped, saturated, flat = reached(vehicle, physics).tolist()
-    flat = min(flat, float(reached(vehicle, sampled)[ENDS.index("flat tyre")]))
-    until = min([start for start, _ in lift_off] + [_first_loose(vehicle, physics), flat, stopped, saturated, diverged])
+    ended[FLAT.name] = min(ended[FLAT.name], float(reached(vehicle, sampled)[REGIME_ENDS.index(FLAT)]))
+    until = min(*ended.values(), _first_loose(vehicle, physics), diverged)
+    lift_off = lift_off_intervals(vehicle, physics)
     physics, sampled, integrated, continuous = (r.until(until) for r in (physics, sampled, integrated, continuous))
     signals = {
         name: SignalAgreement(
@@ -96,7 +92,7 @@ def compare(prediction: Prediction, physics: Response) -> Agreement:
         )
         for name in vehicle.linear_model.outputs
     }
-    return Agreement(signals, lift_off, flat, until, stopped, saturated, blurred=bool(spread))
+    return Agreement(signals, lift_off, ended, until, blurred=bool(spread))
 
 
 def look_closer(agreement: Agreement, prediction: Prediction, physics: Response) -> Agreement:
@@ -116,8 +112,8 @@ def look_closer(agreement: Agreement, prediction: Prediction, physics: Response)
 def lift_off_intervals(vehicle: Vehicle, physics: Response) -> tuple[tuple[float, float], ...]:
     """When any tyre is off the road: first and last sample of every interval [s], in order of their start."""
     intervals = []
-    for name, static in vehicle.kind.static_tyre_deflection(vehicle.parameters).items():
-        off = np.concatenate([[False], physics[name] >= static, [False]])
+    for limit in LIFT_OFF.thresholds(vehicle):
+        off = np.concatenate([[False], limit.towards(physics[limit.signal]) >= AT * limit.value, [False]])
         starts, ends = np.flatnonzero(off[1:] & ~off[:-1]), np.flatnonzero(off[:-1] & ~off[1:]) - 1
         intervals += [(float(physics.time[a]), float(physics.time[b])) for a, b in zip(starts, ends, strict=True)]
     return tuple(sorted(intervals))

@@ -12,6 +12,7 @@ from models.vehicle import Vehicle
 from sim.linear.loop import largest_timestep
 from sim.physics.energy import Energy, energy
 from sim.physics.simulate import PhysicsRuns, simulate
+from sim.response.regime import FLAT
 from sim.response.response import Response
 from sim.roads.road import Road
 from sim.runs.agreement import SMALL, Agreement, compare, look_closer
@@ -91,7 +92,7 @@ class Run:
     @property
     def broke_off(self) -> tuple[str, float] | None:
         """What ended the vehicle, and when [s]: from there on no number of the run means anything. None where it came through."""
-        ends = {"flat tyre": self.agreement.flat, "divergence": self.diverged}
+        ends = {FLAT.name: self.agreement.ended[FLAT.name], "divergence": self.diverged}
         first = min(ends, key=lambda name: ends[name])
         return (first, ends[first]) if math.isfinite(ends[first]) else None
 
@@ -178,7 +179,7 @@ def balanced(runs: Sequence[Run], made: PhysicsRuns) -> list[Run]:
         made: what MuJoCo makes of them.
     """
     runs = [
-        replace(run, qpos=made.qpos[i], energy=energy(run.vehicle, made, i, run.road, until=run.agreement.flat))
+        replace(run, qpos=made.qpos[i], energy=energy(run.vehicle, made, i, run.road, until=run.agreement.ended[FLAT.name]))
         for i, run in enumerate(runs)
     ]
     lifted = [i for i, run in enumerate(runs) if run.agreement.lift_off and run.broke_off is None and not run.agreement.blurred]

@@ -11,6 +11,7 @@ from models.common.numbers import cell, finite
 from models.kind import MOST_SQUEEZE
 from models.vehicle import Vehicle
 from sim.physics.energy import BALANCED, Energy
+from sim.response.regime import FLAT, LIFT_OFF, REGIME_ENDS
 from sim.runs.agreement import COARSEST, SLACK, SMALL
 from sim.runs.run import Run
 from synth.controller import Controller
@@ -111,20 +112,16 @@ def verdict_lines(run: Run) -> list[str]:
         lines.append("after lift-off the physics does not hold: at half the step it diverges")
     elif agreement.lift_off and agreement.blurred:
         lines.append("how far the physics holds after lift-off is not said: at half the step other noise would be measured")
-    if math.isfinite(agreement.stopped):
-        lines.append(f"bump stop: a suspension is at the end of its stroke first at {agreement.stopped:.4g} s")
-    if math.isfinite(agreement.saturated):
-        lines.append(f"saturation: an actuator gives all its force first at {agreement.saturated:.4g} s")
+    times = agreement.ended
+    lines += [end.verdict.format(when=times[end.name]) for end in REGIME_ENDS if end.verdict and math.isfinite(times[end.name])]
     when = "throughout"
-    ended = agreement.until in (agreement.flat, run.diverged, agreement.stopped, agreement.saturated)
-    if agreement.flat == agreement.until < math.inf:
+    if times[FLAT.name] == agreement.until < math.inf:
         lines.append(
-            f"flat: a tyre is squeezed by more than {MOST_SQUEEZE} m at {agreement.flat:.4g} s, its hub is in the road; "
+            f"flat: a tyre is squeezed by more than {MOST_SQUEEZE} m at {times[FLAT.name]:.4g} s, its hub is in the road; "
             "no model of it holds from there"
         )
     if math.isfinite(agreement.until):
-        ended = ended or agreement.until in (start for start, _ in agreement.lift_off)
-        why = "" if ended else ": within a step, a tyre may leave the road there"
+        why = "" if agreement.until in (*times.values(), run.diverged) else ": within a step, a tyre may leave the road there"
         lines.append(f"the linear comparison does not apply from {agreement.until:.4g} s on{why}")
         when = f"until {agreement.until:.4g} s"
     worst = max(agreement.signals, key=lambda name: agreement.signals[name].sampled / agreement.signals[name].allowed)
@@ -171,14 +168,12 @@ def run_lines(run: Run, passive: Run | None) -> list[str]:
 
 def events(run: Run) -> tuple[tuple[float, str], ...]:
     """Lift-offs, landings, the first bump stop and saturation, and divergence, in the order of their times [s]."""
-    happened = [(start, "lift-off") for start, _ in run.agreement.lift_off]
+    happened = [(start, LIFT_OFF.event) for start, _ in run.agreement.lift_off]
     happened += [(end, "landing") for _, end in run.agreement.lift_off]
     if math.isfinite(run.diverged):
         happened.append((run.diverged, "diverged"))
-    if math.isfinite(run.agreement.stopped):
-        happened.append((run.agreement.stopped, "bump stop"))
-    if math.isfinite(run.agreement.saturated):
-        happened.append((run.agreement.saturated, "actuator saturated"))
+    others = [(run.agreement.ended[end.name], end.event) for end in REGIME_ENDS if end.event and end is not LIFT_OFF]
+    happened += [(when, event) for when, event in others if math.isfinite(when)]
     return tuple(sorted(happened))
 
 

@@ -18,7 +18,7 @@ from models.common.cores import cores
 from models.vehicle import Vehicle
 from sim.linear.loop import sampled_responses
 from sim.physics.simulate import BLOCK, in_blocks, runs_at_once
-from sim.response.regime import ENDS, Ends, first_end, reached, utilisation
+from sim.response.regime import END_NAMES, EndDetector, first_end, reached, utilisation
 from sim.roads.road import Bump, under_wheels
 from synth.controller import Controller
 
@@ -35,11 +35,11 @@ class Cells:
         bumps: one per cell.
         done: whether it was run, shape (N,).
         error: largest difference of physics from the linear prediction over the whole run, of any signal's peak, shape (N,).
-        first: what broke first in physics, as an index into `ENDS`, -1 for nothing, shape (N,).
+        first: what broke first in physics, as an index into `REGIME_ENDS`, -1 for nothing, shape (N,).
         time: when [s], infinite for never, shape (N,).
         predicted: the same from the linear response, shape (N,).
         predicted_time: the same [s], shape (N,).
-        used: how much of the way to each of `ENDS` the linear response goes, shape (N, 4).
+        used: how much of the way to each of `REGIME_ENDS` the linear response goes, shape (N, 4).
         edge: whether the prediction is another one at a height 1 % lower or higher, shape (N,).
     """
 
@@ -158,16 +158,16 @@ def _run(
     used = np.abs(heights)[:, None] * np.where(
         heights[:, None] > 0, utilisation(vehicle, unit)[column], utilisation(vehicle, hole)[column]
     )
-    times = np.empty((count, 3, len(ENDS)))
+    times = np.empty((count, 3, len(END_NAMES)))
     for i in columns.values():
         mine = np.flatnonzero(column == i)
         factors = heights[mine, None] * np.array([1, 1 - EDGE, 1 + EDGE])
-        times[mine] = reached(vehicle, unit.run(i), factors.ravel()).reshape(len(mine), 3, len(ENDS))
+        times[mine] = reached(vehicle, unit.run(i), factors.ravel()).reshape(len(mine), 3, len(END_NAMES))
     predicted = first_end(times)
 
     halves = np.arange(2 * len(time)) * (timestep / 2)
     road = np.stack([under_wheels(bump.displacement, bump, vehicle, halves) for bump in bumps], axis=1)
-    ends, diverged, apart = Ends([vehicle] * count, time), np.full(count, np.inf), np.zeros((len(outputs), count))
+    ends, diverged, apart = EndDetector([vehicle] * count, time), np.full(count, np.inf), np.zeros((len(outputs), count))
     for block in in_blocks([vehicle] * count, [controller] * count, road[::2], road[1::2], timestep, 1, BLOCK):
         if stopped():
             return None
@@ -198,4 +198,4 @@ def _run(
 def _not_run(bumps: Sequence[Bump]) -> Cells:
     count = len(bumps)
     unknown, nothing, no = np.full(count, np.nan), np.full(count, -1), np.zeros(count, dtype=bool)
-    return Cells(tuple(bumps), no, unknown, nothing, unknown, nothing, unknown, np.zeros((count, len(ENDS))), no)
+    return Cells(tuple(bumps), no, unknown, nothing, unknown, nothing, unknown, np.zeros((count, len(END_NAMES))), no)

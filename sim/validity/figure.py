@@ -7,7 +7,7 @@ import numpy as np
 
 from models.vehicle import Vehicle
 from sim.figures.figure import Curve, Figure, Kinds, Panel, level
-from sim.response.regime import ENDS
+from sim.response.regime import REGIME_ENDS, End
 from sim.validity.cells import Cells
 from synth.controller import Controller
 
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 
 LABELS = {"height": "bump height [m]", "length": "bump length [m]", "speed": "speed [m/s]"}
 NOTHING, UNKNOWN = "#dcefdc", "#ffffff"
-COLORS = ("#7aa6d8", "#e8955a", "#c9a3d9", "#555555")  # of ENDS
 NO_POINTS = np.zeros(0)
 
 
@@ -48,16 +47,12 @@ def envelope_figure(
 
     x, y = np.array(horizontal.values), np.array(vertical.values)
     broke = np.where(cells.done, cells.first, -2)
-    ground = Kinds(x, y, plane(broke + 2), (UNKNOWN, NOTHING, *COLORS))
+    ground = Kinds(x, y, plane(broke + 2), (UNKNOWN, NOTHING, *(end.color for end in REGIME_ENDS)))
 
-    limits = vehicle.limits
-    values = dict.fromkeys(ENDS, "")
-    if limits.suspension_stroke is not None:
-        values["bump stop"] = f" (at ±{limits.suspension_stroke:g} m)"
-    if limits.actuator_force is not None:
-        values["force saturation"] = f" (at ±{limits.actuator_force:g} N)"
     first = [("nothing breaks: the regime is linear", NOTHING)]
-    first += [(f"{end} breaks first{values[end]}", COLORS[i]) for i, end in enumerate(ENDS) if np.any(broke == i)]
+    first += [
+        (f"{end.name} breaks first{_at(vehicle, end)}", end.color) for i, end in enumerate(REGIME_ENDS) if np.any(broke == i)
+    ]
     curves = [Curve(NO_POINTS, NO_POINTS, label, color, "none", "s") for label, color in first]
 
     used = plane(np.where(cells.done, cells.used.max(axis=-1), np.nan))
@@ -81,3 +76,9 @@ def envelope_figure(
     )
     panel = Panel("", LABELS[horizontal.name], LABELS[vertical.name], tuple(curves), ground)
     return Figure("envelope", title, (panel,), columns=1, size=(9.0, 5.2))
+
+
+def _at(vehicle: Vehicle, end: End) -> str:
+    """Where the vehicle has a limit that was chosen for it, the same either way."""
+    values = {(limit.value, vehicle.kind.signal(limit.signal).unit) for limit in end.thresholds(vehicle) if not limit.sign}
+    return "".join(f" (at ±{value:g} {unit})" for value, unit in values)

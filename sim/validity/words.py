@@ -10,14 +10,14 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.numbers import finite
 from models.common.whole_file import whole_file
-from sim.response.regime import ENDS
+from sim.response.regime import END_NAMES
 from sim.validity.cells import Cells
 from sim.validity.grid import UNITS, Axis
 
 
 def write_csv(path: Path, cells: Cells, threshold: float) -> None:
     """One line per cell that was run, SI units; what never happens is left empty."""
-    names = [end.replace(" ", "_").replace("-", "_") for end in ENDS]
+    names = [end.replace(" ", "_").replace("-", "_") for end in END_NAMES]
     with whole_file(path, "csv") as beside, beside.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         columns = ("error", "holds", "broke_first", "at", "predicted", "predicted_at", "agrees")
@@ -46,9 +46,9 @@ def _cell(cells: Cells, i: int, threshold: float) -> dict[str, Any]:
     return {
         "error": finite(cells.error[i]),
         "holds": bool(cells.error[i] <= threshold),
-        "broke_first": ENDS[cells.first[i]] if cells.first[i] >= 0 else None,
+        "broke_first": END_NAMES[cells.first[i]] if cells.first[i] >= 0 else None,
         "at": finite(cells.time[i]),
-        "predicted": ENDS[cells.predicted[i]] if cells.predicted[i] >= 0 else None,
+        "predicted": END_NAMES[cells.predicted[i]] if cells.predicted[i] >= 0 else None,
         "predicted_at": finite(cells.predicted_time[i]),
         "agrees": bool(cells.agrees[i]),
     }
@@ -63,7 +63,9 @@ def envelope_lines(cells: Cells, threshold: float) -> list[str]:
 
     lines = [f"  {share(cells.error <= threshold)}: linear analysis holds to {threshold:g} of every signal's peak"]
     lines.append(f"  {share(cells.first < 0)}: nothing breaks")
-    lines += [f"  {share(cells.first == i)}: {end} comes first" for i, end in enumerate(ENDS) if np.any(cells.first[done] == i)]
+    lines += [
+        f"  {share(cells.first == i)}: {end} comes first" for i, end in enumerate(END_NAMES) if np.any(cells.first[done] == i)
+    ]
     lines.append(
         f"  {100 * cells.agreement:.2f} % of {int(done.sum())} cells break as linear analysis predicts; of the others "
         f"{cells.unexplained} do not lie at a boundary"
