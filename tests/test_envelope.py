@@ -13,7 +13,18 @@ from models.vehicle import read_vehicle
 from sim.envelope import main
 from sim.figures.figure import Kinds
 from sim.linear.loop import sampled_response
-from sim.response.regime import END_NAMES, first_end, reached, utilisation
+from sim.physics.simulate import simulate
+from sim.response.regime import (
+    BUMP_STOP,
+    END_NAMES,
+    LIFT_OFF,
+    REGIME_ENDS,
+    SATURATION,
+    EndDetector,
+    first_end,
+    reached,
+    utilisation,
+)
 from sim.roads.road import Bump
 from sim.validity.cells import Interrupted, validity
 from sim.validity.figure import envelope_figure
@@ -93,6 +104,35 @@ def test_reached_scales(limited, designer):
     """The times of a scaled response are those of the factor."""
     response = sampled_response(limited, designer.design("I"), Bump(1.0), TIME)
     assert np.all(reached(limited, response, np.array([0.1, 1.0]))[1] == reached(limited, response))
+
+
+def test_one_answer_whole_or_in_blocks(limited, designer):
+    """What ends a run first, and when, is the same from its whole response and from its signals block by block."""
+    bumps = [Bump(height, 5.0, speed) for height in (0.02, 0.05, 0.08, 0.15) for speed in (6.0, 25.0)]
+    bumps += [Bump(0.05, 0.5, 10.0)]  # short: only the wheel moves
+    count, met = len(bumps), set()
+    for name in ("passive", "II"):
+        response = simulate([limited] * count, [designer.design(name)] * count, bumps, TIME).response
+        detector = EndDetector([limited] * count, TIME)
+        for start in range(0, len(TIME), 37):
+            detector.update(start, np.moveaxis(response.values[:, start : start + 37], 0, 2))
+        times = reached(limited, response)
+        assert np.array_equal(detector.first, times.min(axis=-1))
+        assert np.array_equal(detector.which, first_end(times))
+        met |= {REGIME_ENDS[i] for i in detector.which if i >= 0}
+    assert met == {LIFT_OFF, BUMP_STOP, SATURATION}
+
+
+def test_ends_are_told_apart():
+    """No two ends share a name, words, a colour of a map, an event or its marker."""
+    for each in (
+        [end.name for end in REGIME_ENDS],
+        [end.happens for end in REGIME_ENDS],
+        [end.color for end in REGIME_ENDS],
+        [end.marker for end in REGIME_ENDS],
+        [end.event for end in REGIME_ENDS if end.event],
+    ):
+        assert len(set(each)) == len(each)
 
 
 def test_interrupted(limited, designer, monkeypatch):
