@@ -10,7 +10,7 @@ from scipy import integrate, linalg
 from models.reality import Limits
 from models.vehicle import parse_vehicle, read_vehicle
 from sim.linear.frequency import sampled_frequency_response
-from sim.linear.loop import driven, sampled_responses
+from sim.linear.loop import sampled_responses, with_actuators
 from sim.physics.energy import energy
 from sim.physics.simulate import simulate
 from sim.response.response import Response
@@ -207,7 +207,7 @@ def white_covariance(vehicle, controller, road):
     covariance is a sum of finite Gramians; the integral of exp(A t) Q exp(A' t) over 0..d is X - exp(A d) X exp(A' d), A X + X A'
     = -Q.
     """
-    model, G = driven(vehicle, controller)
+    model, G = with_actuators(vehicle, controller)
     A, p = model.A + model.B @ G, vehicle.parameters
     delays = np.array([wheel.behind(p) / road.speed for wheel in vehicle.kind.wheels])
     kick, total, before = np.zeros((len(A), 1)), 0.0, 0.0

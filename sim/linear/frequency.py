@@ -25,7 +25,7 @@ from models.common.arrays import Array
 from models.linear_model import LinearModel
 from models.reality import steps_per_sample
 from models.vehicle import Vehicle
-from sim.linear.loop import driven, held_inputs
+from sim.linear.loop import held_inputs, with_actuators
 from synth.controller import Controller
 
 LOWEST, GRID = 1e-2, 3000  # rad/s, points: a peak is looked for from here to the Nyquist frequency
@@ -39,7 +39,7 @@ def continuous_frequency_response(vehicle: Vehicle, controller: Controller, omeg
         controller: its controller.
         omega: angular frequencies above 0 [rad/s], shape (F,).
     """
-    model, G = driven(vehicle, controller)
+    model, G = with_actuators(vehicle, controller)
     s = 1j * np.asarray(omega, dtype=float)[:, None, None]
     x = np.linalg.solve(s * np.eye(len(model.A)) - model.A - model.B @ G, model.Bw + model.Br / s)
     return (model.C + model.D @ G) @ x + model.Cr / s
@@ -71,7 +71,7 @@ def sampled_states(vehicle: Vehicle, controller: Controller, omega: Array, times
     Arguments as for `sampled_frequency_response`.
     """
     s = 1j * np.asarray(omega, dtype=float)[:, None, None]
-    how, G = vehicle.implementation, driven(vehicle, controller)[1]
+    how, G = vehicle.implementation, with_actuators(vehicle, controller)[1]
     _, x, _, _ = _harmonic(vehicle, controller, omega, timestep, linalg.expm)
     period = timestep * steps_per_sample(how, timestep)
     waiting = [np.exp(-s * period * late) * (G @ x) for late in range(how.delay, 0, -1)]
@@ -88,7 +88,7 @@ def stepwise_frequency_response(vehicle: Vehicle, controller: Controller, omega:
         Shape (steps + 1, F, p, r), complex; the last is the first of the next period.
     """
     s = 1j * np.asarray(omega, dtype=float)[:, None, None]
-    (model, G), how, h = driven(vehicle, controller), vehicle.implementation, timestep
+    (model, G), how, h = with_actuators(vehicle, controller), vehicle.implementation, timestep
     Phi, Gamma_u, Gamma_r = held_inputs(model.A, h, linalg.expm, model.B, model.A @ model.Bw + model.Br)
     _, x, _, _ = _harmonic(vehicle, controller, omega, timestep, linalg.expm)
     steps = steps_per_sample(how, h)
@@ -105,7 +105,7 @@ def _harmonic(
     vehicle: Vehicle, controller: Controller, omega: Array, timestep: float, exponential: Callable[[Array], Array]
 ) -> tuple[LinearModel, Array, Array, Array]:
     """What oscillates with omega per unit of Z: model, state at the controller's samples, state and force over a period."""
-    (model, G), how, h = driven(vehicle, controller), vehicle.implementation, timestep
+    (model, G), how, h = with_actuators(vehicle, controller), vehicle.implementation, timestep
     s = 1j * np.asarray(omega, dtype=float)[:, None, None]
     steps = steps_per_sample(how, h)
     Phi, Gamma_u, Gamma_r = held_inputs(model.A, h, exponential, model.B, model.A @ model.Bw + model.Br)

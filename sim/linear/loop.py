@@ -68,7 +68,7 @@ def sampled_responses(
 ) -> Response:
     """The responses to N roads side by side, values of shape (N, T, S). Arguments as for `sampled_response`."""
     h = float(time[1] - time[0])
-    model, G = driven(vehicle, controller)
+    model, G = with_actuators(vehicle, controller)
     Phi, Gamma_u, Gamma_r = held_inputs(model.A, h, exponential, model.B, model.A @ model.Bw + model.Br)
     now = np.stack([under_wheels(road.displacement, road, vehicle, time) for road in roads])
     midway = np.stack([under_wheels(road.displacement, road, vehicle, time + h / 2) for road in roads])
@@ -94,7 +94,7 @@ def sampled_responses(
     return Response(time, vehicle.kind.signals, np.stack(runs))
 
 
-def driven(vehicle: Vehicle, controller: Controller) -> tuple[LinearModel, Array]:
+def with_actuators(vehicle: Vehicle, controller: Controller) -> tuple[LinearModel, Array]:
     """The linear model with its actuators' lag, if they have one, and the gain from its states to the forces asked for.
 
     With a lag the forces are states: f' = bandwidth (u - f), and what the control forces did in every signal, f does.
@@ -119,7 +119,7 @@ def driven(vehicle: Vehicle, controller: Controller) -> tuple[LinearModel, Array
 def continuous_response(vehicle: Vehicle, controller: Controller, road: Road, time: Array) -> Response:
     """The response of the continuous closed loop (16), from rest. Arguments as for `sampled_response`."""
     h = float(time[1] - time[0])
-    model, G = driven(vehicle, controller)
+    model, G = with_actuators(vehicle, controller)
     A = model.A + model.B @ G
 
     forcing = _convolution(A, model, road, vehicle, time, h)
@@ -188,13 +188,13 @@ def sampled_radius(vehicle: Vehicle, controller: Controller, timestep: float) ->
 def implemented_loop(vehicle: Vehicle, controller: Controller, timestep: float) -> tuple[Array, Array, Array]:
     """The loop from one sample of the controller to the next.
 
-    The forces on their way are states beside those of `driven`, the next to act first.
+    The forces on their way are states beside those of `with_actuators`, the next to act first.
 
     Returns:
         The transition, shape (s, s); what a force that is added to those computed does to the next state, shape (s, m); and the
         forces that act, from the state, shape (m, s).
     """
-    model, G = driven(vehicle, controller)
+    model, G = with_actuators(vehicle, controller)
     how = vehicle.implementation
     Phi, Gamma = held_inputs(model.A, steps_per_sample(how, timestep) * timestep, linalg.expm, model.B)
     n, m = Gamma.shape
@@ -232,7 +232,7 @@ def noise_spread(vehicle: Vehicle, controller: Controller, timestep: float) -> d
     rms = [np.hypot(how.noise.get(name, 0.0), how.quantisation.get(name, 0.0) / math.sqrt(12)) for name in controller.measured]
     if not np.any(rms) or sampled_radius(vehicle, controller, timestep) >= 1:
         return {}
-    model, _ = driven(vehicle, controller)
+    model, _ = with_actuators(vehicle, controller)
     loop, added, acting = implemented_loop(vehicle, controller, timestep)
     forces = gain * np.array(rms)
     root = _stationary(loop, added @ forces)

@@ -28,7 +28,7 @@ from models.common.threads import one_thread
 from models.reality import steps_per_sample
 from models.vehicle import Vehicle
 from sim.linear.frequency import as_met, sampled_frequency_response, stepwise_frequency_response
-from sim.linear.loop import driven, implemented_loop, sampled_radius
+from sim.linear.loop import implemented_loop, sampled_radius, with_actuators
 from sim.ride.gaussian import Gaussian, positive_part
 from sim.ride.metrics import RUNNING, dynamic_load, energy, off_ground, points, power
 from sim.ride.quadrature import sample_band
@@ -60,7 +60,7 @@ class Expected:
 
 def settling_time(vehicle: Vehicle, controller: Controller) -> float:
     """When the slowest mode of a vehicle from rest has all but `FORGOTTEN` of its variance [s]; infinite for an unstable loop."""
-    model, G = driven(vehicle, controller)
+    model, G = with_actuators(vehicle, controller)
     found = stability(model.A + model.B @ G)
     return math.log(FORGOTTEN) / (2 * found.worst.real) if found.stable else math.inf
 

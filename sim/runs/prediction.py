@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.vehicle import Vehicle
-from sim.linear.loop import continuous_response, driven, noise_spread, sampled_radius, sampled_response, taylor4
+from sim.linear.loop import continuous_response, noise_spread, sampled_radius, sampled_response, taylor4, with_actuators
 from sim.response.response import Response
 from sim.roads.road import Road
 from synth.controller import Controller
@@ -62,7 +62,7 @@ def predict(vehicle: Vehicle, controller: Controller, road: Road, time: Array, m
         InputError: noise goes through a larger loop than that, and its spread is not known.
     """
     timestep = float(time[1] - time[0])
-    model, _ = driven(vehicle, controller)
+    model, _ = with_actuators(vehicle, controller)
     small = len(model.A) + vehicle.implementation.delay * len(model.inputs) <= most_states
     noisy = any(vehicle.implementation.noise.values()) or any(vehicle.implementation.quantisation.values())
     if noisy and not small:

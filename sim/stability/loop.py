@@ -28,7 +28,7 @@ from scipy import linalg, optimize
 
 from models.common.arrays import Array
 from models.vehicle import Vehicle
-from sim.linear.loop import driven
+from sim.linear.loop import held_inputs, with_actuators
 from synth.controller import Controller
 
 LARGEST_FACTOR = 1e4  # a loop that bears this much gain bears any: beyond, rounding decides on which side a pole is
@@ -117,7 +117,7 @@ class Margins:
 
 def cut(vehicle: Vehicle, controller: Controller, actuators: Sequence[int]) -> Loop:
     """The loop of a vehicle and its controller, cut at some actuators; with their lag, if the vehicle's have one."""
-    model, G = driven(vehicle, controller)
+    model, G = with_actuators(vehicle, controller)
     others = [i for i in range(len(G)) if i not in actuators]
     return Loop(model.A + model.B[:, others] @ G[others], model.B[:, actuators], G[actuators])
 
@@ -151,7 +151,7 @@ def sampled_gain_crossings(loop: Loop, period: float, exponential: Callable[[Arr
         period: from sample to sample [s].
         exponential: the matrix exponential; `taylor4` to predict an RK4 integrator whose step is the period.
     """
-    Phi, Gamma = held(loop.A, loop.B, period, exponential)
+    Phi, Gamma = held_inputs(loop.A, period, exponential, loop.B)
     M, n = Gamma @ loop.G, len(Phi)
     # kron(Phi + k M, Phi + k M) has the eigenvalue 1: with k = 1 + d, a quadratic problem in d.
     closed = Phi + M
@@ -214,7 +214,7 @@ def largest_sample_period(loop: Loop) -> float:
     augmented[:n] = np.hstack([loop.A, loop.B])
 
     def growth(period: float) -> float:
-        Phi, Gamma = held(loop.A, loop.B, period)
+        Phi, Gamma = held_inputs(loop.A, period, linalg.expm, loop.B)
         return float(np.abs(np.linalg.eigvals(Phi + Gamma @ loop.G)).max() - 1)
 
     start, count = 0.0, 128
@@ -235,15 +235,6 @@ def largest_sample_period(loop: Loop) -> float:
             return float(refined)
         start += count * h
     return math.inf
-
-
-def held(A: Array, B: Array, period: float, exponential: Callable[[Array], Array] = linalg.expm) -> tuple[Array, Array]:
-    """Phi and Gamma of x' = A x + B u with u held over a period [s]."""
-    n, k = B.shape
-    augmented = np.zeros((n + k, n + k))
-    augmented[:n] = np.hstack([A, B])
-    step = exponential(augmented * period)
-    return step[:n, :n], step[:n, n:]
 
 
 def _kronecker_sum(X: Array, Y: Array) -> Array:
