@@ -328,9 +328,9 @@ def test_a_norm_as_built_below_the_bound_is_explained(tmp_path, plain):
     """Where a norm as built lies below what no one can be below, the text names whose, and says that the step makes it so."""
     file = vehicle_file(tmp_path, "[implementation]\nsample_period = 0.005\ndelay = 1\n")
     read = page(tmp_path, "--vehicle", file, "--controller", "passive", "--controller", "I")
-    lower = float(read.row("designs", controller="I")["no one below"])
+    lower = float(read.row("designs", controller="I")["lower bound"])
     assert float(read.row("norms", controller="I")["norm, as built"]) < lower
-    assert "2.5 ms apart: what lies below 'no one below', a bound on continuous loops (I), does so by the step" in read.text
+    assert "2.5 ms apart: what lies below its lower bound, which is of continuous loops (I), does so by the step" in read.text
     assert "does so by the step" not in plain.text
 
 

@@ -97,7 +97,7 @@ def check_certificate(controller: Controller, recorded: RecordedRun, current: bo
         return
     bound = f", bound {certificate.bound:.7g} by LMI (20)" if certificate.bound is not None else ""
     lower = certificate.lower
-    below = f", no one below {lower.gamma:.7g}" if lower is not None and lower.gamma > 0 else ""
+    below = f", lower bound {lower.gamma:.7g}" if lower is not None and lower.gamma > 0 else ""
     at = f" at {certificate.norm.peak_frequency:.5g} rad/s" if math.isfinite(certificate.norm.peak_frequency) else ""
     yield Finding("certificate", HOLDS, f"stable, norm {certificate.norm.value:.7g}{at}{bound}{below}")
 

@@ -37,7 +37,7 @@ def design_section(scope: Scope) -> Section:
         "bound",
         "norm",
         "peak [rad/s]",
-        "no one below",
+        "lower bound",
         "above it",
         "slowest pole [1/s]",
         "certificate",
@@ -46,7 +46,7 @@ def design_section(scope: Scope) -> Section:
         "The bound is the gamma that the linear matrix inequality proves for this very gain; the norm is recomputed by two other "
         "routes. A certificate holds if all poles are stable, X > 0, the inequality (20) is negative definite and norm <= bound, "
         "checked without the solver that found the gain. No controller of its kind, of whatever order, can have a norm below "
-        "'no one below'.",
+        "its lower bound.",
     )
     if not scope.plain:
         text = (*text, "All of this is of the ideal loop: continuous, with no limits and no computer.")
@@ -68,7 +68,7 @@ def design_section(scope: Scope) -> Section:
         below = [name for name, found in lower.items() if found and scope.built_norms[name].gain < found.gamma]
         if below:
             built += (
-                f" It is read at the samples, {1e3 * scope.timestep:g} ms apart: what lies below 'no one below', a bound on "
+                f" It is read at the samples, {1e3 * scope.timestep:g} ms apart: what lies below its lower bound, which is of "
                 f"continuous loops ({joined(below)}), does so by the step, and less with a smaller one."
             )
         text = (*text, built)

@@ -67,7 +67,7 @@ def row_object(row: Row) -> dict[str, Any]:
 
 def table_lines(rows: Sequence[Row]) -> list[str]:
     """All controllers, one line each."""
-    lines = ["controller              bound       norm  at rad/s  no one below    above it  slowest pole"]
+    lines = ["controller              bound       norm  at rad/s   lower bound    above it  slowest pole"]
     for row in rows:
         if row.controller is None:
             lines.append(f"{row.name:18s} NOT DESIGNED")

@@ -133,7 +133,7 @@ def main(arguments: list[str]) -> int:
     start = time.perf_counter()
     rows: dict[str, Row] = {}
     if not as_json:
-        headings = ("two-step bound", "two-step norm", "refined norm", "bound", "no one below", "gap", "largest gain", "seconds")
+        headings = ("two-step bound", "two-step norm", "refined norm", "bound", "lower bound", "gap", "largest gain", "seconds")
         print(f"{'plant':10s} {'states':>6s} " + " ".join(f"{heading:>14s}" for heading in headings))
     with multiprocessing.Pool(os.cpu_count()) as pool:
         for row in pool.imap_unordered(solve, [tasks[i] for i in order], chunksize=1):
