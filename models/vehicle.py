@@ -1,6 +1,5 @@
 """A vehicle file (TOML): the kind of vehicle, its parameters, the performance weights and the controllers. All a user writes."""
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -12,6 +11,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError, known, quoted
 from models.common.read_file import TEXT, read_text
+from models.common.toml import parse_toml
 from models.kind import HERE, LARGEST, VehicleKind
 from models.kinds import kind, kinds
 from models.linear_model import LinearModel
@@ -109,10 +109,7 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
     Raises:
         InputError: see `read_vehicle`.
     """
-    try:
-        data = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # not TOML; a number of 5000 digits; brackets in brackets in ...
-        raise InputError(f"not TOML: {error}") from error
+    data = parse_toml(text)
     for section in data:
         if section not in SECTIONS:
             what = "section" if isinstance(data[section], dict) else "key"

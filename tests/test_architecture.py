@@ -79,6 +79,7 @@ LONG: dict[str, str] = {  # files with more lines, and why
 # Who may import what is heavy, or replaceable.
 OWNERS = {
     "cvxpy": {"synth/lmi/clarabel.py"},
+    "tomllib": {"models/common/toml.py"},
     "mujoco": {
         "models/mjcf.py",
         "sim/physics/readout.py",

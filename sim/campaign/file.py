@@ -1,7 +1,6 @@
 """A campaign file (TOML): which vehicles, controllers, roads, speeds, seeds and sampled parameters are combined."""
 
 import hashlib
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError, known, quoted
 from models.common.read_file import TEXT, read_text
+from models.common.toml import parse_toml
 from models.vehicle import Vehicle, read_vehicle
 from sim.campaign.samples import MOST_RUNS, read_number, read_samples
 from sim.roads.choice import RoadChoice, choose_road
@@ -85,10 +85,7 @@ def read_campaign(path: Path) -> Campaign:
 
 
 def _parse(text: str, folder: Path) -> Campaign:
-    try:
-        data = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"not TOML: {error}") from error
+    data = parse_toml(text)
     for key in data:
         if key not in KEYS:
             raise InputError(f"unknown key {key!r}; known: {known(KEYS)}")
