@@ -74,6 +74,7 @@ def bounding_x(loop: GeneralizedPlant, gamma: float, more: float, everywhere: fl
     T = np.linalg.cholesky((covariance + covariance.T) / 2)
     loop = loop.in_coordinates(T)
     noise = np.linalg.solve(T, np.linalg.solve(T, noise).T)
+    noise = (noise + noise.T) / 2  # rounding tells them apart, and the Riccati solver would refuse that
     constant = eta * (loop.Bw @ loop.Bw.T + more * noise)
     weight = -(np.eye(d) - eta * loop.Dw @ loop.Dw.T)
     X = linalg.solve_continuous_are(loop.A.T, loop.C.T, constant, weight, s=eta * loop.Bw @ loop.Dw.T)
