@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from models.common.errors import InputError, known
+from models.common.errors import InputError, known, quoted
 from models.kind import Parameter
 
 LIMITS = (
@@ -13,6 +13,9 @@ LIMITS = (
     Parameter("actuator_force", "N", "largest force of every actuator, either way"),
     Parameter("actuator_bandwidth", "rad/s", "corner frequency of every actuator, a first-order lag"),
 )
+
+MOST_DELAY = 1000  # sample periods; each is a state of the sampled loop, whose eigenvalues then take a minute
+MOST_SEED = 100_000
 
 
 @dataclass(frozen=True)
@@ -130,10 +133,10 @@ def read_implementation(section: Mapping[str, Any], measurable: tuple[str, ...])
     found: dict[str, Any] = {}
     if "sample_period" in section:
         found["sample_period"] = Parameter("sample_period", "s", "of the controller").check(section["sample_period"])
-    for name in ("delay", "seed"):
+    for name, most in (("delay", MOST_DELAY), ("seed", MOST_SEED)):
         value = section.get(name, 0)
-        if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= 100_000:
-            raise InputError(f"[implementation] {name} = {value!r} is not allowed; give a whole number from 0 to 100000")
+        if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= most:
+            raise InputError(f"[implementation] {name} = {quoted(value)} is not allowed; give a whole number from 0 to {most}")
         found[name] = value
     for name in ("noise", "quantisation"):
         values = section.get(name, {})

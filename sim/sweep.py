@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from models.common.arrays import Array
 from models.common.command import Parser, chosen, run_command
 from models.common.errors import InputError
@@ -15,7 +17,7 @@ from sim.command.logs import log_lines, recorded
 from sim.command.outputs import check_outputs, written, written_lines
 from sim.figures.picture import draw
 from sim.frequency.extremes import DURATION
-from sim.frequency.identification import HIGHEST, LOWEST, ideal_measurements
+from sim.frequency.identification import ideal_measurements
 from sim.frequency.sweep import Sweep, failures, sweep, sweep_lines, sweep_object
 from sim.recording.run_log import RunLog
 from sim.roads.description import described_road
@@ -69,9 +71,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.json:
         print(json.dumps({**result, **written(outputs), "logs": logs}, allow_nan=False))
     else:
-        count = len(sweeps[0].lines.omega)
+        hertz = sweeps[0].lines.omega / (2 * np.pi)
+        count = len(hertz)
         print(
-            f"{vehicle.kind.name} ({vehicle.source}), {count} lines from {LOWEST:g} to {HIGHEST:g} Hz on roads of "
+            f"{vehicle.kind.name} ({vehicle.source}), {count} lines from {hertz[0]:.4g} to {hertz[-1]:.4g} Hz on roads of "
             f"{options.amplitude:g} m, at {options.timestep:g} s"
         )
         for one in sweeps:

@@ -92,6 +92,29 @@ def test_full_car_in_words(capsys, tmp_path):
     assert out.splitlines()[-2].split()[0] == "rerun"
 
 
+@pytest.mark.parametrize("seed", ["1", "2", "3"])
+def test_verdict_before_a_wheel_lifts(capsys, seed):
+    """Where a wheel lifts within a moment, the time before it agrees, though the body turns: later says nothing of that."""
+    arguments = [
+        "--vehicle",
+        "half_car",
+        "--controller",
+        "II",
+        "--class",
+        "D",
+        "--speed",
+        "25",
+        "--duration",
+        "3",
+        "--seed",
+        seed,
+    ]
+    assert main([*arguments, "--no-logs"]) == 0
+    out = capsys.readouterr().out
+    assert "lift-off: a tyre is off the road from 0." in out
+    assert "  agrees" in out
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

@@ -160,3 +160,11 @@ def test_an_extra_is_asked_for_by_name(tmp_path, package, extra, arguments):
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.count("\n") == 1
     assert f"[{extra}]" in done.stderr
+
+
+def test_no_graphics_are_needed(tmp_path):
+    """Whatever the environment says of MuJoCo's graphics, a command runs: it draws nothing by them."""
+    arguments = [sys.executable, "-m", "sim.bump", "--controller", "passive", "--duration", "0.1", "--no-logs"]
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "MUJOCO_GL": "none that there is"}
+    done = subprocess.run(arguments, cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")

@@ -178,6 +178,7 @@ def test_delay_margin_of_ii(paper, designer):
         ("[limits]\nsuspension_stroke = 0.1", ["suspension_stroke", "stop_stiffness", "both"]),
         ("[limits]\nstroke = 0.1", ["unknown key 'stroke'", "suspension_stroke"]),
         ("[implementation]\ndelay = 1.5", ["delay = 1.5", "whole number"]),
+        ("[implementation]\ndelay = 1001", ["delay = 1001", "from 0 to 1000"]),
         ("[implementation]\nnoise = { speed = 1.0 }", ["unknown signal 'speed'", "sprung_velocity"]),
         ("[implementation]\nnoise = 1.0", ["noise is not a table"]),
     ],

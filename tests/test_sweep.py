@@ -99,6 +99,15 @@ def test_implemented(paper, designer, implementation):
     assert one.error(one.sampled).max() < 1e-4  # as above
 
 
+@pytest.mark.parametrize("period", [0.02, 0.03, 0.04])
+def test_slower_than_the_lines(paper, designer, period):
+    """A controller whose half sample rate lies below 25 Hz has lines up to there, and images of them disturb no claim."""
+    vehicle = dataclasses.replace(paper, implementation=Implementation(sample_period=period, delay=1))
+    (one,) = sweep(vehicle, [designer.design("II")], 1e-4, STEP, 12.5)
+    assert failures(one) == []
+    assert 0.88 < one.lines.omega.max() * period / np.pi < 0.99  # all lines there are, spaced by 10 %
+
+
 def test_sampled_response_is_the_same(paper, designer):
     """The frequency response is what the time response of `sim.linear.loop` settles to: the same claim by another route."""
     controller, h, omega = designer.design("I"), 1e-3, 2 * np.pi * 2

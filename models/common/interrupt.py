@@ -25,8 +25,9 @@ def quiet_start() -> None:
     if sys.argv[:1] == ["-m"] and threading.current_thread() is threading.main_thread():
         speak_utf8()
         signal.signal(signal.SIGINT, _leave)
-        # No command opens a window. Else MuJoCo starts a second Python to look for GLFW, with tracebacks of its own.
-        os.environ.setdefault("MUJOCO_GL", "disable")
+        # No command draws by MuJoCo, whatever is installed for that. Else it starts a second Python to look for GLFW, with
+        # tracebacks of its own.
+        os.environ["MUJOCO_GL"] = "disable"
 
 
 def raise_from_now_on() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from models.reality import steps_per_sample
 from models.vehicle import Vehicle
-from sim.frequency.identification import HIGHEST, LINES, LOWEST, check, fit, ideal_measurements, l2_gain
+from sim.frequency.identification import HIGHEST, LINES, LOWEST, check, fit, ideal_measurements, images, l2_gain
 from sim.linear.frequency import Worst, sampled_frequency_response, worst_sinusoid
 from sim.linear.loop import sampled_radius
 from sim.physics.simulate import simulate
@@ -155,7 +155,7 @@ def _invariants(
     if not special:
         return ()
     p, omega = vehicle.parameters, np.array(list(special.values()))
-    lines = fit(vehicle, controller, runs["invariants"], omega, samples)
+    lines = fit(vehicle, controller, runs["invariants"], omega, samples, images(omega, vehicle, timestep))
     road, suspension = lines["road_displacement"], lines["suspension_deflection"]
     found = {"z_s/z_r": suspension + lines["tyre_deflection"] + road, "(z_s-z_u)/z_r": suspension}
     expected = {

@@ -26,6 +26,8 @@ from sim.runs.run import sample_times
 from synth.controller import Controller
 
 LOWEST, HIGHEST, LINES = 0.1, 25.0, 60  # Hz, Hz, lines between them, evenly on a logarithmic scale; equal ones fall together
+IMAGES = 8  # of a line on either side of so many multiples of the sample rate; later ones are smaller still
+ALIASED = 0.98  # of half the controller's sample rate; a line above it has images that lie on other lines, or nearly
 DEAD = 1e-12  # free motion that has decayed to this is none
 SETTLED = 1e-7  # what may be left of it where its shape is not fitted
 
@@ -92,8 +94,11 @@ def identify(vehicle: Vehicle, controllers: Sequence[Controller], amplitude: flo
         InputError: a timestep too coarse for the highest line, an amplitude that is not allowed, a loop that is unstable.
     """
     check(vehicle, controllers, amplitude, timestep)
-    vehicle, period = ideal_measurements(vehicle), round(1 / LOWEST / timestep)
+    steps = steps_per_sample(vehicle.implementation, timestep)
+    # In whole sample periods, so that the images of lines, which a slower controller makes, are other lines of the period.
+    vehicle, period = ideal_measurements(vehicle), round(1 / LOWEST / timestep / steps) * steps
     omega = 2 * np.pi / (period * timestep) * np.unique(np.round(np.geomspace(1, HIGHEST / LOWEST, LINES)))
+    omega = omega[omega < ALIASED * np.pi / (steps * timestep)]
     time = sample_times(vehicle, (1 + _lead_in(vehicle, controllers, timestep, period)) * period * timestep, timestep)[:-1]
     road = chirp(omega, period * timestep, speed).to_height(amplitude, time[-period:])
     response = simulate([vehicle] * len(controllers), controllers, [road] * len(controllers), time, threads=0).response
@@ -117,7 +122,18 @@ def identify(vehicle: Vehicle, controllers: Sequence[Controller], amplitude: flo
     return found
 
 
-def fit(vehicle: Vehicle, controller: Controller, response: Response, omega: Array, samples: int) -> dict[str, Array]:
+def images(omega: Array, vehicle: Vehicle, timestep: float) -> Array:
+    """Where a controller that samples every few steps makes sinusoids besides those of the road, the largest of them [rad/s]."""
+    steps = steps_per_sample(vehicle.implementation, timestep)
+    rate = 2 * np.pi / (steps * timestep)
+    orders = rate * np.arange(1, min(IMAGES, steps // 2) + 1)[:, None]
+    found = np.unique(np.abs(np.concatenate([orders - omega, orders + omega])).ravel())
+    return found[found < np.pi / timestep]
+
+
+def fit(
+    vehicle: Vehicle, controller: Controller, response: Response, omega: Array, samples: int, besides: Array | None = None
+) -> dict[str, Array]:
     """Complex amplitude of every line in every signal, shape (F,) each, from the last samples of a run.
 
     Args:
@@ -126,19 +142,20 @@ def fit(vehicle: Vehicle, controller: Controller, response: Response, omega: Arr
         response: of one run.
         omega: lines [rad/s], shape (F,).
         samples: how many samples are fitted.
+        besides: other lines [rad/s] that are in it, and are not asked for.
     """
     time, values = response.time[-samples:], response.values[-samples:]
     if not np.all(np.isfinite(values)):
         return {name: np.full(len(omega), np.nan + 0j) for name in response.names}
     timestep = float(time[1] - time[0])
-    angle = np.multiply.outer(time, omega)
+    angle = np.multiply.outer(time, omega if besides is None else np.concatenate([omega, besides]))
     shapes = np.hstack(
         [np.ones((samples, 1)), np.cos(angle), -np.sin(angle), _free_motion(vehicle, controller, timestep, samples)]
     )
     coefficients = np.linalg.lstsq(shapes, values)[0]
-    count = len(omega)
+    count = angle.shape[1]
     lines = coefficients[1 : 1 + count] + 1j * coefficients[1 + count : 1 + 2 * count]
-    return dict(zip(response.names, lines.T, strict=True))
+    return dict(zip(response.names, lines[: len(omega)].T, strict=True))
 
 
 def l2_gain(vehicle: Vehicle, response: Response) -> float:

@@ -105,6 +105,8 @@ def look_closer(agreement: Agreement, prediction: Prediction, physics: Response)
     """
     sampled = prediction.sampled
     small = Response(sampled.time, sampled.signals, SMALL * sampled.values)
+    # As long as the comparison is of: what is allowed is, too.
+    physics, small = physics.until(agreement.until), small.until(agreement.until)
     signals = {name: replace(signal, small=_difference(physics, small, name)) for name, signal in agreement.signals.items()}
     return replace(agreement, signals=signals)
 
