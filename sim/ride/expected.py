@@ -6,6 +6,11 @@ the frequency response H of the loop as it is implemented,
 
     S_ik(omega) = G_v sum over sources of (H e)_i conj(H e)_k,    cov(i, k) = integral of Re S_ik df.
 
+Where the controller's sample period is several timesteps, H has its own value at every step of a period: a sinusoid of the road
+makes images at omega + 2 pi k / period, each weighted at its own frequency, and variances repeat with the period. Spectra are by
+the road's frequency, images included: |H e|^2 of every step, whose mean over the steps is the sum over the images by Parseval.
+Means over time are means over the steps. Memories, and so spreads, are those of the mean spectrum, and largest values, too.
+
 The band is that of the road's lines, half a line further out at both ends: a sum over lines is the integral over it, to second
 order in their distance. Signals are Gaussian, and the rest follows (`gaussian.py`): the metrics that are means (mean squares,
 of the tyre's load as it is, never negative; shares of time, power, energy) and the integral in the VDV, by E a^4 = 3 sigma^4, are
@@ -27,12 +32,12 @@ from models.common.arrays import Array
 from models.common.threads import one_thread
 from models.reality import steps_per_sample
 from models.vehicle import Vehicle
-from sim.linear.frequency import as_met, sampled_frequency_response, stepwise_frequency_response
+from sim.linear.frequency import as_met, stepwise_frequency_response
 from sim.linear.loop import implemented_loop, sampled_radius, with_actuators
 from sim.ride.gaussian import Gaussian, positive_part
 from sim.ride.metrics import RUNNING, dynamic_load, energy, off_ground, points, power
 from sim.ride.quadrature import sample_band
-from sim.ride.weighting import POLES, sampled_wk
+from sim.ride.weighting import POLES, SampledWk, sampled_wk
 from sim.roads.spectrum import Spectrum
 from synth.certificate.stability import stability
 from synth.controller import Controller
@@ -95,37 +100,36 @@ def expect(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: f
     where, static = points(vehicle), vehicle.kind.static_tyre_deflection(vehicle.parameters)
     index = {name: i for i, name in enumerate(vehicle.linear_model.outputs)}
     ride, weigh = [index[name] for name in where.accelerations], sampled_wk(timestep)
+    pushing = [(name, *travel) for name, *travel in where.actuators if travel]
+    pushed = [[index[signal] for signal in pair] for pair in pushing]
+    lags = vehicle.limits.actuator_bandwidth is not None
 
-    def response(omega: Array) -> Array:
-        """Every signal's amplitudes by source, shape (F, p, 2)."""
-        return math.sqrt(road.density) * (
-            sampled_frequency_response(vehicle, controller, omega, timestep) @ sources(vehicle, road, omega)
-        )
+    def spectra(omega: Array) -> Array:
+        """At every step of a period: those of all signals, of the weighted accelerations, and of every actuator's work."""
+        at_steps = stepwise_frequency_response(vehicle, controller, omega, timestep) @ sources(vehicle, road, omega)
+        weighted = weigh_images(at_steps[:-1, :, ride], omega, timestep, weigh)
+        works = [work_spectra(at_steps[:, :, force], at_steps[:, :, along], lags) for force, along in pushed]
+        found = np.concatenate([power_of(at_steps[:-1]), power_of(weighted), *works], axis=-1)
+        return road.density * np.moveaxis(found, 0, 1)
 
-    def checked(omega: Array, amplitudes: Array) -> Array:
-        """Spectra of all signals, and those of the weighted accelerations, shape (F, p + a)."""
-        spectra = power_of(amplitudes)
-        weighted = np.abs(weigh.response(omega, timestep)[:, None]) ** 2 * spectra[:, ride]
-        return np.concatenate([spectra, weighted], axis=1)
+    def checked(_: Array, found: Array) -> Array:
+        """The means over a period of those that are none below 0."""
+        return found[:, :, : len(index) + len(ride)].mean(axis=1)
 
-    band = sample_band(response, checked, low, high, poles, longest_panel(vehicle, road.speed))
-    omega = band.omega
+    band = sample_band(spectra, checked, low, high, poles, longest_panel(vehicle, road.speed))
     # A sum over lines is the integral as long as a resonance is wider than the lines are apart.
     damping, rate = -np.real(poles), np.abs(np.imag(poles))
     narrowest = float(damping[(rate > low) & (rate < high)].min(initial=math.inf))
     grain = 2 * math.exp(-narrowest * road.length / road.speed)
     error = max(band.error, grain, doubt)
 
-    def amplitude(name: str) -> Array:
-        return band.values[:, index[name]]
-
     mean, spread = {}, {}
 
     # A road's lines have fixed amplitudes: over its whole length it has no spread.
     rest = max(1 - window * road.speed / road.length, 0.0)
 
-    def root(metric: str, spectrum: Array, clip: float = math.inf, scale: float = 1.0) -> Gaussian:
-        signal = Gaussian(spectrum, omega, band.share)
+    def root(metric: str, column: int, clip: float = math.inf, scale: float = 1.0) -> Gaussian:
+        signal = Gaussian(band.values[:, :, column].T, band.omega, band.share)
         square = signal.clipped_mean_square(clip)
         mean[metric] = math.sqrt(square) * scale
         # Half of the relative spread of a mean square is that of its root.
@@ -133,46 +137,72 @@ def expect(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: f
         spread[metric] = mean[metric] * math.sqrt(rest * variance) / (2 * square) if square else 0.0
         return signal
 
-    for name in where.accelerations:
-        spectrum = power_of(amplitude(name))
-        root(f"{name}_rms", spectrum)
-        weighted = root(f"{name}_weighted", np.abs(weigh.response(omega, timestep)) ** 2 * spectrum)
-        mean[f"{name}_vdv"] = (3 * window) ** 0.25 * weighted.sigma
+    for i, name in enumerate(where.accelerations, start=len(index)):
+        root(f"{name}_rms", index[name])
+        weighted = root(f"{name}_weighted", i)
+        mean[f"{name}_vdv"] = (window * weighted.mean_fourth_power) ** 0.25
         mean[f"{name}_mtvv"] = weighted.largest_running(window, RUNNING)
         mean[f"{name}_crest"] = weighted.largest(window)
     for name in where.suspensions:
-        signal = root(f"{name}_rms", power_of(amplitude(name)))
+        signal = root(f"{name}_rms", index[name])
         mean[f"{name}_peak"] = signal.largest(window) * signal.sigma
         if vehicle.limits.suspension_stroke is not None:
             mean[f"{name}_at_stops"] = 2 * signal.beyond(vehicle.limits.suspension_stroke)
     for name in where.tyres:
-        signal = root(dynamic_load(name), power_of(amplitude(name)), static[name], 1 / static[name])
+        signal = root(dynamic_load(name), index[name], static[name], 1 / static[name])
         mean[off_ground(name)] = signal.beyond(static[name])
-    pushing = {name: travel[0] for name, *travel in where.actuators if travel}
     for name, *_ in where.actuators:
-        signal = root(f"{name}_rms", power_of(amplitude(name)))
+        signal = root(f"{name}_rms", index[name])
         mean[f"{name}_peak"] = signal.largest(window) * signal.sigma
-    at_steps = stepwise_frequency_response(vehicle, controller, omega, timestep) @ sources(vehicle, road, omega)
-    for name, travel in pushing.items():
-        force, along = (math.sqrt(road.density) * at_steps[:, :, index[signal]] for signal in (name, travel))
-        lags = vehicle.limits.actuator_bandwidth is not None
-        net, positive = work_rate((force[:-1] + force[1:]) / 2 if lags else force[:-1], np.diff(along, axis=0), band.share)
+    works = np.einsum("f,fsc->cs", band.share, band.values[:, :, len(index) + len(ride) :]).reshape(len(pushing), 3, -1)
+    for (name, _), work in zip(pushing, works, strict=True):
+        net, positive = work_rate(*work)
         # n samples have n - 1 steps between them.
         mean[power(name)], mean[energy(name)] = net / timestep, positive / timestep * (window - timestep)
     return Expected(mean, spread, error)
 
 
-def work_rate(force: Array, moved: Array, share: Array) -> tuple[float, float]:
+def weigh_images(at_steps: Array, omega: Array, timestep: float, weigh: SampledWk) -> Array:
+    """Amplitudes of signals that are weighted, every image at its own frequency, shaped as they are.
+
+    Args:
+        at_steps: amplitudes by source at every step of a period, shape (steps, F, a, 2).
+        omega: frequencies of the road [rad/s], shape (F,).
+        timestep: from step to step [s].
+        weigh: the weighting.
+    """
+    steps = np.arange(len(at_steps))[:, None]
+    turn = np.exp(1j * omega * timestep * steps)[..., None, None]
+    images = np.fft.fft(at_steps / turn, axis=0)
+    weights = weigh.response(omega + 2 * np.pi / (len(at_steps) * timestep) * steps, timestep)
+    return turn * np.fft.ifft(weights[..., None, None] * images, axis=0)
+
+
+def work_spectra(force: Array, travel: Array, lags: bool) -> Array:
+    """Of every step of a period: cospectrum of its force and how far the suspension goes meanwhile, and both spectra.
+
+    Args:
+        force: amplitudes by source from step to step, the first of the next period, too, shape (steps + 1, F, 2) [N].
+        travel: of the suspension that it pushes along, the same [m].
+        lags: whether the force goes on within a step, instead of being held.
+
+    Returns:
+        Shape (steps, F, 3).
+    """
+    acting, moved = (force[:-1] + force[1:]) / 2 if lags else force[:-1], np.diff(travel, axis=0)
+    together = np.sum(np.real(acting * np.conj(moved)), axis=-1)
+    return np.stack([together, power_of(acting), power_of(moved)], axis=-1)
+
+
+def work_rate(together: Array, force: Array, moved: Array) -> tuple[float, float]:
     """Expected work of a step, mean over those of a period, and its positive part, in the definition of `sim/ride/metrics.py`.
 
     Args:
-        force: that acts in every step, amplitudes by source, shape (steps, F, 2) [N].
-        moved: how far its suspension goes meanwhile, the same [m].
-        share: of the band, that each frequency stands for [Hz], shape (F,).
+        together: covariance by step of the force that acts and of how far its suspension goes meanwhile [J], shape (steps,).
+        force, moved: their variances [N^2, m^2], the same.
     """
-    net = np.sum(np.real(force * np.conj(moved)), axis=-1) @ share
-    size = np.sqrt((power_of(force) @ share) * (power_of(moved) @ share))
-    return float(net.mean()), float(np.mean([positive_part(*step) for step in zip(net.tolist(), size.tolist(), strict=True)]))
+    steps = zip(together.tolist(), np.sqrt(force * moved).tolist(), strict=True)
+    return float(together.mean()), float(np.mean([positive_part(*step) for step in steps]))
 
 
 def longest_panel(vehicle: Vehicle, speed: float) -> float:
@@ -184,7 +214,7 @@ def longest_panel(vehicle: Vehicle, speed: float) -> float:
 def loop_poles(vehicle: Vehicle, controller: Controller, timestep: float, high: float) -> tuple[Array, float]:
     """Poles of the sampled loop and of the weighting up to a frequency [rad/s], and what rounding leaves open of the slowest.
 
-    A loop that is sampled has every pole again at every multiple of its sampling frequency.
+    A loop that is sampled has every pole again at every multiple of its sampling frequency, and so has the weighting of images.
     """
     loop, _, _ = implemented_loop(vehicle, controller, timestep)
     period = timestep * steps_per_sample(vehicle.implementation, timestep)
@@ -193,7 +223,7 @@ def loop_poles(vehicle: Vehicle, controller: Controller, timestep: float, high: 
     again = np.arange(0, math.ceil(high * period / (2 * np.pi)) + 1) * (2j * np.pi / period)
     weighting = [2 * np.pi * f * (-1 / (2 * q) + 1j * math.sqrt(1 - 1 / (4 * q**2))) for f, q in POLES]
     doubt = np.finfo(float).eps * len(loop) / (-float(found.real.max()) * period)
-    return np.concatenate([np.add.outer(again, found).ravel(), np.add.outer(again, weighting).ravel()]), doubt
+    return np.add.outer(again, np.concatenate([found, weighting, np.conj(weighting)])).ravel(), doubt
 
 
 def power_of(amplitude: Array) -> Array:

@@ -1,9 +1,11 @@
-"""Statistics of a stationary Gaussian signal of zero mean, from its spectrum, over a window of time T.
+"""Statistics of a Gaussian signal of zero mean, stationary or repeating step by step, from its spectrum, over a window of time T.
 
-Exact: mean squares, also of min(x, s), shares of time beyond a threshold, the mean positive part of a product. With a = s /
-sigma, phi and Q the normal density and tail,
+Exact: mean squares, also of min(x, s), fourth powers, shares of time beyond a threshold, mean positive parts of products. With
+a = s / sigma, phi and Q the normal density and tail,
 
     E min(x, s)^2 = sigma^2 (1 - Q(a) - a phi(a) + a^2 Q(a)).
+
+Where the variance repeats, it is the mean of that over its steps. What follows is of the mean spectrum.
 
 Asymptotic, for windows much longer than the signal's memory: the variance of a mean square. min(x, s)^2 is a sum of Hermite
 polynomials of x / sigma; that of degree k, c_k, gives the mean over T the variance (2 / T) c_k^2 times the integral of rho^k, the
@@ -15,6 +17,7 @@ of its own spectrum.
 """
 
 import math
+import statistics
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -33,29 +36,43 @@ class Gaussian:
     """A signal of one-sided spectrum S per Hz at angular frequencies omega, each of which stands for a share of the band.
 
     Attributes:
-        spectrum, omega, share: shape (F,); omega ascending [rad/s], share [Hz].
+        by_step: S at every step of the period with which it repeats, shape (steps, F).
+        omega, share: shape (F,); omega ascending [rad/s], share [Hz].
     """
 
-    spectrum: Array
+    by_step: Array
     omega: Array
     share: Array
 
     @cached_property
+    def spectrum(self) -> Array:
+        """Mean of S over the steps, shape (F,)."""
+        return self.by_step.mean(axis=0)
+
+    @cached_property
     def sigma(self) -> float:
-        """Standard deviation."""
+        """Standard deviation, over all steps."""
         return float(self.share @ self.spectrum) ** 0.5
+
+    @cached_property
+    def sigmas(self) -> list[float]:
+        """That of every step."""
+        return [float(self.share @ spectrum) ** 0.5 for spectrum in self.by_step]
+
+    @property
+    def mean_fourth_power(self) -> float:
+        """E x^4."""
+        return 3 * statistics.fmean(sigma**4 for sigma in self.sigmas)
 
     def beyond(self, threshold: float) -> float:
         """Share of time above a threshold."""
-        return float(special.ndtr(-threshold / self.sigma)) if self.sigma else 0.0
+        return statistics.fmean(float(special.ndtr(-threshold / sigma)) if sigma else 0.0 for sigma in self.sigmas)
 
     def clipped_mean_square(self, clip: float) -> float:
         """E min(x, clip)^2, for a clip above 0; infinite for none."""
         if not self.sigma or math.isinf(clip):
             return self.sigma**2
-        a = clip / self.sigma
-        tail, density = float(special.ndtr(-a)), math.exp(-(a**2) / 2) / math.sqrt(2 * math.pi)
-        return self.sigma**2 * (1 - tail - a * density + a**2 * tail)
+        return statistics.fmean(_clipped_square(sigma, clip) for sigma in self.sigmas)
 
     def mean_square_variance(self, window: float, clip: float = math.inf) -> float:
         """Variance of the mean of min(x, clip)^2 over a window [s]: that of a constant at most."""
@@ -127,6 +144,15 @@ def positive_part(covariance: float, size: float) -> float:
     """E max(x y, 0) of two Gaussians of this covariance and this product of standard deviations."""
     r = min(max(covariance / size, -1.0), 1.0) if size else 0.0
     return size * (math.sqrt(1 - r**2) + r * math.acos(-r)) / math.pi
+
+
+def _clipped_square(sigma: float, clip: float) -> float:
+    """E min(x, clip)^2 of a Gaussian x."""
+    if not sigma:
+        return 0.0
+    a = clip / sigma
+    tail, density = float(special.ndtr(-a)), math.exp(-(a**2) / 2) / math.sqrt(2 * math.pi)
+    return sigma**2 * (1 - tail - a * density + a**2 * tail)
 
 
 def _hermite_of_clipped_square(k: int, a: float) -> float:

@@ -25,7 +25,7 @@ from sim.response.response import Response
 from sim.ride.weighting import sampled_wk
 
 RUNNING = 1.0  # s, of the running rms
-DEFINITIONS = 3  # of the metrics and what is expected of them; one more wherever a number comes out otherwise than before
+DEFINITIONS = 4  # of the metrics and what is expected of them; one more wherever a number comes out otherwise than before
 
 
 @dataclass(frozen=True)
