@@ -67,11 +67,15 @@ def contents(path: Path) -> Contents:
 
 
 def written(
-    parts: Contents, chunk_size: int = 16384, compression: CompressionType = CompressionType.ZSTD, chunking: bool = True
+    parts: Contents,
+    chunk_size: int = 16384,
+    compression: CompressionType = CompressionType.ZSTD,
+    chunking: bool = True,
+    checksums: bool = True,
 ) -> bytes:
     """The file of these contents, in chunks of about that many bytes."""
     stream = io.BytesIO()
-    writer = Writer(stream, chunk_size, compression, use_chunking=chunking, enable_data_crcs=True)
+    writer = Writer(stream, chunk_size, compression, use_chunking=chunking, enable_crcs=checksums, enable_data_crcs=checksums)
     writer.start()
     for name, record in parts.metadata:
         writer.add_metadata(name, dict(record))

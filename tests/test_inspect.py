@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -198,6 +199,7 @@ def test_late_and_unstable(designer, paper, tmp_path, capsys):
     path = record_runs(tmp_path, "python -m sim.margins --controller II", paper, ["II"], runs, result)["mcap"]
     code, found = inspected(Path(path), capsys)
     assert (code, broken(found)) == (1, {("command", "FAILS")})  # for these are no roads of sim.margins
+    assert "its line asks for no log" in [finding["text"] for finding in found["findings"]]  # margins logs only where asked to
     parts = {(finding["part"], finding["verdict"]) for finding in found["runs"][0]["findings"]}
     assert {("implementation", "note"), ("result", "note")} <= parts
     assert any(finding["text"].startswith("unstable: the sampled loop grows") for finding in found["runs"][0]["findings"])
@@ -493,6 +495,43 @@ def test_every_flipped_bit_is_found(log, tmp_path, capsys):
         except InputError:
             code = 2
         assert code in (1, 2), f"byte {place}"
+
+
+def test_checksums_that_are_not_there(parts, tmp_path, capsys):
+    """Zero stands for no checksum. A run of ours writes them all; of an older log it is said how many there are."""
+    path = tmp_path / "unsummed.mcap"
+    whole = written(parts, 10**7)
+    in_footer, in_data_end = len(whole) - 12, whole.rindex(b"\x0f\x04" + bytes(7)) + 9
+    for place in (in_footer, in_data_end):
+        assert whole[place : place + 4] != bytes(4), "the test changes what is there"
+    wiped = [whole[:place] + bytes(4) + whole[place + 4 :] for place in (in_footer, in_data_end)]
+    every = 6  # three attachments, one chunk, data, index
+    for content, absent in ((wiped[0], 1), (wiped[1], 1), (written(parts, 10**7, checksums=False), 3)):
+        path.write_bytes(content)
+        code, found = inspected(path, capsys)
+        assert code == 1
+        texts = [one["text"] for one in found["findings"] if one["part"] == "file"]
+        assert texts == [f"{absent} of {every} checksums not there; a run of ours writes them all"]
+    path.write_bytes(written(older(parts), 10**7, checksums=False))
+    code, found = inspected(path, capsys)
+    assert code == 0
+    assert found["findings"][0]["text"].endswith(f" messages, {every - 3} checksums right, 3 others not there")
+
+
+def test_line_that_cannot_have_written_the_log(parts, tmp_path, capsys):
+    """The line asks for logs, and is no longer than a command's can be: what is longer is not even split."""
+    path = tmp_path / "line.mcap"
+    for change, said in (
+        (lambda line: re.sub(r"--logs \S+", "--no-logs", line), "its line asks for no log"),
+        (lambda line: line + " --x" * 250_000, r"its line has \d+ characters, and a command's has at most 32767"),
+    ):
+        path.write_bytes(written(parts.with_claim("roadproof", "command_line", change)))
+        begin = time.process_time()
+        code, found = inspected(path, capsys)
+        assert time.process_time() - begin < 10  # promised of any log; 2 s measured, and minutes where such a line is parsed
+        assert (code, broken(found)) == (1, {("command", "FAILS")})
+        (text,) = [one["text"] for one in found["findings"] if one["part"] == "command"]
+        assert re.fullmatch(said, text)
 
 
 # --- what is none ----------------------------------------------------------------------------------------------------------

@@ -20,6 +20,8 @@ from sim.inspect.log import Recorded
 from sim.recording.format import RESULTS
 from sim.recording.provenance import command_of
 
+MOST_LINE = 32_767  # characters; Windows starts no command with more, and shlex and argparse take the square of it
+
 
 @dataclass(frozen=True)
 class Held:
@@ -39,6 +41,8 @@ def check_command(log: Recorded, vehicle: Vehicle, timestep: float, runs: Sequen
         InputError: the line cannot be read, or asks for what the command refuses.
     """
     line, command = log.metadata.get("command_line", ""), log.metadata.get("command", "")
+    if len(line) > MOST_LINE:
+        raise InputError(f"its line has {len(line)} characters, and a command's has at most {MOST_LINE}")
     if command not in RESULTS or command_of(line) != command:
         raise InputError(f"the command {command[:40]!r} and its line do not fit together; {', '.join(RESULTS)} record")
     options = _options(command, line)
@@ -48,6 +52,8 @@ def check_command(log: Recorded, vehicle: Vehicle, timestep: float, runs: Sequen
     ships = options.vehicle in kinds() and re.split(r"[\\/]", source)[-1] == f"{options.vehicle}.toml"
     if not ships and not same_path(source, options.vehicle):
         wrong.append(f"the vehicle file {options.vehicle} is not the one that the log names")
+    if options.logs is None:
+        wrong.append("its line asks for no log")
     yield from (Finding("command", FAILS, text) for text in wrong)
     if wrong:
         return

@@ -72,6 +72,8 @@ class McapFile:
         schemas: their names, also of those that no channel has.
         chunks: how many were read.
         messages: how many were read, on whatever channel.
+        right: checksums that are there, and right.
+        absent: checksums that are not there: the format allows zero for one.
         damage: what is missing or broken, in words; empty for a whole file.
     """
 
@@ -81,4 +83,6 @@ class McapFile:
     schemas: tuple[str, ...]
     chunks: int
     messages: int
+    right: int
+    absent: int
     damage: tuple[str, ...]

@@ -84,7 +84,7 @@ class _Reader:
         self._series: dict[int, _Series] = {}
         self._topics: dict[str, _Series] = {}
         self._damage: dict[str, None] = {}  # in order, each once
-        self._chunks = self._messages = 0
+        self._chunks = self._messages = self._right = self._absent = 0
 
     def read(self, stream: BinaryIO) -> None:
         """The whole file, from behind its magic."""
@@ -120,7 +120,8 @@ class _Reader:
         if len(damage) > MOST_DAMAGE:
             damage = [*damage[:MOST_DAMAGE], f"and {len(damage) - MOST_DAMAGE} more of the kind"]
         schemas = tuple(schema.name for schema in self._schemas.values())
-        return McapFile(self._metadata, self._attachments, channels, schemas, self._chunks, self._messages, tuple(damage))
+        counts = self._chunks, self._messages, self._right, self._absent
+        return McapFile(self._metadata, self._attachments, channels, schemas, *counts, tuple(damage))
 
     def _damaged(self, remark: str) -> None:
         if len(self._damage) < 1000 * MOST_DAMAGE:
@@ -162,7 +163,7 @@ class _Reader:
     def _check_data(self, content: bytes, checksum: int) -> None:
         """The end of the data section: its checksum is over everything before."""
         end = self._parsed(DataEnd, "at the end of its data", content)
-        if end is not None and end.data_section_crc not in (0, checksum):
+        if end is not None and not self._sound(end.data_section_crc, checksum):
             self._damaged("changed since it was written: the checksum over all its data is wrong")
 
     def _check_end(self, content: bytes, checksum: int, magic: bytes, data: bool) -> None:
@@ -170,10 +171,16 @@ class _Reader:
         footer = self._parsed(Footer, "at its end", content)
         if data:
             self._damaged("its data have no end")
-        elif footer is not None and footer.summary_crc not in (0, checksum):
+        elif footer is not None and not self._sound(footer.summary_crc, checksum):
             self._damaged("changed since it was written: the checksum over its index is wrong")
         if magic != MAGIC:
             self._damaged("it does not end as an MCAP file does")
+
+    def _sound(self, given: int, found: int) -> bool:
+        """Whether a checksum is right, or not there: zero stands for none, where it is not the checksum itself."""
+        self._right += given == found
+        self._absent += given == 0 != found
+        return given in (0, found)
 
     def _keep(self, where: str, size: int) -> bool:
         self._kept += size
@@ -194,8 +201,7 @@ class _Reader:
         record = self._parsed(Attachment, where, content)
         if record is None or not self._keep(where, len(content)):
             return
-        checksum = int.from_bytes(content[-4:], "little")
-        if checksum not in (0, zlib.crc32(content[:-4])):
+        if not self._sound(int.from_bytes(content[-4:], "little"), zlib.crc32(content[:-4])):
             self._damaged(f"the attachment {where} is damaged: its checksum is wrong")
         elif record.name in self._attachments:
             self._damaged(f"the attachment {where} has a name that another has already")
@@ -213,7 +219,7 @@ class _Reader:
             return
         self._budget -= size
         data = decompressed(chunk)
-        if data is None or len(data) != size or chunk.uncompressed_crc not in (0, zlib.crc32(data)):
+        if data is None or len(data) != size or not self._sound(chunk.uncompressed_crc, zlib.crc32(data)):
             self._damaged(f"the chunk {where} is damaged{lost}")
             return
         self._chunks += 1

@@ -27,6 +27,7 @@ from sim.inspect.commanded import Held, check_command
 from sim.inspect.contents import check_contents, check_whole_result
 from sim.inspect.driven_again import balanced_again, written_again
 from sim.inspect.log import Recorded, RecordedRun, is_current, read_json, timestep
+from sim.inspect.mcap_contents import McapFile
 from sim.inspect.reproduction import (
     FEWEST,
     as_response,
@@ -101,9 +102,13 @@ def prove(log: Recorded, kinds: Path | None = None) -> Proof:
         log: as it was read.
         kinds: folder of kinds of vehicle of the user's own; see `recorded_vehicle`.
     """
-    file = log.file
-    whole = f"{file.chunks} chunk(s), {file.messages} messages, every checksum right"
-    findings = [Finding("file", FAILS, remark) for remark in file.damage] or [Finding("file", HOLDS, whole)]
+    other: list[Finding] = []
+    try:
+        current = is_current(log)
+    except InputError as error:
+        other.append(Finding("format", FAILS, str(error)))
+        current = True
+    findings = [*_file(log.file, current), *other]
     if not log.runs:
         findings.append(Finding("runs", MISSING, "there is no run in it"))
     try:
@@ -112,14 +117,20 @@ def prove(log: Recorded, kinds: Path | None = None) -> Proof:
         findings.append(Finding("vehicle", MISSING, str(error)))
         return Proof(log, None, math.nan, tuple(findings), tuple(Inspected(run, 0, (), None, None) for run in log.runs))
     findings.append(_model(log, vehicle, h))
-    try:
-        current = is_current(log)
-    except InputError as error:
-        findings.append(Finding("format", FAILS, str(error)))
-        current = True
     runs = tuple(_inspect(log, vehicle, run, h, current) for run in log.runs)
     findings += _beside(log, vehicle, h, runs, current)
     return Proof(log, vehicle, h, tuple(findings), runs)
+
+
+def _file(file: McapFile, current: bool) -> list[Finding]:
+    """Whether the file is whole. All its checksums have to be there: a run of ours writes them, and did not always."""
+    remarks = list(file.damage)
+    if current and file.absent:
+        remarks.append(f"{file.absent} of {file.right + file.absent} checksums not there; a run of ours writes them all")
+    if remarks:
+        return [Finding("file", FAILS, remark) for remark in remarks]
+    sums = f"{file.right} checksums right, {file.absent} others not there" if file.absent else "every checksum right"
+    return [Finding("file", HOLDS, f"{file.chunks} chunk(s), {file.messages} messages, {sums}")]
 
 
 def _beside(log: Recorded, vehicle: Vehicle, h: float, runs: Sequence[Inspected], current: bool) -> Iterator[Finding]:
