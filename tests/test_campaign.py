@@ -6,6 +6,7 @@ import errno
 import json
 import os
 import random
+import re
 import signal
 import subprocess
 import sys
@@ -310,7 +311,7 @@ def test_interrupted(tmp_path):
     (tmp_path / "campaign.toml").write_text(QUICK.replace("seeds = 60", "seeds = 20000"))
     code, out, err = killed(tmp_path, 1.5, signal.SIGINT)
     assert (code, out) == (130, "")
-    assert "runs are kept; start it again to go on" in err
+    assert re.fullmatch(r"roadproof: interrupted: \d+ of 80004 runs are kept; start it again to go on\n", err)
     assert not list((tmp_path / "results").glob(".*part*"))
 
 
@@ -402,6 +403,11 @@ BAD_FILES = [
     ({"vehicles": '["no_car"]'}, "", "vehicle file no_car"),
     ({"controllers": '["III"]'}, "", "has no controller 'III'; it has I, II"),
     ({"controllers": '["I", "I"]'}, "", "names 'I' twice"),
+    ({"speeds": "[10, 10.0]"}, "", "speeds: 10 and 10.0 are the same; name each once"),
+    ({"speeds": "[10.0, 10.0]"}, "", "speeds names 10.0 twice"),
+    ({"vehicles": f'["quarter_car", "{(ROOT / "models" / "quarter_car.toml").as_posix()}"]'}, "", "are the same; name each once"),
+    ({"roads": '["bump", "bump:height=0.1"]'}, "", "roads: 'bump' and 'bump:height=0.1' are the same; name each once"),
+    ({"roads": '["iso8608", "bump", "iso8608:class=C"]'}, "", "roads: 'iso8608' and 'iso8608:class=C' are the same"),
     ({"controllers": "[1]"}, "", "1 is not text in quotes"),
     ({"roads": '["iso8608:class=K"]'}, "", "unknown road class 'K'"),
     ({"roads": '["gravel"]'}, "", "unknown road 'gravel'"),

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
 
-from models.common.command import Parser, run_command
+from models.common import interrupt
+from models.common.command import Parser, complain, run_command
 from models.common.cores import cores
 from models.common.errors import InputError
 from sim.campaign.columns import columns, described
@@ -86,8 +87,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         except KeyboardInterrupt:
             show("")
             left = sum(stop - start for start, stop in store.missing())
-            print(f"roadproof: {plan.count - left} of {plan.count} runs are kept; start it again to go on", file=sys.stderr)
-            raise
+            complain(f"interrupted: {plan.count - left} of {plan.count} runs are kept; start it again to go on")
+            return interrupt.CODE
         show("")
         store.finish()
         entries = summarise(plan, store)

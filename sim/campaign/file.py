@@ -1,7 +1,7 @@
 """A campaign file (TOML): which vehicles, controllers, roads, speeds, seeds and sampled parameters are combined."""
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -63,11 +63,9 @@ class Campaign:
     @property
     def sources(self) -> str:
         """Everything that decides the numbers, as text: the file, and those that it names."""
-        arrays = [(road.profile.distance, road.profile.heights) for road in self.roads if road.profile]
-        arrays += [(road.surface.u, road.surface.v, road.surface.z) for road in self.roads if road.surface]
-        measured = [
-            f"{array.shape} {hashlib.sha256(np.ascontiguousarray(array).data).hexdigest()}" for some in arrays for array in some
-        ]
+        # Tables before surfaces, whatever their order: folders that are there know a campaign by this.
+        roads = sorted(self.roads, key=lambda road: road.surface is not None)
+        measured = [line for road in roads for line in _measured(road)]
         return "\n".join([self.text, *(vehicle.text for vehicle in self.vehicles.values()), *measured])
 
 
@@ -91,13 +89,19 @@ def _parse(text: str, folder: Path) -> Campaign:
             raise InputError(f"unknown key {key!r}; known: {known(KEYS)}")
     names = _texts(data, "vehicles", "quarter_car")
     vehicles = {name: read_vehicle(name if not (folder / name).is_file() else folder / name) for name in names}
+    _check_once("vehicles", names, [Path(vehicles[name].source).resolve() for name in names])
     controllers = tuple(_texts(data, "controllers", "I"))
+    _check_once("controllers", controllers, controllers)
     for name, vehicle in vehicles.items():
         for controller in controllers:
             if controller not in vehicle.controller_names:
                 raise InputError(f"vehicle {name!r} has no controller {controller!r}; it has {known(vehicle.controller_names)}")
     roads = tuple(choose_road(road, folder) for road in _texts(data, "roads", "iso8608:class=C"))
-    speeds = tuple(read_number(speed, "speeds", 0.1, 200.0) for speed in _list(data, "speeds", "20.0"))
+    a_vehicle = next(iter(vehicles.values()))
+    _check_once("roads", [road.text for road in roads], [_what_it_is(road, a_vehicle) for road in roads])
+    written = _list(data, "speeds", "20.0")
+    speeds = tuple(read_number(speed, "speeds", 0.1, 200.0) for speed in written)
+    _check_once("speeds", written, speeds)
     duration, timestep = read_number(data.get("duration", 10.0), "duration", 0.0, 1e6), data.get("timestep", 1e-3)
     timestep = read_number(timestep, "timestep", 0.0, 1.0)
     for name, vehicle in vehicles.items():
@@ -161,12 +165,38 @@ def _list(data: Mapping[str, Any], key: str, example: str) -> list[Any]:
         raise InputError(f"{key} = {quoted(values)} is not a list; {give}")
     if not values:
         raise InputError(f"{key} = [] names none, so there are no runs; {give}")
-    seen = set()
-    for value in values:
-        if repr(value) in seen:
-            raise InputError(f"{key} names {value!r} twice; name each once")
-        seen.add(repr(value))
     return values
+
+
+def _check_once(key: str, written: Sequence[Any], read: Sequence[Hashable]) -> None:
+    """Whether nothing is named twice, in the same words or in others: its runs would count twice.
+
+    Args:
+        key: of the list.
+        written: its values, as the file has them.
+        read: what each of them means.
+
+    Raises:
+        InputError: two mean the same.
+    """
+    first: dict[Hashable, str] = {}
+    for value, meant in zip(written, read, strict=True):
+        if meant in first:
+            twice = f" names {first[meant]} twice" if first[meant] == quoted(value) else None
+            raise InputError(f"{key}{twice or f': {first[meant]} and {quoted(value)} are the same'}; name each once")
+        first[meant] = quoted(value)
+
+
+def _what_it_is(road: RoadChoice, vehicle: Vehicle) -> Hashable:
+    """What tells a road from another, whatever words it was asked for in."""
+    return tuple(_measured(road)) or tuple(sorted(road.build(vehicle, 20.0, 0, 1.0).describe().items()))
+
+
+def _measured(road: RoadChoice) -> list[str]:
+    """Checksums of what a file holds that a road is; none of a road that is made."""
+    arrays = [road.profile.distance, road.profile.heights] if road.profile else []
+    arrays += [road.surface.u, road.surface.v, road.surface.z] if road.surface else []
+    return [f"{array.shape} {hashlib.sha256(np.ascontiguousarray(array).data).hexdigest()}" for array in arrays]
 
 
 def _texts(data: Mapping[str, Any], key: str, example: str) -> Sequence[str]:
