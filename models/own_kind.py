@@ -1,7 +1,9 @@
 """A kind of vehicle of the user's own: its Python is run, and whatever is wrong with it, or with what it gives, is one line."""
 
+import sys
 import traceback
 from collections.abc import Callable
+from contextlib import redirect_stdout
 from dataclasses import replace
 from functools import wraps
 from pathlib import Path
@@ -95,13 +97,13 @@ def _guarded(
 
 
 def _run(path: Path, name: str, code: Callable[[], Any], refuses: bool = False) -> Any:
-    """Runs code of the user's; what it gives.
+    """Runs code of the user's; what it gives. What it prints goes to stderr: stdout is the command's, and may be JSON.
 
     Raises:
         InputError: it failed. The message has the last line of theirs that ran.
     """
     try:
-        with np.errstate(all="ignore"):  # what is not finite is found in the result
+        with np.errstate(all="ignore"), redirect_stdout(sys.stderr):  # what is not finite is found in the result
             return code()
     except KeyboardInterrupt:
         raise

@@ -1,5 +1,6 @@
 """A kind of vehicle of the user's own: its three files work beside one another, and whatever is wrong with one is one line."""
 
+import json
 import os
 import re
 from pathlib import Path
@@ -146,6 +147,17 @@ def test_own_refusal(folder):
     )
     path.write_text(f"from models.common.errors import InputError\n{text}")
     assert refusal(folder) == f"vehicle file {folder / 'hopper.toml'}: mass = 200 kg is too much"
+
+
+def test_what_it_prints_is_no_output(folder, capsys):
+    """What a kind prints, when it is read and when it is called, goes to stderr: `--json` stays one JSON object."""
+    path = folder / "hopper.py"
+    path.write_text("print('read')\n" + path.read_text().replace(BUILD, f"{BUILD}\n    print('called')"))
+    vehicle = str(folder / "hopper.toml")
+    assert main(["--vehicle", vehicle, "--controller", "passive", "--duration", "1", "--no-logs", "--json"]) == 0
+    printed = capsys.readouterr()
+    assert json.loads(printed.out)["runs"]
+    assert {"read", "called"} <= set(printed.err.splitlines())
 
 
 def test_parameters_stay(folder):
