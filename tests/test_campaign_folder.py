@@ -172,18 +172,17 @@ def test_random_damage_to_parts(whole, begun, tmp_path):
 
 
 @pytest.mark.parametrize("at", [4, 1000, -3])
-def test_a_damaged_result_is_named(whole, tmp_path, at):
+def test_a_damaged_result_is_named(whole, tmp_path, capsys, at):
     """A flipped bit in the finished file is found when it is read, by the command and by --verify; nothing is removed."""
     (tmp_path / "campaign.toml").write_text(QUICK)
     shutil.copytree(whole[0], tmp_path / "results")
     flip(tmp_path / "results" / "results.parquet", at)
     damaged = (tmp_path / "results" / "results.parquet").read_bytes()
-    for arguments in (
-        [str(tmp_path / "campaign.toml"), "--results", str(tmp_path / "results")],
-        [str(tmp_path / "campaign.toml"), "--verify", str(tmp_path / "results")],
-    ):
-        with pytest.raises(InputError, match=r"results\.parquet: is not the file that the campaign wrote"):
-            main(arguments)
+    said = "results.parquet: is not the file that the campaign wrote"
+    with pytest.raises(InputError, match=said):
+        main([str(tmp_path / "campaign.toml"), "--results", str(tmp_path / "results")])
+    assert main(["--verify", str(tmp_path / "results")]) == 1
+    assert said in capsys.readouterr().out
     assert (tmp_path / "results" / "results.parquet").read_bytes() == damaged
 
 
@@ -302,6 +301,46 @@ def test_verify_reads_what_a_file_says_of_itself(whole, tmp_path, capsys, forger
     dataclasses.replace(manifest, results=hashlib.sha256(file.read_bytes()).hexdigest()).write(tmp_path / "results")
     assert main(["--verify", str(tmp_path / "results"), "--runs", "1"]) == 1
     assert "DOES NOT HOLD" in capsys.readouterr().out
+
+
+EDITS = {  # of a manifest that gets a new seal, and what is said
+    "seeds": (lambda content: content.update(campaign=QUICK.replace("seeds = 12", "seeds = 3000000")), "the campaign's text"),
+    "columns": (lambda content: content.update(columns=None), "columns = None is not what a campaign writes"),
+    "controllers": (lambda content: content.update(controllers=5), "controllers = 5 is not what a campaign writes"),
+    "gain": (lambda content: content["controllers"].update(quarter_car={"I_printed": {}}), "is not what a campaign writes"),
+    "gains": (lambda content: content["controllers"].pop("quarter_car"), "gains are not those of the campaign ('quarter_car')"),
+    "runs": (lambda content: content.update(runs="many"), "runs = 'many' is not what a campaign writes"),
+    "file": (lambda content: content.update(file=[]), "file = [] is not what a campaign writes"),
+    "unsealed": (lambda content: content, "was changed since the campaign began, or is damaged"),
+}
+
+
+@pytest.mark.parametrize("edit", EDITS)
+def test_verify_finds_an_edited_manifest(whole, tmp_path, capsys, edit):
+    """An entry of another type, or another campaign's text, under a seal made anew, is a fault in one line, also in JSON."""
+    shutil.copytree(whole[0], tmp_path / "results")
+    path = tmp_path / "results" / "campaign.json"
+    content = json.loads(path.read_text())
+    change, said = EDITS[edit]
+    content.pop("seal")
+    change(content)
+    path.write_text(json.dumps({**content, "seal": "0" if edit == "unsealed" else campaign_manifest._sealed(content)}))
+    assert main(["--verify", str(tmp_path / "results"), "--json"]) == 1
+    (fault,) = json.loads(capsys.readouterr().out)["faults"]
+    assert said in fault
+
+
+def test_verify_a_copied_folder(tmp_path, capsys):
+    """A folder is verified by its own text of the campaign, moved or not; that the file is gone or another is said."""
+    assert start(tmp_path) == 0
+    arguments = ["--verify", str(tmp_path / "results"), "--runs", "1"]
+    capsys.readouterr()
+    for said in ("is another one by now", "is not there any more"):
+        (tmp_path / "campaign.toml").write_text("speeds = []")
+        if "any more" in said:
+            (tmp_path / "campaign.toml").unlink()
+        assert main(arguments) == 0
+        assert said in capsys.readouterr().out.splitlines()[0]
 
 
 @pytest.mark.parametrize("forgery", ["number", "inputs", "rows", "gain", "order"])

@@ -12,14 +12,15 @@ from models.common import interrupt
 from models.common.command import Parser, complain, run_command
 from models.common.cores import cores
 from models.common.errors import InputError
+from models.common.read_file import TEXT, read_text
 from sim.campaign.columns import columns, described
-from sim.campaign.file import Campaign, read_campaign
-from sim.campaign.manifest import ELSEWHERE, Gains, Manifest, check_same, digest, gains_of, held, read_manifest
+from sim.campaign.file import Campaign, parse_campaign, read_campaign
+from sim.campaign.manifest import ELSEWHERE, FaultError, Gains, Manifest, check_same, digest, gains_of, held, read_manifest
 from sim.campaign.plan import Plan
 from sim.campaign.samples import MOST_RUNS
 from sim.campaign.store import Store
 from sim.campaign.summary import summarise, summary_lines
-from sim.campaign.verify import verify
+from sim.campaign.verify import Verified, verify
 from sim.campaign.workers import HERE, Rows, cluster, run_batches
 from sim.command.progress import bar, show
 from sim.physics.simulate import RUNS_AT_ONCE
@@ -114,7 +115,7 @@ def _verify(options: argparse.Namespace) -> int:
     """Checks a finished campaign and says what was found; returns the exit code.
 
     Raises:
-        InputError: an option that does not go with it; there is no finished campaign; its files are not what they were.
+        InputError: an option that does not go with it; there is no finished campaign, or it cannot be read here.
     """
     for name in ("results", "workers", "batch", "ray"):
         if name in options.given:
@@ -122,18 +123,17 @@ def _verify(options: argparse.Namespace) -> int:
     folder = options.verify
     if not folder.is_dir():
         raise InputError(f"--verify {folder}: there is no such folder; give one of a finished campaign's results")
-    manifest = read_manifest(folder)
-    if manifest is None:
-        raise InputError(f"--verify {folder}: is empty; give a folder of a finished campaign's results")
-    campaign = read_campaign(options.file or Path(manifest.file))
-    check_same(manifest, folder, campaign.sources, _versions(), described(campaign))
-    plan = _planned(campaign, manifest.controllers)
-    found = verify(plan, _store(plan, folder, manifest), options.runs, options.seed, bar(options.runs, "runs driven again"))
-    show("")
+    try:
+        runs, found, remark = _found(options, folder)
+    except FaultError as error:
+        runs, found, remark = None, Verified(0, (), (str(error),)), ""
     if options.json:
-        result = {"results": str(folder), "runs": plan.count, "rows": found.rows, "seed": options.seed}
+        result = {"results": str(folder), "runs": runs, "rows": found.rows, "seed": options.seed, "remark": remark}
         print(json.dumps({**result, "again": found.again, "faults": found.faults, "holds": not found.faults}))
-    elif found.faults:
+        return 1 if found.faults else 0
+    if remark:
+        print(remark)
+    if found.faults:
         print("\n".join([*found.faults, "", f"{folder} DOES NOT HOLD what its campaign comes to"]))
     else:
         print(
@@ -141,6 +141,41 @@ def _verify(options: argparse.Namespace) -> int:
             f"{options.seed}, were driven again and are the same to the last bit\n{folder} holds what its campaign comes to"
         )
     return 1 if found.faults else 0
+
+
+def _found(options: argparse.Namespace, folder: Path) -> tuple[int, Verified, str]:
+    """How many runs there are, what --verify found, and what there is to say of the campaign file.
+
+    Raises:
+        InputError: there is no finished campaign, or not all that it names is here.
+        FaultError: its folder's files are not what they were.
+    """
+    manifest = read_manifest(folder)
+    if manifest is None:
+        raise InputError(f"--verify {folder}: is empty; give a folder of a finished campaign's results")
+    remark = ""
+    if options.file is not None:
+        campaign = read_campaign(options.file)
+    else:
+        file = Path(manifest.file)
+        if not file.is_absolute() or not file.parent.is_dir():  # the folder was copied to another machine
+            file = folder.absolute().parent / file.name
+        campaign = parse_campaign(manifest.campaign, file)
+        try:
+            same = read_text(file, "campaign file", TEXT, "") == manifest.campaign
+            remark = "" if same else f"campaign file {file} is another one by now; the folder's own text of it counts"
+        except InputError:
+            remark = f"campaign file {file} is not there any more; the folder's own text of it counts"
+        if manifest.digest != digest(campaign.sources):
+            raise FaultError(
+                f"results {folder}: the campaign's text, or a vehicle or road file that it names, is not what it was when the "
+                "campaign began"
+            )
+    check_same(manifest, folder, campaign.sources, _versions(), described(campaign))
+    plan = _planned(campaign, manifest.controllers)
+    found = verify(plan, _store(plan, folder, manifest), options.runs, options.seed, bar(options.runs, "runs driven again"))
+    show("")
+    return plan.count, found, remark
 
 
 def _plan(campaign: Campaign, folder: Path, file: Path) -> tuple[Plan, Manifest]:
@@ -177,8 +212,8 @@ def _planned(campaign: Campaign, gains: Gains) -> Plan:
             name: {controller: given(vehicle, controller, **gains[name][controller]) for controller in campaign.controllers}
             for name, vehicle in campaign.vehicles.items()
         }
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"the folder's gains are not those of the campaign ({error!r}); {ELSEWHERE}") from error
+    except (KeyError, ValueError) as error:
+        raise FaultError(f"the folder's gains are not those of the campaign ({error}); {ELSEWHERE}") from error
     return Plan(campaign, controllers)
 
 

@@ -75,7 +75,15 @@ def read_campaign(path: Path) -> Campaign:
     Raises:
         InputError: the file cannot be read, something in it is missing, unknown or not allowed, or it makes no runs.
     """
-    text = read_text(path, "campaign file", TEXT, "give a TOML file")
+    return parse_campaign(read_text(path, "campaign file", TEXT, "give a TOML file"), path)
+
+
+def parse_campaign(text: str, path: Path) -> Campaign:
+    """A campaign from the text of its file, wherever that is kept; what it names lies beside `path`.
+
+    Raises:
+        InputError: see `read_campaign`.
+    """
     try:
         return _parse(text, path.parent)
     except InputError as error:

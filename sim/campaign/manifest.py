@@ -6,14 +6,14 @@ The seal is a checksum: it tells what was damaged, or edited by hand, not who wr
 import contextlib
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 import filelock
 
-from models.common.errors import InputError, some
+from models.common.errors import InputError, quoted, some
 from models.common.read_file import MIB, read_text
 from models.common.whole_file import made_folder, whole_file
 from synth.controller import Controller
@@ -22,6 +22,11 @@ NAME, LOCK = "campaign.json", ".lock"
 LARGEST = 64 * MIB
 FULL = "free some space or name another folder with --results; what is done is kept"
 ELSEWHERE = "name another folder with --results, or remove it"
+
+
+class FaultError(InputError):
+    """What a folder holds is not what a campaign wrote there: damaged, or edited."""
+
 
 Gains = Mapping[str, Mapping[str, Mapping[str, Any]]]  # of every vehicle's controllers: what they measure, and the gain
 
@@ -90,12 +95,45 @@ def read_manifest(folder: Path) -> Manifest | None:
             f"results {path}: has no seal; it is of an older Roadproof, or was edited; go on with that version, {ELSEWHERE}"
         )
     if not isinstance(whole, dict) or whole.pop("seal") != _sealed(whole):
-        raise InputError(f"results {path}: was changed since the campaign began, or is damaged; restore it, {ELSEWHERE}")
+        raise FaultError(f"results {path}: was changed since the campaign began, or is damaged; restore it, {ELSEWHERE}")
     entries = {field.name for field in fields(Manifest)}
     if set(whole) != entries:
         found = ", ".join([f"no {name}" for name in sorted(entries - set(whole))] + sorted(set(whole) - entries))
         raise InputError(f"results {path}: is of another version of Roadproof ({found}); go on with that version, {ELSEWHERE}")
+    for name, value in whole.items():
+        if not _is_its_kind(name, value):
+            raise FaultError(f"results {path}: {name} = {quoted(value)} is not what a campaign writes; restore it, {ELSEWHERE}")
     return Manifest(**whole)
+
+
+def _is_its_kind(name: str, value: Any) -> bool:
+    """Whether a manifest's entry is of the type that it must be, and so is all that is in it."""
+
+    def by_text(value: Any, of: Callable[[Any], bool]) -> bool:
+        return isinstance(value, dict) and all(of(each) for each in value.values())
+
+    def text(value: Any) -> bool:
+        return isinstance(value, str)
+
+    def texts(value: Any) -> bool:
+        return isinstance(value, list) and all(text(each) for each in value)
+
+    def row(value: Any) -> bool:
+        return isinstance(value, list) and all(type(each) in (int, float) for each in value)
+
+    def gain(value: Any) -> bool:
+        right = isinstance(value, dict) and set(value) == {"measured", "gain"} and texts(value["measured"])
+        return right and isinstance(value["gain"], list) and all(row(each) for each in value["gain"])
+
+    if name == "runs":
+        return type(value) is int
+    if name == "versions":
+        return by_text(value, text)
+    if name == "columns":
+        return by_text(value, lambda column: by_text(column, text))
+    if name == "controllers":
+        return by_text(value, lambda some: by_text(some, gain))
+    return text(value)
 
 
 def check_same(

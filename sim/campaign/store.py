@@ -21,7 +21,7 @@ from models.common.errors import InputError
 from models.common.read_file import MIB, open_plain, read_bytes
 from models.common.whole_file import whole_file
 from sim.campaign.columns import Column
-from sim.campaign.manifest import FULL, Manifest
+from sim.campaign.manifest import FULL, FaultError, Manifest
 
 RESULTS = "results.parquet"
 PART = re.compile(r"part-(\d{9})-(\d{9})-([0-9a-f]{32})\.parquet")
@@ -54,7 +54,7 @@ class Store:
         """Opens a folder, and checks every file in it.
 
         Raises:
-            InputError: the finished file is not what was written.
+            FaultError: the finished file is not what was written.
         """
         self.folder, self.manifest = folder, manifest
         fields = [pa.field(name, TYPES[one.kind], metadata=one.about or None) for name, one in columns.items()]
@@ -82,7 +82,7 @@ class Store:
         """Holds the finished file against its checksum.
 
         Raises:
-            InputError: it is not what was written.
+            FaultError: it is not what was written.
         """
         try:
             with open_plain(self.results, "results", "") as file:
@@ -90,7 +90,7 @@ class Store:
         except (InputError, OSError):
             found = "nothing"
         if found != self.manifest.results:
-            raise InputError(
+            raise FaultError(
                 f"results {self.results}: is not the file that the campaign wrote (damaged, edited or gone); restore it, or "
                 f"remove {self.folder} to run the campaign again"
             )
