@@ -330,6 +330,17 @@ def test_verify_finds_an_edited_manifest(whole, tmp_path, capsys, edit):
     assert said in fault
 
 
+def test_verify_finds_what_is_no_table(whole, tmp_path, capsys):
+    """Under checksums made anew, results that are no Parquet file are a fault, in one line."""
+    shutil.copytree(whole[0], tmp_path / "results")
+    (tmp_path / "results" / "results.parquet").write_bytes(b"junk")
+    manifest = read_manifest(tmp_path / "results")
+    assert manifest is not None
+    dataclasses.replace(manifest, results=hashlib.sha256(b"junk").hexdigest()).write(tmp_path / "results")
+    assert main(["--verify", str(tmp_path / "results")]) == 1
+    assert "cannot be read as Parquet" in capsys.readouterr().out
+
+
 def test_verify_a_copied_folder(tmp_path, capsys):
     """A folder is verified by its own text of the campaign, moved or not; that the file is gone or another is said."""
     assert start(tmp_path) == 0

@@ -15,7 +15,7 @@ import pyarrow as pa
 from models.common.errors import InputError
 from models.common.threads import one_thread
 from sim.campaign.batch import run_batch
-from sim.campaign.manifest import Gains, gains_of
+from sim.campaign.manifest import FaultError, Gains, gains_of
 from sim.campaign.plan import Plan
 from sim.campaign.store import Store
 from synth.designer import Designer
@@ -51,11 +51,15 @@ def verify(plan: Plan, store: Store, count: int, seed: int, progress: Callable[[
 
     Raises:
         InputError: the campaign is not finished.
+        FaultError: its results are no Parquet file.
     """
     if not store.finished:
         left = sum(stop - start for start, stop in store.missing())
         raise InputError(f"{store.folder}: {left} of {plan.count} runs are not there yet; run the campaign to its end first")
-    table = store.read(store.schema.names)
+    try:
+        table = store.read(store.schema.names)
+    except (pa.ArrowException, OSError) as error:
+        raise FaultError(f"results {store.results}: cannot be read as Parquet ({error}); restore it") from error
     faults = [*_gains(plan), *_shape(plan, store, table)]
     again: list[int] = []
     if not faults:
