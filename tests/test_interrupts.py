@@ -63,6 +63,36 @@ def test_wherever_it_is_heard(tmp_path, where):
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "roadproof: interrupted\n")
 
 
+def test_none_is_lost_where_work_goes_on(tmp_path):
+    """A Ctrl-C in the moment in which a file gets its name is heard when it has it, if there is more work to do."""
+    (tmp_path / "child.py").write_text(GOES_ON)
+    path = os.pathsep.join([str(Path(__file__).parent.parent), os.environ.get("PYTHONPATH", "")])
+    environment = os.environ | {"PYTHONPATH": path}
+    done = subprocess.run([sys.executable, "child.py"], cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout == "named\nnamed\nheard\nafter one more\n"
+
+
+GOES_ON = """
+import signal
+from models.common.interrupt import finishing
+
+with finishing():
+    signal.raise_signal(signal.SIGINT)
+    print("named")
+try:
+    with finishing(work_goes_on=True):
+        with finishing():
+            signal.raise_signal(signal.SIGINT)
+            print("named")
+    print("lost")
+except KeyboardInterrupt:
+    print("heard")
+with finishing():
+    pass
+print("after one more")
+"""
+
 TURNED = """
 try:
     raise KeyboardInterrupt

@@ -45,8 +45,12 @@ def caused(error: BaseException | None) -> bool:
 
 
 @contextmanager
-def finishing() -> Iterator[None]:
-    """What is done here takes a moment, and half of it would be worse than all: a Ctrl-C comes too late; a second is heeded."""
+def finishing(work_goes_on: bool = False) -> Iterator[None]:
+    """What is done here takes a moment, and half of it would be worse than all: a Ctrl-C comes too late; a second is heeded.
+
+    Args:
+        work_goes_on: after it, so that a Ctrl-C is only late: it is heard when this is done, whatever this finishes within.
+    """
     before = signal.getsignal(signal.SIGINT)
     if threading.current_thread() is not threading.main_thread() or before in (None, signal.SIG_IGN):
         yield
@@ -63,6 +67,8 @@ def finishing() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
+    if came and callable(before) and (work_goes_on or getattr(before, "__qualname__", "") == late.__qualname__):
+        before(signal.SIGINT, None)  # an outer one of these, or what raises KeyboardInterrupt
 
 
 def ignore_from_now_on() -> None:

@@ -17,6 +17,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from models.common import interrupt
 from models.common.errors import InputError
 from models.common.read_file import MIB, open_plain, read_bytes
 from models.common.whole_file import whole_file
@@ -159,7 +160,7 @@ class Store:
         pq.write_table(table.combine_chunks(), buffer)
         content = buffer.getvalue()
         path = self.folder / f"part-{start:09d}-{stop:09d}-{self._checksum(start, stop, content)}.parquet"
-        with whole_file(path, "results", FULL) as beside:
+        with interrupt.finishing(work_goes_on=True), whole_file(path, "results", FULL) as beside:
             beside.write_bytes(content)
         self._parts = sorted([*self._parts, Part(start, stop, path)], key=lambda part: part.start)
 
