@@ -141,7 +141,8 @@ def test_projected_starts_are_good(states):
     assert landscape.norm(np.zeros(Cy.shape[0]))[0] > 5 * best_known
 
 
-@pytest.mark.parametrize("states", [pytest.param(60, marks=pytest.mark.slow), pytest.param(100, marks=pytest.mark.attack)])
+@pytest.mark.attack
+@pytest.mark.parametrize("states", [60, 100])
 def test_large_plants(states):
     """A chain too large for the two steps has a gain by descent; that is said, and where rounding leaves no proof of a bound."""
     design = two_steps_or_descent(*chain(states))

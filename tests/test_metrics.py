@@ -478,6 +478,7 @@ def test_linear_response_over_many_seeds(name, controller, road_class):
             assert abs(found[metric].mean() - mean) < off * mean + 3 * found[metric].std(ddof=1) / 8, metric
 
 
+@pytest.mark.attack
 def test_one_track_and_two():
     """A full car's two sides fare alike; the further apart its tracks are, the less they cohere and the less it heaves."""
     vehicle = read_vehicle("full_car")

@@ -306,7 +306,7 @@ def test_ride_says_what_its_prediction_leaves_out(paper, more, left_out):
     assert said[1] == (f", which leaves out {left_out}" if left_out else "")
 
 
-@pytest.mark.slow
+@pytest.mark.attack
 def test_ride_is_what_drive_says(paper, designer, capsys):
     """A row of the ride table is the mean of `python -m sim.drive` over its roads, and its prediction that command's."""
     (section_table,) = ride_section(paper, [designer.design("I")], 1e-3).tables

@@ -155,7 +155,7 @@ def test_coordinates_that_no_longer_fit(monkeypatch):
     np.testing.assert_allclose(found.K, expected.K, rtol=0, atol=1e-5 * np.abs(expected.K).max())  # where the path is stopped
 
 
-@pytest.mark.slow
+@pytest.mark.attack
 def test_forty_states():
     """A chain of 40 states has a design by the two steps, certified."""
     design = two_step_design(*chain(40))

@@ -126,7 +126,7 @@ def test_refine_is_bounded_and_says_what_it_traded(capsys):
     assert any(note.startswith("refined: gamma 7.843188 -> ") and "refused" in note for note in row["notes"])
 
 
-@pytest.mark.parametrize("vehicle", ["quarter_car", "half_car", pytest.param("full_car", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("vehicle", ["quarter_car", "half_car", pytest.param("full_car", marks=pytest.mark.attack)])
 def test_the_table_says_what_refine_would_gain(capsys, vehicle):
     """What the table promises is kept by the command that it names: each norm falls by at least as much; none for state."""
     assert main(["--vehicle", vehicle]) == 0
