@@ -5,12 +5,16 @@ from models.vehicle import Vehicle
 from synth.controller import Controller
 
 IDEAL_LOOP = "of the ideal loop, continuous and without [limits] and [implementation]"
-
-
 SETTLED = 1e-2  # relative: a gain that moves less over the last hundredfold of mu is within 1e-4 of the limit
-
-
 SHORT = 1e-6  # relative in gamma; less is the path's own end
+
+
+def heading_lines(controller: Controller) -> list[str]:
+    """What a controller measures, and its gain."""
+    return [
+        f"controller {controller.name}: measures {', '.join(controller.measured) or 'nothing'}",
+        f"  gain {gain_text(controller.gain)}" if controller.measured else "  no control force",
+    ]
 
 
 def ideal_lines(vehicle: Vehicle) -> list[str]:

@@ -1,7 +1,6 @@
 """The pages that a reader meets, cut into sections, and what stands in them run as it stands there."""
 
 import glob
-import importlib
 import re
 import shlex
 import shutil
@@ -11,6 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+
+from tests.commands import main_of
 
 ROOT = Path(__file__).parent.parent
 PAGES = ("README.md", "models/README.md", "synth/README.md", "sim/README.md", "logs/README.md")
@@ -110,9 +111,7 @@ def run(one: Section, folder: Path) -> None:
         lighter = [more for start, more in LIGHTER.items() if line.startswith(f"python -m {start}")]
         module, *words = shlex.split(" ".join([line, *lighter]))[2:]
         arguments = [each for word in words for each in (sorted(glob.glob(word)) or [word]) if word not in ON_A_SCREEN]
-        command = importlib.import_module(module)
-        main = command.main if hasattr(command, "main") else importlib.import_module(f"{module}.__main__").main
-        code = main(arguments)
+        code = main_of(module)(arguments)
         assert code == 0, f"exit code {code} of {line}"
 
 

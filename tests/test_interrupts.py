@@ -6,9 +6,10 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
+
+from tests.commands import environment
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="Ctrl-C as POSIX sends it")
 
@@ -20,9 +21,8 @@ def test_an_interrupted_map_is_kept(tmp_path):
     """Ctrl-C in the middle of a map ends it at once, with exit code 130; what is done is printed and written, the same cells."""
     arguments = ["--controller", "I", "--vary", "height:0.02:0.2:100", "--vary", "speed:5:20:100", "--csv", "map.csv", "--json"]
     command = [sys.executable, "-c", CHILD, *arguments]
-    path = os.pathsep.join([str(Path(__file__).parent.parent), os.environ.get("PYTHONPATH", "")])
     process = subprocess.Popen(
-        command, cwd=tmp_path, env=os.environ | {"PYTHONPATH": path}, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        command, cwd=tmp_path, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
     assert process.stderr is not None
     assert process.stderr.readline() == "some are done\n"
@@ -52,11 +52,10 @@ def test_wherever_it_is_heard(tmp_path, where):
     (tmp_path / "child.py").write_text(
         f"import sim\nfrom models.common.command import run_command\n\ndef main():\n    {where}\n\nrun_command(main)\n"
     )
-    path = os.pathsep.join([str(Path(__file__).parent.parent), os.environ.get("PYTHONPATH", "")])
     done = subprocess.run(
         [sys.executable, "-m", "child"],
         cwd=tmp_path,
-        env=os.environ | {"PYTHONPATH": path},
+        env=environment(),
         capture_output=True,
         text=True,
     )
@@ -66,9 +65,7 @@ def test_wherever_it_is_heard(tmp_path, where):
 def test_none_is_lost_where_work_goes_on(tmp_path):
     """A Ctrl-C in the moment in which a file gets its name is heard when it has it, if there is more work to do."""
     (tmp_path / "child.py").write_text(GOES_ON)
-    path = os.pathsep.join([str(Path(__file__).parent.parent), os.environ.get("PYTHONPATH", "")])
-    environment = os.environ | {"PYTHONPATH": path}
-    done = subprocess.run([sys.executable, "child.py"], cwd=tmp_path, env=environment, capture_output=True, text=True)
+    done = subprocess.run([sys.executable, "child.py"], cwd=tmp_path, env=environment(), capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout == "named\nnamed\nheard\nafter one more\n"
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-ROOT = Path(__file__).parent.parent
+from tests.commands import ROOT, environment
 
 FIRST = ("sim/__init__.py", "synth/__init__.py", "models/__init__.py", "models/common/__init__.py", "models/common/interrupt.py")
 
@@ -46,11 +46,10 @@ def prepare(folder: Path) -> None:
 def start(command: str, folder: Path) -> subprocess.Popen:
     """A command in a process group of its own, as a terminal's."""
     arguments = [sys.executable, "-m", command, *COMMANDS[command]]
-    path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
     return subprocess.Popen(
         arguments,
         cwd=folder,
-        env=os.environ | {"PYTHONPATH": path},
+        env=environment(),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

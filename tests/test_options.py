@@ -3,9 +3,7 @@
 Both before any work: nothing is designed, nothing is left behind.
 """
 
-import importlib
 import os
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -13,6 +11,7 @@ import pytest
 from models.common.errors import InputError
 from models.vehicle import read_vehicle
 from synth.designer import Designer
+from tests.commands import main_of
 
 MAP = ("--vary", "height:0.1:0.2:2", "--vary", "speed:5:10:2")
 COMMANDS = {  # with the least that each needs
@@ -35,12 +34,6 @@ OUTPUTS = {
 }
 FOLDERS = ("--logs", "--figures")
 NAMES = {"--picture": "out.png", "--out": "out.html"}
-
-
-def command(name: str) -> Callable[[list[str]], int]:
-    """The `main` of a command."""
-    module = importlib.import_module(name)
-    return (module if hasattr(module, "main") else importlib.import_module(f"{name}.__main__")).main
 
 
 def tree(folder: Path) -> list[str]:
@@ -105,7 +98,7 @@ def test_what_makes_no_sense_together_is_refused(name, arguments, words, tmp_pat
     monkeypatch.chdir(tmp_path)
     before = tree(tmp_path)
     with pytest.raises(InputError) as caught:
-        command(name)(list(arguments))
+        main_of(name)(list(arguments))
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
     assert tree(tmp_path) == before
@@ -128,10 +121,10 @@ def test_an_output_that_cannot_be_written_is_said_before_the_work(name, option, 
     before = tree(tmp_path)
     for way in ways:
         with pytest.raises(InputError) as caught:
-            command(name)([*COMMANDS[name], option, way])
+            main_of(name)([*COMMANDS[name], option, way])
         assert way in str(caught.value), caught.value
     with pytest.raises(AssertionError, match="the work was begun"):
-        command(name)([*COMMANDS[name], option, "out" if option in FOLDERS else plain])
+        main_of(name)([*COMMANDS[name], option, "out" if option in FOLDERS else plain])
     assert tree(tmp_path) == before
 
 
@@ -139,6 +132,6 @@ def test_a_road_class_in_small_letters_is_that_class(capsys):
     """`--class c` is `--class C`."""
     outputs = []
     for letter in "cC":
-        command("sim.drive")(["--controller", "passive", "--class", letter, "--duration", "1", "--no-logs"])
+        main_of("sim.drive")(["--controller", "passive", "--class", letter, "--duration", "1", "--no-logs"])
         outputs.append(capsys.readouterr().out)
     assert outputs[0] == outputs[1]

@@ -18,6 +18,7 @@ from sim.roads.road import Bump
 from sim.runs.run import sample_times
 from synth.designer import Designer
 from tests import pages
+from tests.commands import main_of
 from tests.pages import ROOT, section
 
 
@@ -134,8 +135,7 @@ def test_table_of_commands(capsys):
 @pytest.mark.parametrize("name", [name for name, _, _ in COMMANDS])
 def test_help_points_to_the_page(name, capsys):
     """`--help` knows the options that the table names, and says where to read on: a page that has the command."""
-    module = importlib.import_module(name)
-    main = module.main if hasattr(module, "main") else importlib.import_module(f"{name}.__main__").main
+    main = main_of(name)
     with pytest.raises(SystemExit) as done:
         main(["--help"])
     assert done.value.code == 0

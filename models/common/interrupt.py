@@ -44,6 +44,18 @@ def caused(error: BaseException | None) -> bool:
     return error is not None
 
 
+class _Late:
+    """A handler that notes the first Ctrl-C, and heeds the second."""
+
+    def __init__(self) -> None:
+        self.came = False
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        if self.came:
+            raise KeyboardInterrupt
+        self.came = True
+
+
 @contextmanager
 def finishing(work_goes_on: bool = False) -> Iterator[None]:
     """What is done here takes a moment, and half of it would be worse than all: a Ctrl-C comes too late; a second is heeded.
@@ -55,19 +67,13 @@ def finishing(work_goes_on: bool = False) -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread() or before in (None, signal.SIG_IGN):
         yield
         return
-    came = []
-
-    def late(number: int, frame: FrameType | None) -> None:
-        if came:
-            raise KeyboardInterrupt
-        came.append(number)
-
+    late = _Late()
     signal.signal(signal.SIGINT, late)
     try:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
-    if came and callable(before) and (work_goes_on or getattr(before, "__qualname__", "") == late.__qualname__):
+    if late.came and callable(before) and (work_goes_on or isinstance(before, _Late)):
         before(signal.SIGINT, None)  # an outer one of these, or what raises KeyboardInterrupt
 
 

@@ -13,17 +13,9 @@ from models.vehicle import Vehicle
 from sim.roads.iso8608 import check_seed
 
 SAMPLES = ("count", "method", "seed", "parameters")
-
-
 METHODS = ("latin_hypercube", "sobol")
-
-
 DISTRIBUTIONS = ("uniform", "normal")
-
-
 WIDEST = 3.0  # standard deviations; a normal distribution is cut there
-
-
 MOST_RUNS = 10_000_000
 
 

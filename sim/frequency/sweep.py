@@ -12,14 +12,8 @@ from sim.frequency.identification import Lines, identify
 from synth.controller import Controller
 
 TOLERANCE = 1e-4  # of the response at a line; RK4's own error at 1 ms is 3e-6, so more is no frequency response of this loop
-
-
 ABOVE = 1e-5  # above the norm, relative: RK4's own error again
-
-
 REACHED = 1e-3  # below the norm
-
-
 WIDTH = 38  # of the column of names
 
 

@@ -15,7 +15,7 @@ from sim.response.regime import FLAT, LIFT_OFF, REGIME_ENDS
 from sim.runs.agreement import COARSEST, SLACK, SMALL
 from sim.runs.run import Run
 from synth.controller import Controller
-from synth.words import gain_text, ideal_lines, notes
+from synth.words import heading_lines, ideal_lines, notes
 
 
 @np.errstate(over="ignore")  # an unstable loop's squares overflow; what is infinite is None
@@ -80,12 +80,8 @@ def controller_lines(vehicle: Vehicle, controller: Controller) -> list[str]:
     """A controller and what is known of it."""
     certificate = controller.certificate
     norm = certificate.norm
-    measured = ", ".join(controller.measured) or "nothing"
     proof = f"bound {certificate.bound:.7g}   " if certificate.bound is not None else ""
-    lines = [
-        f"controller {controller.name}: measures {measured}",
-        f"  gain {gain_text(controller.gain)}" if controller.measured else "  no control force",
-    ]
+    lines = heading_lines(controller)
     if certificate.stable:
         where = f" at {norm.peak_frequency:.5g} rad/s" if math.isfinite(norm.peak_frequency) else ""
         lines.append(f"  {proof}norm {norm.value:.7g}{where}   {certificate.stability.words}")

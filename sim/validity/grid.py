@@ -10,8 +10,6 @@ from models.common.errors import InputError, known
 from sim.roads.road import LIMITS, LOWEST, Bump
 
 UNITS = {"height": "m", "length": "m", "speed": "m/s"}
-
-
 MOST_CELLS = 100_000
 
 

@@ -13,7 +13,7 @@ from synth.certificate.certificate import LmiProof
 from synth.certificate.record import to_record
 from synth.command.witness import Witness
 from synth.controller import Controller
-from synth.words import percent
+from synth.words import heading_lines, percent
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,9 +92,7 @@ def detail_lines(row: Row) -> list[str]:
     if row.controller is None:
         return [f"controller {row.name}", *(f"  NOT DESIGNED: {failure}" for failure in row.failures)]
     controller, certificate = row.controller, row.controller.certificate
-    gain = "[" + ", ".join("[" + ", ".join(f"{entry:.6g}" for entry in line) + "]" for line in controller.gain) + "]"
-    lines = [f"controller {row.name}: measures {', '.join(controller.measured) or 'nothing'}"]
-    lines.append(f"  gain {gain}" if controller.measured else "  no control force")
+    lines = heading_lines(controller)
     lines.append("  poles " + "  ".join(_poles(certificate.poles)))
     if certificate.stable:
         lines.append(f"  norm by level sets and by a sweep, {certificate.norm.gap:.0e} apart")

@@ -9,7 +9,6 @@ process of its own, forked from one that has imported everything; so this needs 
 
 import argparse
 import contextlib
-import importlib
 import io
 import os
 import re
@@ -28,6 +27,7 @@ import numpy as np
 
 from models.common.command import run_command
 from models.kind import HERE
+from tests.commands import main_of
 from tests.damaged_kinds import damages
 from tests.pages import hopper
 
@@ -150,12 +150,6 @@ def made_once(folder: Path) -> None:
         shutil.rmtree("logs")
         main_of("sim.campaign")(["campaign.toml", "--results", "results"])
         main_of("synth")(["--controller", "I", "--save", "designed.toml"])
-
-
-def main_of(command: str) -> Any:
-    """The main function of a command."""
-    module = importlib.import_module(command)
-    return (module if hasattr(module, "main") else importlib.import_module(f"{command}.__main__")).main
 
 
 def case(number: int) -> Case:

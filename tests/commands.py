@@ -1,0 +1,19 @@
+"""Commands as tests run them: in this process by their `main`, or in one of their own."""
+
+import importlib
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+ROOT = Path(__file__).parent.parent
+
+
+def main_of(command: str) -> Callable[[list[str]], int]:
+    """The `main` of a command, which is a module, or a package whose `__main__` has it."""
+    module = importlib.import_module(command)
+    return (module if hasattr(module, "main") else importlib.import_module(f"{command}.__main__")).main
+
+
+def environment() -> dict[str, str]:
+    """That of a process which runs this checkout's commands from any folder."""
+    return os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
