@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from models.common.errors import InputError, known, quoted
+from models.common.errors import InputError, listing, quoted
 from models.linear_model import LinearModel
 from models.signals import Signal
 
@@ -150,7 +150,7 @@ class VehicleKind:
         names = [parameter.name for parameter in self.parameters]
         for name in parameters:
             if name not in names:
-                raise InputError(f"unknown parameter {name!r}; a {self.name} has {known(names)}")
+                raise InputError(f"unknown parameter {name!r}; a {self.name} has {listing(names)}")
         for parameter in self.parameters:
             if parameter.name not in parameters:
                 raise InputError(f"parameter {parameter.name!r} [{parameter.unit}] is missing: {parameter.meaning}")

@@ -3,7 +3,7 @@
 import importlib
 from pathlib import Path
 
-from models.common.errors import InputError, known
+from models.common.errors import InputError, listing
 from models.kind import HERE, VehicleKind
 from models.own_kind import read_kind
 
@@ -24,5 +24,5 @@ def kind(name: str, folder: Path | None = None) -> VehicleKind:
     own = kinds(folder) if folder else []
     if folder is None or name not in own:
         beside = f", or beside the vehicle file: {name}.py and {name}.xml" if folder else ""
-        raise InputError(f"unknown vehicle type {name!r}; known: {known([*kinds(), *own])}{beside}")
+        raise InputError(f"unknown vehicle type {name!r}; known: {listing([*kinds(), *own])}{beside}")
     return read_kind(folder, name)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError, known, quoted
+from models.common.errors import InputError, listing, quoted
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +82,6 @@ class LinearModel:
         """
         for signal in signals:
             if signal not in self.outputs:
-                raise InputError(f"unknown signal {signal!r}; this vehicle has {known(self.outputs)}")
+                raise InputError(f"unknown signal {signal!r}; this vehicle has {listing(self.outputs)}")
         index = [self.outputs.index(signal) for signal in signals]
         return self.C[index], self.D[index]

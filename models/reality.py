@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from models.common.errors import InputError, known, quoted
+from models.common.errors import InputError, listing, quoted
 from models.kind import Parameter
 
 LIMITS = (
@@ -107,7 +107,7 @@ def read_limits(section: Mapping[str, Any]) -> Limits:
     allowed = {parameter.name: parameter for parameter in LIMITS}
     for name in section:
         if name not in allowed:
-            raise InputError(f"[limits] unknown key {name!r}; known: {known(allowed)}")
+            raise InputError(f"[limits] unknown key {name!r}; known: {listing(allowed)}")
     limits = Limits(**{name: allowed[name].check(value) for name, value in section.items()})
     if (limits.suspension_stroke is None) != (limits.stop_stiffness is None):
         raise InputError(
@@ -129,7 +129,7 @@ def read_implementation(section: Mapping[str, Any], measurable: tuple[str, ...])
     keys = ("sample_period", "delay", "noise", "quantisation", "seed")
     for name in section:
         if name not in keys:
-            raise InputError(f"[implementation] unknown key {name!r}; known: {known(keys)}")
+            raise InputError(f"[implementation] unknown key {name!r}; known: {listing(keys)}")
     found: dict[str, Any] = {}
     if "sample_period" in section:
         found["sample_period"] = Parameter("sample_period", "s", "of the controller").check(section["sample_period"])
@@ -144,7 +144,7 @@ def read_implementation(section: Mapping[str, Any], measurable: tuple[str, ...])
             raise InputError(f"[implementation] {name} is not a table; write {name} = {{ signal = value }}")
         for signal in values:
             if signal not in measurable:
-                raise InputError(f"[implementation] {name} of unknown signal {signal!r}; it can be measured: {known(measurable)}")
+                raise InputError(f"[implementation] {name} of unknown signal {signal!r}; measured can be {listing(measurable)}")
         found[name] = {
             signal: Parameter(f"{name} of {signal}", "of its unit", "", positive=False).check(value)
             for signal, value in values.items()

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError, known, quoted
+from models.common.errors import InputError, listing, quoted
 from models.common.read_file import TEXT, read_text
 from models.common.toml import parse_toml
 from models.kind import HERE, LARGEST, VehicleKind
@@ -91,7 +91,7 @@ def read_vehicle(file: str | Path) -> Vehicle:
     path = Path(file)
     if str(file) in kinds() and not path.is_file():
         path = HERE / f"{file}.toml"
-    text = read_text(path, "vehicle file", TEXT, f"give a TOML file or one of: {known(kinds())}")
+    text = read_text(path, "vehicle file", TEXT, f"give a TOML file or one of: {listing(kinds())}")
     try:
         return parse_vehicle(text, source=str(path), folder=path.parent)
     except InputError as error:
@@ -113,15 +113,15 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
     for section in data:
         if section not in SECTIONS:
             what = "section" if isinstance(data[section], dict) else "key"
-            raise InputError(f"unknown {what} {section!r}; known: {known(SECTIONS)}")
+            raise InputError(f"unknown {what} {section!r}; known: {listing(SECTIONS)}")
     for section in SECTIONS[:3]:
         if section not in data:
-            raise InputError(f"{section!r} is missing; a vehicle file has {known(SECTIONS)}")
+            raise InputError(f"{section!r} is missing; a vehicle file has {listing(SECTIONS)}")
     for section in SECTIONS[1:]:
         if not isinstance(data.get(section, {}), dict):
             raise InputError(f"{section!r} is not a section; write it as [{section}]")
     if not isinstance(data["type"], str):
-        raise InputError(f"type = {quoted(data['type'])} is not a name in quotes; known: {known(kinds())}")
+        raise InputError(f"type = {quoted(data['type'])} is not a name in quotes; known: {listing(kinds())}")
 
     vehicle_kind = kind(data["type"], folder)
     parameters = vehicle_kind.check(data["parameters"])
@@ -142,7 +142,7 @@ def _performance(section: Mapping[str, Any], model: LinearModel) -> dict[str, fl
     weights = {}
     for signal, weight in section.items():
         if signal not in model.outputs:
-            raise InputError(f"[performance] unknown signal {signal!r}; this vehicle has {known(model.outputs)}")
+            raise InputError(f"[performance] unknown signal {signal!r}; this vehicle has {listing(model.outputs)}")
         if not _is_number(weight) or not (weight == 0 or SMALLEST_WEIGHT <= weight <= LARGEST_WEIGHT):
             raise InputError(
                 f"[performance] {signal} = {quoted(weight)} is not allowed; give 0 or a weight from {SMALLEST_WEIGHT:g} "
@@ -150,7 +150,7 @@ def _performance(section: Mapping[str, Any], model: LinearModel) -> dict[str, fl
             )
         weights[signal] = float(weight)
     if not any(weights.values()):
-        raise InputError(f"[performance] weighs nothing; give at least one weight above 0 to: {known(model.outputs)}")
+        raise InputError(f"[performance] weighs nothing; give at least one weight above 0 to: {listing(model.outputs)}")
     return weights
 
 
@@ -169,13 +169,13 @@ def _controller(name: str, entry: Any, model: LinearModel) -> ControllerEntry:
         if key not in CONTROLLER_KEYS:
             raise InputError(
                 f"{where} unknown key {key!r}; a controller is a static gain on what it measures, u = K y, designed where none "
-                f"is given; known: {known(CONTROLLER_KEYS)}"
+                f"is given; known: {listing(CONTROLLER_KEYS)}"
             )
     if "certificate" in entry and not (isinstance(entry["certificate"], dict) and "gain" in entry):
         raise InputError(f"{where} a certificate is a section of its own, beside the gain that it is about; take it out")
 
     measured = entry.get("measured")
-    measurable = known(model.measurable)
+    measurable = listing(model.measurable)
     if not isinstance(measured, list) or not measured or not all(isinstance(signal, str) for signal in measured):
         found = f"measured = {quoted(measured)} is no list of signals" if "measured" in entry else "measured is missing"
         raise InputError(f"{where} {found}; give a list of signals out of: {measurable}")

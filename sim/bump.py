@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from models.common.command import Parser, chosen, run_command
 from models.vehicle import Vehicle, read_vehicle
 from sim.command.asked import Asked
-from sim.command.comparison import add_how, check_view, compared_lines, run_chosen, view
+from sim.command.comparison import add_run_options, check_view, compared_lines, run_chosen, view
 from sim.command.logs import log_lines, recorded, run_logs
 from sim.command.outputs import check_outputs
 from sim.roads.road import Bump
@@ -76,14 +76,14 @@ def parser() -> Parser:
     parser = Parser(
         "sim.bump", "Drives controllers over a bump, in MuJoCo and in linear analysis, compares and logs them.", EPILOG
     )
-    parser.add_what("required")
+    parser.add_controller_and_vehicle("required")
     parser.add_number("--height", Bump.height, "m", "bump height")
     parser.add_number("--length", Bump.length, "m", "bump length")
     parser.add_number("--speed", Bump.speed, "m/s", "forward speed of the vehicle")
     parser.add_argument(
         "--track", choices=("left", "right", "both"), default="both", help="the wheels that the bump lies under (default: both)"
     )
-    add_how(parser, 3.0)
+    add_run_options(parser, 3.0)
     return parser
 
 

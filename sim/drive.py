@@ -10,7 +10,7 @@ from models.common.command import Parser, chosen, run_command
 from models.common.errors import InputError
 from models.vehicle import Vehicle, read_vehicle
 from sim.command.asked import Asked, same_path
-from sim.command.comparison import add_how, check_view, compared_lines, run_chosen, view
+from sim.command.comparison import add_run_options, check_view, compared_lines, run_chosen, view
 from sim.command.logs import log_lines, recorded, run_logs
 from sim.command.outputs import check_outputs
 from sim.ride.measured import first_sample, measure_run, metric_lines, metrics_object
@@ -133,14 +133,14 @@ def parser() -> Parser:
         "Drives controllers over a road, in MuJoCo and in linear analysis; compares, measures and logs them.",
         EPILOG,
     )
-    parser.add_what("required")
+    parser.add_controller_and_vehicle("required")
     parser.add_argument(
         "--class", dest="road_class", metavar="CLASS", help=f"random road of ISO 8608, {CLASSES[0]} to {CLASSES[-1]} (default: C)"
     )
     parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="of the random road (default: 0)")
     parser.add_argument("--road", metavar="ROAD", help=f"another road: {SYNTAX}".replace("%", "%%"))
     parser.add_number("--speed", 20.0, "m/s", "forward speed of the vehicle")
-    add_how(parser, 20.0)
+    add_run_options(parser, 20.0)
     return parser
 
 

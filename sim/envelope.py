@@ -18,7 +18,7 @@ from sim.command.asked import Asked
 from sim.command.logs import log_lines, recorded
 from sim.command.outputs import check_outputs, written, written_lines
 from sim.command.progress import bar
-from sim.figures.picture import draw
+from sim.figures.picture import write_picture
 from sim.recording.run_log import RunLog
 from sim.response.regime import END_NAMES
 from sim.roads.road import LOWEST, Bump
@@ -70,7 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from sim.validity.figure import envelope_figure
 
         fixed = {name: getattr(options, name) for name in UNITS if name not in {axis.name for axis in axes}}
-        draw(envelope_figure(vehicle, controller, cells, axes, fixed, options.threshold), options.picture)
+        write_picture(envelope_figure(vehicle, controller, cells, axes, fixed, options.threshold), options.picture)
     result = envelope_object(cells, axes, name, options.threshold) | written(outputs)
     nearest = functools.partial(_nearest_runs, vehicle, controller, cells, time)
     logs = recorded(options, vehicle, [controller.name], nearest, result)

@@ -18,7 +18,7 @@ from sim.command.asked import Asked
 from sim.command.logs import log_lines, recorded
 from sim.command.outputs import check_outputs, written, written_lines
 from sim.command.progress import show
-from sim.figures.picture import draw
+from sim.figures.picture import write_picture
 from sim.linear.loop import sampled_radius
 from sim.recording.run_log import RunLog
 from sim.runs.run import run_all, sample_times
@@ -59,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.picture is not None:
         from sim.stability.figure import margins_figure
 
-        draw(margins_figure(vehicle, controller, found[""], box, options.timestep), options.picture)
+        write_picture(margins_figure(vehicle, controller, found[""], box, options.timestep), options.picture)
     result = {**margins_object(controller, found, box), "loop": None if as_built.ideal else _which_loop(as_built)}
     delayed = functools.partial(_delayed_runs, vehicle, controller, found[""], options.timestep)
     logs = recorded(options, vehicle, [controller.name], delayed, result)

@@ -15,7 +15,7 @@ from models.vehicle import Vehicle, read_vehicle
 from sim.command.asked import Asked
 from sim.command.logs import log_lines, recorded
 from sim.command.outputs import check_outputs, written, written_lines
-from sim.figures.picture import draw
+from sim.figures.picture import write_picture
 from sim.frequency.extremes import DURATION
 from sim.frequency.identification import ideal_measurements
 from sim.frequency.sweep import Sweep, failures, sweep, sweep_lines, sweep_object
@@ -59,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from sim.frequency.figure import sweep_figure
 
         lines = [one.lines for one in sweeps]
-        draw(sweep_figure(vehicle, lines, options.amplitude, options.timestep, options.speed), options.picture)
+        write_picture(sweep_figure(vehicle, lines, options.amplitude, options.timestep, options.speed), options.picture)
 
     result = {
         "sweeps": [sweep_object(one) for one in sweeps],
@@ -124,7 +124,7 @@ def _worst_road(omega: float, options: argparse.Namespace) -> Multisine:
 def parser() -> Parser:
     """The options."""
     parser = Parser("sim.sweep", "Identifies frequency responses in MuJoCo and compares them with the linear analysis.", EPILOG)
-    parser.add_what("default: passive, state, I and II")
+    parser.add_controller_and_vehicle("default: passive, state, I and II")
     parser.add_number("--amplitude", 1e-4, "m", "largest height of every road; larger ones meet the vehicle's limits")
     parser.add_number("--speed", 12.5, "m/s", "forward speed; only the later wheels of longer vehicles notice")
     parser.add_number("--timestep", 1e-3, "s", "integration step and sample period of the controller")

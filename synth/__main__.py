@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from models.common.command import ALL, Parser, chosen, run_command
-from models.common.errors import InputError, known
+from models.common.errors import InputError, listing
 from models.vehicle import Vehicle, read_vehicle
 from synth.certificate.lower_bound import LowerBound
 from synth.command.check import check
@@ -85,7 +85,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> Parser:
     parser = Parser("synth", "Designs the controllers of a vehicle file, certifies them, and says how good they are.", EPILOG)
-    parser.add_what("default: all")
+    parser.add_controller_and_vehicle("default: all")
     parser.add_argument("--zero-l", action="store_true", help="L = 0 instead of equation (14), the one-step design of remark 4")
     parser.add_argument(
         "--refine",
@@ -118,7 +118,7 @@ def _names(vehicle: Vehicle, options: Namespace) -> list[str]:
     names = everything if options.controller == [ALL] else chosen(vehicle.controller_names, options.controller, everything)
     for name in names:
         if options.zero_l and name not in designed:
-            raise InputError(f"--zero-l: {name!r} is not designed from measurements; this vehicle has {known(designed)}")
+            raise InputError(f"--zero-l: {name!r} is not designed from measurements; this vehicle has {listing(designed)}")
     if options.refine and list(names) == ["passive"]:
         raise InputError("--refine: passive has no gain to refine; name another controller, or leave --refine out")
     return list(names)

@@ -21,10 +21,10 @@ class Controller:
         measured: the signals y, q of them. Empty for `passive`.
         gain: K, shape (m, q) [N per measured unit].
         designed: whether it was designed here; otherwise the gain was given (or is zero, for `passive`).
-        short: how far from the optimum of (22) the X was taken that L (14) comes from, relative in gamma: 0 at the limit of the
-            central path, more where the second problem is infeasible from there.
-        stopped: how far from the optimum of its own problem the gain was taken, relative in gamma: 0 at the limit, more where the
-            optimum is reached only by gains beyond any actuator.
+        state_step_gap: how far from the optimum of (22), relative in gamma, the X was taken that L (14) comes from: 0 at the
+            limit of the central path, more where the second problem is infeasible from there.
+        optimum_gap: how far from the optimum of its own problem, relative in gamma, the gain was taken: 0 at the limit, more
+            where the optimum is reached only by gains beyond any actuator.
         moved: how far the gain still moved from the point of its path before, relative to its largest entry; a hundredth of it is
             about what is left to the limit.
         redundant: the signals among `measured` that follow from the others; their gain is zero.
@@ -38,8 +38,8 @@ class Controller:
     gain: Array
     designed: bool
     certificate: Certificate
-    short: float = 0.0
-    stopped: float = 0.0
+    state_step_gap: float = 0.0
+    optimum_gap: float = 0.0
     moved: float = 0.0
     redundant: tuple[str, ...] = ()
     case: str = ""

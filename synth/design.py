@@ -7,7 +7,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.threads import one_thread
-from synth.certificate.bounding import proved
+from synth.certificate.bounding import certify_tightly
 from synth.certificate.certificate import FASTEST, Certificate, certify
 from synth.certificate.lower_bound import LowerBound
 from synth.errors import DesignError, InfeasibleError
@@ -30,10 +30,10 @@ class Design:
     Attributes:
         gain: K, shape (m, q).
         certificate: what is true of it.
-        short: how far from the optimum of (22) the X was taken that L (14) comes from, relative in gamma: 0 at the limit of the
-            central path, more where the second problem is infeasible from there.
-        stopped: how far from the optimum of its own problem the gain was taken, relative in gamma: 0 at the limit, more where the
-            optimum is reached only by gains beyond any actuator.
+        state_step_gap: how far from the optimum of (22), relative in gamma, the X was taken that L (14) comes from: 0 at the
+            limit of the central path, more where the second problem is infeasible from there.
+        optimum_gap: how far from the optimum of its own problem, relative in gamma, the gain was taken: 0 at the limit, more
+            where the optimum is reached only by gains beyond any actuator.
         redundant: rows of C_y that follow from others, by index; their gain is zero.
         case: what is the case where (22) has no optimum, or every gain is one, in words; else empty.
         instead: how else the gain was found, and why the two steps did not lead to one, in words; empty where they did.
@@ -45,8 +45,8 @@ class Design:
 
     gain: Array
     certificate: Certificate
-    short: float = 0.0
-    stopped: float = 0.0
+    state_step_gap: float = 0.0
+    optimum_gap: float = 0.0
     moved: float = 0.0
     redundant: tuple[int, ...] = ()
     case: str = ""
@@ -82,14 +82,14 @@ def state_path(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[Cent
 
 @one_thread()
 def state_design(
-    plant: GeneralizedPlant, path: Sequence[CentralPoint] = (), lower: LowerBound | None = None, states: Sequence[str] = ()
+    plant: GeneralizedPlant, path: Sequence[CentralPoint] = (), lower_bound: LowerBound | None = None, states: Sequence[str] = ()
 ) -> Design:
     """State feedback, the optimum of (22).
 
     Args:
         plant: n states, m inputs.
         path: of `state_path`, if it is there already.
-        lower: what no controller of this kind can beat, for the certificate.
+        lower_bound: what no controller of this kind can beat, for the certificate.
         states: names of the states, for messages.
 
     Raises:
@@ -97,11 +97,11 @@ def state_design(
     """
     problem, everything = posed(plant), np.eye(len(plant.A))
     if problem.best is not None:
-        return Design(problem.best, proved(plant, problem.best, lower), case=problem.best_case)
-    return replace(furthest(plant, everything, path or state_path(plant, states), lower), case=problem.case)
+        return Design(problem.best, certify_tightly(plant, problem.best, lower_bound), case=problem.best_case)
+    return replace(furthest(plant, everything, path or state_path(plant, states), lower_bound), case=problem.case)
 
 
-def furthest(plant: GeneralizedPlant, Cy: Array, path: Sequence[CentralPoint], lower: LowerBound | None = None) -> Design:
+def furthest(plant: GeneralizedPlant, Cy: Array, path: Sequence[CentralPoint], lower_bound: LowerBound | None = None) -> Design:
     """The gain furthest along a central path whose certificate holds, short of those beyond any actuator.
 
     Where every proof is of a gain beyond them, as with a plant that hardly moves by itself, the slowest stands for the plant.
@@ -112,11 +112,11 @@ def furthest(plant: GeneralizedPlant, Cy: Array, path: Sequence[CentralPoint], l
     first: Certificate | None = None
     beyond: list[tuple[Design, float]] = []
     for i, point in reversed(list(enumerate(path))):
-        certificate = certify(plant, point.K @ Cy, point.X if point.proof is None else point.proof, point.eta, lower)
+        certificate = certify(plant, point.K @ Cy, point.X if point.proof is None else point.proof, point.eta, lower_bound)
         if not certificate.failures:
             before = path[max(i - 1, 0)].K
             moved = float(np.abs(point.K - before).max(initial=0.0) / (np.abs(point.K).max(initial=0.0) or 1.0))
-            design = Design(point.K, certificate, stopped=point.gamma / path[-1].gamma - 1, moved=moved)
+            design = Design(point.K, certificate, optimum_gap=point.gamma / path[-1].gamma - 1, moved=moved)
             if not certificate.beyond_actuators:
                 return design
             beyond.append((design, point.mu))
@@ -129,7 +129,7 @@ def furthest(plant: GeneralizedPlant, Cy: Array, path: Sequence[CentralPoint], l
     if first is None:
         raise DesignError("its certificate fails: the path has no point")
     # The path's own X may lie too near the edge of what can be proved in floating point, as at 40 states; another one need not.
-    another = proved(plant, path[-1].K @ Cy, lower)
+    another = certify_tightly(plant, path[-1].K @ Cy, lower_bound)
     if another.bound is not None and not another.failures:
         return Design(path[-1].K, another)
     raise DesignError(f"its certificate fails: {'; '.join(first.failures)}")
@@ -140,7 +140,7 @@ def two_step_design(
     plant: GeneralizedPlant,
     Cy: Array,
     path: Sequence[CentralPoint] = (),
-    lower: LowerBound | None = None,
+    lower_bound: LowerBound | None = None,
     states: Sequence[str] = (),
 ) -> Design:
     """The paper's two steps: L (14) from the X of (22), then (25).
@@ -152,7 +152,7 @@ def two_step_design(
         plant: n states, m inputs.
         Cy: shape (q, n). Rows that follow from others are left out, and said in the result.
         path: of (22), if it is there already.
-        lower: what no controller of this kind can beat, for the certificate.
+        lower_bound: what no controller of this kind can beat, for the certificate.
         states: names of the states, for messages.
 
     Raises:
@@ -168,7 +168,7 @@ def two_step_design(
     if problem.best is not None:
         K = problem.best * units.states @ np.linalg.pinv(rows)
         if np.linalg.norm(K @ Cy[kept] - problem.best) <= SAME * np.linalg.norm(problem.best):
-            best = Design(K, proved(plant, K @ Cy[kept], lower), case=problem.best_case)
+            best = Design(K, certify_tightly(plant, K @ Cy[kept], lower_bound), case=problem.best_case)
             return widened(best, kept, len(Cy), 0.0)
     fits(unknowns(problem.plant), MOST, "the two steps are gone")
     path = path or state_path(plant, states)
@@ -179,7 +179,7 @@ def two_step_design(
         L = l_matrix(start.X / np.outer(units.states, units.states), rows, Q)
         try:
             points = [point.in_units(units.states, units.inputs, same) for point in output_feedback(own, rows, L, Q)]
-            found = furthest(plant, Cy[kept], points, lower)
+            found = furthest(plant, Cy[kept], points, lower_bound)
         except DesignError as error:
             failures.append(error)
             continue
@@ -197,7 +197,7 @@ def two_step_design(
 
 
 @one_thread()
-def zero_l_design(plant: GeneralizedPlant, Cy: Array, lower: LowerBound | None = None) -> Design:
+def zero_l_design(plant: GeneralizedPlant, Cy: Array, lower_bound: LowerBound | None = None) -> Design:
     """Remark 4: (25) with L = 0, in one step.
 
     Raises:
@@ -209,7 +209,7 @@ def zero_l_design(plant: GeneralizedPlant, Cy: Array, lower: LowerBound | None =
     Q = nullspace(rows)
     points = output_feedback(units.into(plant), rows, np.zeros((Q.shape[1], len(kept))), Q)
     path = [point.in_units(units.states, units.inputs, np.ones(len(kept))) for point in points]
-    return widened(furthest(plant, Cy[kept], path, lower), kept, len(Cy), 0.0)
+    return widened(furthest(plant, Cy[kept], path, lower_bound), kept, len(Cy), 0.0)
 
 
 def measurement(plant: GeneralizedPlant, Cy: Array) -> tuple[Array, list[int]]:
@@ -222,8 +222,8 @@ def measurement(plant: GeneralizedPlant, Cy: Array) -> tuple[Array, list[int]]:
     return Cy, independent_rows(plant, Cy)
 
 
-def widened(design: Design, kept: Sequence[int], q: int, short: float) -> Design:
+def widened(design: Design, kept: Sequence[int], q: int, state_step_gap: float) -> Design:
     """A design from some of q measurements as one from all of them, with a gain of zero for the others."""
     gain = np.zeros((len(design.gain), q))
     gain[:, kept] = design.gain
-    return replace(design, gain=gain, short=short, redundant=tuple(i for i in range(q) if i not in kept))
+    return replace(design, gain=gain, state_step_gap=state_step_gap, redundant=tuple(i for i in range(q) if i not in kept))

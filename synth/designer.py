@@ -7,9 +7,9 @@ from functools import cached_property
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError, known
+from models.common.errors import InputError, listing
 from models.vehicle import ControllerEntry, Vehicle
-from synth.certificate.bounding import proved
+from synth.certificate.bounding import certify_tightly
 from synth.certificate.certificate import certify
 from synth.certificate.lower_bound import LowerBound
 from synth.controller import Controller, generalized_plant
@@ -17,7 +17,7 @@ from synth.design import Design, state_design, state_path, zero_l_design
 from synth.errors import BatchError, DesignError
 from synth.fallback import two_steps_or_descent
 from synth.lmi.central import CentralPoint
-from synth.lmi.full_order import best_possible, bound_beyond_control
+from synth.lmi.full_order import bound_beyond_control, find_lower_bound
 from synth.lmi.output_feedback import independent_rows
 from synth.redesign import state_designs, two_step_designs
 from synth.search.refine import SEEN, Refinement, refine, worth_refining
@@ -72,7 +72,7 @@ class Designer:
     def _bounds(self) -> dict[tuple[str, ...], LowerBound]:
         return {}
 
-    def best_possible(self, measured: Sequence[str]) -> LowerBound:
+    def lower_bound(self, measured: Sequence[str]) -> LowerBound:
         """What no controller that measures these signals can beat, of whatever order; full state feedback for all states."""
         key = tuple(measured)
         if key not in self._bounds:
@@ -82,7 +82,7 @@ class Designer:
                 path = self.state_path
             except DesignError:  # what cannot be designed may be checked
                 path = []
-            self._bounds[key] = best_possible(self.plant, Cy, path, self.beyond_control)
+            self._bounds[key] = find_lower_bound(self.plant, Cy, path, self.beyond_control)
         return self._bounds[key]
 
     def design(self, name: str, zero_l: bool = False) -> Controller:
@@ -102,13 +102,13 @@ class Designer:
             return self._given(entry)
         Cy, _ = model.rows(entry.measured)
         try:
-            lower = self.best_possible(entry.measured)
+            lower_bound = self.lower_bound(entry.measured)
             if name == "state":
-                design = state_design(self.plant, self.state_path, lower)
+                design = state_design(self.plant, self.state_path, lower_bound)
             elif zero_l:
-                design = zero_l_design(self.plant, Cy, lower)
+                design = zero_l_design(self.plant, Cy, lower_bound)
             else:
-                design = two_steps_or_descent(self.plant, Cy, lambda: self.state_path, lower, model.states)
+                design = two_steps_or_descent(self.plant, Cy, lambda: self.state_path, lower_bound, model.states)
         except DesignError as error:
             raise type(error)(f"controller {name!r}: {error}") from error
         return _designed(entry, design)
@@ -135,16 +135,16 @@ class Designer:
             start = None
         rows, _ = self.vehicle.linear_model.rows(measured)
         kept = independent_rows(self.plant, rows)
-        Cy, origin, lower = rows[kept], "", self.best_possible(measured)
+        Cy, origin, lower_bound = rows[kept], "", self.lower_bound(measured)
         if start is None:
-            found = static_output_feedback(self.plant, Cy, lower=lower)
+            found = static_output_feedback(self.plant, Cy, lower_bound=lower_bound)
             K, origin = found.gain, found.origin
         else:
             K = _from_some(start.gain, rows, kept)
         refinement = refine(self.plant, Cy, K)
         gain = np.zeros((len(K), len(measured)))
         gain[:, kept] = refinement.gain
-        certificate = proved(self.plant, refinement.gain @ Cy, lower)
+        certificate = certify_tightly(self.plant, refinement.gain @ Cy, lower_bound)
         return Refined(Controller(name, measured, gain, True, certificate), start, origin, refinement)
 
     def worth_refining(self, controller: Controller) -> float:
@@ -166,7 +166,7 @@ class Designer:
         """A controller of this vehicle for many others like it: `design` for each, side by side, which is several times as fast.
 
         The others lend their parameters and weights; what is measured says this one. The gains are those of `design`, up to where
-        the central path is stopped. They come without a lower bound: `Designer(vehicle).best_possible(measured)` has it.
+        the central path is stopped. They come without a lower bound: `Designer(vehicle).lower_bound(measured)` has it.
 
         Args:
             vehicles: of this vehicle's kind.
@@ -211,13 +211,13 @@ class Designer:
         if name == "state":
             return ControllerEntry(name, model.states)
         if name not in self.vehicle.controllers:
-            raise InputError(f"unknown controller {name!r}; this vehicle has {known(self.vehicle.controller_names)}")
+            raise InputError(f"unknown controller {name!r}; this vehicle has {listing(self.vehicle.controller_names)}")
         return self.vehicle.controllers[name]
 
     def _given(self, entry: ControllerEntry) -> Controller:
         assert entry.gain is not None
         Cy, _ = self.vehicle.linear_model.rows(entry.measured)
-        certificate = certify(self.plant, entry.gain @ Cy, lower=self.best_possible(entry.measured))
+        certificate = certify(self.plant, entry.gain @ Cy, lower_bound=self.lower_bound(entry.measured))
         return Controller(entry.name, entry.measured, entry.gain, designed=False, certificate=certificate)
 
 
@@ -229,8 +229,8 @@ def _designed(entry: ControllerEntry, design: Design) -> Controller:
         design.gain,
         designed=True,
         certificate=design.certificate,
-        short=design.short,
-        stopped=design.stopped,
+        state_step_gap=design.state_step_gap,
+        optimum_gap=design.optimum_gap,
         moved=design.moved,
         redundant=redundant,
         case=design.case,

@@ -20,13 +20,13 @@ def two_steps_or_descent(
     plant: GeneralizedPlant,
     Cy: Array,
     path: Callable[[], Sequence[CentralPoint]] = tuple,
-    lower: LowerBound | None = None,
+    lower_bound: LowerBound | None = None,
     states: Sequence[str] = (),
 ) -> Design:
     """What `two_step_design` finds; where that cannot be followed to its end, what descent does, with the reason.
 
     Args:
-        plant, Cy, lower, states: as for `two_step_design`.
+        plant, Cy, lower_bound, states: as for `two_step_design`.
         path: gives that of (22) if it is there already, or says why there is none.
 
     Raises:
@@ -35,14 +35,14 @@ def two_steps_or_descent(
             where rounding leaves no proof of one, as for the large gains of 60 states; then the result says so.
     """
     try:
-        return two_step_design(plant, Cy, path(), lower, states)
+        return two_step_design(plant, Cy, path(), lower_bound, states)
     except InfeasibleError:
         raise
     except DesignError as error:
         reason = error
     rows, kept = measurement(plant, Cy)
     try:
-        found = descended(plant, rows[kept], str(reason), lower=lower)
+        found = descended(plant, rows[kept], str(reason), lower_bound=lower_bound)
     except DesignError as error:
         raise DesignError(f"{reason}; descent on the norm: {error}") from error
     certificate = found.certificate

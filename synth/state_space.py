@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError, known
+from models.common.errors import InputError, listing
 from models.vehicle import Vehicle
 from synth.controller import Controller, generalized_plant
 from synth.plant import GeneralizedPlant
@@ -44,14 +44,14 @@ def from_state_space(
     ):
         for name in asked:
             if name not in there:
-                raise InputError(f"unknown {what} {name!r}; the system has {known(there)}")
+                raise InputError(f"unknown {what} {name!r}; the system has {listing(there)}")
     if not disturbances:
-        raise InputError(f"no disturbance is named; give at least one of the inputs {known(inputs)}")
+        raise InputError(f"no disturbance is named; give at least one of the inputs {listing(inputs)}")
     weights = {name: float(weight) for name, weight in performance.items() if weight != 0}
     if not weights:
-        raise InputError(f"the weights are all zero; give at least one weight to the outputs {known(outputs)}")
+        raise InputError(f"the weights are all zero; give at least one weight to the outputs {listing(outputs)}")
     if not measured:
-        raise InputError(f"nothing is measured; give at least one of the outputs {known(outputs)}")
+        raise InputError(f"nothing is measured; give at least one of the outputs {listing(outputs)}")
     w = [inputs.index(name) for name in disturbances]
     u = [i for i in range(len(inputs)) if i not in w]
     z, y = [outputs.index(name) for name in weights], [outputs.index(name) for name in measured]

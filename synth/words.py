@@ -25,10 +25,12 @@ def ideal_lines(vehicle: Vehicle) -> list[str]:
 def notes(controller: Controller) -> tuple[str, ...]:
     """What is the case where there is no one optimum, what was done instead, how far from it a design is, what is in vain."""
     found = [text for text in (controller.case, controller.instead) if text]
-    if controller.short > SHORT:
-        found.append(f"from an X {percent(controller.short)} short of the best state feedback; from the best there is no design")
-    if controller.stopped > SHORT:
-        found.append(f"bound {percent(controller.stopped)} short of the optimum, which only a gain beyond any actuator reaches")
+    if controller.state_step_gap > SHORT:
+        gap = percent(controller.state_step_gap)
+        found.append(f"from an X {gap} short of the best state feedback; from the best there is no design")
+    if controller.optimum_gap > SHORT:
+        gap = percent(controller.optimum_gap)
+        found.append(f"bound {gap} short of the optimum, which only a gain beyond any actuator reaches")
     elif controller.moved > SETTLED:
         found.append(
             f"gain not settled: over the last step of its path it moved by {percent(controller.moved)} of its largest entry, so "

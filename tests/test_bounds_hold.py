@@ -12,11 +12,11 @@ from models.common.errors import InputError
 from synth.certificate.definite import definiteness
 from synth.certificate.exact import Nullspace, identity, integers, product
 from synth.certificate.invariant import invariant_limit, limit_at
-from synth.certificate.lower_bound import Witness, lower_bound
+from synth.certificate.lower_bound import Witness, prove_lower_bound
 from synth.certificate.norm import hinf_norm
 from synth.certificate.side import Side, transposed
 from synth.errors import DesignError
-from synth.lmi.full_order import best_possible
+from synth.lmi.full_order import find_lower_bound
 from synth.lmi.state_feedback import state_feedback
 from synth.plant import GeneralizedPlant
 from synth.search.static import static_output_feedback
@@ -123,7 +123,7 @@ def refuse_false_bounds(kind: str, seed: int, search: bool = False) -> None:
     """Fails if a bound lies above a norm that is reached, in these or other units."""
     plant, Cy = a_plant(kind, seed)
     moved, Cy_moved = in_other_units(plant, Cy, seed)
-    bounds = [(best_possible(each).gamma, best_possible(each, y).gamma) for each, y in ((plant, Cy), (moved, Cy_moved))]
+    bounds = [(find_lower_bound(each).gamma, find_lower_bound(each, y).gamma) for each, y in ((plant, Cy), (moved, Cy_moved))]
     reached: list[tuple[bool, float]] = [(knows, hinf_norm(loop).value) for knows, loop in loops(plant, Cy)]
     if search and np.linalg.matrix_rank(Cy) == len(Cy):
         with contextlib.suppress(InputError):
@@ -174,8 +174,8 @@ def test_where_control_can_change_all_nothing_is_bounded():
         of_lists(decaying, [[1, 1], [1, 1 + 2**-52]], one, one, none),
     ):
         assert invariant_limit(plant) is None
-        assert best_possible(plant).gamma == 0
-        assert best_possible(plant, np.eye(len(plant.A))).gamma == 0
+        assert find_lower_bound(plant).gamma == 0
+        assert find_lower_bound(plant, np.eye(len(plant.A))).gamma == 0
 
 
 def test_a_plant_that_has_no_rate_of_its_own_has_a_bound():
@@ -199,8 +199,8 @@ def test_a_plant_that_has_no_rate_of_its_own_has_a_bound():
         for seed in range(4):
             Cy = np.eye(len(plant.A))[:1]
             moved, Cy_moved = in_other_units(plant, Cy, seed) if seed else (plant, Cy)
-            assert best_possible(moved).gamma == pytest.approx(bound, rel=1e-9)  # rounded down
-            assert best_possible(moved, Cy_moved).gamma >= bound * (1 - 1e-9)
+            assert find_lower_bound(moved).gamma == pytest.approx(bound, rel=1e-9)  # rounded down
+            assert find_lower_bound(moved, Cy_moved).gamma >= bound * (1 - 1e-9)
 
 
 def test_a_limit_that_is_there_is_found_in_any_units():
@@ -254,12 +254,12 @@ def test_no_witness_proves_what_is_not_true(seeds):
         rng = np.random.default_rng(seed)
         try:
             path = state_feedback(plant, 1e-8)
-            _, other = best_possible(plant, Cy), Side.of(transposed(plant, Cy))
+            _, other = find_lower_bound(plant, Cy), Side.of(transposed(plant, Cy))
         except DesignError:
             continue
         best = min(hinf_norm(plant.closed_loop(point.K)).value for point in path)
         good = Witness(path[-1].X, path[-1].eta)
-        proofs = [lower_bound(plant, hostile(rng, good)).gamma for _ in range(20)]
+        proofs = [prove_lower_bound(plant, hostile(rng, good)).gamma for _ in range(20)]
         assert max(proofs) <= best * (1 + ROUTES), seed
         # An observer's witness of noise: the joint bound stays below what output feedback reaches.
         reached = min((hinf_norm(loop).value for knows, loop in loops(plant, Cy) if not knows), default=np.inf)
@@ -267,7 +267,7 @@ def test_no_witness_proves_what_is_not_true(seeds):
             noise = Witness(
                 np.cov(rng.standard_normal((len(plant.A), 9))) * 10.0 ** rng.uniform(-6, 6), 10.0 ** rng.uniform(-9, 3)
             )
-            proved = lower_bound(plant, good, Cy, hostile(rng, noise))
+            proved = prove_lower_bound(plant, good, Cy, hostile(rng, noise))
             assert proved.gamma <= reached * (1 + ROUTES), seed
 
 
@@ -312,6 +312,6 @@ def test_states_that_z_does_not_see_cost_no_bound():
         D=plant.D,
         Dw=plant.Dw,
     )
-    short = best_possible(plant).gamma
+    short = find_lower_bound(plant).gamma
     assert short > 3  # 1.2 is left where they are not seen to be hidden
-    assert best_possible(longer).gamma == pytest.approx(short, rel=1e-5)  # where the paths end: (2 n + d) 1e-6 / 2
+    assert find_lower_bound(longer).gamma == pytest.approx(short, rel=1e-5)  # where the paths end: (2 n + d) 1e-6 / 2

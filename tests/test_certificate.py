@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sim.runs.words import controller_lines
-from synth.certificate.bounding import proved
+from synth.certificate.bounding import certify_tightly
 from synth.certificate.certificate import FASTEST, certify
 from synth.command.table import Row, detail_lines, row_object
 from synth.design import furthest, state_path, two_step_design
@@ -80,13 +80,13 @@ def slow_plant(rate: float) -> GeneralizedPlant:
 def test_no_actuator_withholds_a_proof():
     """A gain that makes the loop a thousand times as fast as the plant is proved like any other; its speed is remarked on."""
     plant = slow_plant(1e-3)
-    certificate = proved(plant, np.array([[-3.0, -3.0]]))
+    certificate = certify_tightly(plant, np.array([[-3.0, -3.0]]))
     assert certificate.failures == ()
     assert certificate.bound is not None
     assert certificate.speed_up > FASTEST
     assert "beyond any actuator" in certificate.remarks[0]
     assert f"{certificate.speed_up:.2g} times" in certificate.remarks[0]
-    assert proved(slow_plant(1.0), np.array([[-3.0, -3.0]])).remarks == ()
+    assert certify_tightly(slow_plant(1.0), np.array([[-3.0, -3.0]])).remarks == ()
 
 
 @pytest.mark.parametrize("seed", [0, 1])  # the optimum at an infinite gain, and at a finite one

@@ -10,7 +10,7 @@ from synth.design import state_design, state_path, two_step_design
 from synth.designer import Designer
 from synth.errors import DesignError, InfeasibleError
 from synth.lmi.clarabel import solve_lmi
-from synth.lmi.full_order import best_possible
+from synth.lmi.full_order import find_lower_bound
 from synth.lmi.output_feedback import l_matrix, nullspace, r_matrix
 from synth.lmi.state_feedback import state_feedback
 from synth.modes import obstacles
@@ -69,7 +69,7 @@ def test_random_plants_with_feedthrough(seed):
     design = two_step_design(plant, Cy, path)
     assert design.certificate.failures == ()
     assert design.certificate.bound is not None
-    if design.short == design.stopped == 0:
+    if design.state_step_gap == design.optimum_gap == 0:
         Q = nullspace(Cy)
         solved = solve_lmi(plant, Q, r_matrix(Cy, Q, l_matrix(path[-1].X, Cy, Q)))
         assert design.certificate.bound == pytest.approx(solved.gamma, rel=2e-5)  # where Clarabel stops
@@ -187,7 +187,7 @@ def test_units_of_a_measurement_change_nothing(designer):
 
 
 def test_input_that_costs_nothing_has_a_bound():
-    """A column of zeros in D does not end `best_possible`."""
+    """A column of zeros in D does not end `find_lower_bound`."""
     plant = GeneralizedPlant(
         A=np.diag([-1.0, -2.0]),
         B=np.array([[1.0, 1.0], [0.0, 1.0]]),
@@ -196,7 +196,7 @@ def test_input_that_costs_nothing_has_a_bound():
         D=np.array([[0.0, 0.0], [0.0, 0.0], [1.0, 0.0]]),
         Dw=np.zeros((3, 1)),
     )
-    assert 0 <= best_possible(plant, np.ones((1, 2))).gamma < 1.2  # its norm without control is 1.118
+    assert 0 <= find_lower_bound(plant, np.ones((1, 2))).gamma < 1.2  # its norm without control is 1.118
 
 
 def test_no_mode_is_accused_wrongly(designer):
@@ -293,8 +293,8 @@ def test_nothing_to_design(change, message):
 )
 def test_measurements_that_do_not_fit(Cy, message):
     """So is a measurement that is none."""
-    for use in (two_step_design, best_possible):
-        if use is best_possible and message == "nothing is measured":
+    for use in (two_step_design, find_lower_bound):
+        if use is find_lower_bound and message == "nothing is measured":
             continue  # of that there is a bound
         with pytest.raises(InputError, match=message) as caught:
             use(GeneralizedPlant(**GOOD), Cy)

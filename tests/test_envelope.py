@@ -11,7 +11,7 @@ from models.common.errors import InputError
 from models.reality import Limits
 from models.vehicle import read_vehicle
 from sim.envelope import main
-from sim.figures.figure import Kinds
+from sim.figures.figure import Classes
 from sim.linear.loop import sampled_response
 from sim.physics.simulate import simulate
 from sim.response.regime import (
@@ -221,7 +221,7 @@ def test_picture_is_the_cells(limited, designer, cells, axes):
     figure = envelope_figure(limited, designer.design("I"), found, read_axes(axes), {"length": 5.0}, 0.05)
     (panel,) = figure.panels
     ground = panel.ground
-    assert isinstance(ground, Kinds)
+    assert isinstance(ground, Classes)
     assert (panel.xlabel, panel.ylabel) == ("speed [m/s]", "bump height [m]")
     legend = {curve.label: curve.color for curve in panel.curves}
     for bump, first in zip(found.bumps, found.first, strict=True):

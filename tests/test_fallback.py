@@ -78,7 +78,7 @@ def test_where_there_is_no_path_descent_goes_on(performance, reason, best):
     certificate = controller.certificate
     assert certificate.failures == ()
     assert certificate.bound is not None
-    assert designer.best_possible(controller.measured).gamma * (1 - 1e-9) <= certificate.norm.value < best  # rounding
+    assert designer.lower_bound(controller.measured).gamma * (1 - 1e-9) <= certificate.norm.value < best  # rounding
     assert np.abs(controller.gain).max() <= 1e5 * (1 + 1e-12)  # rounding of the scales
     note = notes(controller)[0]
     assert note.startswith("not by the two steps but by descent on the norm from ")
@@ -92,7 +92,7 @@ def test_where_there_is_no_path_descent_goes_on(performance, reason, best):
 def test_a_gain_without_a_proof_is_said_to_be(designer, monkeypatch):
     """Where rounding leaves no proof of a bound the gain comes with its norm, and that there is no bound is said."""
     monkeypatch.setattr(design, "MOST", 14)
-    monkeypatch.setattr(static, "proved", lambda plant, G, lower: certify(plant, G, lower=lower))
+    monkeypatch.setattr(static, "certify_tightly", lambda plant, G, lower_bound: certify(plant, G, lower_bound=lower_bound))
     found = Designer(designer.vehicle).design("II")
     assert found.certificate.bound is None
     assert found.certificate.failures == ()

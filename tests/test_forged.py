@@ -17,7 +17,7 @@ from synth.certificate.bounding import bounding_x
 from synth.certificate.certificate import LmiProof, certify, eta_of, prove_bound
 from synth.certificate.definite import definiteness
 from synth.certificate.norm import hinf_norm
-from synth.certificate.record import to_record, untrue
+from synth.certificate.record import false_claims, to_record
 from synth.command.check import check
 from synth.designer import Designer
 from synth.plant import GeneralizedPlant
@@ -189,7 +189,7 @@ def test_norm_of_poles_that_nearly_meet(apart, claim):
     plant = GeneralizedPlant(A, np.eye(2)[:, 1:], np.eye(2)[:, 1:], np.eye(2)[:1], np.zeros((1, 1)), np.zeros((1, 1)))
     certificate = certify(plant, np.zeros((1, 2)))
     assert certificate.norm.value == pytest.approx(1 / (1 + apart), rel=1e-12)
-    assert untrue({**to_record(certificate), "norm": claim}, certificate)
+    assert false_claims({**to_record(certificate), "norm": claim}, certificate)
 
 
 def test_bound_is_rounded_upwards():

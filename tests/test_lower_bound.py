@@ -5,11 +5,11 @@ import pytest
 from scipy import linalg
 
 from synth.certificate.invariant import invariant_limit, limit_at
-from synth.certificate.lower_bound import LowerBound, Witness, lower_bound
+from synth.certificate.lower_bound import LowerBound, Witness, prove_lower_bound
 from synth.certificate.norm import hinf_norm
 from synth.certificate.side import Side, shown, steered
 from synth.lmi import full_order
-from synth.lmi.full_order import best_possible
+from synth.lmi.full_order import find_lower_bound
 from synth.lmi.state_feedback import state_feedback
 from synth.plant import GeneralizedPlant
 from tests.test_static import random_plant
@@ -49,7 +49,7 @@ def full_order_norm(plant: GeneralizedPlant, Cy: np.ndarray, gamma: float, noise
 def test_paper_bound(designer):
     """On the paper's car the dual proves gamma* to 6e-5, and the invariant limit proves it to rounding."""
     best = designer.state_feedback.gamma
-    dual = lower_bound(designer.plant, at_the_end(designer.plant))
+    dual = prove_lower_bound(designer.plant, at_the_end(designer.plant))
     assert best * (1 - 6e-5) < dual.gamma < best  # (2 n + d) mu / 2 = 6e-5
     found = invariant_limit(designer.plant)
     assert found is not None
@@ -64,7 +64,7 @@ def test_random_plants(seed, feedthrough):
     """On random plants the dual bound is within 2e-4 of the optimum of (22), from below, and above the invariant limit's."""
     plant, _ = random_plant(seed, feedthrough=feedthrough)
     best = state_feedback(plant, 1e-7)[-1].gamma
-    bound = lower_bound(plant, at_the_end(plant))
+    bound = prove_lower_bound(plant, at_the_end(plant))
     assert best * (1 - 2e-4) < bound.gamma <= best * (1 + 1e-9)  # (2 n + d) mu / 2 = 7e-5, and the projection
     limit = invariant_limit(plant)
     assert limit is None or limit[0] <= best * (1 + 1e-9)
@@ -88,8 +88,8 @@ def test_output_feedback_of_any_order(seed):
         Dw=np.zeros((2, 2)),
     )
     Cy = rng.standard_normal((1, n))
-    bound = best_possible(plant, Cy)
-    assert bound.gamma >= best_possible(plant).gamma * (1 - 1e-5)  # each path ends up to (3 n + d) 1e-6 / 2 short
+    bound = find_lower_bound(plant, Cy)
+    assert bound.gamma >= find_lower_bound(plant).gamma * (1 - 1e-5)  # each path ends up to (3 n + d) 1e-6 / 2 short
     assert bound.observer is not None
     reached = min(
         full_order_norm(plant, Cy, bound.gamma * factor, noise)
@@ -119,9 +119,11 @@ def test_what_derivatives_show(designer):
 def test_a_witness_of_nothing_proves_nothing(designer):
     """A pair that does not satisfy (21), or is far from the path, proves 0, which is always true."""
     good = at_the_end(designer.plant)
-    assert lower_bound(designer.plant, Witness(-good.X, good.eta)).gamma == 0
-    assert lower_bound(designer.plant, Witness(good.X, 4 * good.eta)).gamma <= designer.state_feedback.gamma
-    assert lower_bound(designer.plant, Witness(np.diag(np.diagonal(good.X)), good.eta)).gamma <= designer.state_feedback.gamma
+    assert prove_lower_bound(designer.plant, Witness(-good.X, good.eta)).gamma == 0
+    assert prove_lower_bound(designer.plant, Witness(good.X, 4 * good.eta)).gamma <= designer.state_feedback.gamma
+    assert (
+        prove_lower_bound(designer.plant, Witness(np.diag(np.diagonal(good.X)), good.eta)).gamma <= designer.state_feedback.gamma
+    )
 
 
 @pytest.mark.parametrize("name", ["passive", "state", "I", "II"])
@@ -146,7 +148,9 @@ def test_limit_of_the_other_cars(kind):
     limit = invariant_limit(designer.plant)
     assert limit is not None
     assert limit[0] == pytest.approx(best, rel=2e-9)  # where the path ends, 1e-9
-    assert lower_bound(designer.plant, at_the_end(designer.plant)).gamma == pytest.approx(best, rel=2.5e-4)  # (2 n + d) mu / 2
+    assert prove_lower_bound(designer.plant, at_the_end(designer.plant)).gamma == pytest.approx(
+        best, rel=2.5e-4
+    )  # (2 n + d) mu / 2
 
 
 def test_too_large_for_the_joint_path(monkeypatch):
@@ -162,9 +166,9 @@ def test_too_large_for_the_joint_path(monkeypatch):
         Dw=np.zeros((2, 2)),
     )
     Cy, nothing = rng.standard_normal((1, 4)), LowerBound(0.0)  # an invariant point's bound is not what is asked for
-    joint, state = (best_possible(plant, y, beyond_control=nothing) for y in (Cy, None))
+    joint, state = (find_lower_bound(plant, y, beyond_control=nothing) for y in (Cy, None))
     monkeypatch.setattr(full_order, "MOST", 10 + 1)  # of state feedback they are 10 + 1 at most
-    found = best_possible(plant, Cy, beyond_control=nothing)
+    found = find_lower_bound(plant, Cy, beyond_control=nothing)
     assert joint.observer is not None
     assert found.observer is None
     assert 0 < found.gamma == pytest.approx(state.gamma, rel=5e-5)  # (2 n + d) STATE_END / 2: where its path ends

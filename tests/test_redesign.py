@@ -44,7 +44,7 @@ def test_same_as_one_by_one(kind, name, count):
         assert controller.certificate.bound == pytest.approx(alone.certificate.bound, rel=1e-9)  # rounding of eta
         assert controller.certificate.norm.value == pytest.approx(alone.certificate.norm.value, rel=1e-8)
         assert (controller.name, controller.measured, controller.designed) == (alone.name, alone.measured, True)
-        assert (controller.short, controller.stopped) == (alone.short, alone.stopped)
+        assert (controller.state_step_gap, controller.optimum_gap) == (alone.state_step_gap, alone.optimum_gap)
 
 
 def near(plant: GeneralizedPlant, count: int, seed: int = 0) -> list[GeneralizedPlant]:

@@ -12,7 +12,7 @@ import pytest
 
 from models.common.errors import InputError
 from models.vehicle import parse_vehicle, read_vehicle
-from sim.figures.figure import Curve, Figure, Kinds, Panel, Shades, level, styles
+from sim.figures.figure import Classes, Curve, Figure, Panel, Shades, level, styles
 from sim.linear.loop import sampled_response
 from sim.report import ride as report_ride
 from sim.report.__main__ import main
@@ -167,20 +167,20 @@ def test_bad_input(arguments, words, tmp_path, monkeypatch):
 def test_every_kind_of_ground_is_drawn(tmp_path):
     """Cells, shades and contours go to the page and to a picture alike; the same figure gives the same bytes."""
     from sim.figures.page import Page, Section, render
-    from sim.figures.picture import draw
+    from sim.figures.picture import write_picture
 
     x, y = np.linspace(0, 1, 5), np.linspace(0, 2, 4)
     z = x + y[:, None]
     line = Curve(*level(x, y, z, 1.5), "level", "#000000")
     np.testing.assert_allclose(line.x[1:-1] + line.y[1:-1], 1.5)  # z is linear, so its contour is exact
-    cells = Panel("cells", "x", "y", (line,), Kinds(x, y, (z > 1.5).astype(int), ("#ffffff", "#7aa6d8")))
+    cells = Panel("cells", "x", "y", (line,), Classes(x, y, (z > 1.5).astype(int), ("#ffffff", "#7aa6d8")))
     shades = Panel("shades", "x", "y", (), Shades(x, y, np.where(z > 2.9, np.nan, z), "z [m]"))
     figure = Figure("grounds", "two", (cells, shades))
     text = render(Page("t", ("a < b",), (Section("s", figures=(figure,)),)))
     assert "a &lt; b" in text
     assert text.count('id="plot-grounds') == 2
     for name in ("a.svg", "b.svg"):
-        draw(figure, tmp_path / name)
+        write_picture(figure, tmp_path / name)
     assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()
 
 

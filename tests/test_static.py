@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
-from synth.certificate.bounding import proved
+from synth.certificate.bounding import certify_tightly
 from synth.certificate.certificate import certify
 from synth.certificate.norm import level_set_norm
 from synth.errors import DesignError
@@ -140,7 +140,7 @@ def test_a_stabilising_gain_starts_the_iteration_of_14(seed):
         landscape, x = stable_point(plant, Cy)
     except AssertionError:
         pytest.skip("this start leads to no stabilising gain")
-    certificate = proved(plant, landscape.gain(x) @ Cy)
+    certificate = certify_tightly(plant, landscape.gain(x) @ Cy)
     assert certificate.proof is not None
     assert certificate.bound is not None
     Q = nullspace(Cy)
@@ -153,7 +153,7 @@ def test_proof_by_riccati(feedthrough):
     """The norm of a given gain is proved by an X from a Riccati equation, to a millionth."""
     plant, Cy = random_plant(3, feedthrough=feedthrough)
     landscape, x = stable_point(plant, Cy)
-    certificate = proved(plant, landscape.gain(x) @ Cy)
+    certificate = certify_tightly(plant, landscape.gain(x) @ Cy)
     assert certificate.failures == ()
     assert certificate.bound == pytest.approx(certificate.norm.value, rel=2e-6)  # the first of MARGINS
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from synth.certificate.bounding import proved
+from synth.certificate.bounding import certify_tightly
 from synth.certificate.certificate import certify
 from synth.design import two_step_design
 from synth.errors import DesignError
-from synth.lmi.full_order import best_possible
+from synth.lmi.full_order import find_lower_bound
 from synth.plant import GeneralizedPlant
 from synth.search import survey as sampling
 from synth.search import symmetry
@@ -49,9 +49,9 @@ def lead(stiffness: float, zero: float, pole: float) -> np.ndarray:
 
 def assert_not_worse_and_proved(seed: int, n: int, m: int) -> None:
     plant, Cy = random_plant(seed, n=n, m=m)
-    lower = best_possible(plant, Cy)
+    lower_bound = find_lower_bound(plant, Cy)
     try:
-        design = static_output_feedback(plant, Cy, LARGEST, lower)
+        design = static_output_feedback(plant, Cy, LARGEST, lower_bound)
     except DesignError:
         with pytest.raises(DesignError):
             two_step_design(plant, Cy)
@@ -276,7 +276,7 @@ def test_lowest_of_the_first_stable_samples():
 def test_proof_of_stiff_and_slow(stiffness):
     """A loop whose poles are seven decades apart has its norm proved to a hundredth, by an X from a Riccati equation."""
     plant, Cy = follower()
-    certificate = proved(plant, lead(stiffness, stiffness**0.5 / 3, 3 * stiffness**0.5) @ Cy)
+    certificate = certify_tightly(plant, lead(stiffness, stiffness**0.5 / 3, 3 * stiffness**0.5) @ Cy)
     assert certificate.failures == ()
     assert certificate.bound is not None
     assert certificate.bound <= 1.01 * certificate.norm.value * (1 + 1e-9)  # the third of MARGINS
@@ -287,7 +287,7 @@ def test_norm_of_zero_is_proved():
     plant = GeneralizedPlant(
         np.diag([-1.0, -2.0]), np.eye(2), np.array([[1.0], [0.0]]), np.array([[0.0, 1.0]]), np.zeros((1, 2)), np.zeros((1, 1))
     )
-    certificate = proved(plant, np.zeros((2, 2)))
+    certificate = certify_tightly(plant, np.zeros((2, 2)))
     assert certificate.norm.value == 0
     assert certificate.failures == ()
     assert certificate.bound is not None

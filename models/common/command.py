@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from models.common import interrupt
-from models.common.errors import InputError, known, one_line, quoted
+from models.common.errors import InputError, listing, one_line, quoted
 
 BAD_INPUT = 2
 ALL = "all"  # in place of a controller's name
@@ -55,7 +55,7 @@ class Parser(argparse.ArgumentParser):
         """Bad options: one line, exit code 2."""
         raise InputError(f"{message}; see {self.prog} --help")
 
-    def add_what(self, default: str) -> None:
+    def add_controller_and_vehicle(self, default: str) -> None:
         """The options `--controller`, which may be repeated, and `--vehicle`."""
         self.add_argument(
             "--controller",
@@ -111,7 +111,7 @@ def chosen(names: Sequence[str], asked: Sequence[str] | None, usual: Sequence[st
     """
     for name in asked or ():
         if name not in (ALL, *names):
-            raise InputError(f"unknown controller {name!r}; this vehicle has {known(names)}")
+            raise InputError(f"unknown controller {name!r}; this vehicle has {listing(names)}")
         if (asked or []).count(name) > 1:
             raise InputError(f"--controller {name} is given twice; give it once")
     if not asked and not usual:

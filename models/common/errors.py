@@ -47,7 +47,7 @@ def middle_cut(text: str, most: int) -> str:
     return f"{text[: kept - kept // 2]} ... {text[-(kept // 2) :]}"
 
 
-def known(names) -> str:
+def listing(names) -> str:
     """The names that are allowed, as a list for a message."""
     return ", ".join(sorted(names)) or "none"
 

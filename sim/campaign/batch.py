@@ -70,7 +70,7 @@ def _drive(campaign: Campaign, runs: Sequence[PlannedRun], stopped: Callable[[],
         times = time[block.start : block.start + len(block.values)]
         diverged = np.minimum(diverged, block.diverged(time))
         if np.isfinite(diverged).any():
-            block.bound()
+            block.clip()
         meter.update(block.values)
         ends.update(block.start, block.values)
         twin.update(block.start, block.values, np.minimum(ends.first, diverged), times)

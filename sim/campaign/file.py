@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError, known, quoted
+from models.common.errors import InputError, listing, quoted
 from models.common.read_file import TEXT, read_text
 from models.common.toml import parse_toml
 from models.vehicle import Vehicle, read_vehicle
@@ -94,7 +94,7 @@ def _parse(text: str, folder: Path) -> Campaign:
     data = parse_toml(text)
     for key in data:
         if key not in KEYS:
-            raise InputError(f"unknown key {key!r}; known: {known(KEYS)}")
+            raise InputError(f"unknown key {key!r}; known: {listing(KEYS)}")
     names = _texts(data, "vehicles", "quarter_car")
     vehicles = {name: read_vehicle(name if not (folder / name).is_file() else folder / name) for name in names}
     _check_once("vehicles", names, [Path(vehicles[name].source).resolve() for name in names])
@@ -103,7 +103,7 @@ def _parse(text: str, folder: Path) -> Campaign:
     for name, vehicle in vehicles.items():
         for controller in controllers:
             if controller not in vehicle.controller_names:
-                raise InputError(f"vehicle {name!r} has no controller {controller!r}; it has {known(vehicle.controller_names)}")
+                raise InputError(f"vehicle {name!r} has no controller {controller!r}; it has {listing(vehicle.controller_names)}")
     roads = tuple(choose_road(road, folder) for road in _texts(data, "roads", "iso8608:class=C"))
     a_vehicle = next(iter(vehicles.values()))
     _check_once("roads", [road.text for road in roads], [_what_it_is(road, a_vehicle) for road in roads])

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError, known, quoted
+from models.common.errors import InputError, listing, quoted
 from models.kind import Parameter
 from models.vehicle import Vehicle
 from sim.roads.iso8608 import check_seed
@@ -59,14 +59,14 @@ def read_samples(section: Any, vehicles: Mapping[str, Vehicle]) -> dict[str, tup
         raise InputError("'samples' is not a section; write it as [samples]")
     for key in section:
         if key not in SAMPLES:
-            raise InputError(f"[samples] unknown key {key!r}; known: {known(SAMPLES)}")
+            raise InputError(f"[samples] unknown key {key!r}; known: {listing(SAMPLES)}")
     if "count" not in section:
         raise InputError(f"[samples] 'count' is missing; give how many samples, a whole number from 1 to {MOST_RUNS}")
     count, method = section["count"], section.get("method", "latin_hypercube")
     if isinstance(count, bool) or not isinstance(count, int) or not 1 <= count <= MOST_RUNS:
         raise InputError(f"[samples] count = {quoted(count)} makes no runs; give a whole number from 1 to {MOST_RUNS}")
     if method not in METHODS:
-        raise InputError(f"[samples] method = {quoted(method)} is unknown; give one of {known(METHODS)}")
+        raise InputError(f"[samples] method = {quoted(method)} is unknown; give one of {listing(METHODS)}")
     table = section.get("parameters")
     if not isinstance(table, dict) or not table:
         raise InputError("[samples] samples no parameters; write [samples.parameters] with NAME = { uniform = [low, high] }")
@@ -105,11 +105,11 @@ def _distribution(name: str, entry: Any) -> Distribution:
     where = f"[samples.parameters] {name}"
     example = f"as in {name} = {{ uniform = [0.8, 1.2], relative = true }}"
     if not isinstance(entry, dict):
-        raise InputError(f"{where} = {quoted(entry)} is no distribution; give one of {known(DISTRIBUTIONS)}, {example}")
+        raise InputError(f"{where} = {quoted(entry)} is no distribution; give one of {listing(DISTRIBUTIONS)}, {example}")
     shapes = [key for key in entry if key != "relative"]
     if len(shapes) != 1 or shapes[0] not in DISTRIBUTIONS or not isinstance(entry.get("relative", False), bool):
         raise InputError(
-            f"{where} has {known(entry)}; give one of {known(DISTRIBUTIONS)}, and relative = true or false, {example}"
+            f"{where} has {listing(entry)}; give one of {listing(DISTRIBUTIONS)}, and relative = true or false, {example}"
         )
     values = entry[shapes[0]]
     if not isinstance(values, list) or len(values) != 2:
@@ -127,7 +127,7 @@ def _check_distribution(distribution: Distribution, name: str, vehicle: Vehicle)
     parameters: dict[str, Parameter] = {parameter.name: parameter for parameter in vehicle.kind.parameters}
     if distribution.name not in parameters:
         raise InputError(
-            f"[samples.parameters] vehicle {name!r} has no parameter {distribution.name!r}; it has {known(parameters)}"
+            f"[samples.parameters] vehicle {name!r} has no parameter {distribution.name!r}; it has {listing(parameters)}"
         )
     scale = vehicle.parameters[distribution.name] if distribution.relative else 1.0
     for end in distribution.ends:

@@ -15,7 +15,7 @@ from sim.runs.words import controller_lines, energy_lines, run_lines, verdict_li
 from synth.designer import Designer
 
 
-def add_how(parser: Parser, duration: float) -> None:
+def add_run_options(parser: Parser, duration: float) -> None:
     """`--duration`, with a default [s], `--timestep`, `--logs`, `--no-logs`, `--open`, `--serve` and `--json`."""
     parser.add_number("--duration", duration, "s", "how long to run")
     parser.add_number("--timestep", 1e-3, "s", "integration step and sample period of the controller")

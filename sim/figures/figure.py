@@ -59,7 +59,7 @@ class Curve:
 
 
 @dataclass(frozen=True, eq=False)
-class Kinds:
+class Classes:
     """A grid of cells that are each of one kind.
 
     Attributes:
@@ -108,7 +108,7 @@ class Panel:
     xlabel: str
     ylabel: str
     curves: tuple[Curve, ...]
-    ground: Kinds | Shades | None = None
+    ground: Classes | Shades | None = None
     xlog: bool = False
     ylog: bool = False
     xticks: tuple[float, ...] = ()

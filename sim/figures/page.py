@@ -13,7 +13,7 @@ import numpy as np
 
 from models.common.errors import InputError
 from models.common.whole_file import whole_file
-from sim.figures.figure import Curve, Figure, Kinds, Panel, Shades
+from sim.figures.figure import Classes, Curve, Figure, Panel, Shades
 
 PLOTLY_DASHES = {"solid": "solid", "dash": "dash", "dot": "dot", "dashdot": "dashdot", "longdash": "longdash", "none": "solid"}
 SVG_DASHES = {"solid": "", "dash": "6 3", "dot": "2 2", "dashdot": "7 2 2 2", "longdash": "10 3", "none": ""}
@@ -145,7 +145,7 @@ def _plot(panel: Panel, name: str) -> str:
     import plotly.graph_objects as go
 
     ground: list[Any] = []
-    if isinstance(panel.ground, Kinds):
+    if isinstance(panel.ground, Classes):
         kinds, count, scale = panel.ground, len(panel.ground.colors), _steps(panel.ground.colors)
         ground = [
             go.Heatmap(

@@ -7,7 +7,7 @@ import numpy as np
 
 from models.common.errors import InputError
 from models.common.whole_file import check_file, whole_file
-from sim.figures.figure import Figure, Kinds, Panel, Shades
+from sim.figures.figure import Classes, Figure, Panel, Shades
 
 SUFFIXES = (".png", ".svg")
 DASHES: dict[str, Any] = {
@@ -44,7 +44,7 @@ def check_drawing() -> None:
         raise InputError("pictures need matplotlib; pip install 'roadproof[report]' or leave --picture out") from None
 
 
-def draw(figure: Figure, *paths: Path) -> None:
+def write_picture(figure: Figure, *paths: Path) -> None:
     """Writes a figure to every path, each whole or not at all; the same figure gives the same bytes.
 
     Raises:
@@ -83,7 +83,7 @@ def draw(figure: Figure, *paths: Path) -> None:
 
 def _draw_panel(axis: Any, panel: Panel) -> None:
     ground = panel.ground
-    if isinstance(ground, Kinds):
+    if isinstance(ground, Classes):
         from matplotlib.colors import ListedColormap
 
         count = len(ground.colors)

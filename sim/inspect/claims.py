@@ -20,7 +20,7 @@ from sim.runs.agreement import ROUNDING
 from sim.runs.prediction import Prediction
 from sim.runs.run import Run
 from sim.runs.words import energy_lines, energy_object, half_step_object, run_object, verdict_lines
-from synth.certificate.record import to_record, untrue
+from synth.certificate.record import false_claims, to_record
 from synth.controller import Controller
 
 HOLDS, FAILS, MISSING, NOTE = "holds", "FAILS", "missing", "note"
@@ -69,7 +69,7 @@ def check_samples(recorded: RecordedRun, samples: int, h: float) -> Iterator[Fin
 def check_certificate(controller: Controller, recorded: RecordedRun, current: bool) -> Iterator[Finding]:
     """The certificate, from the gain and its proof."""
     certificate, record = controller.certificate, recorded.claim("certificate")
-    wrong = untrue(record, certificate)
+    wrong = false_claims(record, certificate)
     absent = [key for key in to_record(certificate) if key not in record]
     if current and absent:
         wrong.append(f"it claims no {absent[0]}, which its proof gives")
@@ -96,8 +96,7 @@ def check_certificate(controller: Controller, recorded: RecordedRun, current: bo
         yield Finding("certificate", HOLDS, f"{certificate.stability.words}; as was claimed")
         return
     bound = f", bound {certificate.bound:.7g} by LMI (20)" if certificate.bound is not None else ""
-    lower = certificate.lower
-    below = f", lower bound {lower.gamma:.7g}" if lower is not None and lower.gamma > 0 else ""
+    below = f", lower bound {certificate.lower_bound:.7g}" if certificate.lower_bound is not None else ""
     at = f" at {certificate.norm.peak_frequency:.5g} rad/s" if math.isfinite(certificate.norm.peak_frequency) else ""
     yield Finding("certificate", HOLDS, f"stable, norm {certificate.norm.value:.7g}{at}{bound}{below}")
 

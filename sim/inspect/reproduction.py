@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError, known
+from models.common.errors import InputError, listing
 from models.kind import LARGEST
 from models.kinds import kinds as kind_names
 from models.reality import read_implementation, read_limits
@@ -80,7 +80,7 @@ def recorded_controller(vehicle: Vehicle, run: RecordedRun) -> Controller:
     """
     name, measured, gain = run.claims.get("name", ""), run.claim("measured"), run.claim("gain")
     if name not in vehicle.controller_names:
-        raise InputError(f"vehicle.toml has no such controller; it has {known(vehicle.controller_names)}")
+        raise InputError(f"vehicle.toml has no such controller; it has {listing(vehicle.controller_names)}")
     expected = {"passive": (), "state": vehicle.linear_model.states}
     signals = expected[name] if name in expected else vehicle.controllers[name].measured
     if measured != list(signals):
@@ -96,8 +96,8 @@ def recorded_controller(vehicle: Vehicle, run: RecordedRun) -> Controller:
         raise InputError("its certificate is none")
     if given is None and "X" not in record:
         raise InputError("it was designed, and its certificate proves no bound")
-    X, eta, lower = read_proof(record, plant, Cy)
-    return Controller(name, signals, K, given is None, certify(plant, K @ Cy, X, eta, lower))
+    X, eta, lower_bound = read_proof(record, plant, Cy)
+    return Controller(name, signals, K, given is None, certify(plant, K @ Cy, X, eta, lower_bound))
 
 
 def recorded_road(log: Recorded, run: RecordedRun, samples: int) -> Road:
@@ -155,7 +155,7 @@ def as_response(vehicle: Vehicle, run: RecordedRun, name: str, samples: int, tim
     signals = vehicle.kind.signals
     absent = [signal.name for signal in signals if signal.name not in logged.names]
     if absent or len(logged.names) != len(signals):
-        raise InputError(f"the {name} response has other signals than a {vehicle.kind.name}: {known(s.name for s in signals)}")
+        raise InputError(f"the {name} response has other signals than a {vehicle.kind.name}: {listing(s.name for s in signals)}")
     for signal in signals:
         if logged.units.get(signal.name) != signal.unit:
             raise InputError(f"{signal.name} of the {name} response is not in {signal.unit}, as it says")

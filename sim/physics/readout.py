@@ -104,7 +104,7 @@ def gain_on(signals: Sequence[str], vehicle: Vehicle, controller: Controller) ->
     return gain
 
 
-def known(gain: Array, road: Array, readout: Readout) -> Array:
+def force_from_road(gain: Array, road: Array, readout: Readout) -> Array:
     """What is known beforehand of the forces, shape (T, N, m): the gain (N, m, S) on what a reading has not seen of the road.
 
     A sensor's reading has its value at rest in it besides; that of the state has none.
@@ -118,7 +118,7 @@ def known(gain: Array, road: Array, readout: Readout) -> Array:
     return known
 
 
-def unseen(road: Array, readout: Readout, linear: bool) -> Array:
+def signal_from_road(road: Array, readout: Readout, linear: bool) -> Array:
     """The same for the signals themselves, shape (T, N, S): of those that are read from the state, or those from sensors."""
     unseen = np.zeros((*road.shape[:2], len(readout.names)))
     for s in np.flatnonzero(readout.linear == linear):

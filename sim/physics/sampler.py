@@ -17,11 +17,11 @@ class Sampler:
     """
 
     def __init__(
-        self, vehicles: Sequence[Vehicle], gain: Array, at_once: Array, names: Sequence[str], timestep: float, samples: int
+        self, vehicles: Sequence[Vehicle], gain: Array, undelayed: Array, names: Sequence[str], timestep: float, samples: int
     ) -> None:
-        """For gains of shape (N, m, S) on the signals of these names, and others, `at_once`, that no implementation holds up."""
+        """For gains of shape (N, m, S) on the signals of these names; `undelayed` are others, free of any implementation."""
         how = [vehicle.implementation for vehicle in vehicles]
-        self.gain, self.at_once = gain, at_once if np.any(at_once) else None
+        self.gain, self.undelayed = gain, undelayed if np.any(undelayed) else None
         self.period = np.array([steps_per_sample(one, timestep) for one in how])
         self.delay = np.array([one.delay for one in how])
         self.resolution = np.array([[one.quantisation.get(name, 0.0) for name in names] for one in how])
@@ -44,7 +44,7 @@ class Sampler:
             self._sample(slice(None), due, k, signals, self.gain)
         elif len(due):
             self._sample(due, due, k, signals[due], self.gain[due])
-        return self.force if self.at_once is None else self.force + np.matvec(self.at_once, signals)
+        return self.force if self.undelayed is None else self.force + np.matvec(self.undelayed, signals)
 
     def _sample(self, due: Array | slice, which: Array, k: int, seen: Array, gain: Array) -> None:
         """Those that are due measure, and take the force that is."""

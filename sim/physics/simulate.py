@@ -21,7 +21,7 @@ from mujoco.batch import Batch
 from models.common.arrays import Array
 from models.mjcf import build_model, quiet
 from models.vehicle import Vehicle
-from sim.physics.readout import Readout, gain_on, known, mix, prepared, unseen
+from sim.physics.readout import Readout, force_from_road, gain_on, mix, prepared, signal_from_road
 from sim.physics.sampler import Sampler
 from sim.response.response import Response
 from sim.roads.road import Road, under_wheels
@@ -58,7 +58,7 @@ def simulate(
     roads: Sequence[Road],
     time: Array,
     threads: int = 1,
-    at_once: Sequence[Controller | None] | None = None,
+    undelayed: Sequence[Controller | None] | None = None,
 ) -> PhysicsRuns:
     """Runs N vehicles of one kind, each with its own parameters, controller and road, from rest.
 
@@ -68,12 +68,12 @@ def simulate(
         roads: N roads.
         time: equidistant sample times [s], shape (T,), from 0; their distance is the timestep.
         threads: how many threads share the runs; results do not depend on it. 0 takes every core.
-        at_once: second controllers, whose forces come to those of the first and know no `[implementation]`; None for none.
+        undelayed: second controllers, whose forces come to those of the first and know no `[implementation]`; None for none.
     """
     timestep, signals, wheels = float(time[1] - time[0]), vehicles[0].kind.signals, vehicles[0].kind.wheels
     now = _on_each(vehicles, roads, "displacement", time)
     midway = _on_each(vehicles, roads, "displacement", time + timestep / 2)
-    (block,) = in_blocks(vehicles, controllers, now, midway, timestep, threads, len(time), at_once)
+    (block,) = in_blocks(vehicles, controllers, now, midway, timestep, threads, len(time), undelayed)
 
     recorded, names = block.values, [signal.name for signal in signals]
     velocity = _on_each(vehicles, roads, "velocity", time)
@@ -116,7 +116,7 @@ class Block:
         wild = ~(self.largest < DIVERGED)  # NaN compares as wild
         return np.where(wild.any(axis=0), time[self.start + wild.argmax(axis=0)], np.inf)
 
-    def bound(self) -> None:
+    def clip(self) -> None:
         """Makes numbers of what a diverged run left, none beyond `DIVERGED`, in place."""
         np.nan_to_num(self.values, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
         np.clip(self.values, -DIVERGED, DIVERGED, out=self.values)
@@ -135,7 +135,7 @@ def in_blocks(
     timestep: float,
     threads: int,
     size: int,
-    at_once: Sequence[Controller | None] | None = None,
+    undelayed: Sequence[Controller | None] | None = None,
 ) -> Iterator[Block]:
     """The runs of `simulate`, some samples at a time: nothing but the roads need be held whole.
 
@@ -151,7 +151,7 @@ def in_blocks(
         timestep: [s].
         threads: as for `simulate`.
         size: B, samples in a block.
-        at_once: as for `simulate`.
+        undelayed: as for `simulate`.
     """
     vehicle = vehicles[0]
     model, readout = prepared(vehicle, timestep)
@@ -166,20 +166,20 @@ def in_blocks(
     # what that reading has not seen of the road.
     K = np.stack([gain_on(readout.names, vehicle, controller) for vehicle, controller in zip(vehicles, controllers, strict=True)])
     beside = np.zeros_like(K)
-    for i, other in enumerate(at_once or ()):
+    for i, other in enumerate(undelayed or ()):
         if other is not None:
             beside[i] = gain_on(readout.names, vehicles[i], other)
     of_state, of_sensors = np.where(readout.linear, K, 0), np.where(readout.linear, 0, K)
-    offset = known(of_state, now, readout) + known(of_sensors, now - before, readout)
+    offset = force_from_road(of_state, now, readout) + force_from_road(of_sensors, now - before, readout)
     used = np.any((K != 0) | (beside != 0), axis=(0, 1)) & ~readout.linear
     stage = int(max(readout.stage[used], default=0))
     gain = of_state @ readout.of_state
     if stage:
         gain = np.concatenate([gain, of_sensors @ readout.of_sensors], axis=-1)
     law = None
-    if at_once is not None or not all(other.implementation.ideal for other in vehicles):
+    if undelayed is not None or not all(other.implementation.ideal for other in vehicles):
         sampler = Sampler(vehicles, K, beside, readout.names, timestep, len(now))
-        law = _law(sampler, readout, unseen(now, readout, True) + unseen(now - before, readout, False), stage)
+        law = _law(sampler, readout, signal_from_road(now, readout, True) + signal_from_road(now - before, readout, False), stage)
 
     # What is recorded was sensed inside the step, where the road was midway, or before it, where the last step had left it.
     signals = vehicle.kind.signals

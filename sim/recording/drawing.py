@@ -25,7 +25,7 @@ FORMS = {
 FRAMES = 60  # a second
 
 
-def draw(vehicle: Vehicle, road: Road, physics: Response, qpos: Array) -> Scene:
+def scene_of(vehicle: Vehicle, road: Road, physics: Response, qpos: Array) -> Scene:
     """One run as a scene of 60 frames a second.
 
     The names in the MJCF say what is drawn: a spring from every site `NAME_bottom` to its `NAME_top`, the force of an actuator on

@@ -14,7 +14,7 @@ from typing import Any
 
 from models.mjcf import mjcf_text
 from models.vehicle import Vehicle
-from sim.recording.drawing import draw
+from sim.recording.drawing import scene_of
 from sim.recording.format import FORMAT, check_keys
 from sim.recording.run_log import RunLog
 from sim.runs.run import Run
@@ -147,6 +147,6 @@ def run_log(run: Run, name: str | None = None) -> RunLog:
         metadata={key: value if isinstance(value, str) else json.dumps(value) for key, value in claims.items()},
         events=events(run),
         summary=summary(run),
-        scene=draw(vehicle, road, run.physics, run.qpos),
+        scene=scene_of(vehicle, road, run.physics, run.qpos),
         files=files,
     )

@@ -16,7 +16,7 @@ from models.vehicle import read_vehicle
 from sim.command.outputs import check_outputs, written, written_lines
 from sim.command.progress import show
 from sim.figures.page import Page, check_page, write_page
-from sim.figures.picture import check_drawing, draw
+from sim.figures.picture import check_drawing, write_picture
 
 USUAL = ("passive", "state", "I", "II")
 
@@ -83,7 +83,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> Parser:
     parser = Parser("sim.report", "Writes one HTML page about a vehicle file and its controllers.", EPILOG)
-    parser.add_what("default: passive, state, I and II")
+    parser.add_controller_and_vehicle("default: passive, state, I and II")
     parser.add_argument("--out", type=Path, default=Path("report.html"), metavar="FILE", help="the page (default: report.html)")
     parser.add_argument("--figures", type=Path, metavar="DIR", help="also write every figure as SVG and PNG, every table as CSV")
     parser.add_argument("--quick", action="store_true", help="without margins, map and ride: seconds instead of a minute")
@@ -96,7 +96,7 @@ def _write_figures(page: Page, folder: Path) -> None:
     """Every figure as SVG and PNG, every table as CSV, each whole or not at all."""
     for section in page.sections:
         for figure in section.figures:
-            draw(figure, folder / f"{figure.name}.svg", folder / f"{figure.name}.png")
+            write_picture(figure, folder / f"{figure.name}.svg", folder / f"{figure.name}.png")
         for table in section.tables:
             with (
                 whole_file(folder / f"{table.name}.csv", "table") as beside,

@@ -31,7 +31,7 @@ def bump_section(scope: Scope, runs: Sequence[Run], road: Bump) -> Section:
                 continue  # no control force, or no roll on a road that is the same on both sides
             every = max(1, len(run.physics.time) // POINTS)
             thin = slice(None, None, max(1, every // 6))
-            line = run.continuous if scope.at_once else run.sampled
+            line = run.continuous if scope.prompt else run.sampled
             curves.append(Curve(line.time[thin], line[name][thin], run.controller.name, color, dash))
             time, values = run.physics.time[::every], run.physics[name][::every]
             markers: tuple[Marker, Marker] = ("o", "x")
@@ -50,7 +50,7 @@ def bump_section(scope: Scope, runs: Sequence[Run], road: Bump) -> Section:
         panels.append(
             Panel(f"{name.replace('_', ' ')}, {signal.symbol}", "time [s]", f"[{unit}]", tuple(curves), xlim=(0.0, BUMP_DURATION))
         )
-    lines = f"the continuous loop{scope.lag}" if scope.at_once else f"the loop as it runs, {scope.as_it_runs}"
+    lines = f"the continuous loop{scope.lag}" if scope.prompt else f"the loop as it runs, {scope.as_it_runs}"
     title = (
         f"Response to the bump of {road.height:g} m height and {road.length:g} m length at {road.speed:g} m/s. "
         f"Lines: linear analysis of {lines}.\nPoints: MuJoCo at {1e3 * scope.timestep:g} ms"
@@ -134,7 +134,7 @@ def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -
             "Bodies that turn are not linear: what that makes does not shrink with the step but with the height of the bump, and "
             "so it was tried, at a hundredth of it."
         )
-    if scope.at_once:
+    if scope.prompt:
         text.append(
             "The sampled response tends to the continuous one with order 1, because the force is held over a step; without a "
             "force with order 2, because the road is."
@@ -166,7 +166,7 @@ def _energy(runs: Sequence[Run]) -> Table:
 
 def _settles(scope: Scope, run: Run) -> bool:
     """Whether a run's sampled response tends to the continuous one with the step."""
-    return scope.at_once or not np.any(run.controller.gain)
+    return scope.prompt or not np.any(run.controller.gain)
 
 
 def _order(coarse: float, fine: float) -> str:

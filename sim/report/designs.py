@@ -24,7 +24,7 @@ def design_section(scope: Scope) -> Section:
                 number(certificate.bound, ".7g"),
                 number(norm.value, ".7g"),
                 number(norm.peak_frequency, ".5g"),
-                number(certificate.lower.gamma, ".7g") if certificate.lower is not None and certificate.lower.gamma > 0 else "-",
+                number(certificate.lower_bound, ".7g"),
                 percent(certificate.gap) if certificate.gap is not None else "-",
                 number(certificate.stability.worst.real, ".4g") if certificate.stable else certificate.stability.verdict,
                 "; ".join(certificate.failures) or "holds",
@@ -64,8 +64,8 @@ def design_section(scope: Scope) -> Section:
         tables.append(Table("norms", ("controller", "norm, ideal loop", "norm, as built", "peak [rad/s]"), tuple(rows)))
         harmonics = ", without the harmonics that a controller slower than the timestep makes" if not scope.each_step else ""
         built = f"As built, the loop has {scope.built}; its norm is that of its linear part{harmonics}."
-        lower = {one.name: one.certificate.lower for one in scope.stable}
-        below = [name for name, found in lower.items() if found and scope.built_norms[name].gain < found.gamma]
+        lower_bounds = {one.name: one.certificate.lower_bound for one in scope.stable}
+        below = [name for name, bound in lower_bounds.items() if bound is not None and scope.built_norms[name].gain < bound]
         if below:
             built += (
                 f" It is read at the samples, {1e3 * scope.timestep:g} ms apart: what lies below its lower bound, which is of "

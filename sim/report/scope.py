@@ -62,7 +62,7 @@ class Scope:
         return ", ".join(words) or "neither [limits] nor [implementation]"
 
     @property
-    def at_once(self) -> bool:
+    def prompt(self) -> bool:
         """Whether the controller acts at every timestep, at once: then its loop tends to the continuous one with the step."""
         return self.vehicle.implementation.prompt
 

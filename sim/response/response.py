@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import known
+from models.common.errors import listing
 from models.signals import Signal
 
 SILENT = 1e-3
@@ -45,7 +45,7 @@ class Response:
             KeyError: there is no such signal; the message lists those there are.
         """
         if signal not in self.names:
-            raise KeyError(f"no signal {signal!r}; this response has {known(self.names)}")
+            raise KeyError(f"no signal {signal!r}; this response has {listing(self.names)}")
         return self.values[..., self.names.index(signal)]
 
     def run(self, index: int) -> "Response":

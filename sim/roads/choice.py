@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from models.common.errors import InputError, known
+from models.common.errors import InputError, listing
 from models.vehicle import Vehicle
 from sim.roads.iso8608 import Iso8608, long_enough, roughness
 from sim.roads.obstacles import OBSTACLES
@@ -121,7 +121,7 @@ def _settings(text: str, allowed: Iterable[str]) -> dict[str, str]:
     for setting in text.split(":")[1:]:
         name, equals, value = setting.partition("=")
         if not equals or name not in allowed:
-            raise InputError(f"{setting!r} is not NAME=VALUE with a NAME out of {known(allowed)}")
+            raise InputError(f"{setting!r} is not NAME=VALUE with a NAME out of {listing(allowed)}")
         if name in found:
             raise InputError(f"{name} is given twice, {found[name]!r} and {value!r}; give it once")
         found[name] = value

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
 
-from models.common.errors import InputError, known, quoted
+from models.common.errors import InputError, listing, quoted
 from sim.roads.iso8608 import HIGHEST, LOWEST, Iso8608, check_seed, roughness
 from sim.roads.obstacles import OBSTACLES
 from sim.roads.profile import from_csv
@@ -30,7 +30,7 @@ def described_road(description: Mapping[str, Any], points: bytes | None = None) 
     """
     kind = description.get("type")
     if not isinstance(kind, str) or kind not in KINDS:
-        raise InputError(f"a road of unknown type; known: {known(KINDS)}")
+        raise InputError(f"a road of unknown type; known: {listing(KINDS)}")
     if kind == "profile":
         if points is None:
             raise InputError("the points of a profile are missing")
@@ -46,7 +46,7 @@ def described_road(description: Mapping[str, Any], points: bytes | None = None) 
     allowed = {field.name: field.default for field in fields(OBSTACLES[kind])}
     for name in description:
         if name not in (*allowed, "type", "factor"):
-            raise InputError(f"road {kind}: it has no {quoted(name)}; known: {known(allowed)}")
+            raise InputError(f"road {kind}: it has no {quoted(name)}; known: {listing(allowed)}")
     values = {name: _side(description) if name == "track" else _number(description, name) for name in allowed}
     road = OBSTACLES[kind](**values)
     return Scaled(road, _number(description, "factor")) if "factor" in description else road
@@ -83,5 +83,5 @@ def _numbers(description: Mapping[str, Any], name: str) -> tuple[float, ...]:
 def _side(description: Mapping[str, Any]) -> str:
     side = description.get("track")
     if side not in SIDES:
-        raise InputError(f"road {description['type']}: track is not one of {known(SIDES)}")
+        raise InputError(f"road {description['type']}: track is not one of {listing(SIDES)}")
     return side

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from models.common.errors import InputError, known
+from models.common.errors import InputError, listing
 from models.common.read_file import TABLE, read_text
 from sim.roads.profile import Profile, check_points
 from sim.roads.profile_headings import UNITS, Heading, choose_columns, headings_of, read_heading, unit_of
@@ -47,9 +47,9 @@ def read_table(settings: Mapping[str, str]) -> Table:
     allowed = {"distance_unit": UNITS, "height_unit": UNITS, "separator": SEPARATORS}
     for name, value in settings.items():
         if name not in (*allowed, "columns"):
-            raise InputError(f"{name!r} is unknown; a road file takes {known((*allowed, 'columns'))}")
+            raise InputError(f"{name!r} is unknown; a road file takes {listing((*allowed, 'columns'))}")
         if name in allowed and value not in allowed[name]:
-            raise InputError(f"{name} = {value!r} is unknown; give one of {known(allowed[name])}")
+            raise InputError(f"{name} = {value!r} is unknown; give one of {listing(allowed[name])}")
     columns = settings.get("columns", "")
     if columns and not re.fullmatch(r"[1-9]\d{0,2}(,[1-9]\d{0,2}){1,2}", columns):
         raise InputError(f"columns = {columns!r} is none; give two or three numbers from 1, as in columns=1,3 or columns=1,3,4")

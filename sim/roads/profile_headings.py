@@ -4,7 +4,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from models.common.errors import InputError, known
+from models.common.errors import InputError, listing
 
 UNITS: Mapping[str, float] = {"m": 1.0, "km": 1e3, "cm": 1e-2, "mm": 1e-3, "in": 0.0254, "ft": 0.3048}
 WORDS: Mapping[str, str] = {  # what units are called besides
@@ -139,5 +139,5 @@ def unit_of(heading: Heading, asked: str, option: str) -> float:
             f"the column {heading.text!r} is in {heading.unit}, and {option} = {asked} was asked for; leave one out, or mend it"
         )
     if not asked and heading.unit and heading.unit not in UNITS and heading.meaning:
-        raise InputError(f"the unit of the column {heading.text!r} is none of {known(UNITS)}; convert it, or give {option}")
+        raise InputError(f"the unit of the column {heading.text!r} is none of {listing(UNITS)}; convert it, or give {option}")
     return UNITS[asked or (heading.unit if heading.unit in UNITS else "m")]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError, known
+from models.common.errors import InputError, listing
 from models.vehicle import Vehicle
 from sim.linear.loop import largest_timestep
 from sim.physics.energy import Energy, energy
@@ -134,7 +134,7 @@ def _check_noise(vehicle: Vehicle, controllers: Sequence[Controller]) -> None:
     for kind, values in {"noise": how.noise, "quantisation": how.quantisation}.items():
         for name in values:
             if measured and name not in measured:
-                raise InputError(f"[implementation] {kind} of {name!r}, which is not measured; measured are: {known(measured)}")
+                raise InputError(f"[implementation] {kind} of {name!r}, which is not measured; measured are: {listing(measured)}")
 
 
 @np.errstate(over="ignore", invalid="ignore")  # an unstable loop overflows; its run says so

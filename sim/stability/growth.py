@@ -34,13 +34,12 @@ class Trial:
     Attributes:
         vehicle: with its implementation of the controller.
         controller: the controller.
-        at_once: a second one, whose forces act at every timestep, without delay, whatever the implementation; None where there is
-            none.
+        undelayed: a second one, whose forces act at every timestep, without delay, whatever the implementation; or None.
     """
 
     vehicle: Vehicle
     controller: Controller
-    at_once: Controller | None = None
+    undelayed: Controller | None = None
 
 
 @dataclass(frozen=True)
@@ -95,8 +94,8 @@ def _hold(trial: Trial, timestep: float) -> float:
 def _states(trials: Sequence[Trial], time: Array) -> Array:
     """All states over time, each over its peak in the first half second, shape (N, n, T); infinite from where a run diverges."""
     vehicles, controllers = [trial.vehicle for trial in trials], [trial.controller for trial in trials]
-    at_once = [trial.at_once for trial in trials] if any(trial.at_once for trial in trials) else None
-    response = simulate(vehicles, controllers, [BUMP] * len(trials), time, threads=0, at_once=at_once).response
+    undelayed = [trial.undelayed for trial in trials] if any(trial.undelayed for trial in trials) else None
+    response = simulate(vehicles, controllers, [BUMP] * len(trials), time, threads=0, undelayed=undelayed).response
     states = np.stack([response[name] for name in trials[0].vehicle.linear_model.states], axis=1)
     peaks = np.nanmax(np.abs(states[..., time < 0.5]), axis=-1, keepdims=True)
     return np.nan_to_num(states / np.where(peaks > 0, peaks, 1.0), nan=np.inf)

@@ -173,7 +173,7 @@ def _run(
             return None
         diverged = np.minimum(diverged, block.diverged(time))
         if np.isfinite(diverged).any():
-            block.bound()
+            block.clip()
         ends.update(block.start, block.values)
         some = slice(block.start, block.start + len(block.values))
         for worst, i, response in zip(apart, outputs, np.moveaxis(linear[some], 1, 0), strict=True):

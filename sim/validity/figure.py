@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from models.vehicle import Vehicle
-from sim.figures.figure import Curve, Figure, Kinds, Panel, level
+from sim.figures.figure import Classes, Curve, Figure, Panel, level
 from sim.response.regime import REGIME_ENDS, End
 from sim.validity.cells import Cells
 from synth.controller import Controller
@@ -47,7 +47,7 @@ def envelope_figure(
 
     x, y = np.array(horizontal.values), np.array(vertical.values)
     broke = np.where(cells.done, cells.first, -2)
-    ground = Kinds(x, y, plane(broke + 2), (UNKNOWN, NOTHING, *(end.color for end in REGIME_ENDS)))
+    ground = Classes(x, y, plane(broke + 2), (UNKNOWN, NOTHING, *(end.color for end in REGIME_ENDS)))
 
     first = [("nothing breaks: the regime is linear", NOTHING)]
     first += [

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.common.errors import InputError, known
+from models.common.errors import InputError, listing
 from sim.roads.road import LIMITS, LOWEST, Bump
 
 UNITS = {"height": "m", "length": "m", "speed": "m/s"}
@@ -34,12 +34,12 @@ def read_axes(texts: Sequence[str]) -> tuple[Axis, Axis]:
     """
     example = "as in --vary height:0.02:0.3:20 --vary speed:3:30:20"
     if len(texts) != 2:
-        raise InputError(f"a map has two axes, {len(texts)} given; vary two of {known(UNITS)}, {example}")
+        raise InputError(f"a map has two axes, {len(texts)} given; vary two of {listing(UNITS)}, {example}")
     axes = []
     for text in texts:
         name, *numbers = text.split(":")
         if name not in UNITS:
-            raise InputError(f"--vary {text}: unknown quantity {name!r}; vary two of {known(UNITS)}, {example}")
+            raise InputError(f"--vary {text}: unknown quantity {name!r}; vary two of {listing(UNITS)}, {example}")
         try:
             low, high, count = float(numbers[0]), float(numbers[1]), int(numbers[2])
             wrong = len(numbers) != 3
@@ -54,7 +54,7 @@ def read_axes(texts: Sequence[str]) -> tuple[Axis, Axis]:
             raise InputError(f"--vary {text}: {count} point(s) make no axis; give 2 or more")
         axes.append(Axis(name, tuple(np.linspace(low, high, count).tolist())))
     if axes[0].name == axes[1].name:
-        raise InputError(f"--vary {axes[0].name} twice; vary two different ones of {known(UNITS)}")
+        raise InputError(f"--vary {axes[0].name} twice; vary two different ones of {listing(UNITS)}")
     if len(axes[0].values) * len(axes[1].values) > MOST_CELLS:
         raise InputError(f"{len(axes[0].values) * len(axes[1].values)} cells are too many; at most {MOST_CELLS}")
     return axes[0], axes[1]

@@ -21,15 +21,15 @@ EVERYWHERE = (1e-9, 1e-12, 1e-6, 1e-4, 1e-3)  # what is taken to disturb states 
 
 
 @one_thread()
-def proved(plant: GeneralizedPlant, G: Array, lower: LowerBound | None = None) -> Certificate:
+def certify_tightly(plant: GeneralizedPlant, G: Array, lower_bound: LowerBound | None = None) -> Certificate:
     """The certificate of a stabilising state gain, with a bound just above its norm if one can be proved, else without.
 
     Args:
         plant: n states, m inputs.
         G: state gain K C_y (6), shape (m, n).
-        lower: what no controller of the gain's kind can beat.
+        lower_bound: what no controller of the gain's kind can beat.
     """
-    plain = certify(plant, G, lower=lower)
+    plain = certify(plant, G, lower_bound=lower_bound)
     if not plain.stable or not np.isfinite(plain.norm.value):
         return plain
     loop = plant.closed_loop(G)

@@ -83,7 +83,7 @@ class Certificate:
         proof: of the bound; None for a gain that came without one.
         speed_up: magnitude of the fastest pole, over that of the plant's fastest pole without control.
         norm_rounding: a norm below this is zero to rounding, and its routes need not agree.
-        lower: what no controller of its kind can beat, with its proof; None where nobody asked.
+        below: the proof of the lower bound, what no controller of its kind can beat; None where nobody asked.
     """
 
     loop: GeneralizedPlant
@@ -92,12 +92,17 @@ class Certificate:
     proof: LmiProof | None
     speed_up: float
     norm_rounding: float
-    lower: LowerBound | None = None
+    below: LowerBound | None = None
 
     @property
     def bound(self) -> float | None:
         """The gamma that the LMI proves; None for a gain that came without a proof."""
         return self.proof.bound if self.proof is not None else None
+
+    @property
+    def lower_bound(self) -> float | None:
+        """What no controller of its kind can beat; None where nobody asked, or only zero is proved."""
+        return (self.below.gamma or None) if self.below is not None else None
 
     @property
     def poles(self) -> Array:
@@ -112,9 +117,9 @@ class Certificate:
     @property
     def gap(self) -> float | None:
         """How far the norm lies above the lower bound, relative; None without a bound, or without a finite norm."""
-        if self.lower is None or self.lower.gamma == 0 or not np.isfinite(self.norm.value):
+        if self.lower_bound is None or not np.isfinite(self.norm.value):
             return None
-        return self.norm.value / self.lower.gamma - 1
+        return self.norm.value / self.lower_bound - 1
 
     @property
     def beyond_actuators(self) -> bool:
@@ -148,7 +153,7 @@ class Certificate:
             if self.norm.value > self.proof.bound:
                 failures.append(f"the norm {self.norm.value:.7g} exceeds the bound {self.proof.bound:.7g}")
         if self.gap is not None and self.gap < -BELOW:
-            failures.append(f"the norm {self.norm.value:.7g} lies below {self.lower.gamma:.7g}, which no controller can beat")  # pyright: ignore[reportOptionalMemberAccess]
+            failures.append(f"the norm {self.norm.value:.7g} lies below the lower bound {self.lower_bound:.7g}")
         return tuple(failures)
 
     def peaks_at(self, omega: float) -> bool:
@@ -162,7 +167,7 @@ class Certificate:
 
 @one_thread()
 def certify(
-    plant: GeneralizedPlant, G: Array, X: Array | None = None, eta: float | None = None, lower: LowerBound | None = None
+    plant: GeneralizedPlant, G: Array, X: Array | None = None, eta: float | None = None, lower_bound: LowerBound | None = None
 ) -> Certificate:
     """Checks a gain, and its proof if it has one.
 
@@ -171,7 +176,7 @@ def certify(
         G: state gain K C_y (6), shape (m, n).
         X: the matrix of (20), shape (n, n).
         eta: gamma^-2 of (20); given with X.
-        lower: what no controller of the gain's kind can beat.
+        lower_bound: what no controller of the gain's kind can beat.
 
     Raises:
         InputError: eta or X is out of range.
@@ -185,7 +190,7 @@ def certify(
         proof=prove_bound(plant, G, X, eta) if X is not None and eta is not None else None,
         speed_up=float(np.abs(found.poles).max() / (np.abs(np.linalg.eigvals(plant.A)).max() or 1.0)),
         norm_rounding=_norm_rounding(loop, norm.peak_frequency) if found.stable else 0.0,
-        lower=lower,
+        below=lower_bound,
     )
 
 

@@ -60,7 +60,7 @@ class LowerBound:
         gamma: the bound; 0, which is always true, where nothing is proved.
         state: witness of state feedback; None where the limit alone proves the bound.
         observer: witness of the transposed plant; None where the bound is that of state feedback.
-        limit_at: frequency [rad/s] where `limit.limit_at` proves the bound; None where the witnesses do.
+        limit_at: frequency [rad/s] where `invariant.limit_at` proves the bound; None where the witnesses do.
     """
 
     gamma: float
@@ -69,7 +69,9 @@ class LowerBound:
     limit_at: float | None = None
 
 
-def lower_bound(plant: GeneralizedPlant, state: Witness, Cy: Array | None = None, observer: Witness | None = None) -> LowerBound:
+def prove_lower_bound(
+    plant: GeneralizedPlant, state: Witness, Cy: Array | None = None, observer: Witness | None = None
+) -> LowerBound:
     """The bound that witnesses prove. Short of the limit of the path it is weaker, by (2 n + d) mu, and easier to prove.
 
     Args:
@@ -83,11 +85,11 @@ def lower_bound(plant: GeneralizedPlant, state: Witness, Cy: Array | None = None
     """
     one = Side.of(plant)
     if observer is None or Cy is None:
-        return proved(one, None, state, None)
-    return proved(one, Side.of(transposed(plant, Cy)), state, observer)
+        return prove_from_sides(one, None, state, None)
+    return prove_from_sides(one, Side.of(transposed(plant, Cy)), state, observer)
 
 
-def proved(one: Side, other: Side | None, state: Witness, observer: Witness | None) -> LowerBound:
+def prove_from_sides(one: Side, other: Side | None, state: Witness, observer: Witness | None) -> LowerBound:
     """The same for sides that are there already."""
     first = _dual(one, state)
     if first is None:

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError, known, quoted
+from models.common.errors import InputError, listing, quoted
 from synth.certificate.certificate import Certificate, eta_of
 from synth.certificate.invariant import limit_at as proved_at
-from synth.certificate.lower_bound import LowerBound, Witness, lower_bound
+from synth.certificate.lower_bound import LowerBound, Witness, prove_lower_bound
 from synth.plant import GeneralizedPlant
 
 CLAIMS = ("norm", "peak_frequency", "bound", "lower_bound")
@@ -25,17 +25,17 @@ SAME = 1e-9  # relative: how far rounding, on another machine, may move a number
 
 def to_record(certificate: Certificate) -> dict[str, Any]:
     """Claims and proofs, as JSON and TOML can hold them; what does not exist or is not finite is left out."""
-    lower = certificate.lower
+    below = certificate.below
     record: dict[str, Any] = {
         "norm": certificate.norm.value,
         "peak_frequency": certificate.norm.peak_frequency,
         "bound": certificate.bound,
-        "lower_bound": lower.gamma if lower is not None and lower.gamma > 0 else None,
-        "limit_at": lower.limit_at if lower is not None else None,
+        "lower_bound": certificate.lower_bound,
+        "limit_at": below.limit_at if below is not None else None,
         "X": certificate.proof.X.tolist() if certificate.proof is not None else None,
     }
     for name in ("state", "observer"):
-        witness = getattr(lower, name, None)
+        witness = getattr(below, name, None)
         if witness is not None:
             record[name] = {"X": witness.X.tolist(), "eta": float(witness.eta)}
     return {
@@ -56,7 +56,7 @@ def read_proof(record: Mapping[str, Any], plant: GeneralizedPlant, Cy: Array) ->
     """
     for key in record:
         if key not in CLAIMS + PROOFS:
-            raise InputError(f"unknown key {key!r} in a certificate; known: {known(CLAIMS + PROOFS)}")
+            raise InputError(f"unknown key {key!r} in a certificate; known: {listing(CLAIMS + PROOFS)}")
         if record[key] is None:
             raise InputError(f"{key} in a certificate is null; what does not exist is left out, so save it again")
     n = len(plant.A)
@@ -74,21 +74,21 @@ def read_proof(record: Mapping[str, Any], plant: GeneralizedPlant, Cy: Array) ->
             raise InputError("X in a certificate is not symmetric; save it again")
     bound = _number(record, "bound")
     eta = eta_of(bound) if bound is not None else None
-    lower = LowerBound(0.0)
+    lower_bound = LowerBound(0.0)
     limit_at = _number(record, "limit_at")
     if limit_at is not None:
-        lower = LowerBound(proved_at(plant, limit_at), limit_at=limit_at)
+        lower_bound = LowerBound(proved_at(plant, limit_at), limit_at=limit_at)
     state, observer = _witness(record, "state"), _witness(record, "observer")
     if state is not None:
         try:
-            proved = lower_bound(plant, state, Cy, observer)
+            proved = prove_lower_bound(plant, state, Cy, observer)
         except ValueError as error:
             raise InputError(f"the witnesses of a certificate do not fit the vehicle: {error}; save it again") from error
-        lower = proved if proved.gamma > lower.gamma else lower
-    return X, eta, lower
+        lower_bound = proved if proved.gamma > lower_bound.gamma else lower_bound
+    return X, eta, lower_bound
 
 
-def untrue(record: Mapping[str, Any], certificate: Certificate) -> list[str]:
+def false_claims(record: Mapping[str, Any], certificate: Certificate) -> list[str]:
     """The claims of a record that the recomputed certificate does not confirm, in words."""
     found = to_record(certificate)
     wrong = []

@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 
 from models.common.command import chosen
-from models.common.errors import InputError, known
+from models.common.errors import InputError, listing
 from models.vehicle import ControllerEntry
 from synth.certificate.certificate import certify
-from synth.certificate.record import read_proof, untrue
+from synth.certificate.record import false_claims, read_proof
 from synth.command.table import Row
 from synth.controller import Controller
 from synth.designer import Designer
@@ -24,7 +24,7 @@ def check(designer: Designer, names: Sequence[str] | None) -> list[Row]:
         raise InputError(f"{vehicle.source} holds no controller with a gain to check; write one with --save")
     for name in names or ():
         if name in vehicle.controller_names and name not in gains:
-            raise InputError(f"--check: {name!r} has no gain in {vehicle.source}; with a gain there are {known(gains)}")
+            raise InputError(f"--check: {name!r} has no gain in {vehicle.source}; with a gain there are {listing(gains)}")
     return [_checked(designer, vehicle.controllers[name]) for name in chosen(gains, names, gains)]
 
 
@@ -33,11 +33,11 @@ def _checked(designer: Designer, entry: ControllerEntry) -> Row:
     Cy, _ = designer.vehicle.linear_model.rows(entry.measured)
     record = entry.certificate or {}
     try:
-        X, eta, lower = read_proof(record, designer.plant, Cy)
+        X, eta, lower_bound = read_proof(record, designer.plant, Cy)
     except InputError as error:
         raise InputError(f"[controllers.{entry.name}] {error}") from error
-    certificate = certify(designer.plant, entry.gain @ Cy, X, eta, lower)
-    failures = (*certificate.failures, *untrue(record, certificate))
+    certificate = certify(designer.plant, entry.gain @ Cy, X, eta, lower_bound)
+    failures = (*certificate.failures, *false_claims(record, certificate))
     note = "checked: every claim of its certificate holds" if record and not failures else ""
     note = note or ("its certificate does not hold" if record else "came without a certificate")
     return Row(entry.name, Controller(entry.name, entry.measured, entry.gain, False, certificate), (note,), failures)

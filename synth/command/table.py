@@ -53,7 +53,7 @@ def row_object(row: Row) -> dict[str, Any]:
         "routes_gap": norm.gap if certificate.stable else None,
         "peak_frequency": finite(norm.peak_frequency),
         "poles": [[float(pole.real), float(pole.imag)] for pole in certificate.poles],
-        "lower_bound": certificate.lower.gamma if certificate.lower is not None and certificate.lower.gamma > 0 else None,
+        "lower_bound": certificate.lower_bound,
         "gap": certificate.gap,
         "stability": certificate.stability.verdict,
         "lmi": _lmi_object(certificate.proof),
@@ -78,11 +78,11 @@ def table_lines(rows: Sequence[Row]) -> list[str]:
             continue
         bound = f"{certificate.bound:.7g}" if certificate.bound is not None else "-"
         at = f"{certificate.norm.peak_frequency:.5g}" if np.isfinite(certificate.norm.peak_frequency) else "-"
-        lower = f"{certificate.lower.gamma:.7g}" if certificate.gap is not None and certificate.lower is not None else "-"
+        lower_bound = f"{certificate.lower_bound:.7g}" if certificate.lower_bound is not None else "-"
         gap = percent(certificate.gap) if certificate.gap is not None else "-"
         slowest = f"{certificate.stability.worst.real:.4g}"
         lines.append(
-            f"{row.name:18s} {bound:>10s} {certificate.norm.value:10.7g} {at:>9s} {lower:>13s} {gap:>11s} {slowest:>13s}"
+            f"{row.name:18s} {bound:>10s} {certificate.norm.value:10.7g} {at:>9s} {lower_bound:>13s} {gap:>11s} {slowest:>13s}"
         )
     return lines
 

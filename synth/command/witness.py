@@ -28,7 +28,7 @@ class Witness:
     Attributes:
         problem: "(22)" or "(25)".
         ours: the optimal gamma by the central path.
-        stopped: how far from it our gain was taken, relative.
+        optimum_gap: how far from it our gain was taken, relative.
         theirs: the optimal gamma by Clarabel; None where it gave none.
         attained: the same with our gain fixed; None likewise.
         said: its own words where it did not simply solve both; else empty.
@@ -36,7 +36,7 @@ class Witness:
 
     problem: str
     ours: float
-    stopped: float
+    optimum_gap: float
     theirs: float | None
     attained: float | None
     said: str
@@ -57,7 +57,7 @@ class Witness:
         found = []
         if self.apart is not None and abs(self.apart) > TOLERANCE:
             found.append(f"Clarabel's optimum of {self.problem} is {self.theirs:.9g}, ours is {self.ours:.9g}")
-        if self.above is not None and not -TOLERANCE <= self.above <= self.stopped + TOLERANCE:
+        if self.above is not None and not -TOLERANCE <= self.above <= self.optimum_gap + TOLERANCE:
             found.append(f"our gain attains {self.attained:.9g} in Clarabel's {self.problem}, whose optimum is {self.theirs:.9g}")
         return tuple(found)
 
@@ -97,7 +97,7 @@ def cross_check(designer: Designer, controller: Controller, zero_l: bool = False
     else:
         which, Q = "(25)", nullspace(Cy)
         path = designer.state_path
-        start = min(path, key=lambda point: abs(point.gamma / path[-1].gamma - 1 - controller.short))
+        start = min(path, key=lambda point: abs(point.gamma / path[-1].gamma - 1 - controller.state_step_gap))
         L = np.zeros((Q.shape[1], len(Cy))) if zero_l else l_matrix(start.X, Cy, Q)
         R = r_matrix(Cy, Q, L)
     # In the coordinates of (12) and in units in which all numbers have size one: else Clarabel gives up on a full car.
@@ -127,4 +127,4 @@ def cross_check(designer: Designer, controller: Controller, zero_l: bool = False
         found[i] = solved.gamma / (disturbance_unit * output_unit)
         if solved.status != "optimal":
             said.append(f"of {which}{what} Clarabel itself says {solved.status!r}")
-    return Witness(which, bound / (1 + controller.stopped), controller.stopped, found[0], found[1], "; ".join(said))
+    return Witness(which, bound / (1 + controller.optimum_gap), controller.optimum_gap, found[0], found[1], "; ".join(said))

@@ -19,7 +19,7 @@ from models.common.errors import InputError
 from models.common.threads import one_thread
 from synth.certificate.exact import floats
 from synth.certificate.invariant import invariant_limit
-from synth.certificate.lower_bound import LowerBound, Witness, proved
+from synth.certificate.lower_bound import LowerBound, Witness, prove_from_sides
 from synth.certificate.side import Side, meeting, transposed
 from synth.certificate.stability import balance
 from synth.lmi.barrier import Barrier, Block, boundary, newton
@@ -36,7 +36,7 @@ ENTER = 1e2  # mu over t at the entry of the joint path, which starts far from i
 
 
 @one_thread()
-def best_possible(
+def find_lower_bound(
     plant: GeneralizedPlant, Cy: Array | None = None, path: Sequence[CentralPoint] = (), beyond_control: LowerBound | None = None
 ) -> LowerBound:
     """A norm that no controller reaches: the larger of what the dual proves and of what no control force changes.
@@ -99,7 +99,7 @@ def _sharpest(one: Side, other: Side | None, points: Sequence[tuple[Witness, Wit
     """The best bound that points of a path prove, from its end back to the first that loses nothing to rounding."""
     best = LowerBound(0.0)
     for state, observer, gamma in reversed(points):
-        best = max(best, proved(one, other, state, observer), key=_gamma)
+        best = max(best, prove_from_sides(one, other, state, observer), key=_gamma)
         if best.gamma >= gamma * (1 - SHARP):
             break
     return best

@@ -22,7 +22,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.threads import one_thread
-from synth.certificate.bounding import proved
+from synth.certificate.bounding import certify_tightly
 from synth.certificate.certificate import Certificate
 from synth.certificate.lower_bound import LowerBound
 from synth.design import Design, two_step_design
@@ -89,7 +89,7 @@ Descent = Callable[[Array, int], Array]
 @one_thread()
 @np.errstate(over="ignore", divide="ignore", invalid="ignore")  # a step too far; what is not finite is refused where it is tried
 def static_output_feedback(
-    plant: GeneralizedPlant, Cy: Array, largest_gain: float = LARGEST_GAIN, lower: LowerBound | None = None
+    plant: GeneralizedPlant, Cy: Array, largest_gain: float = LARGEST_GAIN, lower_bound: LowerBound | None = None
 ) -> StaticDesign:
     """The best static gain that the search finds, no entry larger than `largest_gain`.
 
@@ -97,7 +97,7 @@ def static_output_feedback(
         plant: n states, m inputs.
         Cy: shape (q, n), full row rank.
         largest_gain: bound on |K_ij|. Where the infimum lies at infinity, this is what keeps the gain finite.
-        lower: what no controller of this kind can beat, if it is known: it ends the search early, and goes into the certificate.
+        lower_bound: what no controller of this kind can beat, if known: it ends the search early, and goes into the certificate.
 
     Raises:
         DesignError: no stabilising gain was found.
@@ -106,7 +106,7 @@ def static_output_feedback(
         two_steps = two_step_design(plant, Cy)
     except (DesignError, ValueError, np.linalg.LinAlgError) as error:
         two_steps = str(error)
-    return descended(plant, Cy, two_steps, largest_gain, lower)
+    return descended(plant, Cy, two_steps, largest_gain, lower_bound)
 
 
 @one_thread()
@@ -116,10 +116,10 @@ def descended(
     Cy: Array,
     two_steps: Design | str,
     largest_gain: float = LARGEST_GAIN,
-    lower: LowerBound | None = None,
+    lower_bound: LowerBound | None = None,
 ) -> StaticDesign:
     """The same where the two steps are gone already: their design, or why there is none."""
-    search = _Search(plant, Cy, largest_gain, lower.gamma if lower is not None else 0.0)
+    search = _Search(plant, Cy, largest_gain, lower_bound.gamma if lower_bound is not None else 0.0)
     candidates = search.starts()
     starts = len(candidates)
     if isinstance(two_steps, Design):
@@ -132,7 +132,7 @@ def descended(
     best = search.best(candidates)
     K = search.landscape.gain(best.x)
     found, without = (two_steps, "") if isinstance(two_steps, Design) else (None, two_steps)
-    return StaticDesign(K, proved(plant, K @ Cy, lower), found, without, best.origin, starts)
+    return StaticDesign(K, certify_tightly(plant, K @ Cy, lower_bound), found, without, best.origin, starts)
 
 
 class _Search:

@@ -25,7 +25,7 @@ import numpy as np
 
 from models.common.errors import InputError
 from synth.errors import DesignError
-from synth.lmi.full_order import best_possible
+from synth.lmi.full_order import find_lower_bound
 from synth.plant import GeneralizedPlant
 from synth.search.static import LARGEST_GAIN, static_output_feedback
 
@@ -70,9 +70,9 @@ def _findings(data: dict[str, Any]) -> Iterator[dict[str, Any]]:
     """Cells of a row, as they are found."""
     A, B, Bw, C, D, Dw, Cy = (np.array(data[key], dtype=float) for key in MATRICES[:-1])
     plant = GeneralizedPlant(A, B, Bw, C, D, Dw)
-    lower = best_possible(plant, Cy)
-    yield {"lower_bound": lower.gamma or None}
-    design = static_output_feedback(plant, Cy, LARGEST_GAIN, lower)
+    lower_bound = find_lower_bound(plant, Cy)
+    yield {"lower_bound": lower_bound.gamma or None}
+    design = static_output_feedback(plant, Cy, LARGEST_GAIN, lower_bound)
     certificate = design.certificate
     yield {"gain": design.gain.tolist(), "origin": design.origin, "starts": design.starts, "remarks": certificate.remarks}
     if design.two_steps is not None:
