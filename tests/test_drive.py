@@ -186,8 +186,8 @@ def test_what_linear_numbers_have_not_is_said(capsys, tmp_path):
     (tmp_path / "built.toml").write_text(text + "noise = { sprung_velocity = 1e-3 }\n")
     main(["--vehicle", str(tmp_path / "built.toml"), "--controller", "I", "--class", "B", "--duration", "2", "--no-logs"])
     out = capsys.readouterr().out
-    assert "linear and expected numbers are of a vehicle without bump stops" in out
-    assert "noise and quantisation of what is measured are in MuJoCo's numbers, not in linear and expected ones" in out
+    assert "sampled and expected numbers are of a vehicle without bump stops" in out
+    assert "noise and quantisation of what is measured are in MuJoCo's numbers, not in sampled and expected ones" in out
 
 
 def test_why_the_comparison_ends_is_said(paper, designer):

@@ -603,7 +603,7 @@ def test_csv(log, parts, tmp_path, capsys):
         "run",
         "time [s]",
         "road_displacement mujoco [m]",
-        "road_displacement linear [m]",
+        "road_displacement sampled [m]",
         "road_displacement recomputed [m]",
     ]
     assert len(rows) == 2 * 1001

@@ -1,4 +1,4 @@
-"""A batch of a campaign: many runs at once, measured and compared with their linear twins as they go, one row each."""
+"""A batch of a campaign: many runs at once, measured and compared with their sampled twins as they go, one row each."""
 
 from collections.abc import Callable, Sequence
 from typing import Any

@@ -1,4 +1,4 @@
-"""The exact linear responses of many runs, beside them and as fast."""
+"""The exact sampled responses of many runs, beside them and as fast."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any

@@ -13,7 +13,7 @@ from models.common.errors import InputError
 from models.common.numbers import finite
 from sim.inspect.log import Recorded, RecordedRun, read_json
 from sim.inspect.reproduction import FEWEST, as_response
-from sim.recording.format import RESULTS, WHOLE
+from sim.recording.format import CONTINUOUS, RESULTS, SAMPLED, WHOLE
 from sim.response.response import Response
 from sim.ride.metrics import DEFINITIONS
 from sim.runs.agreement import ROUNDING
@@ -102,10 +102,10 @@ def check_certificate(controller: Controller, recorded: RecordedRun, current: bo
 
 
 def check_linear(again: Prediction, recorded: RecordedRun, samples: int) -> Iterator[Finding]:
-    """The logged linear responses, road included, against those that follow from gain and road."""
+    """The logged sampled and continuous responses, road included, against those that follow from gain and road."""
     worst = 0.0
-    for name, response in {"linear": again.sampled, "continuous": again.continuous}.items():
-        far, signal = _apart(as_response(again.vehicle, recorded, name, samples, again.timestep), response)
+    for topic, name, response in ((SAMPLED, "sampled", again.sampled), (CONTINUOUS, "continuous", again.continuous)):
+        far, signal = _apart(as_response(again.vehicle, recorded, topic, samples, again.timestep), response)
         worst = max(worst, far)
         if not far <= ROUNDING:
             yield Finding("linear response", FAILS, f"{signal} of the {name} response is {far:.1e} of its peak off")

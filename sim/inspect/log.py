@@ -19,10 +19,10 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from sim.inspect.mcap_contents import Logged, McapFile
 from sim.inspect.mcap_reader import read_mcap
-from sim.recording.format import FORMAT, SINCE
+from sim.recording.format import CONTINUOUS, FORMAT, MUJOCO, SAMPLED, SINCE
 from sim.recording.mcap_writer import PACKAGE
 
-RESPONSES = ("mujoco", "linear", "continuous")
+RESPONSES = (MUJOCO, SAMPLED, CONTINUOUS)
 NAME = re.compile(r"[\w-]{1,120}")  # of a run; a controller's, and what a command adds to it
 MOST_JSON = 8 * 2**20  # bytes; parsed, it may take twenty times as much
 MOST_ABOUT = 4096  # characters that say unit, symbol and meaning of a signal

@@ -38,6 +38,7 @@ from sim.inspect.reproduction import (
     recorded_vehicle,
     usable_samples,
 )
+from sim.recording.format import MUJOCO
 from sim.recording.run_log import RunLog
 from sim.runs.prediction import Prediction
 from sim.runs.run import Run, judge
@@ -211,7 +212,7 @@ def _inspect(log: Recorded, vehicle: Vehicle, recorded: RecordedRun, h: float, c
         return inspected()
     findings += _guarded("linear response", MISSING, lambda: check_linear(again, recorded, samples))
     try:
-        (run,) = judge([again], [as_response(own, recorded, "mujoco", samples, h)])
+        (run,) = judge([again], [as_response(own, recorded, MUJOCO, samples, h)])
     except (ValueError, ArithmeticError, RuntimeError) as error:
         findings.append(Finding("physics", MISSING, str(error)))
         return inspected(again)

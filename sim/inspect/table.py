@@ -1,4 +1,4 @@
-"""The signals of a log as one CSV table: MuJoCo's, the linear response as it was logged, and as it is computed anew."""
+"""The signals of a log as one CSV table: MuJoCo's, the sampled response as it was logged, and as it is computed anew."""
 
 import csv
 import math
@@ -11,6 +11,7 @@ from models.common.errors import InputError
 from models.common.whole_file import whole_file
 from sim.inspect.proof import Inspected, Proof
 from sim.inspect.reproduction import as_response
+from sim.recording.format import MUJOCO, SAMPLED
 
 
 def write_signals(path: Path, proof: Proof) -> None:
@@ -30,7 +31,7 @@ def write_signals(path: Path, proof: Proof) -> None:
         columns = [
             f"{signal.name} {which} [{signal.unit}]"
             for signal in proof.vehicle.kind.signals
-            for which in ("mujoco", "linear", "recomputed")
+            for which in ("mujoco", "sampled", "recomputed")
         ]
         writer.writerow(["run", "time [s]", *columns])
         for one in proof.runs:
@@ -44,7 +45,7 @@ def _rows(proof: Proof, one: Inspected) -> Array:
     assert proof.vehicle is not None, "the caller has asked"
     nothing = np.full((one.samples, len(proof.vehicle.kind.signals)), np.nan)
     tables = []
-    for name in ("mujoco", "linear"):
+    for name in (MUJOCO, SAMPLED):
         try:
             tables.append(as_response(proof.vehicle, one.recorded, name, one.samples, proof.timestep).values)
         except InputError:

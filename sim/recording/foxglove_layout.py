@@ -1,4 +1,4 @@
-"""A layout for Foxglove and Lichtblick that opens a log: the car in 3D, MuJoCo over linear for every signal, the differences.
+"""A layout for Foxglove and Lichtblick that opens a log: the car in 3D, MuJoCo over sampled for every signal, the differences.
 
 Both import it as "Import from file..." in their list of layouts. Format: a panel's settings by `TYPE!NAME`, and a tree of
 rows and columns; https://docs.foxglove.dev/docs/visualization/layouts.
@@ -13,6 +13,7 @@ import numpy as np
 
 from models.signals import Signal
 from sim.figures.figure import styles, tint
+from sim.recording.format import MUJOCO, SAMPLED
 from sim.recording.foxglove_scene import WORLD, frame
 from sim.recording.mcap_writer import topic
 from sim.recording.run_log import RunLog
@@ -55,16 +56,16 @@ def _page(panels: dict[str, Any], runs: Sequence[RunLog], run: RunLog) -> Any:
 
 
 def _difference(panels: dict[str, Any], runs: Sequence[RunLog], run: RunLog, group: str, signals: Sequence[Signal]) -> list[str]:
-    """A plot of MuJoCo minus linear, where there are both."""
-    if not {"mujoco", "linear"} <= set(run.responses):
+    """A plot of MuJoCo minus sampled, where there are both."""
+    if not {MUJOCO, SAMPLED} <= set(run.responses):
         return []
-    made = difference(run.responses["mujoco"], run.responses["linear"]).names
+    made = difference(run.responses[MUJOCO], run.responses[SAMPLED]).names
     names = [signal.name for signal in signals if signal.name in made]
     paths = [
         _path(topic(runs, run, "difference"), name, name.replace("_", " "), PALETTE[i % len(PALETTE)], 1.5)
         for i, name in enumerate(names)
     ]
-    title = "difference: MuJoCo - linear, of each signal's peak"
+    title = "difference: MuJoCo - sampled, of each signal's peak"
     return [_plot(panels, f"{run.name} difference {group}", title, paths)] if names else []
 
 

@@ -21,6 +21,7 @@ from models.common.arrays import Array
 from models.signals import Signal
 from sim.figures.figure import rgb, styles
 from sim.recording.appearance import largest_force
+from sim.recording.format import MUJOCO, SAMPLED
 from sim.recording.run_log import RunLog
 from sim.response.difference import difference
 from sim.response.response import Response
@@ -104,7 +105,7 @@ def channels(runs: Sequence[RunLog]) -> Iterator[Channel]:
 
     One topic per response, `/mujoco` for a single run and `/I/mujoco` among several: a message per sample, a double per
     signal, log_time = publish_time = t in ns. The channel's metadata holds unit, symbol and meaning of every signal, as
-    JSON by the signal's name; the schema has them as comments. `/difference` is MuJoCo minus linear, of each signal's peak, in
+    JSON by the signal's name; the schema has them as comments. `/difference` is MuJoCo minus sampled, of each signal's peak, in
     single precision. Events are `foxglove.Log` on `/events`, and the moving car is on `/transforms`, `/shapes` and `/scene` in
     Foxglove's published schemas.
     A channel without messages is left out.
@@ -112,8 +113,8 @@ def channels(runs: Sequence[RunLog]) -> Iterator[Channel]:
     numbers: dict[tuple[Signal, ...], int] = {}
     for run in runs:
         responses = {name: (response, "<f8") for name, response in run.responses.items()}
-        if {"mujoco", "linear"} <= set(responses):
-            responses["difference"] = (difference(run.responses["mujoco"], run.responses["linear"]), "<f4")
+        if {MUJOCO, SAMPLED} <= set(responses):
+            responses["difference"] = (difference(run.responses[MUJOCO], run.responses[SAMPLED]), "<f4")
         for name, (response, kind) in responses.items():
             number = numbers.setdefault(response.signals, len(numbers) + 1)
             yield Channel(

@@ -15,7 +15,7 @@ from typing import Any
 from models.mjcf import mjcf_text
 from models.vehicle import Vehicle
 from sim.recording.drawing import scene_of
-from sim.recording.format import FORMAT, check_keys
+from sim.recording.format import CONTINUOUS, FORMAT, MUJOCO, SAMPLED, check_keys
 from sim.recording.run_log import RunLog
 from sim.runs.run import Run
 from sim.runs.words import controller_object, energy_object, events, half_step_object, summary
@@ -103,7 +103,7 @@ def record_runs(
     from sim.recording.files import record  # it imports Rerun
 
     check_keys(command_of(command_line), result)
-    time = runs[0].responses["mujoco"].time
+    time = runs[0].responses[MUJOCO].time
     timestep = float(time[1] - time[0])
     paths = record(
         folder,
@@ -143,7 +143,7 @@ def run_log(run: Run, name: str | None = None) -> RunLog:
         claims["road_file"] = file
     return RunLog(
         name=name or run.controller.name,
-        responses={"mujoco": run.physics, "linear": run.sampled, "continuous": run.continuous},
+        responses={MUJOCO: run.physics, SAMPLED: run.sampled, CONTINUOUS: run.continuous},
         metadata={key: value if isinstance(value, str) else json.dumps(value) for key, value in claims.items()},
         events=events(run),
         summary=summary(run),

@@ -9,6 +9,7 @@ import rerun.blueprint as rrb
 
 from models.common.arrays import Array
 from models.signals import Signal
+from sim.recording.format import MUJOCO, SAMPLED
 from sim.recording.rerun_signals import TIMELINE, colours, entity, line
 from sim.recording.run_log import RunLog
 from sim.recording.signal_groups import groups, shown, signals_of
@@ -57,7 +58,7 @@ def _page(run: RunLog) -> rrb.Container:
         grid = rrb.Grid(*plots, grid_columns=2 if len(plots) <= 8 else 3)
         gap = rrb.TimeSeriesView(
             origin=entity(run.name, "difference", name),
-            name=f"difference: MuJoCo - linear, of each signal's peak{_largest(run, group)}",
+            name=f"difference: MuJoCo - sampled, of each signal's peak{_largest(run, group)}",
             axis_x=rrb.TimeAxis(link="LinkToGlobal"),
             plot_legend=rrb.PlotLegend(corner="RightTop"),
             background=rrb.archetypes.PlotBackground(color=PAPER, show_grid=False),
@@ -73,9 +74,9 @@ def _page(run: RunLog) -> rrb.Container:
 
 def _largest(run: RunLog, group: Sequence[Signal]) -> str:
     """The largest of the differences, which the verdict is about."""
-    if not {"mujoco", "linear"} <= set(run.responses):
+    if not {MUJOCO, SAMPLED} <= set(run.responses):
         return ""
-    gap = difference(run.responses["mujoco"], run.responses["linear"])
+    gap = difference(run.responses[MUJOCO], run.responses[SAMPLED])
     peaks = {signal.name: float(gap.peak(signal.name)) for signal in group if signal.name in gap.names}
     worst = max(peaks, key=lambda name: peaks[name], default="")
     return f"; largest {peaks[worst]:.1e}, {worst.replace('_', ' ')}" if worst and np.isfinite(peaks[worst]) else ""

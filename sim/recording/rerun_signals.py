@@ -7,6 +7,7 @@ import rerun as rr
 
 from models.common.arrays import Array
 from sim.figures.figure import rgb, styles, tint
+from sim.recording.format import MUJOCO, SAMPLED
 from sim.recording.run_log import RunLog
 from sim.recording.signal_groups import PALETTE, RESPONSES, groups, shown, signals_of
 from sim.response.difference import difference
@@ -53,10 +54,10 @@ def log_signals(recording: rr.RecordingStream, run: RunLog, color: str) -> None:
 
 
 def log_difference(recording: rr.RecordingStream, run: RunLog) -> None:
-    """MuJoCo minus linear, of each signal's peak, at `difference/<group>`: one series for each signal of a group."""
-    if not {"mujoco", "linear"} <= set(run.responses):
+    """MuJoCo minus sampled, of each signal's peak, at `difference/<group>`: one series for each signal of a group."""
+    if not {MUJOCO, SAMPLED} <= set(run.responses):
         return
-    gap = difference(run.responses["mujoco"], run.responses["linear"])
+    gap = difference(run.responses[MUJOCO], run.responses[SAMPLED])
     for name, group in groups(signals_of([run])).items():
         names = [signal.name for signal in group if signal.name in gap.names]
         if not names:

@@ -13,7 +13,7 @@ class RunLog:
 
     Attributes:
         name: the controller's name.
-        responses: by topic: `mujoco` (physics), `linear` (its exact sampled counterpart), `continuous` (the paper's closed loop).
+        responses: by topic, see `sim.recording.format`: the physics, its exact sampled counterpart, the paper's continuous loop.
         metadata: what is claimed of the run, as text by key; JSON where a value has structure.
         events: (time [s], text): lift-off and landing, divergence.
         summary: design and verdict as Markdown.

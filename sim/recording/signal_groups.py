@@ -4,11 +4,12 @@ from collections.abc import Sequence
 
 from models.signals import Signal
 from sim.figures.figure import OTHERS, STYLES
+from sim.recording.format import CONTINUOUS, MUJOCO, SAMPLED
 from sim.recording.run_log import RunLog
 
 # Rerun draws in the order of names, so physics comes last: a thin line within broad ones. Where it leaves them, all are
 # seen. By response: (label, share of white in the run's colour, width).
-RESPONSES = {"continuous": ("continuous", 0.78, 8.0), "linear": ("linear", 0.5, 4.5), "mujoco": ("MuJoCo", 0.0, 1.5)}
+RESPONSES = {CONTINUOUS: ("continuous", 0.78, 8.0), SAMPLED: ("sampled", 0.5, 4.5), MUJOCO: ("MuJoCo", 0.0, 1.5)}
 
 PALETTE = (*(color for color, _ in STYLES.values()), *OTHERS)  # of curves that stand for no run
 
@@ -36,4 +37,4 @@ def groups(signals: Sequence[Signal]) -> dict[str, tuple[Signal, ...]]:
 
 def shown(run: RunLog) -> str:
     """The response that stands for a run: its physics."""
-    return "mujoco" if "mujoco" in run.responses else next(iter(run.responses))
+    return MUJOCO if MUJOCO in run.responses else next(iter(run.responses))

@@ -1,4 +1,4 @@
-"""The metrics of a run, in MuJoCo, in the linear response over the same road, and expected over all such roads; in words, too."""
+"""The metrics of a run: MuJoCo's, the sampled response's over the same road, those expected of all such roads; in words too."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ class Measured:
     Attributes:
         unit: SI.
         mujoco: of the physics; None where the run broke off.
-        linear: of the exact sampled response over the same road; None where the run broke off.
+        sampled: of the exact sampled response over the same road; None where the run broke off.
         expected: over all roads of this kind, from their spectrum; None where the road has none, the loop is unstable, or nobody
             has worked it out.
         spread: its standard deviation from road to road; None where it is not known.
@@ -32,7 +32,7 @@ class Measured:
 
     unit: str
     mujoco: float | None
-    linear: float | None
+    sampled: float | None
     expected: float | None
     spread: float | None
     approximate: bool
@@ -62,7 +62,7 @@ def first_sample(vehicle: Vehicle, controllers: Sequence[Controller], road: Road
 
 
 def measure_run(run: Run, first: int) -> RunMetrics:
-    """The metrics of a run from sample `first` on, beside their linear predictions."""
+    """The metrics of a run from sample `first` on, beside their predictions."""
     vehicle, road, time, timestep = run.vehicle, run.road, run.prediction.time, run.prediction.timestep
     expected: Expected | None = None
     begun: Settled | None = None
@@ -70,15 +70,15 @@ def measure_run(run: Run, first: int) -> RunMetrics:
         expected = expect(vehicle, run.controller, spectrum, timestep, (len(time) - first) * timestep)
         begun = settled(vehicle, run.controller, spectrum, timestep, float(time[first]))
     mujoco: Mapping[str, float] = {}
-    linear: Mapping[str, float] = {}
+    sampled: Mapping[str, float] = {}
     if run.broke_off is None:
         with np.errstate(over="ignore", invalid="ignore"):  # an unstable loop overflows
-            mujoco, linear = (measure(vehicle, response, first) for response in (run.physics, run.sampled))
+            mujoco, sampled = (measure(vehicle, response, first) for response in (run.physics, run.sampled))
     metrics = {
         metric.name: Measured(
             metric.unit,
             mujoco.get(metric.name),
-            linear.get(metric.name),
+            sampled.get(metric.name),
             expected.mean.get(metric.name) if expected else None,
             expected.spread.get(metric.name) if expected else None,
             expected is not None and metric.name.endswith(APPROXIMATE),
@@ -89,12 +89,12 @@ def measure_run(run: Run, first: int) -> RunMetrics:
 
 
 def beside(vehicle: Vehicle) -> list[str]:
-    """What MuJoCo's metrics have in them, and linear and expected ones have not."""
+    """What MuJoCo's metrics have in them, and sampled and expected ones have not."""
     lines = []
     if vehicle.limits.suspension_stroke is not None or vehicle.limits.actuator_force is not None:
-        lines.append("linear and expected numbers are of a vehicle without bump stops and with forces of any size")
+        lines.append("sampled and expected numbers are of a vehicle without bump stops and with forces of any size")
     if vehicle.implementation.noise or vehicle.implementation.quantisation:
-        lines.append("noise and quantisation of what is measured are in MuJoCo's numbers, not in linear and expected ones")
+        lines.append("noise and quantisation of what is measured are in MuJoCo's numbers, not in sampled and expected ones")
     return lines
 
 
@@ -123,10 +123,10 @@ def metric_lines(run: Run, found: RunMetrics, start: float, end: float) -> list[
         return [f"  {note}" for note in notes]
     width = max(len(name) for name in measured)
     random = any(one.expected is not None for one in measured.values())
-    head = f"  {f'measured from {start:.4g} to {end:.4g} s':{width}}  {'unit':8}{'MuJoCo':>11}{'linear':>11}"
+    head = f"  {f'measured from {start:.4g} to {end:.4g} s':{width}}  {'unit':8}{'MuJoCo':>11}{'sampled':>11}"
     lines = [head + (f"{'expected':>11}{'from road to road':>20}" if random else "")]
     for name, one in measured.items():
-        line = f"  {name:{width}}  {one.unit:8}{cell(one.mujoco, '.4g'):>11}{cell(one.linear, '.4g'):>11}"
+        line = f"  {name:{width}}  {one.unit:8}{cell(one.mujoco, '.4g'):>11}{cell(one.sampled, '.4g'):>11}"
         spread = f"+- {cell(one.spread, '.4g')}" if one.spread is not None else ""
         expected = ("~" if one.approximate and one.expected else "") + cell(one.expected, ".4g")
         lines.append((line + (f"{expected:>11}{spread:>20}" if random else "")).rstrip())
@@ -149,7 +149,7 @@ def _metrics(measured: Mapping[str, Measured]) -> dict[str, Any]:
         name: {
             "unit": one.unit,
             "mujoco": finite(one.mujoco),
-            "linear": finite(one.linear),
+            "linear": finite(one.sampled),  # in files it is called so, see `sim.recording.format`
             "expected": finite(one.expected),
             "spread": finite(one.spread),
             "approximate": one.approximate,

@@ -146,7 +146,7 @@ def verdict_lines(run: Run) -> list[str]:
 
 @np.errstate(over="ignore")
 def run_lines(run: Run, passive: Run | None) -> list[str]:
-    """The table of one run: peak and rms of every signal, physics and linear, their errors, the change against passive."""
+    """The table of one run: peak and rms of every signal, physics and sampled, their errors, the change against passive."""
     headings = ("signal", "unit", "", "MuJoCo", "sampled", "continuous", "error", "to cont.", "vs passive")
     rows: list[tuple[str, ...]] = [headings]
     for name, signal in run.agreement.signals.items():
@@ -179,11 +179,11 @@ def summary(run: Run) -> str:
     lines += [f"- {line.strip()}" for line in controller_lines(run.vehicle, run.controller)[1:]]
     lines += [f"- measures {', '.join(run.controller.measured) or 'nothing'}", "", "## Verdict", ""]
     lines += [f"- {line}" for line in [*verdict_lines(run), *energy_lines(run)]]
-    lines += ["", "| signal | peak MuJoCo | peak linear | error |", "|---|---|---|---|"]
+    lines += ["", "| signal | peak MuJoCo | peak sampled | error |", "|---|---|---|---|"]
     for name, signal in run.agreement.signals.items():
         unit = run.vehicle.kind.signal(name).unit
-        physics, linear = float(run.physics.peak(name)), float(run.sampled.peak(name))
-        lines.append(f"| {name} [{unit}] | {physics:.6g} | {linear:.6g} | {signal.sampled:.1e} |")
+        physics, sampled = float(run.physics.peak(name)), float(run.sampled.peak(name))
+        lines.append(f"| {name} [{unit}] | {physics:.6g} | {sampled:.6g} | {signal.sampled:.1e} |")
     return "\n".join(lines) + "\n"
 
 
