@@ -13,12 +13,12 @@ from sim.campaign.plan import Plan, PlannedRun
 from sim.campaign.samples import with_sample
 from sim.campaign.twin import Twin
 from sim.physics.readout import reads_out
-from sim.physics.simulate import BLOCK, DIVERGED, in_blocks
-from sim.response.regime import END_NAMES, EndDetector
+from sim.physics.simulate import DIVERGED
+from sim.physics.watched import Watched
+from sim.response.regime import END_NAMES
 from sim.ride.expected import Expected, expect
 from sim.ride.metrics import Meter
 from sim.ride.settled import Settled, settled
-from sim.roads.road import under_wheels
 
 
 def run_batch(plan: Plan, start: int, stop: int, stopped: Callable[[], bool] = lambda: False) -> list[dict[str, Any]] | None:
@@ -51,36 +51,25 @@ def run_batch(plan: Plan, start: int, stop: int, stopped: Callable[[], bool] = l
 
 
 def _drive(campaign: Campaign, runs: Sequence[PlannedRun], stopped: Callable[[], bool]) -> list[dict[str, Any]] | None:
-    vehicles, time, h = [run.vehicle for run in runs], campaign.time, campaign.timestep
-    halves = np.arange(2 * len(time)) * (h / 2)
-    heights = np.empty((len(halves), len(runs), len(vehicles[0].kind.wheels)))
-    for i, run in enumerate(runs):
-        heights[:, i] = under_wheels(run.road.displacement, run.road, run.vehicle, halves)
-    now, midway = heights[::2], heights[1::2]
-
+    vehicles, time = [run.vehicle for run in runs], campaign.time
+    watched = Watched(vehicles, [run.controller for run in runs], [run.road for run in runs], time)
     random = runs[0].choice.random
     first = campaign.first if random else 0
-    meter = Meter(vehicles, h, first)
-    twin = Twin(runs, now, midway, h, None if random else first)
-    ends = EndDetector(vehicles, time)
-    diverged = np.full(len(runs), np.inf)
-    for block in in_blocks(vehicles, [run.controller for run in runs], now, midway, h, 1, BLOCK):
+    meter = Meter(vehicles, campaign.timestep, first)
+    twin = Twin(runs, watched.now, watched.midway, campaign.timestep, None if random else first)
+    for block in watched.blocks():
         if stopped():
             return None
-        times = time[block.start : block.start + len(block.values)]
-        diverged = np.minimum(diverged, block.diverged(time))
-        if np.isfinite(diverged).any():
-            block.clip()
         meter.update(block.values)
-        ends.update(block.start, block.values)
-        twin.update(block.start, block.values, np.minimum(ends.first, diverged), times)
+        twin.update(block.start, block.values, watched.until, time[block.start : block.start + len(block.values)])
 
+    ends, diverged, until = watched.ends, watched.diverged, watched.until
     measured, errors, linear = meter.result(), twin.errors(), twin.metrics()
     expected = _Expectations(campaign)
     rows = []
     for i, run in enumerate(runs):
         broken = bool(np.isfinite(diverged[i]))
-        ended = min(diverged[i], ends.first[i])
+        ended = until[i]
         row = dict(run.inputs)
         flat = float(ends.flat[i])
         row["reason"] = (

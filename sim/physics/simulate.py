@@ -30,7 +30,6 @@ from synth.controller import Controller
 DIVERGED = 1e8  # a signal beyond this, in SI units, is no vehicle any more
 
 # Of runs that are not kept whole:
-BLOCK = 200  # samples; what is recorded of them stays in the cache
 RUNS_AT_ONCE = 256  # more hardly save time
 MOST_HEIGHTS = 5_200_000  # of roads, 16 bytes each: 256 quarter-cars for 20 s at 1 ms
 

@@ -11,6 +11,10 @@ from models.vehicle import Vehicle
 from sim.response.response import Response
 
 AT = 1 - 1e-12  # of a threshold: a force at its limit is equal to it, to rounding
+# m; the stiffest tyre, squeezed nearly flat, flings a hub 1 mm off its way within 1 ms. A reading that is through a hub, and yet
+# not that of a flat tyre, has jumped by 0.1 m and more, as hubs are 0.3 m and more over their roads.
+JUMP = 0.02
+BLOCK = 200  # samples of many runs at once that stay in the cache
 
 
 @dataclass(frozen=True)
@@ -127,45 +131,24 @@ def utilisation(vehicle: Vehicle, response: Response) -> Array:
     return np.stack(columns, axis=-1)
 
 
-def reached(vehicle: Vehicle, response: Response, factor: Array | float = 1.0) -> Array:
-    """When each of `REGIME_ENDS` is first reached [s], infinite where it is not, shape (..., 4).
-
-    Args:
-        vehicle: the vehicle.
-        response: of the physics, where a force stops at its limit, or of the linear model, where it would go on. Leading axes are
-            runs.
-        factor: multiplies the response; shape (N,) adds a leading axis to that of a single run.
-    """
-    factor = np.asarray(factor)[..., None]
-    columns = []
-    for end in REGIME_ENDS:
-        first = np.full(np.broadcast_shapes(factor.shape[:-1], response.values.shape[:-2]), np.inf)
-        for limit in end.thresholds(vehicle):
-            beyond = factor * limit.towards(response[limit.signal]) >= AT * limit.value
-            first = np.minimum(first, np.where(beyond.any(axis=-1), response.time[beyond.argmax(axis=-1)], np.inf))
-        columns.append(first)
-    return np.stack(columns, axis=-1)
-
-
 class EndDetector:
-    """What ends the linear regime of each of N runs first, and when, from their signals block by block.
+    """When each of N runs first reaches each of `REGIME_ENDS`, from their signals, whole or block by block.
 
-    A tyre's length is never below zero, so where a road rises through a hub within a step, the reading is that of a tyre that is
-    long again. Therefore a tyre is flat, too, where the road has risen that far over where the hub was a sample before.
+    What is read of a tyre in MuJoCo is a length, never below zero: where a road rises through a hub within a step, the reading
+    is that of a tyre that is long again, of a hub that has jumped. Therefore a tyre is flat, too, where its hub has jumped and
+    the road has risen that far over where the hub would be, had it gone on as before.
 
     Attributes:
-        first: when [s], infinite for never, shape (N,).
-        which: what, as an index into `REGIME_ENDS`, -1 for nothing, shape (N,). Of two at one sample, the one named first.
-        flat: when a tyre is first flat, whatever came before, shape (N,).
+        times: when each is first reached [s], infinite where it is not, shape (N, 4).
     """
 
-    def __init__(self, vehicles: Sequence[Vehicle], time: Array) -> None:
-        self.time, count = time, len(vehicles)
-        self.first, self.which, self.flat = np.full(count, np.inf), np.full(count, -1), np.full(count, np.inf)
+    def __init__(self, vehicles: Sequence[Vehicle], time: Array, predicted: bool = False) -> None:
+        """For runs over these sample times [s], as MuJoCo reads them, or as they are predicted: then tyres go on through hubs."""
+        self.samples, self.times = time, np.full((len(vehicles), len(REGIME_ENDS)), np.inf)
         names = [signal.name for signal in vehicles[0].kind.signals]
-        roads = {wheel.tyre_deflection: wheel.road_displacement for wheel in vehicles[0].kind.wheels}
+        roads = {wheel.tyre_deflection: wheel.road_displacement for wheel in vehicles[0].kind.wheels if not predicted}
         self.road = {names.index(tyre): names.index(road) for tyre, road in roads.items()}
-        self.hub: dict[int, Array] = {}  # at the last sample, by tyre [m], shape (N,)
+        self.hubs: dict[int, Array] = {}  # at the last two samples, by tyre [m], shape (2, N)
         # (end, threshold of the first run, its signal, the value of every run)
         self.limits = [
             (end, limits[0], names.index(limits[0].signal), AT * np.array([limit.value for limit in limits]))
@@ -173,26 +156,63 @@ class EndDetector:
             for limits in zip(*(kind.thresholds(vehicle) for vehicle in vehicles), strict=True)
         ]
 
+    @property
+    def first(self) -> Array:
+        """When the first of them is reached [s], shape (N,)."""
+        return self.times.min(axis=1)
+
+    @property
+    def which(self) -> Array:
+        """Which that is, as an index into `REGIME_ENDS`, -1 for none, shape (N,)."""
+        return first_end(self.times)
+
+    @property
+    def flat(self) -> Array:
+        """When a tyre is first flat, whatever came before [s], shape (N,)."""
+        return self.times[:, REGIME_ENDS.index(FLAT)]
+
     def update(self, start: int, values: Array) -> None:
         """Takes the block of signals, shape (B, S, N), that starts at a sample."""
         for end, threshold, signal, limit in self.limits:
-            reached = threshold.towards(values[:, signal])
-            if REGIME_ENDS[end] is FLAT:
-                reached = np.maximum(reached, self._risen(signal, values))
-            for i in np.flatnonzero(reached.max(axis=0) >= limit):
-                when = self.time[start + int(np.argmax(reached[:, i] >= limit[i]))]
-                if REGIME_ENDS[end] is FLAT:
-                    self.flat[i] = min(self.flat[i], when)
-                if when < self.first[i]:
-                    self.first[i], self.which[i] = when, end
+            towards = threshold.towards(values[:, signal])
+            if REGIME_ENDS[end] is FLAT and signal in self.road:
+                towards = np.maximum(towards, self._risen(signal, values))
+            beyond = towards >= limit
+            hit = np.flatnonzero(beyond.any(axis=0))
+            when = self.samples[start + beyond[:, hit].argmax(axis=0)]
+            self.times[hit, end] = np.minimum(self.times[hit, end], when)
 
     def _risen(self, tyre: int, values: Array) -> Array:
-        """How far a road has risen over where the hub was a sample before [m], shape (B, N)."""
+        """How far a road is over where its hub would be, had it not jumped but gone on as before [m], shape (B, N)."""
         road = values[:, self.road[tyre]]
         hub = values[:, tyre] + road
-        before = self.hub[tyre] if tyre in self.hub else hub[0]
-        self.hub[tyre] = hub[-1]
-        return road - np.concatenate([before[None], hub[:-1]])
+        hubs = np.concatenate([self.hubs[tyre] if tyre in self.hubs else hub[[0, 0]], hub])
+        self.hubs[tyre] = hubs[-2:]
+        before = 2 * hubs[1:-1] - hubs[:-2]
+        return np.where(hub - before > JUMP, road - before, -np.inf)
+
+
+def reached(vehicle: Vehicle, response: Response) -> Array:
+    """When physics first reaches each of `REGIME_ENDS` [s], infinite where it does not, shape (..., 4); leading axes are runs."""
+    leading, whole = response.values.shape[:-2], response.values.shape[-2:]
+    runs = response.values.reshape(-1, *whole)
+    detector = EndDetector([vehicle] * len(runs), response.time)
+    detector.update(0, np.moveaxis(runs, 0, 2))
+    return detector.times.reshape(*leading, len(REGIME_ENDS))
+
+
+def scaled_reached(vehicle: Vehicle, response: Response, factors: Array) -> Array:
+    """When a linear response, which no limit stops, would reach each of `REGIME_ENDS` [s], times N factors, shape (N, 4).
+
+    Args:
+        vehicle: the vehicle.
+        response: of one run.
+        factors: below zero too, as over a hole; shape (N,).
+    """
+    detector = EndDetector([vehicle] * len(factors), response.time, predicted=True)
+    for start in range(0, len(response.time), BLOCK):
+        detector.update(start, response.values[start : start + BLOCK, :, None] * factors)
+    return detector.times
 
 
 def first_end(times: Array) -> Array:

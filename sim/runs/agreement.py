@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from models.vehicle import Vehicle
-from sim.response.regime import AT, END_NAMES, FLAT, LIFT_OFF, REGIME_ENDS, reached
+from sim.response.regime import AT, END_NAMES, LIFT_OFF, reached
 from sim.response.response import Response
 from sim.runs.prediction import Prediction
 
@@ -78,8 +78,6 @@ def compare(prediction: Prediction, physics: Response) -> Agreement:
     vehicle, spread, diverged = prediction.vehicle, prediction.spread, physics.diverged
     sampled, integrated, continuous = prediction.sampled, prediction.integrated, prediction.continuous
     ended = dict(zip(END_NAMES, reached(vehicle, physics).tolist(), strict=True))
-    # A hub that goes through the road within a step escapes the physics' own samples, but not the prediction's.
-    ended[FLAT.name] = min(ended[FLAT.name], float(reached(vehicle, sampled)[REGIME_ENDS.index(FLAT)]))
     until = min(*ended.values(), _first_loose(vehicle, physics), diverged)
     lift_off = lift_off_intervals(vehicle, physics)
     physics, sampled, integrated, continuous = (r.until(until) for r in (physics, sampled, integrated, continuous))

@@ -17,9 +17,10 @@ from models.common.arrays import Array
 from models.common.cores import cores
 from models.vehicle import Vehicle
 from sim.linear.loop import sampled_responses
-from sim.physics.simulate import BLOCK, in_blocks, runs_at_once
-from sim.response.regime import END_NAMES, EndDetector, first_end, reached, utilisation
-from sim.roads.road import Bump, under_wheels
+from sim.physics.simulate import runs_at_once
+from sim.physics.watched import Watched
+from sim.response.regime import END_NAMES, first_end, scaled_reached, utilisation
+from sim.roads.road import Bump
 from synth.controller import Controller
 
 ENOUGH = 0.99  # of the cells have to break as predicted; the others lie at a boundary
@@ -144,8 +145,7 @@ def _run(
     vehicle: Vehicle, controller: Controller, bumps: Sequence[Bump], time: Array, stopped: Callable[[], bool]
 ) -> Cells | None:
     """Some cells, in one batch that is compared with the linear response as it goes; None once it is stopped."""
-    count, timestep = len(bumps), float(time[1] - time[0])
-    heights = np.array([bump.height for bump in bumps])
+    count, heights = len(bumps), np.array([bump.height for bump in bumps])
     keys = [(bump.length, bump.speed) for bump in bumps]
     columns = {key: i for i, key in enumerate(dict.fromkeys(keys))}
     column = np.array([columns[key] for key in keys])
@@ -162,25 +162,20 @@ def _run(
     for i in columns.values():
         mine = np.flatnonzero(column == i)
         factors = heights[mine, None] * np.array([1, 1 - EDGE, 1 + EDGE])
-        times[mine] = reached(vehicle, unit.run(i), factors.ravel()).reshape(len(mine), 3, len(END_NAMES))
+        times[mine] = scaled_reached(vehicle, unit.run(i), factors.ravel()).reshape(len(mine), 3, len(END_NAMES))
     predicted = first_end(times)
 
-    halves = np.arange(2 * len(time)) * (timestep / 2)
-    road = np.stack([under_wheels(bump.displacement, bump, vehicle, halves) for bump in bumps], axis=1)
-    ends, diverged, apart = EndDetector([vehicle] * count, time), np.full(count, np.inf), np.zeros((len(outputs), count))
-    for block in in_blocks([vehicle] * count, [controller] * count, road[::2], road[1::2], timestep, 1, BLOCK):
+    watched, apart = Watched([vehicle] * count, [controller] * count, bumps, time), np.zeros((len(outputs), count))
+    for block in watched.blocks():
         if stopped():
             return None
-        diverged = np.minimum(diverged, block.diverged(time))
-        if np.isfinite(diverged).any():
-            block.clip()
-        ends.update(block.start, block.values)
         some = slice(block.start, block.start + len(block.values))
         for worst, i, response in zip(apart, outputs, np.moveaxis(linear[some], 1, 0), strict=True):
             np.maximum(worst, np.abs(block.values[:, i] - heights * response[:, column]).max(axis=0), out=worst)
 
     scales = np.array([[unit.run(i).scale(unit.names[j]) or np.inf for j in outputs] for i in columns.values()])
     error = (apart / (np.abs(heights) * scales[column].T)).max(axis=0)
+    ends, diverged = watched.ends, watched.diverged
     broken = ends.first < diverged
     return Cells(
         bumps=tuple(bumps),

@@ -1,0 +1,54 @@
+"""Many runs in MuJoCo, some samples at a time, and what has become of each so far: none of them need be held whole."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.vehicle import Vehicle
+from sim.physics.simulate import Block, in_blocks
+from sim.response.regime import BLOCK, EndDetector
+from sim.roads.road import Road, under_wheels
+from synth.controller import Controller
+
+
+class Watched:
+    """N runs from rest, of vehicles of one kind that read out alike, over a road each.
+
+    Attributes:
+        now: heights of the roads under the wheels at the samples [m], shape (T, N, r).
+        midway: the same half a step later, where MuJoCo holds them.
+        ends: what ends their linear regime, and when, in the blocks so far.
+        diverged: when each diverged in them [s], infinite where it did not, shape (N,).
+    """
+
+    def __init__(
+        self, vehicles: Sequence[Vehicle], controllers: Sequence[Controller], roads: Sequence[Road], time: Array
+    ) -> None:
+        """Arguments as for `sim.physics.simulate.simulate`."""
+        self.vehicles, self.controllers, self.time = vehicles, controllers, time
+        halves = np.arange(2 * len(time)) * (self.timestep / 2)
+        heights = np.empty((len(halves), len(vehicles), len(vehicles[0].kind.wheels)))
+        for i, (vehicle, road) in enumerate(zip(vehicles, roads, strict=True)):
+            heights[:, i] = under_wheels(road.displacement, road, vehicle, halves)
+        self.now, self.midway = heights[::2], heights[1::2]
+        self.ends, self.diverged = EndDetector(vehicles, time), np.full(len(vehicles), np.inf)
+
+    @property
+    def timestep(self) -> float:
+        """Of the runs [s]."""
+        return float(self.time[1] - self.time[0])
+
+    @property
+    def until(self) -> Array:
+        """Before when each is linear [s], infinite for always, shape (N,)."""
+        return np.minimum(self.ends.first, self.diverged)
+
+    def blocks(self) -> Iterator[Block]:
+        """Every block in its turn; once a run has diverged, what is left of it is clipped."""
+        for block in in_blocks(self.vehicles, self.controllers, self.now, self.midway, self.timestep, 1, BLOCK):
+            self.diverged = np.minimum(self.diverged, block.diverged(self.time))
+            if np.isfinite(self.diverged).any():
+                block.clip()
+            self.ends.update(block.start, block.values)
+            yield block
