@@ -110,22 +110,24 @@ def furthest(plant: GeneralizedPlant, Cy: Array, path: Sequence[CentralPoint], l
         DesignError: no certificate holds.
     """
     first: Certificate | None = None
-    beyond: list[tuple[Design, float]] = []
-    for i, point in reversed(list(enumerate(path))):
-        certificate = certify(plant, point.K @ Cy, point.X if point.proof is None else point.proof, point.eta, lower_bound)
-        if not certificate.failures:
-            before = path[max(i - 1, 0)].K
-            moved = float(np.abs(point.K - before).max(initial=0.0) / (np.abs(point.K).max(initial=0.0) or 1.0))
-            design = Design(point.K, certificate, optimum_gap=point.gamma / path[-1].gamma - 1, moved=moved)
-            if not certificate.beyond_actuators:
-                return design
-            beyond.append((design, point.mu))
-        first = first or certificate
-    if beyond:
-        # Where a path begins depends on how it was entered; from FIRST on it rests at the same points from wherever.
-        alike = [design for design, mu in beyond if mu < 2 * FIRST] or [design for design, _ in beyond]
-        slowest = min(design.certificate.speed_up for design in alike)
-        return next(design for design in alike if design.certificate.speed_up <= FASTEST * slowest)
+    # Where a path begins depends on how it was entered; from FIRST on it rests at the same points from wherever.
+    alike = [i for i, point in enumerate(path) if point.mu < 2 * FIRST]
+    for which in (alike, [i for i in range(len(path)) if i not in alike]):
+        beyond: list[Design] = []
+        for i in reversed(which):
+            point = path[i]
+            certificate = certify(plant, point.K @ Cy, point.X if point.proof is None else point.proof, point.eta, lower_bound)
+            if not certificate.failures:
+                before = path[max(i - 1, 0)].K
+                moved = float(np.abs(point.K - before).max(initial=0.0) / (np.abs(point.K).max(initial=0.0) or 1.0))
+                design = Design(point.K, certificate, optimum_gap=point.gamma / path[-1].gamma - 1, moved=moved)
+                if not certificate.beyond_actuators:
+                    return design
+                beyond.append(design)
+            first = first or certificate
+        if beyond:
+            slowest = min(design.certificate.speed_up for design in beyond)
+            return next(design for design in beyond if design.certificate.speed_up <= FASTEST * slowest)
     if first is None:
         raise DesignError("its certificate fails: the path has no point")
     # The path's own X may lie too near the edge of what can be proved in floating point, as at 40 states; another one need not.
@@ -164,21 +166,21 @@ def two_step_design(
     Cy, kept = measurement(plant, Cy)
     problem = posed(plant)
     units = own_units(plant, Cy)
-    rows = Cy[kept] * units.states
+    rows, measured = units.rows(Cy[kept])
     if problem.best is not None:
-        K = problem.best * units.states @ np.linalg.pinv(rows)
+        K = problem.best * units.states @ np.linalg.pinv(rows) / measured
         if np.linalg.norm(K @ Cy[kept] - problem.best) <= SAME * np.linalg.norm(problem.best):
             best = Design(K, certify_tightly(plant, K @ Cy[kept], lower_bound), case=problem.best_case)
             return widened(best, kept, len(Cy), 0.0)
     fits(unknowns(problem.plant), MOST, "the two steps are gone")
     path = path or state_path(plant, states)
-    own, Q, same = units.into(problem.plant), nullspace(rows), np.ones(len(kept))
+    own, Q = units.into(problem.plant), nullspace(rows)
     failures: list[DesignError] = []
     beyond: list[Design] = []
     for start in reversed(path):
         L = l_matrix(start.X / np.outer(units.states, units.states), rows, Q)
         try:
-            points = [point.in_units(units.states, units.inputs, same) for point in output_feedback(own, rows, L, Q)]
+            points = [point.in_units(units.states, units.inputs, measured) for point in output_feedback(own, rows, L, Q)]
             found = furthest(plant, Cy[kept], points, lower_bound)
         except DesignError as error:
             failures.append(error)
@@ -205,10 +207,10 @@ def zero_l_design(plant: GeneralizedPlant, Cy: Array, lower_bound: LowerBound | 
     """
     Cy, kept = measurement(plant, Cy)
     units = own_units(plant, Cy)
-    rows = Cy[kept] * units.states
+    rows, measured = units.rows(Cy[kept])
     Q = nullspace(rows)
     points = output_feedback(units.into(plant), rows, np.zeros((Q.shape[1], len(kept))), Q)
-    path = [point.in_units(units.states, units.inputs, np.ones(len(kept))) for point in points]
+    path = [point.in_units(units.states, units.inputs, measured) for point in points]
     return widened(furthest(plant, Cy[kept], path, lower_bound), kept, len(Cy), 0.0)
 
 

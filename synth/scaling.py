@@ -9,7 +9,10 @@ from models.common.arrays import Array
 from synth.plant import GeneralizedPlant
 
 NILPOTENT = 1e-14  # of |A|^n; an A^n this small is 0 but for rounding, and so are all poles: those of integrators
-FREE = 1e-9  # of one equation: holds units that nothing decides near 1
+CANCELLED = 1e-9  # relative; a sum of this much less than its terms may be one of zeros
+TOGETHER = 1e-4  # of one equation: how much it counts that a norm has one unit of all of w, and one of all of z
+OPEN = 1e-11  # of the largest eigenvalue of the normal equations: units that nothing decides; of those decided none is below 1e-8
+UPWARDS = 0.53  # so that a unit half-way between two powers of two, as are those of entries that are such powers, is no tie
 
 
 def reachable(plant: GeneralizedPlant, free: int) -> Array:
@@ -21,12 +24,11 @@ def reachable(plant: GeneralizedPlant, free: int) -> Array:
     n = len(plant.A)
     _, (diagonal, _) = linalg.matrix_balance(plant.A, permute=False, separate=True)
     balanced = plant.in_coordinates(np.diag(diagonal))
-    poles = np.linalg.eigvals(balanced.A)
-    whole = size(balanced.A)
-    integrators = np.linalg.norm(np.linalg.matrix_power(balanced.A / whole, n), 2) <= NILPOTENT
-    shift = whole if integrators else poles.real.max() + np.abs(poles).max()
+    A = balanced.A / size(balanced.A)  # so that no root of a unit of time is taken
+    poles = np.linalg.eigvals(A)
+    shift = 1.0 if are_integrators(A) else poles.real.max() + np.abs(poles).max()
     inputs = np.hstack([balanced.B / size(balanced.B), balanced.Bw / size(balanced.Bw)])
-    gramian = linalg.solve_continuous_lyapunov(balanced.A - shift * np.eye(n), -inputs @ inputs.T)
+    gramian = linalg.solve_continuous_lyapunov(A - shift * np.eye(n), -inputs @ inputs.T)
     gramian += 1e-5 * np.trace(gramian) * np.eye(n)  # a state that nothing much reaches keeps a scale
     blocks = [np.linalg.cholesky(block) for block in (gramian[:free, :free], gramian[free:, free:])]
     return diagonal[:, None] * np.asarray(linalg.block_diag(*blocks))
@@ -56,6 +58,19 @@ class OwnUnits:
         """A plant of these units in the given ones."""
         return _in_units(plant, 1 / self.states, 1 / self.inputs)
 
+    def rows(self, Cy: Array) -> tuple[Array, Array]:
+        """C_y, no row zero, in these units of the states and in units of y in which its rows have a length near one; and these.
+
+        Args:
+            Cy: shape (q, n).
+
+        Returns:
+            The rows, shape (q, n), and what one of each measurement counts in the given unit, shape (q,).
+        """
+        rows = Cy * self.states
+        measured = np.exp2(np.floor(np.log2(np.linalg.norm(rows, axis=1)) + UPWARDS))
+        return rows / measured[:, None], measured
+
     def gain_back(self, G: Array) -> Array:
         """A state gain of these units in the given ones, shape (m, n)."""
         return self.inputs[:, None] * G / self.states
@@ -65,7 +80,12 @@ def own_units(plant: GeneralizedPlant, Cy: Array | None = None) -> OwnUnits:
     """The plant's own units: of states, of inputs, and its rate.
 
     Least squares over the logarithms of all entries that are not zero, in which the units of disturbances, outputs and
-    measurements are free, too. (`balance` is blind to a state that does not both drive others and is driven by them.)
+    measurements are free, too. (`balance` is blind to a state that does not both drive others and is driven by them.) A norm has
+    one unit of all of w and one of all of z, and what these weigh counts where nothing else says how fast a plant is: integrators
+    have the rate at which the motion and the force that drives it have the same weight in z.
+
+    Which units are left open depends on where entries are zero, and of them some are kept as they are given. So the same plant in
+    other units, each a power of two, is the same in its own to the last bit.
 
     Args:
         plant: n states.
@@ -86,10 +106,43 @@ def own_units(plant: GeneralizedPlant, Cy: Array | None = None) -> OwnUnits:
         ),
         shape=(len(i), unknowns),
     ).tocsr()
-    normal = (equations.T @ equations).toarray() + FREE * np.eye(unknowns)
-    found = linalg.solve(normal, -equations.T @ np.log(np.abs(whole[i, j])), assume_a="pos")
-    units = np.exp2(np.round(found[: n + m] / np.log(2)))
-    return OwnUnits(units[:n], units[n:], float(np.exp(found[-1])))
+    normal = (equations.T @ equations).toarray()
+    for first, count in ((n + m, r), (columns, d)):
+        alike = slice(first, first + count)
+        normal[alike, alike] += TOGETHER * (np.eye(count) - 1 / max(count, 1))
+    found = _with_pivots(normal, -equations.T @ np.log2(np.abs(whole[i, j])))
+    units = np.exp2(np.floor(found[: n + m] + UPWARDS))
+    return OwnUnits(units[:n], units[n:], float(np.exp2(found[-1])))
+
+
+def _with_pivots(normal: Array, right: Array) -> Array:
+    """Least squares, with 0 for as many unknowns as are left open."""
+    sizes, directions = np.linalg.eigh(normal)
+    fixed = sizes > OPEN * sizes[-1]
+    found = directions[:, fixed] @ ((directions[:, fixed].T @ right) / sizes[fixed])
+    left = directions[:, ~fixed]
+    if not left.shape[1]:
+        return found
+    _, order = linalg.qr(left.T, mode="r", pivoting=True)  # pyright: ignore[reportAssignmentType]
+    pivots = order[: left.shape[1]]
+    return found - left @ np.linalg.solve(left[pivots], found[pivots])
+
+
+def speed(plant: GeneralizedPlant) -> tuple[float, bool]:
+    """How fast a plant is by itself [rad/s]: its fastest pole, and True; the rate of its own and False where all lie at 0."""
+    A = plant.A
+    # The sum of all squared poles, beside what it is a sum of: no unit changes either.
+    if abs(np.sum(A * A.T)) <= CANCELLED * np.sum(np.abs(A * A.T)):
+        own = own_units(plant)
+        if are_integrators(own.into(plant).A):
+            return own.rate, False
+    return float(np.abs(np.linalg.eigvals(A)).max()), True
+
+
+def are_integrators(A: Array) -> bool:
+    """Whether all poles lie at 0, but for rounding; in coordinates in which the numbers of A have a like size."""
+    n = len(A)
+    return bool(np.linalg.norm(np.linalg.matrix_power(A / size(A), n), 2) <= NILPOTENT)
 
 
 def _in_units(plant: GeneralizedPlant, states: Array, inputs: Array) -> GeneralizedPlant:

@@ -1,5 +1,7 @@
 """The H-infinity norm: two routes of our own, python-control's, and SLICOT's where it is installed."""
 
+from fractions import Fraction
+
 import control
 import numpy as np
 import pytest
@@ -255,3 +257,21 @@ def test_level_crossings_with_feedthrough(seed):
             assert len(inside), (level, dense[i], k)
             found = np.linalg.svd(plant.frequency_response(inside), compute_uv=False)
             assert np.abs(found / level - 1).min() < 1e-8  # rounding of a crossing that may be steep
+
+
+def test_what_floats_of_frequency_miss_is_rounding():
+    """Of a damping of 1e-12 the peak lies between two floats: the norm is below it by no more than its stated rounding.
+
+    The peak of c / (s^2 + a s + b) is c / (a (b - a^2 / 4)^1/2) exactly.
+    """
+    missed = []
+    for damping in (1e-9, 1e-10, 1e-11, 1e-12, 3e-13, 1e-13):
+        for omega in (7.0, 1.3, 2.0, 0.011, 311.7):
+            plant = oscillator(omega, damping)
+            a, b, c = (Fraction(float(entry)) for entry in (-plant.A[1, 1], -plant.A[1, 0], plant.C[0, 0]))
+            norm = hinf_norm(plant)
+            over = Fraction(norm.value) ** 2 * a**2 * (b - a**2 / 4) / c**2  # of squares
+            missed.append(float(1 - over) / 2)
+            assert abs(missed[-1]) <= norm.rounding + 4e-16  # of the norm as a float
+            assert norm.rounding < 1e-6
+    assert max(missed) > 1e-9  # so that it matters

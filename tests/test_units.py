@@ -1,13 +1,13 @@
-"""The same plant in other units has the same verdict and the same norm: no unit decides a rank, a path or where it rests."""
+"""The same plant in other units has the same design: no unit decides a rank, a path, where it rests, or what is too fast."""
 
 import numpy as np
 import pytest
 
-from synth.design import state_design, state_path, two_step_design
+from synth.design import Design, state_design, state_path, two_step_design, zero_l_design
 from synth.errors import DesignError
 from synth.lmi.central import AT_REST, CENTRED, FIRST, LAST
 from synth.plant import GeneralizedPlant
-from synth.scaling import own_units
+from synth.scaling import own_units, speed
 
 
 def a_plant(seed: int) -> tuple[GeneralizedPlant, np.ndarray]:
@@ -36,6 +36,115 @@ def in_other_units(plant: GeneralizedPlant, Cy: np.ndarray, seed: int) -> tuple[
         z * w * plant.Dw,
     )
     return moved, Cy * x * y[:, None], z * w
+
+
+def any_plant(seed: int) -> tuple[GeneralizedPlant, np.ndarray]:
+    """A random plant of 2 to 6 states, stable or not, of small integers, or a chain of integrators; and what it measures."""
+    rng = np.random.default_rng([9, seed])
+    n, m, r, d = int(rng.integers(2, 7)), int(rng.integers(1, 3)), int(rng.integers(1, 3)), int(rng.integers(1, 4))
+    A, B = rng.standard_normal((n, n)), rng.standard_normal((n, m))
+    kind = seed % 4
+    if kind == 1:
+        A = A - (np.linalg.eigvals(A).real.max() + 0.3) * np.eye(n)
+    if kind == 2:
+        A = np.round(A)
+    if kind == 3:
+        A, B[:, 0] = np.diag(np.ones(n - 1), 1), np.eye(n)[-1]
+    C = np.vstack([rng.standard_normal((d, n)), np.zeros((m, n))])
+    D = np.vstack([np.zeros((d, m)), 10.0 ** rng.uniform(-3, 0.5) * np.eye(m)])
+    q = int(rng.integers(1, n + 1))
+    Cy = rng.standard_normal((q, n)) if seed % 3 else np.eye(n)[:q]
+    return GeneralizedPlant(A, B, rng.standard_normal((n, r)), C, D, np.zeros((d + m, r))), Cy
+
+
+class Moved:
+    """A plant in units of states, inputs, measurements, all of w, all of z and time between 2^-16 and 2^16, powers of two."""
+
+    def __init__(self, plant: GeneralizedPlant, Cy: np.ndarray, seed: int) -> None:
+        rng = np.random.default_rng([5, seed])
+        x, self.u, self.y = (2.0 ** rng.integers(-16, 17, k) for k in (len(plant.A), plant.B.shape[1], len(Cy)))
+        w, z, self.t = 2.0 ** rng.integers(-10, 11, 3)
+        self.norm, each = w * z, self.t / x[:, None]
+        self.plant = GeneralizedPlant(
+            each * plant.A * x,
+            each * plant.B * self.u,
+            w * each * plant.Bw,
+            z * plant.C * x,
+            z * plant.D * self.u,
+            w * z * plant.Dw,
+        )
+        self.Cy = Cy * x * self.y[:, None]
+
+    def back(self, gain: np.ndarray) -> np.ndarray:
+        """A gain of this plant as one of the given plant."""
+        return gain * self.u[:, None] * self.y
+
+
+def refuse_units(seed: int, times: int) -> None:
+    """Fails if a design of a plant is another one in other units."""
+    plant, Cy = any_plant(seed)
+    for design in (two_step_design, zero_l_design):
+        here = _outcome(lambda plant=plant, Cy=Cy, design=design: design(plant, Cy))
+        for again in range(times):
+            moved = Moved(plant, Cy, 1000 * seed + again)
+            there = _outcome(lambda moved=moved, design=design: design(moved.plant, moved.Cy))
+            if isinstance(here, str) or isinstance(there, str):
+                assert here == there, seed
+                continue
+            norm, other = here.certificate.norm.value, there.certificate.norm.value / moved.norm
+            # Nothing is rounded in units that are powers of two, but where a norm is looked for on a grid of frequencies.
+            assert norm == pytest.approx(other, rel=1e-10), seed
+            np.testing.assert_allclose(moved.back(there.gain), here.gain, rtol=1e-12, err_msg=str(seed))
+            gaps = (there.state_step_gap, there.optimum_gap)
+            assert (here.state_step_gap, here.optimum_gap) == pytest.approx(gaps, rel=1e-9, abs=1e-12), seed
+            assert here.certificate.speed_up == pytest.approx(there.certificate.speed_up, rel=1e-9), seed
+
+
+def _outcome(design) -> "Design | str":
+    try:
+        return design()
+    except DesignError as error:
+        return type(error).__name__
+
+
+@pytest.mark.parametrize("seed", [3, 7, 10, 17, 25])
+def test_a_design_is_the_same_in_any_units(seed):
+    """In units of states, forces, measurements, w, z and time that are powers of two a design is the same to the last bits."""
+    refuse_units(seed, 2)
+
+
+@pytest.mark.attack
+@pytest.mark.parametrize("seeds", [range(k, k + 25) for k in range(100, 300, 25)], ids=lambda seeds: f"from {seeds[0]}")
+def test_a_design_is_the_same_in_any_units_by_the_hundred(seeds):
+    """So are those of two hundred more."""
+    for seed in seeds:
+        refuse_units(seed, 2)
+
+
+def test_integrators_are_as_fast_as_z_asks():
+    """A plant whose poles all lie at 0 has a rate: of a double integrator that of position over force; in any units."""
+    for position, force in ((1.0, 1.0), (100.0, 1e-2), (3.0, 5e-7)):
+        plant = GeneralizedPlant(
+            np.array([[0.0, 1.0], [0.0, 0.0]]),
+            np.array([[0.0], [1.0]]),
+            np.array([[0.0], [1.0]]),
+            np.array([[position, 0.0], [0.0, 0.0]]),
+            np.array([[0.0], [force]]),
+            np.zeros((2, 1)),
+        )
+        rate, moves = speed(plant)
+        assert not moves
+        assert rate == pytest.approx((position / force) ** 0.5, rel=1e-9)  # least squares without a residual
+        for seed in range(3):
+            moved = Moved(plant, np.eye(2), seed)
+            assert speed(moved.plant) == (pytest.approx(rate * moved.t, rel=1e-9), False)
+        mixed = plant.in_coordinates(np.array([[1.0, 0.3], [-0.7, 0.9]]))
+        assert not speed(mixed)[1]  # to rounding
+        design = two_step_design(plant, np.eye(2))
+        assert design.certificate.speed_up < 100
+        fast = state_design(plant).certificate
+        assert not fast.moves
+    assert speed(any_plant(0)[0])[1]
 
 
 def outcomes(plant: GeneralizedPlant, Cy: np.ndarray, unit: float) -> list[float | str]:
@@ -75,6 +184,18 @@ def test_a_force_that_costs_nothing_is_named_in_any_units():
         for design in (lambda p=moved: state_design(p), lambda p=moved, y=Cy: two_step_design(p, y)):
             with pytest.raises(DesignError, match="some control force costs nothing"):
                 design()
+
+
+def test_more_forces_than_the_problem_has_entries(capfd):
+    """Where z weighs none of so many forces that (22) has more unknowns than entries, that is said, and LAPACK prints nothing."""
+    rng = np.random.default_rng(1)
+    for n, m in ((2, 4), (1, 3), (3, 5)):
+        A, B, C = rng.standard_normal((n, n)), rng.standard_normal((n, m)), rng.standard_normal((1, n))
+        plant = GeneralizedPlant(A, B, np.ones((n, 1)), C, np.zeros((1, m)), np.zeros((1, 1)))
+        with pytest.raises(DesignError, match="some control force costs nothing"):
+            state_design(plant)
+    printed = capfd.readouterr()
+    assert printed.out + printed.err == ""
 
 
 def test_a_path_rests_at_the_same_points_in_any_units():

@@ -18,6 +18,7 @@ from synth.certificate.lower_bound import LowerBound
 from synth.certificate.norm import Norm, gain_at, hinf_norm
 from synth.certificate.stability import Stability, balance, stability
 from synth.plant import GeneralizedPlant
+from synth.scaling import speed
 
 FASTEST = 100.0  # times the plant: an actuator of such a speed hardly exists
 BELOW = 1e-9  # relative; how far rounding may put a norm below what no controller can beat
@@ -81,7 +82,9 @@ class Certificate:
         stability: its poles, and where they lie.
         norm: the H-infinity norm by two routes, and where it peaks.
         proof: of the bound; None for a gain that came without one.
-        speed_up: magnitude of the fastest pole, over that of the plant's fastest pole without control.
+        speed_up: magnitude of the fastest pole, over the plant's speed without control.
+        moves: whether the plant moves by itself: that speed is its fastest pole's. Where all its poles lie at 0 it is the rate at
+            which its motion and the force that drives it weigh alike in z (`scaling.own_units`).
         norm_rounding: a norm below this is zero to rounding, and its routes need not agree.
         below: the proof of the lower bound, what no controller of its kind can beat; None where nobody asked.
     """
@@ -91,6 +94,7 @@ class Certificate:
     norm: Norm
     proof: LmiProof | None
     speed_up: float
+    moves: bool
     norm_rounding: float
     below: LowerBound | None = None
 
@@ -131,10 +135,12 @@ class Certificate:
         """What else there is to know, in words: no claim fails by it."""
         if not self.beyond_actuators:
             return ()
-        return (
-            f"beyond any actuator: a pole is {self.speed_up:.2g} times as fast as the plant's fastest without control; "
-            f"{FASTEST:g} times is much",
+        than = (
+            "the plant's fastest without control"
+            if self.moves
+            else "what z asks of a plant that does not move by itself: the rate at which motion and force weigh alike"
         )
+        return (f"beyond any actuator: a pole is {self.speed_up:.2g} times as fast as {than}; {FASTEST:g} times is much",)
 
     @property
     def failures(self) -> tuple[str, ...]:
@@ -182,13 +188,14 @@ def certify(
         InputError: eta or X is out of range.
     """
     loop = plant.closed_loop(G)
-    found, norm = stability(loop.A), hinf_norm(loop)
+    found, norm, (fastest, moves) = stability(loop.A), hinf_norm(loop), speed(plant)
     return Certificate(
         loop=loop,
         stability=found,
         norm=norm,
         proof=prove_bound(plant, G, X, eta) if X is not None and eta is not None else None,
-        speed_up=float(np.abs(found.poles).max() / (np.abs(np.linalg.eigvals(plant.A)).max() or 1.0)),
+        speed_up=float(np.abs(found.poles).max()) / fastest,
+        moves=moves,
         norm_rounding=_norm_rounding(loop, norm.peak_frequency) if found.stable else 0.0,
         below=lower_bound,
     )

@@ -47,7 +47,8 @@ class Norm:
         peak_frequency: where it is reached [rad/s]; NaN where the system is not stable.
         level_set: the first route's value.
         sweep: the second route's value.
-        rounding: relative; by how much rounding may have moved the value, to first order.
+        rounding: relative; by how much rounding may have moved the value, to first order; that of the frequency, too, of which
+            floats are too far apart to hold the peak of a damping of 1e-12.
     """
 
     value: float
@@ -75,8 +76,8 @@ def hinf_norm(system: GeneralizedPlant) -> Norm:
     if rounding > SEEN * max(sweep, level):
         (sweep, at_sweep), (level, at_level) = gain.polished(at_sweep), gain.polished(at_level)
         rounding = max(gain.missing(at) for at in (at_sweep, at_level))
-    value = max(sweep, level)
-    return Norm(value, at_sweep if sweep >= level else at_level, level, sweep, rounding / value if value else 0.0)
+    value, at = (sweep, at_sweep) if sweep >= level else (level, at_level)
+    return Norm(value, at, level, sweep, rounding / value + gain.beside(at) if value else 0.0)
 
 
 def gain_at(system: GeneralizedPlant, omega: float) -> float:
@@ -174,6 +175,12 @@ class _Gain:
     def missing(self, at: float) -> float:
         """What is missing in the gain at a frequency, be it infinite, when it is computed with twice the digits."""
         return float(self.closely(np.array([at]))[1][0]) if np.isfinite(at) else 0.0
+
+    def beside(self, at: float) -> float:
+        """How much higher the gain may be between a frequency, the best of floats, and the next, relative, to second order."""
+        if not np.isfinite(at):
+            return 0.0
+        return float(np.sum((np.spacing(at) / 2 / np.abs(1j * at - self.poles)) ** 2) / 2)
 
     def polished(self, at: float) -> tuple[float, float]:
         """The highest gain with twice the digits near a frequency or near any pole, and where it is [rad/s]."""

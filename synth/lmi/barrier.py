@@ -30,6 +30,14 @@ class Barrier:
     """The blocks, laid out for what is computed from them again and again."""
 
     def __init__(self, blocks: Sequence[Block]) -> None:
+        """Args:
+        blocks: at least one, over the same unknowns.
+
+        Raises:
+            LinAlgError: they have fewer entries than there are unknowns, so that there is no one minimum.
+        """
+        if sum(len(F0) * (len(F0) + 1) // 2 for F0, _ in blocks) < len(blocks[0][1]):
+            raise np.linalg.LinAlgError("some change of the unknowns changes no constraint")
         self.blocks = [(F0, F, F.reshape(len(F), -1), *_upper(len(F0))) for F0, F in blocks]
 
     def at(self, p: Array) -> "Local | None":
