@@ -7,7 +7,7 @@ from typing import Any
 
 from models.common.errors import InputError, listing, quoted
 from models.linear_model import LinearModel
-from models.signals import Signal
+from models.signals import CONTROL_FORCE, SUSPENSION_DEFLECTION, Signal
 
 HERE = Path(__file__).parent
 GRAVITY = 9.81  # m/s2, written into every MJCF
@@ -102,6 +102,38 @@ class Wheel:
 
 
 @dataclass(frozen=True)
+class Suspension:
+    """What holds the body on a wheel.
+
+    Attributes:
+        deflection: signal of how far it is stretched.
+        tendon: MJCF tendon that it is; its bump stop lies beside it.
+        force: input that pushes along it; empty where none does.
+    """
+
+    deflection: str
+    tendon: str
+    force: str = ""
+
+
+@dataclass(frozen=True)
+class Invariant:
+    """A transmissibility, from the road's displacement under every wheel, that no suspension force can change.
+
+    Attributes:
+        name: of which quantity, as in "z_s/z_r".
+        signals: whose sum that quantity is.
+        omega: parameters -> at which frequency [rad/s].
+        magnitude: parameters -> the transmissibility there, above 0.
+    """
+
+    name: str
+    signals: tuple[str, ...]
+    omega: Callable[[Parameters], float]
+    magnitude: Callable[[Parameters], float]
+
+
+@dataclass(frozen=True)
 class VehicleKind:
     """The equations of a kind of vehicle. Every function takes the parameters as a mapping from name to SI value.
 
@@ -117,6 +149,9 @@ class VehicleKind:
         folder: where its `.xml` lies.
         check_together: raises InputError where parameters, each fine by itself, make no vehicle together.
         combined: signals that are no sensor but a sum of others, as {name: {other signal: factor}}.
+        suspended: its suspensions. None: one for every signal `suspension_deflection...`, whose tendon is `suspension...` and
+            whose force is `control_force...`, if there is one, all of one ending.
+        invariants: what no suspension force can change.
     """
 
     name: str
@@ -129,6 +164,26 @@ class VehicleKind:
     folder: Path = HERE
     check_together: Callable[[Parameters], None] = lambda p: None
     combined: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    suspended: tuple[Suspension, ...] | None = None
+    invariants: tuple[Invariant, ...] = ()
+
+    @property
+    def suspensions(self) -> tuple[Suspension, ...]:
+        """Its suspensions, those of `suspended` or of the common names."""
+        if self.suspended is not None:
+            return tuple(self.suspended)
+        names = [signal.name for signal in self.signals]
+        found = []
+        for name in names:
+            if name.startswith(SUSPENSION_DEFLECTION.name):
+                ending = name.removeprefix(SUSPENSION_DEFLECTION.name)
+                force = f"{CONTROL_FORCE.name}{ending}"
+                found.append(Suspension(name, f"suspension{ending}", force if force in names else ""))
+        return tuple(found)
+
+    def pushed(self, force: str) -> str:
+        """The suspension deflection that a force pushes along; empty where it has none, and pushes against something else."""
+        return next((one.deflection for one in self.suspensions if one.force == force), "")
 
     @property
     def variations(self) -> dict[Variation, tuple[str, ...]]:

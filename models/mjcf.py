@@ -100,18 +100,24 @@ def _said(error: Exception) -> str:
 def _write_limits(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
     """Bump stops, largest force and lag, into every suspension and actuator.
 
-    A bump stop is a second spring beside each tendon whose name begins with `suspension`, with a dead band of the stroke.
+    A bump stop is a second spring beside each suspension's tendon, with a dead band of the stroke.
 
     Raises:
-        InputError: the kind's MJCF has no suspension tendons.
+        InputError: the kind has no suspensions, or its MJCF not their tendons.
     """
     limits = vehicle.limits
     if limits.suspension_stroke is not None and limits.stop_stiffness is not None:
-        suspensions = [tendon for tendon in spec.tendons if tendon.name.startswith("suspension")]
-        if not suspensions:
+        names = [one.tendon for one in vehicle.kind.suspensions]
+        if not names:
             raise InputError("[limits] suspension_stroke: this kind of vehicle has no suspension to stop; leave it out")
+        suspensions = {tendon.name: tendon for tendon in spec.tendons if tendon.name in names}
+        if absent := [name for name in names if name not in suspensions]:
+            raise InputError(
+                f"MJCF {vehicle.kind.mjcf}: has no tendon {', no tendon '.join(map(repr, absent))}, whose suspension "
+                "[limits] suspension_stroke is to stop; add what is missing, or leave the stroke out"
+            )
         at_rest = _compiled(vehicle, spec.copy())
-        for tendon in suspensions:
+        for tendon in suspensions.values():
             rest = float(at_rest.tendon_length0[at_rest.tendon(tendon.name).id])
             stop = spec.add_tendon(name=f"stop_{tendon.name}")
             stop.stiffness[0] = limits.stop_stiffness

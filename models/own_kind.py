@@ -15,7 +15,7 @@ import numpy as np
 from models.common.errors import InputError, one_line
 from models.common.read_file import TEXT, read_text
 from models.kind import VehicleKind
-from models.sound_kind import wrong_distance, wrong_linear_model, wrong_parts, wrong_place, wrong_rest
+from models.sound_kind import wrong_distance, wrong_linear_model, wrong_parts, wrong_place, wrong_rest, wrong_size
 
 GIVE = "give the equations of the kind, as models/README.md shows them"
 
@@ -62,6 +62,14 @@ def _guarded_kind(path: Path, kind: VehicleKind) -> VehicleKind:
                 lateral=_guarded(path, f"lateral of the wheel at {wheel.road_body!r}", wheel.lateral, wrong_place),
             )
             for wheel in kind.wheels
+        ),
+        invariants=tuple(
+            replace(
+                one,
+                omega=_guarded(path, f"omega of the invariant {one.name!r}", one.omega, wrong_size),
+                magnitude=_guarded(path, f"magnitude of the invariant {one.name!r}", one.magnitude, wrong_size),
+            )
+            for one in kind.invariants
         ),
         linear_model=_guarded(path, "linear_model", kind.linear_model, lambda model: wrong_linear_model(model, kind)),
         static_tyre_deflection=_guarded(

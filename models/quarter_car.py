@@ -4,12 +4,13 @@ Equations (28)-(32). All displacements are measured from static equilibrium, so 
 MJCF, where preloads hold the masses up and the tyre can leave the road.
 """
 
+import math
 from typing import Any
 
 import numpy as np
 
 from models import signals
-from models.kind import GRAVITY, Parameter, Parameters, Variation, VehicleKind, Wheel
+from models.kind import GRAVITY, Invariant, Parameter, Parameters, Variation, VehicleKind, Wheel
 from models.linear_model import LinearModel
 
 PARAMETERS = (
@@ -99,6 +100,22 @@ def write_mjcf(spec: Any, p: Parameters) -> None:
     tyre.springlength[0] = radius + static_tyre_deflection(p)[signals.TYRE_DEFLECTION.name]
 
 
+# From m_s z_s'' + m_u z_u'' = -k_u (z_u - z_r), where no suspension force is left.
+INVARIANTS = (
+    Invariant(
+        name="z_s/z_r",
+        signals=(signals.SUSPENSION_DEFLECTION.name, signals.TYRE_DEFLECTION.name, signals.ROAD_DISPLACEMENT.name),
+        omega=lambda p: math.sqrt(p["tyre_stiffness"] / p["unsprung_mass"]),
+        magnitude=lambda p: p["unsprung_mass"] / p["sprung_mass"],
+    ),
+    Invariant(
+        name="(z_s-z_u)/z_r",
+        signals=(signals.SUSPENSION_DEFLECTION.name,),
+        omega=lambda p: math.sqrt(p["tyre_stiffness"] / (p["sprung_mass"] + p["unsprung_mass"])),
+        magnitude=lambda p: (p["sprung_mass"] + p["unsprung_mass"]) / p["sprung_mass"],
+    ),
+)
+
 KIND = VehicleKind(
     name="quarter_car",
     parameters=PARAMETERS,
@@ -114,4 +131,5 @@ KIND = VehicleKind(
     linear_model=linear_model,
     static_tyre_deflection=static_tyre_deflection,
     write_mjcf=write_mjcf,
+    invariants=INVARIANTS,
 )

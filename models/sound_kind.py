@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from models.common.errors import quoted, some
-from models.kind import MOST_SQUEEZE, Parameter, Variation, VehicleKind, Wheel
+from models.kind import MOST_SQUEEZE, Invariant, Parameter, Suspension, Variation, VehicleKind, Wheel
 from models.linear_model import LinearModel
 from models.signals import Signal
 
@@ -39,7 +39,7 @@ def wrong_parts(kind: VehicleKind) -> str:
         varied = part.varied
         if varied is not None and not (isinstance(varied, Variation) and isinstance(varied.name, str)):
             return f"parameter {part.name!r} has varied = {quoted(varied)}; give Variation(name, smallest, largest)"
-    return _wrong_wheels(kind) or _wrong_sums(kind)
+    return _wrong_wheels(kind) or _wrong_sums(kind) or _wrong_suspensions(kind) or _wrong_invariants(kind)
 
 
 def _wrong_wheels(kind: VehicleKind) -> str:
@@ -74,6 +74,41 @@ def _wrong_sums(kind: VehicleKind) -> str:
     return ""
 
 
+def _wrong_suspensions(kind: VehicleKind) -> str:
+    if kind.suspended is None:
+        return ""
+    if not isinstance(kind.suspended, (tuple, list)) or not all(isinstance(one, Suspension) for one in kind.suspended):
+        return f"its suspended is {quoted(kind.suspended)}; give a tuple of Suspensions, or leave it out"
+    forces = [one.force for one in kind.suspended if one.force != ""]
+    for what, names in {
+        "deflection": [one.deflection for one in kind.suspended],
+        "tendon": [one.tendon for one in kind.suspended],
+        "force": forces,
+    }.items():
+        if wrong := _wrong_names(f"{what} of a suspension", names):
+            return wrong
+    signals = {signal.name for signal in kind.signals}
+    for one in kind.suspended:
+        if one.deflection not in signals:
+            return f"a suspension's deflection {one.deflection!r} is none of its signals; add it to them"
+    return ""
+
+
+def _wrong_invariants(kind: VehicleKind) -> str:
+    if not isinstance(kind.invariants, (tuple, list)) or not all(isinstance(one, Invariant) for one in kind.invariants):
+        return f"its invariants are {quoted(kind.invariants)}; give a tuple of Invariants"
+    names = {signal.name for signal in kind.signals}
+    for one in kind.invariants:
+        if not isinstance(one.name, str) or not one.name.isprintable() or not 0 < len(one.name) <= LONGEST:
+            return f"an invariant is called {quoted(one.name)}; give a text on one line, at most {LONGEST} characters"
+        if not isinstance(one.signals, (tuple, list)) or not one.signals or not all(name in names for name in one.signals):
+            return f"invariant {one.name!r} is of {quoted(one.signals)}; give a tuple of the kind's signals"
+        for what in ("omega", "magnitude"):
+            if not callable(getattr(one, what)):
+                return f"invariant {one.name!r} has the {what} {quoted(getattr(one, what))}; give a function of the parameters"
+    return ""
+
+
 def wrong_linear_model(model: Any, kind: VehicleKind) -> str:
     """What is wrong with a linear model as one of this kind."""
     if not isinstance(model, LinearModel):
@@ -89,6 +124,9 @@ def wrong_linear_model(model: Any, kind: VehicleKind) -> str:
     if not _is_number(model.twist_rate) or model.twist_rate <= 0:
         return f"twist_rate = {quoted(model.twist_rate)}; give a finite number above 0"
 
+    for suspension in kind.suspended or ():
+        if suspension.force and suspension.force not in model.inputs:
+            return f"no input {suspension.force!r}, a suspension's force; add it, or leave it out of the suspension"
     roads = tuple(wheel.road_velocity for wheel in kind.wheels)
     if tuple(model.disturbances) != roads:
         return f"the disturbances {some(model.disturbances)}; its wheels' road velocities, in their order, are {some(roads)}"
@@ -138,6 +176,11 @@ def wrong_rest(squeezes: Any, kind: VehicleKind) -> str:
 def wrong_place(place: Any) -> str:
     """What is wrong with how far a wheel is behind the first, or to the left."""
     return "" if _is_number(place) and abs(place) <= LARGEST else f"{quoted(place)}; give a finite number of metres"
+
+
+def wrong_size(size: Any) -> str:
+    """What is wrong with an invariant's frequency, or magnitude."""
+    return "" if _is_number(size) and 0 < size <= LARGEST else f"{quoted(size)}; give a finite number above 0"
 
 
 def wrong_distance(distance: Any) -> str:

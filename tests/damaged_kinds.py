@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-OTHER = "OTHER = dict(KIND.__dict__)\n"  # the kind's parts, to be changed
+OTHER = "from models.kind import Invariant, Suspension\nOTHER = dict(KIND.__dict__)\n"  # the kind's parts, to be changed
 
 
 @dataclass(frozen=True)
@@ -99,6 +99,13 @@ def _parts() -> Iterator[Damage]:
                    f"(Wheel(**{wheel} | {{'lateral': None}}),)"),
         "combined": ("None", "[]", "{'x': {}}", "{'tyre_deflection': {}}", "{'tyre_deflection': {'tyre_deflection': np.nan}}",
                      "{'tyre_deflection': {'tyre_deflection': 0}}", "{'tyre_deflection': {1: 1.0}}", "{1: {'x': 1}}"),
+        "suspended": ("3", "'suspension'", "('tyre_deflection',)", "(Suspension(3, 'tyre'),)", "(Suspension('x', 'tyre'),)",
+                      "(Suspension('tyre_deflection', ''),)", "(Suspension('tyre_deflection', 'tyre', 'x'),)",
+                      "(Suspension('tyre_deflection', 'tyre'),) * 2", "(Suspension('tyre_deflection', 'tyre', None),)"),
+        "invariants": ("None", "3", "(1,)", "(Invariant(1, ('tyre_deflection',), len, len),)", "(Invariant('x', (), len, len),)",
+                       "(Invariant('x', ('x',), len, len),)", "(Invariant('x', ([],), len, len),)",
+                       "(Invariant('x', ('tyre_deflection',), 1.0, len),)", "(Invariant('x', ('tyre_deflection',), len, None),)",
+                       "(Invariant('a\\nb', ('tyre_deflection',), len, len),)"),
         "linear_model": ("None", "lambda: None", "lambda p: None", "lambda p: linear_model", "linear_model({})", "dict"),
         "static_tyre_deflection": ("None", "lambda p: p['x']", "7"),
         "write_mjcf": ("None", "write_mjcf({}, {})", "lambda p: None", "lambda spec, p: spec.nothing"),

@@ -1,6 +1,6 @@
 """The H-infinity norm as a physical fact: the largest L2 gain from the road to the weighted output that MuJoCo can be driven to.
 
-With it, the two transmissibilities of a body on one wheel that no suspension force can change.
+With it, the transmissibilities that no suspension force can change, of kinds of vehicle that have such.
 """
 
 import math
@@ -28,8 +28,8 @@ FINEST = 2000  # samples of the worst sinusoid at least: its frequency is then w
 
 
 @dataclass(frozen=True)
-class Invariant:
-    """A transmissibility from the road's displacement that no suspension force can change.
+class MeasuredInvariant:
+    """A transmissibility from the road's displacement that no suspension force can change, see `models.kind.Invariant`.
 
     Attributes:
         name: of which quantity.
@@ -68,7 +68,7 @@ class Extremes:
     worst: Worst
     tried: float
     gains: Mapping[str, float]
-    invariants: tuple[Invariant, ...]
+    invariants: tuple[MeasuredInvariant, ...]
     ended: tuple[str, ...]
     lti: bool
 
@@ -87,10 +87,10 @@ def extremes(
         "random": random_road(2 * np.pi * np.geomspace(LOWEST, HIGHEST, LINES), 1, speed).to_height(amplitude, time),
         "bump": Bump(height=amplitude, speed=speed),
     }
-    special = _invariant_frequencies(vehicle)
+    special = [invariant.omega(vehicle.parameters) for invariant in vehicle.kind.invariants]
     if special:
-        pair = Multisine(tuple(special.values()), (1.0, 1.0), (0.0, 0.0), speed)
-        roads["invariants"] = pair.to_height(amplitude, time)
+        together = Multisine(tuple(special), (1.0,) * len(special), (0.0,) * len(special), speed)
+        roads["invariants"] = together.to_height(amplitude, time)
     responses: dict[str, Response] = {}
     for name, road in roads.items():  # one batch each: all at once, a full car's take gigabytes
         responses[name] = simulate([vehicle] * count, controllers, [road] * count, time, threads=0).response
@@ -105,7 +105,7 @@ def extremes(
     for i, controller in enumerate(controllers):
         runs = {"worst sinusoid": settled[i]} | {name: response.run(i) for name, response in responses.items()}
         ended = dict.fromkeys(name for run in runs.values() for name in ended_by(vehicle, run))
-        invariants = _invariants(vehicle, controller, special, runs, len(time) // 2, timestep)
+        invariants = _measured(vehicle, controller, runs["invariants"], len(time) // 2, timestep) if special else ()
         gains = {name: l2_gain(vehicle, run) for name, run in runs.items() if name != "invariants"}
         found.append(Extremes(worst[i], tried[i], gains, invariants, tuple(ended), lti))
     return found
@@ -132,37 +132,17 @@ def _whole_periods(omega: float, timestep: float) -> tuple[int, int]:
     return periods, round(periods * 2 * np.pi / (omega * timestep))
 
 
-def _invariant_frequencies(vehicle: Vehicle) -> dict[str, float]:
-    """Where a body on one wheel has transmissibilities that no force between the two can change [rad/s]."""
-    p = vehicle.parameters
-    if len(vehicle.kind.wheels) != 1 or not {"sprung_mass", "unsprung_mass", "tyre_stiffness"} <= set(p):
-        return {}
-    return {
-        "z_s/z_r": math.sqrt(p["tyre_stiffness"] / p["unsprung_mass"]),
-        "(z_s-z_u)/z_r": math.sqrt(p["tyre_stiffness"] / (p["sprung_mass"] + p["unsprung_mass"])),
-    }
-
-
-def _invariants(
-    vehicle: Vehicle,
-    controller: Controller,
-    special: Mapping[str, float],
-    runs: Mapping[str, Response],
-    samples: int,
-    timestep: float,
-) -> tuple[Invariant, ...]:
-    """The invariants, measured. They follow from m_s z_s'' + m_u z_u'' = -k_u (z_u - z_r), where no suspension force is left."""
-    if not special:
-        return ()
-    p, omega = vehicle.parameters, np.array(list(special.values()))
-    lines = fit(vehicle, controller, runs["invariants"], omega, samples, images(omega, vehicle, timestep))
-    road, suspension = lines["road_displacement"], lines["suspension_deflection"]
-    found = {"z_s/z_r": suspension + lines["tyre_deflection"] + road, "(z_s-z_u)/z_r": suspension}
-    expected = {
-        "z_s/z_r": p["unsprung_mass"] / p["sprung_mass"],
-        "(z_s-z_u)/z_r": (p["sprung_mass"] + p["unsprung_mass"]) / p["sprung_mass"],
-    }
-    return tuple(
-        Invariant(name, at, expected[name], float(np.abs(found[name][i] / road[i])), 2 * (at * timestep) ** 2 / 24)
-        for i, (name, at) in enumerate(special.items())
-    )
+def _measured(
+    vehicle: Vehicle, controller: Controller, response: Response, samples: int, timestep: float
+) -> tuple[MeasuredInvariant, ...]:
+    """The invariants of a vehicle, measured over the last samples of a run along them."""
+    p, kind = vehicle.parameters, vehicle.kind
+    omega = np.array([invariant.omega(p) for invariant in kind.invariants])
+    lines = fit(vehicle, controller, response, omega, samples, images(omega, vehicle, timestep))
+    road = lines[kind.wheels[0].road_displacement]
+    found = []
+    for i, (invariant, at) in enumerate(zip(kind.invariants, omega.tolist(), strict=True)):
+        moved = np.sum([lines[name] for name in invariant.signals], axis=0)
+        allowed = 2 * (at * timestep) ** 2 / 24
+        found.append(MeasuredInvariant(invariant.name, at, invariant.magnitude(p), float(np.abs(moved[i] / road[i])), allowed))
+    return tuple(found)

@@ -97,7 +97,8 @@ def sweep_lines(one: Sweep) -> list[str]:
         lines += [f"  DOES NOT AGREE: {text}" for text in failed]
     else:
         norm_too = "and the norm as the largest gain" if one.extremes.lti else "without the norm"
-        lines.append(f"  agrees: every line, the invariants, {norm_too}")
+        invariants = "the invariants, " if one.extremes.invariants else ""
+        lines.append(f"  agrees: every line, {invariants}{norm_too}")
     return lines
 
 

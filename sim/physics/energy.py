@@ -13,9 +13,9 @@ RK4 itself has a kink in its step, and the residual is only of about second orde
 
 Nothing else may do work: a force that is neither spring, weight, damper nor one of the vehicle's actuators is left over.
 
-An actuator `control_force...` is to push along `suspension_deflection...`, so its work is counted along that signal: that of one
-that acts on one end only, or through a gear, is left over too. Where a vehicle has no such suspension (nothing to push against
-but the world), work is counted along MuJoCo's actuator itself, and such a fault is for the comparison with the linear model.
+An actuator is to push along the deflection of its suspension, so its work is counted along that signal: that of one that acts on
+one end only, or through a gear, is left over too. Where it has no suspension (nothing to push against but the world), work is
+counted along MuJoCo's actuator itself, and such a fault is for the comparison with the linear model.
 Masses, springs and dampers are those of the MJCF: whether they are the vehicle's is the comparison's too.
 
 What is left over is a share of what was turned over: taken by the dampers, moved by the actuators either way, and the largest
@@ -128,7 +128,7 @@ def _observed(vehicle: Vehicle, timestep: float) -> tuple[mujoco.MjModel, Array]
     sensors = {sensor.name: sensor for sensor in spec.sensors}
     pairs, along = [], []
     for name in vehicle.linear_model.inputs:
-        stroke = sensors.get(name.replace("control_force", "suspension_deflection"))
+        stroke = sensors.get(vehicle.kind.pushed(name))
         if stroke is not None and stroke.type in speeds:
             pairs.append((stroke.type, speeds[stroke.type], stroke.objtype, stroke.objname))
             along.append(float(stroke.userdata[0]))

@@ -69,13 +69,14 @@ def _on_every_tyre(sign: float, limit: Callable[[float], float]) -> Callable[[Ve
     return thresholds
 
 
-def _either_way(kind: str, limit: Callable[[Vehicle], float | None]) -> Callable[[Vehicle], list[Threshold]]:
-    """Thresholds on every signal whose name begins so."""
+def _either_way(
+    names: Callable[[Vehicle], Sequence[str]], limit: Callable[[Vehicle], float | None]
+) -> Callable[[Vehicle], list[Threshold]]:
+    """Thresholds on some signals of a vehicle, if it has the limit."""
 
     def thresholds(vehicle: Vehicle) -> list[Threshold]:
         value = limit(vehicle)
-        names = [name for name in vehicle.linear_model.outputs if name.startswith(kind)]
-        return [Threshold(name, 0.0, value) for name in names] if value is not None else []
+        return [Threshold(name, 0.0, value) for name in names(vehicle)] if value is not None else []
 
     return thresholds
 
@@ -96,7 +97,9 @@ BUMP_STOP = End(
     "bump stop: a suspension is at the end of its stroke first at {when:.4g} s",
     "#e8955a",
     ("Square", (255, 0, 200)),
-    _either_way("suspension_deflection", lambda vehicle: vehicle.limits.suspension_stroke),
+    _either_way(
+        lambda vehicle: [one.deflection for one in vehicle.kind.suspensions], lambda vehicle: vehicle.limits.suspension_stroke
+    ),
 )
 SATURATION = End(
     "force saturation",
@@ -105,7 +108,7 @@ SATURATION = End(
     "saturation: an actuator gives all its force first at {when:.4g} s",
     "#c9a3d9",
     ("Diamond", (0, 220, 220)),
-    _either_way("control_force", lambda vehicle: vehicle.limits.actuator_force),
+    _either_way(lambda vehicle: vehicle.linear_model.inputs, lambda vehicle: vehicle.limits.actuator_force),
 )
 FLAT = End(  # no model of the vehicle holds from there
     "flat tyre",

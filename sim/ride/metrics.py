@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.arrays import Array
+from models.signals import CONTROL_FORCE, TYRE_DEFLECTION, Signal
 from models.vehicle import Vehicle
 from sim.response.response import Response
 from sim.ride.weighting import sampled_wk
@@ -61,17 +62,13 @@ class Points:
 
 
 def points(vehicle: Vehicle) -> Points:
-    """The points of a vehicle: by unit, by wheel, by actuator."""
+    """The points of a vehicle: by unit, by suspension, by wheel, by actuator."""
     model, kind = vehicle.linear_model, vehicle.kind
-    actuators = []
-    for force in model.inputs:
-        travel = force.replace("control_force", "suspension_deflection")
-        actuators.append((force, travel) if travel in model.outputs else (force,))
     return Points(
         accelerations=tuple(name for name in model.outputs if kind.signal(name).unit == "m/s2"),
-        suspensions=tuple(name for name in model.outputs if name.startswith("suspension_deflection")),
+        suspensions=tuple(one.deflection for one in kind.suspensions),
         tyres=tuple(wheel.tyre_deflection for wheel in kind.wheels),
-        actuators=tuple(actuators),
+        actuators=tuple((force, kind.pushed(force)) if kind.pushed(force) else (force,) for force in model.inputs),
     )
 
 
@@ -100,22 +97,27 @@ def metrics_of(vehicle: Vehicle) -> tuple[Metric, ...]:
 
 def dynamic_load(tyre: str) -> str:
     """Name of the dynamic load coefficient of a tyre."""
-    return tyre.replace("tyre_deflection", "dynamic_load")
+    return _named_after(tyre, TYRE_DEFLECTION, "dynamic_load")
 
 
 def off_ground(tyre: str) -> str:
     """Name of its share of time off the ground."""
-    return tyre.replace("tyre_deflection", "off_ground")
+    return _named_after(tyre, TYRE_DEFLECTION, "off_ground")
 
 
 def power(force: str) -> str:
     """Name of the mean power of an actuator."""
-    return force.replace("control_force", "control_power")
+    return _named_after(force, CONTROL_FORCE, "control_power")
 
 
 def energy(force: str) -> str:
     """Name of its energy."""
-    return force.replace("control_force", "control_energy")
+    return _named_after(force, CONTROL_FORCE, "control_energy")
+
+
+def _named_after(signal: str, common: Signal, metric: str) -> str:
+    """A metric's name in place of the common name that its signal begins with, or after a name of the signal's own."""
+    return f"{metric}{signal.removeprefix(common.name)}" if signal.startswith(common.name) else f"{signal}_{metric}"
 
 
 class Meter:
