@@ -43,7 +43,7 @@ def both(plant: GeneralizedPlant, free: int, phase: str) -> tuple[Barrier, Struc
         zero = np.zeros((n, n))
         dense = Barrier([(zero, lyapunov), (zero, basis.X), (np.eye(n), -basis.X), (10 * np.eye(m + n), box)])
         constraints = start_constraints(plant, 10.0)
-    return dense, StructuredBarrier(constraints, *basis.places, n, m), basis
+    return dense, StructuredBarrier(constraints, n, m, free), basis
 
 
 def hessian(here: Factored) -> np.ndarray:

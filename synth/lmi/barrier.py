@@ -75,7 +75,7 @@ class Factored(ABC):
     Attributes:
         trace: the gradient, shape (N,).
         scale: S, shape (N,).
-        triangle: R, shape (N, N); what lies below its diagonal means nothing.
+        triangle: R, shape (N, N), by rows or by columns; what lies below its diagonal means nothing.
     """
 
     trace: Array
@@ -84,15 +84,22 @@ class Factored(ABC):
 
     def half(self, c: Array) -> Array:
         """R^-T S c: its norm is that of c in the metric of the inverse Hessian."""
-        return lapack.dtrtrs(self.triangle, c * self.scale, trans=1)[0]
+        return _triangular(self.triangle, c * self.scale, transposed=True)
 
     def solve(self, half: Array) -> Array:
         """S R^-1 half, which with `half` above is the inverse Hessian times c."""
-        return self.scale * lapack.dtrtrs(self.triangle, half)[0]
+        return self.scale * _triangular(self.triangle, half, transposed=False)
 
     @abstractmethod
     def rates(self, step: Array) -> Array:
         """Eigenvalues r of the blocks' change in their own metric: along p + t step, log det changes by sum log(1 + t r)."""
+
+
+def _triangular(R: Array, x: Array, transposed: bool) -> Array:
+    """R^-1 x or R^-T x of an upper triangle. LAPACK counts by columns: one that lies by rows is its lower one, transposed."""
+    if R.flags.f_contiguous:
+        return lapack.dtrtrs(R, x, trans=int(transposed))[0]
+    return lapack.dtrtrs(R.T, x, lower=1, trans=int(not transposed))[0]
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,7 +25,7 @@ class Basis:
 
     def __init__(self, system: Array, n: int, m: int, free: int) -> None:
         self.system, self.n, self.m, self.free = system, n, m, free
-        self.places = _places(n, m, free)
+        self.places = places(n, m, free)
         self.size = len(self.places[0]) + 1
         k = system.shape[-2]
         self.F0 = np.zeros((k, k))
@@ -75,7 +75,7 @@ class Basis:
 
 
 @functools.cache
-def _places(n: int, m: int, free: int) -> tuple[Array, Array]:
+def places(n: int, m: int, free: int) -> tuple[Array, Array]:
     """Where the unknowns but the last stand in [X; Y]: those of X_Q and X_R above the diagonal, then those of Y_R, by rows."""
     rows, columns = np.triu_indices(n)
     inside = (rows >= free) | (columns < free)  # no unknown couples the two blocks
@@ -89,7 +89,7 @@ def _places(n: int, m: int, free: int) -> tuple[Array, Array]:
 @functools.cache
 def _units(n: int, m: int, free: int) -> tuple[Array, Array]:
     """What each unknown multiplies in X and in Y."""
-    rows, columns = _places(n, m, free)
+    rows, columns = places(n, m, free)
     units, index = np.zeros((len(rows) + 1, n + m, n)), np.arange(len(rows))
     units[index, rows, columns] = 1
     of_x = rows < n

@@ -336,7 +336,7 @@ class _Path:
 
     def _structured(self, constraints: list[Constraint]) -> StructuredBarrier:
         n, m = self.plant.B.shape
-        return StructuredBarrier(constraints, *self.basis.places, n, m)
+        return StructuredBarrier(constraints, n, m, self.free)
 
     def point(self, X: Array, Y: Array) -> CentralPoint:
         """A pair of the current coordinates as a point in the user's coordinates and units."""

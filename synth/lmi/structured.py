@@ -16,6 +16,8 @@ is lost that the QR of all rows in `barrier.py` would keep.
 # pyright: reportAttributeAccessIssue=false
 # scipy.linalg.lapack is made by f2py and carries no stubs.
 
+import functools
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -24,6 +26,7 @@ from scipy.linalg import lapack
 
 from models.common.arrays import Array
 from synth.lmi.barrier import Factored
+from synth.lmi.basis import places
 from synth.plant import GeneralizedPlant
 
 NEARLY_SINGULAR = 1e-7  # eigenvalues of S, relative to its largest: smaller ones square to what Cholesky's method would lose
@@ -78,29 +81,63 @@ def _definite(n: int, m: int, sign: float) -> Constraint:
     return Constraint(S0, 0.5 * sign * np.eye(n, n + m), np.eye(n), np.zeros((n, n)), plain=True)
 
 
+@dataclass(frozen=True, eq=False)
+class _Run:
+    """Unknowns in the same row of [X; Y].
+
+    Attributes:
+        row: which one.
+        others: in which columns they stand.
+        begin, end: which of the unknowns they are.
+        upper, lower: where the unknowns of X from the first of these on stand, and where their mirror images do, in a flat square
+            matrix of rows and columns `row` to n.
+    """
+
+    row: int
+    others: slice
+    begin: int
+    end: int
+    upper: Array
+    lower: Array
+
+
+@functools.cache
+def _runs(n: int, m: int, free: int) -> list[_Run]:
+    """Unknowns that stand in the same row of [X; Y], run by run, in the order in which they are counted."""
+    rows, columns = places(n, m, free)
+    of_x = int(np.sum(rows < n))
+    first = np.flatnonzero(np.diff(rows, prepend=-1)).tolist()
+    runs = []
+    for begin, end in itertools.pairwise([*first, len(rows)]):
+        row, left = int(rows[begin]), n - int(rows[begin])
+        s, t = rows[begin:of_x] - row, columns[begin:of_x] - row
+        others = slice(int(columns[begin]), int(columns[end - 1]) + 1)
+        runs.append(_Run(row, others, begin, end, s * left + t, t * left + s))
+    return runs
+
+
 class StructuredBarrier:
-    """Constraints, and where the unknowns stand in [X; Y].
+    """Constraints on the unknowns of (22) or (25).
 
     Args:
         constraints: all of the same n and m.
-        rows, columns: where the unknowns but the last stand, shapes (N - 1,), by rows; of X the upper triangle.
-        n, m: number of states and of inputs.
+        n, m, free: number of states, of inputs, and of columns of Q.
     """
 
-    def __init__(self, constraints: Sequence[Constraint], rows: Array, columns: Array, n: int, m: int) -> None:
-        self.constraints, self.rows, self.columns, self.shape = constraints, rows, columns, (n + m, n)
+    def __init__(self, constraints: Sequence[Constraint], n: int, m: int, free: int) -> None:
+        self.constraints, self.shape, self.free = constraints, (n + m, n), free
+        self.rows, self.columns = rows, columns = places(n, m, free)
         self.twice = rows < n  # of X: they stand below the diagonal, too
         self.mirrored = np.where(self.twice, rows, 0), np.where(self.twice, columns, 0)
         self.weight = np.where(rows == columns, 0.5, 1.0)  # those on the diagonal would count twice
-        first = np.flatnonzero(np.diff(rows, prepend=-1))
-        self.runs = list(zip(first.tolist(), [*first[1:].tolist(), len(rows)], strict=True))  # of unknowns in the same row
+        self.runs = _runs(n, m, free)
 
     def at(self, p: Array) -> "StructuredLocal | None":
         """The derivatives at a point, or None outside the feasible set."""
         N = len(p)
         unknown = self.matrix(p)
-        trace, hessian = np.zeros(N), np.zeros((N, N))
-        heavy, bases = [], []
+        trace = np.zeros(N)
+        heavy, bases, light = [], [], []
         for part in self.constraints:
             half = part.left @ unknown @ part.right.T
             factor, outside = lapack.dpotrf(part.S0 + half + half.T + p[-1] * part.last, lower=1, clean=1)
@@ -118,18 +155,21 @@ class StructuredBarrier:
             count = int(np.sum(sizes**-2 < NEARLY_SINGULAR * sizes[-1] ** -2))
             if count:
                 heavy.append(self._rows(part, U, count))
-            self._add(hessian, part, U[:, count:] @ U[:, count:].T)
-        light = np.diagonal(hessian).copy()
-        scale = 1 / np.sqrt(np.maximum(light, 1e-16 * (light + sum(np.einsum("ij,ij->j", rows, rows) for rows in heavy))))
+            light.append(U[:, count:] @ U[:, count:].T)
+        hessian = self._hessian(light)
+        diagonal = np.diagonal(hessian).copy()
+        scale = 1 / np.sqrt(np.maximum(diagonal, 1e-16 * (diagonal + sum(np.einsum("ij,ij->j", rows, rows) for rows in heavy))))
         hessian *= scale
         hessian *= scale[:, None]
         for shift in SHIFTS:
-            hessian[np.arange(N), np.arange(N)] = light * scale**2 + shift
-            triangle, failed = lapack.dpotrf(hessian, lower=0, clean=1)
+            hessian[np.arange(N), np.arange(N)] = diagonal * scale**2 + shift
+            # LAPACK counts by columns, and takes the upper triangle by rows as a lower one: nothing is laid out anew.
+            lower, failed = lapack.dpotrf(hessian.T, lower=1, clean=0)
             if not failed:
                 break
         else:
             return None
+        triangle = lower.T
         for rows in heavy:
             triangle = lapack.dtpqrt(0, min(PANEL, N), triangle, np.asfortranarray(rows * scale), overwrite_a=1, overwrite_b=1)[0]
         return StructuredLocal(trace, scale, triangle, self, bases)
@@ -163,39 +203,55 @@ class StructuredBarrier:
             found.append(each)
         return np.concatenate(found)
 
-    def _add(self, hessian: Array, part: Constraint, P: Array) -> None:
-        """Adds the upper triangle of the second derivatives that belong to P."""
-        n = self.shape[1]
-        PL, PR = P @ part.left, P @ part.right
-        # Every unknown e_s e_t', and of X e_t e_s' beside it: the entries that it takes from each row, as pairs of factors.
-        of_x = int(self.twice.sum())
-        begins, ends = (0 if np.any(part.left[:, :n]) else of_x), (of_x if part.plain else len(self.rows))
-        s, t = self.rows[:ends], self.columns[:ends]
-        weight, again = 2 * self.weight[:ends], 2 * (self.weight * self.twice)[:ends]
-        if part.plain:  # g, r and a are P, but for their factors: of the products two differ
-            pairs = [(P[:, t], P[:, s] * weight), (P[:, s], P[:, t] * weight)]
-        else:
-            g, r, a = part.right.T @ PL, part.left.T @ PL, part.right.T @ PR
-            mirrored = self.mirrored[0]
-            pairs = [(g.T[:, t], g[:, s] * weight), (r[:, s] * weight, a[:, t])]
-            pairs += [(g.T[:, mirrored], g[:, t] * again), (r[:, t] * again, a[:, mirrored])]
-        for begin, end in self.runs:
-            if not begins <= begin < ends:  # the constraint has no such unknown
+    def _hessian(self, light: Sequence[Array]) -> Array:
+        """The second derivatives that belong to these parts P of every S^-1, upper triangle, shape (N, N).
+
+        With Y' beside X, and nothing in R for it, S is the same function of one symmetric matrix. Its second derivative along
+        e_p e_q' + e_q e_p' and e_s e_t' + e_t e_s' is the module's formula summed over both places of both, and is an entry of a
+        product of thin matrices, 2 (U V' + V U')[s, t], where U depends on q alone and V on p: four columns of each for every
+        constraint, and one for X > 0 and X < I, for which the four are alike.
+        """
+        (rows, n), N, of_x = self.shape, len(self.rows) + 1, int(self.twice.sum())
+        hessian = np.zeros((N, N))
+        within_x: list[tuple[Array, Array]] = []  # factors U and V by q or p, s or t, and column
+        with_y: list[tuple[Array, Array]] = []
+        for part, P in zip(self.constraints, light, strict=True):
+            PL, PR = P @ part.left, P @ part.right
+            if np.any(part.last):
+                PW = P @ part.last
+                hessian[:-1, -1] += self._both(2 * (part.left.T @ PW @ PR))
+                hessian[-1, -1] += np.sum(PW * PW.T)
+            if part.plain:
+                within_x.append((P[..., None], P[..., None]))
                 continue
-            row, others, after = self.rows[begin], slice(self.columns[begin], self.columns[end - 1] + 1), slice(begin, None)
-            block = np.zeros((end - begin, ends - begin))
-            product = np.empty_like(block)
-            for first, second in pairs:
-                block += np.multiply(first[row, after], second[others, after], out=product)
-                if row < n and not part.plain:
-                    block += np.multiply(first[others, after], second[row, after], out=product)
-            if row < n:
-                block *= self.weight[begin:end, None]
-            hessian[begin:end, begin:ends] += block
-        if np.any(part.last):
-            PW = P @ part.last
-            hessian[:-1, -1] += self._both(2 * (part.left.T @ PW @ PR))
-            hessian[-1, -1] += np.sum(PW * PW.T)
+            g, a, r = np.zeros((rows, rows)), np.zeros((rows, rows)), part.left.T @ PL
+            g[:n], a[:n, :n] = part.right.T @ PL, part.right.T @ PR
+            U, V = np.stack([g, a, g.T, r], axis=-1), np.stack([g.T, r, g, a], axis=-1)
+            with_y.append((U, V))
+            if np.any(part.left[:, :n]):
+                within_x.append((U[:n, :n], V[:n, :n]))
+
+        U, V = (np.concatenate(factors, axis=-1) for factors in zip(*within_x, strict=True))
+        Uy, Vy = (np.concatenate(factors, axis=-1) for factors in zip(*with_y, strict=True))
+        x = slice(self.free, n)  # what Y multiplies
+        for run in self.runs:
+            p, q, block = run.row, run.others, hessian[run.begin : run.end]
+            if p < n:
+                product = _products(U[q, p:], V[p, p:]).reshape(len(block), -1)
+                np.add(product.take(run.upper, axis=1), product.take(run.lower, axis=1), out=block[:, run.begin : of_x])
+            y = slice(max(p, n), rows)
+            product = _products(Uy[q, y], Vy[p, x]) + _products(Uy[q, x], Vy[p, y]).swapaxes(1, 2)
+            block[:, max(run.begin, of_x) : -1] = product.reshape(len(block), -1)
+        inner, once = hessian[:-1, :-1], np.flatnonzero(self.weight < 1)
+        inner *= 2
+        inner[once] *= 0.5
+        inner[:, once] *= 0.5
+        return hessian
+
+
+def _products(U: Array, V: Array) -> Array:
+    """U V' for every q, shape (q, s, t), of U by q, s and column, and V by t and column."""
+    return (U.reshape(-1, U.shape[-1]) @ V.T).reshape(*U.shape[:2], len(V))
 
 
 @dataclass(frozen=True, eq=False)
