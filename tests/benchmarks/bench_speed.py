@@ -35,6 +35,7 @@ from sim.validity.cells import validity
 from sim.validity.grid import grid, read_axes
 from synth.certificate.norm import hinf_norm
 from synth.controller import generalized_plant
+from synth.design import two_step_design
 from synth.designer import Designer
 from synth.lmi.clarabel import solve_lmi
 from tests.benchmarks.states import chain
@@ -152,6 +153,20 @@ def test_design_of_the_full_car(benchmark):
     benchmark.pedantic(lambda: Designer(vehicle).design("I"), rounds=3, iterations=1)
     print(f"\n{benchmark.name}: {benchmark.stats['median']:.2f} s")
     assert benchmark.stats["median"] <= 3
+
+
+def test_design_of_forty_states(benchmark):
+    """Both steps and the certificate of a chain of 40 states take at most 10 s of processor time."""
+    spent = []
+
+    def turn():
+        start = time.process_time()
+        two_step_design(*chain(40))
+        spent.append(time.process_time() - start)
+
+    benchmark.pedantic(turn, rounds=1, iterations=1)
+    print(f"\n{benchmark.name}: {spent[0]:.1f} s of processor time")
+    assert spent[0] <= 10
 
 
 def test_design(benchmark):
