@@ -4,12 +4,13 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from models.common.errors import InputError
 from models.kind import GRAVITY
 from models.reality import Implementation, Limits
 from models.vehicle import parse_vehicle, read_vehicle
-from sim.linear.loop import continuous_response, noise_spread, sampled_radius, sampled_response, taylor4
+from sim.linear.loop import continuous_response, noise_spread, noise_spreads, sampled_radius, sampled_response, taylor4
 from sim.physics.simulate import simulate
 from sim.roads.road import Bump
 from sim.runs.run import run_all, sample_times
@@ -146,6 +147,31 @@ def test_spread_is_the_lyapunov_equation(paper, designer):
     expected = noise_rms(paper, designer.design("II"), 2e-3, {"sprung_velocity": 0.01})
     for name in ("suspension_deflection", "tyre_deflection", "sprung_velocity"):
         assert found[name] == pytest.approx(expected[name], rel=1e-9)  # rounding of a solve, and of 14 doublings
+
+
+@pytest.mark.parametrize("implementation", [Implementation(sample_period=0.04), Implementation(sample_period=0.04, delay=1)])
+def test_noise_between_samples(implementation):
+    """Between the samples of a slow controller noise moves wheels by more than at them, at every step by what is predicted."""
+    runs, step, rms = 200, 4e-3, 1e-5  # m/s: small, so that turning makes nothing
+    half = read_vehicle("half_car")
+    controller, noise = Designer(half).design("II"), {"heave_velocity": rms, "pitch_rate": rms}
+    vehicles = [with_reality(half, None, dataclasses.replace(implementation, noise=noise, seed=seed)) for seed in range(runs)]
+    predicted = noise_spreads(vehicles[0], controller, step)
+    time = sample_times(half, 2.4, step)  # the slowest mode has e^-14 of its variance to come
+    response = simulate(vehicles, [controller] * runs, [Bump(height=0.0)] * runs, time).response
+    last = (len(time) - 1) // 10 * 10 - 10  # the first step of the last whole period
+    names = half.linear_model.outputs
+    measured = np.stack([np.mean(response[name][:, last : last + 10] ** 2, axis=0) for name in names], axis=-1)
+    # Runs are independent, so such a mean square is a chi-square of as many degrees, and all lie within its quantiles but once in
+    # a million tests, whatever they share.
+    low, high = stats.chi2.ppf([5e-7 / predicted.size, 1 - 5e-7 / predicted.size], runs) / runs
+    assert np.all(measured >= low * predicted**2)
+    assert np.all(measured <= high * predicted**2)
+    spread = noise_spread(vehicles[0], controller, step)
+    assert list(spread.values()) == predicted.max(axis=0).tolist()
+    assert spread["unsprung_velocity_front"] > 2 * predicted[0, names.index("unsprung_velocity_front")]  # measured: 3
+    (run,) = run_all(vehicles[0], [controller], Bump(height=1e-4), sample_times(half, 1.0, step))
+    assert run.agreement.agrees
 
 
 def noise_rms(vehicle, controller, step, noise):

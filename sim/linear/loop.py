@@ -224,23 +224,45 @@ def largest_timestep(vehicle: Vehicle) -> float:
 
 
 def noise_spread(vehicle: Vehicle, controller: Controller, timestep: float) -> dict[str, float]:
-    """Stationary rms of every output signal under noise and quantisation of the measurements.
+    """Stationary rms of every output signal under noise and quantisation of the measurements, the largest of any timestep.
 
     Quantisation counts as white noise of a twelfth of its resolution squared. Empty where there is none, or the loop is unstable.
     """
-    how, gain = vehicle.implementation, controller.gain
-    rms = [np.hypot(how.noise.get(name, 0.0), how.quantisation.get(name, 0.0) / math.sqrt(12)) for name in controller.measured]
-    if not np.any(rms) or sampled_radius(vehicle, controller, timestep) >= 1:
+    if not _measured_rms(vehicle, controller).any() or sampled_radius(vehicle, controller, timestep) >= 1:
         return {}
+    spread = np.max(noise_spreads(vehicle, controller, timestep), axis=0)
+    return dict(zip(vehicle.linear_model.outputs, spread.tolist(), strict=True))
+
+
+def noise_spreads(vehicle: Vehicle, controller: Controller, timestep: float) -> Array:
+    """The same of every timestep of the controller's sample period, from its sample on, shape (steps, p); of a stable loop.
+
+    From one sample to the next the loop is time-invariant, and between them its state follows from that at the sample and the
+    force that is held: rms repeat with the period.
+    """
+    how = vehicle.implementation
     model, _ = with_actuators(vehicle, controller)
     loop, added, acting = implemented_loop(vehicle, controller, timestep)
-    forces = gain * np.array(rms)
+    forces = controller.gain * _measured_rms(vehicle, controller)
     root = _stationary(loop, added @ forces)
-    rows = np.hstack([model.C, np.zeros((len(model.C), len(loop) - model.C.shape[1]))]) + model.D @ acting
     # Without a delay the force of a sample has the noise of that sample in it, beside the state.
-    direct = model.D @ forces if how.delay == 0 else np.zeros((1, 1))
-    spread = np.sqrt(np.sum((rows @ root) ** 2, axis=1) + np.sum(direct**2, axis=1))
-    return dict(zip(model.outputs, spread.tolist(), strict=True))
+    held = forces if how.delay == 0 else np.zeros_like(forces)
+
+    Phi, Gamma = held_inputs(model.A, timestep, linalg.expm, model.B)
+    of_state, of_noise = np.eye(len(model.A), len(loop)), np.zeros_like(model.B @ held)  # the vehicle's state, from the loop's
+    found = []
+    for _ in range(steps_per_sample(how, timestep)):
+        rows, direct = model.C @ of_state + model.D @ acting, model.C @ of_noise + model.D @ held
+        found.append(np.sqrt(np.sum((rows @ root) ** 2, axis=1) + np.sum(direct**2, axis=1)))
+        of_state, of_noise = Phi @ of_state + Gamma @ acting, Phi @ of_noise + Gamma @ held
+    return np.stack(found)
+
+
+def _measured_rms(vehicle: Vehicle, controller: Controller) -> Array:
+    """Of what comes to every signal that a controller measures, shape (q,)."""
+    how = vehicle.implementation
+    rms = [np.hypot(how.noise.get(name, 0.0), how.quantisation.get(name, 0.0) / math.sqrt(12)) for name in controller.measured]
+    return np.array(rms)
 
 
 def _stationary(loop: Array, shock: Array) -> Array:
