@@ -1,5 +1,6 @@
 """What a real car has and the analysis has not: `[limits]` and `[implementation]` of a vehicle file, each off where absent."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -43,7 +44,9 @@ class Limits:
         if self.actuator_force is not None:
             found.append(f"forces up to ±{self.actuator_force:g} N")
         if self.actuator_bandwidth is not None:
-            found.append(f"actuators that lag with {self.actuator_bandwidth:g} rad/s")
+            found.append(
+                f"actuators that lag from {self.actuator_bandwidth / (2 * math.pi):.4g} Hz on ({self.actuator_bandwidth:g} rad/s)"
+            )
         return tuple(found)
 
 

@@ -271,7 +271,7 @@ def test_picture_is_the_cells(limited, designer, cells, axes):
     ground = panel.ground
     assert isinstance(ground, Classes)
     assert (panel.xlabel, panel.ylabel) == ("speed [m/s]", "bump height [m]")
-    legend = {curve.label: curve.color for curve in panel.curves}
+    legend = dict(ground.legend)
     for bump, first in zip(found.bumps, found.first, strict=True):
         color = ground.colors[ground.kind[list(ground.y).index(bump.height), list(ground.x).index(bump.speed)]]
         (label,) = [text for text, its in legend.items() if its == color and ("breaks" in text)]

@@ -20,7 +20,7 @@ def check(one: Section, folder, monkeypatch, capsys) -> None:
     """Runs a section; holds what it prints and draws against the page."""
     if any("--picture" in line or "sim.report" in line for line in one.commands):
         pytest.importorskip("matplotlib", reason="needs the extra [report]")
-        pytest.importorskip("plotly", reason="needs the extra [report]")
+        pytest.importorskip("jinja2", reason="needs the extra [report]")
     monkeypatch.chdir(folder)
     run(one, folder)
     printed = capsys.readouterr().out

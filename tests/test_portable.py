@@ -143,7 +143,7 @@ runpy.run_module(module, run_name="__main__")
         ),
         ("matplotlib", "report", ["sim.margins", "--controller", "I", "--picture", "x.svg"]),
         ("jinja2", "report", ["sim.report"]),
-        ("plotly", "report", ["sim.report"]),
+        ("contourpy", "report", ["sim.report"]),
         ("ray", "cluster", ["sim.campaign", "campaign.toml", "--ray", "auto"]),
         ("pyopencrg", "opencrg", ["sim.drive", "--controller", "passive", "--road", "road.crg"]),
     ],

@@ -1,6 +1,7 @@
-"""The report: one file that needs no network, whose every plot is drawn and every table filled, in a real browser."""
+"""The report: one file that needs no network, with every figure drawn and every table filled, in a real browser."""
 
 import csv
+import html
 import json
 import re
 import shutil
@@ -12,7 +13,7 @@ import pytest
 
 from models.common.errors import InputError
 from models.vehicle import parse_vehicle, read_vehicle
-from sim.figures.figure import Classes, Curve, Figure, Panel, Shades, level, styles
+from sim.figures.figure import Bars, Classes, Curve, Figure, Panel, Shades, level, styles
 from sim.linear.loop import sampled_response
 from sim.report import ride as report_ride
 from sim.report.__main__ import main
@@ -22,7 +23,7 @@ from sim.roads.iso8608 import Iso8608
 from sim.runs.run import sample_times
 from synth.designer import Designer
 
-pytest.importorskip("plotly", reason="a report needs the extra [report]")
+pytest.importorskip("jinja2", reason="a report needs the extra [report]")
 pytest.importorskip("matplotlib", reason="a report needs the extra [report]")
 
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -73,20 +74,56 @@ def browse(page: Path, width: int, folder: Path, *options: str) -> tuple[str, st
 
 @in_browser
 def test_page_in_a_browser(report, tmp_path):
-    """Every plot is drawn, every table filled, nothing is complained of, and nothing asked of a network."""
+    """Every figure is there, every table filled, nothing is complained of, and nothing asked of a network."""
     page, _, result = report
     assert "default-src 'none'" in page.read_text(encoding="utf-8")  # what would go to a network is refused, and complained of
     dom, said = browse(page, 1600, tmp_path)
     assert "CONSOLE" not in said, said
-    plots = re.findall(r'<div id="plot-[^"]+"', dom)
-    assert len(plots) == len(set(plots)) == 8  # Fig. 3 and Fig. 4, four signals each
-    assert dom.count('class="main-svg"') >= len(plots)
+    assert 'class="tip"' in dom  # the script ran
+    plots = re.findall(r'<svg class="plot [^"]+" id="([^"]+)"', dom)
+    assert len(plots) == len(set(plots)) == 3 + 8  # the summary; Fig. 3 and Fig. 4, four signals each
     for name, rows in result["tables"].items():
         table = re.search(rf'id="table-{name}".*?</table>', dom, re.S)
         assert table
         assert table[0].count("<tr>") == 1 + len(rows)
         assert rows
         assert "<td></td>" not in table[0].replace("> <", "><")
+
+
+HOVER = r"""
+const frame = document.querySelector("iframe"), found = [];
+frame.onload = () => {
+  const page = frame.contentDocument, tip = page.querySelector(".tip");
+  for (const path of page.querySelectorAll("#plot-bump-0 .point[data-name], #plot-summary-0 rect[data-name]")) {
+    path.scrollIntoView();
+    const box = path.getBoundingClientRect(), area = path.ownerSVGElement.getScreenCTM();
+    const [x, y] = path.getAttribute("d")?.match(/-?\d+/g).map((text) => text / 100) ?? [];
+    const at = x === undefined ? [box.left + 2, box.top + 2] : [area.a * x + area.e, area.d * y + area.f];
+    path.dispatchEvent(new PointerEvent("pointermove", {clientX: at[0], clientY: at[1], bubbles: true}));
+    found.push([path.dataset.name, tip.hidden ? "" : tip.textContent]);
+  }
+  document.title = JSON.stringify(found);
+};
+"""
+
+
+@in_browser
+def test_what_is_under_the_pointer_is_named(report, tmp_path):
+    """Over a point of MuJoCo stand whose it is, its value with its unit, and when; over a bar, whose it is and what it says."""
+    page, _, _ = report
+    probe = tmp_path / "probe.html"
+    probe.write_text(f'<iframe src="{page.as_uri()}" width="1400" height="2000"></iframe><script>{HOVER}</script>')
+    dom, _ = browse(probe, 1600, tmp_path, "--allow-file-access-from-files")
+    title = re.search(r"<title>(.*?)</title>", dom, re.S)
+    assert title
+    found = json.loads(html.unescape(title[1]))
+    bars = {name: tip for name, tip in found if ":" in name}
+    assert len(bars) == 4
+    assert all(tip == name for name, tip in bars.items())
+    points = dict(found[len(bars) :])
+    assert set(points) == {f"{name}, MuJoCo" for name in ("passive", "state", "I", "II")}
+    # Where several lie at one place, at rest, one of them is named.
+    assert all(re.fullmatch(r"\w+(, MuJoCo)?\n0 m/s² at 0 s", tip) for tip in points.values())
 
 
 @in_browser
@@ -116,13 +153,12 @@ def test_page_fits(report, tmp_path):
 
 
 def test_page_is_self_contained(report):
-    """Outside of Plotly's own code nothing in the page names another host."""
+    """Nothing in the page names another host but its own figures' kind, and it is small enough to be mailed."""
     page, _, _ = report
     text = page.read_text(encoding="utf-8")
-    own = re.sub(r"<script>.*?</script>", "", text, count=1, flags=re.S)  # the first is Plotly
-    assert len(own) < len(text) / 2
-    assert not re.findall(r"(?:src|href)=\"(?!data:|#)[^\"]+", own)
-    assert "://" not in own
+    assert not re.findall(r"(?:src|href)=\"(?!data:|#)[^\"]+", text)
+    assert set(re.findall(r"\w+://[\w.]+", text)) == {"http://www.w3.org"}  # what SVG is called by
+    assert len(text.encode()) < 500_000
 
 
 def test_numbers_of_the_paper(report):
@@ -165,7 +201,7 @@ def test_bad_input(arguments, words, tmp_path, monkeypatch):
 
 
 def test_every_kind_of_ground_is_drawn(tmp_path):
-    """Cells, shades and contours go to the page and to a picture alike; the same figure gives the same bytes."""
+    """Cells, shades, bars and contours go to the page and to a picture alike; the same figure gives the same bytes."""
     from sim.figures.page import Page, Section, render
     from sim.figures.picture import write_picture
 
@@ -173,12 +209,14 @@ def test_every_kind_of_ground_is_drawn(tmp_path):
     z = x + y[:, None]
     line = Curve(*level(x, y, z, 1.5), "level", "#000000")
     np.testing.assert_allclose(line.x[1:-1] + line.y[1:-1], 1.5)  # z is linear, so its contour is exact
-    cells = Panel("cells", "x", "y", (line,), Classes(x, y, (z > 1.5).astype(int), ("#ffffff", "#7aa6d8")))
+    cells = Panel("cells", "x", "y", (line,), Classes(x, y, (z > 1.5).astype(int), ("#ffffff", "#7aa6d8"), ("", "high")))
     shades = Panel("shades", "x", "y", (), Shades(x, y, np.where(z > 2.9, np.nan, z), "z [m]"))
-    figure = Figure("grounds", "two", (cells, shades))
-    text = render(Page("t", ("a < b",), (Section("s", figures=(figure,)),)))
+    bars = Panel("bars", "x", "", (), Bars(("a", "b"), np.array([1.0, np.nan]), ("1", "none"), ("#000000", "#d62728")))
+    figure = Figure("grounds", "three", (cells, shades, bars))
+    text = render(Page("t", ("a < b",), Section("", ""), (Section("s", "t", figures=(figure,)),)))
     assert "a &lt; b" in text
-    assert text.count('id="plot-grounds') == 2
+    assert text.count('id="plot-grounds-') == 3 + 2 * 3  # each with its title and its text
+    assert all(f"f-{color}" in text for color in ("ffffff", "7aa6d8", "ffffe5", "662506", "000000"))
     for name in ("a.svg", "b.svg"):
         write_picture(figure, tmp_path / name)
     assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()
@@ -199,7 +237,7 @@ def test_ride_is_of_runs_that_came_through(monkeypatch):
         read_vehicle("quarter_car").text + '\n[controllers.wild]\nmeasured = ["sprung_velocity"]\ngain = [[1e6]]\n', source="wild"
     )
     designed = [Designer(vehicle).design(name) for name in ("I_printed", "wild")]
-    section = report_ride.ride_section(vehicle, designed, 2e-3)
+    section = report_ride.ride_section(vehicle, report_ride.rides_of(vehicle, designed, 2e-3))
     rows = {(row[1], row[2]): row for row in section.tables[0].rows}
     assert all(row[4:] == ("-", "-", "-", "4 of 4 flat or diverged") for (name, _), row in rows.items() if name == "wild")
 

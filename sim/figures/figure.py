@@ -1,14 +1,16 @@
 """Figures as data: what is drawn, said once, for a picture file and for a page in a browser alike."""
 
+import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from models.common.arrays import Array
 
 Dash = Literal["solid", "dash", "dot", "dashdot", "longdash", "none"]
-Marker = Literal["", "o", "x", "s", "+"]  # circle (hollow), cross, square, plus
+Marker = Literal["", "o", "x", "+"]  # circle (hollow), cross, plus
 
 # The paper's colours and line styles; whatever else there is comes after.
 STYLES: dict[str, tuple[str, Dash]] = {
@@ -43,6 +45,7 @@ class Curve:
     Attributes:
         x, y: shape (N,); NaN interrupts the line.
         label: in the legend, where curves of one label have one entry; empty for none.
+        name: what it is, where the legend does not say so; a page names it under the pointer.
         color: as `#rrggbb`.
         dash: of the line.
         marker: at every point.
@@ -56,6 +59,7 @@ class Curve:
     dash: Dash = "solid"
     marker: Marker = ""
     width: float = 1.5
+    name: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,12 +70,20 @@ class Classes:
         x, y: centres, shapes (N,) and (M,), equidistant.
         kind: index into `colors`, shape (M, N).
         colors: of the kinds.
+        names: of the kinds; those that occur are in the legend.
     """
 
     x: Array
     y: Array
     kind: Array
     colors: tuple[str, ...]
+    names: tuple[str, ...]
+
+    @property
+    def legend(self) -> list[tuple[str, str]]:
+        """Name and colour of those that occur and have a name."""
+        pairs = zip(self.names, self.colors, strict=True)
+        return [pair for i, pair in enumerate(pairs) if pair[0] and np.any(self.kind == i)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,16 +103,34 @@ class Shades:
 
 
 @dataclass(frozen=True, eq=False)
+class Bars:
+    """Horizontal bars from zero, one to a name, the first on top: the k-th lies at y = k, where points of a curve may mark it.
+
+    Attributes:
+        names: of the bars.
+        values: their lengths, shape (N,), none negative; NaN where there is none.
+        words: what is written at each.
+        colors: of the bars.
+    """
+
+    names: tuple[str, ...]
+    values: Array
+    words: tuple[str, ...]
+    colors: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
 class Panel:
     """One pair of axes.
 
     Attributes:
         title: above it; may have two lines.
-        xlabel, ylabel: with units.
+        xlabel, ylabel: with units; that of bars has no ylabel.
         curves: drawn in order.
         ground: below the curves.
         xlog, ylog: whether an axis is logarithmic.
         xticks: where the horizontal axis is labelled; empty for as usual.
+        xnames: what stands there instead of the numbers.
         xlim, ylim: shown range; None for all.
     """
 
@@ -108,10 +138,11 @@ class Panel:
     xlabel: str
     ylabel: str
     curves: tuple[Curve, ...]
-    ground: Classes | Shades | None = None
+    ground: Classes | Shades | Bars | None = None
     xlog: bool = False
     ylog: bool = False
     xticks: tuple[float, ...] = ()
+    xnames: tuple[str, ...] = ()
     xlim: tuple[float, float] | None = None
     ylim: tuple[float, float] | None = None
 
@@ -122,7 +153,7 @@ class Figure:
 
     Attributes:
         name: of its file, without suffix.
-        title: above all panels.
+        title: what it shows and how to read it: above all panels, or a caption.
         panels: in rows.
         columns: of panels.
         size: of one panel [inches].
@@ -148,3 +179,15 @@ def level(x: Array, y: Array, z: Array, height: float) -> tuple[Array, Array]:
     gap = np.full((1, 2), np.nan)
     joined = np.concatenate([gap, *(part for piece in pieces for part in (np.asarray(piece), gap))])
     return joined[:, 0], joined[:, 1]
+
+
+def bands(ground: Shades, levels: Sequence[float]) -> list[list[Array]]:
+    """Between every two levels, where the quantity lies there: outlines of shape (N, 2), holes included."""
+    from contourpy import contour_generator
+
+    contours = contour_generator(ground.x, ground.y, np.ma.masked_invalid(ground.z), fill_type="OuterOffset")
+    found = []
+    for low, high in itertools.pairwise(levels):
+        pieces: Any = contours.filled(low, high)
+        found.append([ring for points, cuts in zip(*pieces, strict=True) for ring in np.split(points, cuts[1:-1])])
+    return found

@@ -1,25 +1,31 @@
 """Sections, tables and figures as one HTML file: nothing in it comes from a network, and it opens from disk.
 
-Plotly draws the figures, and its code is in the file; Jinja2 fills `page.html.jinja`.
+Every figure is SVG that stands in the page, so that it is there in print, in a mail and without JavaScript; `page.js` only names
+what is under the pointer. Jinja2 fills `page.html.jinja`.
 """
 
-from collections.abc import Sequence
+import base64
+import hashlib
+from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Any, Literal
-
-import numpy as np
+from typing import Literal
 
 from models.common.errors import InputError
 from models.common.whole_file import whole_file
-from sim.figures.figure import Classes, Curve, Figure, Panel, Shades
+from sim.figures.contrast import GRAPHICS, contrast, readable
+from sim.figures.figure import Bars, Classes, Figure, Panel, Shades
+from sim.figures.ground import levels, shade_colors
+from sim.figures.svg import DASHES, MARKERS, on_paper, svg
 
-PLOTLY_DASHES = {"solid": "solid", "dash": "dash", "dot": "dot", "dashdot": "dashdot", "longdash": "longdash", "none": "solid"}
-SVG_DASHES = {"solid": "", "dash": "6 3", "dot": "2 2", "dashdot": "7 2 2 2", "longdash": "10 3", "none": ""}
-SYMBOLS = {"": "circle", "o": "circle-open", "x": "x-thin-open", "s": "square", "+": "cross-thin-open"}
-FONT = {"family": "system-ui, sans-serif", "size": 12, "color": "#222222"}
-
+LIGHT, DARK = "#ffffff", "#16181b"  # behind figures, as in page.css
+VERDICTS = {
+    "holds": "the physics confirms the analysis throughout",
+    "ends": "nothing is refuted, but not all of it holds throughout",
+    "fails": "something FAILS",
+}
 
 State = Literal["holds", "ends", "fails"]
 
@@ -30,12 +36,14 @@ class Table:
 
     Attributes:
         name: of its CSV file, without suffix.
+        caption: what it shows.
         headings: of the columns.
-        rows: cells as text.
+        rows: cells as text; the first names the row.
         words: how many columns on the left are words; the others are numbers, to the right.
     """
 
     name: str
+    caption: str
     headings: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     words: int = 1
@@ -50,12 +58,14 @@ class Section:
     """What belongs together on the page.
 
     Attributes:
-        title: above it.
+        title: above it, as a question that anybody has.
+        term: what the field calls it.
         text: sentences, a paragraph each.
         tables, figures: after the text.
     """
 
     title: str
+    term: str
     text: tuple[str, ...] = ()
     tables: tuple[Table, ...] = ()
     figures: tuple[Figure, ...] = ()
@@ -68,22 +78,29 @@ class Page:
     Attributes:
         title: above all.
         answer: what the reader came for, a sentence each.
+        summary: what comes first of all: a figure, a table. It has no title.
         sections: in order.
-        state: what the answer amounts to, and the colour of its box: green where all holds, amber where something ended before
-            its time, red where something fails.
+        state: what the answer amounts to, and the colour of its heading: green where all holds, amber where something ended
+            before its time, red where something fails.
     """
 
     title: str
     answer: tuple[str, ...]
+    summary: Section
     sections: tuple[Section, ...]
     state: State = "holds"
+
+    @property
+    def parts(self) -> tuple[Section, ...]:
+        """The summary and all sections."""
+        return (self.summary, *self.sections)
 
 
 def check_page() -> None:
     """Whether pages can be made here; raises InputError where not."""
     try:
+        import contourpy  # noqa: F401
         import jinja2  # noqa: F401
-        import plotly  # noqa: F401
     except ImportError as error:
         raise InputError(f"a report needs {error.name}; pip install 'roadproof[report]'") from None
 
@@ -91,11 +108,20 @@ def check_page() -> None:
 def render(page: Page) -> str:
     """The page as one HTML document."""
     import jinja2
-    from plotly.offline import get_plotlyjs
 
     environment = jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined)
-    template = environment.from_string(resources.files("sim.figures").joinpath("page.html.jinja").read_text(encoding="utf-8"))
-    return template.render(page=page, plotly=get_plotlyjs(), plots=_plots, legend=_legend, wide=_wide)
+    return environment.from_string(_resource("page.html.jinja")).render(
+        page=page,
+        verdict=VERDICTS[page.state],
+        style=_resource("page.css") + _colors(page),
+        script=_resource("page.js"),
+        digest=_digest,
+        numbers=_Numbers(),
+        svg=svg,
+        legend=_legend,
+        paper=_on_paper,
+        layout=_layout,
+    )
 
 
 def write_page(page: Page, path: Path) -> None:
@@ -108,131 +134,89 @@ def write_page(page: Page, path: Path) -> None:
         beside.write_text(render(page), encoding="utf-8", newline="\n")
 
 
+def _resource(name: str) -> str:
+    return resources.files("sim.figures").joinpath(name).read_text(encoding="utf-8")
+
+
+def _digest(text: str) -> str:
+    """What a Content-Security-Policy calls a script or a style by."""
+    return f"sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}"
+
+
+class _Numbers:
+    """Counts tables, and figures, from 1."""
+
+    def __init__(self) -> None:
+        self._counts: Counter[str] = Counter()
+
+    def next(self, kind: str) -> int:
+        """The next number of its kind."""
+        self._counts[kind] += 1
+        return self._counts[kind]
+
+
+def _colors(page: Page) -> str:
+    """Rules for every colour of a figure: lines, points and bars can be told from the ground, by day and by night."""
+    strokes, bars, fills = set[str](), set[str](), set[str]()
+    for panel in (panel for part in page.parts for figure in part.figures for panel in figure.panels):
+        strokes |= {curve.color for curve in panel.curves}
+        ground = panel.ground
+        if isinstance(ground, Bars):
+            bars |= set(ground.colors)
+        elif isinstance(ground, Classes):
+            fills |= set(ground.colors)
+        elif isinstance(ground, Shades):
+            fills |= set(shade_colors(len(levels(ground)) - 1))
+    day = [f".s-{color[1:]} {{ stroke: {readable(color, LIGHT)}; }}" for color in sorted(strokes)]
+    day += [f".ink .f-{color[1:]} {{ fill: {readable(color, LIGHT)}; }}" for color in sorted(bars)]
+    day += [f".paper .f-{color[1:]} {{ fill: {color}; }}" for color in sorted(fills)]
+    night = [f".ink .s-{color[1:]} {{ stroke: {by_night(color)}; }}" for color in sorted(strokes)]
+    night += [f".ink .f-{color[1:]} {{ fill: {by_night(color)}; }}" for color in sorted(bars)]
+    return "\n".join([*day, "@media screen and (prefers-color-scheme: dark) {", *night, "}", ""])
+
+
+def by_night(color: str) -> str:
+    """A colour that stands out from the dark as much as this one does from white: black becomes white."""
+    return readable(color, DARK, max(GRAPHICS, contrast(color, LIGHT)))
+
+
 @dataclass(frozen=True)
 class _Entry:
-    """One entry of a legend; its line is drawn as SVG, so that it is there in print and in black and white."""
+    """One entry of a legend: a line, a marker, both, or else a patch of colour."""
 
     label: str
     color: str
-    width: float
-    dashes: str
-    line: bool
-    marker: str
+    width: float = 0.0
+    dashes: str = ""
+    line: bool = False
+    marker: str = ""
 
 
 def _legend(figure: Figure) -> list[_Entry]:
-    """One entry per label, in the order of their first curves."""
+    """One entry per label, in the order of their first curves, grounds before."""
     entries: dict[str, _Entry] = {}
-    for curve in (curve for panel in figure.panels for curve in panel.curves):
-        if curve.label:
-            line = curve.dash != "none"
-            entry = _Entry(curve.label, curve.color, curve.width + 0.5, SVG_DASHES[curve.dash], line, curve.marker)
-            entries.setdefault(curve.label, entry)
+    for entry in (entry for panel in figure.panels for entry in _of_panel(panel)):
+        entries.setdefault(entry.label, entry)
     return list(entries.values())
 
 
-def _wide(figure: Figure) -> bool:
-    """Whether its panels take the whole width."""
-    return figure.columns == 1
-
-
-def _plots(figure: Figure) -> list[str]:
-    """Every panel as a piece of HTML."""
-    return [_plot(panel, f"{figure.name}-{number}") for number, panel in enumerate(figure.panels)]
-
-
-def _plot(panel: Panel, name: str) -> str:
-    import plotly.graph_objects as go
-
-    ground: list[Any] = []
+def _of_panel(panel: Panel) -> Iterator[_Entry]:
     if isinstance(panel.ground, Classes):
-        kinds, count, scale = panel.ground, len(panel.ground.colors), _steps(panel.ground.colors)
-        ground = [
-            go.Heatmap(
-                x=kinds.x,
-                y=kinds.y,
-                z=kinds.kind,
-                zmin=-0.5,
-                zmax=count - 0.5,
-                colorscale=scale,
-                showscale=False,
-                hoverinfo="skip",
-            )
-        ]
-    elif isinstance(panel.ground, Shades):
-        shades = panel.ground
-        bar = {"title": {"text": shades.label, "side": "right"}, "thickness": 12}
-        ground = [
-            go.Contour(
-                x=shades.x, y=shades.y, z=_listed(shades.z), colorscale="YlOrBr", ncontours=14, colorbar=bar, line={"width": 0}
-            )
-        ]
-    traces = [_trace(curve) for curve in panel.curves if len(curve.x)]
-    lines = panel.title.split("\n")
-    title = "<br>".join([f"<b>{lines[0]}</b>", *lines[1:]]) if panel.title else ""
-    layout = {
-        "title": {"text": title, "font": {**FONT, "size": 13}, "x": 0.01, "xanchor": "left"},
-        "font": FONT,
-        "margin": {"l": 64, "r": 16, "t": 34 + 16 * len(lines) if title else 16, "b": 46},
-        "height": 360,
-        "showlegend": False,
-        "paper_bgcolor": "white",
-        "plot_bgcolor": "white",
-        "hovermode": "closest",
-        "xaxis": _axis(panel.xlabel, panel.xlog, panel.xlim, panel.xticks),
-        "yaxis": _axis(panel.ylabel, panel.ylog, panel.ylim, ()),
-    }
-    figure = go.Figure(data=[*ground, *traces], layout=layout)
-    config = {"responsive": True, "displaylogo": False, "modeBarButtonsToRemove": ["lasso2d", "select2d"]}
-    return figure.to_html(full_html=False, include_plotlyjs=False, div_id=f"plot-{name}", config=config, default_width="100%")
+        yield from (_Entry(name, color) for name, color in panel.ground.legend)
+    for curve in panel.curves:
+        if curve.label:
+            dashes = " ".join(f"{part:g}" for part in DASHES[curve.dash])
+            marker = f"M0 0{MARKERS[curve.marker]}" if curve.marker else ""
+            yield _Entry(curve.label, curve.color, curve.width + 0.5, dashes, curve.dash != "none", marker)
 
 
-def _steps(colors: Sequence[str]) -> list[tuple[float, str]]:
-    """A colour scale that jumps from one colour to the next."""
-    count = len(colors)
-    return [(edge / count, color) for k, color in enumerate(colors) for edge in (k, k + 1)]
+def _on_paper(figure: Figure) -> bool:
+    """Whether all of it is on ground that is the same in the dark."""
+    return all(on_paper(panel) for panel in figure.panels)
 
 
-def _trace(curve: Curve) -> Any:
-    import plotly.graph_objects as go
-
-    line, marker = curve.dash != "none", bool(curve.marker)
-    mode = "lines+markers" if line and marker else "lines" if line else "markers"
-    look = {"color": curve.color, "size": 8, "symbol": SYMBOLS[curve.marker], "line": {"width": 1.6, "color": curve.color}}
-    return go.Scatter(
-        x=_listed(curve.x),
-        y=_listed(curve.y),
-        mode=mode,
-        name=curve.label or "MuJoCo",
-        line={"color": curve.color, "width": curve.width + 0.3, "dash": PLOTLY_DASHES[curve.dash]},
-        marker=look if marker else None,
-        hovertemplate="%{x:.4g}, %{y:.4g}",
-    )
-
-
-def _listed(values: Any) -> list[Any]:
-    """Numbers with 6 digits, as text has them: a page is mailed. What is no number is a gap."""
-    array = np.asarray(values, dtype=float)
-    if array.ndim > 1:
-        return [_listed(row) for row in array]
-    return [float(f"{value:.6g}") if np.isfinite(value) else None for value in array.tolist()]
-
-
-def _axis(label: str, log: bool, limits: tuple[float, float] | None, ticks: Sequence[float]) -> dict[str, Any]:
-    axis: dict[str, Any] = {
-        "title": {"text": label, "standoff": 8},
-        "type": "log" if log else "linear",
-        "showline": True,
-        "linecolor": "#444444",
-        "mirror": True,
-        "gridcolor": "#e4e4e4",
-        "zeroline": False,
-        "ticks": "outside",
-    }
-    if limits is not None:
-        axis["range"] = [float(np.log10(value)) for value in limits] if log else list(limits)
-    if ticks:
-        axis |= {"tickvals": list(ticks), "ticktext": [f"{tick:g}" for tick in ticks]}
-    elif log:
-        axis |= {"dtick": 1, "exponentformat": "power"}
-    return axis
+def _layout(figure: Figure) -> str:
+    """How its panels share the width: one has it all, bars are narrow, others stand two by two."""
+    if all(isinstance(panel.ground, Bars) for panel in figure.panels):
+        return "bars"
+    return "wide" if figure.columns == 1 else ""

@@ -7,7 +7,7 @@ import numpy as np
 
 from models.common.errors import InputError
 from models.common.whole_file import check_file, whole_file
-from sim.figures.figure import Classes, Figure, Panel, Shades
+from sim.figures.figure import Bars, Classes, Figure, Panel, Shades
 
 SUFFIXES = (".png", ".svg")
 DASHES: dict[str, Any] = {
@@ -64,8 +64,8 @@ def write_picture(figure: Figure, *paths: Path) -> None:
         axis.set_visible(False)
     entries: dict[str, Any] = {}
     for axis in axes:
-        for line, label in zip(*axis.get_legend_handles_labels(), strict=True):
-            entries.setdefault(label, line)
+        for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
+            entries.setdefault(label, handle)
     if entries:
         columns = min(len(entries), 3 * figure.columns - (figure.columns > 1))
         canvas.legend(list(entries.values()), list(entries), loc="outside lower center", ncols=columns, fontsize=9, frameon=False)
@@ -88,9 +88,18 @@ def _draw_panel(axis: Any, panel: Panel) -> None:
 
         count = len(ground.colors)
         axis.pcolormesh(ground.x, ground.y, ground.kind, cmap=ListedColormap(ground.colors), vmin=-0.5, vmax=count - 0.5)
+        for name, color in ground.legend:
+            axis.bar(np.nan, np.nan, color=color, edgecolor="0.5", linewidth=0.5, label=name)
     elif isinstance(ground, Shades):
         image = axis.contourf(ground.x, ground.y, np.ma.masked_invalid(ground.z), levels=14, cmap="YlOrBr")
         axis.figure.colorbar(image, ax=axis, label=ground.label)
+    elif isinstance(ground, Bars):
+        rows = np.arange(len(ground.names))
+        drawn = axis.barh(rows, np.nan_to_num(ground.values), 0.6, color=ground.colors)
+        axis.bar_label(drawn, ground.words, padding=4, fontsize=9)
+        axis.set_yticks(rows, ground.names)
+        axis.invert_yaxis()
+        axis.margins(x=0.25)  # for the words
     for curve in panel.curves:
         axis.plot(
             curve.x,
@@ -99,7 +108,7 @@ def _draw_panel(axis: Any, panel: Panel) -> None:
             linestyle=DASHES[curve.dash],
             linewidth=curve.width,
             marker=curve.marker,
-            markersize=9 if curve.marker == "s" else 4.5,
+            markersize=4.5,
             markerfacecolor="white" if curve.marker == "o" else None,
             zorder=3 if curve.marker else 2,
             clip_on=not (isinstance(ground, Shades) and len(curve.x)),  # corners are shown whole
@@ -110,7 +119,7 @@ def _draw_panel(axis: Any, panel: Panel) -> None:
     if panel.ylog:
         axis.set_yscale("log")
     if panel.xticks:
-        axis.set_xticks(panel.xticks, [f"{tick:g}" for tick in panel.xticks])
+        axis.set_xticks(panel.xticks, panel.xnames or [f"{tick:g}" for tick in panel.xticks])
         axis.tick_params(axis="x", which="minor", labelbottom=False)
     axis.set(xlim=panel.xlim, ylim=panel.ylim)
     axis.set_title(panel.title, fontsize=10)

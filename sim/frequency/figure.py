@@ -47,7 +47,7 @@ def sweep_figure(vehicle: Vehicle, sweeps: Sequence[Lines], amplitude: float, ti
                 continue  # no control force, or no roll on a road that is the same on both sides
             curves[signal].append(Curve(fine / (2 * np.pi), predicted[:, i], name, color, dash))
             points = np.abs(one.measured[:, i])
-            curves[signal].append(Curve(one.omega / (2 * np.pi), points, "", color, "none", "o"))
+            curves[signal].append(Curve(one.omega / (2 * np.pi), points, "", color, "none", "o", name=f"{name}, MuJoCo"))
     signals = [name for name in signals if curves[name]]
     curves[signals[0]].append(Curve(np.zeros(0), np.zeros(0), "MuJoCo", "#666666", "none", "o"))
 

@@ -94,10 +94,10 @@ def _parser() -> Parser:
 
 def _write_figures(page: Page, folder: Path) -> None:
     """Every figure as SVG and PNG, every table as CSV, each whole or not at all."""
-    for section in page.sections:
-        for figure in section.figures:
+    for part in page.parts:
+        for figure in part.figures:
             write_picture(figure, folder / f"{figure.name}.svg", folder / f"{figure.name}.png")
-        for table in section.tables:
+        for table in part.tables:
             with (
                 whole_file(folder / f"{table.name}.csv", "table") as beside,
                 beside.open("w", newline="", encoding="utf-8") as file,

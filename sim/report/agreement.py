@@ -37,7 +37,9 @@ def bump_section(scope: Scope, runs: Sequence[Run], road: Bump) -> Section:
             markers: tuple[Marker, Marker] = ("o", "x")
             for marker, some in zip(markers, (time < run.agreement.until, time >= run.agreement.until), strict=True):
                 if some.any():
-                    curves.append(Curve(time[some], values[some], "", color, "none", marker))
+                    curves.append(
+                        Curve(time[some], values[some], "", color, "none", marker, name=f"{run.controller.name}, MuJoCo")
+                    )
         if not curves:
             continue
         if not panels:
@@ -46,10 +48,9 @@ def bump_section(scope: Scope, runs: Sequence[Run], road: Bump) -> Section:
             if any(run.agreement.until < math.inf for run in runs):
                 curves.append(Curve(none, none, "MuJoCo, once the linear regime has ended", "#666666", "none", "x"))
         signal = vehicle.kind.signal(name)
-        unit = signal.unit.replace("s2", "s²")
-        panels.append(
-            Panel(f"{name.replace('_', ' ')}, {signal.symbol}", "time [s]", f"[{unit}]", tuple(curves), xlim=(0.0, BUMP_DURATION))
-        )
+        words, unit = name.replace("_", " "), signal.unit.replace("s2", "s²")
+        title = f"{words}, {signal.symbol}"
+        panels.append(Panel(title, "time [s]", f"{words} [{unit}]", tuple(curves), xlim=(0.0, BUMP_DURATION)))
     lines = f"the continuous loop{scope.lag}" if scope.prompt else f"the loop as it runs, {scope.as_it_runs}"
     title = (
         f"Response to the bump of {road.height:g} m height and {road.length:g} m length at {road.speed:g} m/s. "
@@ -81,7 +82,8 @@ def bump_section(scope: Scope, runs: Sequence[Run], road: Bump) -> Section:
         "rms, sampled",
         "rms, continuous",
     )
-    table = Table("bump", headings, tuple(rows), words=3)
+    caption = "Largest and root mean square values over the bump: in MuJoCo, and by both linear analyses."
+    table = Table("bump", caption, headings, tuple(rows), words=3)
     about = (
         f"Over {BUMP_DURATION:g} s from rest. 'Sampled' is the exact linear response of the loop as it runs, {scope.as_it_runs}; "
         f"'continuous' is that of the continuous loop{scope.lag}. Neither knows an end of the linear regime"
@@ -89,7 +91,7 @@ def bump_section(scope: Scope, runs: Sequence[Run], road: Bump) -> Section:
         "something else than theirs."
     )
     verdicts = tuple(f"{run.controller.name}: {line}." for run in runs for line in verdict_lines(run))
-    return Section("Over the paper's bump", (about, *verdicts), (table,), (figure,))
+    return Section("What happens over a bump?", "the paper's bump, over time", (about, *verdicts), (table,), (figure,))
 
 
 def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -> Section:
@@ -148,8 +150,9 @@ def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -
         "Energy is a check without analysis: what road and actuators put into a run is found again, stored or taken by the "
         f"dampers. What is left over is a share of what was turned over, and of that {BALANCED:.0e} is allowed."
     )
-    tables = (Table("agreement", headings, tuple(rows), words=2), _energy(runs))
-    return Section("Physics against analysis", tuple(text), tables)
+    caption = "How far MuJoCo is from the analysis, as a share of each signal's peak."
+    tables = (Table("agreement", caption, headings, tuple(rows), words=2), _energy(runs))
+    return Section("Does the physics do what the analysis says?", "agreement and its order, energy", tuple(text), tables)
 
 
 def _energy(runs: Sequence[Run]) -> Table:
@@ -161,7 +164,8 @@ def _energy(runs: Sequence[Run]) -> Table:
             works = (found.road, found.actuators, found.stored, found.dissipated, found.turnover)
             rows.append((run.controller.name, *(f"{work:.5g}" for work in works), f"{found.residual:.1e}"))
     headings = ("controller", "road [J]", "actuators [J]", "stored [J]", "dissipated [J]", "turned over [J]", "left over")
-    return Table("energy", headings, tuple(rows))
+    caption = "Where the energy of every run over the bump came from, and where it went."
+    return Table("energy", caption, headings, tuple(rows))
 
 
 def _settles(scope: Scope, run: Run) -> bool:

@@ -13,8 +13,9 @@ from sim.report.agreement import agreement_section, bump_section
 from sim.report.designs import design_section, frequency_section
 from sim.report.limits import margins_section, regime_section, validity_section
 from sim.report.regime_end import regime_end
-from sim.report.ride import SEEDS, ride_section
+from sim.report.ride import SEEDS, Ride, ride_section, rides_of
 from sim.report.scope import AMPLITUDE, BUMP_DURATION, Scope
+from sim.report.summary import summary
 from sim.roads.road import Bump
 from sim.runs.run import run_all, sample_times
 from synth.paper import PRINTED, entry_of, is_the_papers, ours
@@ -58,14 +59,17 @@ def page(scope: Scope, provenance: dict[str, str]) -> Page:
         for section, findings in (margins_section(scope), validity_section(scope, road)):
             sections.append(section)
             answer += findings
+    rides: list[Ride] = []
     if not scope.quick and scope.stable:
         scope.progress("random roads")
-        sections.append(ride_section(vehicle, scope.stable, h))
+        rides = rides_of(vehicle, scope.stable, h)
+        sections.append(ride_section(vehicle, rides))
     if is_the_papers(vehicle):
         sections.append(_paper(scope))
     sections.append(_provenance(scope, provenance))
     title = f"{vehicle.kind.name.replace('_', ' ').capitalize()}: suspension control from linear analysis to physics"
-    return Page(title, tuple(one.text for one in answer), tuple(sections), report_answer.worst(answer))
+    texts = tuple(one.text for one in answer)
+    return Page(title, texts, summary(scope, runs, ends, rides), tuple(sections), report_answer.worst(answer))
 
 
 def _paper(scope: Scope) -> Section:
@@ -87,7 +91,8 @@ def _paper(scope: Scope) -> Section:
         )
     text = ("Every number that the paper prints of its designs, and ours from scratch, to two digits more.",)
     headings = ("equation", "quantity", "to the digits printed", "paper", "ours")
-    return Section("The paper's numbers", text, (Table("paper", headings, tuple(rows), words=3),))
+    table = Table("paper", "The paper's printed numbers beside ours.", headings, tuple(rows), words=3)
+    return Section("Does it reproduce the paper?", "every printed number, and ours", text, (table,))
 
 
 def _provenance(scope: Scope, provenance: dict[str, str]) -> Section:
@@ -111,18 +116,22 @@ def _provenance(scope: Scope, provenance: dict[str, str]) -> Section:
     built |= {f"quantisation of {name}": step for name, step in how.quantisation.items()}
     there = [(f"[implementation] {name}", f"{value:g}") for name, value in built.items() if value is not None]
     settings += there or [("[implementation]", "none")]
-    tables = (
-        Table("provenance", ("what", "value"), tuple(rows.items()), words=2),
-        Table("vehicle", ("parameter [SI]", "value"), tuple(settings)),
+    caption = (
+        "Every number of the vehicle file that this page depends on, as it stands there, in SI units: a bandwidth in rad/s. All "
+        "other frequencies on this page are in Hz."
     )
-    return Section("Where this comes from", (), tables)
+    tables = (
+        Table("provenance", "What this page was made from, and how.", ("what", "value"), tuple(rows.items()), words=2),
+        Table("vehicle", caption, ("parameter [SI]", "value"), tuple(settings)),
+    )
+    return Section("Where does this page come from?", "provenance and settings", (), tables)
 
 
 def report_object(page: Page) -> dict[str, Any]:
     """Answer and tables as JSON has them."""
     tables = {
         table.name: [dict(zip(table.headings, row, strict=True)) for row in table.rows]
-        for section in page.sections
-        for table in section.tables
+        for part in page.parts
+        for table in part.tables
     }
     return json.loads(json.dumps({"title": page.title, "answer": page.answer, "verdict": page.state, "tables": tables}))

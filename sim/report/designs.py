@@ -3,12 +3,16 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
+from models.vehicle import Vehicle
 from sim.figures.page import Section, Table
 from sim.frequency.figure import sweep_figure
 from sim.frequency.identification import Lines
 from sim.frequency.sweep import Sweep
 from sim.report.scope import AMPLITUDE, Scope, joined, number
-from synth.words import gain_text, percent
+from synth.controller import Controller
+from synth.words import percent
 
 
 def design_section(scope: Scope) -> Section:
@@ -20,10 +24,9 @@ def design_section(scope: Scope) -> Section:
             (
                 one.name,
                 ", ".join(one.measured).replace("_", " ") or "nothing",
-                gain_text(one.gain) if one.measured else "0",
                 number(certificate.bound, ".7g"),
                 number(norm.value, ".7g"),
-                number(norm.peak_frequency, ".5g"),
+                number(norm.peak_frequency / (2 * np.pi), ".5g"),
                 number(certificate.lower_bound, ".7g"),
                 percent(certificate.gap) if certificate.gap is not None else "-",
                 number(certificate.stability.worst.real, ".4g") if certificate.stable else certificate.stability.verdict,
@@ -33,10 +36,9 @@ def design_section(scope: Scope) -> Section:
     headings = (
         "controller",
         "measures",
-        "gain",
         "bound",
         "norm",
-        "peak [rad/s]",
+        "peak [Hz]",
         "lower bound",
         "above it",
         "slowest pole [1/s]",
@@ -50,18 +52,19 @@ def design_section(scope: Scope) -> Section:
     )
     if not scope.plain:
         text = (*text, "All of this is of the ideal loop: continuous, with no limits and no computer.")
-    tables = [Table("designs", headings, tuple(rows), words=3)]
+    tables = [Table("designs", "Every controller, how good it is, and whether that is proved.", headings, tuple(rows), words=2)]
     if scope.built_norms:
         rows = [
             (
                 one.name,
                 f"{one.certificate.norm.value:.7g}",
                 f"{scope.built_norms[one.name].gain:.7g}",
-                f"{scope.built_norms[one.name].omega:.5g}",
+                f"{scope.built_norms[one.name].omega / (2 * np.pi):.5g}",
             )
             for one in scope.stable
         ]
-        tables.append(Table("norms", ("controller", "norm, ideal loop", "norm, as built", "peak [rad/s]"), tuple(rows)))
+        caption = "The norm of the ideal loop, and of the loop as built, with the frequency at which that is reached."
+        tables.append(Table("norms", caption, ("controller", "norm, ideal loop", "norm, as built", "peak [Hz]"), tuple(rows)))
         harmonics = ", without the harmonics that a controller slower than the timestep makes" if not scope.each_step else ""
         built = f"As built, the loop has {scope.built}; its norm is that of its linear part{harmonics}."
         lower_bounds = {one.name: one.certificate.lower_bound for one in scope.stable}
@@ -72,7 +75,32 @@ def design_section(scope: Scope) -> Section:
                 f"continuous loops ({joined(below)}), does so by the step, and less with a smaller one."
             )
         text = (*text, built)
-    return Section("Designs", text, tuple(tables))
+    tables += [table for one in scope.controllers if (table := gain_table(scope.vehicle, one)) is not None]
+    return Section("How good are the controllers, and is it proved?", "designs, gains, certificates", text, tuple(tables))
+
+
+def gain_table(vehicle: Vehicle, controller: Controller) -> Table | None:
+    """A controller's gain as a matrix: how much force of every actuator for every signal; None where it measures nothing."""
+    if not controller.measured:
+        return None
+    kind = vehicle.kind
+    headings = [
+        f"per {name.replace('_', ' ')} [{per_unit(kind.signal(force).unit, kind.signal(name).unit)}]"
+        for force in vehicle.linear_model.inputs[:1]
+        for name in controller.measured
+    ]
+    rows = tuple(
+        (f"{force.replace('_', ' ')} [{kind.signal(force).unit}]", *(f"{entry:.6g}" for entry in row))
+        for force, row in zip(vehicle.linear_model.inputs, controller.gain.tolist(), strict=True)
+    )
+    caption = f"The gain of controller {controller.name}: the force it asks for, per unit of each signal that it measures."
+    return Table(f"gain-{controller.name}", caption, ("force", *headings), rows)
+
+
+def per_unit(unit: str, other: str) -> str:
+    """The unit of a quotient: N/m, N·s/m."""
+    over, _, under = other.partition("/")
+    return f"{unit}·{under}/{over}" if under else f"{unit}/{other}"
 
 
 def frequency_section(scope: Scope, lines: Sequence[Lines], sweeps: Sequence[Sweep], speed: float) -> Section:
@@ -88,7 +116,8 @@ def frequency_section(scope: Scope, lines: Sequence[Lines], sweeps: Sequence[Swe
         for one in lines
     ]
     headings = ("controller", "error to sampled", "to continuous", "order of the two")
-    tables = [Table("frequency-responses", headings, tuple(rows))]
+    caption = "How far the frequency responses measured in MuJoCo are from the analysis, and with which power of the step."
+    tables = [Table("frequency-responses", caption, headings, tuple(rows))]
     text = [
         f"Identified from MuJoCo runs, 0.1 to 25 Hz, on roads of {1e3 * AMPLITUDE:g} mm"
         f"{', without the noise on measurements, which has no frequency response' if scope.blurred else ''}. 'Sampled' is the "
@@ -119,5 +148,7 @@ def frequency_section(scope: Scope, lines: Sequence[Lines], sweeps: Sequence[Swe
             for one in sweeps
         )
         names = ("controller", "norm, sampled loop", "worst sinusoid", "of the norm", "bump", "chirp", "random")
-        tables.append(Table("gains", names, gains))
-    return Section("Frequency responses", tuple(text), tuple(tables), (figure,))
+        caption = "How much a road is amplified in MuJoCo: the worst sinusoid, beside the norm, and other roads."
+        tables.append(Table("gains", caption, names, gains))
+    title = "Which shaking is damped, and which is not?"
+    return Section(title, "frequency responses and the norm, measured", tuple(text), tuple(tables), (figure,))

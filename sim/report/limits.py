@@ -61,9 +61,16 @@ def margins_section(scope: Scope) -> tuple[Section, list[Finding]]:
         robust.append((one.name, f"{one.certificate.norm.value:.5g}", *others, verdict))
         figures.append(replace(margins_figure(vehicle, one, loop, box, timestep), name=f"margins-{one.name}"))
     tables = (
-        Table("margins", ("controller", "margin", "predicted", "MuJoCo"), tuple(rows), words=2),
+        Table(
+            "margins",
+            "What every loop bears before it becomes unstable: predicted, and found in MuJoCo.",
+            ("controller", "margin", "predicted", "MuJoCo"),
+            tuple(rows),
+            words=2,
+        ),
         Table(
             "robustness",
+            "The worst norm on other vehicles, where that is, and whether MuJoCo settles there as the analysis says.",
             ("controller", "norm", "worst norm", "at", "corners: MuJoCo and analysis say the", "margins"),
             tuple(robust),
         ),
@@ -76,7 +83,8 @@ def margins_section(scope: Scope) -> tuple[Section, list[Finding]]:
     if not scope.plain:
         about = f"without [implementation]{scope.lag}: what is asked is how much of a delay or sample period it would bear"
         text = (*text, f"Margins are those of the loop {about}. The nominal norm is the ideal loop's, too.")
-    return Section("Margins", text, tables, tuple(figures)), found
+    title = "How much goes wrong before it becomes unstable?"
+    return Section(title, "stability margins, other vehicles", text, tables, tuple(figures)), found
 
 
 def regime_section(scope: Scope, bump: Bump, ends: Sequence[tuple[Controller, RegimeEnd | None]]) -> Section:
@@ -111,7 +119,9 @@ def regime_section(scope: Scope, bump: Bump, ends: Sequence[tuple[Controller, Re
         f"{', without noise' if scope.blurred else ''}: up to which height nothing breaks, from one linear run of the loop as it "
         "runs, and the two nearest heights in MuJoCo, of which the first breaks nothing and the second does.",
     )
-    return Section("Where the linear regime ends", text, (Table("regime", headings, tuple(rows), words=2),))
+    caption = "Up to which height of a bump nothing breaks: predicted, and the two runs of MuJoCo that enclose it."
+    table = Table("regime", caption, headings, tuple(rows), words=2)
+    return Section("How high may a bump be?", "where the linear regime ends", text, (table,))
 
 
 def validity_section(scope: Scope, bump: Bump) -> tuple[Section, list[Finding]]:
@@ -152,7 +162,9 @@ def validity_section(scope: Scope, bump: Bump) -> tuple[Section, list[Finding]]:
         f"at {1e3 * timestep:g} ms{without}: what breaks first, and where the linear prediction is off by more than "
         f"{100 * THRESHOLD:g} % of a peak.",
     )
-    return Section("The map of validity", text, (Table("validity", headings, tuple(rows)),), tuple(figures)), found
+    table = Table("validity", "Shares of every controller's map, and how much of it is as predicted.", headings, tuple(rows))
+    title = "How far can the analysis be trusted?"
+    return Section(title, "the map of validity, over heights and speeds", text, (table,), tuple(figures)), found
 
 
 def _margin(value: float) -> str:

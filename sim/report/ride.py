@@ -1,14 +1,16 @@
 """The ride section of a report: random roads of several classes, MuJoCo beside what the spectrum predicts."""
 
-from collections.abc import Sequence
-from dataclasses import replace
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from models.vehicle import Vehicle
+from sim.figures.figure import Curve, Figure, Panel, styles
 from sim.figures.page import Section, Table
 from sim.physics.simulate import simulate
-from sim.report.scope import joined
+from sim.report.scope import joined, number
 from sim.response.regime import FLAT, REGIME_ENDS, reached
 from sim.ride.expected import expect, settling_time
 from sim.ride.metrics import dynamic_load, measure, off_ground, points
@@ -22,12 +24,78 @@ WINDOW = 10.0  # s, in which is measured, once the loop has forgotten that it be
 LONGEST = 20.0  # s; more than that no loop is waited for
 
 
-def ride_section(vehicle: Vehicle, controllers: Sequence[Controller], timestep: float) -> Section:
-    """Every controller over every class, root mean square over the seeds."""
-    found = [row for one in controllers for row in _rows(vehicle, one, timestep)]
+@dataclass(frozen=True)
+class Ride:
+    """One metric of one controller over the roads of one class; NaN where there is none.
+
+    Attributes:
+        road_class: of ISO 8608.
+        controller: its name.
+        metric, unit: what is measured.
+        measured: in MuJoCo, root mean square over the seeds.
+        predicted: from the class' spectrum.
+        spread: by how much one road differs from that.
+        events: how often tyres left these roads, in words.
+    """
+
+    road_class: str
+    controller: str
+    metric: str
+    unit: str
+    measured: float
+    predicted: float
+    spread: float
+    events: str
+
+
+def ride_section(vehicle: Vehicle, rides: Sequence[Ride]) -> Section:
+    """Every controller over every class."""
     names = ("class", "controller", "metric", "unit", "MuJoCo", "predicted", "road to road", "lift-off")
-    rows = sorted(found, key=lambda row: (row[0], row[2]))
-    return Section("Ride", (ride_text(vehicle),), (Table("ride", names, tuple(rows), words=4),))
+    rows = tuple(
+        (
+            one.road_class,
+            one.controller,
+            one.metric,
+            one.unit,
+            number(one.measured, ".4g"),
+            number(one.predicted, ".4g"),
+            f"+-{100 * one.spread / one.predicted:.0f} %" if one.predicted and math.isfinite(one.spread) else "-",
+            one.events,
+        )
+        for one in sorted(rides, key=lambda one: (one.road_class, one.metric))
+    )
+    table = Table("ride", "Every metric of the ride, class by class: in MuJoCo, and predicted.", names, rows, words=4)
+    title = "How much more comfortable is it, and does it hold the road?"
+    return Section(title, "ride over random roads, ISO 8608", (ride_text(vehicle),), (table,), (ride_figure(rides),))
+
+
+def ride_figure(rides: Sequence[Ride]) -> Figure:
+    """Every metric over the classes: lines are predicted, points MuJoCo."""
+    style = styles(tuple(dict.fromkeys(one.controller for one in rides)))
+    places = {name: float(k) for k, name in enumerate(CLASSES)}
+    panels = []
+    for metric, unit in dict.fromkeys((one.metric, one.unit) for one in rides):
+        curves = []
+        for name, (color, dash) in style.items():
+            some = [one for one in rides if (one.controller, one.metric) == (name, metric)]
+            x, predicted, measured = (
+                np.array([(places[one.road_class], one.predicted, one.measured) for one in some], dtype=float).reshape(-1, 3).T
+            )
+            curves.append(Curve(x, predicted, name if len(some) else "", color, dash))
+            curves.append(Curve(x, measured, "", color, "none", "o", name=f"{name}, MuJoCo"))
+        if not panels:
+            curves.append(Curve(np.zeros(0), np.zeros(0), "MuJoCo", "#666666", "none", "o"))
+        label = f"{metric} [{unit.replace('s2', 's²')}]" if unit != "-" else f"{metric} [of the static load]"
+        ends = (-0.3, len(CLASSES) - 0.7)
+        ticks = tuple(places.values())
+        panels.append(
+            Panel(metric, "road class", label, tuple(curves), ylog=True, xticks=ticks, xnames=tuple(CLASSES), xlim=ends)
+        )
+    title = (
+        f"Ride over roads of the classes {CLASSES[0]}, very good, to {CLASSES[-1]}, poor, at {SPEED:g} m/s: lower is better. "
+        f"Lines: predicted from the roads' spectrum. Points: MuJoCo, {len(SEEDS)} roads each."
+    )
+    return Figure("ride", title, tuple(panels), columns=2 if len(panels) <= 4 else 3 if len(panels) <= 9 else 4)
 
 
 def ride_text(vehicle: Vehicle) -> str:
@@ -44,7 +112,12 @@ def ride_text(vehicle: Vehicle) -> str:
     )
 
 
-def _rows(vehicle: Vehicle, controller: Controller, timestep: float) -> list[tuple[str, ...]]:
+def rides_of(vehicle: Vehicle, controllers: Sequence[Controller], timestep: float) -> list[Ride]:
+    """Drives every controller over every class."""
+    return [ride for one in controllers for ride in _rides(vehicle, one, timestep)]
+
+
+def _rides(vehicle: Vehicle, controller: Controller, timestep: float) -> Iterator[Ride]:
     start = min(settling_time(vehicle, controller), LONGEST)
     time = sample_times(vehicle, start + WINDOW, timestep)
     first = round(start / timestep)
@@ -57,7 +130,7 @@ def _rows(vehicle: Vehicle, controller: Controller, timestep: float) -> list[tup
     measured = [measure(vehicle, response.run(i), first) for i in range(count)]
     ideal = replace(vehicle, implementation=replace(vehicle.implementation, noise={}, quantisation={}))
 
-    where, rows = points(vehicle), []
+    where = points(vehicle)
     metrics = [(f"{name}_weighted", "m/s2") for name in where.accelerations]
     metrics += [(f"{name}_rms", "m") for name in where.suspensions]
     metrics += [(dynamic_load(name), "-") for name in where.tyres]
@@ -71,17 +144,13 @@ def _rows(vehicle: Vehicle, controller: Controller, timestep: float) -> list[tup
         if len(some) < len(SEEDS):
             events = f"{len(SEEDS) - len(some)} of {len(SEEDS)} flat or diverged" + (f", else {events}" if some else "")
         for name, unit in metrics:
-            mean, spread = (expected.mean[name], expected.spread.get(name)) if expected else (None, None)
-            rows.append(
-                (
-                    road_class,
-                    controller.name,
-                    name.replace("_", " "),
-                    unit,
-                    f"{np.sqrt(np.mean([one[name] ** 2 for one in some])):.4g}" if some else "-",
-                    f"{mean:.4g}" if mean is not None else "-",
-                    f"+-{100 * spread / mean:.0f} %" if mean and spread is not None else "-",
-                    events,
-                )
+            yield Ride(
+                road_class,
+                controller.name,
+                name.replace("_", " "),
+                unit,
+                float(np.sqrt(np.mean([one[name] ** 2 for one in some]))) if some else math.nan,
+                expected.mean[name] if expected else math.nan,
+                expected.spread.get(name, math.nan) if expected else math.nan,
+                events,
             )
-    return rows

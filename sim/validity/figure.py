@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 
 LABELS = {"height": "bump height [m]", "length": "bump length [m]", "speed": "speed [m/s]"}
 NOTHING, UNKNOWN = "#dcefdc", "#ffffff"
-NO_POINTS = np.zeros(0)
 
 
 def envelope_figure(
@@ -47,13 +46,11 @@ def envelope_figure(
 
     x, y = np.array(horizontal.values), np.array(vertical.values)
     broke = np.where(cells.done, cells.first, -2)
-    ground = Classes(x, y, plane(broke + 2), (UNKNOWN, NOTHING, *(end.color for end in REGIME_ENDS)))
+    colors = (UNKNOWN, NOTHING, *(end.color for end in REGIME_ENDS))
+    first = (f"{end.name} breaks first{_at(vehicle, end)}" for end in REGIME_ENDS)
+    ground = Classes(x, y, plane(broke + 2), colors, ("", "nothing breaks: the regime is linear", *first))
 
-    first = [("nothing breaks: the regime is linear", NOTHING)]
-    first += [
-        (f"{end.name} breaks first{_at(vehicle, end)}", end.color) for i, end in enumerate(REGIME_ENDS) if np.any(broke == i)
-    ]
-    curves = [Curve(NO_POINTS, NO_POINTS, label, color, "none", "s") for label, color in first]
+    curves = []
 
     used = plane(np.where(cells.done, cells.used.max(axis=-1), np.nan))
     if np.nanmin(used) < 1 < np.nanmax(used):

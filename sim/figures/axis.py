@@ -1,0 +1,102 @@
+"""An axis: what it shows of the numbers, where each lies along it, and where it is labelled."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.common.arrays import Array
+
+ROOM = 0.04  # of the range, left free at either end where no limits are given
+NICE = (1.0, 2.0, 2.5, 5.0, 10.0)  # steps between ticks, times a power of ten
+PARTS = ((1.0,), (1.0, 3.0), (1.0, 2.0, 5.0))  # of a decade, that a logarithmic axis is labelled at
+EXTREME = 300.0  # powers of ten that a number has room for
+PLAIN = (1e-3, 1e5)  # numbers that are written without a power of ten
+SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+@dataclass(frozen=True)
+class Axis:
+    """A range of numbers.
+
+    Attributes:
+        low, high: its ends, of which the second is larger; both positive on a logarithmic axis.
+        log: whether it is logarithmic.
+    """
+
+    low: float
+    high: float
+    log: bool = False
+
+    def place(self, values: Array) -> Array:
+        """How far along the axis numbers lie, 0 at its low end and 1 at its high end; NaN where they are not on any such axis."""
+        values = np.asarray(values, dtype=float)
+        if not self.log:
+            return (np.where(np.isfinite(values), values, np.nan) - self.low) / (self.high - self.low)
+        known = np.isfinite(values) & (values > 0)
+        low, high = math.log(self.low), math.log(self.high)
+        return (np.log(np.where(known, values, np.nan)) - low) / (high - low)
+
+    def ticks(self, most: int) -> list[tuple[float, str]]:
+        """Where it is labelled, at no more places than that or a few, and with what."""
+        if self.log:
+            found = self._decades(most)
+            if len(found) > 1:
+                return found
+        step = nice_step(self.high - self.low, most)
+        first, last = math.ceil(self.low / step - 1e-9), math.floor(self.high / step + 1e-9)
+        digits = len(f"{step:.8f}".rstrip("0").partition(".")[2])
+        plain = PLAIN[0] / 10 <= step and max(abs(self.low), abs(self.high)) <= 10 * PLAIN[1]
+        ticks = [k * step for k in range(first, last + 1)]
+        return [(tick, (f"{tick:.{digits}f}" if plain else f"{tick:.6g}").replace("-", "−")) for tick in ticks]
+
+    def _decades(self, most: int) -> list[tuple[float, str]]:
+        low, high = math.log10(self.low), math.log10(self.high)
+        found: list[tuple[float, str]] = []
+        for parts in PARTS:
+            powers = range(math.floor(low), math.ceil(high) + 1)
+            every = max(1, -(-len(powers) // most))
+            ticks = [(part, power) for power in powers if power % every == 0 for part in parts]
+            inside = [
+                (part * 10.0**power, part, power)
+                for part, power in ticks
+                if low - 1e-9 <= math.log10(part) + power <= high + 1e-9
+            ]
+            if found and len(inside) > most:
+                break
+            found = [(tick, _power(part, power)) for tick, part, power in inside]
+        return found
+
+
+def nice_step(span: float, most: int) -> float:
+    """A round step of which no more than so many are in a span."""
+    rough = span / most
+    power = 10.0 ** math.floor(math.log10(rough))
+    return next(factor * power for factor in NICE if factor * power >= rough * (1 - 1e-9))
+
+
+def axis_of(values: Sequence[Array], limits: tuple[float, float] | None, log: bool) -> Axis:
+    """An axis with these limits, or else one on which all these numbers lie, with some room."""
+    if limits is not None:
+        return Axis(float(limits[0]), float(limits[1]), log)
+    joined = np.concatenate([np.ravel(np.asarray(one, dtype=float)) for one in values] or [np.zeros(0)])
+    joined = joined[np.isfinite(joined) & ((joined > 0) | (not log))]
+    if not len(joined):
+        return Axis(1.0, 10.0, True) if log else Axis(0.0, 1.0)
+    low, high = float(joined.min()), float(joined.max())
+    if log:
+        low, high = math.log10(low), math.log10(high)
+        room = ROOM * (high - low) if high - low > 1e-3 else 0.1
+        return Axis(10 ** max(low - room, -EXTREME), 10 ** min(high + room, EXTREME), True)
+    room = ROOM * (high - low)
+    if room <= 1e-9 * max(abs(low), abs(high)):  # one number, or its rounding
+        room = 0.1 * max(abs(low), abs(high)) or 1.0
+    return Axis(low - room, high + room)
+
+
+def _power(part: float, power: int) -> str:
+    value = part * 10.0**power
+    if PLAIN[0] <= value < PLAIN[1]:
+        return f"{value:g}"
+    return f"{f'{part:g}·' if part != 1 else ''}10{str(power).translate(SUPERSCRIPT)}"

@@ -1,0 +1,53 @@
+"""A panel in words: what a reader who does not see it is told, and what its title is."""
+
+import numpy as np
+
+from sim.figures.figure import Bars, Classes, Panel, Shades
+
+
+def quantity(label: str) -> tuple[str, str]:
+    """An axis' name and its unit, from `name [unit]`; either may be empty."""
+    name, _, unit = label.partition("[")
+    return name.strip(), unit.removesuffix("]").strip()
+
+
+def about(panel: Panel) -> tuple[str, str]:
+    """A panel's title on one line, and what it shows."""
+    across, down = (" ".join(filter(None, quantity(label))) for label in (panel.xlabel, panel.ylabel))
+    title = panel.title.replace("\n", "; ") or f"{down} over {across}"
+    return title, " ".join([*_ground(panel), *_curves(panel)])
+
+
+def _ground(panel: Panel) -> list[str]:
+    ground = panel.ground
+    if isinstance(ground, Bars):
+        return [f"{name}: {words}." for name, words in zip(ground.names, ground.words, strict=True)]
+    if isinstance(ground, Classes):
+        shares = [(name, float(np.mean(ground.kind == i))) for i, name in enumerate(ground.names)]
+        return ["Of the map:", *(f"{name}, {100 * share:.3g} %;" for name, share in shares if share), "and on it:"]
+    if isinstance(ground, Shades) and np.isfinite(ground.z).any():
+        low, high = np.nanmin(ground.z), np.nanmax(ground.z)
+        row, column = np.unravel_index(np.nanargmax(ground.z), ground.z.shape)
+        where = f"{panel.xlabel} {ground.x[column]:.3g}, {panel.ylabel} {ground.y[row]:.3g}"
+        return [f"{ground.label}, from {low:.4g} to {high:.4g}, largest at {where}."]
+    return []
+
+
+def _curves(panel: Panel) -> list[str]:
+    """Every line by its ends and its extremes, every set of points by how many there are."""
+    (_, unit), (_, per) = quantity(panel.ylabel), quantity(panel.xlabel)
+    said = []
+    for curve in panel.curves:
+        name, there = curve.name or curve.label, np.isfinite(curve.y) & np.isfinite(curve.x)
+        if not name or not there.any():
+            continue
+        x, y = np.asarray(curve.x)[there], np.asarray(curve.y)[there]
+        if curve.dash == "none":
+            said.append(f"{name}: {len(x)} point{'s' if len(x) > 1 else ''}.")
+        else:
+            top, low = int(y.argmax()), int(y.argmin())
+            said.append(
+                f"{name}: largest {y[top]:.3g} {unit} at {x[top]:.3g} {per}, least {y[low]:.3g} at {x[low]:.3g}, "
+                f"at the end {y[-1]:.3g}."
+            )
+    return said

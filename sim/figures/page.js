@@ -1,0 +1,83 @@
+"use strict";
+// Names what is under the pointer: whose curve, its value and unit. The page is whole without it.
+(() => {
+  const NEAR = 16; // of a panel's units
+  const FINE = 100; // parts of a unit that paths are written in
+  const tip = document.createElement("div");
+  tip.className = "tip";
+  tip.hidden = true;
+  tip.setAttribute("aria-hidden", "true"); // every figure has its text, and the tables have the numbers
+  document.body.append(tip);
+  const spot = document.createElementNS("http://www.w3.org/2000/svg", "circle");
+  spot.setAttribute("class", "spot");
+  spot.setAttribute("r", "5");
+
+  // The points of a path: all of a line's, the middles of markers.
+  function points(path) {
+    const found = [];
+    const markers = path.classList.contains("point");
+    let x = 0, y = 0;
+    for (const [, command, text] of path.getAttribute("d").matchAll(/([a-z])([^a-z]*)/gi)) {
+      const numbers = (text.match(/-?\d+/g) || []).map(Number);
+      if (command === "M") {
+        [x, y] = numbers;
+        found.push([x / FINE, y / FINE]);
+      } else if (!markers) {
+        for (let i = 0; i + 1 < numbers.length; i += 2) {
+          x += numbers[i];
+          y += numbers[i + 1];
+          found.push([x / FINE, y / FINE]);
+        }
+      }
+    }
+    return found;
+  }
+
+  // A share of an axis as a number with its unit.
+  function said(axis, share) {
+    const { name, unit, low, high, log, names } = axis;
+    const value = log ? low * (high / low) ** share : low + share * (high - low);
+    if (names.length) return `${name} ${names[Math.round(value)]}`;
+    const shown = !log && Math.abs(value) < (high - low) / 1000 ? 0 : Number(value.toPrecision(3));
+    const number = String(shown).replace("-", "−");
+    return unit ? `${number} ${unit}` : `${name} ${number}`;
+  }
+
+  function hide() {
+    tip.hidden = true;
+    spot.remove();
+  }
+
+  for (const plot of document.querySelectorAll("svg.plot")) {
+    const { x: across, y: down, area: [left, top, width, height] } = JSON.parse(plot.dataset.axes);
+    let curves = null;
+    const show = (event) => {
+      curves ??= [...plot.querySelectorAll(".line[data-name], .point[data-name]")].map((path) => [path.dataset.name, points(path)]);
+      const at = new DOMPoint(event.clientX, event.clientY).matrixTransform(plot.getScreenCTM().inverse());
+      let nearest = NEAR, name = "", x = at.x, y = at.y;
+      for (const [whose, all] of curves) {
+        for (const [px, py] of all) {
+          const away = Math.hypot(px - at.x, py - at.y);
+          if (away < nearest && py >= top - 1 && py <= top + height + 1) [nearest, name, x, y] = [away, whose, px, py];
+        }
+      }
+      const on = nearest < NEAR;
+      name ||= event.target.dataset?.name ?? "";
+      if (!name) return hide();
+      const values = [down && said(down, (top + height - y) / height), (on || down) && said(across, (x - left) / width)];
+      tip.textContent = `${name}\n${values.filter(Boolean).join(" at ")}`.trim();
+      tip.hidden = false;
+      const room = document.documentElement.clientWidth - tip.offsetWidth - 8;
+      tip.style.left = `${Math.max(4, Math.min(event.clientX + 14, room)) + window.scrollX}px`;
+      tip.style.top = `${event.clientY + 16 + window.scrollY}px`;
+      if (!on) return spot.remove();
+      spot.setAttribute("cx", x);
+      spot.setAttribute("cy", y);
+      plot.append(spot);
+    };
+    plot.addEventListener("pointermove", show);
+    plot.addEventListener("pointerdown", show);
+    plot.addEventListener("pointerleave", hide);
+  }
+  document.addEventListener("keydown", (event) => event.key === "Escape" && hide());
+})();

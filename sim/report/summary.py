@@ -1,0 +1,141 @@
+"""What a report shows first: what control gains, and until where the analysis is true, in one figure and one table."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from sim.figures.figure import Bars, Curve, Figure, Panel, styles
+from sim.figures.page import Section, Table
+from sim.report.regime_end import RegimeEnd
+from sim.report.ride import SPEED, Ride
+from sim.report.scope import BUMP_DURATION, Scope, number
+from sim.roads.road import Bump
+from sim.runs.run import Run
+from synth.controller import Controller
+
+CLASS = "C"  # of the roads that the summary compares rides on: an average one
+
+
+def summary(
+    scope: Scope, runs: Sequence[Run], ends: Sequence[tuple[Controller, RegimeEnd | None]], rides: Sequence[Ride]
+) -> Section:
+    """Figure and table, controller by controller.
+
+    Args:
+        scope: what the report is about.
+        runs: over the paper's bump.
+        ends: of the linear regimes.
+        rides: over random roads; none in a quick report.
+    """
+    names = tuple(one.name for one in scope.controllers)
+    norms = {one.name: one.certificate.norm.value for one in scope.controllers if one.certificate.stable}
+    passive = scope.designer.design("passive").certificate.norm.value
+    roughness, label, unit, where = _roughness(scope, runs, rides)
+    heights = {one.name: _height(end) for one, end in ends if end is not None}
+
+    shake = _bars(names, norms, {}, {name: f"{value:.4g}{_against(value, passive)}" for name, value in norms.items()}, "unstable")
+    rough = _bars(
+        names,
+        {name: pair[0] for name, pair in roughness.items()},
+        {name: pair[1] for name, pair in roughness.items()},
+        {name: f"{number(pair[0], '.3g')} {unit}{_against(pair[0], _passive(roughness))}" for name, pair in roughness.items()},
+        "unstable",
+    )
+    panels = [
+        Panel("How hard can a road shake it?\nH-infinity norm of the ideal loop: shorter is better", "norm", "", *shake),
+        Panel(f"How rough is the ride?\n{label}, {where}: shorter is better", f"{label} [{unit}]", "", *rough),
+    ]
+    stated = {one.name: "at any height" if end is None else _metres(heights[one.name]) for one, end in ends}
+    if ends:
+        predicted, seen = ({name: pair[i] for name, pair in heights.items()} for i in (0, 1))
+        tall = _bars(names, predicted, seen, stated, "nowhere: unstable")
+        panels.append(Panel("Up to which bump is the analysis true?\nheight at which it ends", "height [m]", "", *tall))
+    title = (
+        "What control gains, and until where the analysis is true. Bars: linear analysis. "
+        f"Points: MuJoCo at {1e3 * scope.timestep:g} ms. Percentages are against the passive suspension."
+    )
+    figure = Figure("summary", title, tuple(panels), columns=len(panels))
+    rows = tuple(
+        (
+            run.controller.name,
+            number(norms.get(run.controller.name), ".4g"),
+            *(number(value, ".3g") for value in roughness.get(run.controller.name, (None, None))),
+            stated.get(run.controller.name, "-"),
+            _verdict(scope, run),
+        )
+        for run in runs
+    )
+    headings = (
+        "controller",
+        "H-infinity norm",
+        f"{label} [{unit}], predicted",
+        "in MuJoCo",
+        "analysis true up to",
+        "over the paper's bump",
+    )
+    caption = "Each controller in short. How it is found out, and with which reservations, is said below."
+    return Section("", "", (), (Table("summary", caption, headings, rows),), (figure,))
+
+
+def _roughness(scope: Scope, runs: Sequence[Run], rides: Sequence[Ride]) -> tuple[dict[str, tuple[float, float]], str, str, str]:
+    """What the body feels with stable loops, predicted and in MuJoCo: of the ride where there is one, or else over the bump."""
+    if rides:
+        metric, unit = rides[0].metric, rides[0].unit
+        some = [one for one in rides if (one.road_class, one.metric) == (CLASS, metric)]
+        found = {one.controller: (one.predicted, one.measured) for one in some}
+        return found, metric, unit.replace("s2", "s²"), f"road of class {CLASS} at {SPEED:g} m/s"
+    vehicle = scope.vehicle
+    name = next((name for name in vehicle.performance if name.endswith("acceleration")), next(iter(vehicle.performance)))
+    some = [run for run in runs if run.controller in scope.stable]
+    found = {run.controller.name: (float(run.sampled.rms(name)), float(run.physics.rms(name))) for run in some}
+    unit = vehicle.kind.signal(name).unit.replace("s2", "s²")
+    return found, f"{name.replace('_', ' ')}, rms", unit, f"{BUMP_DURATION:g} s from the paper's bump of {Bump().height:g} m"
+
+
+def _metres(height: tuple[float, float]) -> str:
+    """A height as MuJoCo has it; where that is not the predicted one, this is said."""
+    predicted, found = height
+    return f"{found:.3g} m" if math.isfinite(found) else f"NOT as predicted, {predicted:.3g} m"
+
+
+def _height(end: RegimeEnd) -> tuple[float, float]:
+    """Where a linear regime ends, predicted and in MuJoCo [m]."""
+    return end.predicted, (end.stays + end.leaves) / 2 if end.confirmed else math.nan
+
+
+def _passive(found: dict[str, tuple[float, float]]) -> float:
+    return found["passive"][0] if "passive" in found else math.nan
+
+
+def _against(value: float, passive: float) -> str:
+    """By how much it is more or less than the passive suspension's."""
+    if not (math.isfinite(value) and math.isfinite(passive) and passive > 0) or value == passive:
+        return ""
+    return f" ({100 * (value / passive - 1):+.0f} %)".replace("-", "−")
+
+
+def _bars(
+    names: tuple[str, ...], values: dict[str, float], seen: dict[str, float], words: dict[str, str], none: str
+) -> tuple[tuple[Curve, ...], Bars]:
+    """A panel's points, which are MuJoCo's, and its bars."""
+    style = styles(names)
+    lengths = np.array([values.get(name, math.nan) for name in names], dtype=float)
+    lengths[~np.isfinite(lengths)] = math.nan
+    bars = Bars(names, lengths, tuple(words.get(name, none) for name in names), tuple(style[name][0] for name in names))
+    points = tuple(
+        Curve(np.array([seen[name]]), np.array([float(k)]), "", "#000000", "none", "o", name=f"{name}, MuJoCo")
+        for k, name in enumerate(names)
+        if math.isfinite(seen.get(name, math.nan))
+    )
+    return points, bars
+
+
+def _verdict(scope: Scope, run: Run) -> str:
+    """What physics says of the analysis, in a few words."""
+    one = run.agreement
+    if not run.holds:
+        return "DOES NOT AGREE"
+    if one.until < math.inf:
+        return f"agrees until {one.until:.3g} s"
+    return "agrees throughout" if run.controller in scope.stable else "agrees; UNSTABLE"

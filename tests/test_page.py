@@ -1,0 +1,302 @@
+"""The page by itself: what stands in it for readers with eyes, without, at night, on paper; and figures of any kind in it."""
+
+import base64
+import hashlib
+import itertools
+import json
+import re
+import xml.etree.ElementTree as ElementTree
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from models.vehicle import read_vehicle
+from sim.figures.axis import Axis, axis_of
+from sim.figures.contrast import GRAPHICS, TEXT, contrast, readable
+from sim.figures.describe import about
+from sim.figures.figure import OTHERS, STYLES, Bars, Classes, Curve, Figure, Panel, Shades, styles
+from sim.figures.page import DARK, LIGHT, Page, Section, Table, by_night, render
+from sim.figures.svg import svg
+from sim.report.designs import gain_table
+from tests.commands import ROOT
+
+pytest.importorskip("jinja2", reason="a report needs the extra [report]")
+pytest.importorskip("contourpy", reason="a report needs the extra [report]")
+
+SVG = "{http://www.w3.org/2000/svg}"
+CSS = (ROOT / "sim" / "figures" / "page.css").read_text(encoding="utf-8")
+VOID = {"meta", "link", "br", "img", "input", "hr"}
+PLAIN = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
+POWER = re.compile(r"(?:(\d)·)?10([⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)")
+HOSTILE = ('<script>alert("1")</script>', "a & b 'quoted' \"twice\"", "Ω" * 40, "n" * 60, "中" * 20, "]]>", "a\tb c", "{{ x }}")
+
+
+class Elements(HTMLParser):
+    """Every element of a page with its attributes, its text, and those around it; raises where elements do not nest."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.open: list[dict] = []
+        self.all: list[dict] = []
+        self.feed(page)
+        assert not self.open, f"not closed: {[one['tag'] for one in self.open]}"
+
+    def handle_starttag(self, tag, attrs) -> None:
+        assert len(dict(attrs)) == len(attrs), f"an attribute twice in {tag}"
+        one = {"tag": tag, "text": "", "around": [each["tag"] for each in self.open], **{f"@{k}": v for k, v in attrs}}
+        self.all.append(one)
+        if tag not in VOID:
+            self.open.append(one)
+
+    def handle_startendtag(self, tag, attrs) -> None:
+        self.handle_starttag(tag, attrs)
+        if tag not in VOID:
+            self.open.pop()
+
+    def handle_endtag(self, tag) -> None:
+        assert self.open.pop()["tag"] == tag
+
+    def handle_data(self, data) -> None:
+        for one in self.open:
+            one["text"] += data
+
+    def some(self, tag: str) -> list[dict]:
+        """All elements of a tag."""
+        return [one for one in self.all if one["tag"] == tag]
+
+
+def everything(names: tuple[str, ...]) -> Page:
+    """A page with every kind of figure, of controllers of these names."""
+    x, y = np.geomspace(0.1, 25, 50), np.linspace(0, 2, 4)
+    style = styles(names)
+    curves = tuple(Curve(x, (k + 1) / x, name, *style[name]) for k, name in enumerate(names))
+    points = tuple(Curve(x[::9], 1 / x[::9], "", "#d62728", "none", marker, name="found") for marker in ("o", "x", "+"))
+    z = np.add.outer(y, x)
+    ground = Classes(x, y, (z > 9).astype(int), ("#ffffff", "#7aa6d8"), ("nothing & all", "<high>"))
+    bars = Bars(names, np.arange(1.0, len(names) + 1), names, tuple(style[name][0] for name in names))
+    panels = (
+        Panel("lines\nof all", "frequency [Hz]", "gain [m]", curves + points, xlog=True, ylog=True),
+        Panel("map", "speed [m/s]", "height [m]", points[:1], ground),
+        Panel("shades", "mass [%]", "stiffness [%]", (), Shades(x, y, z, "norm [-]")),
+        Panel("bars", "norm", "", (), bars),
+    )
+    tables = tuple(Table(f"t{k}", f"of {name}", ("a", "b"), ((name, "1"), ("x", "2"))) for k, name in enumerate(names))
+    figures = tuple(Figure(f"f{k}", f"figure {k}", (panel,), columns=1 + k % 2) for k, panel in enumerate(panels))
+    section = Section("What is it?", "a term", ("text",), tables, figures)
+    return Page("title", names, Section("", "", (), tables[:0], figures[:0]), (section,))
+
+
+PAGES = {"plain": ("passive", "state", "I", "II"), "hostile": HOSTILE, "many": tuple(f"controller-{k}" for k in range(12))}
+
+
+@pytest.fixture(scope="module", params=PAGES)
+def page(request) -> tuple[str, Elements]:
+    """A page with every kind of figure, and its elements."""
+    text = render(everything(PAGES[request.param]))
+    return text, Elements(text)
+
+
+def test_structure(page):
+    """One main, one first heading, contents whose links lead somewhere, no heading skipped, every identifier once."""
+    _, found = page
+    assert [one["@lang"] for one in found.some("html")] == ["en"]
+    assert len(found.some("main")) == len(found.some("h1")) == len(found.some("title")) - len(found.some("desc")) == 1
+    assert "main" in found.some("h1")[0]["around"]
+    assert found.some("nav")[0]["@aria-label"]
+    levels = [int(one["tag"][1]) for one in found.all if re.fullmatch("h[1-6]", one["tag"])]
+    assert all(after - before <= 1 for before, after in itertools.pairwise(levels))
+    identifiers = [one["@id"] for one in found.all if "@id" in one]
+    assert len(set(identifiers)) == len(identifiers)
+    assert not any(re.search(r"\s", one) for one in identifiers)
+    assert {one["@href"][1:] for one in found.some("a")} <= set(identifiers)
+    assert found.some("a")[0]["@href"] == "#answer"  # who comes by keyboard or ear need not go through the contents
+
+
+def test_figures_say_what_they_show(page):
+    """Every picture is one with a title and a text, in a figure with a caption; what only decorates is passed over."""
+    _, found = page
+    texts = {one["@id"]: one["text"] for one in found.all if one["tag"] in ("title", "desc") and "@id" in one}
+    plots = [one for one in found.some("svg") if "plot" in one.get("@class", "")]
+    assert len(plots) == 4
+    for one in plots:
+        assert one["@role"] == "img"
+        assert "figure" in one["around"]
+        assert all(texts[name].strip() for name in one["@aria-labelledby"].split())
+    assert all(one["@aria-hidden"] == "true" for one in found.some("svg") if "li" in one["around"])
+    captions = found.some("figcaption")
+    assert [one["text"].split(".")[0] for one in captions] == [f"Figure {k + 1}" for k in range(len(found.some("figure")))]
+
+
+def test_tables_say_what_they_are(page):
+    """Every table has a caption, names its columns and its rows, and one that is too wide can be scrolled by keyboard."""
+    _, found = page
+    assert len(found.some("caption")) == len(found.some("table")) > 0
+    assert all(one["@scope"] == ("col" if "thead" in one["around"] else "row") for one in found.some("th"))
+    assert len([one for one in found.some("th") if one["@scope"] == "row"]) == 2 * len(found.some("table"))
+    regions = [one for one in found.some("div") if one.get("@class") == "table"]
+    captions = {one["@id"] for one in found.some("caption")}
+    assert all((one["@tabindex"], one["@role"], one["@aria-labelledby"] in captions) == ("0", "region", True) for one in regions)
+
+
+def test_only_its_own_script_and_style(page):
+    """The page's policy allows the one script and the one style that are in it, by their digests, and nothing is inline."""
+    text, found = page
+    policy = next(one["@content"] for one in found.some("meta") if one.get("@http-equiv") == "Content-Security-Policy")
+    for tag in ("script", "style"):
+        (content,) = re.findall(rf"<{tag}>(.*?)</{tag}>", text, re.S)
+        digest = base64.b64encode(hashlib.sha256(content.encode()).digest()).decode()
+        assert f"{tag}-src 'sha256-{digest}'" in policy
+    assert "unsafe" not in policy
+    assert not [name for one in found.all for name in one if name == "@style" or name.startswith("@on")]
+
+
+def test_names_are_text(page):
+    """Whatever a controller is called stands on the page as it is, and is no markup."""
+    text, found = page
+    names = found.some("caption")[0]["text"], found.some("caption")[-1]["text"]
+    assert any(name.endswith((f"of {HOSTILE[0]}", "of passive", "of controller-0")) for name in names)
+    assert len(found.some("script")) == 1
+    assert "alert(" not in re.sub(r"&lt;script&gt;.*?&lt;/script&gt;", "", text)
+    assert "\n".join(one["text"] for one in found.some("p")).count("{{ x }}") == text.count("<p>{{ x }}")
+
+
+def drawn(path: str) -> np.ndarray:
+    """The points of a path, in the panel's units."""
+    points: list[np.ndarray] = []
+    for command, numbers in re.findall(r"([Ml])([^a-zA-Z]*)", path):
+        steps = np.array([int(each) for each in re.findall(r"-?\d+", numbers)]).reshape(-1, 2)
+        for step in steps:
+            points.append(step if command == "M" else points[-1] + step)
+    return np.array(points) / 100
+
+
+def test_the_picture_is_the_data():
+    """Every point of a curve lies where its axes say, to a thousandth of them, on linear and logarithmic axes; gaps are gaps."""
+    x = np.geomspace(0.1, 25, 200)
+    y = np.exp(np.sin(3 * x))
+    y[[50, 51, 120]] = np.nan
+    panel = Panel("", "x [Hz]", "y [m]", (Curve(x, y, "I"), Curve(x, y, "", marker="o", dash="none", name="found")), xlog=True)
+    element = ElementTree.fromstring(svg(panel, "p").replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1))
+    ends = json.loads(element.attrib["data-axes"])
+    left, top, width, height = ends["area"]
+    line, markers = (next(one for one in element.iter(f"{SVG}path") if one.get("data-name") == name) for name in ("I", "found"))
+    known = np.isfinite(y)
+    for path in (line.attrib["d"], "".join(re.findall(r"M\d+ \d+", markers.attrib["d"]))):
+        at = drawn(path)
+        assert len(at) == known.sum()
+        shares = (at - [left, top]) / [width, height]
+        across = ends["x"]["low"] * (ends["x"]["high"] / ends["x"]["low"]) ** shares[:, 0]
+        down = ends["y"]["high"] - (ends["y"]["high"] - ends["y"]["low"]) * shares[:, 1]
+        np.testing.assert_allclose(across, x[known], rtol=1e-3)
+        np.testing.assert_allclose(down, y[known], atol=1e-3 * np.ptp(y[known]))
+    assert line.attrib["d"].count("M") == 3
+
+
+def test_every_panel_is_sound_xml():
+    """What is drawn of any panel is well-formed, with names as they are; also where there is nothing to draw, or no number."""
+    none, x = np.zeros(0), np.array([1.0, 2.0])
+    nothing = np.full((2, 2), np.nan)
+    odd = [
+        Panel("", "x", "y", (), xlog=True, ylog=True),
+        Panel("", "x", "y", (Curve(none, none, "MuJoCo"),)),
+        Panel("", "x", "y", (Curve(x, np.full(2, np.inf), "up"), Curve(x, np.array([-1.0, 0.0]), "low")), ylog=True),
+        Panel("", "x", "y", (Curve(x, np.full(2, 7.0), "flat"),)),
+        Panel("", "x", "y", (Curve(x, np.array([1e-300, 1e300]), "wide"),), ylog=True),
+        Panel("", "x", "y", (Curve(x, np.array([0.0, 1e300]), "cut"),), ylim=(0.0, 1.0)),
+        Panel("", "x", "y", (), Shades(x, x, nothing, "none")),
+        Panel("", "x", "y", (), Shades(x, x, np.ones((2, 2)), "even")),
+        Panel("", "norm", "", (), Bars(("all", "fail"), np.full(2, np.nan), ("unstable", "unstable"), ("#000000", "#d62728"))),
+    ]
+    whole = [panel for section in everything(HOSTILE).sections for figure in section.figures for panel in figure.panels]
+    for panel in [*odd, *whole]:
+        text = svg(panel, "p")
+        ElementTree.fromstring(text)
+        assert "nan" not in re.sub(r"<(title|desc).*?</\1>", "", text)
+        assert "inf" not in re.sub(r"<(title|desc).*?</\1>", "", text)
+
+
+@pytest.mark.parametrize("log", [False, True])
+def test_ticks(log):
+    """Over ranges of every size ticks lie on the axis, are neither too few nor too many, are all different, and say the truth."""
+    rng = np.random.default_rng(3)
+    for _ in range(300):
+        low = float(10 ** rng.uniform(-8, 8)) * (1 if log else rng.choice([-1, 1]))
+        high = low * float(10 ** rng.uniform(0.05, 9)) if log else low + float(10 ** rng.uniform(-2, 3)) * abs(low)
+        axis = Axis(low, high, log)
+        ticks = axis.ticks(6)
+        assert 2 <= len(ticks) <= 13
+        assert len({text for _, text in ticks}) == len(ticks)
+        at = axis.place(np.array([tick for tick, _ in ticks]))
+        assert np.all((at > -1e-6) & (at < 1 + 1e-6))
+        for tick, text in ticks:
+            said = POWER.sub(lambda m: f"{m[1] or 1}e{m[2].translate(PLAIN)}", text).replace("−", "-")
+            # To a hundredth of the axis where the step has so many digits that they are cut.
+            assert abs(axis.place(np.array(float(said))) - axis.place(np.array(tick))) < 0.01
+
+
+def test_axes_hold_their_numbers():
+    """Without limits every number that an axis can show lies on it, with room."""
+    values = np.array([3.0, np.nan, -2.0, np.inf, 5.0])
+    at = axis_of([values], None, False).place(values)
+    assert np.isnan(at[[1, 3]]).all()
+    assert ((at[[0, 2, 4]] > 0) & (at[[0, 2, 4]] < 1)).all()
+    at = axis_of([values], None, True).place(values)
+    assert np.isnan(at[[1, 2, 3]]).all()
+    assert ((at[[0, 4]] > 0) & (at[[0, 4]] < 1)).all()
+
+
+def variables(block: str) -> dict[str, str]:
+    """The colours that a block of the style sheet names."""
+    return dict(re.findall(r"--([\w-]+): (#[0-9a-f]{6})", block))
+
+
+def test_text_can_be_read():
+    """By day and by night every colour of text has a contrast of 4.5 against all that it stands on: WCAG 2.2, level AA."""
+    by_day = variables(CSS.split("@media", 1)[0])
+    night = by_day | variables(re.findall(r"@media screen and \(prefers-color-scheme: dark\) \{(.*?)\n\}", CSS, re.S)[0])
+    assert (by_day["ground"], night["ground"]) == (LIGHT, DARK)
+    for colors in (by_day, night):
+        for text, ground in itertools.product(("ink", "soft", "link", "holds", "ends", "fails"), ("ground", "band")):
+            assert contrast(colors[text], colors[ground]) >= TEXT, (text, ground)
+        assert contrast(colors["on-paper"], colors["paper"]) >= TEXT
+
+
+def test_lines_can_be_told_from_the_ground():
+    """Any colour of a curve has a contrast of 3 by day and by night; the paper's are their own by day, black white by night."""
+    rng = np.random.default_rng(5)
+    some = ["#" + "".join(f"{part:02x}" for part in rng.integers(0, 256, 3)) for _ in range(200)]
+    for color in [*(color for color, _ in STYLES.values()), *OTHERS, "#ffffff", *some]:
+        assert contrast(readable(color, LIGHT), LIGHT) >= GRAPHICS
+        assert contrast(by_night(color), DARK) >= GRAPHICS
+    assert all(readable(color, LIGHT) == color for color, _ in STYLES.values())
+    assert contrast(by_night("#000000"), "#ffffff") < 1.05
+
+
+def test_contrast_is_that_of_the_guidelines():
+    """Black on white has 21, grey #767676 on white is the known threshold of 4.5, and the order does not matter."""
+    assert contrast("#000000", "#ffffff") == pytest.approx(21)
+    assert contrast("#767676", "#ffffff") == pytest.approx(4.54, abs=0.005)
+    assert contrast("#ffffff", "#767676") == contrast("#767676", "#ffffff")
+
+
+def test_a_figure_in_words():
+    """The text of a figure names every line with its largest value, and every class of a map with its share."""
+    x = np.linspace(0, 3, 31)
+    panel = Panel("travel\nover a bump", "time [s]", "travel [m]", (Curve(x, -((x - 1) ** 2), "I"), Curve(x, x, "", name="II")))
+    title, text = about(panel)
+    assert title == "travel; over a bump"
+    assert "I: largest -0 m at 1 s, least -4 at 3, at the end -4." in text
+    assert "II: largest 3 m at 3 s" in text
+    ground = Classes(x[:2], x[:2], np.array([[0, 0], [0, 1]]), ("#ffffff", "#000000"), ("fine", "broken"))
+    assert "fine, 75 %; broken, 25 %;" in about(Panel("map", "x", "y", (), ground))[1]
+
+
+def test_gains_are_matrices(designer):
+    """A gain's table has a row for every force and a column for every signal, each with its unit, and the entries of the gain."""
+    vehicle, one = read_vehicle("quarter_car"), designer.design("I")
+    table = gain_table(vehicle, one)
+    assert table is not None
+    assert table.headings == ("force", "per suspension deflection [N/m]", "per sprung velocity [N·s/m]")
+    assert table.rows == (("control force [N]", *(f"{entry:.6g}" for entry in one.gain[0])),)
+    assert gain_table(vehicle, designer.design("passive")) is None
