@@ -83,7 +83,8 @@ OWNERS = {
     "mujoco": {
         "models/mjcf.py",
         "sim/physics/readout.py",
-        "sim/physics/simulate.py",
+        "sim/physics/blocks.py",
+        "sim/physics/stepping.py",
         "sim/physics/energy.py",
         "sim/recording/drawing.py",
     },

@@ -12,8 +12,8 @@ from sim.campaign.file import Campaign
 from sim.campaign.plan import Plan, PlannedRun
 from sim.campaign.samples import with_sample
 from sim.campaign.twin import Twin
+from sim.physics.blocks import DIVERGED
 from sim.physics.readout import reads_out
-from sim.physics.simulate import DIVERGED
 from sim.physics.watched import Watched
 from sim.response.regime import END_NAMES
 from sim.ride.expected import Expected, expect

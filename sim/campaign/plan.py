@@ -10,7 +10,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.vehicle import Vehicle
 from sim.campaign.file import Campaign
-from sim.physics.simulate import runs_at_once
+from sim.physics.blocks import runs_at_once
 from sim.roads.road import Road
 from synth.controller import Controller
 

@@ -10,7 +10,7 @@ from models.common.arrays import Array
 from models.vehicle import Vehicle
 from sim.campaign.plan import PlannedRun
 from sim.linear.loop import held_inputs, with_actuators
-from sim.physics.simulate import DIVERGED
+from sim.physics.blocks import DIVERGED
 from sim.response.response import SILENT
 from sim.ride.metrics import Meter
 from synth.controller import Controller

@@ -6,7 +6,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.vehicle import Vehicle
-from sim.physics.simulate import Block, in_blocks
+from sim.physics.blocks import Block, in_blocks
 from sim.response.regime import BLOCK, EndDetector
 from sim.roads.road import Road, under_wheels
 from synth.controller import Controller

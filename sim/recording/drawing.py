@@ -9,7 +9,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.mjcf import build_model, mocap_indices
 from models.vehicle import Vehicle
-from sim.physics.simulate import DIVERGED
+from sim.physics.blocks import DIVERGED
 from sim.recording.scene import Motion, Scene, Shape, Tyre
 from sim.response.response import Response
 from sim.roads.road import Road, under_wheels

@@ -17,7 +17,7 @@ from models.common.arrays import Array
 from models.common.cores import cores
 from models.vehicle import Vehicle
 from sim.linear.loop import sampled_responses
-from sim.physics.simulate import runs_at_once
+from sim.physics.blocks import runs_at_once
 from sim.physics.watched import Watched
 from sim.response.regime import END_NAMES, first_end, scaled_reached, utilisation
 from sim.roads.road import Bump

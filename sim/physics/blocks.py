@@ -1,0 +1,200 @@
+"""N runs in MuJoCo, some samples at a time, shared out among threads: what is read, what is asked for, what is recorded."""
+
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's bindings carry no type stubs.
+
+import contextvars
+import itertools
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from mujoco.batch import Batch
+
+from models.common.arrays import Array
+from models.common.cores import cores
+from models.mjcf import build_model, quiet
+from models.vehicle import Vehicle
+from sim.physics.readout import Readout, force_from_road, gain_on, mix, prepared, signal_from_road
+from sim.physics.sampler import Sampler
+from sim.physics.stepping import step_batch
+from synth.controller import Controller
+
+DIVERGED = 1e8  # a signal beyond this, in SI units, is no vehicle any more
+
+FEWEST = 4  # runs to a thread: of fewer the numpy between their steps, which one thread at a time can do, takes as long
+
+# Of runs that are not kept whole:
+RUNS_AT_ONCE = 256  # more hardly save time
+MOST_HEIGHTS = 5_200_000  # of roads, 16 bytes each: 256 quarter-cars for 20 s at 1 ms
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Some consecutive samples of N runs.
+
+    Attributes:
+        start: index of the first.
+        values: every signal but the road's velocity, which is left 0, shape (B, S, N): runs lie side by side.
+        qpos: generalized positions, shape (B, N, nq).
+        qvel: generalized velocities, shape (B, N, nv).
+        largest: largest magnitude of any signal, and of any force that was asked for, shape (B, N).
+    """
+
+    start: int
+    values: Array
+    qpos: Array
+    qvel: Array
+    largest: Array
+
+    def diverged(self, time: Array) -> Array:
+        """When each run first diverged in it [s], shape (N,), infinite where it did not; from all the samples' times."""
+        wild = ~(self.largest < DIVERGED)  # NaN compares as wild
+        return np.where(wild.any(axis=0), time[self.start + wild.argmax(axis=0)], np.inf)
+
+    def clip(self) -> None:
+        """Makes numbers of what a diverged run left, none beyond `DIVERGED`, in place."""
+        np.nan_to_num(self.values, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
+        np.clip(self.values, -DIVERGED, DIVERGED, out=self.values)
+
+
+def runs_at_once(samples: int, wheels: int) -> int:
+    """How many runs of so many samples a batch that is taken in blocks has at most: as many as save time and fit into memory."""
+    return max(1, min(RUNS_AT_ONCE, MOST_HEIGHTS // (samples * wheels)))
+
+
+def in_blocks(
+    vehicles: Sequence[Vehicle],
+    controllers: Sequence[Controller],
+    now: Array,
+    midway: Array,
+    timestep: float,
+    threads: int,
+    size: int,
+    undelayed: Sequence[Controller | None] | None = None,
+) -> Iterator[Block]:
+    """The runs of `simulate`, some samples at a time: nothing but the roads need be held whole.
+
+    A run's numbers do not depend, to the last bit, on the runs of its controller beside it, on threads, or on blocks: sums over a
+    run's few signals are taken one by one, never by a product of matrices whose order of summation depends on how many runs there
+    are.
+
+    Args:
+        vehicles: N vehicles of the same kind that read out alike, see `reads_out`.
+        controllers: N controllers.
+        now: road heights at the samples [m], shape (T, N, r).
+        midway: the same half a step later, where MuJoCo holds them.
+        timestep: [s].
+        threads: as for `simulate`.
+        size: B, samples in a block.
+        undelayed: as for `simulate`.
+    """
+    vehicle = vehicles[0]
+    model, readout = prepared(vehicle, timestep)
+    hardware = [(*other.parameters.values(), other.limits) for other in vehicles]
+    models = {}
+    if len(set(hardware)) > 1:
+        models = {key: build_model(other, timestep) for key, other in dict(zip(hardware, vehicles, strict=True)).items()}
+    before = np.concatenate([np.zeros_like(now[:1]), midway[:-1]])  # where the last step has left the road
+
+    # What a controller measures is read before a step: from the state where it is linear in it, else from its sensor. To it comes
+    # what that reading has not seen of the road.
+    K = np.stack([gain_on(readout.names, vehicle, controller) for vehicle, controller in zip(vehicles, controllers, strict=True)])
+    beside = np.zeros_like(K)
+    for i, other in enumerate(undelayed or ()):
+        if other is not None:
+            beside[i] = gain_on(readout.names, vehicles[i], other)
+    of_state, of_sensors = np.where(readout.linear, K, 0), np.where(readout.linear, 0, K)
+    offset = force_from_road(of_state, now, readout) + force_from_road(of_sensors, now - before, readout)
+    used = np.any((K != 0) | (beside != 0), axis=(0, 1)) & ~readout.linear
+    stage = int(max(readout.stage[used], default=0))
+    gain = of_state @ readout.of_state
+    if stage:
+        gain = np.concatenate([gain, of_sensors @ readout.of_sensors], axis=-1)
+    plain = undelayed is None and all(other.implementation.ideal for other in vehicles)
+    unseen = np.zeros(0) if plain else signal_from_road(now, readout, True) + signal_from_road(now - before, readout, False)
+
+    # What is recorded was sensed inside the step, where the road was midway, or before it, where the last step had left it.
+    signals = vehicle.kind.signals
+    place = np.array([[signal.name == name for name in readout.names] for signal in signals], dtype=float)
+    names = [signal.name for signal in signals]
+    heights = [names.index(wheel.road_displacement) for wheel in vehicle.kind.wheels]
+    inside = readout.stage > stage
+    stop = threading.Event()
+
+    def of(runs: slice) -> Iterator[Block]:
+        """The blocks of some of the runs."""
+        batch = Batch(model, len(vehicles[runs]), 1)
+        if models:
+            batch.set_models([models[key] for key in hardware[runs]])
+        law = None
+        if not plain:
+            sampler = Sampler(vehicles[runs], K[runs], beside[runs], readout.names, timestep, len(now))
+            law = _law(sampler, readout, unseen[:, runs], stage)
+        level, road, left = now[:, runs], midway[:, runs], before[:, runs]
+        felt = level if readout.felt else None
+        steps = step_batch(batch, readout.mocap, gain[runs], offset[:, runs], road, felt, stage, law, size, stop)
+        for start, sensed, qpos, qvel, asked in steps:
+            some = slice(start, start + len(sensed))
+            recorded = np.zeros((len(sensed), len(signals), batch.nsim))
+            mix(place @ readout.of_sensors, sensed, recorded)
+            recorded -= (place @ readout.rest)[:, None]
+            if not readout.felt:
+                mix(place[:, inside] @ readout.of_road[inside], np.moveaxis(level[some] - road[some], 1, 2), recorded)
+            if stage and not readout.felt:
+                mix(place[:, ~inside] @ readout.of_road[~inside], np.moveaxis(level[some] - left[some], 1, 2), recorded)
+            recorded[:, heights] = np.moveaxis(level[some], 1, 2)
+            # A force beyond 1e10 MuJoCo replaces by none at all, and runs on: what was asked for counts, not only what came.
+            largest = np.maximum(recorded.max(axis=1), -recorded.min(axis=1))
+            for force in np.moveaxis(asked, 2, 0):
+                largest = np.maximum(largest, np.abs(force))
+            yield Block(start, recorded, qpos, qvel, largest)
+
+    with quiet():
+        yield from _side_by_side([of(runs) for runs in _shares(len(vehicles), threads)], stop)
+
+
+def _shares(count: int, threads: int) -> list[slice]:
+    """Runs shared out among threads, as many to each as to the others."""
+    shares = max(1, min(threads or cores(), count // FEWEST))
+    edges = [count * i // shares for i in range(shares + 1)]
+    return [slice(*pair) for pair in itertools.pairwise(edges)]
+
+
+def _side_by_side(parts: Sequence[Iterator[Block]], stop: threading.Event) -> Iterator[Block]:
+    """The blocks of runs that are stepped side by side, put together; they stop when asked to.
+
+    A thread to each part, on a batch of its own: faster than one batch on all of them, whose threads wait while Python has its
+    turn, and on a busy machine for each other.
+    """
+    if len(parts) == 1:
+        yield from parts[0]
+        return
+    with ThreadPoolExecutor(len(parts)) as pool:
+        try:
+            while True:
+                asked = [pool.submit(contextvars.copy_context().run, next, part, None) for part in parts]
+                blocks = [block for one in asked if (block := one.result()) is not None]
+                if not blocks:
+                    return
+                yield Block(
+                    blocks[0].start,
+                    np.concatenate([block.values for block in blocks], axis=2),
+                    *(np.concatenate([getattr(block, name) for block in blocks], axis=1) for name in ("qpos", "qvel", "largest")),
+                )
+        finally:
+            stop.set()
+
+
+def _law(sampler: Sampler, readout: Readout, unseen_of_road: Array, stage: int) -> Callable[[int, Array], Array]:
+    """The forces of step k from the reading, for controllers that are more than a gain."""
+    of_reading = np.where(readout.linear[:, None], readout.of_state, 0.0)
+    if stage:
+        of_reading = np.concatenate([of_reading, np.where(readout.linear[:, None], 0.0, readout.of_sensors)], axis=-1)
+
+    def forces(k: int, reading: Array) -> Array:
+        return sampler(k, np.matvec(of_reading, reading) + unseen_of_road[k])
+
+    return forces

@@ -1,0 +1,99 @@
+"""The loop: read, control, move the road, step."""
+
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's bindings carry no type stubs.
+
+import functools
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+from mujoco.batch import Batch
+
+from models.common.arrays import Array
+
+
+def step_batch(
+    batch: Batch,
+    mocap: list[int],
+    gain: Array,
+    offset: Array,
+    midway: Array,
+    at_samples: Array | None,
+    stage: int,
+    law: Callable[[int, Array], Array] | None,
+    size: int,
+    stop: threading.Event,
+) -> Iterator[tuple[int, Array, Array, Array, Array]]:
+    """All samples of a batch.
+
+    Args:
+        batch: N runs.
+        mocap: mocap index of every wheel's road.
+        gain: from the reading to the forces, shape (N, m, k). The reading is (qpos, qvel), and `sensordata` if there is a stage.
+        offset: the forces' other part, shape (T, N, m).
+        midway: road heights during the steps, shape (T, N, r).
+        at_samples: road heights at the samples, shape (T, N, r), if sensors are to be evaluated there on top; else None.
+        stage: mjtStage up to which sensors are evaluated before a step.
+        law: forces (N, m) of step k from the reading (N, k), instead of the gain; None for controllers that are a gain.
+        size: B, samples in a block.
+        stop: set where no more of them are wanted.
+
+    Yields:
+        Of every block its first sample, and `sensordata`, shape (B, nsensordata, N): that of the samples; else up to the stage
+        from before the step, the rest from inside it. Then qpos, shape (B, N, nq), qvel, shape
+        (B, N, nv), and the forces asked for, shape (B, N, m).
+    """
+    samples, count, m = offset.shape
+    # The motors, in the order of the linear model's inputs, are all there is in ctrl.
+    ctrl, heights, sensors = batch.bind("ctrl"), batch.bind("mocap_pos")[:, :, 2], batch.bind("sensordata").T
+    motion, width = _motion(batch), gain.shape[2]
+    moved, positions = motion.shape[1], batch.bind("qpos").shape[1]
+    early = np.repeat(batch.model.sensor_needstage, batch.model.sensor_dim) <= stage
+    step = functools.partial(batch.step, stage=stage) if stage else batch.step
+    batch.forward(stage=stage)
+
+    # A numpy call costs a tenth of a step, so there are few: the forces' known part lies beside the reading, with unit gain.
+    gain = np.concatenate([gain, np.broadcast_to(np.eye(m), (count, m, m))], axis=-1)
+    for start in range(0, samples, size):
+        block = slice(start, min(start + size, samples))
+        length = block.stop - start
+        seen = np.empty((length, count, width + m))
+        seen[..., width:] = offset[block]
+        roads = np.zeros((length, *heights.shape))
+        roads[..., mocap] = midway[block]
+        sensed, asked = np.empty((length, *sensors.shape)), np.empty((length, count, m))
+        rows: Any = zip(seen, seen[..., :moved], seen[..., moved:width], roads, sensed, asked, strict=True)
+        for k, (all_seen, moving, sensing, road, result, forces) in enumerate(rows, start):
+            if stop.is_set():
+                return
+            moving[...] = motion
+            if stage:
+                sensing[...] = sensors.T
+            if law is None:
+                np.matvec(gain, all_seen, forces)
+            else:
+                forces[...] = law(k, all_seen[:, :width])
+            ctrl[...] = forces
+            if at_samples is not None:
+                heights[:, mocap] = at_samples[k]
+                batch.forward()
+                result[...] = sensors
+            heights[...] = road
+            step()
+            if at_samples is None:
+                result[...] = sensors
+        if stage and at_samples is None:
+            # The evaluation after a step has overwritten what the step itself had sensed.
+            sensed[:, early] = np.moveaxis(seen[..., moved:width][..., early], 1, 2)
+        yield start, sensed, seen[..., :positions], seen[..., positions:moved], asked
+
+
+def _motion(batch: Batch) -> Array:
+    """(qpos, qvel) of every run as one view, shape (N, nq + nv): they lie side by side in a state row."""
+    qpos, qvel = batch.bind("qpos"), batch.bind("qvel")
+    start = (qpos.ctypes.data - batch.state.ctypes.data) // batch.state.itemsize
+    motion = batch.state[:, start : start + qpos.shape[1] + qvel.shape[1]]
+    assert motion[0, qpos.shape[1] :].ctypes.data == qvel.ctypes.data, "mjSTATE_QVEL follows mjSTATE_QPOS"
+    return motion
