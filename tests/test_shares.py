@@ -31,14 +31,15 @@ def test_threads_change_no_bit(kind):
         Implementation(sample_period=3e-3, delay=1),
         Implementation(noise=noise, quantisation=noise, seed=3),
     ]
-    vehicles = [vehicle] * 4 + [replace(vehicle, implementation=built[i % 3]) for i in range(5)]
-    given = [controllers[i // 4 % 2] for i in range(9)]  # the first four are passive: what they need no sensor for the others do
-    beside = [None] * 5 + [controllers[1]] * 4
-    roads = [Bump(height=0.01 * (1 + i)) for i in range(9)]
-    runs = [simulate(vehicles, given, roads, time, threads, beside) for threads in (1, 2)]
-    for name in ("qpos", "qvel", "diverged"):
-        np.testing.assert_array_equal(getattr(runs[0], name), getattr(runs[1], name))
-    np.testing.assert_array_equal(runs[0].response.values, runs[1].response.values)
+    # Four that need no sensor, four that are a gain and no more, and four with all there is.
+    vehicles = [vehicle] * 8 + [replace(vehicle, implementation=built[i % 3]) for i in range(4)]
+    given, beside = [controllers[0]] * 4 + [controllers[1]] * 8, [None] * 9 + [controllers[1]] * 3
+    roads = [Bump(height=0.01 * (1 + i)) for i in range(12)]
+    together, *shared = [simulate(vehicles, given, roads, time, threads, beside) for threads in (1, 2, 3)]
+    for runs in shared:
+        for name in ("qpos", "qvel", "diverged"):
+            np.testing.assert_array_equal(getattr(runs, name), getattr(together, name))
+        np.testing.assert_array_equal(runs.response.values, together.response.values)
 
 
 def test_runs_stop_when_no_more_of_them_is_wanted(paper, designer):
