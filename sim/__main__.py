@@ -18,7 +18,8 @@ COMMANDS = (  # name, the question it answers, the options that one reaches for 
 EPILOG = """
 All but sim.campaign and sim.inspect take --vehicle and --controller; all take
 --json, and --help says the rest.
-exit code: 0 done, agreed, proved; 1 not; 2 bad input; 130 interrupted
+exit code: 0 done, agreed, proved; 1 not; 2 bad input;
+130 interrupted, 143 by SIGTERM, 129 by the end of its terminal
 
 examples:
   python -m sim.bump --controller I

@@ -3,15 +3,15 @@
 import argparse
 import functools
 import json
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from models.common import interrupt
 from models.common.arrays import Array
-from models.common.command import Parser, one_chosen, run_command
+from models.common.command import Parser, complain, one_chosen, run_command
 from models.common.errors import InputError
 from models.vehicle import Vehicle, read_vehicle
 from sim.command.asked import Asked
@@ -30,7 +30,8 @@ from synth.controller import Controller
 from synth.designer import design
 
 EPILOG = """
-exit code: 0 physics breaks first what linear analysis predicts, 1 it does not, 2 bad input, 130 interrupted: what is done is kept
+exit code: 0 physics breaks first what linear analysis predicts, 1 it does not, 2 bad input,
+130 interrupted, 143 by SIGTERM: what is done is kept
 
 examples:
   python -m sim.envelope --controller I --vary height:0.02:0.3:20 --vary speed:3:30:20 --picture envelope.png
@@ -83,8 +84,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         ]
         print("\n".join([*lines, *written_lines(outputs), *log_lines(logs)]))
     if not cells.done.all():
-        print(f"roadproof: interrupted after {int(cells.done.sum())} of {len(bumps)} cells; they are kept", file=sys.stderr)
-        return 130
+        complain(f"{interrupt.word()} after {int(cells.done.sum())} of {len(bumps)} cells; they are kept")
+        return interrupt.code()
     return 0 if cells.as_predicted else 1
 
 

@@ -1,4 +1,4 @@
-"""Ctrl-C in the middle of a command's work, as a user sends it: what it ends with, and what it keeps."""
+"""Ctrl-C in the middle of a command's work, or another signal to end: what it ends with, and what it keeps."""
 
 import json
 import os
@@ -17,8 +17,12 @@ ENOUGH = 120.0  # s that a command may take on a busy machine
 AT_ONCE = 20.0  # s to end after Ctrl-C on a busy machine; a second on an idle one
 
 
-def test_an_interrupted_map_is_kept(tmp_path):
-    """Ctrl-C in the middle of a map ends it at once, with exit code 130; what is done is printed and written, the same cells."""
+ENDINGS = [("SIGINT", 130, "interrupted"), ("SIGTERM", 143, "terminated"), ("SIGHUP", 129, "hung up")]
+
+
+@pytest.mark.parametrize(("name", "code", "word"), ENDINGS)
+def test_an_interrupted_map_is_kept(tmp_path, name, code, word):
+    """A signal in the middle of a map ends it at once, with its exit code; what is done is printed and written."""
     arguments = ["--controller", "I", "--vary", "height:0.02:0.2:100", "--vary", "speed:5:20:100", "--csv", "map.csv", "--json"]
     command = [sys.executable, "-c", CHILD, *arguments]
     process = subprocess.Popen(
@@ -26,16 +30,48 @@ def test_an_interrupted_map_is_kept(tmp_path):
     )
     assert process.stderr is not None
     assert process.stderr.readline() == "some are done\n"
-    process.send_signal(signal.SIGINT)
+    process.send_signal(getattr(signal, name))
     sent = time.monotonic()
     out, err = process.communicate(timeout=ENOUGH)
     assert time.monotonic() - sent < AT_ONCE
-    assert process.returncode == 130
+    assert process.returncode == code
     result = json.loads(out)
     assert not result["complete"]
     assert 0 < result["done"] == len(result["cells"]) < 10_000
     assert len((tmp_path / "map.csv").read_text().splitlines()) == 1 + result["done"]
-    assert err == f"roadproof: interrupted after {result['done']} of 10000 cells; they are kept\n"
+    assert err == f"roadproof: {word} after {result['done']} of 10000 cells; they are kept\n"
+
+
+@pytest.mark.parametrize(("name", "code", "word"), ENDINGS)
+def test_nothing_is_left_of_a_recording(tmp_path, name, code, word):
+    """A signal while a recording is written ends the command with one line and its exit code, and leaves no file, no folder."""
+    (tmp_path / "child.py").write_text(RECORDS.format(signal=name))
+    done = subprocess.run([sys.executable, "child.py"], cwd=tmp_path, env=environment(), capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (code, "", f"roadproof: {word}\n")
+    assert [path.name for path in tmp_path.iterdir()] == ["child.py"]
+
+
+@pytest.mark.parametrize(("name", "code", "word"), ENDINGS)
+def test_before_anything_has_begun(tmp_path, name, code, word):
+    """While a command is still being imported a signal ends it at once, with its word and exit code."""
+    (tmp_path / "package").mkdir()
+    (tmp_path / "package" / "__init__.py").write_text(f"import signal\nimport sim\n\nsignal.raise_signal(signal.{name})\n")
+    (tmp_path / "package" / "child.py").write_text("print('too far')")
+    done = subprocess.run(
+        [sys.executable, "-m", "package.child"], cwd=tmp_path, env=environment(), capture_output=True, text=True
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (code, "", f"roadproof: {word}\n")
+
+
+def test_what_is_to_be_ignored_is(tmp_path):
+    """Under `nohup`, which has the end of the terminal ignored, a command goes on to its end."""
+    (tmp_path / "child.py").write_text(
+        "import signal\nsignal.signal(signal.SIGHUP, signal.SIG_IGN)\nimport sim\n"
+        "from models.common.command import run_command\n\n"
+        "def main():\n    signal.raise_signal(signal.SIGHUP)\n    print('done')\n    return 0\n\nrun_command(main)\n"
+    )
+    done = subprocess.run([sys.executable, "-m", "child"], cwd=tmp_path, env=environment(), capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "done\n", "")
 
 
 @pytest.mark.parametrize(
@@ -67,24 +103,43 @@ def test_none_is_lost_where_work_goes_on(tmp_path):
     (tmp_path / "child.py").write_text(GOES_ON)
     done = subprocess.run([sys.executable, "child.py"], cwd=tmp_path, env=environment(), capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout == "named\nnamed\nheard\nafter one more\n"
+    assert done.stdout == "named\nnamed\nheard 143\nafter one more\n"
 
+
+RECORDS = """
+import signal
+import sys
+import sim.recording.files
+from models.common.command import run_command
+from sim.bump import main
+
+write = sim.recording.files.write_mcap
+
+def write_and_hear(*arguments):
+    write(*arguments)
+    signal.raise_signal(signal.{signal})
+
+sim.recording.files.write_mcap = write_and_hear
+sys.argv[:] = ["bump", "--controller", "passive", "--duration", "0.5", "--logs", "logs/of/today"]
+run_command(main)
+"""
 
 GOES_ON = """
 import signal
-from models.common.interrupt import finishing
+from models.common.interrupt import code, finishing, raise_from_now_on
 
+raise_from_now_on()
 with finishing():
     signal.raise_signal(signal.SIGINT)
     print("named")
 try:
     with finishing(work_goes_on=True):
         with finishing():
-            signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(signal.SIGTERM)
             print("named")
     print("lost")
 except KeyboardInterrupt:
-    print("heard")
+    print("heard", code())
 with finishing():
     pass
 print("after one more")

@@ -8,6 +8,7 @@ import re
 import shlex
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -163,7 +164,7 @@ class _Flag(argparse.Action):
 
 
 def run_command(main: Callable[[], int]) -> NoReturn:
-    """Runs a command and exits as every command does: its own code, 2 on bad input, 130 on Ctrl-C."""
+    """Runs a command and exits as every command does: its own code, 2 on bad input, that of the signal that told it to end."""
     interrupt.raise_from_now_on()
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # a vehicle file's name may have what the terminal has not
@@ -181,8 +182,8 @@ def run_command(main: Callable[[], int]) -> NoReturn:
 def _ended_by(error: BaseException) -> int:
     """The exit code of a command that ended so, which is said; what nobody foresaw is raised again."""
     if interrupt.caused(error):
-        complain("interrupted")
-        return interrupt.CODE
+        complain(interrupt.word())
+        return interrupt.code()
     if isinstance(error, InputError):
         complain(str(error))
         return BAD_INPUT
@@ -202,7 +203,8 @@ def _ended_by(error: BaseException) -> int:
 def complain(message: str) -> None:
     """One line on stderr that a terminal can show, whatever names and values the message quotes."""
     if sys.stderr:  # closed, as in `2>&-`, it is None
-        print(f"roadproof: {one_line(message)}", file=sys.stderr)
+        with suppress(OSError):  # its terminal has ended
+            print(f"roadproof: {one_line(message)}", file=sys.stderr)
 
 
 def _forget_output() -> None:

@@ -1,4 +1,8 @@
-"""Ctrl-C, from the first import to the last line: one word, exit code 130, no traceback."""
+"""Being told to end, by Ctrl-C, SIGTERM or the end of the terminal, from the first import to the last line.
+
+Each ends a command alike: what was begun is cleaned up, and there are one word and the exit code that a shell has for it, but no
+traceback. Wherever the code says Ctrl-C it means all of them.
+"""
 
 import _thread
 import os
@@ -12,7 +16,19 @@ from typing import Any
 
 from models.common.encoding import speak_utf8
 
-CODE = 130
+WORDS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "hung up"}  # what they are to a user; not all are everywhere
+SIGNALS = {int(number): word for name, word in WORDS.items() if (number := getattr(signal, name, None)) is not None}
+_heard = [int(signal.SIGINT)]  # the last one that came, Ctrl-C before
+
+
+def code() -> int:
+    """The exit code of a command that was told to end: 130 by Ctrl-C, 143 by SIGTERM, 129 by the end of its terminal."""
+    return 128 + _heard[0]
+
+
+def word() -> str:
+    """What has happened to it, in a word."""
+    return SIGNALS[_heard[0]]
 
 
 def quiet_start() -> None:
@@ -24,7 +40,7 @@ def quiet_start() -> None:
     # Only until it knows where the module lies, `python -m` says "-m" there.
     if sys.argv[:1] == ["-m"] and threading.current_thread() is threading.main_thread():
         speak_utf8()
-        signal.signal(signal.SIGINT, _leave)
+        _handle_all(_leave)
         # No command draws by MuJoCo, whatever is installed for that. Else it starts a second Python to look for GLFW, with
         # tracebacks of its own.
         os.environ["MUJOCO_GL"] = "disable"
@@ -33,7 +49,7 @@ def quiet_start() -> None:
 def raise_from_now_on() -> None:
     """From here on Ctrl-C is a KeyboardInterrupt, so that what was begun is cleaned up."""
     if threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        _handle_all(_raise)
         sys.unraisablehook = _again
 
 
@@ -48,12 +64,12 @@ class _Late:
     """A handler that notes the first Ctrl-C, and heeds the second."""
 
     def __init__(self) -> None:
-        self.came = False
+        self.came = 0
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
         if self.came:
-            raise KeyboardInterrupt
-        self.came = True
+            _raise(number, frame)
+        self.came = number
 
 
 @contextmanager
@@ -63,18 +79,20 @@ def finishing(work_goes_on: bool = False) -> Iterator[None]:
     Args:
         work_goes_on: after it, so that a Ctrl-C is only late: it is heard when this is done, whatever this finishes within.
     """
-    before = signal.getsignal(signal.SIGINT)
-    if threading.current_thread() is not threading.main_thread() or before in (None, signal.SIG_IGN):
+    if threading.current_thread() is not threading.main_thread():
         yield
         return
+    before = {number: handler for number in SIGNALS if callable(handler := signal.getsignal(number))}
     late = _Late()
-    signal.signal(signal.SIGINT, late)
+    for number in before:
+        signal.signal(number, late)
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
-    if late.came and callable(before) and (work_goes_on or isinstance(before, _Late)):
-        before(signal.SIGINT, None)  # an outer one of these, or what raises KeyboardInterrupt
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    if late.came and (work_goes_on or isinstance(before[late.came], _Late)):
+        before[late.came](late.came, None)  # an outer one of these, or what raises KeyboardInterrupt
 
 
 def ignore_from_now_on() -> None:
@@ -83,18 +101,31 @@ def ignore_from_now_on() -> None:
     # signal, even if the exception was caught; the next such `exec` forgets that (run_eval_code_obj in CPython's pythonrun.c).
     exec("")
     if threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        _handle_all(signal.SIG_IGN)
+
+
+def _handle_all(handler: Any) -> None:
+    """Handles every signal but those that whoever has started this wants ignored, as `nohup` does the end of the terminal."""
+    for number in SIGNALS:
+        if number == signal.SIGINT or signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, handler)
+
+
+def _raise(number: int, frame: FrameType | None) -> None:
+    _heard[0] = number
+    raise KeyboardInterrupt
 
 
 def _leave(number: int, frame: FrameType | None) -> None:
+    _heard[0] = number
     with suppress(OSError):  # stderr may be closed
-        os.write(2, b"roadproof: interrupted\n")
-    os._exit(CODE)
+        os.write(2, f"roadproof: {word()}\n".encode())
+    os._exit(code())
 
 
 def _again(unraisable: Any) -> None:
     """Where Python can raise nothing, as in a finaliser, it drops an interrupt: it comes again a moment later."""
     if issubclass(unraisable.exc_type, KeyboardInterrupt):
-        threading.Timer(0.005, _thread.interrupt_main).start()
+        threading.Timer(0.005, _thread.interrupt_main, (_heard[0],)).start()
     else:
         sys.__unraisablehook__(unraisable)

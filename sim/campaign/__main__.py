@@ -37,7 +37,7 @@ FEWEST = 16  # runs in a batch all the same; 16 cost 11 % more than 192, each, 3
 EPILOG = """
 Interrupted, by Ctrl-C, kill -9 or a power cut, and started again, it goes on where it was, and loses a few seconds of work.
 exit code: 0 every run is there (with --verify: the results are what the campaign comes to), 1 --verify found a fault,
-2 bad input or a full disk, 130 interrupted: what is done is kept
+2 bad input or a full disk, 130 interrupted, 143 by SIGTERM: what is done is kept
 
 examples:
   python -m sim.campaign campaign.toml
@@ -88,8 +88,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         except KeyboardInterrupt:
             show("")
             left = sum(stop - start for start, stop in store.missing())
-            complain(f"interrupted: {plan.count - left} of {plan.count} runs are kept; start it again to go on")
-            return interrupt.CODE
+            complain(f"{interrupt.word()}: {plan.count - left} of {plan.count} runs are kept; start it again to go on")
+            return interrupt.code()
         show("")
         store.finish()
         entries = summarise(plan, store)

@@ -3,7 +3,6 @@
 import importlib.util
 import os
 import re
-import signal
 import socket
 import subprocess
 import sys
@@ -87,7 +86,7 @@ def serve_viewer(recording: Path) -> None:
     ]
     source = urllib.parse.quote(f"rerun+http://{LOOPBACK}:{data}/proxy", safe="")
     try:
-        with _ended_by_signals(), _ended_with(command) as process:
+        with _ended_with(command) as process:
             _wait_until_up(process, f"http://{LOOPBACK}:{page}")
             print(f"serving http://{LOOPBACK}:{page}?url={source}   Ctrl-C ends it", file=sys.stderr, flush=True)
             process.wait()
@@ -129,18 +128,6 @@ def _ended_with(command: list[str]) -> Iterator[subprocess.Popen]:
             with suppress(subprocess.TimeoutExpired):
                 process.wait(ENDING)
                 break
-
-
-@contextmanager
-def _ended_by_signals() -> Iterator[None]:
-    """SIGTERM and the end of the terminal count as Ctrl-C, so that what was started is ended."""
-    wanted = [one for name in ("SIGTERM", "SIGHUP") if (one := getattr(signal, name, None)) is not None]
-    before = {one: signal.signal(one, signal.default_int_handler) for one in wanted}
-    try:
-        yield
-    finally:
-        for one, handler in before.items():
-            signal.signal(one, handler)
 
 
 def _wait_until_up(process: subprocess.Popen, address: str) -> None:
