@@ -1,6 +1,7 @@
 """A campaign's folder: what is damaged, copied, edited or of another campaign is found, named, and no number in the results."""
 
 import dataclasses
+import errno
 import hashlib
 import json
 import os
@@ -405,6 +406,51 @@ def test_bad_options(whole, begun, tmp_path, arguments, said):
     places = {"begun": begun, "whole": whole[0], "empty": tmp_path}
     with pytest.raises(InputError, match=said):
         main([argument.format(**places) for argument in arguments])
+
+
+def contents(folder):
+    """Every file of a folder with its bytes."""
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+@pytest.mark.parametrize("damaged", [False, True])
+def test_verify_changes_nothing(whole, begun, tmp_path, damaged):
+    """--verify, which holds no folder, changes none: parts stay that a campaign, perhaps at work there, has to judge."""
+    parts = again(begun, tmp_path)
+    if damaged:
+        flip(parts[0], 200)
+    before = contents(tmp_path / "results")
+    with pytest.raises(InputError, match=f"of {RUNS} runs are not there yet"):
+        main(["--verify", str(tmp_path / "results"), str(begun.parent / "campaign.toml")])
+    assert contents(tmp_path / "results") == before
+    for path in whole[0].iterdir():  # a finished folder with parts that its campaign is about to remove
+        if path.name != ".lock":
+            shutil.copy(path, tmp_path / "results" / path.name)
+    before = contents(tmp_path / "results")
+    assert main(["--verify", str(tmp_path / "results"), str(whole[0].parent / "campaign.toml"), "--runs", "1"]) == 0
+    assert contents(tmp_path / "results") == before
+    assert start(tmp_path) == 0
+    assert not list((tmp_path / "results").glob("part-*"))
+
+
+@pytest.mark.parametrize("there", ["nothing", "an empty folder", "a file of somebody's"])
+def test_a_full_disk_leaves_nothing(tmp_path, monkeypatch, there):
+    """A campaign that cannot write down what it is leaves no folder, and nothing in one that was there."""
+    folder = tmp_path / "of" / "today"
+    if there != "nothing":
+        folder.mkdir(parents=True)
+    if there.startswith("a file"):
+        (folder / "mine").touch()
+    before = sorted(tmp_path.rglob("*"))
+
+    def full(*arguments, **named):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    (tmp_path / "campaign.toml").write_text(QUICK)
+    monkeypatch.setattr(type(tmp_path), "write_text", full)
+    with pytest.raises(InputError, match="No space left" if not there.startswith("a file") else "holds no campaign, but mine"):
+        main([str(tmp_path / "campaign.toml"), "--results", str(folder)])
+    assert sorted(tmp_path.rglob("*")) == sorted([*before, tmp_path / "campaign.toml"])
 
 
 def test_the_disk_may_not_change_under_it(begun, tmp_path):

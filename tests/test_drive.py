@@ -198,3 +198,17 @@ def test_why_the_comparison_ends_is_said(paper, designer):
         (line,) = [one for one in verdict_lines(dataclasses.replace(run, agreement=agreement)) if "does not apply" in one]
         assert line.startswith(f"the linear comparison does not apply from {until:g} s on")
         assert line.endswith("within a step, a tyre may leave the road there") == said
+
+
+def test_a_flat_road_changes_nothing(tmp_path, capsys):
+    """Over a flat road nothing moves, and there is no share of what rounding leaves."""
+    road = tmp_path / "flat.csv"
+    road.write_text("".join(f"{distance},0\n" for distance in range(40)))
+    options = ["--controller", "I", "--controller", "passive", "--duration", "1", "--no-logs"]
+    assert main([*options, "--road", str(road)]) == 0
+    rows = [line.split() for line in capsys.readouterr().out.splitlines() if " peak " in line or " rms " in line]
+    changes = [row[-1] for row in rows if "peak" in row or row[1] == "rms"]
+    assert len(changes) == 2 * 2 * 6  # two runs of six signals
+    assert set(changes) == {"-"}
+    assert main([*options, "--road", "bump"]) == 0
+    assert capsys.readouterr().out.count(" %") >= 8  # there it is one, of all but the force

@@ -423,6 +423,35 @@ def test_headings_that_contradict(tmp_path, above, settings, said):
     assert str(error.value).startswith(f"road file {tmp_path / 'road.csv'}: ")
 
 
+DECIMALS = "0,0,00\n1,0,01\n2,0,02\n3,0,00\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "settings", "tracks"),
+    [
+        (DECIMALS, "", None),
+        ("0,0,00\n1,0,01\n2,0,12\n3,0,00\n", ":height_unit=mm", None),  # 01 is no whole number that anybody writes
+        ("0,0,0\n1,0,1\n2,1,0\n3,0,0\n", "", None),  # whole metres
+        ("0,0,0\n1,12,-3\n2,10,0\n3,0,0\n", ":height_unit=mm", 2),
+        ("0,0,0.01\n1,0,0\n2,0,0\n3,0,0\n", "", 2),
+        ("distance,left,right\n" + DECIMALS.replace("02", "0"), "", 2),
+        (DECIMALS.replace("02", "0"), ":separator=comma", 2),
+        (DECIMALS.replace("02", "0"), ":columns=1,2,3", 2),
+        (DECIMALS.replace(",0,", ";0,"), "", 1),
+    ],
+)
+def test_decimal_commas_between_commas(tmp_path, text, settings, tracks):
+    """0,0,01 is two tracks only where that is said, or where a decimal point shows that commas separate; else it is refused."""
+    (tmp_path / "road.csv").write_text(text)
+    if tracks is None:
+        with pytest.raises(InputError, match="one height with a decimal comma; say :separator=comma for two heights"):
+            choose_road(f"road.csv{settings}", tmp_path)
+        return
+    profile = choose_road(f"road.csv{settings}", tmp_path).profile
+    assert profile is not None
+    assert np.array_equal(*profile.heights.T) == (tracks == 1)
+
+
 def test_what_is_written_is_read(tmp_path):
     """A profile's own file, with its headings, is the same profile to the last bit."""
     rng = np.random.default_rng(5)
@@ -485,6 +514,7 @@ def test_bad_profiles(tmp_path, text, said):
         ("road.csv:height_unit=yard", "height_unit = 'yard' is unknown; give one of cm, ft, in, km, m, mm"),
         ("road.csv:columns=0,1", "columns = '0,1' is none"),
         ("road.csv:columns=1", "as in columns=1,3"),
+        ("road.csv:columns=", "columns = '' is none"),
         ("road.csv:offset=3", "'offset=3' is not NAME=VALUE with a NAME out of columns, distance_unit"),
         ("road.crg:height_unit=mm", "says its own units"),
         ("bump:height=0.1:height=0.2", "height is given twice, '0.1' and '0.2'"),

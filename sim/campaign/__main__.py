@@ -68,6 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with cluster(options.ray) if options.ray is not None else nullcontext(), held(folder):
         plan, manifest = _plan(campaign, folder, options.file)
         store = _store(plan, folder, manifest)
+        store.tidy()
         for remark in store.damaged:
             print(f"roadproof: {remark}", file=sys.stderr)
         gaps = store.missing()

@@ -13,6 +13,7 @@ from typing import Any
 
 import filelock
 
+from models.common import interrupt
 from models.common.errors import InputError, quoted, some
 from models.common.read_file import MIB, read_text
 from models.common.whole_file import made_folder, whole_file
@@ -175,27 +176,32 @@ def gains_of(controllers: Mapping[str, Mapping[str, Controller]]) -> dict[str, d
 
 @contextlib.contextmanager
 def held(folder: Path) -> Iterator[None]:
-    """Makes the folder and holds it; the system lets go of it however the process ends.
+    """Makes the folder and holds it; the system lets go of it however the process ends. Where no campaign began nothing is left.
 
     Raises:
         InputError: it cannot be made or written, or another campaign is running in it.
     """
     with made_folder(folder, "results", "name another folder with --results"):
-        pass
-    lock = filelock.FileLock(folder / LOCK, timeout=0)
-    try:
-        lock.acquire()
-    except filelock.Timeout:
-        raise InputError(f"another campaign is running in {folder}; wait for it, or name another folder with --results") from None
-    except OSError as error:
-        raise InputError(
-            f"results {folder}: cannot be locked ({error.strerror or error}); name another folder with --results"
-        ) from error
-    with lock:
-        for left in folder.glob(".*.part*"):
-            left.unlink()
-        yield
-    lock.release()
+        lock = filelock.FileLock(folder / LOCK, timeout=0)
+        try:
+            lock.acquire()
+        except filelock.Timeout:
+            raise InputError(
+                f"another campaign is running in {folder}; wait for it, or name another folder with --results"
+            ) from None
+        except OSError as error:
+            raise InputError(
+                f"results {folder}: cannot be locked ({error.strerror or error}); name another folder with --results"
+            ) from error
+        try:
+            for left in folder.glob(".*.part*"):
+                left.unlink()
+            yield
+        finally:
+            lock.release()
+            with interrupt.finishing(), contextlib.suppress(OSError):
+                if not (folder / NAME).exists():
+                    (folder / LOCK).unlink()
 
 
 def _sealed(whole: Mapping[str, Any]) -> str:

@@ -52,7 +52,7 @@ class Store:
     """
 
     def __init__(self, folder: Path, columns: Mapping[str, Column], metadata: Mapping[str, str], manifest: Manifest) -> None:
-        """Opens a folder, and checks every file in it.
+        """Opens a folder, checks every file in it, and changes none.
 
         Raises:
             FaultError: the finished file is not what was written.
@@ -62,12 +62,19 @@ class Store:
         self.schema = pa.schema(fields, metadata=dict(metadata))
         self.damaged: list[str] = []
         self._parts: list[Part] = []
+        self._useless: list[Path] = []
         if self.finished:
             self.check_results()
-            for path in folder.glob("part-*"):  # the last start was ended between the finished file and this
-                path.unlink()
+            self._useless += folder.glob("part-*")  # the last start was ended between the finished file and their removal
         else:
             self._find_parts()
+
+    def tidy(self) -> None:
+        """Removes what is of no use any more; only who holds the folder may."""
+        for path in self._useless:
+            with suppress(OSError):
+                path.unlink()
+        self._useless = []
 
     @property
     def results(self) -> Path:
@@ -175,7 +182,7 @@ class Store:
         return best
 
     def _find_parts(self) -> None:
-        """The parts that are what was written; others are removed, and said, so that their runs are run again."""
+        """The parts that are what was written; of others it is said that their runs are run again."""
         found = []
         for path in sorted(self.folder.glob("part-*")):
             match = PART.fullmatch(path.name)
@@ -189,12 +196,11 @@ class Store:
                 found.append(Part(start, stop, path))
             else:
                 self.damaged.append(f"{path.name} is damaged, or not of this campaign: its runs are run again")
-                with suppress(OSError):
-                    path.unlink()
+                self._useless.append(path)
         # Parts that were joined may still be there beside what they became: the longer one counts.
         for part in sorted(found, key=lambda part: (part.start, -part.stop)):
             if self._parts and part.start < self._parts[-1].stop:
-                part.path.unlink()
+                self._useless.append(part.path)
             else:
                 self._parts.append(part)
 

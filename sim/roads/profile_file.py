@@ -15,6 +15,7 @@ from sim.roads.profile_headings import UNITS, Heading, choose_columns, headings_
 
 SEPARATORS: Mapping[str, str] = {"comma": ",", "semicolon": ";", "tab": "\t", "space": " "}
 HEADINGS = 50  # lines that may come before the numbers
+WHOLE, PADDED = re.compile(r"[+-]?\d+"), re.compile(r"0\d")  # cells as decimals look that a comma has cut off
 STEEPEST = 1.0  # rms slope; the roughest class of ISO 8608 has a half
 WIDEST = 20.0  # m between points; a vehicle's wheels meet what lies between
 
@@ -51,7 +52,7 @@ def read_table(settings: Mapping[str, str]) -> Table:
         if name in allowed and value not in allowed[name]:
             raise InputError(f"{name} = {value!r} is unknown; give one of {listing(allowed[name])}")
     columns = settings.get("columns", "")
-    if columns and not re.fullmatch(r"[1-9]\d{0,2}(,[1-9]\d{0,2}){1,2}", columns):
+    if "columns" in settings and not re.fullmatch(r"[1-9]\d{0,2}(,[1-9]\d{0,2}){1,2}", columns):
         raise InputError(f"columns = {columns!r} is none; give two or three numbers from 1, as in columns=1,3 or columns=1,3,4")
     numbers = tuple(map(int, columns.split(","))) if columns else ()
     return Table(**{**settings, "columns": numbers})  # pyright: ignore[reportArgumentType] - the others are texts
@@ -87,6 +88,10 @@ def _profile(text: str, speed: float, source: str, table: Table) -> Profile:
     if len(columns) not in (2, 3):
         raise InputError(f"line {first + 1} has {count} column(s); {FORMAT}, or say which, as in :columns=1,4")
 
+    # 0,0,01 may be two heights, or one with a decimal comma.
+    doubtful = mark == "," and len(columns) == 3 and not (table.separator or table.columns or headings[columns[1]].meaning)
+    padded = False
+
     lines, values = array("Q"), array("d")
     for number, line in enumerate(rows[first:], first + 1):
         if not line.strip() or line.lstrip().startswith("#"):
@@ -97,11 +102,18 @@ def _profile(text: str, speed: float, source: str, table: Table) -> Profile:
         if found is None or (len(cells) != count and not table.columns):
             shown = used if table.columns else cells
             raise InputError(f"line {number}: {' '.join(shown)!r} is not {len(shown if found else used)} numbers; {FORMAT}")
+        if doubtful:
+            doubtful, padded = all(WHOLE.fullmatch(cell) for cell in used[1:]), padded or bool(PADDED.match(used[2]))
         lines.append(number)
         values.extend(found)
     points = np.frombuffer(values, dtype=float).reshape(-1, len(columns)) if values else np.zeros((0, len(columns)))
     named = [headings[column] if column < count else Heading("") for column in columns]
     metres = [unit_of(heading, table.height_unit, "height_unit") for heading in named[1:]]
+    if doubtful and (padded or max(metres) == UNITS["m"]):
+        raise InputError(
+            f"line {lines[0]}: {rows[lines[0] - 1].strip()!r} is a distance and two heights, or one height with a decimal comma; "
+            "say :separator=comma for two heights, or separate columns by ;"
+        )
     distance = points[:, 0] * unit_of(named[0], table.distance_unit, "distance_unit")
     heights = points[:, [1, -1]] * [metres[0], metres[-1]]
     check_points(distance, heights, lambda i: f"line {lines[i]}")

@@ -151,7 +151,10 @@ def run_lines(run: Run, passive: Run | None) -> list[str]:
     rows: list[tuple[str, ...]] = [headings]
     for name, signal in run.agreement.signals.items():
         unit = run.vehicle.kind.signal(name).unit
-        silent = passive is not None and float(passive.physics.peak(name)) < passive.physics.scale(name)
+        # What symmetry keeps silent, or all of it on a flat road, is rounding in the physics without control.
+        silent = passive is not None and (
+            float(passive.physics.peak(name)) < passive.physics.scale(name) or not passive.sampled.peak(name)
+        )
         for kind in ("peak", "rms"):
             values = [float(getattr(response, kind)(name)) for response in (run.physics, run.sampled, run.continuous)]
             reference = float(getattr(passive.physics, kind)(name)) if passive else 0.0
