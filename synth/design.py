@@ -206,12 +206,12 @@ def zero_l_design(plant: GeneralizedPlant, Cy: Array, lower_bound: LowerBound | 
         InputError, InfeasibleError, DesignError: as `two_step_design`.
     """
     Cy, kept = measurement(plant, Cy)
-    units = own_units(plant, Cy)
+    problem, units = posed(plant), own_units(plant, Cy)
     rows, measured = units.rows(Cy[kept])
     Q = nullspace(rows)
-    points = output_feedback(units.into(plant), rows, np.zeros((Q.shape[1], len(kept))), Q)
+    points = output_feedback(units.into(problem.plant), rows, np.zeros((Q.shape[1], len(kept))), Q)
     path = [point.in_units(units.states, units.inputs, measured) for point in points]
-    return widened(furthest(plant, Cy[kept], path, lower_bound), kept, len(Cy), 0.0)
+    return widened(replace(furthest(plant, Cy[kept], path, lower_bound), case=problem.case), kept, len(Cy), 0.0)
 
 
 def measurement(plant: GeneralizedPlant, Cy: Array) -> tuple[Array, list[int]]:

@@ -8,7 +8,7 @@ The gain is certified for the plant as it is: an X that proves a bound with more
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -40,36 +40,33 @@ class Posed:
 
 
 def posed(plant: GeneralizedPlant) -> Posed:
-    """The problem (22) of a plant, or one beside it; what is the case is decided in its own units."""
-    own = own_units(plant)
-    found = _posed(own.into(plant))
-    return replace(found, plant=own.back(found.plant), best=None if found.best is None else own.gain_back(found.best))
-
-
-def _posed(plant: GeneralizedPlant) -> Posed:
+    """The problem (22) of a plant, or one beside it; what is the case, and what is beside it, does not depend on units."""
     if not (np.any(plant.Bw) or np.any(plant.Dw)) or not (np.any(plant.C) or np.any(plant.D)):
         return Posed(plant)  # bad input, and the central path says so
-    scale = balance(plant.A)[1]
-    balanced, nothing = plant.in_coordinates(np.diag(scale)), np.zeros_like(plant.B.T)
-    blind = hidden(balanced, nothing)[1]  # what z does not see without control
+    scale, forces = own_units(plant).exact
+    own, nothing = plant.in_coordinates(np.diag(scale)).with_inputs(np.diag(forces)), np.zeros_like(plant.B.T)
+    blind = hidden(own, nothing)[1]  # what z does not see without control
     alone = nothing if is_stable(plant.A) else None
-    everything = _counting(_disturbed(plant, np.diag(scale)), scale)
+    strength = size(own.Bw)
+    everything = _counting(_disturbed(plant, strength * np.diag(scale)), own, scale, forces)
 
-    if not np.any(plant.D) and not _leaves(balanced.B, blind):
+    if not np.any(plant.D) and not _leaves(own.B, blind):
         said = "no control force reaches z: its norm is the same for every gain"
         return Posed(everything, f"{said} that stabilises the plant", alone, f"{said}; none is applied")
 
-    kept, rest, F = _seen(balanced)
+    kept, rest, F = _seen(own)
     direct = bool(np.any(plant.Dw))
-    if len(rest.A) and (direct or _leaves(balanced.Bw, blind, kept @ rest.Bw)):
+    if len(rest.A) and (direct or _leaves(own.Bw, blind, kept @ rest.Bw)):
         return Posed(plant)
-    beside = _disturbed(plant, scale[:, None] * kept) if len(rest.A) else everything
+    beside = _disturbed(plant, strength * scale[:, None] * kept) if len(rest.A) else everything
     how = "only through Dw" if direct else "in no way"
-    if not _leaves(balanced.Bw, blind):
+    if not _leaves(own.Bw, blind):
         said = f"without control w reaches z {how}"
         return Posed(beside, f"{said}, but the plant is not stable; {INSTEAD}", alone, f"{said}; none is applied")
-    best = F / scale if is_stable(plant.closed_loop(F / scale).A) else None
-    return Posed(beside, f"with the right state feedback w reaches z {how}; {INSTEAD}", best, f"with this gain w reaches z {how}")
+    best = forces[:, None] * F / scale
+    stable = is_stable(plant.closed_loop(best).A)
+    said = f"with the right state feedback w reaches z {how}; {INSTEAD}"
+    return Posed(beside, said, best if stable else None, f"with this gain w reaches z {how}")
 
 
 def free_force(plant: GeneralizedPlant) -> list[str]:
@@ -134,17 +131,15 @@ def _leaves(inputs: Array, inside: Array, what: Array | None = None) -> bool:
 
 def _disturbed(plant: GeneralizedPlant, where: Array) -> GeneralizedPlant:
     """With disturbances that act on the states as the columns of `where` say."""
-    Bw = np.hstack([plant.Bw, size(plant.Bw) * where])
-    return GeneralizedPlant(
-        plant.A, plant.B, Bw, plant.C, plant.D, np.hstack([plant.Dw, np.zeros((len(plant.C), where.shape[1]))])
-    )
+    Bw, Dw = np.hstack([plant.Bw, where]), np.hstack([plant.Dw, np.zeros((len(plant.C), where.shape[1]))])
+    return GeneralizedPlant(plant.A, plant.B, Bw, plant.C, plant.D, Dw)
 
 
-def _counting(plant: GeneralizedPlant, scale: Array) -> GeneralizedPlant:
-    """With every state and every input in z, each in its own size."""
+def _counting(plant: GeneralizedPlant, own: GeneralizedPlant, scale: Array, forces: Array) -> GeneralizedPlant:
+    """With every state and every input in z, each in its own size, where the plant itself is `own`."""
     n, m = plant.B.shape
-    states, inputs = np.diag(1 / scale), np.eye(m) * size(plant.B / scale[:, None]) / size(plant.A)
-    weight = size(plant.C * scale)
-    C = np.vstack([plant.C, weight * states, np.zeros((m, n))])
-    D = np.vstack([plant.D, np.zeros((n, m)), weight * inputs])
+    weight = size(own.C)
+    states, inputs = weight * np.diag(1 / scale), weight * size(own.B) / size(own.A) * np.diag(1 / forces)
+    C = np.vstack([plant.C, states, np.zeros((m, n))])
+    D = np.vstack([plant.D, np.zeros((n, m)), inputs])
     return GeneralizedPlant(plant.A, plant.B, plant.Bw, C, D, np.vstack([plant.Dw, np.zeros((n + m, plant.Dw.shape[1]))]))

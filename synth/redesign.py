@@ -1,7 +1,8 @@
 """The designs of `design.py` for many plants like one that is designed already: side by side, a few milliseconds each.
 
-Where that does not lead to the limit of the central path and a certificate that holds, a plant is designed by itself: if it has
-another shape, if (25) is infeasible from the optimal X of (22), or if the optimum is reached only by gains beyond any actuator.
+All is done in the own units of the one that is designed. Where that does not lead to the limit of the central path and a
+certificate that holds, a plant is designed by itself: if it has another shape, if (25) is infeasible from the optimal X of (22),
+or if the optimum is reached only by gains beyond any actuator.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -18,6 +19,7 @@ from synth.lmi.central import CentralPoint
 from synth.lmi.central_batch import path_limits
 from synth.lmi.output_feedback import l_matrix, nullspace, output_feedback, r_matrix
 from synth.plant import GeneralizedPlant
+from synth.scaling import OwnUnits, own_units
 
 SHORT = 0.1  # mu / eta of the point on the nominal plant's path that says where the others begin
 
@@ -38,10 +40,12 @@ def state_designs(
     Raises:
         BatchError: some have none; the message names them by index, and the error carries the designs of the others.
     """
-    Cy = np.eye(len(nominal.A))
+    Cy, units = np.eye(len(nominal.A)), own_units(nominal)
+    alike = [i for i, plant in enumerate(plants) if plant.B.shape == nominal.B.shape]
+    limits = _state_limits(units.into(nominal), _into(units, nominal_path), [units.into(plants[i]) for i in alike])
     return _each(
         len(plants),
-        _state_limits(nominal, nominal_path, plants),
+        {alike[i]: point.in_units(units.states, units.inputs, units.states) for i, point in limits.items()},
         lambda i, point: furthest(plants[i], Cy, [point]),
         lambda i: state_design(plants[i], states=states),
     )
@@ -75,29 +79,40 @@ def two_step_designs(
     for i, (plant, each) in enumerate(zip(plants, Cys, strict=True)):
         with suppress(InputError):  # said where the plant is designed alone
             checked[i] = measurement(plant, each)
-    which = list(checked)
     rows = {i: full[independent] for i, (full, independent) in checked.items()}
 
     def at(i: int, point: CentralPoint) -> Design:
         full, independent = checked[i]
         return widened(furthest(plants[i], rows[i], [point]), independent, len(full), 0.0)
 
-    limits = _output_limits(nominal, nominal_path, Cy[kept], [plants[i] for i in which], [rows[i] for i in which])
+    units = own_units(nominal, Cy[kept])
+    nominal_rows, measured = units.rows(Cy[kept])
+    alike = [i for i in checked if plants[i].B.shape == nominal.B.shape and rows[i].shape == nominal_rows.shape]
+    limits = _output_limits(
+        units.into(nominal),
+        _into(units, nominal_path),
+        nominal_rows,
+        [units.into(plants[i]) for i in alike],
+        [rows[i] * units.states / measured[:, None] for i in alike],
+    )
     return _each(
         len(plants),
-        {which[i]: point for i, point in limits.items()},
+        {alike[i]: point.in_units(units.states, units.inputs, measured) for i, point in limits.items()},
         at,
         lambda i: two_steps_or_descent(plants[i], Cys[i], states=states),
     )
+
+
+def _into(units: OwnUnits, path: Path) -> Path:
+    """Points of (22) in a plant's own units."""
+    return [point.in_units(1 / units.states, 1 / units.inputs, 1 / units.states) for point in path]
 
 
 def _state_limits(nominal: GeneralizedPlant, nominal_path: Path, plants: Sequence[GeneralizedPlant]) -> dict[int, CentralPoint]:
     """The optima of (22), by index of the plant."""
     n, m = nominal.B.shape
     alike = [
-        i
-        for i, plant in enumerate(plants)
-        if (plant.B.shape, plant.Dw.shape) == (nominal.B.shape, nominal.Dw.shape) and plant.independent_inputs().shape == (m, m)
+        i for i, plant in enumerate(plants) if plant.Dw.shape == nominal.Dw.shape and plant.independent_inputs().shape == (m, m)
     ]
     count = len(alike)
     return _limits(plants, alike, np.zeros((count, n, 0)), np.broadcast_to(np.eye(n), (count, n, n)), nominal_path)
@@ -112,7 +127,7 @@ def _output_limits(
         second_path = output_feedback(nominal, nominal_Cy, l_matrix(nominal_path[-1].X, nominal_Cy, Q), Q)
     except DesignError:
         return {}
-    first = {i: point for i, point in _state_limits(nominal, nominal_path, plants).items() if Cys[i].shape == nominal_Cy.shape}
+    first = _state_limits(nominal, nominal_path, plants)
     Qs = [nullspace(Cys[i]) for i in first]
     Rs = [r_matrix(Cys[i], Q, l_matrix(point.X, Cys[i], Q)) for (i, point), Q in zip(first.items(), Qs, strict=True)]
     return _limits(plants, list(first), np.array(Qs), np.array(Rs), second_path)

@@ -1,6 +1,7 @@
 """Coordinates and units in which the numbers of a plant have size one."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import linalg, sparse
@@ -12,6 +13,7 @@ NILPOTENT = 1e-14  # of |A|^n; an A^n this small is 0 but for rounding, and so a
 CANCELLED = 1e-9  # relative; a sum of this much less than its terms may be one of zeros
 TOGETHER = 1e-4  # of one equation: how much it counts that a norm has one unit of all of w, and one of all of z
 OPEN = 1e-11  # of the largest eigenvalue of the normal equations: units that nothing decides; of those decided none is below 1e-8
+FINEST = 2.0**-20  # of an exponent of two: what rounding leaves of one is less, so that in powers of two the same is the same
 UPWARDS = 0.53  # so that a unit half-way between two powers of two, as are those of entries that are such powers, is no tie
 
 
@@ -43,11 +45,14 @@ class OwnUnits:
     Attributes:
         states: what one of each state counts in the given unit, shape (n,).
         inputs: likewise, shape (m,).
+        exact: both before they were rounded to powers of two: in these nothing is left of the given ones, whatever they were;
+            shapes (n,) and (m,).
         rate: of the plant [rad/s]; time keeps its unit.
     """
 
     states: Array
     inputs: Array
+    exact: tuple[Array, Array]
     rate: float
 
     def into(self, plant: GeneralizedPlant) -> GeneralizedPlant:
@@ -68,12 +73,8 @@ class OwnUnits:
             The rows, shape (q, n), and what one of each measurement counts in the given unit, shape (q,).
         """
         rows = Cy * self.states
-        measured = np.exp2(np.floor(np.log2(np.linalg.norm(rows, axis=1)) + UPWARDS))
+        measured = _powers(np.log2(np.linalg.norm(rows, axis=1)))
         return rows / measured[:, None], measured
-
-    def gain_back(self, G: Array) -> Array:
-        """A state gain of these units in the given ones, shape (m, n)."""
-        return self.inputs[:, None] * G / self.states
 
 
 def own_units(plant: GeneralizedPlant, Cy: Array | None = None) -> OwnUnits:
@@ -111,8 +112,14 @@ def own_units(plant: GeneralizedPlant, Cy: Array | None = None) -> OwnUnits:
         alike = slice(first, first + count)
         normal[alike, alike] += TOGETHER * (np.eye(count) - 1 / max(count, 1))
     found = _with_pivots(normal, -equations.T @ np.log2(np.abs(whole[i, j])))
-    units = np.exp2(np.floor(found[: n + m] + UPWARDS))
-    return OwnUnits(units[:n], units[n:], float(np.exp2(found[-1])))
+    units = _powers(found[: n + m])
+    exact = np.exp2(np.round(found[: n + m] / FINEST) * FINEST)
+    return OwnUnits(units[:n], units[n:], (exact[:n], exact[n:]), float(np.exp2(found[-1])))
+
+
+def _powers(exponents: Any) -> Any:
+    """The powers of two that are nearest to those with these exponents."""
+    return np.exp2(np.floor(exponents + UPWARDS))
 
 
 def _with_pivots(normal: Array, right: Array) -> Array:

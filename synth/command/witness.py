@@ -16,7 +16,7 @@ from synth.lmi.clarabel import solve_lmi
 from synth.lmi.output_feedback import l_matrix, nullspace, r_matrix
 from synth.plant import GeneralizedPlant
 from synth.posed import posed
-from synth.scaling import reachable, size
+from synth.scaling import own_units, reachable, size
 
 TOLERANCE = 1e-5  # relative in gamma: Clarabel stops at 1e-8 in eta against entries of X that may be a thousand times as large
 
@@ -91,18 +91,20 @@ def cross_check(designer: Designer, controller: Controller, zero_l: bool = False
     ):
         return None
     Cy, kept = measurement(designer.plant, designer.vehicle.linear_model.rows(controller.measured)[0])
-    Cy, K = Cy[kept], controller.gain[:, kept]
+    units = own_units(designer.plant, Cy[kept])
+    rows, measured = units.rows(Cy[kept])
+    K = controller.gain[:, kept] * measured / units.inputs[:, None]
     if controller.name == "state":
-        which, Q, R = "(22)", np.zeros((len(Cy), 0)), np.eye(len(Cy))
+        which, Q, R = "(22)", np.zeros((len(rows), 0)), np.linalg.inv(rows)
     else:
-        which, Q = "(25)", nullspace(Cy)
+        which, Q = "(25)", nullspace(rows)
         path = designer.state_path
         start = min(path, key=lambda point: abs(point.gamma / path[-1].gamma - 1 - controller.state_step_gap))
-        L = np.zeros((Q.shape[1], len(Cy))) if zero_l else l_matrix(start.X, Cy, Q)
-        R = r_matrix(Cy, Q, L)
+        X = start.X / np.outer(units.states, units.states)
+        R = r_matrix(rows, Q, np.zeros((Q.shape[1], len(rows))) if zero_l else l_matrix(X, rows, Q))
     # In the coordinates of (12) and in units in which all numbers have size one: else Clarabel gives up on a full car.
     a, T = Q.shape[1], np.hstack([Q, R])
-    plant = problem.plant.in_coordinates(T)
+    plant = units.into(problem.plant).in_coordinates(T)
     scaling = reachable(plant, a)
     plant, eye = plant.in_coordinates(scaling), np.eye(len(T))
     rate, output_unit = size(plant.A), 1 / size(plant.C)

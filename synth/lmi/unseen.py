@@ -19,6 +19,7 @@ from models.common.arrays import Array
 from synth.certificate.bounded_real import bounded_real_matrix
 from synth.certificate.stability import balance
 from synth.plant import GeneralizedPlant
+from synth.scaling import own_units
 
 RANK = 1e-9  # relative; a direction that is smaller counts as none
 ROUNDING = 1e-15  # relative; what a few turns leave of zero
@@ -104,7 +105,10 @@ def unseen(plant: GeneralizedPlant, Q: Array, R: Array) -> Unseen | None:
         k, left = out_q.shape[1], in_q.shape[1] + in_r.shape[1]
         if not left:
             continue
-        Z = np.hstack([np.asarray(linalg.block_diag(out_q, out_r)), in_q, in_r])
+        # What is kept is orthogonal to the rest where no unit is left, so that what follows it is the same in any.
+        own = T / lengths / own_units(plant).exact[0][:, None]
+        kept_q, kept_r = _turned(out_q, own[:, :a]), _turned(out_r, own[:, a:])
+        Z = np.hstack([np.asarray(linalg.block_diag(kept_q, kept_r)), in_q, in_r])
         F_r = F @ in_r @ in_r.T
         whole = moved.closed_loop(F_r).in_coordinates(Z)
         n = len(whole.A) - left
@@ -169,6 +173,20 @@ def _null(M: Array) -> Array:
     """An orthonormal basis of what M takes to less than RANK, shape (columns, k)."""
     _, sizes, directions = np.linalg.svd(M)
     return directions[int(np.sum(sizes > RANK)) :].T
+
+
+def _turned(out: Array, own: Array) -> Array:
+    """What is orthogonal, in coordinates T x, to all that `out` is orthogonal to; a dual basis of `out`, shape (n, k).
+
+    Args:
+        out: orthonormal, shape (n, k).
+        own: T, shape (N, n).
+    """
+    if not out.shape[1]:
+        return out
+    _, low = np.linalg.qr(own)
+    across = np.linalg.solve(low, np.linalg.solve(low.T, out))
+    return across @ np.linalg.inv(out.T @ across)
 
 
 def _complement(V: Array) -> Array:

@@ -96,7 +96,9 @@ def static_output_feedback(
     Args:
         plant: n states, m inputs.
         Cy: shape (q, n), full row rank.
-        largest_gain: bound on |K_ij|. Where the infimum lies at infinity, this is what keeps the gain finite.
+        largest_gain: bound on |K_ij|, in the units given: another unit is another problem. Where the infimum lies at infinity,
+            this is what keeps the gain finite. (The search itself is made in balanced coordinates, and of two that differ by
+            units one may end in another valley; what is proved of either is true.)
         lower_bound: what no controller of this kind can beat, if known: it ends the search early, and goes into the certificate.
 
     Raises:
