@@ -31,7 +31,7 @@ ROOMS = {
     "synth.design": "synth.certificate synth.errors synth.lmi synth.modes synth.plant synth.posed synth.scaling",
     "synth.search": "synth.certificate synth.design synth.errors synth.lmi synth.plant synth.scaling",
     "synth.fallback": "synth.certificate synth.design synth.errors synth.lmi synth.plant synth.search",
-    "synth.redesign": "synth.design synth.errors synth.fallback synth.lmi synth.plant",
+    "synth.redesign": "synth.design synth.errors synth.fallback synth.lmi synth.plant synth.scaling",
     "synth.controller": "models synth.certificate synth.plant",
     "synth.words": "models synth.controller",
     "synth.designer": "models synth.certificate synth.controller synth.design synth.errors synth.fallback synth.lmi "
