@@ -1,6 +1,7 @@
 """The page by itself: what stands in it for readers with eyes, without, at night, on paper; and figures of any kind in it."""
 
 import base64
+import dataclasses
 import hashlib
 import itertools
 import json
@@ -74,7 +75,9 @@ def everything(names: tuple[str, ...]) -> Page:
     points = tuple(Curve(x[::9], 1 / x[::9], "", "#d62728", "none", marker, name="found") for marker in ("o", "x", "+"))
     z = np.add.outer(y, x)
     ground = Classes(x, y, (z > 9).astype(int), ("#ffffff", "#7aa6d8"), ("nothing & all", "<high>"))
-    bars = Bars(names, np.arange(1.0, len(names) + 1), names, tuple(style[name][0] for name in names))
+    bars = Bars(
+        names, np.arange(1.0, len(names) + 1), ("0.123 m/s² (−78 %)",) * len(names), tuple(style[name][0] for name in names)
+    )
     panels = (
         Panel("lines\nof all", "frequency [Hz]", "gain [m]", curves + points, xlog=True, ylog=True),
         Panel("map", "speed [m/s]", "height [m]", points[:1], ground),
@@ -216,6 +219,22 @@ def test_every_panel_is_sound_xml():
         assert "inf" not in re.sub(r"<(title|desc).*?</\1>", "", text)
 
 
+def test_long_names_are_shortened_beside_their_bar():
+    """A name that there is no room for is cut with dots in the picture, and whole in its text; another one is as it is."""
+    names = ("passive", "n" * 60, "中" * 20)
+    panel = Panel("bars", "norm", "", (), Bars(names, np.ones(3), ("7.843 (−78 %)",) * 3, ("#000000",) * 3))
+    element = ElementTree.fromstring(svg(panel, "p"))
+    shown = [one.text or "" for one in element.iter("text")][::2][:3]
+    assert shown[0] == "passive"
+    for text, name in zip(shown[1:], names[1:], strict=True):
+        assert text.endswith("…")
+        assert name.startswith(text[:-1])
+        assert 8 < len(text) < len(name)
+    description = element.find("desc")
+    assert description is not None
+    assert all(name in (description.text or "") for name in names)
+
+
 @pytest.mark.parametrize("log", [False, True])
 def test_ticks(log):
     """Over ranges of every size ticks lie on the axis, are neither too few nor too many, are all different, and say the truth."""
@@ -293,10 +312,20 @@ def test_a_figure_in_words():
 
 
 def test_gains_are_matrices(designer):
-    """A gain's table has a row for every force and a column for every signal, each with its unit, and the entries of the gain."""
+    """A gain's table has a column for every force, a row for every signal with its unit, and the entries of the gain."""
     vehicle, one = read_vehicle("quarter_car"), designer.design("I")
     table = gain_table(vehicle, one)
     assert table is not None
-    assert table.headings == ("force", "per suspension deflection [N/m]", "per sprung velocity [N·s/m]")
-    assert table.rows == (("control force [N]", *(f"{entry:.6g}" for entry in one.gain[0])),)
+    assert table.headings == ("for each", "unit", "control force")
+    assert table.rows == (
+        ("suspension deflection", "N/m", f"{one.gain[0, 0]:.6g}"),
+        ("sprung velocity", "N·s/m", f"{one.gain[0, 1]:.6g}"),
+    )
+    vehicle = read_vehicle("full_car")
+    gain = np.arange(12.0).reshape(4, 3)
+    table = gain_table(vehicle, dataclasses.replace(one, measured=("heave_velocity", "pitch_rate", "roll_rate"), gain=gain))
+    assert table is not None
+    assert table.headings[2:] == tuple(name.replace("_", " ") for name in vehicle.linear_model.inputs)
+    assert [row[:2] for row in table.rows] == [("heave velocity", "N·s/m"), ("pitch rate", "N·s/rad"), ("roll rate", "N·s/rad")]
+    assert [[float(cell) for cell in row[2:]] for row in table.rows] == gain.T.tolist()
     assert gain_table(vehicle, designer.design("passive")) is None

@@ -8,7 +8,7 @@ from models.common.arrays import Array
 from sim.figures.axis import Axis, axis_of
 from sim.figures.figure import Bars, Classes, Panel, Shades
 
-LETTER = 7.5  # width of a digit, at the size that narrow screens have
+LETTER = 9.6  # width of a digit, at the size that narrow screens have
 ROW, BAR = 40, 12  # of bars, and their thickness; above each its name
 FINE = 100  # parts of a unit that coordinates are written in
 
@@ -49,9 +49,8 @@ def area_of(panel: Panel, width: float, height: float) -> Area:
     elif isinstance(ground, Shades):
         xlim, ylim = (ground.x[0], ground.x[-1]), (ground.y[0], ground.y[-1])
     x, y = axis_of(across, xlim, panel.xlog), axis_of(down, ylim, panel.ylog)
-    letters = max((len(text) for _, text in y.ticks(6)), default=1)
-    left, top = 14 + LETTER * letters, 26
-    right = 70 if isinstance(ground, Shades) else 12
+    left, top = 14 + LETTER * max((len(text) for _, text in y.ticks(6)), default=1), 34
+    right = 70 if isinstance(ground, Shades) else 8 + LETTER / 2 * max((len(text) for _, text in x.ticks(6)), default=1)
     return Area(left, top, width - left - right, height - top - 48, x, y)
 
 

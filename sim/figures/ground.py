@@ -1,6 +1,7 @@
 """What lies below a panel's curves, as SVG: bars, cells of a map, shades with their scale."""
 
 import itertools
+import unicodedata
 from collections.abc import Iterator, Sequence
 from html import escape
 
@@ -13,7 +14,8 @@ from sim.figures.figure import Bars, Classes, Panel, Shades, bands
 
 # From light to dark: ColorBrewer's YlOrBr.
 SEQUENCE = ("#ffffe5", "#fff7bc", "#fee391", "#fec44f", "#fe9929", "#ec7014", "#cc4c02", "#993404", "#662506")
-LINE = 46  # letters that a name and the words of its bar have room for
+# Widths of letters at the size that bars are named in: most, wide ones, those of East Asia.
+NARROW, BROAD, FULL = 8.0, 12.5, 13.0
 
 
 def shade_colors(count: int) -> list[str]:
@@ -49,8 +51,7 @@ def _bars(bars: Bars, area: Area) -> Iterator[str]:
     rows = zip(bars.names, bars.values.tolist(), bars.words, bars.colors, strict=True)
     for k, (name, value, words, color) in enumerate(rows):
         top = area.top + ROW * k
-        room = LINE - len(words)
-        shown = name if len(name) <= room else f"{name[: room - 1]}…"
+        shown = shortened(name, area.width - text_width(words) - 10)
         yield f'<text class="name" x="{area.left:.5g}" y="{top + 11:.5g}">{escape(shown)}</text>'
         yield f'<text class="name" x="{right:.5g}" y="{top + 11:.5g}" text-anchor="end">{escape(words)}</text>'
         if np.isfinite(value):
@@ -60,6 +61,21 @@ def _bars(bars: Bars, area: Area) -> Iterator[str]:
                 f'<rect class="f-{color[1:]}" data-name="{said}" x="{area.left:.5g}" y="{top + (ROW - BAR) / 2:.5g}" '
                 f'width="{width:.5g}" height="{BAR}"/>'
             )
+
+
+def text_width(text: str) -> float:
+    """About how wide a text is beside a bar, at most [panel's units]."""
+    full = sum(unicodedata.east_asian_width(one) in "WF" for one in text)
+    broad = sum(one in "mw%@&" or one.isupper() for one in text)
+    return FULL * full + BROAD * broad + NARROW * (len(text) - full - broad)
+
+
+def shortened(name: str, room: float) -> str:
+    """A name, or as much of its beginning as there is room for."""
+    if text_width(name) <= room:
+        return name
+    widths = np.cumsum([text_width(one) for one in name])
+    return f"{name[: int(np.searchsorted(widths, room - BROAD))]}…"
 
 
 def _classes(ground: Classes, area: Area) -> Iterator[str]:
@@ -100,4 +116,4 @@ def _color_bar(label: str, between: Sequence[float], colors: Sequence[str], area
     for tick, text in scale.ticks(6):
         down = area.top + area.height * (1 - float(scale.place(np.array(tick))))
         yield f'<text class="at" x="{left + 16:.5g}" y="{down + 4:.5g}">{escape(text)}</text>'
-    yield f'<text class="name" x="{left + 56:.5g}" y="14" text-anchor="end">{escape(label)}</text>'
+    yield f'<text class="name" x="{left + 56:.5g}" y="18" text-anchor="end">{escape(label)}</text>'

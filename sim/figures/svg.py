@@ -90,7 +90,7 @@ def _axes(panel: Panel, area: Area, height: float) -> Iterator[str]:
         yield f'<text class="at" x="{left - 6:.5g}" y="{at + 4:.5g}" text-anchor="end">{escape(text)}</text>'
     middle = left + area.width / 2
     yield f'<text class="name" x="{middle:.5g}" y="{height - 8:.5g}" text-anchor="middle">{escape(panel.xlabel)}</text>'
-    yield f'<text class="name" x="2" y="14">{escape(panel.ylabel)}</text>'
+    yield f'<text class="name" x="2" y="18">{escape(panel.ylabel)}</text>'
 
 
 def _line(curve: Curve, area: Area) -> str:

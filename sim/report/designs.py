@@ -80,21 +80,21 @@ def design_section(scope: Scope) -> Section:
 
 
 def gain_table(vehicle: Vehicle, controller: Controller) -> Table | None:
-    """A controller's gain as a matrix: how much force of every actuator for every signal; None where it measures nothing."""
+    """A controller's gain, a row per measured signal and a column per force, K transposed; None where it measures nothing."""
     if not controller.measured:
         return None
-    kind = vehicle.kind
-    headings = [
-        f"per {name.replace('_', ' ')} [{per_unit(kind.signal(force).unit, kind.signal(name).unit)}]"
-        for force in vehicle.linear_model.inputs[:1]
-        for name in controller.measured
-    ]
+    kind, forces = vehicle.kind, vehicle.linear_model.inputs
     rows = tuple(
-        (f"{force.replace('_', ' ')} [{kind.signal(force).unit}]", *(f"{entry:.6g}" for entry in row))
-        for force, row in zip(vehicle.linear_model.inputs, controller.gain.tolist(), strict=True)
+        (
+            name.replace("_", " "),
+            per_unit(kind.signal(forces[0]).unit, kind.signal(name).unit),
+            *(f"{entry:.6g}" for entry in row),
+        )
+        for name, row in zip(controller.measured, controller.gain.T.tolist(), strict=True)
     )
     caption = f"The gain of controller {controller.name}: the force it asks for, per unit of each signal that it measures."
-    return Table(f"gain-{controller.name}", caption, ("force", *headings), rows)
+    headings = ("for each", "unit", *(force.replace("_", " ") for force in forces))
+    return Table(f"gain-{controller.name}", caption, headings, rows, words=2)
 
 
 def per_unit(unit: str, other: str) -> str:

@@ -1,0 +1,77 @@
+"""Pages as readers open them: at three widths, by day and by night, on paper, without JavaScript; is all of it accessible?"""
+
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from sim.report.__main__ import main
+from tests.test_page import PAGES, everything
+from tests.test_report import BROWSER
+
+pytest.importorskip("jinja2", reason="a report needs the extra [report]")
+pytest.importorskip("contourpy", reason="a report needs the extra [report]")
+
+PACKAGES = ("playwright-core@1.65.1", "axe-core@4.14.1")
+READER = Path(__file__).with_name("page_in_browser.mjs")
+
+
+@pytest.fixture(scope="module")
+def node_modules(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What drives a browser, and the checker, from the npm registry."""
+    if BROWSER is None or not (shutil.which("node") and shutil.which("npm")):
+        pytest.skip("needs a Chromium, node and npm")
+    folder = tmp_path_factory.mktemp("node")
+    install = ["npm", "install", "--silent", "--no-audit", "--no-fund", "--prefix", str(folder), *PACKAGES]
+    try:
+        subprocess.run(install, check=True, capture_output=True, timeout=120)
+    except (subprocess.CalledProcessError, subprocess.TimeoutExpired) as error:
+        pytest.skip(f"npm cannot fetch {', '.join(PACKAGES)}: {error}")
+    return folder / "node_modules"
+
+
+def wrong(pages: list[Path], node_modules: Path) -> list[dict[str, list[str]]]:
+    """What is wrong with each page, by how it is read."""
+    command = ["node", str(READER), str(node_modules), str(BROWSER), *map(str, pages)]
+    done = subprocess.run(command, check=True, capture_output=True, text=True, timeout=300)
+    return json.loads(done.stdout)
+
+
+@pytest.mark.attack
+def test_pages_can_be_read(node_modules, tmp_path):
+    """Nothing is inaccessible, cut off, drawn over something else, missing on paper, or different without JavaScript."""
+    from sim.figures.page import render
+
+    pages = [tmp_path / f"{name}.html" for name in PAGES]
+    for path, names in zip(pages, PAGES.values(), strict=True):
+        path.write_text(render(everything(names)), encoding="utf-8")
+    for kind in ("quarter_car", "full_car"):
+        pages.append(tmp_path / f"{kind}.html")
+        assert main(["--quick", "--timestep", "0.002", "--vehicle", kind, "--out", str(pages[-1])]) == 0
+    for path, found in zip(pages, wrong(pages, node_modules), strict=True):
+        assert len(found) == 8
+        assert not {how: said for how, said in found.items() if said}, path.name
+
+
+@pytest.mark.attack
+def test_the_check_can_fail(node_modules, tmp_path):
+    """A page with what the test above looks for is complained of, each thing where it is."""
+    from sim.figures.page import render
+
+    text = render(everything(("passive", "I")))
+    text = text.replace(' scope="row"', ' role="nothing"').replace('lang="en"', "")
+    text = text.replace("<main>", '<main style="width: 2000px">').replace('y="18">', 'y="-14">', 1)
+    text = text.replace("<figcaption>", '<figcaption class="spot">', 1)
+    text = re.sub("<meta http-equiv[^>]*>", "", text)  # else it would not let this script in
+    text = text.replace("</body>", "<script>document.body.style.letterSpacing = '2px'</script></body>")
+    (tmp_path / "bad.html").write_text(text, encoding="utf-8")
+    (found,) = wrong([tmp_path / "bad.html"], node_modules)
+    said = "\n".join(found["360 light"])
+    assert "html-has-lang" in said
+    assert "aria-roles" in said
+    assert "out of its figure" in said
+    assert "1 are not printed" in found["print"]
+    assert found["no script"] == ["it looks different"]
