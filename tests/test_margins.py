@@ -18,6 +18,7 @@ from sim.figures.figure import Curve
 from sim.linear.loop import sampled_radius
 from sim.margins import _which_loop, main
 from sim.stability.bisection import Search, run_searches
+from sim.stability.delayed import delayed_rate
 from sim.stability.figure import margins_figure
 from sim.stability.growth import Growth, grow
 from sim.stability.loop import Loop, crossovers, cut, gain_crossings, largest_sample_period, margins, sampled_gain_crossings
@@ -252,6 +253,18 @@ def test_points_of_the_picture_are_the_slowest_pole(paper, designer, amount):
         (growth,) = grow([trial], timestep)
         rate = math.log(sampled_radius(trial.vehicle, trial.controller, timestep)) / timestep
         assert growth.rate == pytest.approx(rate, rel=1e-3)  # what is left unexplained is below 1e-4 of the samples
+
+
+@pytest.mark.parametrize(("kind", "name"), [("quarter_car", "I"), ("quarter_car", "II"), ("half_car", "I"), ("full_car", "II")])
+@pytest.mark.parametrize("delay", [0, 1, 10, 70])
+def test_a_delayed_loop_needs_no_eigenvalue_of_what_is_on_its_way(kind, name, delay):
+    """The rate by the map over a whole delay is that of the loop from sample to sample, whichever of the two ways finds it."""
+    vehicle, timestep = read_vehicle(kind), 5e-4
+    controller = Designer(vehicle).design(name)
+    late = dataclasses.replace(vehicle, implementation=Implementation(delay=delay))
+    expected = math.log(sampled_radius(late, controller, timestep)) / timestep
+    found = delayed_rate(vehicle, controller, timestep, delay)
+    assert found == pytest.approx(expected, abs=1e-7)  # rounding of the eigenvalues over a timestep; measured 2e-8
 
 
 def test_slowest_mode_of_known_modes():

@@ -12,6 +12,7 @@ from models.vehicle import Vehicle
 from sim.figures.figure import Curve, Figure, Marker, Panel, Shades
 from sim.linear.loop import sampled_radius
 from sim.stability.bisection import Search
+from sim.stability.delayed import delayed_rate
 from sim.stability.margins import LoopMargins
 from sim.stability.robustness import Robustness
 from synth.controller import Controller
@@ -46,7 +47,7 @@ def margins_figure(
         return rate(vehicle, replace(controller, gain=factor * controller.gain))
 
     def of_delay(seconds: float) -> float:
-        return rate(replace(vehicle, implementation=Implementation(delay=round(seconds / timestep))), controller)
+        return delayed_rate(vehicle, controller, timestep, round(seconds / timestep))
 
     def of_period(seconds: float) -> float:
         held = max(1, round(seconds / timestep)) * timestep
