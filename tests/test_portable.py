@@ -168,3 +168,20 @@ def test_no_graphics_are_needed(tmp_path):
     environment = os.environ | {"PYTHONPATH": str(ROOT), "MUJOCO_GL": "none that there is"}
     done = subprocess.run(arguments, cwd=tmp_path, env=environment, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+BLAS = """
+import sys
+sys.argv = ["-m"]  # as Python's own start says while it imports a command's package
+import {package}, numpy, scipy.linalg, threadpoolctl
+print({{one["num_threads"] for one in threadpoolctl.threadpool_info() if one["user_api"] == "blas"}})
+"""
+
+
+@pytest.mark.parametrize("package", ["sim", "synth"])
+def test_a_command_has_one_thread_of_blas(package):
+    """All its libraries have, whichever is loaded when: more only wait for each other."""
+    environment = {key: value for key, value in os.environ.items() if "NUM_THREADS" not in key}
+    environment |= {"PYTHONPATH": str(ROOT), "PYTHONUTF8": "1"}
+    done = subprocess.run([sys.executable, "-c", BLAS.format(package=package)], env=environment, capture_output=True, text=True)
+    assert (done.stdout, done.stderr) in (("{1}\n", ""), ("set()\n", ""))  # macOS's own library tells nobody how many
