@@ -1,28 +1,17 @@
 """`python -m sim.bump`: controllers over a bump, in MuJoCo and in linear analysis, compared and logged."""
 
-import argparse
 import json
 from collections.abc import Sequence
 
-from models.common.command import Parser, chosen, run_command
+from models.common.command import chosen, run_command
 from models.vehicle import Vehicle, read_vehicle
-from sim.command.asked import Asked
-from sim.command.comparison import add_run_options, check_view, compared_lines, run_chosen, view
+from sim.asked.bump import asked_road, parser
+from sim.command.comparison import check_view, compared_lines, run_chosen, view
 from sim.command.logs import log_lines, recorded, run_logs
 from sim.command.outputs import check_outputs
 from sim.roads.road import Bump
 from sim.runs.run import Run, sample_times
 from sim.runs.words import half_step_object, run_object
-
-EPILOG = """
-exit code: 0 physics and analysis agree for every controller and energy balances, 1 not, 2 bad input
-
-examples:
-  python -m sim.bump --controller I
-  python -m sim.bump --controller I --controller II --height 0.05
-  python -m sim.bump --controller all --serve
-  python -m sim.bump --controller mine --vehicle my_car.toml --json
-"""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -33,7 +22,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     options = parser().parse_args(arguments)
     vehicle = read_vehicle(options.vehicle)
-    names, road = chosen(vehicle.controller_names, options.controller), _road(options)
+    names, road = chosen(vehicle.controller_names, options.controller), asked_road(options)
     time = sample_times(vehicle, options.duration, options.timestep)
     road.check(vehicle, time)
     check_view(options)
@@ -52,39 +41,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("\n".join(_text(vehicle, road, runs, passive, options, logs)))
     view(options, logs)
     return 0 if all(run.holds for run in runs) else 1
-
-
-def asked(vehicle: Vehicle, options: argparse.Namespace) -> Asked:
-    """What a log of these options holds."""
-    names = chosen(vehicle.controller_names, options.controller)
-    samples = len(sample_times(vehicle, options.duration, options.timestep))
-    return Asked(
-        names,
-        samples,
-        options.timestep,
-        lambda road: road == _road(options).describe(),
-        lambda name, how: name in names and how == vehicle.implementation,
-    )
-
-
-def _road(options: argparse.Namespace) -> Bump:
-    return Bump(options.height, options.length, options.speed, options.track)
-
-
-def parser() -> Parser:
-    """The options."""
-    parser = Parser(
-        "sim.bump", "Drives controllers over a bump, in MuJoCo and in linear analysis, compares and logs them.", EPILOG
-    )
-    parser.add_controller_and_vehicle("required")
-    parser.add_number("--height", Bump.height, "m", "bump height")
-    parser.add_number("--length", Bump.length, "m", "bump length")
-    parser.add_number("--speed", Bump.speed, "m/s", "forward speed of the vehicle")
-    parser.add_argument(
-        "--track", choices=("left", "right", "both"), default="both", help="the wheels that the bump lies under (default: both)"
-    )
-    add_run_options(parser, 3.0)
-    return parser
 
 
 def _text(vehicle: Vehicle, road: Bump, runs: Sequence[Run], passive: Run, options, logs: dict) -> list[str]:

@@ -1,20 +1,18 @@
 """`python -m sim.margins`: how much gain, phase, delay and sample period a loop bears, predicted and then found in MuJoCo."""
 
-import argparse
 import functools
 import json
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
-from models.common.command import Parser, one_chosen, run_command
+from models.common.command import one_chosen, run_command
 from models.common.errors import InputError
 from models.reality import Implementation
 from models.vehicle import Vehicle, read_vehicle
-from sim.command.asked import Asked
+from sim.asked.margins import late_run, parser
 from sim.command.logs import log_lines, recorded
 from sim.command.outputs import check_outputs, written, written_lines
 from sim.command.progress import show
@@ -22,21 +20,12 @@ from sim.figures.picture import write_picture
 from sim.linear.loop import sampled_radius
 from sim.recording.run_log import RunLog
 from sim.runs.run import run_all, sample_times
-from sim.stability.growth import BUMP, LONGEST, SHORTEST, TIMESTEP
+from sim.stability.growth import BUMP, LONGEST, SHORTEST
 from sim.stability.margins import LoopMargins, find_margins
 from sim.stability.robustness import robustness
 from sim.stability.words import margins_lines, margins_object
 from synth.controller import Controller
 from synth.designer import design
-
-EPILOG = """
-exit code: 0 prediction and physics agree, 1 they do not, 2 bad input
-
-examples:
-  python -m sim.margins --controller II
-  python -m sim.margins --controller I --picture margins.png --logs logs
-  python -m sim.margins --controller I --vehicle half_car --json
-"""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -73,25 +62,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0 if (box is None or box.holds) and all(one.agrees for one in found.values()) else 1
 
 
-def asked(vehicle: Vehicle, options: argparse.Namespace) -> Asked:
-    """What a log of these options holds."""
-    name = one_chosen(vehicle.controller_names, options.controller)
-    samples, result = len(sample_times(vehicle, SHORTEST, options.timestep)), {"controller": name}
-    return Asked(
-        [name],
-        samples,
-        options.timestep,
-        lambda road: road == BUMP.describe(),
-        lambda run, how: run == _late(name, how.delay) and how == Implementation(delay=how.delay),
-        result,
-    )
-
-
-def _late(name: str, samples: int) -> str:
-    """What a run is called."""
-    return f"{name}_{samples}_samples_late"
-
-
 def _with_loop(vehicle: Vehicle, name: str, timestep: float) -> Controller:
     """The controller of that name, if its loop is one that has margins.
 
@@ -125,7 +95,7 @@ def _delayed_runs(vehicle: Vehicle, controller: Controller, loop: LoopMargins, t
     for samples in (round(delay / timestep) for delay in delays):
         delayed = replace(vehicle, implementation=Implementation(delay=samples))
         run = run_all(delayed, [controller], BUMP, time)[0]
-        found.append(run_log(run, _late(controller.name, samples)))
+        found.append(run_log(run, late_run(controller.name, samples)))
     return found
 
 
@@ -135,17 +105,6 @@ def _which_loop(vehicle: Vehicle) -> str:
     without = " and without the file's [implementation], whose delay and period are part of what it bears"
     computer = "" if vehicle.implementation.ideal else without
     return f"borne by the loop {lag} an actuator's lag{computer}; norms of other vehicles are of the ideal loop"
-
-
-def parser() -> Parser:
-    """The options."""
-    parser = Parser("sim.margins", "Finds how much gain, phase, delay and sample period a loop bears.", EPILOG)
-    parser.add_one("state, or one of the vehicle file's")
-    parser.add_number("--timestep", TIMESTEP, "s", "integration step; delays and sample periods are its multiples")
-    parser.add_logs("MuJoCo on either side of the delay margin")
-    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the margins, as .png or .svg; needs matplotlib")
-    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
-    return parser
 
 
 if __name__ == "__main__":

@@ -1,11 +1,10 @@
 """What a log's command line asks for, against what the log holds. It is read as the command itself reads it, and never run."""
 
 import contextlib
-import importlib
 import io
 import re
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,12 +13,14 @@ from models.kind import HERE
 from models.kinds import kinds
 from models.reality import Implementation
 from models.vehicle import Vehicle
-from sim.command.asked import Asked, same_path
+from sim.asked import bump, drive, envelope, margins, sweep
+from sim.asked.asked import Asked, same_path
 from sim.inspect.claims import FAILS, HOLDS, NOTE, Finding
 from sim.inspect.log import Recorded
 from sim.recording.format import RESULTS
 from sim.recording.provenance import command_of
 
+COMMANDS: Mapping[str, Any] = {"bump": bump, "drive": drive, "sweep": sweep, "margins": margins, "envelope": envelope}
 MOST_LINE = 32_767  # characters; Windows starts no command with more, and shlex and argparse take the square of it
 
 
@@ -46,7 +47,7 @@ def check_command(log: Recorded, vehicle: Vehicle, timestep: float, runs: Sequen
     if command not in RESULTS or command_of(line) != command:
         raise InputError(f"the command {command[:40]!r} and its line do not fit together; {', '.join(RESULTS)} record")
     options = _options(command, line)
-    asked: Asked = importlib.import_module(f"sim.{command}").asked(vehicle, options)
+    asked: Asked = COMMANDS[command].asked(vehicle, options)
     wrong = list(_wrong(log, asked, timestep, runs))
     source = log.metadata.get("vehicle", "")
     ships = options.vehicle in kinds() and re.split(r"[\\/]", source)[-1] == f"{options.vehicle}.toml"
@@ -88,6 +89,6 @@ def _options(command: str, line: str) -> Any:
     try:
         with contextlib.redirect_stdout(io.StringIO()):  # --help would print
             arguments = shlex.split(line)[3:]
-            return importlib.import_module(f"sim.{command}").parser().parse_args(arguments)
+            return COMMANDS[command].parser().parse_args(arguments)
     except SystemExit:
         raise InputError("its line asks for help, and nothing more") from None

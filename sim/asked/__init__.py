@@ -1,0 +1,1 @@
+"""What the commands that record can be asked for: their options, and what a log of such options holds."""

@@ -1,0 +1,50 @@
+"""What `sim.margins` can be asked for."""
+
+import argparse
+from pathlib import Path
+
+from models.common.command import Parser, one_chosen
+from models.reality import Implementation
+from models.vehicle import Vehicle
+from sim.asked.asked import Asked
+from sim.runs.run import sample_times
+from sim.stability.growth import BUMP, SHORTEST, TIMESTEP
+
+EPILOG = """
+exit code: 0 prediction and physics agree, 1 they do not, 2 bad input
+
+examples:
+  python -m sim.margins --controller II
+  python -m sim.margins --controller I --picture margins.png --logs logs
+  python -m sim.margins --controller I --vehicle half_car --json
+"""
+
+
+def parser() -> Parser:
+    """The options."""
+    parser = Parser("sim.margins", "Finds how much gain, phase, delay and sample period a loop bears.", EPILOG)
+    parser.add_one("state, or one of the vehicle file's")
+    parser.add_number("--timestep", TIMESTEP, "s", "integration step; delays and sample periods are its multiples")
+    parser.add_logs("MuJoCo on either side of the delay margin")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the margins, as .png or .svg; needs matplotlib")
+    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    return parser
+
+
+def asked(vehicle: Vehicle, options: argparse.Namespace) -> Asked:
+    """What a log of these options holds."""
+    name = one_chosen(vehicle.controller_names, options.controller)
+    samples, result = len(sample_times(vehicle, SHORTEST, options.timestep)), {"controller": name}
+    return Asked(
+        [name],
+        samples,
+        options.timestep,
+        lambda road: road == BUMP.describe(),
+        lambda run, how: run == late_run(name, how.delay) and how == Implementation(delay=how.delay),
+        result,
+    )
+
+
+def late_run(name: str, samples: int) -> str:
+    """What a run is called."""
+    return f"{name}_{samples}_samples_late"

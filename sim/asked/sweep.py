@@ -1,0 +1,69 @@
+"""What `sim.sweep` can be asked for."""
+
+import argparse
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from models.common.arrays import Array
+from models.common.command import Parser, chosen
+from models.vehicle import Vehicle
+from sim.asked.asked import Asked
+from sim.frequency.extremes import DURATION
+from sim.frequency.identification import ideal_measurements
+from sim.roads.description import described_road
+from sim.roads.sinusoids import Multisine, sinusoid
+from sim.runs.run import sample_times
+
+FIGURE_3 = ("passive", "state", "I", "II")
+
+EPILOG = """
+exit code: 0 every claim holds, or physics has left the linear regime and the text says how; 1 a claim fails, 2 bad input
+
+examples:
+  python -m sim.sweep --picture sweep.png
+  python -m sim.sweep --controller I --amplitude 0.05
+  python -m sim.sweep --vehicle half_car --controller all --json
+"""
+
+
+def parser() -> Parser:
+    """The options."""
+    parser = Parser("sim.sweep", "Identifies frequency responses in MuJoCo and compares them with the linear analysis.", EPILOG)
+    parser.add_controller_and_vehicle("default: passive, state, I and II")
+    parser.add_number("--amplitude", 1e-4, "m", "largest height of every road; larger ones meet the vehicle's limits")
+    parser.add_number("--speed", 12.5, "m/s", "forward speed; only the later wheels of longer vehicles notice")
+    parser.add_number("--timestep", 1e-3, "s", "integration step and sample period of the controller")
+    parser.add_logs("every controller on its worst sinusoid")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the responses, as .png or .svg; needs matplotlib")
+    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    return parser
+
+
+def asked(vehicle: Vehicle, options: argparse.Namespace) -> Asked:
+    """What a log of these options holds: worst sinusoids, whose frequencies the command finds itself."""
+
+    def is_it(road: Mapping[str, Any]) -> bool:
+        found = described_road(road)
+        return isinstance(found, Multisine) and road == worst_road(found.omega[0], options).describe()
+
+    result = {name: getattr(options, name) for name in ("amplitude", "timestep", "speed")}
+    names, ideal = asked_names(vehicle, options), ideal_measurements(vehicle).implementation
+    samples = len(worst_times(vehicle, options))
+    return Asked(names, samples, options.timestep, is_it, lambda name, how: name in names and how == ideal, result)
+
+
+def asked_names(vehicle: Vehicle, options: argparse.Namespace) -> list[str]:
+    """Of the controllers that were asked for."""
+    usual = [name for name in FIGURE_3 if name in vehicle.controller_names]
+    return chosen(vehicle.controller_names, options.controller, usual)
+
+
+def worst_times(vehicle: Vehicle, options: argparse.Namespace) -> Array:
+    """Sample times of a run on a worst sinusoid [s]."""
+    return sample_times(ideal_measurements(vehicle), DURATION, options.timestep)
+
+
+def worst_road(omega: float, options: argparse.Namespace) -> Multisine:
+    """The road of a frequency [rad/s], as high as was asked for."""
+    return sinusoid(omega, options.speed).scaled(options.amplitude / 2)
