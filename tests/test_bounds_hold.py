@@ -32,6 +32,7 @@ KINDS = (
     "nearly dependent inputs",
     "feedthrough",
     "nearly free inputs",
+    "as many of each",
 )
 ROUTES = 1e-7  # relative: the norms of loops whose cost of control is 1e-6, by level sets, of plants in other units
 NOTHING = 1e-9  # of the uncontrolled size of z: rounding of a norm where all of z is cancelled
@@ -43,13 +44,16 @@ def a_plant(kind: str, seed: int) -> tuple[GeneralizedPlant, np.ndarray]:
     n, m, r, q = int(rng.integers(2, 6)), int(rng.integers(1, 3)), int(rng.integers(1, 3)), int(rng.integers(1, 3))
     d = int(rng.integers(1, m + 1)) if kind == "few outputs" else int(rng.integers(1, 4)) + m
 
+    if kind == "as many of each":  # so that there are zeros, from u to z and from w to y
+        d, r, q = m, m, m
+
     def draw(*shape: int) -> np.ndarray:
         found = rng.standard_normal(shape)
         return np.round(2 * found) / 2 if seed % 2 else found
 
     A, B, Bw, C, Cy = draw(n, n), draw(n, m), draw(n, r), draw(d, n), draw(q, n)
     D, Dw = draw(d, m), np.zeros((d, r))
-    A = A + np.eye(n) if kind == "unstable" else A - (np.linalg.eigvals(A).real.max() + 0.25) * np.eye(n)
+    A = A + np.eye(n) if kind in ("unstable", "as many of each") else A - (np.linalg.eigvals(A).real.max() + 0.25) * np.eye(n)
     if kind == "undamped":
         A[:2] = 0
         A[:2, :2] = [[0, 1], [-2, 0]]
@@ -59,7 +63,7 @@ def a_plant(kind: str, seed: int) -> tuple[GeneralizedPlant, np.ndarray]:
     if kind == "uncontrollable":
         B[0], A[0, 1:] = 0, 0
         A[0, 0] = -0.5
-    if kind == "free inputs":
+    if kind == "free inputs" or (kind == "as many of each" and seed % 4 < 2):
         D = 0 * D
     if kind == "rank-deficient D":
         D[:, -1] = 0

@@ -33,6 +33,7 @@ from models.common.arrays import Array
 from synth.certificate.definite import definiteness
 from synth.certificate.exact import floats, integers, product, root_below
 from synth.certificate.side import Side, meeting, transposed
+from synth.certificate.zeros import Zeros
 from synth.plant import GeneralizedPlant
 
 SHRINK = (1e-9, 1e-6, 1e-3)  # how much shorter than the best V12 is taken, so that V can be proved positive
@@ -61,12 +62,14 @@ class LowerBound:
         state: witness of state feedback; None where the limit alone proves the bound.
         observer: witness of the transposed plant; None where the bound is that of state feedback.
         limit_at: frequency [rad/s] where `invariant.limit_at` proves the bound; None where the witnesses do.
+        zeros: those by which `zeros.limit_at_zeros` proves it, from u to z and from w to y [rad/s]; None where others do.
     """
 
     gamma: float
     state: Witness | None = None
     observer: Witness | None = None
     limit_at: float | None = None
+    zeros: Zeros | None = None
 
 
 def prove_lower_bound(

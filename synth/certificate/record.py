@@ -14,12 +14,14 @@ from models.common.errors import InputError, listing, quoted
 from synth.certificate.certificate import Certificate, eta_of
 from synth.certificate.invariant import limit_at as proved_at
 from synth.certificate.lower_bound import LowerBound, Witness, prove_lower_bound
+from synth.certificate.zeros import Zeros, limit_at_zeros
 from synth.plant import GeneralizedPlant
 
 CLAIMS = ("norm", "peak_frequency", "bound", "lower_bound")
-PROOFS = ("X", "limit_at", "state", "observer")
+PROOFS = ("X", "limit_at", "zeros", "state", "observer")
 MAY_BE_ZERO = ("norm", "peak_frequency", "limit_at")
 SMALLEST, LARGEST = 1e-60, 1e60  # of the numbers in a certificate, in SI units: no vehicle has others
+MOST_ZEROS = 200  # in a certificate; there are as many as states at most, and Pick's matrix has a row for each
 SAME = 1e-9  # relative: how far rounding, on another machine, may move a number
 
 
@@ -32,6 +34,9 @@ def to_record(certificate: Certificate) -> dict[str, Any]:
         "bound": certificate.bound,
         "lower_bound": certificate.lower_bound,
         "limit_at": below.limit_at if below is not None else None,
+        "zeros": [[[zero.real, zero.imag] for zero in kind] for kind in below.zeros]
+        if below is not None and below.zeros
+        else None,
         "X": certificate.proof.X.tolist() if certificate.proof is not None else None,
     }
     for name in ("state", "observer"):
@@ -78,6 +83,10 @@ def read_proof(record: Mapping[str, Any], plant: GeneralizedPlant, Cy: Array) ->
     limit_at = _number(record, "limit_at")
     if limit_at is not None:
         lower_bound = LowerBound(proved_at(plant, limit_at), limit_at=limit_at)
+    zeros = _zeros(record)
+    if zeros is not None:
+        gamma = limit_at_zeros(plant, Cy if len(Cy) else None, zeros)
+        lower_bound = max(lower_bound, LowerBound(gamma, zeros=zeros), key=lambda each: each.gamma)
     state, observer = _witness(record, "state"), _witness(record, "observer")
     if state is not None:
         try:
@@ -138,6 +147,27 @@ def _matrix(record: Mapping[str, Any], key: str, shape: tuple[int, int] | None =
             f"{key} = {quoted(value)} in a certificate is not a matrix of finite numbers{expected}, none beyond {LARGEST:g}"
         )
     return matrix
+
+
+def _pairs(zeros: Zeros) -> list[list[list[float]]]:
+    return [[[zero.real, zero.imag] for zero in kind] for kind in zeros]
+
+
+def _zeros(record: Mapping[str, Any]) -> Zeros | None:
+    value = record.get("zeros")
+    if value is None:
+        return None
+    try:
+        of_z, of_y = (tuple(complex(float(real), float(imag)) for real, imag in kind) for kind in value)
+        fits = len(of_z) + len(of_y) <= MOST_ZEROS and all(np.isfinite(zero) for zero in (*of_z, *of_y))
+    except (TypeError, ValueError, OverflowError):
+        fits, of_z, of_y = False, (), ()
+    if not fits:
+        raise InputError(
+            f"zeros = {quoted(value)} in a certificate are not two lists of at most {MOST_ZEROS} pairs of finite numbers, of a "
+            "real and an imaginary part; save it again"
+        )
+    return of_z, of_y
 
 
 def _witness(record: Mapping[str, Any], key: str) -> Witness | None:

@@ -22,6 +22,7 @@ from synth.certificate.invariant import invariant_limit
 from synth.certificate.lower_bound import LowerBound, Witness, prove_from_sides
 from synth.certificate.side import Side, meeting, transposed
 from synth.certificate.stability import balance
+from synth.certificate.zeros import zero_limit
 from synth.lmi.barrier import Barrier, Block, boundary, newton
 from synth.lmi.central import CENTRED, INSIDE, CentralPoint, along_path
 from synth.plant import GeneralizedPlant, measurement_matrix
@@ -39,7 +40,9 @@ ENTER = 1e2  # mu over t at the entry of the joint path, which starts far from i
 def find_lower_bound(
     plant: GeneralizedPlant, Cy: Array | None = None, path: Sequence[CentralPoint] = (), beyond_control: LowerBound | None = None
 ) -> LowerBound:
-    """A norm that no controller reaches: the larger of what the dual proves and of what no control force changes.
+    """A norm that no controller reaches: the largest of what the dual, what no control force changes, and zeros prove.
+
+    Where stable zeros let X grow at no price the dual problem has no point inside, and no path: then the zeros count.
 
     Args:
         plant: n states, m inputs.
@@ -56,6 +59,9 @@ def find_lower_bound(
     if Cy is not None and len(Cy):  # of no row at all: a bound for what measures nothing
         Cy = measurement_matrix(Cy, len(plant.A))
     best = bound_beyond_control(plant) if beyond_control is None else beyond_control
+    gamma, zeros = zero_limit(plant, Cy)
+    if gamma > best.gamma:
+        best = LowerBound(gamma, zeros=zeros)
     other = Side.of(transposed(plant, Cy)) if Cy is not None else None
     if other is None or not len(other.J):
         other = None  # y shows, with its derivatives, all that state feedback knows
