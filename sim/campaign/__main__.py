@@ -24,7 +24,7 @@ from sim.campaign.verify import Verified, verify
 from sim.campaign.workers import HERE, Rows, cluster, run_batches
 from sim.command.progress import bar, show
 from sim.physics.blocks import RUNS_AT_ONCE
-from sim.recording.provenance import versions
+from sim.recording.versions import versions
 from synth.controller import Controller
 from synth.designer import Designer, given
 

@@ -14,8 +14,9 @@ from sim.inspect.log import Recorded, read_json
 from sim.inspect.mcap_contents import Logged
 from sim.recording.format import WHOLE, check_keys
 from sim.recording.mcap_writer import PACKAGE, Channel, channels, records
-from sim.recording.provenance import attachments, common_metadata, versions
+from sim.recording.provenance import attachments, common_metadata
 from sim.recording.run_log import RunLog
+from sim.recording.versions import versions
 from sim.ride.measured import first_sample
 from sim.ride.metrics import DEFINITIONS
 from sim.runs.prediction import Prediction

@@ -4,11 +4,9 @@ import datetime
 import hashlib
 import json
 import math
-import platform
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -17,22 +15,10 @@ from models.vehicle import Vehicle
 from sim.recording.drawing import scene_of
 from sim.recording.format import CONTINUOUS, FORMAT, MUJOCO, SAMPLED, check_keys
 from sim.recording.run_log import RunLog
+from sim.recording.versions import versions
 from sim.runs.run import Run
 from sim.runs.words import controller_object, energy_object, events, half_step_object, summary
 from synth.certificate.record import to_record
-
-PACKAGES = ("roadproof", "mujoco", "numpy", "scipy", "mcap", "protobuf", "foxglove-schemas-protobuf", "rerun-sdk")
-
-
-def versions() -> dict[str, str]:
-    """Version of everything that the numbers depend on."""
-    found = {"python": platform.python_version()}
-    for package in PACKAGES:
-        try:
-            found[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:  # run from a checkout that was never installed
-            found[package] = "not installed"
-    return found
 
 
 def stem(command: str, vehicle: Vehicle, controllers: Sequence[str]) -> str:

@@ -47,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     check_outputs(outputs, [vehicle.source], options.json)
     if options.figures is not None:
         check_drawing()
-    from sim.recording.provenance import versions
+    from sim.recording.versions import versions
     from sim.report.content import page, report_object
     from sim.report.scope import Scope, check_scope
     from synth.designer import Designer
