@@ -6,13 +6,15 @@ from collections.abc import Sequence
 from models.common.command import chosen, run_command
 from models.vehicle import read_vehicle
 from sim.asked.drive import asked_road, parser
-from sim.command.comparison import check_view, compared_lines, run_chosen, view
-from sim.command.logs import log_lines, recorded, run_logs
+from sim.command.claims import say_false_claims
+from sim.command.comparison import check_view, compared_lines, view
+from sim.command.logs import log_lines, recorded
 from sim.command.outputs import check_outputs
 from sim.ride.measured import first_sample, measure_run, metric_lines, metrics_object
 from sim.ride.metrics import DEFINITIONS
-from sim.runs.run import sample_times
+from sim.runs.run import run_all, sample_times
 from sim.runs.words import half_step_object, run_object
+from synth.designer import Designer
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -29,7 +31,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     check_view(options)
     check_outputs({"logs": options.logs}, [vehicle.source])
 
-    runs, passive = run_chosen(vehicle, names, road, time)
+    together, designer = list(dict.fromkeys([*names, "passive"])), Designer(vehicle)  # with which they are compared
+    controllers = [designer.design(name) for name in together]
+    say_false_claims(controllers)
+    runs = run_all(vehicle, controllers, road, time)
+    passive, runs = runs[together.index("passive")], runs[: len(names)]
     first = first_sample(vehicle, [run.controller for run in runs], road, options.duration, options.timestep)
     measured = [measure_run(run, first) for run in runs]
     result = {
@@ -42,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "measured_from": float(time[first]),
         "definitions": DEFINITIONS,
     }
-    logs = recorded(options, vehicle, names, lambda: run_logs(runs), result)
+    logs = recorded(options, vehicle, names, lambda: dict(zip(names, runs, strict=True)), result)
     if options.json:
         print(json.dumps({**result, "logs": logs}, allow_nan=False))
     else:

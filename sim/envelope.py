@@ -12,14 +12,14 @@ from models.common.command import complain, one_chosen, run_command
 from models.common.errors import InputError
 from models.vehicle import Vehicle, read_vehicle
 from sim.asked.envelope import nearest_run, parser
+from sim.command.claims import say_false_claims
 from sim.command.logs import log_lines, recorded
 from sim.command.outputs import check_outputs, written, written_lines
 from sim.command.progress import bar
 from sim.figures.picture import write_picture
-from sim.recording.run_log import RunLog
 from sim.response.regime import END_NAMES
 from sim.roads.road import LOWEST, Bump
-from sim.runs.run import run_all, sample_times
+from sim.runs.run import Run, run_all, sample_times
 from sim.validity.cells import Cells, Interrupted, validity
 from sim.validity.grid import UNITS, grid, read_axes
 from sim.validity.words import envelope_lines, envelope_object, write_csv
@@ -46,6 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     outputs = {"csv": options.csv, "picture": options.picture}
     check_outputs(outputs | {"logs": options.logs}, [vehicle.source], options.json)
     controller = design(vehicle, name)
+    say_false_claims([controller])
 
     try:
         cells = validity(vehicle, controller, bumps, time, bar(len(bumps), "cells"))
@@ -77,17 +78,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0 if cells.as_predicted else 1
 
 
-def _nearest_runs(vehicle: Vehicle, controller: Controller, cells: Cells, time: Array) -> list[RunLog]:
+def _nearest_runs(vehicle: Vehicle, controller: Controller, cells: Cells, time: Array) -> dict[str, Run]:
     """Of the cells where nothing breaks the one nearest to breaking, and of those where an end comes first the mildest."""
-    from sim.recording.provenance import run_log
-
-    found, used = [], cells.used.max(axis=-1)
+    found, used = {}, cells.used.max(axis=-1)
     for end in (-1, *range(len(END_NAMES))):
         mine = np.flatnonzero(cells.done & (cells.first == end))
         if len(mine):
             i = mine[used[mine].argmax() if end < 0 else used[mine].argmin()]
-            run = run_all(vehicle, [controller], cells.bumps[i], time)[0]
-            found.append(run_log(run, nearest_run(controller.name, end)))
+            (found[nearest_run(controller.name, end)],) = run_all(vehicle, [controller], cells.bumps[i], time)
     return found
 
 

@@ -13,13 +13,13 @@ from models.common.errors import InputError
 from models.reality import Implementation
 from models.vehicle import Vehicle, read_vehicle
 from sim.asked.margins import late_run, parser
+from sim.command.claims import say_false_claims
 from sim.command.logs import log_lines, recorded
 from sim.command.outputs import check_outputs, written, written_lines
 from sim.command.progress import show
 from sim.figures.picture import write_picture
 from sim.linear.loop import sampled_radius
-from sim.recording.run_log import RunLog
-from sim.runs.run import run_all, sample_times
+from sim.runs.run import Run, run_all, sample_times
 from sim.stability.growth import BUMP, LONGEST, SHORTEST
 from sim.stability.margins import LoopMargins, find_margins
 from sim.stability.robustness import robustness
@@ -42,6 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     outputs = {"picture": options.picture}
     check_outputs(outputs | {"logs": options.logs}, [vehicle.source])
     controller = _with_loop(vehicle, name, options.timestep)
+    say_false_claims([controller])
 
     found = find_margins(vehicle, controller, options.timestep, show)
     box = robustness(vehicle, controller, options.timestep, show)
@@ -86,16 +87,13 @@ def _with_loop(vehicle: Vehicle, name: str, timestep: float) -> Controller:
     return controller
 
 
-def _delayed_runs(vehicle: Vehicle, controller: Controller, loop: LoopMargins, timestep: float) -> list[RunLog]:
+def _delayed_runs(vehicle: Vehicle, controller: Controller, loop: LoopMargins, timestep: float) -> dict[str, Run]:
     """The run that still decays and the one that grows, to be recorded; without a delay margin, the longest delay tried."""
-    from sim.recording.provenance import run_log
-
     delays = [loop.delay.stable, loop.delay.unstable] if math.isfinite(loop.delay.unstable) else [loop.delay.stable]
-    time, found = sample_times(vehicle, SHORTEST, timestep), []
+    time, found = sample_times(vehicle, SHORTEST, timestep), {}
     for samples in (round(delay / timestep) for delay in delays):
         delayed = replace(vehicle, implementation=Implementation(delay=samples))
-        run = run_all(delayed, [controller], BUMP, time)[0]
-        found.append(run_log(run, late_run(controller.name, samples)))
+        (found[late_run(controller.name, samples)],) = run_all(delayed, [controller], BUMP, time)
     return found
 
 

@@ -10,13 +10,13 @@ from models.common.command import run_command
 from models.common.errors import InputError
 from models.vehicle import Vehicle, read_vehicle
 from sim.asked.sweep import asked_names, parser, worst_road, worst_times
+from sim.command.claims import say_false_claims
 from sim.command.logs import log_lines, recorded
 from sim.command.outputs import check_outputs, written, written_lines
 from sim.figures.picture import write_picture
 from sim.frequency.identification import ideal_measurements
 from sim.frequency.sweep import Sweep, failures, sweep, sweep_lines, sweep_object
-from sim.recording.run_log import RunLog
-from sim.runs.run import run_all
+from sim.runs.run import Run, run_all
 from synth.designer import Designer
 
 
@@ -37,6 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     check_outputs(outputs | {"logs": options.logs}, [vehicle.source])
     designer = Designer(vehicle)
     controllers = [designer.design(name) for name in names]
+    say_false_claims(controllers)
     sweeps = sweep(vehicle, controllers, options.amplitude, options.timestep, options.speed)
     if options.picture is not None:
         from sim.frequency.figure import sweep_figure
@@ -66,15 +67,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0 if all(one.ended or not failures(one) for one in sweeps) else 1
 
 
-def _worst_runs(vehicle: Vehicle, sweeps: Sequence[Sweep], options: Any) -> "list[RunLog]":
+def _worst_runs(vehicle: Vehicle, sweeps: Sequence[Sweep], options: Any) -> dict[str, Run]:
     """Every controller on its worst sinusoid, from rest, to be recorded."""
-    from sim.recording.provenance import run_log
-
-    vehicle, found = ideal_measurements(vehicle), []
+    vehicle, found = ideal_measurements(vehicle), {}
     time = worst_times(vehicle, options)
     for one in sweeps:
         road = worst_road(one.extremes.tried, options)
-        found.append(run_log(run_all(vehicle, [one.lines.controller], road, time)[0]))
+        (found[one.lines.controller.name],) = run_all(vehicle, [one.lines.controller], road, time)
     return found
 
 

@@ -31,6 +31,7 @@ class Controller:
         certificate: what is true of it.
         case: what is the case where (22) has no optimum, or every gain is one, in words; else empty.
         instead: how else the gain was found, and why the two steps did not lead to one, in words; empty where they did.
+        false_claims: what of the certificate that came with its gain does not hold, in words.
     """
 
     name: str
@@ -44,6 +45,7 @@ class Controller:
     redundant: tuple[str, ...] = ()
     case: str = ""
     instead: str = ""
+    false_claims: tuple[str, ...] = ()
 
     def state_gain(self, vehicle: Vehicle) -> Array:
         """G = K C_y (6) for a vehicle that has these signals, shape (m, n)."""

@@ -10,8 +10,9 @@ from models.common.arrays import Array
 from models.common.errors import InputError, listing
 from models.vehicle import ControllerEntry, Vehicle
 from synth.certificate.bounding import certify_tightly
-from synth.certificate.certificate import certify
+from synth.certificate.certificate import Certificate, certify
 from synth.certificate.lower_bound import LowerBound
+from synth.certificate.record import false_claims, read_proof
 from synth.controller import Controller, generalized_plant
 from synth.design import Design, state_design, state_path, zero_l_design
 from synth.errors import BatchError, DesignError
@@ -203,6 +204,22 @@ class Designer:
             raise type(error)(f"controller {name!r}: {error}") from error
         return [_designed(entry, design) for design in designs]
 
+    def checked(self, entry: ControllerEntry) -> tuple[Certificate, tuple[str, ...]]:
+        """What is true of a gain of the file by the proofs that its certificate brings, and what of that does not hold, in words.
+
+        Raises:
+            InputError: the certificate is malformed.
+        """
+        assert entry.gain is not None
+        Cy, _ = self.vehicle.linear_model.rows(entry.measured)
+        record = entry.certificate or {}
+        try:
+            X, eta, lower_bound = read_proof(record, self.plant, Cy)
+        except InputError as error:
+            raise InputError(f"[controllers.{entry.name}] {error}") from error
+        certificate = certify(self.plant, entry.gain @ Cy, X, eta, lower_bound)
+        return certificate, (*certificate.failures, *false_claims(record, certificate))
+
     def _entry(self, name: str) -> ControllerEntry:
         """What is to be designed or certified under a name."""
         model = self.vehicle.linear_model
@@ -218,7 +235,13 @@ class Designer:
         assert entry.gain is not None
         Cy, _ = self.vehicle.linear_model.rows(entry.measured)
         certificate = certify(self.plant, entry.gain @ Cy, lower_bound=self.lower_bound(entry.measured))
-        return Controller(entry.name, entry.measured, entry.gain, designed=False, certificate=certificate)
+        wrong: tuple[str, ...] = ()
+        if entry.certificate is not None:
+            try:
+                _, wrong = self.checked(entry)
+            except InputError as error:
+                wrong = (str(error),)
+        return Controller(entry.name, entry.measured, entry.gain, designed=False, certificate=certificate, false_claims=wrong)
 
 
 def _designed(entry: ControllerEntry, design: Design) -> Controller:

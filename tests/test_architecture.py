@@ -57,18 +57,18 @@ ROOMS = {
     "sim.stability": "sim.figures sim.linear sim.physics sim.roads sim.runs",
     "sim.frequency": "sim.figures sim.linear sim.physics sim.response sim.roads sim.runs",
     "sim.recording": "sim.figures sim.physics sim.response sim.roads sim.runs",
-    "sim.command": "sim.figures sim.recording sim.roads sim.runs synth.designer",
+    "sim.command": "sim.figures sim.recording sim.runs",
     "sim.asked": "sim.command sim.frequency sim.response sim.roads sim.runs sim.stability sim.validity",
     "sim.inspect": "sim.asked sim.linear sim.physics sim.recording sim.response sim.ride sim.roads sim.runs synth.words",
     "sim.campaign": "sim.command sim.linear sim.physics sim.recording sim.response sim.ride sim.roads sim.runs synth.designer",
     "sim.report": "sim.command sim.figures sim.frequency sim.linear sim.physics sim.recording sim.response sim.ride sim.roads "
     "sim.runs sim.stability sim.validity synth.designer synth.paper synth.words",
-    "sim.bump": "sim.asked sim.command sim.roads sim.runs",
-    "sim.drive": "sim.asked sim.command sim.ride sim.runs",
-    "sim.sweep": "sim.asked sim.command sim.figures sim.frequency sim.recording sim.runs synth.designer",
-    "sim.margins": "sim.asked sim.command sim.figures sim.linear sim.recording sim.runs sim.stability synth.designer",
+    "sim.bump": "sim.asked sim.command sim.roads sim.runs synth.designer",
+    "sim.drive": "sim.asked sim.command sim.ride sim.runs synth.designer",
+    "sim.sweep": "sim.asked sim.command sim.figures sim.frequency sim.runs synth.designer",
+    "sim.margins": "sim.asked sim.command sim.figures sim.linear sim.runs sim.stability synth.designer",
     "sim.__main__": "",
-    "sim.envelope": "sim.asked sim.command sim.figures sim.recording sim.response sim.roads sim.runs sim.validity synth.designer",
+    "sim.envelope": "sim.asked sim.command sim.figures sim.response sim.roads sim.runs sim.validity synth.designer",
 }
 OF_ALL = "models.common"
 OF_SIM = {"models", "synth.certificate", "synth.controller"}  # what all of sim may import

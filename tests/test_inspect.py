@@ -25,7 +25,7 @@ from sim.inspect.__main__ import main
 from sim.inspect.mcap_reader import GIVE
 from sim.margins import main as margins
 from sim.recording.format import RESULTS
-from sim.recording.provenance import record_runs, run_log
+from sim.recording.provenance import record_runs
 from sim.roads.road import Bump
 from sim.roads.sinusoids import sinusoid
 from sim.runs.prediction import predict
@@ -192,9 +192,9 @@ def test_late_and_unstable(designer, paper, tmp_path, capsys):
     """Runs of margins and sweeps, late, growing, on a sinusoid, are proved; what else their result rests on is said."""
     late = replace(paper, implementation=Implementation(delay=200))
     controller, time = designer.design("II"), sample_times(paper, 2.0, 1e-3)
-    runs = []
+    runs = {}
     for name, vehicle, road in (("late", late, Bump(0.002)), ("worst", paper, sinusoid(64.2, 12.5).scaled(5e-5))):
-        runs.append(run_log(run_all(vehicle, [controller], road, time)[0], f"II_{name}"))
+        (runs[f"II_{name}"],) = run_all(vehicle, [controller], road, time)
     result = dict.fromkeys(RESULTS["margins"]) | {"controller": "II"}
     path = record_runs(tmp_path, "python -m sim.margins --controller II", paper, ["II"], runs, result)["mcap"]
     code, found = inspected(Path(path), capsys)

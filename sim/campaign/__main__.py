@@ -22,6 +22,7 @@ from sim.campaign.store import Store
 from sim.campaign.summary import summarise, summary_lines
 from sim.campaign.verify import Verified, verify
 from sim.campaign.workers import HERE, Rows, cluster, run_batches
+from sim.command.claims import say_false_claims
 from sim.command.progress import bar, show
 from sim.physics.blocks import RUNS_AT_ONCE
 from sim.recording.versions import versions
@@ -194,6 +195,7 @@ def _plan(campaign: Campaign, folder: Path, file: Path) -> tuple[Plan, Manifest]
         for name, vehicle in campaign.vehicles.items():
             designer = Designer(vehicle)
             designed[name] = {controller: designer.design(controller) for controller in campaign.controllers}
+            say_false_claims(designed[name].values())
         gains = gains_of(designed)
         about = described(campaign)
         manifest = Manifest(str(file.absolute()), digest(campaign.sources), used, campaign.text, gains, about, count)

@@ -1,17 +1,13 @@
-"""What commands share that drive controllers of one vehicle over one road: runs, their text and their view."""
+"""What commands share that drive controllers of one vehicle over one road: their text and their view."""
 
 import argparse
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
-from models.common.arrays import Array
 from models.common.errors import InputError
-from models.vehicle import Vehicle
-from sim.roads.road import Road
-from sim.runs.run import Run, run_all
+from sim.runs.run import Run
 from sim.runs.words import controller_lines, energy_lines, run_lines, verdict_lines
-from synth.designer import Designer
 
 
 def check_view(options: argparse.Namespace) -> None:
@@ -45,28 +41,6 @@ def view(options: argparse.Namespace, logs: Mapping[str, str | None]) -> None:
 
     sys.stdout.flush()
     (open_viewer if options.open else serve_viewer)(Path(recording))
-
-
-def run_chosen(vehicle: Vehicle, names: Sequence[str], road: Road, time: Array) -> tuple[list[Run], Run]:
-    """Runs controllers over a road.
-
-    Args:
-        vehicle: the vehicle.
-        names: of its controllers.
-        road: the road.
-        time: equidistant sample times from 0 [s].
-
-    Returns:
-        A run for every name, and that of `passive`, with which they are compared.
-
-    Raises:
-        InputError: a controller that cannot be designed.
-    """
-    designer = Designer(vehicle)
-    with_passive = [*names, *(["passive"] if "passive" not in names else [])]
-    controllers = [designer.design(name) for name in with_passive]
-    everything = run_all(vehicle, controllers, road, time)
-    return everything[: len(names)], everything[with_passive.index("passive")]
 
 
 def compared_lines(run: Run, passive: Run) -> list[str]:

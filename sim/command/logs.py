@@ -3,20 +3,17 @@
 import argparse
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from models.vehicle import Vehicle
 from sim.runs.run import Run
-
-if TYPE_CHECKING:
-    from sim.recording.run_log import RunLog
 
 
 def recorded(
     options: argparse.Namespace,
     vehicle: Vehicle,
     controllers: Sequence[str],
-    runs: "Callable[[], Sequence[RunLog]]",
+    runs: Callable[[], Mapping[str, Run]],
     result: Mapping[str, Any],
 ) -> dict[str, str | None]:
     """Records what a command has run, as `record_runs` does; None for every file where there is no folder.
@@ -25,7 +22,7 @@ def recorded(
         options: as the command's parser read them, `--logs` among them.
         vehicle: as it was read.
         controllers: names of those that were run.
-        runs: makes what is recorded, and is not called in vain.
+        runs: makes those that are recorded, by the names they have there, and is not called in vain.
         result: as `--json` prints it.
     """
     if options.logs is None:
@@ -33,13 +30,6 @@ def recorded(
     from sim.recording.provenance import record_runs  # it imports Rerun
 
     return {**record_runs(options.logs, options.command_line, vehicle, controllers, runs(), result)}
-
-
-def run_logs(runs: Sequence[Run]) -> "list[RunLog]":
-    """Runs as they are recorded."""
-    from sim.recording.provenance import run_log
-
-    return [run_log(run) for run in runs]
 
 
 def log_lines(logs: Mapping[str, str | None]) -> list[str]:

@@ -67,7 +67,7 @@ def record_runs(
     command_line: str,
     vehicle: Vehicle,
     controllers: Sequence[str],
-    runs: Sequence[RunLog],
+    runs: Mapping[str, Run],
     result: Mapping[str, Any],
 ) -> dict[str, str]:
     """Records what a command has run, as `sim.recording.files.record` does.
@@ -77,7 +77,7 @@ def record_runs(
         command_line: see `common_metadata`.
         vehicle: as it was read.
         controllers: names of those that were run.
-        runs: see `run_log`.
+        runs: by the names that they have in the log.
         result: as `--json` prints it.
 
     Returns:
@@ -89,20 +89,21 @@ def record_runs(
     from sim.recording.files import record  # it imports Rerun
 
     check_keys(command_of(command_line), result)
-    time = runs[0].responses[MUJOCO].time
+    logs = [run_log(run, name) for name, run in runs.items()]
+    time = logs[0].responses[MUJOCO].time
     timestep = float(time[1] - time[0])
     paths = record(
         folder,
         stem(command_of(command_line), vehicle, controllers),
-        runs,
+        logs,
         common_metadata(command_line, vehicle, timestep),
-        attachments(vehicle, timestep, result) | {name: file for run in runs for name, file in run.files.items()},
+        attachments(vehicle, timestep, result) | {name: file for log in logs for name, file in log.files.items()},
     )
     return {name: str(path) for name, path in paths.items()}
 
 
-def run_log(run: Run, name: str | None = None) -> RunLog:
-    """One run as it is written down; it is called like its controller unless it has a name of its own."""
+def run_log(run: Run, name: str) -> RunLog:
+    """One run as it is written down, under a name."""
     vehicle, road, certificate, agreement = run.vehicle, run.road, run.controller.certificate, run.agreement
     assert run.qpos is not None, "what is written down MuJoCo has run"
     files = {}
@@ -128,7 +129,7 @@ def run_log(run: Run, name: str | None = None) -> RunLog:
     for file in files:
         claims["road_file"] = file
     return RunLog(
-        name=name or run.controller.name,
+        name=name,
         responses={MUJOCO: run.physics, SAMPLED: run.sampled, CONTINUOUS: run.continuous},
         metadata={key: value if isinstance(value, str) else json.dumps(value) for key, value in claims.items()},
         events=events(run),

@@ -13,6 +13,7 @@ from models.common.command import Parser, chosen, run_command
 from models.common.errors import InputError
 from models.common.whole_file import made_folder, together, whole_file
 from models.vehicle import read_vehicle
+from sim.command.claims import say_false_claims
 from sim.command.outputs import check_outputs, written, written_lines
 from sim.command.progress import show
 from sim.figures.page import Page, check_page, write_page
@@ -57,6 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     show("designs")
     designer = Designer(vehicle)
     controllers = tuple(designer.design(name) for name in names)
+    say_false_claims(controllers)
     scope = Scope(vehicle, designer, controllers, options.timestep, options.quick, show)
     about = {
         "written": datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC"),

@@ -5,8 +5,6 @@ from collections.abc import Sequence
 from models.common.command import chosen
 from models.common.errors import InputError, listing
 from models.vehicle import ControllerEntry
-from synth.certificate.certificate import certify
-from synth.certificate.record import false_claims, read_proof
 from synth.command.table import Row
 from synth.controller import Controller
 from synth.designer import Designer
@@ -30,14 +28,7 @@ def check(designer: Designer, names: Sequence[str] | None) -> list[Row]:
 
 def _checked(designer: Designer, entry: ControllerEntry) -> Row:
     assert entry.gain is not None
-    Cy, _ = designer.vehicle.linear_model.rows(entry.measured)
-    record = entry.certificate or {}
-    try:
-        X, eta, lower_bound = read_proof(record, designer.plant, Cy)
-    except InputError as error:
-        raise InputError(f"[controllers.{entry.name}] {error}") from error
-    certificate = certify(designer.plant, entry.gain @ Cy, X, eta, lower_bound)
-    failures = (*certificate.failures, *false_claims(record, certificate))
-    note = "checked: every claim of its certificate holds" if record and not failures else ""
-    note = note or ("its certificate does not hold" if record else "came without a certificate")
+    certificate, failures = designer.checked(entry)
+    note = "checked: every claim of its certificate holds" if entry.certificate and not failures else ""
+    note = note or ("its certificate does not hold" if entry.certificate else "came without a certificate")
     return Row(entry.name, Controller(entry.name, entry.measured, entry.gain, False, certificate), (note,), failures)

@@ -1,0 +1,18 @@
+"""What a vehicle file claims of its gains and is not so: said wherever they are driven, and judged by `synth --check`."""
+
+from collections.abc import Iterable
+
+from models.common.command import complain
+from synth.controller import Controller
+
+
+def say_false_claims(controllers: Iterable[Controller]) -> None:
+    """One line on stderr for every controller whose certificate does not hold: it is driven as it is, by what is true of it."""
+    for one in controllers:
+        if one.false_claims:
+            first, *others = one.false_claims
+            more = f"; and {len(others)} more" if others else ""
+            complain(
+                f"the certificate of controller {one.name!r} in the vehicle file does not hold ({first}{more}): its gain is "
+                "taken as it is; python -m synth --check says more"
+            )
