@@ -1,8 +1,9 @@
 """The way of a controller's name, from the command line to the log: down the rooms, and back up as seldom as can be."""
 
+import functools
 import sys
 from pathlib import Path
-from types import FrameType
+from types import CodeType, FrameType
 from typing import Any
 
 from sim.bump import main
@@ -18,22 +19,22 @@ UP = ["chosen", "design", "run_all"]  # names from the options, a controller of 
 
 
 def named(value: Any) -> bool:
-    """Whether a value is the name, or that of which it is the name, or holds such."""
+    """Whether a value is the name, or that of which it is the name, or some of these; what is said of it in words is not."""
     if isinstance(value, (list, tuple)):
         return any(map(named, value))
     if isinstance(value, dict):
-        return any(map(named, value.values()))
+        return any(isinstance(one, Run) and named(one) for one in value.values())
     if isinstance(value, Prediction | Run):
         return value.controller.name == NAME
     return value == NAME if isinstance(value, str) else isinstance(value, Controller | RunLog) and value.name == NAME
 
 
-def room(frame: FrameType) -> str:
-    """The room of a frame of ours; empty for others."""
-    path = Path(frame.f_code.co_filename)
-    if not path.is_relative_to(ROOT) or path.relative_to(ROOT).parts[0] not in ("models", "synth", "sim"):
-        return ""
-    return ".".join(path.relative_to(ROOT).with_suffix("").parts[:2])
+@functools.cache
+def room(code: CodeType) -> str:
+    """The room of code of ours; empty for others, and for what has no name of its own."""
+    path = Path(code.co_filename)
+    ours = path.is_relative_to(ROOT) and path.relative_to(ROOT).parts[0] in ("models", "synth", "sim")
+    return ".".join(path.relative_to(ROOT).with_suffix("").parts[:2]) if ours and not code.co_name.startswith("<") else ""
 
 
 def is_property(frame: FrameType) -> bool:
@@ -49,21 +50,20 @@ def test_the_way_of_a_name(tmp_path):
     found: list[str] = []
 
     def noticed(frame: FrameType, event: str, value: Any) -> None:
-        below = room(frame)
+        below = room(frame.f_code)
         if event != "return" or not below or not named(value) or is_property(frame):
             return
         above = frame.f_back
-        while above is not None and not (room(above) and not above.f_code.co_name.startswith("<")):
+        while above is not None and not room(above.f_code):
             above = above.f_back  # a comprehension, or what a decorator puts around
-        if above is not None and room(above) != below and not frame.f_code.co_name.startswith("<"):
+        if above is not None and room(above.f_code) != below:
             found.append(frame.f_code.co_name)
 
+    options = ["--vehicle", str(vehicle), "--controller", NAME, "--duration", "0.1", "--logs", str(tmp_path), "--json"]
     before = sys.getprofile()
     sys.setprofile(noticed)
     try:
-        assert (
-            main(["--vehicle", str(vehicle), "--controller", NAME, "--duration", "0.5", "--logs", str(tmp_path), "--json"]) == 0
-        )
+        assert main(options) == 0
     finally:
         sys.setprofile(before)
     (log,) = tmp_path.glob("*.mcap")
