@@ -13,6 +13,10 @@ from sim.runs.run import run_all, sample_times
 from synth.designer import Designer
 from synth.plant import GeneralizedPlant
 
+# What a vehicle file may say beside its parameters.
+BUILT = "\n[implementation]\nsample_period = 0.01\ndelay = {delay}\n"
+LAGGED = "\n[limits]\nactuator_bandwidth = 60.0\n"
+
 
 @pytest.fixture(scope="session")
 def paper() -> Vehicle:
@@ -33,7 +37,7 @@ def lifting(designer: Designer) -> RunLog:
 
     vehicle, road = designer.vehicle, Bump(height=0.2, speed=20.0)
     time = sample_times(vehicle, 0.5, 1e-3)
-    return run_log(run_all(vehicle, [designer.design("I")], road, time)[0])
+    return run_log(run_all(vehicle, [designer.design("I")], road, time)[0], "I")
 
 
 def random_vehicles(vehicle: Vehicle, count: int, spread: float = 0.5) -> list[Vehicle]:

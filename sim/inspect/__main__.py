@@ -9,7 +9,7 @@ from typing import Any
 from models.common.command import Parser, complain, run_command
 from models.common.errors import InputError
 from models.common.whole_file import check_file
-from sim.inspect.claims import HOLDS, NOTE, Finding
+from sim.inspect.findings import HOLDS, NOTE, Finding
 from sim.inspect.log import Recorded, RecordedRun, read_json, read_log
 from sim.inspect.proof import Inspected, Proof, prove
 from sim.inspect.table import write_signals

@@ -2,8 +2,7 @@
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -11,6 +10,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.numbers import finite
+from sim.inspect.findings import FAILS, HOLDS, MISSING, NOTE, SAME, Finding, apart, count, different, folded, off, same
 from sim.inspect.log import Recorded, RecordedRun, read_json
 from sim.inspect.reproduction import FEWEST, as_response
 from sim.recording.format import CONTINUOUS, RESULTS, SAMPLED, WHOLE
@@ -22,26 +22,6 @@ from sim.runs.run import Run
 from sim.runs.words import energy_lines, energy_object, half_step_object, run_object, verdict_lines
 from synth.certificate.record import false_claims, to_record
 from synth.controller import Controller
-
-HOLDS, FAILS, MISSING, NOTE = "holds", "FAILS", "missing", "note"
-SAME = 1e-6  # relative: how far other versions of numpy, on another machine, may move a number that was derived
-LATER = ("stability", "energy", "half_step")  # of a result: logs older than formats are numbered may not have them
-HUGE = 1e150  # a linear response beyond it is unstable, and its squares overflow
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One claim, checked.
-
-    Attributes:
-        part: of what.
-        verdict: one of `HOLDS`, `FAILS`, `MISSING` (what would prove it is not there), `NOTE` (nothing that was to be proved).
-        text: what was found.
-    """
-
-    part: str
-    verdict: str
-    text: str
 
 
 def claimed_samples(recorded: RecordedRun, otherwise: int) -> int:
@@ -78,7 +58,7 @@ def check_certificate(controller: Controller, recorded: RecordedRun, current: bo
     if recorded.claim("stable") is not certificate.stable:
         wrong.append(f"the log says otherwise, but it is {certificate.stability.words}")
     for key, now in {"norm": certificate.norm.value, "bound": certificate.bound}.items():
-        if not _same(recorded.claim(key), finite(now), ROUNDING, 0.0):
+        if not same(recorded.claim(key), finite(now), ROUNDING, 0.0):
             wrong.append(f"its {key} is not what was claimed")
     peak, there = recorded.claim("peak_frequency"), math.isfinite(certificate.norm.peak_frequency)
     number = isinstance(peak, (int, float)) and not isinstance(peak, bool)
@@ -105,7 +85,7 @@ def check_linear(again: Prediction, recorded: RecordedRun, samples: int) -> Iter
     """The logged sampled and continuous responses, road included, against those that follow from gain and road."""
     worst = 0.0
     for topic, name, response in ((SAMPLED, "sampled", again.sampled), (CONTINUOUS, "continuous", again.continuous)):
-        far, signal = _apart(as_response(again.vehicle, recorded, topic, samples, again.timestep), response)
+        far, signal = apart(as_response(again.vehicle, recorded, topic, samples, again.timestep), response)
         worst = max(worst, far)
         if not far <= ROUNDING:
             yield Finding("linear response", FAILS, f"{signal} of the {name} response is {far:.1e} of its peak off")
@@ -119,7 +99,7 @@ def check_physics(recorded: RecordedRun, run: Run, whole: bool) -> Iterator[Find
     wrong = []
     for wheel in run.vehicle.kind.wheels:
         for signal in (wheel.road_displacement, wheel.road_velocity):
-            far = _off(run.physics.until(run.diverged)[signal], run.sampled.until(run.diverged)[signal])
+            far = off(run.physics.until(run.diverged)[signal], run.sampled.until(run.diverged)[signal])
             if not far <= ROUNDING:
                 wrong.append(f"{signal} is not that of the road: {far:.1e} of its peak off")
     agreement = run.agreement
@@ -127,7 +107,7 @@ def check_physics(recorded: RecordedRun, run: Run, whole: bool) -> Iterator[Find
         wrong.append("the log says otherwise, but: " + verdict_lines(run)[-1])
     if whole:
         claimed = [[a, b] for a, b in agreement.lift_off]
-        if not _same(recorded.claim("lift_off"), claimed, SAME, ROUNDING):
+        if not same(recorded.claim("lift_off"), claimed, SAME, ROUNDING):
             wrong.append("the tyres are off the road at other times than claimed")
         half, said = half_step_object(run), recorded.claims.get("half_step")
         if said is not None and list(different({"half_step": read_json(said, "half_step")}, {"half_step": half}, exact=True)):
@@ -148,7 +128,7 @@ def check_energy(recorded: RecordedRun, run: Run, anew: Response, current: bool)
     A balance rests on every position and speed of the model, and the log holds signals: so it is that of the run made anew.
     """
     end = run.broke_off[1] if run.broke_off else math.inf
-    far, signal = _apart(run.physics.until(end), anew.until(end))
+    far, signal = apart(run.physics.until(end), anew.until(end))
     if not far <= SAME:
         yield Finding("energy", FAILS, f"MuJoCo makes another run of it now: {signal} is {far:.1e} of its peak off")
         return
@@ -200,7 +180,7 @@ def check_result(log: Recorded, recorded: RecordedRun, run: Run, current: bool) 
     if wrong:
         yield Finding("result", FAILS, f"result.json says otherwise: {folded(wrong, 'numbers of the result')}")
     else:
-        yield Finding("result", HOLDS, f"result.json: {_count(now)} numbers as computed again")
+        yield Finding("result", HOLDS, f"result.json: {count(now)} numbers as computed again")
 
 
 def _metrics(run: Run, start: Any) -> dict[str, Any]:
@@ -210,81 +190,6 @@ def _metrics(run: Run, start: Any) -> dict[str, Any]:
     if isinstance(start, bool) or not isinstance(start, (int, float)) or not 0 <= start <= run.physics.time[-2]:
         raise InputError("result.json does not say from when its metrics were measured")
     return metrics_object(run, measure_run(run, round(start / run.prediction.timestep)))
-
-
-def _apart(logged: Response, again: Response) -> tuple[float, str]:
-    """How far a logged response is from the one computed anew, over the peak of each signal, and the signal that is furthest."""
-    huge = ~np.all(np.abs(again.values) < HUGE, axis=1)
-    end = float(again.time[huge.argmax()]) if huge.any() else math.inf
-    logged, again = logged.until(end), again.until(end)
-    far = {name: _off(logged[name], again[name], again.scale(name)) if len(again.time) else 0.0 for name in again.names}
-    worst = max(far, key=lambda name: far[name])
-    return far[worst], worst
-
-
-def _off(logged: Array, again: Array, scale: float | None = None) -> float:
-    """Largest difference, over a scale, by default the peak; infinite where a number is none."""
-    if not np.all(np.isfinite(logged)):
-        return math.inf
-    size = scale if scale is not None else float(np.abs(again).max(initial=0.0))
-    return float(np.abs(logged - again).max(initial=0.0)) / (size or 1.0)
-
-
-def _same(said: Any, now: Any, relative: float, absolute: float) -> bool:
-    """Whether JSON values are the same, numbers to a tolerance."""
-    if isinstance(now, list):
-        if not isinstance(said, list) or len(said) != len(now):
-            return False
-        return all(_same(a, b, relative, absolute) for a, b in zip(said, now, strict=True))
-    if isinstance(now, (int, float)) and not isinstance(now, bool):
-        number = isinstance(said, (int, float)) and not isinstance(said, bool)
-        return number and abs(said - now) <= max(relative * abs(now), absolute)
-    return said == now
-
-
-def different(said: Any, now: Any, exact: bool, path: str = "", absolute: float = ROUNDING) -> Iterator[str]:
-    """Where a JSON value is not as computed anew.
-
-    Args:
-        said: what a log has.
-        now: computed anew.
-        exact: whether it has the same keys; else it may lack of `LATER`, and what is not computed now is not looked at.
-        path: where in the whole it stands.
-        absolute: how far numbers may differ, where that is more than `SAME` of them.
-    """
-    if not isinstance(now, Mapping):
-        if not _same(said, now, SAME, absolute):
-            yield path
-        return
-    if not isinstance(said, Mapping):
-        yield path
-        return
-    for key, value in now.items():
-        here = f"{path}.{key}" if path else key
-        # Of two runs that may each be `SAME` of a peak off, the difference may be, too.
-        near = SAME if key == "half_step" else absolute
-        if key in said:
-            yield from different(said[key], value, exact, here, near)
-        elif exact or key not in LATER:
-            yield f"{here} is missing"
-    for key in said:
-        if exact and key not in now:
-            yield f"{path + '.' if path else ''}{str(key)[:40]} is none of it"
-
-
-def folded(names: Sequence[str], what: str) -> str:
-    """The first of many that are wrong for one cause, and how many more there are, of what kind."""
-    more = f" (and {len(names) - 1} more {what}, the first of them {names[1]})" if len(names) > 1 else ""
-    return names[0] + more
-
-
-def _count(value: Any) -> int:
-    """How many numbers there are in a JSON value."""
-    if isinstance(value, Mapping):
-        return sum(_count(item) for item in value.values())
-    if isinstance(value, list):
-        return sum(_count(item) for item in value)
-    return int(isinstance(value, (int, float)) and not isinstance(value, bool))
 
 
 def _matrix(value: Any, shape: tuple[int, int]) -> Array:

@@ -15,7 +15,7 @@ from models.reality import Implementation
 from models.vehicle import Vehicle
 from sim.asked import bump, drive, envelope, margins, sweep
 from sim.asked.asked import Asked, same_path
-from sim.inspect.claims import FAILS, HOLDS, NOTE, Finding
+from sim.inspect.findings import FAILS, HOLDS, NOTE, Finding
 from sim.inspect.log import Recorded
 from sim.recording.format import RESULTS
 from sim.recording.provenance import command_of

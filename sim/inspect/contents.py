@@ -9,7 +9,7 @@ from typing import Any
 
 from models.common.errors import InputError
 from models.vehicle import Vehicle
-from sim.inspect.claims import FAILS, HOLDS, MISSING, NOTE, Finding, different, folded
+from sim.inspect.findings import FAILS, HOLDS, MISSING, NOTE, Finding, different, folded
 from sim.inspect.log import Recorded, read_json
 from sim.inspect.mcap_contents import Logged
 from sim.recording.format import WHOLE, check_keys

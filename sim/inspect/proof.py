@@ -10,11 +10,6 @@ import numpy as np
 from models.common.errors import InputError
 from models.vehicle import Vehicle
 from sim.inspect.claims import (
-    FAILS,
-    HOLDS,
-    MISSING,
-    NOTE,
-    Finding,
     check_certificate,
     check_energy,
     check_linear,
@@ -26,6 +21,7 @@ from sim.inspect.claims import (
 from sim.inspect.commanded import Held, check_command
 from sim.inspect.contents import check_contents, check_whole_result
 from sim.inspect.driven_again import balanced_again, written_again
+from sim.inspect.findings import FAILS, HOLDS, MISSING, NOTE, Finding
 from sim.inspect.log import Recorded, RecordedRun, is_current, read_json, timestep
 from sim.inspect.mcap_contents import McapFile
 from sim.inspect.reproduction import (

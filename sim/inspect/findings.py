@@ -1,0 +1,107 @@
+"""What is found of a log: claims that hold and those that do not, and how far numbers are from those computed anew."""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from models.common.arrays import Array
+from sim.response.response import Response
+from sim.runs.agreement import ROUNDING
+
+HOLDS, FAILS, MISSING, NOTE = "holds", "FAILS", "missing", "note"
+SAME = 1e-6  # relative: how far other versions of numpy, on another machine, may move a number that was derived
+LATER = ("stability", "energy", "half_step")  # of a result: logs older than formats are numbered may not have them
+HUGE = 1e150  # a linear response beyond it is unstable, and its squares overflow
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One claim, checked.
+
+    Attributes:
+        part: of what.
+        verdict: one of `HOLDS`, `FAILS`, `MISSING` (what would prove it is not there), `NOTE` (nothing that was to be proved).
+        text: what was found.
+    """
+
+    part: str
+    verdict: str
+    text: str
+
+
+def apart(logged: Response, again: Response) -> tuple[float, str]:
+    """How far a logged response is from the one computed anew, over the peak of each signal, and the signal that is furthest."""
+    huge = ~np.all(np.abs(again.values) < HUGE, axis=1)
+    end = float(again.time[huge.argmax()]) if huge.any() else math.inf
+    logged, again = logged.until(end), again.until(end)
+    far = {name: off(logged[name], again[name], again.scale(name)) if len(again.time) else 0.0 for name in again.names}
+    worst = max(far, key=lambda name: far[name])
+    return far[worst], worst
+
+
+def off(logged: Array, again: Array, scale: float | None = None) -> float:
+    """Largest difference, over a scale, by default the peak; infinite where a number is none."""
+    if not np.all(np.isfinite(logged)):
+        return math.inf
+    size = scale if scale is not None else float(np.abs(again).max(initial=0.0))
+    return float(np.abs(logged - again).max(initial=0.0)) / (size or 1.0)
+
+
+def same(said: Any, now: Any, relative: float, absolute: float) -> bool:
+    """Whether JSON values are the same, numbers to a tolerance."""
+    if isinstance(now, list):
+        if not isinstance(said, list) or len(said) != len(now):
+            return False
+        return all(same(a, b, relative, absolute) for a, b in zip(said, now, strict=True))
+    if isinstance(now, (int, float)) and not isinstance(now, bool):
+        number = isinstance(said, (int, float)) and not isinstance(said, bool)
+        return number and abs(said - now) <= max(relative * abs(now), absolute)
+    return said == now
+
+
+def different(said: Any, now: Any, exact: bool, path: str = "", absolute: float = ROUNDING) -> Iterator[str]:
+    """Where a JSON value is not as computed anew.
+
+    Args:
+        said: what a log has.
+        now: computed anew.
+        exact: whether it has the same keys; else it may lack of `LATER`, and what is not computed now is not looked at.
+        path: where in the whole it stands.
+        absolute: how far numbers may differ, where that is more than `SAME` of them.
+    """
+    if not isinstance(now, Mapping):
+        if not same(said, now, SAME, absolute):
+            yield path
+        return
+    if not isinstance(said, Mapping):
+        yield path
+        return
+    for key, value in now.items():
+        here = f"{path}.{key}" if path else key
+        # Of two runs that may each be `SAME` of a peak off, the difference may be, too.
+        near = SAME if key == "half_step" else absolute
+        if key in said:
+            yield from different(said[key], value, exact, here, near)
+        elif exact or key not in LATER:
+            yield f"{here} is missing"
+    for key in said:
+        if exact and key not in now:
+            yield f"{path + '.' if path else ''}{str(key)[:40]} is none of it"
+
+
+def folded(names: Sequence[str], what: str) -> str:
+    """The first of many that are wrong for one cause, and how many more there are, of what kind."""
+    more = f" (and {len(names) - 1} more {what}, the first of them {names[1]})" if len(names) > 1 else ""
+    return names[0] + more
+
+
+def count(value: Any) -> int:
+    """How many numbers there are in a JSON value."""
+    if isinstance(value, Mapping):
+        return sum(count(item) for item in value.values())
+    if isinstance(value, list):
+        return sum(count(item) for item in value)
+    return int(isinstance(value, (int, float)) and not isinstance(value, bool))
