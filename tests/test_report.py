@@ -222,6 +222,16 @@ def test_every_kind_of_ground_is_drawn(tmp_path):
     assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()
 
 
+def test_names_in_any_script_are_drawn_without_a_word(tmp_path, recwarn):
+    """A name that the font of pictures has no letters for is no reason to say anything on the terminal."""
+    from sim.figures.picture import write_picture
+
+    names = ("中文控制器", "n" * 60)
+    bars = Panel("bars", "norm", "", (), Bars(names, np.ones(2), ("1", "1"), ("#000000", "#d62728")))
+    write_picture(Figure("names", "", (bars,)), tmp_path / "a.png")
+    assert not [str(one.message) for one in recwarn]
+
+
 def test_styles_tell_controllers_apart():
     """The paper's controllers have the paper's styles, others other ones, each its own."""
     found = styles(("passive", "I", "mine", "yours"))

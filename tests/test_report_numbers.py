@@ -85,6 +85,36 @@ def test_norms(plain, capsys):
 
 
 @pytest.mark.parametrize("which", ["plain", "real"])
+def test_summary(which, request):
+    """What the page shows first is what it says below: norms, what the body feels over the bump, the end of the linear regime."""
+    read = request.getfixturevalue(which)
+    for name in NAMES:
+        row, norm = read.row("summary", controller=name), float(read.row("designs", controller=name)["norm"])
+        assert row["H-infinity norm"] == f"{norm:.4g}"
+        over = read.row("bump", controller=name, signal="sprung acceleration")
+        assert float(row["sprung acceleration, rms [m/s²], predicted"]) == pytest.approx(float(over["rms, sampled"]), rel=5e-3)
+        assert float(row["in MuJoCo"]) == pytest.approx(float(over["rms, MuJoCo"]), rel=5e-3)  # 3 digits
+        ends = read.row("regime", controller=name)
+        stays, leaves = float(ends["MuJoCo stays linear at [m]"]), float(ends["and not at [m]"])
+        assert row["analysis true up to"] == f"{(stays + leaves) / 2:.3g} m"
+        until = float(over["linear until [s]"])
+        assert row["over the paper's bump"] == ("agrees throughout" if until == 3 else f"agrees until {until:.3g} s")
+        against = 100 * (norm / float(read.row("designs", controller="passive")["norm"]) - 1)
+        assert f"{name}: {norm:.4g}{f' (−{-against:.0f} %)' if name != 'passive' else ''}." in read.text
+
+
+def test_one_unit_of_frequency(plain, real):
+    """Frequencies are in Hz; only what stands in the vehicle file in rad/s is quoted so, beside its Hz."""
+    said = "a bandwidth in rad/s. All other frequencies on this page are in Hz."
+    for read in (plain, real):
+        assert said in read.text
+    assert plain.text.replace(said, "").count("rad/s") == 0
+    rest = real.text.replace(said, "").replace("lag from 9.549 Hz on (60 rad/s)", "")
+    assert rest.count("rad/s") == 0
+    assert rest != real.text
+
+
+@pytest.mark.parametrize("which", ["plain", "real"])
 def test_bump_table(which, request, real_file, capsys):
     """Peaks, rms and differences over the paper's bump are what `sim.bump` says."""
     read = request.getfixturevalue(which)
@@ -267,6 +297,11 @@ def test_whole_report_of_the_readme_example(tmp_path, real_file, capsys):
     assert report(["--vehicle", real_file, "--controller", "II", "--out", str(path), "--timestep", "0.001"]) == 0
     read = PageRead(path)
     assert read.state == "ends", read.answer
+    assert len(path.read_bytes()) < 500_000
+    ride = read.row("ride", controller="II", metric="sprung acceleration weighted", **{"class": "C"})
+    summary = read.row("summary", controller="II")
+    assert float(summary["in MuJoCo"]) == pytest.approx(float(ride["MuJoCo"]), rel=5e-3)  # 3 digits
+    assert "Ride over roads of the classes A, very good, to D, poor" in " ".join(read.captions)
     found = printed(capsys, margins, "--controller", "II", "--vehicle", real_file)
     for name, key, factor in (
         ("delay [ms]", "delay", 1e3),

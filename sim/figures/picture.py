@@ -1,5 +1,6 @@
 """Figures as picture files, by matplotlib: asked for before the work, drawn without a screen, never half-written."""
 
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ from models.common.whole_file import check_file, whole_file
 from sim.figures.figure import Bars, Classes, Figure, Panel, Shades
 
 SUFFIXES = (".png", ".svg")
+LONGEST = 24  # letters of a name beside a bar
 DASHES: dict[str, Any] = {
     "solid": "-",
     "dash": "--",
@@ -73,12 +75,14 @@ def write_picture(figure: Figure, *paths: Path) -> None:
     # Laid out once, not for every file: that takes longer than drawing.
     layout = canvas.get_layout_engine()
     assert layout is not None
-    layout.execute(canvas)
-    canvas.set_layout_engine("none")
-    for path in paths:
-        dateless = {"Date": None} if path.suffix.lower() == ".svg" else {}
-        with whole_file(path, "picture") as beside, matplotlib.rc_context({"svg.hashsalt": "roadproof"}):
-            canvas.savefig(beside, metadata=dateless)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", r"Glyph \d+ ")  # letters that the font has not are boxes
+        layout.execute(canvas)
+        canvas.set_layout_engine("none")
+        for path in paths:
+            dateless = {"Date": None} if path.suffix.lower() == ".svg" else {}
+            with whole_file(path, "picture") as beside, matplotlib.rc_context({"svg.hashsalt": "roadproof"}):
+                canvas.savefig(beside, metadata=dateless)
 
 
 def _draw_panel(axis: Any, panel: Panel) -> None:
@@ -96,8 +100,8 @@ def _draw_panel(axis: Any, panel: Panel) -> None:
     elif isinstance(ground, Bars):
         rows = np.arange(len(ground.names))
         drawn = axis.barh(rows, np.nan_to_num(ground.values), 0.6, color=ground.colors)
-        axis.bar_label(drawn, ground.words, padding=4, fontsize=9)
-        axis.set_yticks(rows, ground.names)
+        axis.bar_label(drawn, ground.words, padding=7, fontsize=9)
+        axis.set_yticks(rows, [name if len(name) <= LONGEST else f"{name[: LONGEST - 1]}…" for name in ground.names], fontsize=9)
         axis.invert_yaxis()
         axis.margins(x=0.25)  # for the words
     for curve in panel.curves:

@@ -9,8 +9,7 @@ from sim.figures.figure import Bars, Curve, Figure, Panel, styles
 from sim.figures.page import Section, Table
 from sim.report.regime_end import RegimeEnd
 from sim.report.ride import SPEED, Ride
-from sim.report.scope import BUMP_DURATION, Scope, number
-from sim.roads.road import Bump
+from sim.report.scope import Scope, number
 from sim.runs.run import Run
 from synth.controller import Controller
 
@@ -90,7 +89,7 @@ def _roughness(scope: Scope, runs: Sequence[Run], rides: Sequence[Ride]) -> tupl
     some = [run for run in runs if run.controller in scope.stable]
     found = {run.controller.name: (float(run.sampled.rms(name)), float(run.physics.rms(name))) for run in some}
     unit = vehicle.kind.signal(name).unit.replace("s2", "s²")
-    return found, f"{name.replace('_', ' ')}, rms", unit, f"{BUMP_DURATION:g} s from the paper's bump of {Bump().height:g} m"
+    return found, f"{name.replace('_', ' ')}, rms", unit, "over the paper's bump"
 
 
 def _metres(height: tuple[float, float]) -> str:
@@ -133,9 +132,7 @@ def _bars(
 
 def _verdict(scope: Scope, run: Run) -> str:
     """What physics says of the analysis, in a few words."""
-    one = run.agreement
-    if not run.holds:
-        return "DOES NOT AGREE"
-    if one.until < math.inf:
-        return f"agrees until {one.until:.3g} s"
-    return "agrees throughout" if run.controller in scope.stable else "agrees; UNSTABLE"
+    until = run.agreement.until
+    agrees = "agrees throughout" if until == math.inf else f"agrees until {until:.3g} s"
+    unstable = "" if run.controller in scope.stable else "; the loop is UNSTABLE"
+    return f"{agrees if run.holds else 'DOES NOT AGREE'}{unstable}"
