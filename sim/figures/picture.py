@@ -93,7 +93,7 @@ def _draw_panel(axis: Any, panel: Panel) -> None:
         count = len(ground.colors)
         axis.pcolormesh(ground.x, ground.y, ground.kind, cmap=ListedColormap(ground.colors), vmin=-0.5, vmax=count - 0.5)
         for name, color in ground.legend:
-            axis.bar(np.nan, np.nan, color=color, edgecolor="0.5", linewidth=0.5, label=name)
+            axis.plot([], [], color=color, linestyle="", marker="s", markersize=9, label=name)
     elif isinstance(ground, Shades):
         image = axis.contourf(ground.x, ground.y, np.ma.masked_invalid(ground.z), levels=14, cmap="YlOrBr")
         axis.figure.colorbar(image, ax=axis, label=ground.label)
