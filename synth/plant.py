@@ -43,8 +43,7 @@ class GeneralizedPlant:
 
     def __post_init__(self) -> None:
         for name in SHAPES:
-            matrix = real_matrix(getattr(self, name), name, str(SHAPES[name]))
-            size = float(np.abs(matrix).max(initial=0.0))
+            matrix, size = _real_matrix(getattr(self, name), name, str(SHAPES[name]))
             if 0 < size < SMALLEST:
                 raise InputError(
                     f"{name} has no entry above {SMALLEST:g} (the largest is {size:g}); give it in other units, or 0"
@@ -132,6 +131,11 @@ def real_matrix(value: object, name: str, expected: str) -> Array:
     Raises:
         InputError: it is none; the message names it.
     """
+    return _real_matrix(value, name, expected)[0]
+
+
+def _real_matrix(value: object, name: str, expected: str) -> tuple[Array, float]:
+    """The same, with the size of its largest entry: a design makes scores of plants, and a call of numpy is what they cost."""
     try:
         given = np.asarray(value)
     except (TypeError, ValueError) as error:
@@ -146,11 +150,12 @@ def real_matrix(value: object, name: str, expected: str) -> Array:
         matrix = np.array(given, dtype=float)
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{name} is not a matrix of numbers ({error}); give an array of floats") from None
-    if not np.isfinite(matrix).all():
+    size = float(np.abs(matrix).max(initial=0.0))
+    if not size < np.inf:
         raise InputError(f"{name} has an entry that is not finite; give numbers")
-    if np.abs(matrix).max(initial=0.0) > LARGEST:
+    if size > LARGEST:
         raise InputError(f"{name} has an entry beyond {LARGEST:g}, in size; give it in other units")
-    return matrix
+    return matrix, size
 
 
 def measurement_matrix(Cy: object, n: int) -> Array:

@@ -7,6 +7,7 @@
 The gain is certified for the plant as it is: an X that proves a bound with more disturbances and outputs proves it with fewer.
 """
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -38,7 +39,12 @@ class Posed:
     best: Array | None = None
     best_case: str = ""
 
+    def __post_init__(self) -> None:
+        if self.best is not None:
+            self.best.flags.writeable = False
 
+
+@functools.lru_cache(maxsize=2)  # both steps of a design ask for it, and plants do not change
 def posed(plant: GeneralizedPlant) -> Posed:
     """The problem (22) of a plant, or one beside it; what is the case, and what is beside it, does not depend on units."""
     if not (np.any(plant.Bw) or np.any(plant.Dw)) or not (np.any(plant.C) or np.any(plant.D)):

@@ -1,5 +1,6 @@
 """Coordinates and units in which the numbers of a plant have size one."""
 
+import functools
 from dataclasses import dataclass
 from typing import Any
 
@@ -92,7 +93,16 @@ def own_units(plant: GeneralizedPlant, Cy: Array | None = None) -> OwnUnits:
         plant: n states.
         Cy: shape (q, n); of no rows where it is not given.
     """
-    Cy = np.zeros((0, len(plant.A))) if Cy is None else Cy
+    return _alone(plant) if Cy is None else _measured(plant, Cy)
+
+
+@functools.lru_cache(maxsize=2)
+def _alone(plant: GeneralizedPlant) -> OwnUnits:
+    """Of a plant without measurements: a design asks for them at every door, and plants do not change."""
+    return _measured(plant, np.zeros((0, len(plant.A))))
+
+
+def _measured(plant: GeneralizedPlant, Cy: Array) -> OwnUnits:
     n, (m, r, d, q) = len(plant.A), (plant.B.shape[1], plant.Bw.shape[1], len(plant.C), len(Cy))
     # From x, u, w to the change of x, z, y.
     whole = np.block([[plant.A, plant.B, plant.Bw], [plant.C, plant.D, plant.Dw], [Cy, np.zeros((q, m + r))]])

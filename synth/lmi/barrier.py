@@ -127,7 +127,12 @@ def _eigenvalues(flat: Array) -> Array:
 
 
 def newton(
-    barrier: Derivatives, p: Array, c: Array, tolerance: float, leave: Callable[[Array], bool] = lambda p: False
+    barrier: Derivatives,
+    p: Array,
+    c: Array,
+    tolerance: float,
+    leave: Callable[[Array], bool] = lambda p: False,
+    here: Factored | None = None,
 ) -> tuple[Array, float, Factored]:
     """Minimises from a feasible p until the Newton decrement is below the tolerance, or rounding stops it.
 
@@ -137,11 +142,12 @@ def newton(
         c: the slope of what is minimised beside the barrier.
         tolerance: of the Newton decrement.
         leave: whether a point that short steps led to is too far away for these coordinates.
+        here: the barrier's derivatives at the start, where they are known.
 
     Returns:
         The minimiser, its Newton decrement, and the derivatives there. The caller looks at the decrement.
     """
-    here = barrier.at(p)
+    here = here or barrier.at(p)
     assert here is not None, "the starting point is feasible"
     previous = decrement = np.inf
     for _ in range(STEPS):

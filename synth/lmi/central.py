@@ -197,9 +197,9 @@ class _Path:
         s = np.linalg.eigvalsh((self.plant.A + self.plant.A.T) / 2)[-1]
         mu = max(abs(s), 1e-3)
         p[-1] = s + mu
-        barrier = self._start_barrier()
+        barrier, here = self._start_barrier(), None
         while True:
-            p, _, _ = newton(barrier, p, direction(basis.size, 1 / mu), tolerance=0.3)
+            p, _, here = newton(barrier, p, direction(basis.size, 1 / mu), tolerance=0.3, here=here)
             if p[-1] < 0:
                 break
             mu /= 10
@@ -239,9 +239,9 @@ class _Path:
         n, m = len(self.plant.A), self.plant.B.shape[1]
         moves, rest = 0, np.inf
         while True:
-            basis = self.basis
+            basis, barrier = self.basis, self._barrier()
             start = basis.pack(np.eye(n), np.zeros((m, n)), self.eta)
-            p, decrement, here = newton(self._barrier(), start, direction(basis.size, -1 / self.mu), CENTRED, self._far)
+            p, decrement, here = newton(barrier, start, direction(basis.size, -1 / self.mu), CENTRED, self._far)
             if decrement > 0.5 and moves < MOST_MOVES and self._far(p) and self._feasible_at(p):
                 moves += 1
                 continue  # from there, in its own coordinates
@@ -252,7 +252,7 @@ class _Path:
                 )
             if p[-1] > 0 and not np.isfinite(rest):
                 rest = max(FIRST, mu_end, nearest_rest(self.mu / p[-1], mu_end))
-            p, here, step = self._at_rest(p, here, rest)
+            p, here, step = self._at_rest(barrier, p, here, rest)
             X, Y, self.eta = basis.unpack(p)
             if self.eta > 0:
                 yield self.point(X, Y)
@@ -269,7 +269,7 @@ class _Path:
                 )
             self.mu *= ratio
 
-    def _at_rest(self, p: Array, here: Factored, rest: float) -> tuple[Array, Factored, Array]:
+    def _at_rest(self, barrier: Derivatives, p: Array, here: Factored, rest: float) -> tuple[Array, Factored, Array]:
         """The point where mu over eta is what it is to be, the derivatives there, and the tangent over -log mu.
 
         eta grows as mu falls, so that it is met by Newton's method over log mu. Only so the points of a path are the same in
@@ -282,7 +282,7 @@ class _Path:
             if not (p[-1] > 0 and _moving(rest)) or abs(off - 1) * step[-1] <= AT_REST * p[-1]:
                 return p, here, step
             mu = self.mu * min(_shift(off, step[-1] / p[-1]), back)
-            moved, decrement, there = newton(self._barrier(), p, direction(self.basis.size, -1 / mu), CENTRED, self._far)
+            moved, decrement, there = newton(barrier, p, direction(self.basis.size, -1 / mu), CENTRED, self._far, here)
             if decrement > 0.5 or moved[-1] <= 0:
                 back = back**0.5
                 continue
