@@ -123,3 +123,22 @@ def test_speed_is_printed(paper):
     assert f"  {remark}" in detail_lines(Row("stiff", controller, (), ()))
     assert f"  {remark}" in controller_lines(paper, controller)
     assert row_object(Row("stiff", controller, ("a note",), ()))["notes"] == ["a note", remark]
+
+
+@pytest.mark.parametrize(("slow", "fast"), [(5e-5, 1e3), (1e-6, 1e4)])
+def test_a_norm_of_what_nearly_cancels_has_a_bound(slow, fast):
+    """Of what follows a slow reference z sees the small difference of two large states: a bound within a factor is proved."""
+    loop = GeneralizedPlant(
+        np.array([[-fast, fast, 0, 0], [0, -slow, 0, 0], [0, 0, -slow, 0], [0, 0, fast, -fast]]),
+        np.zeros((4, 1)),
+        np.array([[0.0], [0.011], [0.0011], [0.0]]),
+        np.array([[1.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 1.0]]),
+        np.zeros((2, 1)),
+        np.zeros((2, 1)),
+    )
+    certificate = certify_tightly(loop, np.zeros((1, 4)))
+    assert certificate.failures == ()
+    # s / ((s + slow) (s + fast)) fast^-1 of the reference's rate: 0.011 / fast, at high frequencies of both.
+    assert certificate.norm.value == pytest.approx(0.011 / fast * 1.01**0.5, rel=1e-3)
+    assert certificate.bound is not None
+    assert certificate.bound <= 2 * certificate.norm.value * (1 + 1e-9)  # the first of LOOSE

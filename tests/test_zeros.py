@@ -84,6 +84,24 @@ def test_zeros_of_both_kinds_are_all_there_is_to_output_feedback():
     assert gamma < min(reached) < 1.1 * gamma  # the price of the weight and the noise; with less rounding leaves no controller
 
 
+def test_what_every_zero_says_alike_is_the_norm():
+    """z = 0.7 w + (1 - s) / (s + 1) u, y = (2 - s) / ((s + 3) (s + 4)) w: u = 0 gives 0.7, and zeros of both kinds prove it."""
+    plant = GeneralizedPlant(
+        np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -12.0, -7.0]]),
+        np.array([[1.0], [0.0], [0.0]]),
+        np.array([[0.0], [0.0], [1.0]]),
+        np.array([[2.0, 0.0, 0.0]]),
+        -np.eye(1),
+        np.array([[0.7]]),
+    )
+    Cy = np.array([[0.0, 2.0, -1.0]])
+    left, right = (1 + 0j,), (2 + 0j,)
+    for which in ((left, right), (left, ()), ((), right)):
+        gamma = limit_at_zeros(plant, Cy, which)
+        assert gamma < 0.7
+        assert gamma == pytest.approx(0.7, rel=2e-6)  # the second of SHORT
+
+
 @pytest.mark.parametrize("seed", range(12))
 def test_what_points_prove_is_no_more(seed):
     """Whatever points are named as zeros, none proves more than the zeros do where all are there, in any units."""

@@ -18,6 +18,14 @@ MARGINS = (1e-6, 1e-4, 1e-2, 0.1)  # how far above the norm the bound lies, the 
 SMALL = (1e-9, 1e-6, 1e-3)  # of the size of the plant's matrices: bounds for norms that are zero, or nearly
 TO_SPARE = (1e-1, 1e-3, 1e-6)  # of the margin: how much more disturbance the proof allows for, which rounding must not use up
 EVERYWHERE = (1e-9, 1e-12, 1e-6, 1e-4, 1e-3)  # what is taken to disturb states that w does not reach; rounding decides
+LOOSE = (1.0, 10.0, 100.0)  # margins where rounding leaves no closer proof: of a z in which states many times as large cancel
+LEAST_SEEN = (
+    1e-2,
+    1e-3,
+    1e-4,
+    1e-5,
+)  # what then disturbs all states, the less z sees of them the more, of all that z is disturbed by
+BLIND = 1e-14  # of the most that z sees of a state; what it sees less of counts as seen as much
 
 
 @one_thread()
@@ -33,14 +41,15 @@ def certify_tightly(plant: GeneralizedPlant, G: Array, lower_bound: LowerBound |
     if not plain.stable or not np.isfinite(plain.norm.value):
         return plain
     loop = plant.closed_loop(G)
-    # Of a norm that is zero to rounding an absolute bound can be proved.
-    levels = [(plain.norm.value * (1 + margin), margin) for margin in MARGINS if plain.norm.value > 0]
+    above = [(plain.norm.value * (1 + margin), margin) for margin in (*MARGINS, *LOOSE) if plain.norm.value > 0]
     unit = float(np.linalg.norm(plant.Dw, 2)) + size(plant.C) * size(plant.Bw) / size(plant.A)
-    levels += [(small * unit, 1.0) for small in SMALL if small * unit > 2 * plain.norm.value]
-    for gamma, margin in levels:
-        for share, everywhere in product(TO_SPARE, EVERYWHERE):
+    # Of a norm that is zero to rounding an absolute bound can be proved.
+    small = [(least * unit, 1.0) for least in SMALL if least * unit > 2 * plain.norm.value]
+    close = above[: len(MARGINS)]
+    for levels, everywhere, least_seen in ((close, EVERYWHERE, False), (above, LEAST_SEEN, True), (small, EVERYWHERE, False)):
+        for (gamma, margin), share, strength in product(levels, TO_SPARE, everywhere):
             try:
-                X = bounding_x(loop, gamma, share * margin, everywhere)
+                X = bounding_x(loop, gamma, share * margin, strength, least_seen)
             except (np.linalg.LinAlgError, ValueError):  # too close to the norm for the Riccati solver
                 continue
             certificate = replace(plain, proof=prove_bound(plant, G, X, eta_of(gamma)))  # the rest is as it was
@@ -49,7 +58,7 @@ def certify_tightly(plant: GeneralizedPlant, G: Array, lower_bound: LowerBound |
     return plain
 
 
-def bounding_x(loop: GeneralizedPlant, gamma: float, more: float, everywhere: float) -> Array:
+def bounding_x(loop: GeneralizedPlant, gamma: float, more: float, everywhere: float, least_seen: bool = False) -> Array:
     """X > 0 that satisfies (20) for a stable loop whose norm is below gamma, shape (n, n).
 
     It solves A X + X A' + eta Bw~ Bw~' + (X C' + eta Bw Dw') (I - eta Dw Dw')^-1 (..)' = 0, the Schur complement of (20) with a
@@ -61,6 +70,7 @@ def bounding_x(loop: GeneralizedPlant, gamma: float, more: float, everywhere: fl
         gamma: above its norm.
         more: relative; small against how far gamma lies above the norm.
         everywhere: of the disturbance's power, what disturbs states that w does not reach.
+        least_seen: whether that, of the power that z has of w, comes in at every state as z sees less of it, and not alike.
 
     Raises:
         LinAlgError: rounding leaves no solution.
@@ -69,7 +79,13 @@ def bounding_x(loop: GeneralizedPlant, gamma: float, more: float, everywhere: fl
     loop = loop.in_coordinates(np.diag(scale))
     eta, d, n = gamma**-2, len(loop.C), len(loop.A)
     noise = loop.Bw @ loop.Bw.T
-    noise += everywhere * (float(np.trace(noise)) or 1.0) * np.eye(n)
+    if least_seen:
+        seen = linalg.solve_continuous_lyapunov(loop.A.T, -loop.C.T @ loop.C)
+        sizes, directions = np.linalg.eigh((seen + seen.T) / 2)
+        power = float(np.trace(seen @ noise))
+        noise += everywhere * power / n * (directions / np.maximum(sizes, BLIND * sizes[-1])) @ directions.T
+    else:
+        noise += everywhere * (float(np.trace(noise)) or 1.0) * np.eye(n)
     covariance = linalg.solve_continuous_lyapunov(loop.A, -noise)
     T = np.linalg.cholesky((covariance + covariance.T) / 2)
     loop = loop.in_coordinates(T)

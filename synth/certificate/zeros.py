@@ -124,7 +124,7 @@ def _enclosed(plant: GeneralizedPlant, near: complex) -> Node | None:
     # In units in which all numbers have size one, each a power of two: nothing is rounded on the way there and back.
     units = own_units(plant)
     own, time = units.into(plant), _power(units.rate)
-    z, w = _power(np.linalg.norm(np.hstack([own.C, own.D]))), time / _power(np.linalg.norm(own.Bw))
+    z, w = _power(float(np.linalg.norm(np.hstack([own.C, own.D])))), time / _power(float(np.linalg.norm(own.Bw)))
     own = GeneralizedPlant(own.A / time, own.B / time, own.Bw * (w / time), own.C / z, own.D / z, own.Dw * (w / z))
     found = _enclosed_in_own(own, near / time)
     if found is None:
