@@ -4,6 +4,7 @@ import json
 from collections.abc import Sequence
 
 from models.common.command import chosen, run_command
+from models.common.printed import say, titled
 from models.vehicle import Vehicle, read_vehicle
 from sim.asked.bump import asked_road, parser
 from sim.command.claims import say_false_claims
@@ -12,7 +13,7 @@ from sim.command.logs import log_lines, recorded
 from sim.command.outputs import check_outputs
 from sim.roads.road import Bump
 from sim.runs.run import Run, run_all, sample_times
-from sim.runs.words import half_step_object, run_object
+from sim.runs.words import half_step_object, run_object, summary_lines
 from synth.designer import Designer
 
 
@@ -44,20 +45,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.json:
         print(json.dumps({**result, "logs": logs}, allow_nan=False))
     else:
-        print("\n".join(_text(vehicle, road, runs, passive, options, logs)))
+        say(_text(vehicle, road, runs, passive, options, logs))
     view(options, logs)
     return 0 if all(run.holds for run in runs) else 1
 
 
 def _text(vehicle: Vehicle, road: Bump, runs: Sequence[Run], passive: Run, options, logs: dict) -> list[str]:
-    lines = [
-        f"{vehicle.kind.name} ({vehicle.source}) over a bump of {road.height:g} m height and {road.length:g} m length at "
-        f"{road.speed:g} m/s{'' if road.track == 'both' else f', {road.track} wheels only'}; "
-        f"{options.duration:g} s at {options.timestep:g} s"
-    ]
+    lines = titled(
+        f"{vehicle.kind.name} over a bump of {road.height:g} m height and {road.length:g} m length at {road.speed:g} m/s"
+        f"{'' if road.track == 'both' else f', {road.track} wheels only'}; {options.duration:g} s at {options.timestep:g} s",
+        vehicle.source,
+    )
     for run in runs:
         lines += ["", *compared_lines(run, passive)]
-    return [*lines, *log_lines(logs)]
+    return [*lines, *log_lines(logs), "", *summary_lines(runs)]
 
 
 if __name__ == "__main__":

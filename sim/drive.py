@@ -4,6 +4,7 @@ import json
 from collections.abc import Sequence
 
 from models.common.command import chosen, run_command
+from models.common.printed import say, titled
 from models.vehicle import read_vehicle
 from sim.asked.drive import asked_road, parser
 from sim.command.claims import say_false_claims
@@ -13,7 +14,7 @@ from sim.command.outputs import check_outputs
 from sim.ride.measured import first_sample, measure_run, metric_lines, metrics_object
 from sim.ride.metrics import DEFINITIONS
 from sim.runs.run import run_all, sample_times
-from sim.runs.words import half_step_object, run_object
+from sim.runs.words import half_step_object, run_object, summary_lines
 from synth.designer import Designer
 
 
@@ -55,11 +56,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         about = ", ".join(
             f"{key} {value:g}" if isinstance(value, float) else f"{key} {value}" for key, value in road.describe().items()
         )
-        lines = [f"{vehicle.kind.name} ({vehicle.source}) over a road: {about}; {options.duration:g} s at {options.timestep:g} s"]
+        lines = titled(
+            f"{vehicle.kind.name} over a road: {about}; {options.duration:g} s at {options.timestep:g} s", vehicle.source
+        )
         for run, one in zip(runs, measured, strict=True):
             lines += ["", *compared_lines(run, passive), ""]
             lines += metric_lines(run, one, float(time[first]), options.duration)
-        print("\n".join([*lines, *log_lines(logs)]))
+        say([*lines, *log_lines(logs), "", *summary_lines(runs)])
     view(options, logs)
     return 0 if all(run.holds for run in runs) else 1
 

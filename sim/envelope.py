@@ -10,6 +10,7 @@ from models.common import interrupt
 from models.common.arrays import Array
 from models.common.command import complain, one_chosen, run_command
 from models.common.errors import InputError
+from models.common.printed import say, titled
 from models.vehicle import Vehicle, read_vehicle
 from sim.asked.envelope import nearest_run, parser
 from sim.command.claims import say_false_claims
@@ -67,11 +68,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.json:
         print(json.dumps({**result, "logs": logs}, allow_nan=False))
     else:
-        lines = [
-            f"{vehicle.kind.name} ({vehicle.source}), controller {controller.name}",
-            *envelope_lines(cells, options.threshold),
-        ]
-        print("\n".join([*lines, *written_lines(outputs), *log_lines(logs)]))
+        lines = titled(
+            f"{vehicle.kind.name} with controller {controller.name}, over {int(cells.done.sum())} bumps", vehicle.source
+        )
+        say([*lines, *written_lines(outputs), *log_lines(logs), "", *envelope_lines(cells, options.threshold)])
     if not cells.done.all():
         complain(f"{interrupt.word()} after {int(cells.done.sum())} of {len(bumps)} cells; they are kept")
         return interrupt.code()

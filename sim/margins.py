@@ -10,6 +10,7 @@ import numpy as np
 
 from models.common.command import one_chosen, run_command
 from models.common.errors import InputError
+from models.common.printed import say, titled
 from models.reality import Implementation
 from models.vehicle import Vehicle, read_vehicle
 from sim.asked.margins import late_run, parser
@@ -23,7 +24,7 @@ from sim.runs.run import Run, run_all, sample_times
 from sim.stability.growth import BUMP, LONGEST, SHORTEST
 from sim.stability.margins import LoopMargins, find_margins
 from sim.stability.robustness import robustness
-from sim.stability.words import margins_lines, margins_object
+from sim.stability.words import margins_lines, margins_object, verdict
 from synth.controller import Controller
 from synth.designer import design
 
@@ -56,10 +57,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.json:
         print(json.dumps({**result, **written(outputs), "logs": logs}, allow_nan=False))
     else:
-        lines = margins_lines(vehicle, controller, found, box, options.timestep)
+        lines = titled(f"{vehicle.kind.name} with controller {controller.name}; MuJoCo at {options.timestep:g} s", vehicle.source)
         if not as_built.ideal:
-            lines.insert(1, _which_loop(as_built))
-        print("\n".join([*lines, *written_lines(outputs), *log_lines(logs)]))
+            lines.append(_which_loop(as_built))
+        lines += margins_lines(vehicle, found, box)
+        say([*lines, *written_lines(outputs), *log_lines(logs), "", verdict(found, box)])
     return 0 if (box is None or box.holds) and all(one.agrees for one in found.values()) else 1
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from models.common.command import run_command
 from models.common.errors import InputError
+from models.common.printed import say, titled
 from models.vehicle import Vehicle, read_vehicle
 from sim.asked.sweep import asked_names, parser, worst_road, worst_times
 from sim.command.claims import say_false_claims
@@ -15,7 +16,7 @@ from sim.command.logs import log_lines, recorded
 from sim.command.outputs import check_outputs, written, written_lines
 from sim.figures.picture import write_picture
 from sim.frequency.identification import ideal_measurements
-from sim.frequency.sweep import Sweep, failures, sweep, sweep_lines, sweep_object
+from sim.frequency.sweep import Sweep, failures, summary_lines, sweep, sweep_lines, sweep_object
 from sim.runs.run import Run, run_all
 from synth.designer import Designer
 
@@ -56,14 +57,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(json.dumps({**result, **written(outputs), "logs": logs}, allow_nan=False))
     else:
         hertz = sweeps[0].lines.omega / (2 * np.pi)
-        count = len(hertz)
-        print(
-            f"{vehicle.kind.name} ({vehicle.source}), {count} lines from {hertz[0]:.4g} to {hertz[-1]:.4g} Hz on roads of "
-            f"{options.amplitude:g} m, at {options.timestep:g} s"
+        lines = titled(
+            f"{vehicle.kind.name} at {len(hertz)} frequencies from {hertz[0]:.4g} to {hertz[-1]:.4g} Hz, "
+            f"on roads of {options.amplitude:g} m, with steps of {options.timestep:g} s",
+            vehicle.source,
         )
         for one in sweeps:
-            print("\n".join(["", *sweep_lines(one)]))
-        print("".join(f"{line}\n" for line in [*written_lines(outputs), *log_lines(logs)]), end="")
+            lines += ["", *sweep_lines(one)]
+        say([*lines, *written_lines(outputs), *log_lines(logs), "", *summary_lines(sweeps)])
     return 0 if all(one.ended or not failures(one) for one in sweeps) else 1
 
 

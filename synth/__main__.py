@@ -9,11 +9,12 @@ import numpy as np
 
 from models.common.command import ALL, Parser, chosen, run_command
 from models.common.errors import InputError, listing
+from models.common.printed import Whole, say, table, titled
 from models.vehicle import Vehicle, read_vehicle
 from synth.certificate.lower_bound import LowerBound
 from synth.command.check import check
 from synth.command.save import check_save, save
-from synth.command.table import Row, detail_lines, refine_lines, row_object, table_lines
+from synth.command.table import Row, detail_lines, refine_lines, row_object, table_lines, verdict_lines
 from synth.command.witness import cross_check
 from synth.designer import Designer
 from synth.errors import DesignError
@@ -69,17 +70,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         }
         print(json.dumps(result, allow_nan=False))
     else:
-        lines = [f"{vehicle.kind.name} ({vehicle.source})", *ideal_lines(vehicle), "", *table_lines(rows)]
+        lines = titled(vehicle.kind.name, vehicle.source)
         for row in rows:
             lines += ["", *detail_lines(row)]
         lines += ["", _limit(limit)]
         if moved:
-            lines.append(f"flat: for {FLAT:g} of gamma each state's largest gain may move by itself")
-            lines += [f"  {state:22s} {_range(*values)}" for state, values in moved.items()]
-        if options.save:
-            lines += ["", f"saved {options.save}"]
+            lines.append(f"flat: for {FLAT:g} more of gamma each state's largest gain, by itself, may be")
+            lines += table([(state, *_range(*values)) for state, values in moved.items()])
         lines += refine_lines(rows, options.vehicle)
-        print("\n".join(lines))
+        if options.save:
+            lines += ["", "saved", Whole(f"  {options.save}")]
+        say([*lines, "", *table_lines(rows), *ideal_lines(vehicle), "", *verdict_lines(rows)])
     return 1 if any(row.failures for row in rows) else 0
 
 
@@ -177,16 +178,18 @@ def _flatness(designer: Designer) -> dict[str, list[float | None]]:
 def _limit(limit: LowerBound) -> str:
     """What no control force changes, in words."""
     if not limit.gamma:
-        return "limit: none; at every frequency control forces can change all of z's answer to the road"
-    at = f"at {limit.limit_at:.5g} rad/s, {limit.gamma:.7g} (invariant point)"
-    return f"limit: no control force changes z's answer to the road {at}"
+        return "limit: none; at every frequency control forces can change all of z's response to the road"
+    return (
+        f"limit: at {limit.limit_at:.5g} rad/s no control force changes z's response to the road, {limit.gamma:.7g} "
+        "(invariant point)"
+    )
 
 
-def _range(gain: float | None, down: float | None, up: float | None) -> str:
-    """A gain and the interval that it may move in."""
+def _range(gain: float | None, down: float | None, up: float | None) -> tuple[str, str, str]:
+    """A gain and the ends of the interval that it may move in."""
     assert gain is not None
     low, high = (f"{gain - down:.4g}" if down is not None else "any"), (f"{gain + up:.4g}" if up is not None else "any")
-    return f"{gain:.5g} from {low} to {high}"
+    return f"{gain:.5g}", f"from {low}", f"to {high}"
 
 
 if __name__ == "__main__":

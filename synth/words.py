@@ -1,6 +1,7 @@
 """A controller, and what there is to say of its design, in words."""
 
 from models.common.arrays import Array
+from models.common.printed import matrix
 from models.vehicle import Vehicle
 from synth.controller import Controller
 
@@ -11,10 +12,15 @@ SHORT = 1e-6  # relative in gamma; less is the path's own end
 
 def heading_lines(controller: Controller) -> list[str]:
     """What a controller measures, and its gain."""
-    return [
-        f"controller {controller.name}: measures {', '.join(controller.measured) or 'nothing'}",
-        f"  gain {gain_text(controller.gain)}" if controller.measured else "  no control force",
-    ]
+    measures = f"controller {controller.name}: measures {', '.join(controller.measured) or 'nothing'}"
+    if not controller.measured:
+        return [measures, "  no control force"]
+    return [measures, *gain_lines(controller.gain, "  gain ")]
+
+
+def gain_lines(gain: Array, start: str) -> list[str]:
+    """A gain matrix after some text, a row to a line."""
+    return matrix(start, [[f"{entry:.6g}" for entry in row] for row in gain])
 
 
 def ideal_lines(vehicle: Vehicle) -> list[str]:

@@ -14,6 +14,11 @@ def main_of(command: str) -> Callable[[list[str]], int]:
     return (module if hasattr(module, "main") else importlib.import_module(f"{command}.__main__")).main
 
 
+def prose(printed: str) -> str:
+    """What was printed with its lines joined, as a sentence that goes over several reads."""
+    return " ".join(printed.split())
+
+
 def environment() -> dict[str, str]:
     """That of a process which runs this checkout's commands from any folder."""
     return os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}

@@ -238,7 +238,10 @@ def test_a_flat_tyre_is_a_row(tmp_path, capsys):
     assert (broken["broke_off"], whole["broke_off"]) == (1, 0)
     assert broken["ride"] == {"column": None, "rms": None, "p95": None, "predicted": None}
     assert main([str(tmp_path / "campaign.toml"), "--results", str(tmp_path / "results")]) == 0
-    assert "1, 1 broke off" in capsys.readouterr().out
+    printed = capsys.readouterr().out.splitlines()
+    assert sum(line.endswith("  broke off") for line in printed) == 2  # of the roads where a run did
+    heading = next(i for i, line in enumerate(printed) if line.endswith("  broke off"))
+    assert [line.split()[-1] for line in printed[heading + 2 : heading + 8 : 2]] == ["1"] * 3
 
 
 def test_a_diverging_run_is_a_row(tmp_path):

@@ -18,6 +18,7 @@ from sim.campaign import manifest as campaign_manifest
 from sim.campaign import store as campaign_store
 from sim.campaign.__main__ import main
 from sim.campaign.manifest import read_manifest
+from tests.commands import prose
 
 QUICK = """
 vehicles = ["quarter_car"]
@@ -183,7 +184,7 @@ def test_a_damaged_result_is_named(whole, tmp_path, capsys, at):
     with pytest.raises(InputError, match=said):
         main([str(tmp_path / "campaign.toml"), "--results", str(tmp_path / "results")])
     assert main(["--verify", str(tmp_path / "results")]) == 1
-    assert said in capsys.readouterr().out
+    assert said in prose(capsys.readouterr().out)
     assert (tmp_path / "results" / "results.parquet").read_bytes() == damaged
 
 
@@ -269,9 +270,10 @@ def test_parts_of_another_campaign(whole, begun, tmp_path):
 def test_verify(whole, capsys):
     """A finished folder holds: rows, inputs, and a sample of runs, driven again to the last bit; in words and in JSON."""
     assert main(["--verify", str(whole[0]), "--runs", "3", "--seed", "5"]) == 0
-    out = capsys.readouterr().out
-    assert out.startswith(f"{RUNS} rows are one for every run")
+    out = prose(capsys.readouterr().out)
+    assert f"each of {RUNS} runs has its row" in out
     assert "3 of them, drawn with seed 5" in out
+    assert out.endswith("the results hold what the campaign comes to")
     assert main(["--verify", str(whole[0]), "--runs", "3", "--seed", "5", "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     assert (result["holds"], len(result["again"]), result["rows"], result["faults"]) == (True, 3, RUNS, [])
@@ -301,7 +303,7 @@ def test_verify_reads_what_a_file_says_of_itself(whole, tmp_path, capsys, forger
     pq.write_table(table.replace_schema_metadata(said), file)
     dataclasses.replace(manifest, results=hashlib.sha256(file.read_bytes()).hexdigest()).write(tmp_path / "results")
     assert main(["--verify", str(tmp_path / "results"), "--runs", "1"]) == 1
-    assert "DOES NOT HOLD" in capsys.readouterr().out
+    assert capsys.readouterr().out.endswith("the results DO NOT HOLD what the campaign comes to\n")
 
 
 EDITS = {  # of a manifest that gets a new seal, and what is said
@@ -352,7 +354,7 @@ def test_verify_a_copied_folder(tmp_path, capsys):
         if "any more" in said:
             (tmp_path / "campaign.toml").unlink()
         assert main(arguments) == 0
-        assert said in capsys.readouterr().out.splitlines()[0]
+        assert said in prose(capsys.readouterr().out)
 
 
 @pytest.mark.parametrize("forgery", ["number", "inputs", "rows", "gain", "order"])
@@ -382,8 +384,8 @@ def test_verify_finds_what_checksums_cannot(whole, tmp_path, capsys, forgery):
     out = capsys.readouterr().out
     said = {"number": "when driven again", "inputs": "run 7: speed is 30.0", "rows": f"{RUNS - 1} rows for {RUNS} runs"}
     said |= {"gain": "is not the one that the vehicle file makes", "order": "not one a run"}
-    assert said[forgery] in out
-    assert "DOES NOT HOLD" in out
+    assert said[forgery] in prose(out)
+    assert out.endswith("the results DO NOT HOLD what the campaign comes to\n")
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from sim.ride.metrics import metrics_of
 from sim.roads.road import Bump
 from sim.runs.run import run_all
 from sim.runs.words import verdict_lines
+from tests.commands import prose
 
 
 def run_json(capsys, *arguments):
@@ -89,7 +90,8 @@ def test_full_car_in_words(capsys, tmp_path):
     assert {metric.name for metric in metrics_of(vehicle)} <= rows
     assert "agrees to first order" in out
     assert "track_width 1.51" in out
-    assert out.splitlines()[-2].split()[0] == "rerun"
+    assert f"  rerun {next(tmp_path.glob('*.rrd'))}" in out.splitlines()
+    assert out.splitlines()[-1].startswith("passive  agrees to first order")
 
 
 @pytest.mark.parametrize("seed", ["1", "2", "3"])
@@ -111,7 +113,7 @@ def test_verdict_before_a_wheel_lifts(capsys, seed):
     ]
     assert main([*arguments, "--no-logs"]) == 0
     out = capsys.readouterr().out
-    assert "lift-off: a tyre is off the road from 0." in out
+    assert "a tyre is off the road, first from 0." in out
     assert "  agrees" in out
 
 
@@ -166,14 +168,15 @@ def test_what_metrics_rest_on_is_said(capsys):
     assert 0.7 < run["settled"]["share"] < 0.9  # half of the run, 2 s, is a third of its settling time
     assert run["expected_error"] < 1e-4
     main(arguments)
-    out = capsys.readouterr().out
+    table = capsys.readouterr().out
+    out = prose(table)
     assert f"the variance of suspension_deflection is {100 * run['settled']['share']:.3g} % of what it comes to" in out
     assert "of no other signal in this table is it further off" in out  # velocities, which no metric is of, may be
     assert "~ is approximate: mtvv to 7 %, crest to 10 %, peaks to 20 %" in out
     assert "of short or lightly damped runs the +- is up to 45 % too large" in out
     assert "may be off" not in out
     for name, metric in run["metrics"].items():
-        (line,) = [line for line in out.splitlines() if line.split()[:1] == [name]]
+        (line,) = [line for line in table.splitlines() if line.split()[:1] == [name]]
         assert (f"~{metric['expected']:.4g}" in line) == bool(metric["approximate"] and metric["expected"])
         assert metric["approximate"] == name.endswith(("vdv", "mtvv", "crest", "peak"))
     assert "without bump stops" not in out
@@ -185,7 +188,7 @@ def test_what_linear_numbers_have_not_is_said(capsys, tmp_path):
     text = read_vehicle("quarter_car").text + "\n[limits]\nsuspension_stroke = 0.08\nstop_stiffness = 1e5\n[implementation]\n"
     (tmp_path / "built.toml").write_text(text + "noise = { sprung_velocity = 1e-3 }\n")
     main(["--vehicle", str(tmp_path / "built.toml"), "--controller", "I", "--class", "B", "--duration", "2", "--no-logs"])
-    out = capsys.readouterr().out
+    out = prose(capsys.readouterr().out)
     assert "sampled and expected numbers are of a vehicle without bump stops" in out
     assert "noise and quantisation of what is measured are in MuJoCo's numbers, not in sampled and expected ones" in out
 
@@ -206,8 +209,8 @@ def test_a_flat_road_changes_nothing(tmp_path, capsys):
     road.write_text("".join(f"{distance},0\n" for distance in range(40)))
     options = ["--controller", "I", "--controller", "passive", "--duration", "1", "--no-logs"]
     assert main([*options, "--road", str(road)]) == 0
-    rows = [line.split() for line in capsys.readouterr().out.splitlines() if " peak " in line or " rms " in line]
-    changes = [row[-1] for row in rows if "peak" in row or row[1] == "rms"]
+    rows = [line.split() for line in capsys.readouterr().out.splitlines()]
+    changes = [row[-1] for row in rows if row[:1] in (["peak"], ["rms"])]
     assert len(changes) == 2 * 2 * 6  # two runs of six signals
     assert set(changes) == {"-"}
     assert main([*options, "--road", "bump"]) == 0

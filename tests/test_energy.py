@@ -14,6 +14,7 @@ from sim.physics.simulate import PhysicsRuns, simulate
 from sim.response.response import Response
 from sim.roads.road import Bump
 from synth.designer import design
+from tests.commands import prose
 from tests.pages import hopper
 
 LAG = "\n[limits]\nactuator_bandwidth = 60.0\n"
@@ -214,10 +215,10 @@ def test_at_rest_nothing_is_left_over(paper, designer):
 def test_it_is_printed_and_in_json(capsys):
     """The sentence under the verdict has the numbers of --json."""
     assert main(["--controller", "I", "--no-logs"]) == 0
-    printed = capsys.readouterr().out
+    printed = prose(capsys.readouterr().out)
     assert main(["--controller", "I", "--no-logs", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)["runs"][0]["energy"]
-    ((residual, turnover),) = re.findall(r"energy balances: .* to (\S+) of the (\S+) J turned over", printed)
+    ((residual, turnover),) = re.findall(r"energy balances: .* all but (\S+) of the (\S+) J turned over", printed)
     assert found["balances"]
     assert float(turnover) == pytest.approx(found["turnover"], rel=1e-3)  # printed with 4 digits
     assert float(residual) == pytest.approx(found["residual"], rel=0.05)  # with 2

@@ -31,6 +31,7 @@ from sim.roads.sinusoids import sinusoid
 from sim.runs.prediction import predict
 from sim.runs.run import run_all, sample_times
 from sim.sweep import main as sweep
+from tests.commands import prose
 from tests.pages import hopper
 from tests.rewriting import Contents, contents, written
 
@@ -358,13 +359,13 @@ def test_change_is_found(what, parts, tmp_path, capsys):
     ids=["errors", "result", "one"],
 )
 def test_one_cause_is_one_line(change, said, parts, tmp_path, capsys):
-    """Many numbers that are wrong for one cause are one line: the first, how many more, and the first of those."""
+    """Many numbers that are wrong for one cause are one finding: the first, how many more, and the first of those."""
     path = tmp_path / "forged.mcap"
     path.write_bytes(written(change(parts)))
     assert main([str(path)]) == 1
     _, run = capsys.readouterr().out.split("run I: ")
-    (line,) = [line for line in run.splitlines() if line.startswith("  FAILS")]
-    assert re.fullmatch(rf"  FAILS   (physics|result): {said}", line)
+    (found,) = re.findall(r"^  FAILS   (.*\n(?: {12}.*\n)*)", run, re.M)
+    assert re.fullmatch(rf"(physics|result): {said}", prose(found))
 
 
 def test_several(log, parts, tmp_path, capsys):

@@ -18,7 +18,7 @@ from sim.roads.road import Bump
 from sim.runs.run import sample_times
 from synth.designer import Designer
 from tests import pages
-from tests.commands import main_of
+from tests.commands import main_of, prose
 from tests.pages import ROOT, section
 
 
@@ -31,7 +31,7 @@ def hopper(tmp_path):
 def test_own_kind_of_vehicle(hopper, tmp_path, capsys):
     """Three files make a new kind of vehicle: designed, driven, found to agree, logged, by the command of the recipe."""
     assert main(["--vehicle", str(hopper), "--controller", "I", "--logs", str(tmp_path / "logs")]) == 0
-    assert "agrees: MuJoCo is the exact sampled response" in capsys.readouterr().out
+    assert "MuJoCo follows the exact sampled response" in prose(capsys.readouterr().out)
     assert {path.suffix for path in (tmp_path / "logs").iterdir()} == {".mcap", ".json", ".rrd"}
 
 

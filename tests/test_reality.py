@@ -136,7 +136,7 @@ def test_noise_and_geometry_together():
     (run,) = run_all(half, [Designer(half).design("I")], Bump(), sample_times(half, 1.0, 1e-3))
     assert run.agreement.agrees
     (line,) = verdict_lines(run)
-    assert line.startswith("agrees to first order: geometry and noise make up to")
+    assert line.startswith("agrees to first order throughout: geometry and noise make up to")
     assert "exact" not in line
 
 

@@ -316,6 +316,8 @@ def test_opening_lines_can_be_pasted() -> None:
     """The lines name all files, quoted where a shell needs it."""
     paths = {"mcap": Path("my logs/x.mcap"), "layout": Path("my logs/x.layout.json"), "rerun": Path("logs/x.rrd")}
     assert opening_lines(paths) == [
-        "rerun logs/x.rrd",
-        "'my logs/x.mcap'   for Foxglove and Lichtblick, with the layout x.layout.json",
+        "  rerun logs/x.rrd",
+        "  for Foxglove and Lichtblick, with the layout beside it",
+        "    'my logs/x.mcap'",
+        "    'my logs/x.layout.json'",
     ]

@@ -14,6 +14,7 @@ from typing import Any, NoReturn
 
 from models.common import interrupt
 from models.common.errors import InputError, listing, one_line, quoted
+from models.common.printed import wrapped
 
 BAD_INPUT = 2
 ALL = "all"  # in place of a controller's name
@@ -26,8 +27,8 @@ class Parser(argparse.ArgumentParser):
         page = f"{prog.partition('.')[0]}/README.md"
         super().__init__(
             prog=f"python -m {prog}",
-            description=description,
-            epilog=f"{epilog.rstrip()}\n\nwhat it prints and how to read it: {page}",
+            description=_page(description),
+            epilog=_page(f"{epilog.rstrip()}\n\nwhat it prints and how to read it: {page}"),
             formatter_class=argparse.RawDescriptionHelpFormatter,
             allow_abbrev=False,
         )
@@ -219,6 +220,12 @@ def _check_encoding(arguments: Sequence[str]) -> None:
             argument.encode()
         except UnicodeEncodeError:
             raise InputError(f"argument {argument!r} is not text in UTF-8; rename the file") from None
+
+
+def _page(text: str) -> str:
+    """A text of `--help`, its lines as `wrapped` has them, but those of examples, which are to be copied."""
+    lines = [[line] if line.startswith("  ") else wrapped(line, hang=0) for line in text.splitlines()]
+    return "\n".join(part for line in lines for part in line)
 
 
 def _text(text: str) -> str:

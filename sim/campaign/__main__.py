@@ -12,6 +12,7 @@ from models.common import interrupt
 from models.common.command import Parser, complain, run_command
 from models.common.cores import cores
 from models.common.errors import InputError
+from models.common.printed import Whole, say
 from models.common.read_file import TEXT, read_text
 from sim.campaign.columns import columns, described
 from sim.campaign.file import Campaign, parse_campaign, read_campaign
@@ -108,8 +109,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             rate = (
                 f", {progress.done} of them now: {progress.rate:.3g} steps/s" if progress.done else ", all of them there already"
             )
-            lines = [f"{plan.count} runs of {campaign.duration:g} s at {campaign.timestep:g} s{rate}", *summary_lines(entries)]
-            print("\n".join([*lines, "", f"results {store.results}"]))
+            lines = [f"{plan.count} runs of {campaign.duration:g} s at {campaign.timestep:g} s{rate}"]
+            say([*lines, "", "results", Whole(f"  {store.results}"), *summary_lines(entries)])
     return 0
 
 
@@ -134,13 +135,18 @@ def _verify(options: argparse.Namespace) -> int:
         print(json.dumps({**result, "again": found.again, "faults": found.faults, "holds": not found.faults}))
         return 1 if found.faults else 0
     if remark:
-        print(remark)
+        say([remark])
+    say(["results", Whole(f"  {folder}")])
     if found.faults:
-        print("\n".join([*found.faults, "", f"{folder} DOES NOT HOLD what its campaign comes to"]))
+        say([*found.faults, "", "the results DO NOT HOLD what the campaign comes to"])
     else:
-        print(
-            f"{found.rows} rows are one for every run, with its inputs; {len(found.again)} of them, drawn with seed "
-            f"{options.seed}, were driven again and are the same to the last bit\n{folder} holds what its campaign comes to"
+        say(
+            [
+                f"each of {found.rows} runs has its row, with its inputs; {len(found.again)} of them, drawn with seed "
+                f"{options.seed}, were driven again and are the same to the last bit",
+                "",
+                "the results hold what the campaign comes to",
+            ]
         )
     return 1 if found.faults else 0
 

@@ -1,5 +1,6 @@
 """What a campaign came to: controllers against roads, each number beside its linear prediction."""
 
+import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -7,6 +8,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.numbers import cell
+from models.common.printed import table
 from sim.campaign.columns import EXPECTED, LINEAR
 from sim.campaign.plan import Plan
 from sim.campaign.store import Store
@@ -93,18 +95,17 @@ def _rms(values: Array) -> float:
 
 def summary_lines(entries: Sequence[Mapping[str, Any]]) -> list[str]:
     """The table."""
-    heads = ("rms", "95 %", "predicted")
-    title = "".join(f"{f'{name} [{UNITS[name]}]':>30}" for name in UNITS)
-    width = max([len(str(entry["controller"])) for entry in entries] + [10])
-    lines, before = [], None
-    for entry in entries:
-        where = (entry["vehicle"], entry["road"], entry["speed"])
-        if where != before:
-            lines += ["", f"{entry['vehicle']} over {entry['road']} at {entry['speed']:g} m/s"]
-            lines += [f"  {'':{width}}{'':>8}{title}{'left linear':>14}"]
-            lines += [f"  {'controller':{width}}{'runs':>8}" + "".join(f"{head:>10}" for head in heads * len(UNITS))]
-            before = where
-        cells = "".join(f"{cell(entry[name][key], '.4g'):>10}" for name in UNITS for key in ("rms", "p95", "predicted"))
-        broke_off = f", {entry['broke_off']} broke off" if entry["broke_off"] else ""
-        lines.append(f"  {entry['controller']:{width}}{entry['runs']:>8}{cells}{entry['left']:>14}{broke_off}")
+    lines: list[str] = []
+    places = itertools.groupby(entries, lambda entry: (entry["vehicle"], entry["road"], entry["speed"]))
+    for (vehicle, road, speed), here in places:
+        every = list(here)
+        counted = {"runs": "runs", "left": "left linear"}
+        counted |= {"broke_off": "broke off"} if any(entry["broke_off"] for entry in every) else {}
+        rows: list[tuple[str, ...] | str] = [("", "rms", "95 %", "predicted", *counted.values())]
+        for name, unit in UNITS.items():
+            rows.append(f"{name} [{unit}]")
+            for entry in every:
+                numbers = (cell(entry[name][key], ".4g") for key in ("rms", "p95", "predicted"))
+                rows.append((f"  {entry['controller']}", *numbers, *(str(entry[key]) for key in counted)))
+        lines += ["", f"{vehicle} over {road} at {speed:g} m/s", *table(rows)]
     return lines

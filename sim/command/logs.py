@@ -39,4 +39,4 @@ def log_lines(logs: Mapping[str, str | None]) -> list[str]:
         return []
     from sim.recording.files import opening_lines
 
-    return ["", "logs", *(f"  {line}" for line in opening_lines(paths))]
+    return ["", "logs", *opening_lines(paths)]

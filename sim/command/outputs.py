@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from models.common.errors import InputError
+from models.common.printed import Whole
 from models.common.whole_file import STDOUT, check_file, check_folder
 from sim.figures.picture import check_picture
 
@@ -49,5 +50,5 @@ def written(outputs: Mapping[str, Path | None]) -> dict[str, str | None]:
 
 def written_lines(outputs: Mapping[str, Path | None]) -> list[str]:
     """What was written, in lines for the terminal; none where nothing was."""
-    lines = [f"{name} {path}" for name, path in outputs.items() if path is not None]
+    lines = [line for name, path in outputs.items() if path is not None for line in (name, Whole(f"  {path}"))]
     return ["", *lines] if lines else []

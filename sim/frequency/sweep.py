@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from models.common.numbers import finite
+from models.common.printed import table, wrapped
 from models.vehicle import Vehicle
 from sim.frequency.extremes import Extremes, extremes
 from sim.frequency.identification import Lines, identify
@@ -14,7 +15,6 @@ from synth.controller import Controller
 TOLERANCE = 1e-4  # of the response at a line; RK4's own error at 1 ms is 3e-6, so more is no frequency response of this loop
 ABOVE = 1e-5  # above the norm, relative: RK4's own error again
 REACHED = 1e-3  # below the norm
-WIDTH = 38  # of the column of names
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,13 +65,11 @@ def sweep_lines(one: Sweep) -> list[str]:
     """A sweep in words and numbers."""
     norm, failed, found = one.extremes.worst, failures(one), one.lines
     sampled, continuous = found.error(found.sampled), found.error(found.continuous)
+    errors = zip(found.outputs, sampled.tolist(), continuous.tolist(), strict=True)
+    rows = [(name, f"{a:.1e}", f"{b:.1e}") for name, a, b in errors]
     lines = [
         f"controller {found.controller.name}",
-        f"  {'largest relative error over the lines:':{WIDTH}}{'to sampled':>12}{'to continuous':>16}",
-    ]
-    lines += [
-        f"  {name:{WIDTH}}{a:12.1e}{b:16.1e}"
-        for name, a, b in zip(found.outputs, sampled.tolist(), continuous.tolist(), strict=True)
+        *table([("largest relative error over the lines:", "to sampled", "to continuous"), *rows]),
     ]
     if math.isfinite(found.order):
         lines.append(f"  sampled tends to continuous with the timestep to the power {found.order:.2f}")
@@ -89,17 +87,26 @@ def sweep_lines(one: Sweep) -> list[str]:
     lines.append(f"  L2 gains in MuJoCo: worst sinusoid {one.gains['worst sinusoid']:.7g} ({100 * shares:.4f} %), {gains}")
     if not one.extremes.lti:
         lines.append("  the controller is slower than the timestep, so its loop has harmonics: the norm is without them")
-    if one.ended:
-        lines.append(
-            f"  outside the linear regime: {', '.join(one.ended)}; what physics does there is shown, and is no disagreement"
-        )
-    elif failed:
+    if failed and not one.ended:
         lines += [f"  DOES NOT AGREE: {text}" for text in failed]
-    else:
-        norm_too = "and the norm as the largest gain" if one.extremes.lti else "without the norm"
-        invariants = "the invariants, " if one.extremes.invariants else ""
-        lines.append(f"  agrees: every line, {invariants}{norm_too}")
     return lines
+
+
+def summary_lines(sweeps: Sequence[Sweep]) -> list[str]:
+    """The verdict on every sweep, a line each."""
+    width = max(len(one.lines.controller.name) for one in sweeps)
+    return [line for one in sweeps for line in wrapped(_verdict(one), f"{one.lines.controller.name:{width}}  ", 4)]
+
+
+def _verdict(one: Sweep) -> str:
+    """What a sweep came to, in a sentence."""
+    if one.ended:
+        return f"outside the linear regime: {', '.join(one.ended)}; what physics does there is shown, and is no disagreement"
+    failed = failures(one)
+    if failed:
+        return f"DOES NOT AGREE in {len(failed)} claim{'s' * (len(failed) != 1)}"
+    invariants = "the invariants, " if one.extremes.invariants else ""
+    return f"agrees: every line, {invariants}{'and the norm as the largest gain' if one.extremes.lti else 'without the norm'}"
 
 
 def sweep_object(one: Sweep) -> dict[str, Any]:

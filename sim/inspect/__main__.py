@@ -8,13 +8,14 @@ from typing import Any
 
 from models.common.command import Parser, complain, run_command
 from models.common.errors import InputError
+from models.common.printed import Whole, say, wrapped
 from models.common.whole_file import check_file
 from sim.inspect.findings import HOLDS, NOTE, Finding
 from sim.inspect.log import Recorded, RecordedRun, read_json, read_log
 from sim.inspect.proof import Inspected, Proof, prove
 from sim.inspect.table import write_signals
 from sim.runs.words import controller_object, run_object
-from synth.words import gain_text
+from synth.words import gain_lines
 
 LONGEST = 400  # characters of a text from a log on the terminal
 
@@ -59,9 +60,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.json:
         print(json.dumps(proof_object(proof) | {"csv": str(options.csv) if options.csv else None}, allow_nan=False))
     else:
-        print("\n".join(_text(proof)))
-        if options.csv is not None:
-            print(f"csv {options.csv}")
+        csv = ["csv", Whole(f"  {options.csv}"), ""] if options.csv is not None else []
+        say([*csv, *_text(proof)])
     return 0 if proof.holds else 1
 
 
@@ -83,7 +83,7 @@ def _several(paths: Sequence[Path], kinds: Path | None, as_json: bool) -> int:
         code = max(code, 0 if proof.holds else 1)
         objects.append(proof_object(proof))
         if not as_json:
-            print("\n".join([*_text(proof), ""]), flush=True)
+            say([*_text(proof), ""])
     hold = sum(one["proves"] for one in objects)
     if as_json:
         print(json.dumps({"logs": objects, "proves": hold == len(paths)}, allow_nan=False))
@@ -124,10 +124,14 @@ def _text(proof: Proof) -> list[str]:
     log, vehicle = proof.log, proof.vehicle
     about = {
         "command": log.metadata.get("command_line"),
-        "vehicle": f"{vehicle.kind.name if vehicle else 'unknown'} ({log.metadata.get('vehicle', 'of no name')})",
+        "vehicle": vehicle.kind.name if vehicle else "unknown",
+        "from": log.metadata.get("vehicle", "a file of no name"),
         "versions": ", ".join(f"{name} {version}" for name, version in _versions(log).items()),
     }
-    lines = [str(log.path), *(f"  {key:10}{_shown(text)}" for key, text in about.items() if text), *_lines(proof.findings)]
+    lines = [Whole(log.path)]
+    for key, text in about.items():
+        lines += wrapped(_shown(text), f"  {key:10}", 12) if text else []
+    lines += _lines(proof.findings)
     for one in proof.runs:
         end = f" to {(one.samples - 1) * proof.timestep:.6g} s at {proof.timestep:g} s" if one.samples else ""
         lines += ["", f"run {one.recorded.name}: {one.samples} samples{end}"]
@@ -138,10 +142,10 @@ def _text(proof: Proof) -> list[str]:
                 for key, value in road.items()
                 if not isinstance(value, list)
             )
-            lines.append(f"  {'road':10}{_shown(numbers)}")
-            lines.append(f"  {'law':10}{controller.name} measures {', '.join(controller.measured) or 'nothing'}")
+            lines += wrapped(_shown(numbers), f"  {'road':10}", 12)
+            lines += wrapped(f"{controller.name} measures {', '.join(controller.measured) or 'nothing'}", f"  {'law':10}", 12)
             if controller.measured:
-                lines.append(f"  {'gain':10}{gain_text(controller.gain)}")
+                lines += gain_lines(controller.gain, f"  {'gain':10}")
         lines += _lines(one.findings)
     broken = [f"the {name}" for name in _broken(proof.findings)]
     broken += [f"{name} of {one.recorded.name}" for one in proof.runs for name in _broken(one.findings)]
@@ -151,7 +155,7 @@ def _text(proof: Proof) -> list[str]:
 
 def _lines(findings: Sequence[Finding]) -> list[str]:
     """Findings in columns."""
-    return [f"  {finding.verdict:8}{finding.part}: {_shown(finding.text)}" for finding in findings]
+    return [line for one in findings for line in wrapped(f"{one.part}: {_shown(one.text)}", f"  {one.verdict:8}", 12)]
 
 
 def _broken(findings: Sequence[Finding]) -> list[str]:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from models.common import interrupt
 from models.common.errors import InputError
+from models.common.printed import Whole
 from models.common.shell import pasted_path
 from models.common.whole_file import made_folder
 from sim.recording.foxglove_layout import foxglove_layout
@@ -62,8 +63,9 @@ def record(
 def opening_lines(paths: Mapping[str, Path]) -> list[str]:
     """What to type to look at each file of a recording."""
     return [
-        f"rerun {pasted_path(paths['rerun'])}",
-        f"{pasted_path(paths['mcap'])}   for Foxglove and Lichtblick, with the layout {pasted_path(Path(paths['layout'].name))}",
+        Whole(f"  rerun {pasted_path(paths['rerun'])}"),
+        "  for Foxglove and Lichtblick, with the layout beside it",
+        *(Whole(f"    {pasted_path(paths[kind])}") for kind in ("mcap", "layout")),
     ]
 
 

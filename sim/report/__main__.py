@@ -11,6 +11,7 @@ from pathlib import Path
 
 from models.common.command import Parser, chosen, run_command
 from models.common.errors import InputError
+from models.common.printed import say
 from models.common.whole_file import made_folder, together, whole_file
 from models.vehicle import read_vehicle
 from sim.command.claims import say_false_claims
@@ -79,7 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.json:
         print(json.dumps({**report_object(result), **written(outputs)}, allow_nan=False))
     else:
-        print("\n".join([*result.answer, *written_lines(outputs)]))
+        say([*written_lines(outputs)[1:], "", *result.answer])
     return 0
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from models.common.numbers import cell, finite
+from models.common.printed import table
 from models.vehicle import Vehicle
 from sim.ride.expected import APPROXIMATE, EXACT, Expected, expect, settling_time
 from sim.ride.metrics import measure, metrics_of
@@ -121,16 +122,14 @@ def metric_lines(run: Run, found: RunMetrics, start: float, end: float) -> list[
         )
     if run.broke_off is not None and not any(one.expected is not None for one in measured.values()):
         return [f"  {note}" for note in notes]
-    width = max(len(name) for name in measured)
     random = any(one.expected is not None for one in measured.values())
-    head = f"  {f'measured from {start:.4g} to {end:.4g} s':{width}}  {'unit':8}{'MuJoCo':>11}{'sampled':>11}"
-    lines = [head + (f"{'expected':>11}{'from road to road':>20}" if random else "")]
+    rows = [("", "unit", "MuJoCo", "sampled", *(("expected", "+- by road") if random else ()))]
     for name, one in measured.items():
-        line = f"  {name:{width}}  {one.unit:8}{cell(one.mujoco, '.4g'):>11}{cell(one.sampled, '.4g'):>11}"
-        spread = f"+- {cell(one.spread, '.4g')}" if one.spread is not None else ""
+        spread = cell(one.spread, ".4g") if one.spread is not None else ""
         expected = ("~" if one.approximate and one.expected else "") + cell(one.expected, ".4g")
-        lines.append((line + (f"{expected:>11}{spread:>20}" if random else "")).rstrip())
-    return [*lines, *(f"  {note}" for note in notes)]
+        numbers = (cell(one.mujoco, ".4g"), cell(one.sampled, ".4g"))
+        rows.append((name, one.unit, *numbers, *((expected, spread) if random else ())))
+    return [f"  measured from {start:.4g} to {end:.4g} s", *table(rows), *(f"  {note}" for note in notes)]
 
 
 def metrics_object(run: Run, found: RunMetrics) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from models.common.numbers import cell, finite
+from models.common.printed import table, wrapped
 from models.kind import MOST_SQUEEZE
 from models.vehicle import Vehicle
 from sim.physics.energy import BALANCED, Energy
@@ -15,7 +16,9 @@ from sim.response.regime import FLAT, LIFT_OFF, REGIME_ENDS
 from sim.runs.agreement import COARSEST, SLACK, SMALL
 from sim.runs.run import Run
 from synth.controller import Controller
-from synth.words import heading_lines, ideal_lines, notes
+from synth.words import gain_text, heading_lines, ideal_lines, notes
+
+MOST_FLIGHTS = 4  # of a run that are told one by one
 
 
 @np.errstate(over="ignore")  # an unstable loop's squares overflow; what is infinite is None
@@ -51,9 +54,9 @@ def energy_lines(run: Run) -> list[str]:
         return []
     of = f"{energy.residual:.1e} of the {energy.turnover:.4g} J turned over"
     if energy.balances:
-        return [f"energy balances: the work of road and actuators is found again, stored or dissipated, to {of}"]
+        return [f"energy balances: the work of road and actuators is stored or dissipated, all but {of}"]
     why = "a force does work that is none of the vehicle's, or the timestep is too coarse"
-    return [f"energy DOES NOT BALANCE: {of} is not found again, {BALANCED:.0e} allowed: {why}"]
+    return [f"energy DOES NOT BALANCE: {of} is neither stored nor dissipated, where {BALANCED:.0e} is allowed: {why}"]
 
 
 def half_step_object(run: Run) -> dict[str, Any] | None:
@@ -78,16 +81,54 @@ def controller_object(controller: Controller) -> dict[str, Any]:
 
 def controller_lines(vehicle: Vehicle, controller: Controller) -> list[str]:
     """A controller and what is known of it."""
+    return [*heading_lines(controller), *(f"  {sentence}" for sentence in _found(vehicle, controller))]
+
+
+def _found(vehicle: Vehicle, controller: Controller) -> list[str]:
+    """What is known of a controller beside its gain, in sentences."""
     certificate = controller.certificate
-    norm = certificate.norm
-    proof = f"bound {certificate.bound:.7g}   " if certificate.bound is not None else ""
-    lines = heading_lines(controller)
+    norm, lines = certificate.norm, []
     if certificate.stable:
+        proof = f"bound {certificate.bound:.7g}, " if certificate.bound is not None else ""
         where = f" at {norm.peak_frequency:.5g} rad/s" if math.isfinite(norm.peak_frequency) else ""
-        lines.append(f"  {proof}norm {norm.value:.7g}{where}   {certificate.stability.words}")
-    for sentence in (*ideal_lines(vehicle), *notes(controller), *certificate.remarks, *certificate.failures):
-        lines.append(f"  {sentence}")
-    return lines
+        lines += [f"{proof}norm {norm.value:.7g}{where}", certificate.stability.words]
+    return [*lines, *ideal_lines(vehicle), *notes(controller), *certificate.remarks, *certificate.failures]
+
+
+def verdict(run: Run) -> str:
+    """What the comparison of physics and analysis came to, and the balance of energy, in a few words."""
+    agreement = run.agreement
+    if math.isfinite(agreement.until):
+        ended = [name for name, when in agreement.ended.items() if when == agreement.until]
+        why = ended or (["divergence"] if run.diverged == agreement.until else [LIFT_OFF.name])
+        when = f"until {agreement.until:.4g} s ({' and '.join(why)})"
+    else:
+        when = "throughout"
+    order = " to first order" if any(signal.small is not None for signal in agreement.signals.values()) else ""
+    words = f"agrees{order} {when}" if agreement.agrees else f"DOES NOT AGREE {when}"
+    if run.energy is None:
+        return words
+    return f"{words}; energy {'balances' if run.energy.balances else 'DOES NOT BALANCE'}"
+
+
+def summary_lines(runs: Sequence[Run]) -> list[str]:
+    """The verdict on every run, a line each."""
+    width = max(len(run.controller.name) for run in runs)
+    return [line for run in runs for line in wrapped(verdict(run), f"{run.controller.name:{width}}  ", 4)]
+
+
+def _flights(lift_off: Sequence[tuple[float, float]]) -> list[str]:
+    """When tyres are off the road: each time, or, where these are many, how often and how long."""
+    if len(lift_off) > MOST_FLIGHTS:
+        longest = max(end - start for start, end in lift_off)
+        start, end = lift_off[0]
+        return [
+            f"lift-off: {len(lift_off)} times a tyre is off the road, first from {start:.4g} s to {end:.4g} s "
+            f"({end - start:.3g} s), for {longest:.3g} s at most"
+        ]
+    return [
+        f"lift-off: a tyre is off the road from {start:.4g} s to {end:.4g} s ({end - start:.3g} s)" for start, end in lift_off
+    ]
 
 
 def verdict_lines(run: Run) -> list[str]:
@@ -99,15 +140,16 @@ def verdict_lines(run: Run) -> list[str]:
         lines.append("marginal: to rounding, something in the sampled loop neither grows nor decays")
     if math.isfinite(run.diverged):
         lines.append(f"diverged: MuJoCo was stopped at {run.diverged:.4g} s; there is no vehicle any more")
-    for start, end in agreement.lift_off:
-        lines.append(f"lift-off: a tyre is off the road from {start:.4g} s to {end:.4g} s ({end - start:.3g} s)")
+    lines += _flights(agreement.lift_off)
     if run.half_step is not None and math.isfinite(run.half_step.difference):
         size, signal = run.half_step.difference, run.half_step.signal
-        lines.append(f"after lift-off the physics holds to about {size:.1e} of a peak: so much half the step changes {signal}")
+        lines.append(
+            f"after lift-off the physics is good to about {size:.1e} of a peak: half the step changes {signal} by so much"
+        )
     elif run.half_step is not None:
-        lines.append("after lift-off the physics does not hold: at half the step it diverges")
+        lines.append("after lift-off the physics is good for nothing: at half the step it diverges")
     elif agreement.lift_off and agreement.blurred:
-        lines.append("how far the physics holds after lift-off is not said: at half the step other noise would be measured")
+        lines.append("how good the physics is after lift-off is not said: at half the step other noise would be measured")
     times = agreement.ended
     lines += [end.verdict.format(when=times[end.name]) for end in REGIME_ENDS if end.verdict and math.isfinite(times[end.name])]
     when = "throughout"
@@ -122,35 +164,36 @@ def verdict_lines(run: Run) -> list[str]:
         when = f"until {agreement.until:.4g} s"
     worst = max(agreement.signals, key=lambda name: agreement.signals[name].sampled / agreement.signals[name].allowed)
     error = agreement.signals[worst]
-    numbers = f"{worst}: {error.sampled:.1e} of its peak, {error.allowed:.1e} allowed"
+    numbers = f"worst {worst}, {error.sampled:.1e} of its peak; {error.allowed:.1e} is allowed"
     if agreement.agrees and error.small is not None:
         worst = max(agreement.signals, key=lambda name: agreement.signals[name].sampled)
         error = agreement.signals[worst]
-        made, noise, is_it = ("geometry makes", "", "the exact sampled response to")
+        made, noise, is_it = ("geometry makes", "", "follows the exact sampled response to")
         if agreement.blurred:
-            made, noise, is_it = ("geometry and noise make", " and noise", "within")
+            made, noise, is_it = ("geometry and noise make", " and noise", "is within")
         off = error.sampled - (0.0 if agreement.blurred else error.allowed / SLACK)
         lines.append(
-            f"agrees to first order: {made} up to {off:.1e} of a peak ({worst}), "
-            f"{when}; at {SMALL:g} of this road's height{noise} MuJoCo is {is_it} {error.small:.1e} of it"
+            f"agrees to first order {when}: {made} up to {off:.1e} of a peak ({worst}); at {SMALL:g} of this road's "
+            f"height{noise} MuJoCo {is_it} {error.small:.1e} of it"
         )
     elif agreement.agrees and agreement.blurred:
-        lines.append(f"agrees: MuJoCo stays within the predicted spread of the noise on its measurements, {when} ({numbers})")
+        lines.append(
+            f"agrees {when}: MuJoCo stays within the spread that its measurements' noise is predicted to make ({numbers})"
+        )
     elif agreement.agrees:
-        lines.append(f"agrees: MuJoCo is the exact sampled response to within RK4's own error, {when} ({numbers})")
+        lines.append(f"agrees {when}: MuJoCo follows the exact sampled response to within RK4's own error ({numbers})")
     else:
         why = "; the timestep is too coarse, give a smaller one" if error.allowed == COARSEST else ""
-        lines.append(f"DOES NOT AGREE with the exact sampled response, {when} ({numbers}{why})")
+        lines.append(f"DOES NOT AGREE {when} with the exact sampled response ({numbers}{why})")
     return lines
 
 
 @np.errstate(over="ignore")
 def run_lines(run: Run, passive: Run | None) -> list[str]:
     """The table of one run: peak and rms of every signal, physics and sampled, their errors, the change against passive."""
-    headings = ("signal", "unit", "", "MuJoCo", "sampled", "continuous", "error", "to cont.", "vs passive")
-    rows: list[tuple[str, ...]] = [headings]
+    rows: list[tuple[str, ...] | str] = [("signal", "MuJoCo", "sampled", "continuous", "error", "to cont.", "vs passive")]
     for name, signal in run.agreement.signals.items():
-        unit = run.vehicle.kind.signal(name).unit
+        rows.append(f"{name} [{run.vehicle.kind.signal(name).unit}]")
         # What symmetry keeps silent, or all of it on a flat road, is rounding in the physics without control.
         silent = passive is not None and (
             float(passive.physics.peak(name)) < passive.physics.scale(name) or not passive.sampled.peak(name)
@@ -161,8 +204,8 @@ def run_lines(run: Run, passive: Run | None) -> list[str]:
             change = cell(100 * (values[0] / reference - 1), "+.1f", " %") if reference and not silent else "-"
             errors = (cell(signal.sampled, ".1e"), cell(signal.continuous, ".1e")) if kind == "peak" else ("", "")
             numbers = (cell(value, ".6g") for value in values)
-            rows.append((name if kind == "peak" else "", unit, kind, *numbers, *errors, change))
-    return [f"  {line}" for line in _table(rows)]
+            rows.append((f"  {kind}", *numbers, *errors, change))
+    return table(rows)
 
 
 def events(run: Run) -> tuple[tuple[float, str], ...]:
@@ -179,7 +222,8 @@ def events(run: Run) -> tuple[tuple[float, str], ...]:
 def summary(run: Run) -> str:
     """Design and verdict as Markdown."""
     lines = [f"# {run.controller.name}", ""]
-    lines += [f"- {line.strip()}" for line in controller_lines(run.vehicle, run.controller)[1:]]
+    gain = f"gain {gain_text(run.controller.gain)}" if run.controller.measured else "no control force"
+    lines += [f"- {line}" for line in [gain, *_found(run.vehicle, run.controller)]]
     lines += [f"- measures {', '.join(run.controller.measured) or 'nothing'}", "", "## Verdict", ""]
     lines += [f"- {line}" for line in [*verdict_lines(run), *energy_lines(run)]]
     lines += ["", "| signal | peak MuJoCo | peak sampled | error |", "|---|---|---|---|"]
@@ -188,12 +232,3 @@ def summary(run: Run) -> str:
         physics, sampled = float(run.physics.peak(name)), float(run.sampled.peak(name))
         lines.append(f"| {name} [{unit}] | {physics:.6g} | {sampled:.6g} | {signal.sampled:.1e} |")
     return "\n".join(lines) + "\n"
-
-
-def _table(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Rows in aligned columns: the first three to the left, numbers to the right."""
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    return [
-        "  ".join(cell.ljust(w) if i < 3 else cell.rjust(w) for i, (cell, w) in enumerate(zip(row, widths, strict=True))).rstrip()
-        for row in rows
-    ]

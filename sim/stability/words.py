@@ -4,10 +4,13 @@ import math
 from typing import Any
 
 from models.common.numbers import finite
+from models.common.printed import WIDTH, wrapped
 from models.vehicle import Vehicle
 from sim.stability.margins import GainMargin, LoopMargins
 from sim.stability.robustness import Robustness, varied_text
 from synth.controller import Controller
+
+NAME, CELL = 24, 12  # columns of a table of margins
 
 
 def margins_object(controller: Controller, found: dict[str, LoopMargins], box: Robustness | None) -> dict[str, Any]:
@@ -51,14 +54,11 @@ def _loop_object(one: LoopMargins) -> dict[str, Any]:
     }
 
 
-def margins_lines(
-    vehicle: Vehicle, controller: Controller, found: dict[str, LoopMargins], box: Robustness | None, timestep: float
-) -> list[str]:
+def margins_lines(vehicle: Vehicle, found: dict[str, LoopMargins], box: Robustness | None) -> list[str]:
     """What a loop bears, predicted and found, in lines for a terminal."""
-    lines = [f"{vehicle.kind.name} ({vehicle.source}), controller {controller.name}; MuJoCo at {timestep:g} s"]
+    lines = []
     for name, one in found.items():
-        what = f"the loop of {name}, the others closed" if name else ("all loops at once" if len(found) > 1 else "the loop")
-        lines += ["", f"{what:32}{'predicted':>12}{'MuJoCo':>12}", *_loop_lines(one)]
+        lines += ["", *_loop_lines(_called(name, len(found)), one)]
         lines.append("  agrees" if one.agrees else "  DOES NOT AGREE; where the timestep is too coarse, give a smaller one")
 
     if box is None:
@@ -72,7 +72,24 @@ def margins_lines(
     return lines
 
 
-def _loop_lines(one: LoopMargins) -> list[str]:
+def verdict(found: dict[str, LoopMargins], box: Robustness | None) -> str:
+    """Whether MuJoCo bears what is predicted."""
+    wrong = [_called(name, len(found)) for name, one in found.items() if not one.agrees]
+    if box is not None and not box.holds:
+        wrong.append("other vehicles")
+    if wrong:
+        return f"DOES NOT AGREE: {'; '.join(wrong)}"
+    others = f"; {len(box.corners)} other vehicles do what is predicted" if box is not None else ""
+    return f"agrees: the loop bears in MuJoCo what is predicted{others}"
+
+
+def _called(name: str, count: int) -> str:
+    """What a loop is called, one of so many."""
+    return f"the loop of {name}, the others closed" if name else ("all loops at once" if count > 1 else "the loop")
+
+
+def _loop_lines(title: str, one: LoopMargins) -> list[str]:
+    """A loop's margins as a table, with a note to the right of a row, or below where it does not fit."""
     predicted, h = one.predicted, one.timestep
     rows = [("gain, factor", predicted.gain, one.gain.found, ""), *_sampled_rows(one.gain, h, 1)]
     if predicted.gain_lower or one.found_gain_lower:
@@ -84,10 +101,17 @@ def _loop_lines(one: LoopMargins) -> list[str]:
     rows.append(("phase lag, rad", predicted.phase, one.found_phase, where))
     samples = ""
     if math.isfinite(one.delay.unstable):
-        samples = f"decays with {round(one.delay.stable / h)} samples, grows with {round(one.delay.unstable / h)}"
+        samples = f"{round(one.delay.stable / h)} samples decay, {round(one.delay.unstable / h)} grow"
     rows.append(("delay, ms", 1e3 * predicted.delay, 1e3 * one.delay.unstable, samples))
     rows.append(("sample period, ms", 1e3 * predicted.sample_period, 1e3 * one.found_sample_period, ""))
-    return [f"  {name:30}{_cell(first)}{_cell(second)}  {note}".rstrip() for name, first, second, note in rows]
+    heading = f"{'predicted':>{CELL}}{'MuJoCo':>{CELL}}"
+    room = NAME + 2
+    lines = [f"{title:{room}}{heading}"] if len(title) <= room else [title, f"{'':{room}}{heading}"]
+    for name, first, second, note in rows:
+        row = f"  {name:{NAME}}{_cell(first)}{_cell(second)}"
+        beside = f"{row}  {note}".rstrip()
+        lines += [beside] if len(beside) <= WIDTH else [row, *wrapped(note, "      ")]
+    return lines
 
 
 def _sampled_rows(gain: GainMargin, h: float, power: int) -> list[tuple[str, float, float, str]]:
@@ -101,4 +125,4 @@ def _sampled_rows(gain: GainMargin, h: float, power: int) -> list[tuple[str, flo
 
 
 def _cell(value: float) -> str:
-    return f"{'any' if math.isinf(value) else format(value, '.6g'):>12}"
+    return f"{'any' if math.isinf(value) else format(value, '.6g'):>{CELL}}"

@@ -61,13 +61,15 @@ def envelope_lines(cells: Cells, threshold: float) -> list[str]:
     def share(which: Array) -> str:
         return f"{100 * which[done].mean():5.1f} % of the cells" if done.any() else "-"
 
-    lines = [f"  {share(cells.error <= threshold)}: linear analysis holds to {threshold:g} of every signal's peak"]
+    lines = [f"  {share(cells.error <= threshold)}: linear analysis holds to {threshold:g} of every peak"]
     lines.append(f"  {share(cells.first < 0)}: nothing breaks")
     lines += [
         f"  {share(cells.first == i)}: {end} comes first" for i, end in enumerate(END_NAMES) if np.any(cells.first[done] == i)
     ]
+    count = int(done.sum()) - round(cells.agreement * int(done.sum()))
+    others = f"; of the other {count}, {cells.unexplained or 'none'} lies away from a boundary" if count else ""
     lines.append(
-        f"  {100 * cells.agreement:.2f} % of {int(done.sum())} cells break as linear analysis predicts; of the others "
-        f"{cells.unexplained} do not lie at a boundary"
+        f"{'agrees' if cells.as_predicted else 'DOES NOT AGREE'}: {100 * cells.agreement:.2f} % of {int(done.sum())} cells break "
+        f"as linear analysis predicts{others}"
     )
     return lines

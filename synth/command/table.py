@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from models.common.numbers import finite
+from models.common.printed import command, table, wrapped
 from models.common.shell import option
 from synth.certificate.certificate import LmiProof
 from synth.certificate.record import to_record
@@ -67,24 +68,22 @@ def row_object(row: Row) -> dict[str, Any]:
 
 def table_lines(rows: Sequence[Row]) -> list[str]:
     """All controllers, one line each."""
-    lines = ["controller              bound       norm  at rad/s   lower bound    above it  slowest pole"]
+    lines: list[tuple[str, ...]] = [("controller", "bound", "norm", "at rad/s", "lower bound", "above it", "slowest pole")]
     for row in rows:
         if row.controller is None:
-            lines.append(f"{row.name:18s} NOT DESIGNED")
+            lines.append((row.name, "NOT DESIGNED", *5 * ("",)))
             continue
         certificate = row.controller.certificate
         if not certificate.stable:
-            lines.append(f"{row.name:18s} {certificate.stability.verdict.upper()}")
+            lines.append((row.name, certificate.stability.verdict.upper(), *5 * ("",)))
             continue
         bound = f"{certificate.bound:.7g}" if certificate.bound is not None else "-"
         at = f"{certificate.norm.peak_frequency:.5g}" if np.isfinite(certificate.norm.peak_frequency) else "-"
         lower_bound = f"{certificate.lower_bound:.7g}" if certificate.lower_bound is not None else "-"
         gap = percent(certificate.gap) if certificate.gap is not None else "-"
         slowest = f"{certificate.stability.worst.real:.4g}"
-        lines.append(
-            f"{row.name:18s} {bound:>10s} {certificate.norm.value:10.7g} {at:>9s} {lower_bound:>13s} {gap:>11s} {slowest:>13s}"
-        )
-    return lines
+        lines.append((row.name, bound, f"{certificate.norm.value:.7g}", at, lower_bound, gap, slowest))
+    return table(lines, indent="")
 
 
 def detail_lines(row: Row) -> list[str]:
@@ -93,17 +92,17 @@ def detail_lines(row: Row) -> list[str]:
         return [f"controller {row.name}", *(f"  NOT DESIGNED: {failure}" for failure in row.failures)]
     controller, certificate = row.controller, row.controller.certificate
     lines = heading_lines(controller)
-    lines.append("  poles " + "  ".join(_poles(certificate.poles)))
+    lines += wrapped("  ".join(_poles(certificate.poles)), "  poles ", len("  poles "))
     if certificate.stable:
         lines.append(f"  norm by level sets and by a sweep, {certificate.norm.gap:.0e} apart")
     if certificate.proof is not None:
         positive, negative = certificate.proof.positive, certificate.proof.negative
         lines.append(
-            f"  balanced, X > 0 by {positive.smallest:.1e}, and LMI (20) < 0 by {negative.smallest:.1e}; rounding is at most "
+            f"  X > 0 by {positive.smallest:.1e} and LMI (20) < 0 by {negative.smallest:.1e}, both balanced; rounding is at most "
             f"{positive.rounding:.0e} and {negative.rounding:.0e}"
         )
     if certificate.gap is not None:
-        lines.append(f"  within {percent(certificate.gap)} of the best any controller could do")
+        lines.append(f"  norm {percent(certificate.gap)} above the lower bound")
     if row.witness is not None:
         lines.append(f"  {row.witness.text}")
     said = (*row.notes, *certificate.remarks)
@@ -126,11 +125,19 @@ def refine_lines(rows: Sequence[Row], vehicle: str) -> list[str]:
     if not worth:
         return []
     shares = ", ".join(f"{row.name} by {_at_least(row.worth)} or more" for row in worth)
-    what = " ".join(option("--controller", row.name) for row in worth)
+    named = [option("--controller", row.name) for row in worth]
     return [
         f"refine: --refine lowers the norm of {shares}:",
-        f"  python -m synth {option('--vehicle', vehicle)} {what} --refine",
+        *command(["python -m synth", option("--vehicle", vehicle), *named, "--refine"]),
     ]
+
+
+def verdict_lines(rows: Sequence[Row]) -> list[str]:
+    """Whether every claim holds, or which controllers have one that does not."""
+    wrong = [f"{row.name} {'is not designed' if row.controller is None else 'FAILS'}" for row in rows if row.failures]
+    if wrong:
+        return [f"not every claim holds: {', '.join(wrong)}"]
+    return [f"every claim holds, of {len(rows)} controller{'s' * (len(rows) != 1)}"]
 
 
 def _at_least(share: float) -> str:

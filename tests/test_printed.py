@@ -1,0 +1,180 @@
+"""What commands print fits a terminal, whatever the vehicle, and ends with the answer."""
+
+import random
+import re
+import shlex
+
+import pytest
+
+from models.common.errors import InputError
+from models.common.printed import WIDTH, Whole, command, fitted, matrix, table, wrapped
+from models.vehicle import read_vehicle
+from sim.__main__ import COMMANDS
+from tests.commands import main_of, prose
+
+LONG = "a_controller_whose_name_is_as_long_as_a_name_may_be_60_signs"
+BUILT = "\n[limits]\nsuspension_stroke = 0.08\nstop_stiffness = 1e5\nactuator_force = 2e3\nactuator_bandwidth = 300.0\n"
+BUILT += "[implementation]\nsample_period = 4e-3\nnoise = { sprung_velocity = 1e-3 }\n"
+CAMPAIGN = """
+vehicles = ["quarter_car", "full_car"]
+controllers = ["passive", "I"]
+roads = ["bump", "iso8608:class=C"]
+speeds = [10.0]
+duration = 0.4
+settle = 0.2
+timestep = 2e-3
+"""
+RUN = r"agrees|DOES NOT AGREE|outside the linear regime"
+ANSWERS = {  # how the last line, or the sentence that is the last, begins
+    "synth": r"every claim holds|not every claim holds",
+    "sim.bump": RUN,
+    "sim.drive": RUN,
+    "sim.sweep": RUN,
+    "sim.margins": RUN,
+    "sim.envelope": RUN,
+    "sim.report": "Over bumps",
+    "sim.inspect": r"(the log still proves|the log DOES NOT PROVE)",
+}
+
+
+def too_wide(text: str) -> list[str]:
+    """Lines that do not fit and could: not what cannot be broken, which is alone on its line, or after the program to run."""
+    return [line for line in text.splitlines() if len(line) > WIDTH and len(line.removeprefix("  rerun ").split()) > 1]
+
+
+@pytest.fixture(scope="module")
+def cars(tmp_path_factory):
+    """The car of the longest names, and one with limits, an implementation, a long controller's name and an unstable loop."""
+    text = read_vehicle("quarter_car").text + f'\n[controllers.{LONG}]\nmeasured = ["sprung_velocity"]\ngain = [[-8970.3]]\n'
+    text += '[controllers.unstable]\nmeasured = ["sprung_velocity"]\ngain = [[9e4]]\n'
+    path = tmp_path_factory.mktemp("cars") / "built.toml"
+    path.write_text(text + BUILT)
+    return {"full_car": "full_car", "built": str(path)}
+
+
+@pytest.mark.parametrize(
+    ("car", "line"),
+    [
+        *(
+            (car, line)
+            for car in ("full_car", "built")
+            for line in (
+                "synth",
+                "sim.bump --controller all --duration 0.5 --timestep 2e-3 --logs logs",
+                "sim.drive --controller all --class E --duration 1 --timestep 2e-3 --no-logs",
+                "sim.envelope --controller I --vary height:0.02:0.4:3 --vary speed:5:20:3 --csv map.csv --timestep 4e-3",
+            )
+        ),
+        ("built", "sim.bump --controller I --height 1.5 --duration 1 --timestep 2e-3 --no-logs"),
+        ("built", "sim.sweep --controller I --timestep 4e-3 --logs logs"),
+        ("built", "sim.margins --controller II --timestep 4e-3 --logs logs"),
+        pytest.param("full_car", "sim.sweep --controller all --timestep 4e-3", marks=pytest.mark.attack),  # half a minute
+        pytest.param("full_car", "sim.margins --controller II --timestep 4e-3", marks=pytest.mark.attack),  # a minute
+    ],
+)
+def test_lines_fit_and_the_answer_is_last(line, car, cars, tmp_path, monkeypatch, capsys):
+    """No line is wider than 80 columns, and below all tables and paths stands what came out, a line for each controller."""
+    monkeypatch.chdir(tmp_path)
+    name, *arguments = shlex.split(line)
+    main_of(name)([*arguments, "--vehicle", cars[car]])
+    out = capsys.readouterr().out
+    assert too_wide(out) == []
+    last = prose(out[out.rindex("\n\n") :])
+    assert re.search(rf"(^|\s)({ANSWERS[name]})", last)
+    if "all" in arguments:
+        names = read_vehicle(cars[car]).controller_names
+        assert [word for word in last.split() if word in names] == list(names)
+    if "--logs" in arguments:
+        assert out.index("rerun logs") < out.rindex("\n\n")
+
+
+def test_report_and_log(tmp_path, monkeypatch, capsys):
+    """The same of a report, which says where it is and then what came out, and of a log that is inspected."""
+    monkeypatch.chdir(tmp_path)
+    assert main_of("sim.report")(["--quick", "--timestep", "4e-3"]) == 0
+    out = capsys.readouterr().out
+    assert too_wide(out) == []
+    assert out.startswith("report\n  report.html\n\n")
+    assert ANSWERS["sim.report"] in out
+    assert main_of("sim.bump")(["--vehicle", "full_car", "--controller", "I", "--duration", "1"]) == 0
+    capsys.readouterr()
+    (log,) = tmp_path.glob("logs/*.mcap")
+    assert main_of("sim.inspect")([str(log), "--csv", "signals.csv"]) == 0
+    out = capsys.readouterr().out
+    assert too_wide(out) == []
+    assert re.fullmatch(ANSWERS["sim.inspect"] + ".*", out.splitlines()[-1])
+
+
+def test_campaign(tmp_path, monkeypatch, capsys):
+    """A campaign names its results and then shows its tables; --verify ends with its verdict."""
+    pytest.importorskip("pyarrow", reason="needs the extra [campaign]")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "campaign.toml").write_text(CAMPAIGN)
+    assert main_of("sim.campaign")(["campaign.toml"]) == 0
+    out = capsys.readouterr().out
+    assert too_wide(out) == []
+    assert out.index("results.parquet") < out.index("quarter_car over bump at 10 m/s")
+    assert re.fullmatch(r"    I( +[\d.]+){5}", out.splitlines()[-1])
+    assert main_of("sim.campaign")(["--verify", "campaign-results", "--runs", "1"]) == 0
+    out = capsys.readouterr().out
+    assert too_wide(out) == []
+    assert out.endswith("\n\nthe results hold what the campaign comes to\n")
+
+
+@pytest.mark.parametrize("name", ["sim", *(name for name, _, _ in COMMANDS)])
+def test_help_fits(name, monkeypatch, capsys):
+    """`--help` fits, too; a line of its examples is to be copied, and may be longer."""
+    monkeypatch.setenv("COLUMNS", "80")
+    with pytest.raises(SystemExit):
+        main_of(name)(["--help"])
+    printed = [line for line in capsys.readouterr().out.splitlines() if not line.startswith("  python -m ")]
+    assert [line for line in printed if len(line) > WIDTH] == []
+
+
+def test_sentences_keep_their_words():
+    """Of random words of random lengths every line fits, none is lost, and no number is parted from its unit."""
+    draw = random.Random(20261121)
+    for _ in range(200):
+        words = [draw.choice(("MuJoCo", "7.5 m/s", "-65 +- 3.2j", "a" * draw.randint(1, 30))) for _ in range(draw.randint(1, 60))]
+        indent = " " * draw.randint(0, 8)
+        text = indent + " ".join(words)
+        lines = fitted([text])
+        assert " ".join(" ".join(lines).split()) == text.strip()
+        assert max(map(len, lines)) <= WIDTH
+        assert not any(line.endswith((" 7.5", "+-")) for line in lines)
+        assert lines[0].startswith(indent)
+        assert all(line.startswith(f"{indent}  ") for line in lines[1:])
+
+
+def test_what_is_copied_is_not_cut():
+    """A path that is marked so is one line, however long; a command goes on after a backslash, as a shell reads it."""
+    path = Whole("  logs/" + "folder with spaces/" * 8)
+    assert fitted([path]) == wrapped(path) == [path]
+    words = ["python -m synth", "--vehicle half_car", *(f"--controller a_controller_{i}" for i in range(9)), "--refine"]
+    lines = command(words)
+    assert max(map(len, lines)) <= WIDTH
+    assert shlex.split("\n".join(lines).replace("\\\n", "")) == shlex.split(" ".join(words))
+
+
+def test_tables_are_aligned():
+    """Numbers end in their column's last place, and a name that leaves them no room has the line above."""
+    lines = table(
+        [("name", "one", "two"), ("short", "1.5", "200"), "a heading over all", ("n" * 76, "3", "-"), ("last", "44", "5")]
+    )
+    numbers = [line for line in lines if re.search(r"\d|one", line)]
+    assert len({len(line) for line in numbers}) == 1
+    assert lines[3:5] == [f"  {'n' * 76}", lines[4]]
+    assert lines[4].split() == ["3", "-"]
+    assert max(map(len, lines)) <= WIDTH
+    rows = matrix("  gain ", [["1.5"] * 30, ["2"]])
+    assert rows[0].startswith("  gain [[1.5, 1.5")
+    assert rows[-1] == "         [2]]".replace("  [", " [", 1)
+    assert max(map(len, rows)) <= WIDTH
+    assert eval("".join(rows).replace("  gain ", "")) == [[1.5] * 30, [2]]
+
+
+def test_bad_input_stays_one_line():
+    """A message is one line, however wide: what reads it reads lines."""
+    with pytest.raises(InputError) as raised:
+        main_of("sim.bump")(["--controller", "nobody", "--vehicle", "full_car"])
+    assert "\n" not in str(raised.value)
