@@ -79,7 +79,7 @@ def everything(names: tuple[str, ...]) -> Page:
         names, np.arange(1.0, len(names) + 1), ("0.123 m/s² (−78 %)",) * len(names), tuple(style[name][0] for name in names)
     )
     panels = (
-        Panel("lines\nof all", "frequency [Hz]", "gain [m]", curves + points, xlog=True, ylog=True),
+        Panel(f"lines\nof {names[0]}", "frequency <& [Hz]", "gain [m]", curves + points, xlog=True, ylog=True),
         Panel("map", "speed [m/s]", "height [m]", points[:1], ground),
         Panel("shades", "mass [%]", "stiffness [%]", (), Shades(x, y, z, "norm [-]")),
         Panel("bars", "norm", "", (), bars),
@@ -105,7 +105,7 @@ def test_structure(page):
     _, found = page
     assert [one["@lang"] for one in found.some("html")] == ["en"]
     assert len(found.some("main")) == len(found.some("h1")) == len(found.some("title")) - len(found.some("desc")) == 1
-    assert "main" in found.some("h1")[0]["around"]
+    assert "header" in found.some("h1")[0]["around"]
     assert found.some("nav")[0]["@aria-label"]
     levels = [int(one["tag"][1]) for one in found.all if re.fullmatch("h[1-6]", one["tag"])]
     assert all(after - before <= 1 for before, after in itertools.pairwise(levels))
