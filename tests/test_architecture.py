@@ -92,7 +92,12 @@ OWNERS = {
         "sim/physics/energy.py",
         "sim/recording/drawing.py",
     },
-    "mcap": {"sim/recording/mcap_writer.py", "sim/inspect/mcap_reader.py", "sim/inspect/mcap_stream.py"},
+    "mcap": {
+        "sim/recording/mcap_writer.py",
+        "sim/inspect/mcap_channels.py",
+        "sim/inspect/mcap_reader.py",
+        "sim/inspect/mcap_stream.py",
+    },
     "zstandard": {"sim/inspect/mcap_stream.py"},
     "lz4": {"sim/inspect/mcap_stream.py"},
     "mcap_protobuf": {"sim/recording/mcap_writer.py"},

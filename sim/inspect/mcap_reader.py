@@ -9,20 +9,18 @@ decompress without a limit. Its records read themselves here, each from bytes of
 import os
 import struct
 import zlib
-from array import array
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO, TypeVar
 
-import numpy as np
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, DataEnd, Footer, McapRecord, Metadata, Schema
 
 from models.common.errors import InputError
 from models.common.read_file import open_plain
-from sim.inspect.mcap_contents import Attached, Logged, McapFile
+from sim.inspect.mcap_channels import Channels
+from sim.inspect.mcap_contents import Attached, McapFile
 from sim.inspect.mcap_stream import MIB, MOST_RECORD, ExactStream, decompressed
 
 GIVE = "give an .mcap file that a run has written"
@@ -30,12 +28,10 @@ MAGIC = b"\x89MCAP0\r\n"
 MOST_KEPT = 256 * MIB  # of metadata and attachments together
 MOST_DATA = 4096 * MIB  # of all decompressed chunks together; a million samples of a full car take 900 MiB
 GROWTH = 200  # times the file's own size, for the same; a vehicle at rest on a flat road, all zeros, compresses 40 times
-MOST_CHANNELS = 10_000  # a thousand runs have eight each
 MOST_DAMAGE = 20  # remarks; of more, only the number
 
 PLAIN = (Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.MESSAGE_INDEX)
 _HEAD = struct.Struct("<BQ")
-_MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 _BROKEN = (McapError, ValueError, struct.error)  # what a record's own reader may raise
 
 AnyRecord = TypeVar("AnyRecord", bound=McapRecord)
@@ -58,18 +54,6 @@ def read_mcap(path: Path) -> McapFile:
     return reader.found()
 
 
-@dataclass
-class _Series:
-    """A channel that is being read."""
-
-    channel: Channel
-    schema: tuple[str, str, bytes] | None
-    times: array = field(default_factory=lambda: array("Q"))
-    ends: array = field(default_factory=lambda: array("Q"))
-    content: bytearray = field(default_factory=bytearray)
-    unlike: int = 0
-
-
 class _Reader:
     """Collects what a file holds. All its bounds are in one place, `_budget`, or beside the read that they bound."""
 
@@ -79,12 +63,9 @@ class _Reader:
         self._kept = 0
         self._metadata: dict[str, Mapping[str, str]] = {}
         self._attachments: dict[str, Attached] = {}
-        self._schemas: dict[int, Schema] = {}
-        self._channels: dict[int, Channel] = {}
-        self._series: dict[int, _Series] = {}
-        self._topics: dict[str, _Series] = {}
         self._damage: dict[str, None] = {}  # in order, each once
-        self._chunks = self._messages = self._right = self._absent = 0
+        self._channels = Channels(self._damaged)
+        self._chunks = self._right = self._absent = 0
 
     def read(self, stream: BinaryIO) -> None:
         """The whole file, from behind its magic."""
@@ -103,25 +84,12 @@ class _Reader:
 
     def found(self) -> McapFile:
         """What was read."""
-        channels = {
-            topic: Logged(
-                topic,
-                series.channel.message_encoding,
-                series.schema,
-                series.channel.metadata,
-                np.array(series.times, dtype=np.uint64),
-                np.array(series.ends, dtype=np.uint64),
-                memoryview(series.content),
-                series.unlike,
-            )
-            for topic, series in self._topics.items()
-        }
         damage = list(self._damage)
         if len(damage) > MOST_DAMAGE:
             damage = [*damage[:MOST_DAMAGE], f"and {len(damage) - MOST_DAMAGE} more of the kind"]
-        schemas = tuple(schema.name for schema in self._schemas.values())
-        counts = self._chunks, self._messages, self._right, self._absent
-        return McapFile(self._metadata, self._attachments, channels, schemas, *counts, tuple(damage))
+        counts = self._chunks, self._channels.messages, self._right, self._absent
+        logged, schemas = self._channels.logged(), self._channels.schema_names
+        return McapFile(self._metadata, self._attachments, logged, schemas, *counts, tuple(damage))
 
     def _damaged(self, remark: str) -> None:
         if len(self._damage) < 1000 * MOST_DAMAGE:
@@ -239,51 +207,17 @@ class _Reader:
     def _read_inner(self, where: str, opcode: int, content: memoryview) -> None:
         """A record that may stand in a chunk."""
         if opcode == Opcode.MESSAGE:
-            self._read_message(where, content)
+            self._channels.add_message(where, content)
         elif opcode == Opcode.SCHEMA:
             schema = self._parsed(Schema, where, bytes(content))
-            if schema is not None and self._schemas.setdefault(schema.id, schema) != schema:
-                self._damaged(f"the schema {where} has the number of another")
+            if schema is not None:
+                self._channels.add_schema(where, schema)
         elif opcode == Opcode.CHANNEL:
             channel = self._parsed(Channel, where, bytes(content))
             if channel is not None:
-                self._open(where, channel)
+                self._channels.open(where, channel)
         elif opcode not in PLAIN:
             self._damaged(f"the {_name(opcode)} {where} is none that a run of ours writes")
-
-    def _open(self, where: str, channel: Channel) -> None:
-        """Begins a channel."""
-        if channel.id in self._channels:
-            if self._channels[channel.id] != channel:
-                self._damaged(f"the channel {where} has the number of another")
-            return
-        if len(self._channels) >= MOST_CHANNELS:
-            self._damaged(f"more than {MOST_CHANNELS} channels; the others are not read")
-            return
-        self._channels[channel.id] = channel
-        schema = self._schemas.get(channel.schema_id)
-        if channel.topic in self._topics:
-            self._damaged(f"the channel {where} has the topic of another")
-            return
-        about = (schema.name, schema.encoding, schema.data) if schema is not None else None
-        self._topics[channel.topic] = self._series[channel.id] = _Series(channel, about)
-
-    def _read_message(self, where: str, content: memoryview) -> None:
-        # Not as a record of the library's: a chunk may hold two million of them, and objects take 15 times as much memory.
-        if len(content) < _MESSAGE.size:
-            self._damaged(f"a message {where} has {len(content)} bytes; the least is {_MESSAGE.size}")
-            return
-        self._messages += 1
-        number, order, time, published = _MESSAGE.unpack_from(content)
-        series = self._series.get(number)
-        if series is None:
-            if number not in self._channels:
-                self._damaged(f"messages {where} have no channel")
-            return
-        series.times.append(time)
-        series.content += content[_MESSAGE.size :]
-        series.ends.append(len(series.content))
-        series.unlike += order != 0 or published != time
 
     def _parsed(self, kind: type[AnyRecord], where: str, content: bytes) -> AnyRecord | None:
         try:
