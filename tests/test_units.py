@@ -254,11 +254,11 @@ def test_a_force_that_costs_nothing_is_named_in_any_units():
 
 
 def test_more_forces_than_the_problem_has_entries(capfd):
-    """Where z weighs none of so many forces that (22) has more unknowns than entries, that is said, and LAPACK prints nothing."""
+    """Where z weighs one of so many forces that (22) has more unknowns than entries, that is said, and LAPACK prints nothing."""
     rng = np.random.default_rng(1)
-    for n, m in ((2, 4), (1, 3), (3, 5)):
+    for n, m in ((2, 3), (3, 4), (3, 5)):
         A, B, C = rng.standard_normal((n, n)), rng.standard_normal((n, m)), rng.standard_normal((1, n))
-        plant = GeneralizedPlant(A, B, np.ones((n, 1)), C, np.zeros((1, m)), np.zeros((1, 1)))
+        plant = GeneralizedPlant(A, B, np.ones((n, 1)), C, rng.standard_normal((1, m)), np.zeros((1, 1)))
         with pytest.raises(DesignError, match="some control force costs nothing"):
             state_design(plant)
     printed = capfd.readouterr()
@@ -286,3 +286,14 @@ def test_own_units_are_no_units():
         # Each unit is a power of two: what is left of ten orders of magnitude is a factor of two each way.
         ratio = np.abs(own.into(moved).A / own_units(plant, Cy).into(plant).A)
         assert ratio.max() / ratio.min() < 4.01**2
+
+
+def test_no_unit_is_a_tie():
+    """Of a plant whose entries are powers of two, own units lie half-way between two of these: rounding does not choose."""
+    A, one = np.array([[-1.0, 2.0], [1.0, -1.0]]), np.eye(2)[:, :1]  # the unit of x2 is 2^-0.5 of that of x1
+    plant = GeneralizedPlant(A, one, one, one.T, np.zeros((1, 1)), np.zeros((1, 1)))
+    units = own_units(plant)
+    for seed in range(20):
+        moved = Moved(plant, np.eye(2), seed)
+        there = own_units(moved.plant)
+        np.testing.assert_array_equal(there.into(moved.plant).A, moved.t * units.into(plant).A)
