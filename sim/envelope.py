@@ -11,12 +11,12 @@ from models.common.arrays import Array
 from models.common.command import complain, one_chosen, run_command
 from models.common.errors import InputError
 from models.common.printed import say, titled
+from models.common.progress import Stages
 from models.vehicle import Vehicle, read_vehicle
 from sim.asked.envelope import nearest_run, parser
 from sim.command.claims import say_false_claims
 from sim.command.logs import log_lines, recorded
 from sim.command.outputs import check_outputs, written, written_lines
-from sim.command.progress import bar
 from sim.figures.picture import write_picture
 from sim.response.regime import END_NAMES
 from sim.roads.road import LOWEST, Bump
@@ -46,15 +46,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     _check(vehicle, bumps, time, options.threshold)
     outputs = {"csv": options.csv, "picture": options.picture}
     check_outputs(outputs | {"logs": options.logs}, [vehicle.source], options.json)
+    stage = Stages("design", "map", "picture and logs")
+    stage("design")
     controller = design(vehicle, name)
     say_false_claims([controller])
-
     try:
-        cells = validity(vehicle, controller, bumps, time, bar(len(bumps), "cells"))
+        cells = validity(vehicle, controller, bumps, time, stage.counted("map", len(bumps), "cells"))
     except Interrupted as interruption:
         cells = interruption.cells
         if not cells.done.any():
             raise
+    stage("picture and logs")
     if options.csv is not None:
         write_csv(options.csv, cells, options.threshold)
     if options.picture is not None:
@@ -65,6 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     result = envelope_object(cells, axes, name, options.threshold) | written(outputs)
     nearest = functools.partial(_nearest_runs, vehicle, controller, cells, time)
     logs = recorded(options, vehicle, [controller.name], nearest, result)
+    stage.end()
     if options.json:
         print(json.dumps({**result, "logs": logs}, allow_nan=False))
     else:

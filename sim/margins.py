@@ -11,13 +11,13 @@ import numpy as np
 from models.common.command import one_chosen, run_command
 from models.common.errors import InputError
 from models.common.printed import say, titled
+from models.common.progress import Stages
 from models.reality import Implementation
 from models.vehicle import Vehicle, read_vehicle
 from sim.asked.margins import late_run, parser
 from sim.command.claims import say_false_claims
 from sim.command.logs import log_lines, recorded
 from sim.command.outputs import check_outputs, written, written_lines
-from sim.command.progress import show
 from sim.figures.picture import write_picture
 from sim.linear.loop import sampled_radius
 from sim.runs.run import Run, run_all, sample_times
@@ -42,11 +42,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     name = one_chosen(vehicle.controller_names, options.controller)
     outputs = {"picture": options.picture}
     check_outputs(outputs | {"logs": options.logs}, [vehicle.source])
+    stage = Stages("design", "margins", "other vehicles", "picture and logs")
+    stage("design")
     controller = _with_loop(vehicle, name, options.timestep)
     say_false_claims([controller])
-
-    found = find_margins(vehicle, controller, options.timestep, show)
-    box = robustness(vehicle, controller, options.timestep, show)
+    stage("margins")
+    found = find_margins(vehicle, controller, options.timestep, stage)
+    stage("other vehicles")
+    box = robustness(vehicle, controller, options.timestep, stage)
+    stage("picture and logs")
     if options.picture is not None:
         from sim.stability.figure import margins_figure
 
@@ -54,6 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     result = {**margins_object(controller, found, box), "loop": None if as_built.ideal else _which_loop(as_built)}
     delayed = functools.partial(_delayed_runs, vehicle, controller, found[""], options.timestep)
     logs = recorded(options, vehicle, [controller.name], delayed, result)
+    stage.end()
     if options.json:
         print(json.dumps({**result, **written(outputs), "logs": logs}, allow_nan=False))
     else:

@@ -9,6 +9,7 @@ import numpy as np
 from models.common.command import run_command
 from models.common.errors import InputError
 from models.common.printed import say, titled
+from models.common.progress import Stages
 from models.vehicle import Vehicle, read_vehicle
 from sim.asked.sweep import asked_names, parser, worst_road, worst_times
 from sim.command.claims import say_false_claims
@@ -16,7 +17,7 @@ from sim.command.logs import log_lines, recorded
 from sim.command.outputs import check_outputs, written, written_lines
 from sim.figures.picture import write_picture
 from sim.frequency.identification import ideal_measurements
-from sim.frequency.sweep import Sweep, failures, summary_lines, sweep, sweep_lines, sweep_object
+from sim.frequency.sweep import EXTREMES, LINES, Sweep, failures, summary_lines, sweep, sweep_lines, sweep_object
 from sim.runs.run import Run, run_all
 from synth.designer import Designer
 
@@ -36,10 +37,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         raise InputError(f"--speed matters to rear wheels only, and a {vehicle.kind.name} has none; leave it out")
     outputs = {"picture": options.picture}
     check_outputs(outputs | {"logs": options.logs}, [vehicle.source])
+    stage = Stages("designs", LINES, EXTREMES, "picture and logs")
+    stage("designs")
     designer = Designer(vehicle)
     controllers = [designer.design(name) for name in names]
     say_false_claims(controllers)
-    sweeps = sweep(vehicle, controllers, options.amplitude, options.timestep, options.speed)
+    sweeps = sweep(vehicle, controllers, options.amplitude, options.timestep, options.speed, stage)
+    stage("picture and logs")
     if options.picture is not None:
         from sim.frequency.figure import sweep_figure
 
@@ -53,6 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "speed": options.speed,
     }
     logs = recorded(options, vehicle, names, lambda: _worst_runs(vehicle, sweeps, options), result)
+    stage.end()
     if options.json:
         print(json.dumps({**result, **written(outputs), "logs": logs}, allow_nan=False))
     else:

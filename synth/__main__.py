@@ -10,6 +10,7 @@ import numpy as np
 from models.common.command import ALL, Parser, chosen, run_command
 from models.common.errors import InputError, listing
 from models.common.printed import Whole, say, table, titled
+from models.common.progress import Stages
 from models.vehicle import Vehicle, read_vehicle
 from synth.certificate.lower_bound import LowerBound
 from synth.command.check import check
@@ -21,6 +22,7 @@ from synth.errors import DesignError
 from synth.search.flat import free_moves
 from synth.words import ideal_lines, notes
 
+FREE = "what no controller decides"  # the stage after the designs: a limit for all, and gains that may be others
 FLAT = 1e-4  # of gamma: how far the gains may move for it is printed
 
 EPILOG = """
@@ -53,13 +55,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.save:
         check_save(options.save, vehicle, [name for name in names if _designs(vehicle, name, options)])
     designer = Designer(vehicle)
-    rows = check(designer, options.controller) if options.check else [_row(designer, name, options) for name in names]
+    stage = Stages(*(f"controller {name}" for name in names), FREE)
+    if options.check:
+        rows = check(designer, options.controller)
+    else:
+        rows = []
+        for name in names:
+            stage(f"controller {name}")
+            rows.append(_row(designer, name, options))
     if options.cross_check and not any(row.witness for row in rows) and not any(row.controller is None for row in rows):
         raise InputError("--cross-check has nothing to solve: no controller asked for comes from an LMI problem; ask for one")
     if options.save:
         save(options.save, vehicle, [row.controller for row in rows if row.controller is not None])
+    stage(FREE)
     limit = designer.beyond_control
     moved = {} if options.check else _flatness(designer)
+    stage.end()
     if options.json:
         result = {
             "vehicle": vehicle.kind.name,

@@ -156,8 +156,9 @@ CHILD = """
 import sys
 import sim.envelope
 from models.common.command import run_command
+from models.common.progress import Stages
 
-def bar(total, what):
+def counted(stages, name, total, what):
     told = []
     def update(done):
         if not told:
@@ -165,7 +166,7 @@ def bar(total, what):
             print("some are done", file=sys.stderr, flush=True)
     return update
 
-sim.envelope.bar = bar
+Stages.counted = counted
 sys.argv[0] = "envelope"
 run_command(sim.envelope.main)
 """

@@ -15,6 +15,7 @@ from typing import Any, NoReturn
 from models.common import interrupt
 from models.common.errors import InputError, listing, one_line, quoted
 from models.common.printed import wrapped
+from models.common.progress import show
 
 BAD_INPUT = 2
 ALL = "all"  # in place of a controller's name
@@ -205,6 +206,7 @@ def complain(message: str) -> None:
     """One line on stderr that a terminal can show, whatever names and values the message quotes."""
     if sys.stderr:  # closed, as in `2>&-`, it is None
         with suppress(OSError):  # its terminal has ended
+            show("")  # how far the work was
             print(f"roadproof: {one_line(message)}", file=sys.stderr)
 
 

@@ -4,7 +4,7 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from pathlib import Path
 
@@ -13,6 +13,7 @@ from models.common.command import Parser, complain, run_command
 from models.common.cores import cores
 from models.common.errors import InputError
 from models.common.printed import Whole, say
+from models.common.progress import Stages
 from models.common.read_file import TEXT, read_text
 from sim.campaign.columns import columns, described
 from sim.campaign.file import Campaign, parse_campaign, read_campaign
@@ -24,7 +25,6 @@ from sim.campaign.summary import summarise, summary_lines
 from sim.campaign.verify import Verified, verify
 from sim.campaign.workers import HERE, Rows, cluster, run_batches
 from sim.command.claims import say_false_claims
-from sim.command.progress import bar, show
 from sim.physics.blocks import RUNS_AT_ONCE
 from sim.recording.versions import versions
 from synth.controller import Controller
@@ -68,13 +68,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.ray is not None and "workers" in options.given:
         raise InputError("--workers are threads of this machine, and --ray has workers of its own; leave one of them out")
     with cluster(options.ray) if options.ray is not None else nullcontext(), held(folder):
+        stage = Stages("designs", "runs", "results")
+        stage("designs")
         plan, manifest = _plan(campaign, folder, options.file)
         store = _store(plan, folder, manifest)
         store.tidy()
         for remark in store.damaged:
             print(f"roadproof: {remark}", file=sys.stderr)
         gaps = store.missing()
-        progress = _Progress(plan, sum(stop - start for start, stop in gaps), options.batch or RUNS_AT_ONCE)
+        stage("runs")
+        progress = _Progress(plan, sum(stop - start for start, stop in gaps), options.batch or RUNS_AT_ONCE, stage)
 
         def write(start: int, rows: Rows, took: float) -> None:
             store.write(start, rows)
@@ -89,13 +92,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 write,
             )
         except KeyboardInterrupt:
-            show("")
+            stage.end()
             left = sum(stop - start for start, stop in store.missing())
             complain(f"{interrupt.word()}: {plan.count - left} of {plan.count} runs are kept; start it again to go on")
             return interrupt.code()
-        show("")
+        stage("results")
         store.finish()
         entries = summarise(plan, store)
+        stage.end()
         if options.json:
             result = {
                 "results": str(store.results),
@@ -106,10 +110,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             }
             print(json.dumps(result, allow_nan=False))
         else:
-            rate = (
-                f", {progress.done} of them now: {progress.rate:.3g} steps/s" if progress.done else ", all of them there already"
-            )
-            lines = [f"{plan.count} runs of {campaign.duration:g} s at {campaign.timestep:g} s{rate}"]
+            now = f"{progress.done} of them now: {progress.rate:.3g} steps/s" if progress.done else "all of them there already"
+            lines = [f"{plan.count} runs of {campaign.duration:g} s at {campaign.timestep:g} s, {now}"]
             say([*lines, "", "results", Whole(f"  {store.results}"), *summary_lines(entries)])
     return 0
 
@@ -181,8 +183,11 @@ def _found(options: argparse.Namespace, folder: Path) -> tuple[int, Verified, st
             )
     check_same(manifest, folder, campaign.sources, _versions(), described(campaign))
     plan = _planned(campaign, manifest.controllers)
-    found = verify(plan, _store(plan, folder, manifest), options.runs, options.seed, bar(options.runs, "runs driven again"))
-    show("")
+    stage = Stages("rows", "runs driven again")
+    stage("rows")
+    store = _store(plan, folder, manifest)
+    found = verify(plan, store, options.runs, options.seed, stage.counted("runs driven again", options.runs, "runs"))
+    stage.end()
     return plan.count, found, remark
 
 
@@ -239,9 +244,9 @@ def _versions() -> dict[str, str]:
 class _Progress:
     """How many runs are done, how fast, how long it will take, and how many the next batch should have."""
 
-    def __init__(self, plan: Plan, total: int, most: int) -> None:
+    def __init__(self, plan: Plan, total: int, most: int, tell: Callable[[str], None]) -> None:
         self.steps, self.total, self.done, self.began = len(plan.campaign.time), total, 0, time.monotonic()
-        self._most, self._next = most, min(FEWEST, most)
+        self._most, self._next, self._tell = most, min(FEWEST, most), tell
 
     @property
     def rate(self) -> float:
@@ -258,7 +263,7 @@ class _Progress:
         self.done += runs
         left = (self.total - self.done) * self.steps / self.rate
         clock = f"{int(left // 3600)}:{int(left // 60 % 60):02d}:{int(left % 60):02d}"
-        show(f"{self.done} of {self.total} runs, {self.rate:.3g} steps/s, {clock} left")
+        self._tell(f"{self.done} of {self.total} runs, {self.rate:.3g} steps/s, {clock} left")
 
 
 def _parser() -> Parser:

@@ -1,7 +1,7 @@
 """What a sweep finds of a controller, held against its claims: in words, and as `--json` has it."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +12,7 @@ from sim.frequency.extremes import Extremes, extremes
 from sim.frequency.identification import Lines, identify
 from synth.controller import Controller
 
+LINES, EXTREMES = "frequency responses", "norms"
 TOLERANCE = 1e-4  # of the response at a line; RK4's own error at 1 ms is 3e-6, so more is no frequency response of this loop
 ABOVE = 1e-5  # above the norm, relative: RK4's own error again
 REACHED = 1e-3  # below the norm
@@ -35,9 +36,21 @@ class Sweep:
         return {**self.extremes.gains, "chirp": self.lines.gain}
 
 
-def sweep(vehicle: Vehicle, controllers: Sequence[Controller], amplitude: float, timestep: float, speed: float) -> list[Sweep]:
-    """Everything, of every controller. Arguments and errors as for `sim.frequency.identification.identify`."""
+def sweep(
+    vehicle: Vehicle,
+    controllers: Sequence[Controller],
+    amplitude: float,
+    timestep: float,
+    speed: float,
+    progress: Callable[[str], None] = lambda text: None,
+) -> list[Sweep]:
+    """Everything, of every controller, in two stages that `progress` is told of, `LINES` and `EXTREMES`.
+
+    Other arguments and errors as for `sim.frequency.identification.identify`.
+    """
+    progress(LINES)
     lines = identify(vehicle, controllers, amplitude, timestep, speed)
+    progress(EXTREMES)
     most = extremes(vehicle, controllers, amplitude, timestep, speed)
     return [Sweep(*pair) for pair in zip(lines, most, strict=True)]
 

@@ -12,11 +12,11 @@ from pathlib import Path
 from models.common.command import Parser, chosen, run_command
 from models.common.errors import InputError
 from models.common.printed import say
+from models.common.progress import Stages
 from models.common.whole_file import made_folder, together, whole_file
 from models.vehicle import read_vehicle
 from sim.command.claims import say_false_claims
 from sim.command.outputs import check_outputs, written, written_lines
-from sim.command.progress import show
 from sim.figures.page import Page, check_page, write_page
 from sim.figures.picture import check_drawing, write_picture
 
@@ -49,6 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     check_outputs(outputs, [vehicle.source], options.json)
     if options.figures is not None:
         check_drawing()
+    from sim.frequency.sweep import EXTREMES, LINES
     from sim.recording.versions import versions
     from sim.report.content import page, report_object
     from sim.report.scope import Scope, check_scope
@@ -56,11 +57,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     check_scope(vehicle, options.timestep)
 
-    show("designs")
+    first, then = ("designs", "a bump", LINES), ("where the linear regime ends",)
+    if not options.quick:
+        first, then = (*first, EXTREMES), (*then, "margins", "map", "random roads")
+    stage = Stages(*first, *then, "the page")
+    stage("designs")
     designer = Designer(vehicle)
     controllers = tuple(designer.design(name) for name in names)
     say_false_claims(controllers)
-    scope = Scope(vehicle, designer, controllers, options.timestep, options.quick, show)
+    scope = Scope(vehicle, designer, controllers, options.timestep, options.quick, stage)
     about = {
         "written": datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC"),
         "command": shlex.join(["python", *sys.orig_argv[1:]]),
@@ -68,7 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "versions": ", ".join(f"{name} {version}" for name, version in versions().items()),
     }
     result = page(scope, about)
-    show("the page")
+    stage("the page")
     with ExitStack() as stack:  # all of it, or nothing
         if options.figures is not None:
             stack.enter_context(made_folder(options.figures, "figures"))
@@ -76,7 +81,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         write_page(result, options.out)
         if options.figures is not None:
             _write_figures(result, options.figures)
-    show("")
+    stage.end()
     if options.json:
         print(json.dumps({**report_object(result), **written(outputs)}, allow_nan=False))
     else:

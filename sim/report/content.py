@@ -37,7 +37,7 @@ def page(scope: Scope, provenance: dict[str, str]) -> Page:
     if scope.quick:
         sweeps, lines = [], identify(vehicle, scope.stable, AMPLITUDE, h, road.speed) if scope.stable else []
     else:
-        sweeps = sweep(vehicle, scope.stable, AMPLITUDE, h, road.speed) if scope.stable else []
+        sweeps = sweep(vehicle, scope.stable, AMPLITUDE, h, road.speed, scope.progress) if scope.stable else []
         lines = [one.lines for one in sweeps]
     scope.progress("where the linear regime ends")
     ends = [(one, regime_end(ideal_measurements(vehicle), one, road, time)) for one in scope.stable]

@@ -130,8 +130,9 @@ def validity_section(scope: Scope, bump: Bump) -> tuple[Section, list[Finding]]:
     fixed = {"height": bump.height, "length": bump.length, "speed": bump.speed}
     time = sample_times(vehicle, BUMP_DURATION, timestep)
     figures, rows, found = [], [], []
+    scope.progress("map")
     for one in scope.active:
-        scope.progress(f"map of {one.name}")
+        scope.progress(f"of {one.name}")
         cells = validity(vehicle, one, grid(axes, fixed), time)
         figure = envelope_figure(vehicle, one, cells, axes, {"length": bump.length}, THRESHOLD)
         figures.append(replace(figure, name=f"map-{one.name}"))
