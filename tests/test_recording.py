@@ -25,6 +25,7 @@ SIGNALS = (ROAD_DISPLACEMENT, SUSPENSION_DEFLECTION, SPRUNG_ACCELERATION, CONTRO
 METADATA = {"command": "sim.bump", "road": json.dumps({"type": "bump", "height_m": 0.1}), "vehicle_file": "a\nb | c"}
 ATTACHMENTS = {"model.xml": ("application/xml", b"<mujoco/>"), "empty": ("text/plain", b"")}
 
+WORDS = "agrees until 0.1 s (lift-off)"
 TOPICS = ("mujoco", "linear", "continuous", "difference", "events", "transforms", "shapes", "scene")
 
 
@@ -63,7 +64,7 @@ def make_run(name: str) -> RunLog:
         "continuous": Response(time[::3], SIGNALS[1:], values[::3, 1:]),
     }
     events = ((0.05, "tyre leaves the road"), (0.08, "tyre lands"))
-    return RunLog(name, responses, {"bound": "6.3", "gain": "[[1, 2]]"}, events, f"# {name}\n\nproved", make_scene())
+    return RunLog(name, responses, {"bound": "6.3", "gain": "[[1, 2]]"}, events, f"# {name}\n\nproved", make_scene(), WORDS)
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,7 @@
 """What Rerun shows beside plain curves: tyres, struts and forces, differences, what happened, several controllers."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 
 from sim.figures.figure import STYLES, rgb
 from sim.recording.appearance import LIFTED, LONGEST
+from sim.recording.rerun_layout import SEEN, _comparison
 from sim.recording.rerun_writer import write_rrd
 from sim.recording.run_log import RunLog
 from sim.response.difference import difference
@@ -106,7 +108,35 @@ def test_several_controllers_are_side_by_side(tmp_path: Path) -> None:
     for name in ("I", "II"):
         assert {f"/{name}/world/sprung", f"/{name}/signals/control_force/linear", f"/{name}/summary"} <= found
     ((table,),) = rows(tmp_path / "two.rrd", "/certificates", "TextDocument:text")
-    assert "| I | 6.3 |" in table
+    assert "| I | 6.3 | - | - | agrees until 0.1 s (lift-off) |" in table  # as its verdict has it
     assert "| II | 6.3 |" in table
-    assert "lift-off" not in table  # these runs have other events: the first one is named
+    assert "| lift-off" not in table  # these runs have other events: the first one is named
     assert "tyre leaves the road 0.05 s" in table
+
+
+def test_what_lies_on_another_curve_is_shown_when_asked(lifting: RunLog) -> None:
+    """Curves that are another run's to a pixel are hidden at first, but the first of them; those of other times are not."""
+    from sim.recording.rerun_layout import doubles
+
+    physics = lifting.responses["mujoco"]
+
+    def moved(name: str, factor: float) -> RunLog:
+        return replace(lifting, name=name, responses={"mujoco": replace(physics, values=physics.values * factor)})
+
+    short = replace(lifting, name="short", responses={"mujoco": physics.until(0.1)})
+    assert doubles([lifting, moved("printed", 1 + 1e-4), moved("other", 1.1), moved("again", 1.1), short]) == {"printed", "again"}
+    assert doubles([make_run("I"), make_run("II")]) == set()  # not a number anywhere is not the same
+
+
+def test_few_plots_to_a_page(lifting: RunLog) -> None:
+    """Controllers are compared by at most six plots at once, on as many pages as there have to be; every signal has one."""
+    page = _comparison([lifting, replace(lifting, name="other")])
+    grids = [each for each in _parts(page) if type(each).__name__ == "Grid" and each.grid_columns == 3]
+    counts = [len(grid.contents) for grid in grids]
+    assert max(counts) <= SEEN
+    assert sum(counts) == len(lifting.responses["mujoco"].signals)
+
+
+def _parts(container) -> list:
+    inner = list(getattr(container, "contents", []))
+    return inner + [part for each in inner if hasattr(each, "grid_columns") or hasattr(each, "contents") for part in _parts(each)]

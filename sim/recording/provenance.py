@@ -17,7 +17,7 @@ from sim.recording.format import CONTINUOUS, FORMAT, MUJOCO, SAMPLED, check_keys
 from sim.recording.run_log import RunLog
 from sim.recording.versions import versions
 from sim.runs.run import Run
-from sim.runs.words import controller_object, energy_object, events, half_step_object, summary
+from sim.runs.words import controller_object, energy_object, events, half_step_object, summary, verdict
 from synth.certificate.record import to_record
 
 
@@ -135,5 +135,6 @@ def run_log(run: Run, name: str) -> RunLog:
         events=events(run),
         summary=summary(run),
         scene=scene_of(vehicle, road, run.physics, run.qpos),
+        verdict=verdict(run),
         files=files,
     )

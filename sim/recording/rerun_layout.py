@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import rerun as rr
 import rerun.blueprint as rrb
 
 from models.common.arrays import Array
@@ -14,12 +13,15 @@ from sim.recording.rerun_signals import TIMELINE, colours, entity, line
 from sim.recording.run_log import RunLog
 from sim.recording.signal_groups import groups, shown, signals_of
 from sim.response.difference import difference
+from sim.response.response import Response
 
 # Cameras look from the left-hand side, where the struts are seen, a bit in front and above: x is forward, z is up.
 SIGHT = np.array([-0.45, -1.0, -0.14])
 HALF_VIEW = np.tan(np.radians(55.0 / 2))  # Rerun's vertical field of view
 SKY = (206, 214, 224)  # black tyres are seen before it
 PAPER = (178, 183, 192)  # the report's colours are made for light paper; the time cursor is white
+UNSEEN = 5e-3  # of a peak: about a pixel of a plot
+SEEN = 6  # plots of one page that compares controllers: more of them are too flat to be read
 CARS, TITLE = (1090, 326), 28  # room for cars side by side in a window of 1600 x 900, and height of a view's title [pixels]
 
 
@@ -83,17 +85,39 @@ def _largest(run: RunLog, group: Sequence[Signal]) -> str:
 
 
 def _comparison(runs: Sequence[RunLog]) -> rrb.Container:
-    """All cars side by side, what is proved of each, and every signal of all of them in one plot."""
+    """All cars side by side, what is proved of each, and every signal of all of them in one plot, a few plots to a page."""
     columns = _columns(runs)
     wide, tall = _room(len(runs), columns)
     cars = rrb.Grid(*(_car(run, wide / tall) for run in runs), grid_columns=columns)
     pages = []
     for name, group in groups(signals_of(runs)).items():
-        plots = [_compared(signal, runs, not i) for i, signal in enumerate(group)]
-        pages.append(rrb.Grid(*plots, grid_columns=4, name=name))
+        parts = [group[start : start + SEEN] for start in range(0, len(group), SEEN)]
+        for number, part in enumerate(parts, start=1):
+            plots = [_compared(signal, runs, not i) for i, signal in enumerate(part)]
+            pages.append(rrb.Grid(*plots, grid_columns=3, name=f"{name} {number}" if len(parts) > 1 else name))
     plots = pages[0] if len(pages) == 1 else rrb.Tabs(*pages, active_tab=0)
     certificates = rrb.TextDocumentView(origin=entity("certificates"), name="certificates")
     return rrb.Vertical(rrb.Horizontal(cars, certificates, column_shares=[3, 1]), plots, row_shares=[4, 5], name="all")
+
+
+def doubles(runs: Sequence[RunLog]) -> set[str]:
+    """Names of runs whose curves all lie on those of one before, as a printed gain's do on its design's: shown when asked."""
+    found: set[str] = set()
+    for i, run in enumerate(runs):
+        mine = run.responses[shown(run)]
+        others = [one.responses[shown(one)] for one in runs[:i] if one.name not in found]
+        if any(_same_curves(mine, other) for other in others):
+            found.add(run.name)
+    return found
+
+
+@np.errstate(invalid="ignore", over="ignore")  # what is no number is like nothing
+def _same_curves(one: Response, other: Response) -> bool:
+    """Whether no curve of one is seen beside that of the other."""
+    if one.signals != other.signals or not np.array_equal(one.time, other.time):
+        return False
+    apart = np.abs(one.values - other.values).max(axis=0)
+    return bool(np.all(apart <= UNSEEN * np.abs(other.values).max(axis=0)))
 
 
 def _columns(runs: Sequence[RunLog]) -> int:
@@ -121,14 +145,15 @@ def _compared(signal: Signal, runs: Sequence[RunLog], legend: bool) -> rrb.View:
     paths = {entity(run.name, "signals", signal.name, shown(run)): run.name for run in runs if run.name in having}
     # In the order in which the viewer draws, thinner and thinner, so that one curve behind another is still seen.
     lines = {path: line(paths[path], having[paths[path]], min(1.5 + rank, 5.0)) for rank, path in enumerate(sorted(paths)[::-1])}
+    hidden = {path: [looks, rrb.EntityBehavior(visible=False)] for path, looks in lines.items() if paths[path] in doubles(runs)}
     happened = [
         entity(run.name, "signals", signal.name, text) for run in runs for text in dict.fromkeys(t for _, t in run.events)
     ]
     # The plot with the legend goes without: there are as many markers as controllers.
-    return _plot(signal, [*paths, *([] if legend else happened)], lines, legend)
+    return _plot(signal, [*paths, *([] if legend else happened)], {**lines, **hidden}, legend)
 
 
-def _plot(signal: Signal, paths: Sequence[str], lines: Mapping[Any, rr.SeriesLines], legend: bool) -> rrb.View:
+def _plot(signal: Signal, paths: Sequence[str], lines: Mapping[Any, Any], legend: bool) -> rrb.View:
     """One signal; `lines` restyles the series by path. All plots zoom and pan together in time; one legend speaks for all."""
     return rrb.TimeSeriesView(
         origin="/",

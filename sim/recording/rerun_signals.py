@@ -117,10 +117,10 @@ def listed(metadata: Mapping[str, str]) -> str:
 
 def certificates(runs: Sequence[RunLog]) -> str:
     """What is proved and found of every run, side by side, as Markdown."""
-    keys = {"bound": "bound", "norm": "norm", "stable": "stable", "agrees": "agrees"}
-    rows = ["| controller | " + " | ".join(keys.values()) + " | first |", "|---" * (len(keys) + 2) + "|"]
+    keys = ("bound", "norm", "stable")
+    rows = ["| controller | " + " | ".join(keys) + " | MuJoCo | first |", "|---" * (len(keys) + 3) + "|"]
     for run in runs:
-        claims = [_number(run.metadata.get(key, "-")) for key in keys]
+        claims = [*(_number(run.metadata.get(key, "-")) for key in keys), _cell(run.verdict) or "-"]
         first = f"{run.events[0][1]} {run.events[0][0]:.3g} s" if run.events else "-"
         rows.append(f"| {_cell(run.name)} | {' | '.join(claims)} | {first} |")
     return "\n".join(rows)

@@ -18,6 +18,7 @@ class RunLog:
         events: (time [s], text): lift-off and landing, divergence.
         summary: design and verdict as Markdown.
         scene: what it looks like.
+        verdict: what the comparison came to, in a few words; empty where nothing was compared.
         files: attachments that its metadata names, (media type, content) by name: the points of a measured road.
     """
 
@@ -27,4 +28,5 @@ class RunLog:
     events: tuple[tuple[float, str], ...]
     summary: str
     scene: Scene
+    verdict: str = ""
     files: Mapping[str, tuple[str, bytes]] = field(default_factory=dict)
