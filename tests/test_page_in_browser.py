@@ -51,6 +51,7 @@ def test_pages_can_be_read(node_modules, tmp_path):
     for kind in ("quarter_car", "full_car"):
         pages.append(tmp_path / f"{kind}.html")
         assert main(["--quick", "--timestep", "0.002", "--vehicle", kind, "--out", str(pages[-1])]) == 0
+        assert pages[-1].stat().st_size < 1_000_000  # it is to be mailed
     for path, found in zip(pages, wrong(pages, node_modules), strict=True):
         assert len(found) == 8
         assert not {how: said for how, said in found.items() if said}, path.name
