@@ -16,7 +16,7 @@ from models.vehicle import read_vehicle
 from sim.figures.axis import Axis, axis_of
 from sim.figures.contrast import GRAPHICS, TEXT, contrast, readable
 from sim.figures.describe import about
-from sim.figures.figure import OTHERS, STYLES, Bars, Classes, Curve, Figure, Panel, Shades, styles
+from sim.figures.figure import OTHERS, STYLES, Bars, Classes, Curve, Figure, Panel, Shades, styles, thinned
 from sim.figures.page import DARK, LIGHT, Page, Section, Table, by_night, render
 from sim.figures.svg import svg
 from sim.report.designs import gain_table
@@ -305,10 +305,27 @@ def test_a_figure_in_words():
     panel = Panel("travel\nover a bump", "time [s]", "travel [m]", (Curve(x, -((x - 1) ** 2), "I"), Curve(x, x, "", name="II")))
     title, text = about(panel)
     assert title == "travel; over a bump"
-    assert "I: largest -0 m at 1 s, least -4 at 3, at the end -4." in text
+    assert text.startswith("As drawn, I: largest 0 m at 1 s, least -4 at 3 s, at the end -4.")
     assert "II: largest 3 m at 3 s" in text
     ground = Classes(x[:2], x[:2], np.array([[0, 0], [0, 1]]), ("#ffffff", "#000000"), ("fine", "broken"))
     assert "fine, 75 %; broken, 25 %;" in about(Panel("map", "x", "y", (), ground))[1]
+
+
+def test_a_place_with_a_name_is_told_by_it():
+    """Where an axis has names for numbers, as classes of roads, the words have them, too."""
+    panel = Panel("ride", "class of road", "m/s²", (Curve(np.arange(3.0), np.array([1.0, 3.0, 2.0]), "I"),), None)
+    panel = dataclasses.replace(panel, xticks=(0.0, 1.0, 2.0), xnames=("A", "B", "C"))
+    assert "largest 3 at B, least 1 at A, at the end 2." in about(panel)[1]
+
+
+@pytest.mark.parametrize("every", [1, 7, 60, 1000])
+def test_what_is_left_of_a_line_keeps_its_largest_and_least(every):
+    """Of a line that is thinned the largest and the least are the whole line's, whatever falls between, and so are the words."""
+    y = np.sin(np.linspace(0.3, 30, 501)) * np.linspace(1, 2, 501)
+    some = y[thinned(y, every)]
+    assert some.max() == y.max()
+    assert some.min() == y.min()
+    assert len(some) <= len(y) / every + 3
 
 
 def test_gains_are_matrices(designer):

@@ -37,17 +37,19 @@ def _curves(panel: Panel) -> list[str]:
     """Every line by its ends and its extremes, every set of points by how many there are."""
     (_, unit), (_, per) = quantity(panel.ylabel), quantity(panel.xlabel)
     said = []
+
+    def at(x: float) -> str:
+        return panel.xnames[panel.xticks.index(x)] if x in panel.xticks and panel.xnames else f"{x:.3g} {per}".rstrip()
+
     for curve in panel.curves:
         name, there = curve.name or curve.label, np.isfinite(curve.y) & np.isfinite(curve.x)
         if not name or not there.any():
             continue
-        x, y = np.asarray(curve.x)[there], np.asarray(curve.y)[there]
+        x, y = np.asarray(curve.x)[there], np.asarray(curve.y)[there] + 0.0  # no -0
         if curve.dash == "none":
             said.append(f"{name}: {len(x)} point{'s' if len(x) > 1 else ''}.")
         else:
             top, low = int(y.argmax()), int(y.argmin())
-            said.append(
-                f"{name}: largest {y[top]:.3g} {unit} at {x[top]:.3g} {per}, least {y[low]:.3g} at {x[low]:.3g}, "
-                f"at the end {y[-1]:.3g}."
-            )
-    return said
+            size = f"{y[top]:.3g} {unit}".rstrip()
+            said.append(f"{name}: largest {size} at {at(x[top])}, least {y[low]:.3g} at {at(x[low])}, at the end {y[-1]:.3g}.")
+    return ["As drawn,", *said] if any(" largest " in words for words in said) else said

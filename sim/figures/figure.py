@@ -171,6 +171,16 @@ class Figure:
         return -(-len(self.panels) // self.columns)
 
 
+def thinned(y: Array, every: int) -> Array:
+    """Which of the points of a line to draw, as indices: every so many, and its largest and its least, which are told, too.
+
+    Args:
+        y: shape (N,), finite somewhere.
+        every: at least 1.
+    """
+    return np.union1d(np.arange(0, len(y), every), [np.nanargmax(y), np.nanargmin(y)])
+
+
 def level(x: Array, y: Array, z: Array, height: float) -> tuple[Array, Array]:
     """Where z, shape (M, N), over the grid y, x has a height, as x and y of a curve. NaN is no ground."""
     from contourpy import contour_generator

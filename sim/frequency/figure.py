@@ -8,12 +8,16 @@ from dataclasses import replace
 
 import numpy as np
 
+from models.common.arrays import Array
 from models.vehicle import Vehicle
 from sim.figures.figure import Curve, Figure, Panel, styles
 from sim.frequency.identification import HIGHEST, LOWEST, Lines
 from sim.linear.frequency import as_met, continuous_frequency_response, sampled_frequency_response
 from sim.response.response import SILENT
+from synth.controller import Controller
 
+POINTS = 600  # of a line, as far apart as a hundredth of their frequency
+CLOSELY = 41  # more where it is largest or least
 TICKS = (0.1, 0.3, 1.0, 3.0, 10.0, 25.0)  # Hz
 
 
@@ -27,19 +31,13 @@ def sweep_figure(vehicle: Vehicle, sweeps: Sequence[Lines], amplitude: float, ti
         timestep: [s], for the caption.
         speed: forward velocity [m/s].
     """
-    fine, how = 2 * np.pi * np.geomspace(LOWEST, HIGHEST, 600), vehicle.implementation
-    met = as_met(vehicle, fine, speed)[..., None]
-    style = styles(tuple(one.controller.name for one in sweeps))
+    how, style = vehicle.implementation, styles(tuple(one.controller.name for one in sweeps))
     signals = [name for name, weight in vehicle.performance.items() if weight > 0]
     curves: dict[str, list[Curve]] = {name: [] for name in signals}
     for one in sweeps:
         name = one.controller.name
         color, dash = style[name]
-        if how.prompt:
-            response = continuous_frequency_response(vehicle, one.controller, fine)
-        else:  # no step makes this loop continuous
-            response = sampled_frequency_response(vehicle, one.controller, fine, timestep)
-        predicted = np.abs(response @ met)[..., 0]
+        fine, predicted = drawn_line(vehicle, one.controller, timestep, speed)
         for signal in signals:
             i = one.outputs.index(signal)
             alike = [k for k, unit in enumerate(one.units) if unit == one.units[i]]
@@ -75,3 +73,21 @@ def sweep_figure(vehicle: Vehicle, sweeps: Sequence[Lines], amplitude: float, ti
         f"at {1e3 * timestep:g} ms,\nidentified on roads of {1e3 * amplitude:g} mm{regime}"
     )
     return Figure("sweep", title, tuple(panels), columns=2 if len(signals) <= 4 else 3 if len(signals) <= 9 else 4)
+
+
+def drawn_line(vehicle: Vehicle, controller: Controller, timestep: float, speed: float) -> tuple[Array, Array]:
+    """Where a line is drawn [rad/s], shape (F,), closely about its largest and least, and how high, shape (F, S)."""
+
+    def magnitudes(omega: Array) -> Array:
+        if vehicle.implementation.prompt:
+            response = continuous_frequency_response(vehicle, controller, omega)
+        else:  # no step makes this loop continuous
+            response = sampled_frequency_response(vehicle, controller, omega, timestep)
+        return np.abs(response @ as_met(vehicle, omega, speed)[..., None])[..., 0]
+
+    grid = 2 * np.pi * np.geomspace(LOWEST, HIGHEST, POINTS)
+    coarse = magnitudes(grid)
+    around = np.unique([coarse.argmax(axis=0), coarse.argmin(axis=0)])
+    between = [np.geomspace(grid[max(i - 1, 0)], grid[min(i + 1, POINTS - 1)], CLOSELY) for i in around]
+    omega = np.unique(np.concatenate([grid, *between]))
+    return omega, magnitudes(omega)

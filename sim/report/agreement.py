@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sim.figures.figure import Curve, Figure, Marker, Panel, styles
+from sim.figures.figure import Curve, Figure, Marker, Panel, styles, thinned
 from sim.figures.page import Section, Table
 from sim.physics.energy import BALANCED
 from sim.report.scope import BUMP_DURATION, Scope, number
@@ -30,8 +30,8 @@ def bump_section(scope: Scope, runs: Sequence[Run], road: Bump) -> Section:
             if float(run.physics.peak(name)) < run.physics.scale(name):
                 continue  # no control force, or no roll on a road that is the same on both sides
             every = max(1, len(run.physics.time) // POINTS)
-            thin = slice(None, None, max(1, every // 6))
             line = run.continuous if scope.prompt else run.sampled
+            thin = thinned(line[name], max(1, every // 6))
             curves.append(Curve(line.time[thin], line[name][thin], run.controller.name, color, dash))
             time, values = run.physics.time[::every], run.physics[name][::every]
             markers: tuple[Marker, Marker] = ("o", "x")
