@@ -168,8 +168,10 @@ def two_step_design(
     units = own_units(plant, Cy)
     rows, measured = units.rows(Cy[kept])
     if problem.best is not None:
-        K = problem.best * units.states @ np.linalg.pinv(rows) / measured
-        if np.linalg.norm(K @ Cy[kept] - problem.best) <= SAME * np.linalg.norm(problem.best):
+        G = problem.best * units.states
+        on_rows = G @ rows.T
+        if np.linalg.norm(on_rows @ rows - G) <= SAME * np.linalg.norm(G):
+            K = np.linalg.solve(measured.T, on_rows.T).T
             best = Design(K, certify_tightly(plant, K @ Cy[kept], lower_bound), case=problem.best_case)
             return widened(best, kept, len(Cy), 0.0)
     fits(unknowns(problem.plant), MOST, "the two steps are gone")
@@ -178,8 +180,8 @@ def two_step_design(
     failures: list[DesignError] = []
     beyond: list[Design] = []
     for start in reversed(path):
-        L = l_matrix(start.X / np.outer(units.states, units.states), rows, Q)
         try:
+            L = l_matrix(start.X / np.outer(units.states, units.states), rows, Q)
             points = [point.in_units(units.states, units.inputs, measured) for point in output_feedback(own, rows, L, Q)]
             found = furthest(plant, Cy[kept], points, lower_bound)
         except DesignError as error:

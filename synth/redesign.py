@@ -93,7 +93,7 @@ def two_step_designs(
         _into(units, nominal_path),
         nominal_rows,
         [units.into(plants[i]) for i in alike],
-        [rows[i] * units.states / measured[:, None] for i in alike],
+        [np.linalg.solve(measured, rows[i] * units.states) for i in alike],
     )
     return _each(
         len(plants),
@@ -128,9 +128,13 @@ def _output_limits(
     except DesignError:
         return {}
     first = _state_limits(nominal, nominal_path, plants)
-    Qs = [nullspace(Cys[i]) for i in first]
-    Rs = [r_matrix(Cys[i], Q, l_matrix(point.X, Cys[i], Q)) for (i, point), Q in zip(first.items(), Qs, strict=True)]
-    return _limits(plants, list(first), np.array(Qs), np.array(Rs), second_path)
+    spanned: dict[int, tuple[Array, Array]] = {}
+    for i, point in first.items():
+        Q = nullspace(Cys[i])
+        with suppress(DesignError):
+            spanned[i] = Q, r_matrix(Cys[i], Q, l_matrix(point.X, Cys[i], Q))
+    Qs, Rs = (np.array([each[k] for each in spanned.values()]) for k in (0, 1))
+    return _limits(plants, list(spanned), Qs, Rs, second_path)
 
 
 def _limits(

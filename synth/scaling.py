@@ -65,17 +65,22 @@ class OwnUnits:
         return _in_units(plant, 1 / self.states, 1 / self.inputs)
 
     def rows(self, Cy: Array) -> tuple[Array, Array]:
-        """C_y, no row zero, in these units of the states and in units of y in which its rows have a length near one; and these.
+        """C_y of independent rows, in these units of the states, as S V with orthonormal rows V.
+
+        A design depends on what the rows span, and on nothing else of them. Rows that nearly follow from others span it, too, but
+        digits are lost on every way through them: so all ways go through V, and S is undone once, at the end.
 
         Args:
             Cy: shape (q, n).
 
         Returns:
-            The rows, shape (q, n), and what one of each measurement counts in the given unit, shape (q,).
+            V, shape (q, n), and S, shape (q, q), lower triangular: y = S V x.
         """
         rows = Cy * self.states
-        measured = _powers(np.log2(np.linalg.norm(rows, axis=1)))
-        return rows / measured[:, None], measured
+        measured = _powers(np.log2(np.linalg.norm(rows, axis=1)))  # exact, so that no unit of y is in what is rounded
+        basis, triangle = np.linalg.qr((rows / measured[:, None]).T)
+        signs = np.where(np.diagonal(triangle) < 0, -1.0, 1.0)  # alike for rows that are alike
+        return (basis * signs).T, measured[:, None] * (signs[:, None] * triangle).T
 
 
 def own_units(plant: GeneralizedPlant, Cy: Array | None = None) -> OwnUnits:

@@ -1,22 +1,27 @@
 """Any plant: from numpy or a StateSpace, redundant measurements, why there is no design, and bad input."""
 
+from dataclasses import replace
+
 import control
 import numpy as np
 import pytest
 
 from models.common.errors import InputError
 from models.vehicle import parse_vehicle, read_vehicle
-from synth.design import state_design, state_path, two_step_design
+from synth.design import state_design, state_path, two_step_design, zero_l_design
 from synth.designer import Designer
 from synth.errors import DesignError, InfeasibleError
+from synth.fallback import two_steps_or_descent
 from synth.lmi.clarabel import solve_lmi
 from synth.lmi.full_order import find_lower_bound
 from synth.lmi.output_feedback import l_matrix, nullspace, r_matrix
 from synth.lmi.state_feedback import state_feedback
 from synth.modes import obstacles
 from synth.plant import GeneralizedPlant
+from synth.redesign import two_step_designs
 from synth.state_space import from_state_space
 from synth.words import notes
+from tests.conftest import plant_with_feedthrough
 
 GOOD = {
     "A": np.diag([-1.0, -2.0]),
@@ -89,6 +94,49 @@ def test_redundant_measurements_are_left_out(designer):
     shared = two_step_design(twice, Cy).gain
     np.testing.assert_allclose(shared[0], shared[1], rtol=1e-9)  # rounding of a projection
     np.testing.assert_allclose(shared.sum(axis=0), alone.gain[0], rtol=1e-5)  # where the path is stopped
+
+
+def oscillator() -> GeneralizedPlant:
+    """One that is lightly damped; its force costs a little."""
+    return GeneralizedPlant(
+        A=[[0, 1], [-4, -0.1]], B=[[0], [1]], Bw=[[0], [1]], C=[[1, 0], [0, 0]], D=[[0], [0.1]], Dw=np.zeros((2, 1))
+    )
+
+
+@pytest.mark.parametrize("apart", [1e-2, 1e-5, 1e-7, 3e-8, 1e-9])
+def test_nearly_dependent_signals_that_say_all(apart):
+    """Two signals that differ by next to nothing still tell both states: the two steps give state feedback, in a batch, too."""
+    plant, Cy = oscillator(), np.array([[1, 1], [1, 1 + apart]])
+    state = state_design(plant)
+    [beside] = two_step_designs(plant, state_path(plant), Cy, [plant], [Cy])
+    for design in (two_step_design(plant, Cy), two_steps_or_descent(plant, Cy), zero_l_design(plant, Cy), beside):
+        assert design.certificate.failures == ()
+        assert not design.instead
+        assert not design.redundant
+        # An entry of K is |G| / apart, and K C_y a difference of two such: rounding counts 1 / apart fold.
+        np.testing.assert_allclose(design.gain @ Cy, state.gain, rtol=0, atol=(1e-6 + 4e-16 / apart) * np.abs(state.gain).max())
+
+
+@pytest.mark.parametrize("apart", [1e-3, 1e-6, 1e-9])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_design_depends_on_what_the_signals_span(seed, apart):
+    """Of the two steps: signals of which one nearly follows from the other give the loop that any others of their span give."""
+    rng = np.random.default_rng(seed)
+    plant, Cy = plant_with_feedthrough(seed), np.linalg.qr(rng.standard_normal((5, 3)))[0].T
+    plant = replace(plant, A=plant.A - (np.linalg.eigvals(plant.A).real.max() + 0.2) * np.eye(5))  # so that 3 signals suffice
+    mixed = np.array([[1.0, 0, 0], [1, apart, 0], [0, 0, 1]]) @ Cy
+    path = state_path(plant)
+    designs = [two_step_design(plant, rows, path) for rows in (Cy, mixed)]
+    loops = [design.gain @ rows for design, rows in zip(designs, (Cy, mixed), strict=True)]
+    # What rounding took of the rows counts 1 / apart fold; and 1e-6 for where the path is stopped.
+    np.testing.assert_allclose(loops[1], loops[0], rtol=0, atol=(1e-6 + 1e-14 / apart) * np.abs(loops[0]).max())
+    assert designs[1].certificate.failures == ()
+
+
+def test_rounding_that_ends_l_is_said():
+    """Where X leaves (14) no inverse there is a reason in words, not numpy's error."""
+    with pytest.raises(DesignError, match=r"L \(14\) could not be computed: rounding leaves C_y X C_y' no inverse"):
+        l_matrix(np.diag([1.0, 0, 0]), np.eye(3)[1:], np.eye(3)[:, :1])
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -93,7 +93,7 @@ def cross_check(designer: Designer, controller: Controller, zero_l: bool = False
     Cy, kept = measurement(designer.plant, designer.vehicle.linear_model.rows(controller.measured)[0])
     units = own_units(designer.plant, Cy[kept])
     rows, measured = units.rows(Cy[kept])
-    K = controller.gain[:, kept] * measured / units.inputs[:, None]
+    K = controller.gain[:, kept] @ measured / units.inputs[:, None]
     if controller.name == "state":
         which, Q, R = "(22)", np.zeros((len(rows), 0)), np.linalg.inv(rows)
     else:

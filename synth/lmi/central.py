@@ -82,11 +82,13 @@ class CentralPoint:
         Args:
             states: what this plant's unit of each state counts in the other, shape (n,).
             inputs: likewise, shape (m,).
-            measured: likewise of what K acts on, shape (q,).
+            measured: likewise of what K acts on, shape (q,); or S, where that is S times what K acts on here, shape (q, q).
         """
         square = np.outer(states, states)
         proof = None if self.proof is None else square * self.proof
-        return replace(self, X=square * self.X, K=inputs[:, None] * self.K / measured, proof=proof)
+        K = inputs[:, None] * self.K
+        K = K / measured if measured.ndim == 1 else np.linalg.solve(measured.T, K.T).T
+        return replace(self, X=square * self.X, K=K, proof=proof)
 
 
 def central_path(plant: GeneralizedPlant, Q: Array, R: Array, mu: float = LIMIT) -> list[CentralPoint]:

@@ -4,7 +4,7 @@ import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
-from synth.errors import InfeasibleError
+from synth.errors import DesignError, InfeasibleError
 from synth.lmi.central import CentralPoint, central_path
 from synth.plant import GeneralizedPlant
 from synth.scaling import own_units
@@ -41,9 +41,18 @@ def l_matrix(X: Array, Cy: Array, Q: Array) -> Array:
         X: the state-feedback X, shape (n, n).
         Cy: shape (q, n), full row rank.
         Q: shape (n, n - q).
+
+    Raises:
+        DesignError: rounding leaves C_y X C_y' no inverse.
     """
     rows, lengths = _unit_rows(Cy)
-    return np.linalg.pinv(Q) @ X @ rows.T @ np.linalg.inv(rows @ X @ rows.T) / lengths
+    try:
+        return np.linalg.pinv(Q) @ X @ rows.T @ np.linalg.inv(rows @ X @ rows.T) / lengths
+    except np.linalg.LinAlgError as error:
+        raise DesignError(
+            f"L (14) could not be computed: rounding leaves C_y X C_y' no inverse ({error}), for X grows without bound in "
+            "some of what is measured, or vanishes there; weigh it, or the control force, more"
+        ) from error
 
 
 def r_matrix(Cy: Array, Q: Array, L: Array) -> Array:
