@@ -104,6 +104,7 @@ OWNERS = {
     "google": {"sim/recording/mcap_writer.py", "sim/inspect/log.py", "sim/recording/foxglove_scene.py"},
     "foxglove_schemas_protobuf": {"sim/recording/foxglove_scene.py"},
     "rerun": {
+        "sim/recording/rerun_axes.py",
         "sim/recording/rerun_writer.py",
         "sim/recording/rerun_signals.py",
         "sim/recording/rerun_scene.py",

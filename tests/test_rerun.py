@@ -3,16 +3,20 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import rerun.blueprint as rrb
 
 from sim.figures.figure import STYLES, rgb
 from sim.recording.appearance import LIFTED, LONGEST
-from sim.recording.rerun_layout import SEEN, _comparison
+from sim.recording.rerun_axes import LABELS, count, labelled, spacing, value_axis
+from sim.recording.rerun_layout import SEEN, _comparison, _page
 from sim.recording.rerun_writer import write_rrd
 from sim.recording.run_log import RunLog
 from sim.response.difference import difference
+from sim.response.response import Response
 from tests.test_recording import make_run
 
 GREATEST = 1e-6  # m; Rerun's 3D is single precision, on coordinates below 2 m
@@ -129,14 +133,81 @@ def test_what_lies_on_another_curve_is_shown_when_asked(lifting: RunLog) -> None
 
 
 def test_few_plots_to_a_page(lifting: RunLog) -> None:
-    """Controllers are compared by at most six plots at once, on as many pages as there have to be; every signal has one."""
-    page = _comparison([lifting, replace(lifting, name="other")])
-    grids = [each for each in _parts(page) if type(each).__name__ == "Grid" and each.grid_columns == 3]
-    counts = [len(grid.contents) for grid in grids]
-    assert max(counts) <= SEEN
-    assert sum(counts) == len(lifting.responses["mujoco"].signals)
+    """One run, or several compared, have at most six plots at once, as many on one page as on another; each signal has one."""
+    names = lifting.responses["mujoco"].names
+    many = replace(lifting, responses={"mujoco": _with_signals(lifting.responses["mujoco"], 4)})
+    for page in (_page(lifting), _page(many), _comparison([lifting, replace(lifting, name="other")])):
+        grids = [each for each in _parts(page) if type(each).__name__ == "Grid" and _plots(each)]
+        counts = [len(_plots(grid)) for grid in grids]
+        assert max(counts) <= SEEN
+        assert max(counts) - min(counts) <= 1
+        titles = {plot.name.split("   ")[0].replace(" ", "_") for grid in grids for plot in _plots(grid)}
+        assert sum(counts) == len(titles)
+        assert {title.rstrip("0123") for title in titles} == set(names)
+
+
+def test_every_axis_has_numbers(lifting: RunLog) -> None:
+    """Every plot shows the whole of its curves, and at least two of the numbers that Rerun writes on an axis."""
+    for page in (_page(lifting), _comparison([lifting, replace(lifting, name="other")])):
+        plots = [each for each in _parts(page) if isinstance(each, rrb.TimeSeriesView)]
+        for plot in plots:
+            low, high = _range(plot)
+            assert count(low, high, spacing(high - low)) >= LABELS
+            name = str(plot.name).split("   ")[0].replace(" ", "_")
+            if name in lifting.responses["mujoco"].names:
+                curve = lifting.responses["mujoco"][name]
+                assert low < curve.min()
+                assert curve.max() < high
+            else:
+                assert name.startswith("difference")
+        assert len(plots) >= len(lifting.responses["mujoco"].signals)
+
+
+def test_axes_of_any_values_have_numbers() -> None:
+    """Whatever a curve does, its axis has two labels, shows all of it, and is at most a few times as long as it is."""
+    random = np.random.default_rng(1)
+    offsets = np.where(random.random(3000) < 0.3, 0.0, random.standard_normal(3000) * 10.0 ** random.uniform(-3, 9, 3000))
+    spans = 10.0 ** random.uniform(-12, 150, 3000)
+    spans[:100] = 0.0
+    for low, span in zip(offsets, spans, strict=True):
+        if 0 < span < 1e-9 * abs(low):
+            continue  # labels that differ by rounding alone tell nothing
+        high = low + span
+        bottom, top = labelled(low, high)
+        assert bottom < low
+        assert high < top
+        step = spacing(top - bottom)
+        assert count(bottom, top, step) >= LABELS
+        length = span or 2 * (abs(low) or 1.0)
+        # With its margins a length is at least 0.7 of a step, and grows by 1.04 steps for each of the two labels that it may
+        # lack; a step's multiples are rounded to 16 digits of numbers 1e9 times as large.
+        assert top - bottom <= length * 1.08 * (1 + 2 * 1.04 / 0.7) * (1 + 1e-6)
+
+
+def test_an_axis_of_no_numbers_is_left_to_rerun() -> None:
+    """What is nowhere finite has no range, and does not spoil that of others."""
+    nothing = np.full(5, np.nan)
+    assert value_axis([nothing]).range is None
+    (low, high) = _range(rrb.TimeSeriesView(axis_y=value_axis([nothing, np.array([0.0, 3.0, np.inf])])))
+    assert low < 0 < 3 < high < 4
+
+
+def _with_signals(response: Response, times: int) -> Response:
+    """A response with as many signals of each kind as a car of several wheels has."""
+    signals = tuple(replace(signal, name=f"{signal.name}{i}") for signal in response.signals for i in range(times))
+    return Response(response.time, signals, np.repeat(response.values, times, axis=1))
+
+
+def _plots(grid) -> list:
+    return [each for each in grid.contents if isinstance(each, rrb.TimeSeriesView)]
+
+
+def _range(plot: rrb.TimeSeriesView) -> tuple[float, float]:
+    axis: Any = plot.properties["ScalarAxis"]
+    (limits,) = axis.range.as_arrow_array().to_pylist()
+    return limits[0], limits[1]
 
 
 def _parts(container) -> list:
     inner = list(getattr(container, "contents", []))
-    return inner + [part for each in inner if hasattr(each, "grid_columns") or hasattr(each, "contents") for part in _parts(each)]
+    return inner + [part for each in inner if isinstance(each, rrb.Container) for part in _parts(each)]

@@ -15,6 +15,7 @@ from models.common.errors import InputError
 from models.common.printed import Whole, say
 from models.common.progress import Stages
 from models.common.read_file import TEXT, read_text
+from models.common.versions import versions
 from sim.campaign.columns import columns, described
 from sim.campaign.file import Campaign, parse_campaign, read_campaign
 from sim.campaign.manifest import ELSEWHERE, FaultError, Gains, Manifest, check_same, digest, gains_of, held, read_manifest
@@ -26,7 +27,6 @@ from sim.campaign.verify import Verified, verify
 from sim.campaign.workers import HERE, Rows, cluster, run_batches
 from sim.command.claims import say_false_claims
 from sim.physics.blocks import RUNS_AT_ONCE
-from sim.recording.versions import versions
 from synth.controller import Controller
 from synth.designer import Designer, given
 

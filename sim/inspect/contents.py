@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from models.common.errors import InputError
+from models.common.versions import versions
 from models.vehicle import Vehicle
 from sim.inspect.findings import FAILS, HOLDS, MISSING, NOTE, Finding, different, folded
 from sim.inspect.log import Recorded, read_json
@@ -16,7 +17,6 @@ from sim.recording.format import WHOLE, check_keys
 from sim.recording.mcap_writer import PACKAGE, Channel, channels, records
 from sim.recording.provenance import attachments, common_metadata
 from sim.recording.run_log import RunLog
-from sim.recording.versions import versions
 from sim.ride.measured import first_sample
 from sim.ride.metrics import DEFINITIONS
 from sim.runs.prediction import Prediction

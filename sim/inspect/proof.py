@@ -160,8 +160,8 @@ def _held(one: Inspected) -> Held:
 
 def _model(log: Recorded, vehicle: Vehicle, h: float) -> Finding:
     """The attached MJCF, as text. It is never loaded: it is written anew."""
+    from models.common.versions import versions
     from models.mjcf import mjcf_text
-    from sim.recording.versions import versions
 
     attached = log.attachments.get("model.xml")
     if attached is None:

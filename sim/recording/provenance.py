@@ -10,12 +10,12 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from models.common.versions import versions
 from models.mjcf import mjcf_text
 from models.vehicle import Vehicle
 from sim.recording.drawing import scene_of
 from sim.recording.format import CONTINUOUS, FORMAT, MUJOCO, SAMPLED, check_keys
 from sim.recording.run_log import RunLog
-from sim.recording.versions import versions
 from sim.runs.run import Run
 from sim.runs.words import controller_object, energy_object, events, half_step_object, summary, verdict
 from synth.certificate.record import to_record

@@ -9,6 +9,7 @@ import rerun.blueprint as rrb
 from models.common.arrays import Array
 from models.signals import Signal
 from sim.recording.format import MUJOCO, SAMPLED
+from sim.recording.rerun_axes import value_axis
 from sim.recording.rerun_signals import TIMELINE, colours, entity, line
 from sim.recording.run_log import RunLog
 from sim.recording.signal_groups import groups, shown, signals_of
@@ -21,7 +22,7 @@ HALF_VIEW = np.tan(np.radians(55.0 / 2))  # Rerun's vertical field of view
 SKY = (206, 214, 224)  # black tyres are seen before it
 PAPER = (178, 183, 192)  # the report's colours are made for light paper; the time cursor is white
 UNSEEN = 5e-3  # of a peak: about a pixel of a plot
-SEEN = 6  # plots of one page that compares controllers: more of them are too flat to be read
+SEEN = 6  # plots of one page: more of them are too flat to be read
 CARS, TITLE = (1090, 326), 28  # room for cars side by side in a window of 1600 x 900, and height of a view's title [pixels]
 
 
@@ -50,22 +51,16 @@ def _page(run: RunLog) -> rrb.Container:
     if run.events:
         columns = rrb.archetypes.TextLogColumns(timeline_columns=[], text_log_columns=["Body"])
         left.append(rrb.TextLogView(origin=entity(run.name, "events"), name="what happened", columns=columns))
+    happened = dict.fromkeys(text for _, text in run.events)
     pages = []
     for name, group in groups(signals_of([run])).items():
-        happened = dict.fromkeys(text for _, text in run.events)
-        plots = [
-            _plot(signal, [entity(run.name, "signals", signal.name, part) for part in (*run.responses, *happened)], {}, not i)
-            for i, signal in enumerate(group)
-        ]
-        grid = rrb.Grid(*plots, grid_columns=2 if len(plots) <= 8 else 3)
-        gap = rrb.TimeSeriesView(
-            origin=entity(run.name, "difference", name),
-            name=f"difference: MuJoCo - sampled, of each signal's peak{_largest(run, group)}",
-            axis_x=rrb.TimeAxis(link="LinkToGlobal"),
-            plot_legend=rrb.PlotLegend(corner="RightTop"),
-            background=rrb.archetypes.PlotBackground(color=PAPER, show_grid=False),
-        )
-        pages.append(rrb.Vertical(grid, gap, row_shares=[4, 1], name=name))
+        for title, part in _parts(name, group):
+            plots = []
+            for signal in part:
+                curves = [response[signal.name] for response in run.responses.values() if signal.name in response.names]
+                paths = [entity(run.name, "signals", signal.name, each) for each in (*run.responses, *happened)]
+                plots.append(_plot(signal, paths, curves, not plots))
+            pages.append(rrb.Vertical(rrb.Grid(*plots, grid_columns=2), _gap(run, name, group), row_shares=[4, 1], name=title))
     return rrb.Horizontal(
         rrb.Vertical(*left, row_shares=[5, 4, 2][: len(left)]),
         pages[0] if len(pages) == 1 else rrb.Tabs(*pages, active_tab=0),
@@ -74,14 +69,32 @@ def _page(run: RunLog) -> rrb.Container:
     )
 
 
-def _largest(run: RunLog, group: Sequence[Signal]) -> str:
-    """The largest of the differences, which the verdict is about."""
-    if not {MUJOCO, SAMPLED} <= set(run.responses):
-        return ""
-    gap = difference(run.responses[MUJOCO], run.responses[SAMPLED])
-    peaks = {signal.name: float(gap.peak(signal.name)) for signal in group if signal.name in gap.names}
-    worst = max(peaks, key=lambda name: peaks[name], default="")
-    return f"; largest {peaks[worst]:.1e}, {worst.replace('_', ' ')}" if worst and np.isfinite(peaks[worst]) else ""
+def _parts(name: str, group: Sequence[Signal]) -> list[tuple[str, Sequence[Signal]]]:
+    """A group's signals by page, each with its title: as many on one as on another, and never too many."""
+    count = -(-len(group) // SEEN)
+    each = -(-len(group) // count)
+    parts = [group[start : start + each] for start in range(0, len(group), each)]
+    return [(f"{name} {number}" if count > 1 else name, part) for number, part in enumerate(parts, start=1)]
+
+
+def _gap(run: RunLog, name: str, group: Sequence[Signal]) -> rrb.View:
+    """The differences of a group's signals, which the verdict is about; the largest in the title."""
+    title, curves = "difference: MuJoCo - sampled, of each signal's peak", []
+    if {MUJOCO, SAMPLED} <= set(run.responses):
+        gap = difference(run.responses[MUJOCO], run.responses[SAMPLED])
+        curves = [gap[signal.name] for signal in group if signal.name in gap.names]
+        peaks = {signal.name: float(gap.peak(signal.name)) for signal in group if signal.name in gap.names}
+        worst = max(peaks, key=lambda name: peaks[name], default="")
+        if worst and np.isfinite(peaks[worst]):
+            title += f"; largest {peaks[worst]:.1e}, {worst.replace('_', ' ')}"
+    return rrb.TimeSeriesView(
+        origin=entity(run.name, "difference", name),
+        name=title,
+        axis_x=rrb.TimeAxis(link="LinkToGlobal"),
+        axis_y=value_axis(curves),
+        plot_legend=rrb.PlotLegend(corner="RightTop"),
+        background=rrb.archetypes.PlotBackground(color=PAPER, show_grid=False),
+    )
 
 
 def _comparison(runs: Sequence[RunLog]) -> rrb.Container:
@@ -91,10 +104,9 @@ def _comparison(runs: Sequence[RunLog]) -> rrb.Container:
     cars = rrb.Grid(*(_car(run, wide / tall) for run in runs), grid_columns=columns)
     pages = []
     for name, group in groups(signals_of(runs)).items():
-        parts = [group[start : start + SEEN] for start in range(0, len(group), SEEN)]
-        for number, part in enumerate(parts, start=1):
+        for title, part in _parts(name, group):
             plots = [_compared(signal, runs, not i) for i, signal in enumerate(part)]
-            pages.append(rrb.Grid(*plots, grid_columns=3, name=f"{name} {number}" if len(parts) > 1 else name))
+            pages.append(rrb.Grid(*plots, grid_columns=3 if len(part) > 4 else 2, name=title))
     plots = pages[0] if len(pages) == 1 else rrb.Tabs(*pages, active_tab=0)
     certificates = rrb.TextDocumentView(origin=entity("certificates"), name="certificates")
     return rrb.Vertical(rrb.Horizontal(cars, certificates, column_shares=[3, 1]), plots, row_shares=[4, 5], name="all")
@@ -150,16 +162,20 @@ def _compared(signal: Signal, runs: Sequence[RunLog], legend: bool) -> rrb.View:
         entity(run.name, "signals", signal.name, text) for run in runs for text in dict.fromkeys(t for _, t in run.events)
     ]
     # The plot with the legend goes without: there are as many markers as controllers.
-    return _plot(signal, [*paths, *([] if legend else happened)], {**lines, **hidden}, legend)
+    curves = [run.responses[shown(run)][signal.name] for run in runs if run.name in having]
+    return _plot(signal, [*paths, *([] if legend else happened)], curves, legend, {**lines, **hidden})
 
 
-def _plot(signal: Signal, paths: Sequence[str], lines: Mapping[Any, Any], legend: bool) -> rrb.View:
+def _plot(
+    signal: Signal, paths: Sequence[str], curves: Sequence[Array], legend: bool, lines: Mapping[Any, Any] | None = None
+) -> rrb.View:
     """One signal; `lines` restyles the series by path. All plots zoom and pan together in time; one legend speaks for all."""
     return rrb.TimeSeriesView(
         origin="/",
         contents=[f"+ {path}" for path in paths],
         name=f"{signal.name.replace('_', ' ')}   {signal.symbol} [{signal.unit}]",
         axis_x=rrb.TimeAxis(link="LinkToGlobal"),
+        axis_y=value_axis(curves),
         plot_legend=rrb.PlotLegend(corner="RightTop", visible=legend),
         background=rrb.archetypes.PlotBackground(color=PAPER, show_grid=False),
         overrides=lines,

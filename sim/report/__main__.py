@@ -49,8 +49,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     check_outputs(outputs, [vehicle.source], options.json)
     if options.figures is not None:
         check_drawing()
+    from models.common.versions import versions
     from sim.frequency.sweep import EXTREMES, LINES
-    from sim.recording.versions import versions
     from sim.report.content import page, report_object
     from sim.report.scope import Scope, check_scope
     from synth.designer import Designer

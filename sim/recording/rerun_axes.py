@@ -1,0 +1,56 @@
+"""The axis of values of a plot in Rerun: one that has numbers.
+
+Rerun labels an axis at powers of ten and their multiples, and leaves out those that come too close. Where the range is left to
+it, many a plot has one label, 0, and no curve's size can be read.
+"""
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+import rerun.blueprint as rrb
+
+from models.common.arrays import Array
+
+CLOSEST = 7  # steps between labels, from bottom to top; of more, Rerun labels only every tenth on a plot of 190 pixels
+LABELS = 2  # are needed to read a value
+MARGIN = 0.04  # of the range, or of a step, so that neither a peak nor a label is on the border
+
+
+def value_axis(curves: Iterable[Array]) -> rrb.ScalarAxis:
+    """An axis that shows the whole of every curve, each of any shape, and has at least two numbers.
+
+    Values that are not finite are left out; where none is, Rerun chooses.
+    """
+    finite = [curve[np.isfinite(curve)] for curve in curves]
+    extremes = [(float(part.min()), float(part.max())) for part in finite if part.size]
+    if not extremes:
+        return rrb.ScalarAxis()
+    low, high = labelled(min(low for low, _ in extremes), max(high for _, high in extremes))
+    return rrb.ScalarAxis(range=(low, high)) if math.isfinite(high - low) else rrb.ScalarAxis()
+
+
+def labelled(low: float, high: float) -> tuple[float, float]:
+    """The range and a margin, and more where fewer than two labels lie in it: to the next one on the nearer side."""
+    if high <= low:  # nothing happens: the curve in the middle
+        around = abs(low) or 1.0
+        low, high = low - around, high + around
+    margin = MARGIN * (high - low)
+    low, high = low - margin, high + margin
+    step = spacing(high - low)
+    if not 0 < step < math.inf:
+        return low, high
+    while count(low, high, step) < LABELS:
+        below, above = step * (math.ceil(low / step) - 1 - MARGIN), step * (math.floor(high / step) + 1 + MARGIN)
+        low, high = (below, high) if low - below < above - high else (low, above)
+    return low, high
+
+
+def spacing(span: float) -> float:
+    """From one label to the next on an axis of this length, in the axis's own unit."""
+    return 10.0 ** math.ceil(math.log10(span) - math.log10(CLOSEST))
+
+
+def count(low: float, high: float, step: float) -> int:
+    """How many multiples of a step lie in a range."""
+    return math.floor(high / step) - math.ceil(low / step) + 1
