@@ -60,8 +60,8 @@ ROOMS = {
     "sim.command": "sim.figures sim.recording sim.runs",
     "sim.asked": "sim.command sim.frequency sim.response sim.roads sim.runs sim.stability sim.validity",
     "sim.inspect": "sim.asked sim.linear sim.physics sim.recording sim.response sim.ride sim.roads sim.runs synth.words",
-    "sim.campaign": "sim.command sim.linear sim.physics sim.recording sim.response sim.ride sim.roads sim.runs synth.designer",
-    "sim.report": "sim.command sim.figures sim.frequency sim.linear sim.physics sim.recording sim.response sim.ride sim.roads "
+    "sim.campaign": "sim.command sim.linear sim.physics sim.response sim.ride sim.roads sim.runs synth.designer",
+    "sim.report": "sim.command sim.figures sim.frequency sim.linear sim.physics sim.response sim.ride sim.roads "
     "sim.runs sim.stability sim.validity synth.designer synth.paper synth.words",
     "sim.bump": "sim.asked sim.command sim.roads sim.runs synth.designer",
     "sim.drive": "sim.asked sim.command sim.ride sim.runs synth.designer",
