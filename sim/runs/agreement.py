@@ -6,6 +6,9 @@ analysis agree where they differ by no more than that.
 
 A body that pitches and rolls is not linear, and there physics leaves the analysis with the amplitude. Then the same road is
 driven at a hundredth of its height: what is geometry has gone there, in proportion or faster, and what is wrong has not.
+
+Rounding does not go with the road: it is that of the vehicle's weight and lengths, and beside a hundredth of the road it counts a
+hundred times as much.
 """
 
 from collections.abc import Mapping
@@ -14,11 +17,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from models.vehicle import Vehicle
+from sim.linear.rounding import roundings
 from sim.response.regime import AT, END_NAMES, LIFT_OFF, reached
 from sim.response.response import Response
 from sim.runs.prediction import Prediction
 
-ROUNDING = 1e-9  # of a peak, over thousands of steps; a vehicle at rest to 1e-16 of its spring forces stays below 1e-12
+ROUNDING = 1e-9  # of a peak, over thousands of steps
 COARSEST = 1e-2  # of a peak; physics that is further off confirms nothing, even if the integrator has to be
 SMALL = 1e-2  # the share of the road's height at which geometry has to have gone
 SIGMAS = 6.0  # of noise: thousands of samples stay within it
@@ -32,21 +36,34 @@ class SignalAgreement:
     Attributes:
         sampled: largest difference from the exact sampled response, over that response's peak.
         continuous: the same against the continuous closed loop; it contains the effect of holding the force over a step.
-        allowed: what the integrator's own error may make of `sampled`, and no more than `COARSEST`.
+        allowed: what the integrator's own error may make of `sampled`, no more than `COARSEST`, with noise and rounding.
+        rounding: the part of `allowed` that is as large over any road; see `sim.linear.rounding`.
         small: what `sampled` is over the same road at `SMALL` of its height; None where there was no need to look.
     """
 
     sampled: float
     continuous: float
     allowed: float
+    rounding: float
     small: float | None = None
+
+    @property
+    def judged(self) -> tuple[float, float]:
+        """The difference that decides, and what is allowed of it: `sampled`, or `small` with what geometry has left there."""
+        if self.small is None:
+            return self.sampled, self.allowed
+        return self.small, self.allowed + (1 / SMALL - 1) * self.rounding + SLACK * SMALL * self.sampled
+
+    @property
+    def excess(self) -> float:
+        """That difference over what is allowed of it."""
+        difference, allowed = self.judged
+        return difference / allowed
 
     @property
     def agrees(self) -> bool:
         """Whether the difference is the integrator's, or vanishes with the amplitude as that of geometry does."""
-        if self.small is None:
-            return self.sampled <= self.allowed
-        return self.small <= self.allowed + SLACK * SMALL * self.sampled
+        return self.excess <= 1
 
 
 @dataclass(frozen=True)
@@ -81,15 +98,16 @@ def compare(prediction: Prediction, physics: Response) -> Agreement:
     until = min(*ended.values(), _first_loose(vehicle, physics), diverged)
     lift_off = lift_off_intervals(vehicle, physics)
     physics, sampled, integrated, continuous = (r.until(until) for r in (physics, sampled, integrated, continuous))
-    signals = {
-        name: SignalAgreement(
+    signals = {}
+    for name, rounded in roundings(vehicle, prediction.controller).items():
+        scale = _scale(sampled, name)
+        integrator = min(SLACK * _difference(integrated, sampled, name) + ROUNDING, COARSEST)
+        signals[name] = SignalAgreement(
             sampled=_difference(physics, sampled, name),
             continuous=_difference(physics, continuous, name),
-            allowed=min(SLACK * _difference(integrated, sampled, name) + ROUNDING, COARSEST)
-            + SIGMAS * spread.get(name, 0.0) / (sampled.scale(name) or 1.0),
+            allowed=integrator + (SIGMAS * spread.get(name, 0.0) + rounded) / scale,
+            rounding=rounded / scale,
         )
-        for name in vehicle.linear_model.outputs
-    }
     return Agreement(signals, lift_off, ended, until, blurred=bool(spread))
 
 
@@ -143,4 +161,9 @@ def _difference(response: Response, reference: Response, signal: str) -> float:
     if len(response.time) == 0:
         return 0.0
     difference = float(np.max(np.abs(response[signal] - reference[signal])))
-    return difference / (reference.scale(signal) or 1.0)
+    return difference / _scale(reference, signal)
+
+
+def _scale(reference: Response, signal: str) -> float:
+    """What differences of a signal are over: the reference's scale, or 1 in its unit where nothing ever moves."""
+    return (reference.scale(signal) if len(reference.time) else 0.0) or 1.0

@@ -162,11 +162,13 @@ def verdict_lines(run: Run) -> list[str]:
         why = "" if agreement.until in (*times.values(), run.diverged) else ": within a step, a tyre may leave the road there"
         lines.append(f"the linear comparison does not apply from {agreement.until:.4g} s on{why}")
         when = f"until {agreement.until:.4g} s"
-    worst = max(agreement.signals, key=lambda name: agreement.signals[name].sampled / agreement.signals[name].allowed)
+    worst = max(agreement.signals, key=lambda name: agreement.signals[name].excess)
     error = agreement.signals[worst]
-    numbers = f"worst {worst}, {error.sampled:.1e} of its peak; {error.allowed:.1e} is allowed"
+    difference, allowed = error.judged
+    where = "" if error.small is None else f" at {SMALL:g} of this road's height"
+    numbers = f"worst {worst}, {difference:.1e} of its peak{where}; {allowed:.1e} is allowed"
     if agreement.agrees and error.small is not None:
-        worst = max(agreement.signals, key=lambda name: agreement.signals[name].sampled)
+        worst = max(agreement.signals, key=lambda name: agreement.signals[name].sampled - agreement.signals[name].allowed / SLACK)
         error = agreement.signals[worst]
         made, noise, is_it = ("geometry makes", "", "follows the exact sampled response to")
         if agreement.blurred:
@@ -183,7 +185,7 @@ def verdict_lines(run: Run) -> list[str]:
     elif agreement.agrees:
         lines.append(f"agrees {when}: MuJoCo follows the exact sampled response to within RK4's own error ({numbers})")
     else:
-        why = "; the timestep is too coarse, give a smaller one" if error.allowed == COARSEST else ""
+        why = "; the timestep is too coarse, give a smaller one" if error.allowed >= COARSEST and not agreement.blurred else ""
         lines.append(f"DOES NOT AGREE {when} with the exact sampled response ({numbers}{why})")
     return lines
 
