@@ -1,0 +1,162 @@
+"""The verdict of a run: agreement where physics is right, over whatever road, time and step, and none where a fault is."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from models.reality import Implementation
+from models.vehicle import Vehicle, read_vehicle
+from sim.linear.rounding import roundings
+from sim.physics.simulate import simulate
+from sim.response.response import Response
+from sim.roads.iso8608 import Iso8608
+from sim.roads.road import LOWEST, Bump, Road
+from sim.runs.agreement import SMALL, compare, look_closer
+from sim.runs.prediction import Prediction, predict
+from sim.runs.run import Run, judge, run_all, sample_times
+from sim.runs.words import verdict, verdict_lines
+from synth.controller import Controller
+from synth.designer import Designer
+
+KINDS = ["quarter_car", "half_car", "full_car"]
+NAMES = ["passive", "state", "I", "II"]
+DURATIONS = (0.05, 3.0)  # s
+HEIGHTS = (LOWEST, 0.15)  # m, of bumps
+STEPS = (2.5e-4, 5e-4, 1e-3, 2e-3, 4e-3)  # s
+MOST = 2000  # samples
+
+
+@pytest.fixture(scope="module", params=KINDS)
+def vehicle(request) -> Vehicle:
+    return read_vehicle(request.param)
+
+
+@pytest.fixture(scope="module")
+def controllers(vehicle) -> list[Controller]:
+    designer = Designer(vehicle)
+    return [designer.design(name) for name in NAMES]
+
+
+def judged(prediction: Prediction, built: Vehicle) -> Run:
+    """The verdict on a prediction where MuJoCo drives another vehicle than was predicted."""
+    physics = simulate([built], [prediction.controller], [prediction.road], prediction.time).response.run(0)
+    return judge([dataclasses.replace(prediction, vehicle=built)], [physics])[0]
+
+
+def heavier(vehicle: Vehicle, share: float) -> Vehicle:
+    """The vehicle with a sprung mass that is more by a share."""
+    parameters = {**vehicle.parameters, "sprung_mass": (1 + share) * vehicle.parameters["sprung_mass"]}
+    return dataclasses.replace(vehicle, parameters=parameters)
+
+
+def delayed(vehicle: Vehicle) -> Vehicle:
+    """The vehicle with forces that are late by a step."""
+    return dataclasses.replace(vehicle, implementation=Implementation(delay=1))
+
+
+def test_rounding_is_bounded(vehicle, controllers):
+    """Over a road that does next to nothing MuJoCo leaves RK4's linear response by rounding: within its bound, and not far."""
+    time, road = sample_times(vehicle, 1.0, 1e-3), Bump(height=1e-9)
+    physics = simulate([vehicle] * 4, controllers, [road] * 4, time).response
+    for i, controller in enumerate(controllers):
+        integrated = predict(vehicle, controller, road, time).integrated
+        allowed = roundings(vehicle, controller)
+        found = {name: np.abs(physics.run(i)[name] - integrated[name]).max() for name in allowed}
+        assert all(found[name] <= 0.5 * allowed[name] for name in allowed)  # measured 0.16 at most, over 20 s too
+        # A bound on every signal is loose in most; in some length it is by a factor of 60 at most.
+        assert max(found[name] / allowed[name] for name in allowed if allowed[name]) > 1e-2
+
+
+@pytest.mark.parametrize(
+    ("road", "duration", "timestep"),
+    [
+        (Bump(), 0.05, 1e-3),  # the rear wheels not there yet, and roll is rounding
+        (Bump(), 0.2, 1e-3),
+        (Bump(height=0.03), 0.5, 4e-3),
+        (Bump(height=1e-3, track="left"), 0.5, 1e-3),
+        (Bump(height=LOWEST), 0.05, 1e-3),
+        (Bump(height=LOWEST), 0.5, 1e-3),
+        (Iso8608("C"), 0.3, 2e-3),
+        (Iso8608("A", factor=1e-3), 0.3, 1e-3),
+    ],
+)
+def test_right_physics_agrees(vehicle, controllers, road, duration, timestep):
+    """Where nothing is wrong the verdict is agreement: over high roads and low ones, for a moment and for long, at any step."""
+    for run in run_all(vehicle, controllers, road, sample_times(vehicle, duration, timestep)):
+        assert run.holds, (run.controller.name, verdict_lines(run))
+
+
+@pytest.mark.parametrize("height", [0.1, 1e-3, LOWEST])
+@pytest.mark.parametrize("duration", [0.2, 1.0])
+def test_a_wrong_vehicle_does_not_agree(vehicle, controllers, height, duration):
+    """A body that is heavier by a ten-thousandth, or a force that is late by a step, is found over any road."""
+    controller, time = controllers[2], sample_times(vehicle, duration, 1e-3)
+    prediction = predict(vehicle, controller, Bump(height=height), time)
+    assert judged(prediction, vehicle).agreement.agrees
+    for wrong in (heavier(vehicle, 1e-4), delayed(vehicle)):
+        run = judged(prediction, wrong)
+        assert not run.agreement.agrees
+        _says_what_is_wrong(run)
+
+
+def _says_what_is_wrong(run: Run) -> str:
+    """Holds and returns the sentence of a run that does not agree: the signal it names is one that fails, by the numbers it gives."""
+    assert verdict(run).startswith("DOES NOT AGREE")
+    (line,) = [one for one in verdict_lines(run) if "DOES NOT AGREE" in one]
+    name, numbers = line.split("(worst ")[1].split(", ", 1)
+    signal = run.agreement.signals[name]
+    assert not signal.agrees
+    where = "" if signal.small is None else " at 0.01 of this road's height"
+    difference, allowed = signal.judged
+    assert numbers == f"{difference:.1e} of its peak{where}; {allowed:.1e} is allowed)"
+    assert difference > allowed
+    return line
+
+
+def test_rounding_counts_alike_over_every_height(vehicle, controllers):
+    """What rounding makes is allowed over the road and over a hundredth of it; three hundred times as much is over neither."""
+    prediction = predict(vehicle, controllers[2], Bump(height=LOWEST), sample_times(vehicle, 0.5, 1e-4))
+    sampled, allowed = prediction.sampled, roundings(vehicle, controllers[2])
+    off = np.array([allowed.get(name, 0.0) for name in sampled.names])
+
+    def moved(height: float, times: float) -> Response:
+        return dataclasses.replace(sampled, values=height * sampled.values + times * off)
+
+    agreement = compare(prediction, moved(1.0, 1.0))
+    assert agreement.agrees
+    assert look_closer(agreement, prediction, moved(SMALL, 1.0)).agrees
+    # RK4's own error is 1e-10 of a peak at this step, and the 1e-9 that are allowed of any are 60 roundings of a length here.
+    assert not compare(prediction, moved(1.0, 300.0)).agrees
+    assert not look_closer(agreement, prediction, moved(SMALL, 300.0)).agrees
+
+
+def test_the_signal_that_fails_is_named():
+    """It is not the one that geometry moves most."""
+    car = read_vehicle("full_car")
+    (run,) = run_all(car, [Designer(car).design("passive")], Bump(), sample_times(car, 0.2, 1e-3))
+    signals = run.agreement.signals
+    quiet = min(signals, key=lambda name: signals[name].sampled)
+    wrong = dataclasses.replace(signals[quiet], small=2 * signals[quiet].judged[1])
+    agreement = dataclasses.replace(run.agreement, signals={**signals, quiet: wrong})
+    line = _says_what_is_wrong(dataclasses.replace(run, agreement=agreement))
+    assert f"(worst {quiet}, " in line
+
+
+def random_road(rng: np.random.Generator) -> Road:
+    speed = float(rng.uniform(3, 35))
+    if rng.random() < 0.6:
+        height = float(np.exp(rng.uniform(*np.log(HEIGHTS))))
+        return Bump(height, float(rng.uniform(0.5, 10)), speed, str(rng.choice(["both", "left", "right"])))
+    return Iso8608(str(rng.choice(list("ABCDE"))), int(rng.integers(100)), speed, 1.5, factor=float(10 ** rng.uniform(-4, 0)))
+
+
+@pytest.mark.attack
+@pytest.mark.parametrize("seed", range(15))
+def test_right_physics_agrees_anywhere(vehicle, controllers, seed):
+    """The same over roads, times and steps drawn at random."""
+    rng = np.random.default_rng(seed)
+    road, step = random_road(rng), float(rng.choice(STEPS))
+    duration = min(float(np.exp(rng.uniform(*np.log(DURATIONS)))), MOST * step)
+    for run in run_all(vehicle, controllers, road, sample_times(vehicle, duration, step)):
+        assert run.agreement.agrees, (road.describe(), duration, step, run.controller.name, verdict_lines(run))
