@@ -101,7 +101,7 @@ def test_a_wrong_vehicle_does_not_agree(vehicle, controllers, height, duration):
 
 
 def _says_what_is_wrong(run: Run) -> str:
-    """Holds and returns the sentence of a run that does not agree: the signal it names is one that fails, by the numbers it gives."""
+    """Holds and returns the sentence of a run that does not agree: it names a signal that fails, by the numbers that judge it."""
     assert verdict(run).startswith("DOES NOT AGREE")
     (line,) = [one for one in verdict_lines(run) if "DOES NOT AGREE" in one]
     name, numbers = line.split("(worst ")[1].split(", ", 1)
