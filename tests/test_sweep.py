@@ -80,12 +80,50 @@ def test_norm_tends_to_the_papers(paper, designer):
     assert short[0] / short[1] == pytest.approx(2, rel=0.05)  # next order
 
 
+@pytest.fixture(scope="module")
+def coarse(paper, designer):
+    """Controller I, identified at 4 ms."""
+    return sweep(paper, [designer.design("I")], 1e-4, 4e-3, 12.5)[0]
+
+
+def test_a_coarse_step_is_no_disagreement(coarse):
+    """At 4 ms RK4 is further off than anything else, by what it is known to be: MuJoCo has the lines that RK4 makes."""
+    lines = coarse.lines
+    assert lines.error(lines.sampled).max() > 5e-4
+    assert lines.error(lines.integrated).max() < 1e-8  # what is left of free motion; measured 6e-11
+    assert coarse.extremes.integrated == pytest.approx(coarse.gains["worst sinusoid"], rel=1e-5)  # 0.03 % beside the peak
+    assert failures(coarse) == []
+
+
+def test_what_is_no_error_of_the_integrator_disagrees(coarse):
+    """Lines that are off by more than RK4 makes of them, and gains above and below the norm, are found at a coarse step too."""
+    off = dataclasses.replace(
+        coarse.lines, measured=coarse.lines.measured * np.where(coarse.lines.omega < 10, 1 + 2e-4, 1)[:, None]
+    )
+    (line,) = failures(dataclasses.replace(coarse, lines=off))
+    assert line.startswith("a line of ")
+    assert "coarse" not in line
+    for factor, words in ((1 + 1e-4, "above the norm"), (1 - 2e-3, "of the norm")):
+        gains = {name: factor * gain for name, gain in coarse.extremes.gains.items()}
+        (line,) = failures(dataclasses.replace(coarse, extremes=dataclasses.replace(coarse.extremes, gains=gains)))
+        assert words in line
+
+
+def test_a_step_that_is_too_coarse_is_named(paper, designer):
+    """At 10 ms RK4 is a fortieth off, which confirms nothing; the line says what to do."""
+    (one,) = sweep(paper, [designer.design("I")], 1e-4, 1e-2, 12.5)
+    lines = [text for text in failures(one) if text.startswith("a line of ")]
+    assert len(lines) == 1
+    assert "1.01e-02 is allowed; the timestep is too coarse, give a smaller one" in lines[0]
+
+
 @pytest.mark.parametrize("name", ["half_car", "full_car"])
 def test_cars(name):
     """The lines of vehicles with several axles agree as well, in every signal, the rear wheels being late."""
     vehicle = read_vehicle(name)
     (one,) = identify(vehicle, [Designer(vehicle).design("passive")], 1e-4, 4e-3, 12.5)
     assert one.error(one.sampled).max() < 4e-3  # RK4 at 4 ms: 256 times its 1.1e-5 of 1 ms
+    assert one.error(one.integrated).max() < 1e-6  # which is known: turning and free motion make 2e-9 of the rest
     half = sampled_frequency_response(vehicle, one.controller, one.omega, 4e-3)
     assert np.allclose((half @ as_met(vehicle, one.omega, 12.5)[..., None])[..., 0], one.sampled)
 
@@ -145,7 +183,7 @@ def test_command(capsys, tmp_path):
     pytest.importorskip("matplotlib")
     picture = tmp_path / "sweep.png"
     arguments = ["--controller", "II", "--timestep", "0.004", "--amplitude", "1e-4", "--json", "--picture", str(picture)]
-    main([*arguments, "--logs", str(tmp_path)])  # 4 ms: RK4 is not within 1e-4 there, and it says so
+    assert main([*arguments, "--logs", str(tmp_path)]) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["sweeps"][0]["signals"]["sprung_acceleration"]["error"]["sampled"] < 1e-2
     assert picture.stat().st_size > 10_000

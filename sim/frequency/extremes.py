@@ -8,12 +8,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import linalg
 
 from models.reality import steps_per_sample
 from models.vehicle import Vehicle
 from sim.frequency.identification import HIGHEST, LINES, LOWEST, check, fit, ideal_measurements, images, l2_gain
 from sim.linear.frequency import Worst, sampled_frequency_response, worst_sinusoid
-from sim.linear.loop import sampled_radius
+from sim.linear.loop import sampled_radius, taylor4
 from sim.physics.simulate import simulate
 from sim.response.regime import ended_by
 from sim.response.response import Response
@@ -57,6 +58,7 @@ class Extremes:
 
     Attributes:
         worst: gain and frequency of the worst sinusoid of the sampled loop: its H-infinity norm.
+        integrated: gain of the worst sinusoid of the loop as RK4 makes it.
         tried: the frequency that was driven [rad/s], next to it.
         gains: L2 gains from road velocity to the weighted output, measured in MuJoCo, by road.
         invariants: those that this vehicle has.
@@ -66,6 +68,7 @@ class Extremes:
     """
 
     worst: Worst
+    integrated: float
     tried: float
     gains: Mapping[str, float]
     invariants: tuple[MeasuredInvariant, ...]
@@ -94,10 +97,18 @@ def extremes(
     responses: dict[str, Response] = {}
     for name, road in roads.items():  # one batch each: all at once, a full car's take gigabytes
         responses[name] = simulate([vehicle] * count, controllers, [road] * count, time, threads=0).response
-    worst = [
-        worst_sinusoid(vehicle, lambda o, c=c: sampled_frequency_response(vehicle, c, o, timestep), np.pi / timestep, speed)
-        for c in controllers
-    ]
+    worst, integrated = (
+        [
+            worst_sinusoid(
+                vehicle,
+                lambda omega, c=c, e=exponential: sampled_frequency_response(vehicle, c, omega, timestep, e),
+                np.pi / timestep,
+                speed,
+            )
+            for c in controllers
+        ]
+        for exponential in (linalg.expm, taylor4)
+    )
     settled, tried = _drive_worst(vehicle, controllers, worst, amplitude, timestep, speed)
 
     lti = steps_per_sample(vehicle.implementation, timestep) == 1
@@ -107,7 +118,7 @@ def extremes(
         ended = dict.fromkeys(name for run in runs.values() for name in ended_by(vehicle, run))
         invariants = _measured(vehicle, controller, runs["invariants"], len(time) // 2, timestep) if special else ()
         gains = {name: l2_gain(vehicle, run) for name, run in runs.items() if name != "invariants"}
-        found.append(Extremes(worst[i], tried[i], gains, invariants, tuple(ended), lti))
+        found.append(Extremes(worst[i], integrated[i].gain, tried[i], gains, invariants, tuple(ended), lti))
     return found
 
 

@@ -11,13 +11,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import linalg
 
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.reality import Implementation, steps_per_sample
 from models.vehicle import Vehicle
 from sim.linear.frequency import as_met, continuous_frequency_response, sampled_frequency_response, weights
-from sim.linear.loop import implemented_loop, sampled_radius
+from sim.linear.loop import implemented_loop, sampled_radius, taylor4
 from sim.physics.simulate import simulate
 from sim.response.regime import ended_by
 from sim.response.response import SILENT, Response
@@ -43,6 +44,7 @@ class Lines:
         omega: lines [rad/s], shape (F,).
         measured: in MuJoCo, complex, shape (F, p).
         sampled: exact, of the sampled loop as it is implemented.
+        integrated: the same as RK4 makes it.
         continuous: exact, of the continuous loop.
         order: power of the timestep with which sampled tends to continuous; NaN where a delay or sample period stands between.
         gain: L2 gain of the run, from road velocity to the weighted output.
@@ -55,6 +57,7 @@ class Lines:
     omega: Array
     measured: Array
     sampled: Array
+    integrated: Array
     continuous: Array
     order: float
     gain: float
@@ -108,8 +111,9 @@ def identify(vehicle: Vehicle, controllers: Sequence[Controller], amplitude: flo
     found = []
     for i, controller in enumerate(controllers):
         run = response.run(i)
-        sampled, half = (
-            (sampled_frequency_response(vehicle, controller, omega, h) @ met)[..., 0] for h in (timestep, timestep / 2)
+        sampled, half, integrated = (
+            (sampled_frequency_response(vehicle, controller, omega, step, exponential) @ met)[..., 0]
+            for step, exponential in ((timestep, linalg.expm), (timestep / 2, linalg.expm), (timestep, taylor4))
         )
         continuous = (continuous_frequency_response(vehicle, controller, omega) @ met)[..., 0]
         far, near = (difference(one, continuous, units).max() for one in (sampled, half))
@@ -118,7 +122,7 @@ def identify(vehicle: Vehicle, controllers: Sequence[Controller], amplitude: flo
         measured = np.stack([lines[name] for name in outputs], axis=-1) / driven[:, None]
         gain, ended = l2_gain(vehicle, run), ended_by(vehicle, run)
         order = math.log2(far / near) if vehicle.implementation.ideal else math.nan
-        found.append(Lines(controller, outputs, units, omega, measured, sampled, continuous, order, gain, ended))
+        found.append(Lines(controller, outputs, units, omega, measured, sampled, integrated, continuous, order, gain, ended))
     return found
 
 

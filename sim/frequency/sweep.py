@@ -5,16 +5,20 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from models.common.numbers import finite
 from models.common.printed import table, wrapped
 from models.vehicle import Vehicle
 from sim.frequency.extremes import Extremes, extremes
-from sim.frequency.identification import Lines, identify
+from sim.frequency.identification import Lines, difference, identify
+from sim.runs.agreement import COARSEST, SLACK
 from synth.controller import Controller
 
 LINES, EXTREMES = "frequency responses", "norms"
-TOLERANCE = 1e-4  # of the response at a line; RK4's own error at 1 ms is 3e-6, so more is no frequency response of this loop
-ABOVE = 1e-5  # above the norm, relative: RK4's own error again
+# Beside RK4's own error, which is known:
+TOLERANCE = 1e-4  # of the response at a line: what turning makes of higher roads; on those of 0.1 mm 3e-7 is left
+ABOVE = 1e-5  # above the norm, relative: free motion that is left when a gain is read
 REACHED = 1e-3  # below the norm
 
 
@@ -57,19 +61,26 @@ def sweep(
 
 def failures(one: Sweep) -> list[str]:
     """The claims that do not hold of a sweep, in words."""
-    failed = []
-    error, norm = float(one.lines.error(one.lines.sampled).max()), one.extremes.worst.gain
-    if not error <= TOLERANCE:
-        failed.append(f"a line is {error:.1e} off the sampled response; {TOLERANCE:g} is allowed")
+    failed, found, norm = [], one.lines, one.extremes.worst.gain
+    off = difference(found.measured, found.sampled, found.units)
+    integrator = SLACK * difference(found.integrated, found.sampled, found.units)
+    allowed = np.minimum(integrator, COARSEST) + TOLERANCE
+    at = np.unravel_index(np.argmax(off / allowed), off.shape)
+    if not off[at] <= allowed[at]:
+        why = "; the timestep is too coarse, give a smaller one" if integrator[at] > COARSEST else ""
+        failed.append(
+            f"a line of {found.outputs[at[1]]} is {off[at]:.2e} off the sampled response; {allowed[at]:.2e} is allowed{why}"
+        )
     for invariant in one.extremes.invariants:
         if not invariant.error <= invariant.allowed:
             failed.append(f"{invariant.name} is {invariant.error:.1e} off its invariant; {invariant.allowed:.1e} is allowed")
     if not one.extremes.lti:
         return failed
+    own = min(SLACK * abs(one.extremes.integrated - norm), COARSEST * norm)
     for name, gain in one.gains.items():
-        if not gain <= norm * (1 + ABOVE):
+        if not gain <= norm * (1 + ABOVE) + own:
             failed.append(f"the {name} has an L2 gain of {gain:.7g}, above the norm {norm:.7g}")
-    if not one.gains["worst sinusoid"] >= norm * (1 - REACHED):
+    if not one.gains["worst sinusoid"] >= norm * (1 - REACHED) - own:
         failed.append(f"the worst sinusoid reaches {one.gains['worst sinusoid']:.7g} of the norm {norm:.7g} only")
     return failed
 
