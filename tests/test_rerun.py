@@ -9,14 +9,21 @@ import numpy as np
 import pytest
 import rerun.blueprint as rrb
 
+from models.vehicle import read_vehicle
 from sim.figures.figure import STYLES, rgb
-from sim.recording.appearance import LIFTED, LONGEST
+from sim.recording.appearance import LIFTED, LONGEST, ROAD
+from sim.recording.drawing import AHEAD, BEHIND, SPACING
+from sim.recording.provenance import run_log
 from sim.recording.rerun_axes import LABELS, count, labelled, spacing, value_axis
 from sim.recording.rerun_layout import SEEN, _comparison, _page
 from sim.recording.rerun_writer import write_rrd
 from sim.recording.run_log import RunLog
 from sim.response.difference import difference
 from sim.response.response import Response
+from sim.roads.iso8608 import Iso8608
+from sim.roads.road import Bump, Road
+from sim.runs.run import run_all, sample_times
+from synth.designer import Designer
 from tests.test_recording import make_run
 
 GREATEST = 1e-6  # m; Rerun's 3D is single precision, on coordinates below 2 m
@@ -68,6 +75,56 @@ def test_strut_and_force(lifting: RunLog, log: Path) -> None:
     arrows = np.array(rows(log, "/I/world/forces/suspension", "Arrows3D:vectors"))[:, 0]
     np.testing.assert_allclose(arrows[:, 2], LONGEST * force / abs(force).max(), atol=GREATEST)
     np.testing.assert_allclose(arrows[:, :2], 0.0, atol=GREATEST)
+
+
+@pytest.mark.parametrize(
+    ("kind", "road", "tracks"),
+    [
+        ("quarter_car", Bump(), 1),
+        ("quarter_car", Iso8608("C", speed=20.0), 1),
+        ("half_car", Bump(speed=8.0), 1),
+        ("full_car", Bump(track="left"), 2),
+        ("full_car", Iso8608("C", speed=20.0, track_width=1.51), 2),
+    ],
+)
+def test_the_road_is_drawn_under_the_wheels(kind: str, road: Road, tracks: int, tmp_path: Path) -> None:
+    """At every frame each track lies, where a wheel is, as high as the physics has the road under it, and goes on before it."""
+    vehicle = read_vehicle(kind)
+    run = run_log(run_all(vehicle, [Designer(vehicle).design("passive")], road, sample_times(vehicle, 0.7, 1e-3))[0], "passive")
+    write_rrd(tmp_path / "run.rrd", [run], {})
+    scene, physics = run.scene, run.responses["mujoco"]
+    found = {entity.split("/")[4] for entity in entities(tmp_path / "run.rrd") if entity.startswith("/passive/world/profile/")}
+    assert len(found) == tracks
+    frames = np.searchsorted(physics.time, scene.time - 1e-6)
+    under = []
+    for name in found:
+        ((edge,),) = rows(tmp_path / "run.rrd", f"/passive/world/profile/{name}/edge", "LineStrips3D:strips")
+        moved = np.array(rows(tmp_path / "run.rrd", f"/passive/world/profile/{name}", "Transform3D:translation"))[:, 0]
+        np.testing.assert_allclose(moved, np.outer(-road.speed * scene.time, [1, 0, 0]), atol=GREATEST)
+        edge = np.array(edge)
+        for wheel in vehicle.kind.wheels:
+            place = scene.bodies[wheel.road_body].positions[0]
+            if abs(edge[0, 1] - place[1]) > ROAD + GREATEST:
+                continue  # a wheel of the other track
+            under.append(wheel.road_body)
+            assert not any(entity.startswith(f"/passive/world/{wheel.road_body}/") for entity in entities(tmp_path / "run.rrd"))
+            height = np.interp(place[0] - moved[:, 0], edge[:, 0], edge[:, 2])
+            # Rerun's 3D is single precision: positions up to 30 m are rounded by 2e-6 m, and no slope here is above 0.3.
+            np.testing.assert_allclose(height, physics[wheel.road_displacement][frames], atol=GREATEST)
+            ahead = np.interp(place[0] + 3.0 - moved[:, 0], edge[:, 0], edge[:, 2])
+            later = road.displacement(scene.time + (3.0 - wheel.behind(vehicle.parameters)) / road.speed, wheel.side)
+            # Between points 5 cm apart a line cuts off what has wavelengths below 10 cm: 0.5 mm rms of class C.
+            np.testing.assert_allclose(ahead, later, atol=2e-3)
+    assert sorted(under) == sorted(wheel.road_body for wheel in vehicle.kind.wheels)
+
+
+def test_a_road_is_as_large_as_it_is_long(lifting: RunLog) -> None:
+    """A road's points are 5 cm apart, besides those that wheels stand on, and it is seen before the car and behind it."""
+    (track,) = lifting.scene.tracks
+    assert np.diff(track.position).max() < SPACING + GREATEST
+    driven = 20.0 * lifting.scene.time[-1]
+    assert track.position[[0, -1]] == pytest.approx([-BEHIND, driven + AHEAD])
+    assert len(track.position) <= (driven + BEHIND + AHEAD) / SPACING + len(lifting.scene.time) + 2
 
 
 def test_differences_are_those_of_the_verdict(lifting: RunLog, log: Path) -> None:
@@ -187,7 +244,7 @@ def test_axes_of_any_values_have_numbers() -> None:
 def test_an_axis_of_no_numbers_is_left_to_rerun() -> None:
     """What is nowhere finite has no range, and does not spoil that of others."""
     nothing = np.full(5, np.nan)
-    assert value_axis([nothing]).range is None
+    assert value_axis([nothing]) is None
     (low, high) = _range(rrb.TimeSeriesView(axis_y=value_axis([nothing, np.array([0.0, 3.0, np.inf])])))
     assert low < 0 < 3 < high < 4
 

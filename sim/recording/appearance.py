@@ -5,7 +5,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from models.common.arrays import Array
-from sim.recording.scene import Scene, Tyre
+from sim.recording.scene import Scene, Track, Tyre
 
 TURNS, POINTS = 6, 49  # of a coil
 SECTORS = 40  # of a tyre
@@ -16,6 +16,13 @@ LINES = ((0.011, (235, 175, 45)), (0.012, (165, 170, 178)), (0.03, (95, 100, 110
 LIFTED = (214, 39, 40)  # colour of a tyre off the road
 FORCE, LONGEST = (190, 60, 200), 0.3  # colour of a force's arrow, and length of the largest [m]
 BESIDE = np.array([0.0, 0.16, 0.0])  # where it stands, from the middle of its spring [m]
+
+ROAD, THICK = 0.2, 0.12  # half width and thickness of a track [m]
+ASPHALT, SIDE, PROFILE = (
+    ((104, 107, 113), (124, 127, 133)),
+    (70, 72, 78),
+    (250, 250, 245),
+)  # colours of a track; see `road_surface`
 
 
 def largest_force(scenes: Iterable[Scene]) -> float:
@@ -69,3 +76,31 @@ def tyre_surface(tyre: Tyre) -> tuple[Array, Array]:
     faces = ((here, here + SECTORS, after), (after, here + SECTORS, after + SECTORS))
     walls = ((left, here, after), (right, after + SECTORS, here + SECTORS))
     return vertices, np.concatenate([np.stack(corners, axis=1) for corners in (*faces, *walls)])
+
+
+def road_surface(track: Track) -> tuple[Array, Array, Array]:
+    """A track as a slab: from above, two shades of grey that take turns every metre, so that it is seen to move.
+
+    Returns:
+        Its vertices at time 0 [m], shape (6 N, 3), their colours, shape (6 N, 3), and its triangles, shape (6 (N - 1), 3).
+    """
+    count = len(track.position)
+    left, right, under = track.middle + ROAD, track.middle - ROAD, track.height - THICK
+    edges = (
+        (left, track.height),
+        (right, track.height),
+        (left, track.height),
+        (left, under),
+        (right, under),
+        (right, track.height),
+    )
+    vertices = np.concatenate([np.column_stack([track.position, np.full(count, y), z]) for y, z in edges])
+    above = np.array(ASPHALT)[np.floor(track.position).astype(int) % 2]
+    colours = np.concatenate([above, above, np.broadcast_to(SIDE, (4 * count, 3))])
+
+    here = np.arange(count - 1)
+    quads = []
+    for one, other in ((0, 1), (2, 3), (4, 5)):  # the top and both sides
+        a, b = here + one * count, here + other * count
+        quads += [np.stack([a, b, a + 1], axis=1), np.stack([a + 1, b, b + 1], axis=1)]
+    return vertices, colours, np.concatenate(quads)

@@ -10,9 +10,9 @@ from models.common.arrays import Array
 from models.mjcf import build_model, mocap_indices
 from models.vehicle import Vehicle
 from sim.physics.blocks import DIVERGED
-from sim.recording.scene import Motion, Scene, Shape, Tyre
+from sim.recording.scene import Motion, Scene, Shape, Track, Tyre
 from sim.response.response import Response
-from sim.roads.road import Road, under_wheels
+from sim.roads.road import Road, delays, under_wheels
 
 FORMS = {
     int(mujoco.mjtGeom.mjGEOM_BOX): "box",
@@ -21,8 +21,10 @@ FORMS = {
     int(mujoco.mjtGeom.mjGEOM_SPHERE): "sphere",
 }
 
-
 FRAMES = 60  # a second
+
+BEHIND, AHEAD = 6.0, 12.0  # how much road is seen, from the last wheel at the start and from the first at the end [m]
+SPACING, MOST = 0.05, 20_000  # of a profile's points [m], and how many there are beside those that wheels stand on
 
 
 def scene_of(vehicle: Vehicle, road: Road, physics: Response, qpos: Array) -> Scene:
@@ -69,7 +71,40 @@ def scene_of(vehicle: Vehicle, road: Road, physics: Response, qpos: Array) -> Sc
         springs={name: coils[:, i] for i, name in enumerate(springs)},
         tyres=tuple(_tyre(model, i, tendons[model.geom(i).name], lengths) for i in rubber),
         forces={name: physics[signal][frames] for name, signal in _actuators(model).items() if name in springs},
+        tracks=_tracks(vehicle, road, data.mocap_pos[mocap], time[frames], heights),
     )
+
+
+def _tracks(vehicle: Vehicle, road: Road, places: Array, time: Array, heights: Array) -> tuple[Track, ...]:
+    """The road's profiles, one for all wheels that run in each other's track.
+
+    Args:
+        vehicle: the vehicle.
+        road: its road.
+        places: where its wheels stand, shape (r, 3) [m].
+        time: of the frames [s], shape (F,).
+        heights: of the road under the wheels at that time [m], shape (F, r).
+    """
+    if not len(time):
+        return ()
+    # To the micrometre: where the drawing has its wheels elsewhere than the parameters do, each has a profile of its own.
+    wheels: dict[tuple[str, float, float], list[int]] = {}
+    later = np.array(delays(road, vehicle))
+    for i, wheel in enumerate(vehicle.kind.wheels):
+        start = places[i, 0] + road.speed * later[i]
+        wheels.setdefault((wheel.side, round(start, 6), round(places[i, 1], 6)), []).append(i)
+
+    first, last = -BEHIND / road.speed - later.max(), time[-1] + AHEAD / road.speed
+    count = int(min(np.ceil((last - first) * road.speed / SPACING) + 1, MOST))
+    even = np.linspace(first, last, count)  # of evenly spaced times a random road is computed at once
+    tracks = []
+    for (side, start, middle), members in wheels.items():
+        # At every frame a wheel stands on a point.
+        t, once = np.unique(np.concatenate([even, *(time - later[i] for i in members)]), return_index=True)
+        height = np.concatenate([road.displacement(even, side), *heights[:, members].T])[once]
+        bodies = tuple(vehicle.kind.wheels[i].road_body for i in members)
+        tracks.append(Track(bodies[0], middle, start + road.speed * t, height, road.speed * time, bodies))
+    return tuple(tracks)
 
 
 def _actuators(model: mujoco.MjModel) -> dict[str, str]:

@@ -17,17 +17,17 @@ LABELS = 2  # are needed to read a value
 MARGIN = 0.04  # of the range, or of a step, so that neither a peak nor a label is on the border
 
 
-def value_axis(curves: Iterable[Array]) -> rrb.ScalarAxis:
+def value_axis(curves: Iterable[Array]) -> rrb.ScalarAxis | None:
     """An axis that shows the whole of every curve, each of any shape, and has at least two numbers.
 
-    Values that are not finite are left out; where none is, Rerun chooses.
+    Values that are not finite are left out; where none is, there is no axis to give, and Rerun chooses.
     """
     finite = [curve[np.isfinite(curve)] for curve in curves]
     extremes = [(float(part.min()), float(part.max())) for part in finite if part.size]
     if not extremes:
-        return rrb.ScalarAxis()
+        return None
     low, high = labelled(min(low for low, _ in extremes), max(high for _, high in extremes))
-    return rrb.ScalarAxis(range=(low, high)) if math.isfinite(high - low) else rrb.ScalarAxis()
+    return rrb.ScalarAxis(range=(low, high)) if math.isfinite(high - low) else None
 
 
 def labelled(low: float, high: float) -> tuple[float, float]:

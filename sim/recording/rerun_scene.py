@@ -6,14 +6,16 @@ import numpy as np
 import rerun as rr
 
 from models.common.arrays import Array
-from sim.recording.appearance import BESIDE, FORCE, LIFTED, LINES, LONGEST, strut_lines, tyre_surface
+from sim.recording.appearance import BESIDE, FORCE, LIFTED, LINES, LONGEST, PROFILE, ROAD, road_surface, strut_lines, tyre_surface
 from sim.recording.rerun_signals import entity, time_index
 from sim.recording.run_log import RunLog
-from sim.recording.scene import Scene, Shape, Tyre
+from sim.recording.scene import Scene, Shape, Track, Tyre
 
 
 def log_scene(recording: rr.RecordingStream, run: RunLog, largest: float) -> None:
-    """The moving car, at `world/<body>/<shape>`, `world/springs/<spring>` and `world/forces/<spring>`.
+    """The moving car, at `world/<body>/<shape>`, `world/springs/<spring>` and `world/forces/<spring>`, and its road.
+
+    The road is at `world/profile/<track>`, in place of the pieces under the wheels that stand for it in other viewers.
 
     Args:
         recording: where to.
@@ -22,20 +24,37 @@ def log_scene(recording: rr.RecordingStream, run: RunLog, largest: float) -> Non
     """
     scene = run.scene.finite()
     recording.log(entity(run.name, "world"), rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    profiled = {body for track in scene.tracks for body in track.bodies}
     for shape in scene.shapes:
-        recording.log(entity(run.name, "world", shape.body, shape.name), _solid(shape), static=True)
+        if shape.body not in profiled:
+            recording.log(entity(run.name, "world", shape.body, shape.name), _solid(shape), static=True)
     for body, motion in scene.bodies.items():
         columns = rr.Transform3D.columns(
             translation=motion.positions,
             quaternion=np.roll(motion.quaternions, -1, axis=1),  # w last
         )
         recording.send_columns(entity(run.name, "world", body), time_index(scene.time), columns)
+    for track in scene.tracks:
+        _log_track(recording, entity(run.name, "world", "profile", track.name), scene.time, track)
     for tyre in scene.tyres:
         _log_tyre(recording, entity(run.name, "world", tyre.body, tyre.name), scene, tyre)
     for name, ends in scene.springs.items():
         _log_strut(recording, entity(run.name, "world", "springs", name), scene.time, ends)
     for name, force in scene.forces.items():
         _log_force(recording, entity(run.name, "world", "forces", name), scene.time, scene.springs[name], force, largest)
+
+
+def _log_track(recording: rr.RecordingStream, path: str, time: Array, track: Track) -> None:
+    """The road is written once, and moves as a whole: that of a long run takes no more than its points."""
+    vertices, colours, triangles = road_surface(track)
+    surface = rr.Mesh3D(
+        vertex_positions=vertices.astype(np.float32), vertex_colors=colours.astype(np.uint8), triangle_indices=triangles
+    )
+    recording.log(f"{path}/surface", surface, static=True)
+    edge = np.column_stack([track.position, np.full(len(track.position), track.middle + ROAD), track.height])
+    recording.log(f"{path}/edge", rr.LineStrips3D([edge.astype(np.float32)], colors=[PROFILE], radii=[0.008]), static=True)
+    back = np.column_stack([-track.travelled, np.zeros((len(time), 2))])
+    recording.send_columns(path, time_index(time), rr.Transform3D.columns(translation=back))
 
 
 def _log_tyre(recording: rr.RecordingStream, path: str, scene: Scene, tyre: Tyre) -> None:

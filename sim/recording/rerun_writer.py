@@ -17,9 +17,10 @@ def write_rrd(path: Path, runs: Sequence[RunLog], metadata: Mapping[str, str]) -
     """Writes runs to a Rerun file that opens on a finished layout.
 
     Entities of a run, under its name: `signals/<signal>/<response>`, what happened on it at `signals/<signal>/<event>`,
-    `difference/<group>`, `world/<body>/<shape>`, `world/springs/<spring>`, `world/forces/<spring>`, `summary` and `events`; once,
-    `metadata` and, of several runs, `certificates`. The timeline is `time`, from the start of a run. The same content gets the
-    same recording id, so that a run opened twice is one recording; the bytes differ, as Rerun numbers rows by clock.
+    `difference/<group>`, `world/<body>/<shape>`, `world/springs/<spring>`, `world/forces/<spring>`, `world/profile/<track>`,
+    `summary` and `events`; once, `metadata` and, of several runs, `certificates`. The timeline is `time`, from the start of a
+    run. The same content gets the same recording id, so that a run opened twice is one recording; the bytes differ, as Rerun
+    numbers rows by clock.
 
     Args:
         path: the file; overwritten if it exists.

@@ -87,6 +87,27 @@ class Tyre:
 
 
 @dataclass(frozen=True, eq=False)
+class Track:
+    """A road's profile along one track of the vehicle, which comes towards it.
+
+    Attributes:
+        name: unique.
+        middle: of its width [m], along y.
+        position: where its points lie at time 0 [m], along x, ascending, shape (N,).
+        height: of the points [m], shape (N,).
+        travelled: how far the vehicle has come, and the points have moved back, per frame [m], shape (F,).
+        bodies: what stands for it, a piece of road under every wheel, where no profile is drawn.
+    """
+
+    name: str
+    middle: float
+    position: Array
+    height: Array
+    travelled: Array
+    bodies: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
 class Scene:
     """A run to be drawn.
 
@@ -97,6 +118,7 @@ class Scene:
         springs: end points of springs, with a damper inside [m], shape (F, 2, 3), by name; from the wheel to the body.
         tyres: those that give way.
         forces: what pushes the two ends of a spring apart [N], shape (F,), by the spring's name.
+        tracks: the road.
     """
 
     time: Array
@@ -105,6 +127,7 @@ class Scene:
     springs: Mapping[str, Array]
     tyres: tuple[Tyre, ...] = ()
     forces: Mapping[str, Array] = field(default_factory=dict)
+    tracks: tuple[Track, ...] = ()
 
     def finite(self) -> "Scene":
         """The frames in which everything is finite: where a run broke off, the car stays where it was last."""
@@ -120,6 +143,7 @@ class Scene:
             springs={name: ends[kept] for name, ends in self.springs.items()},
             tyres=tuple(replace(tyre, height=tyre.height[kept]) for tyre in self.tyres),
             forces={name: force[kept] for name, force in self.forces.items()},
+            tracks=tuple(replace(track, travelled=track.travelled[kept]) for track in self.tracks),
         )
 
     def extent(self) -> tuple[Array, Array]:
