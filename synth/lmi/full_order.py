@@ -46,7 +46,8 @@ def find_lower_bound(
 
     Args:
         plant: n states, m inputs.
-        Cy: shape (q, n): the bound is for output feedback from y = C_y x, of any order. Without it, for state feedback and more.
+        Cy: shape (q, n): the bound is for output feedback from y = C_y x, of any order. Without it, for state feedback and more:
+            that bound holds for what knows less, too, and no bound that is returned lies below it.
         path: of `state_feedback` of the plant, if it is there already.
         beyond_control: the bound of that name, likewise.
 
@@ -63,21 +64,30 @@ def find_lower_bound(
     if gamma > best.gamma:
         best = LowerBound(gamma, zeros=zeros)
     other = Side.of(transposed(plant, Cy)) if Cy is not None else None
-    if other is None or not len(other.J):
+    if other is not None and not len(other.J):
         other = None  # y shows, with its derivatives, all that state feedback knows
-        if path and best.gamma >= path[-1].gamma * (1 - ENOUGH):
-            return best
-    one = Side.of(plant)
-    if other is not None or len(one.J) < len(plant.A) or not path:
-        points = []
-        # Where the problem has no solution, or none at a finite gain, what was found before counts.
-        with contextlib.suppress(np.linalg.LinAlgError, ValueError), np.errstate(all="ignore"):
-            for point in _walk(plant, Cy, one, other):
-                points.append(point)
-        found = _sharpest(one, other, points)
-        if found.gamma:
-            return max(best, found, key=_gamma)
-    return max(best, _sharpest(one, None, _of_state_feedback(plant, path)), key=_gamma)
+    one = None if path and best.gamma >= path[-1].gamma * (1 - ENOUGH) else Side.of(plant)
+    if one is not None:
+        best = max(best, _for_state_feedback(plant, one, path), key=_gamma)
+    if other is None:
+        return best
+    # The joint path ends a little short of its optimum, or where rounding ends it: what state feedback does not beat counts, too.
+    return max(best, _along_the_walk(plant, Cy, one or Side.of(plant), other), key=_gamma)
+
+
+def _for_state_feedback(plant: GeneralizedPlant, one: Side, path: Sequence[CentralPoint]) -> LowerBound:
+    """What the dual of (22) proves: by the path of the side where that is another one, or the only one that is there."""
+    found = _along_the_walk(plant, None, one, None) if len(one.J) < len(plant.A) or not path else LowerBound(0.0)
+    return found if found.gamma else _sharpest(one, None, _of_state_feedback(plant, path))
+
+
+def _along_the_walk(plant: GeneralizedPlant, Cy: Array | None, one: Side, other: Side | None) -> LowerBound:
+    """The best bound of `_walk`; 0 where the problem has no solution, or none at a finite gain."""
+    points = []
+    with contextlib.suppress(np.linalg.LinAlgError, ValueError), np.errstate(all="ignore"):
+        for point in _walk(plant, Cy, one, other):
+            points.append(point)
+    return _sharpest(one, other, points)
 
 
 def bound_beyond_control(plant: GeneralizedPlant) -> LowerBound:
