@@ -65,7 +65,7 @@ def stable(A: Matrix) -> bool:
     return first[0] > 0
 
 
-def gain_squared(A: Matrix, Bw: Matrix, C: Matrix, omega: float) -> Fraction:
+def gain_squared(A: Matrix, Bw: Matrix, C: Matrix, omega: float | Fraction) -> Fraction:
     """|C (j omega - A)^-1 Bw|^2 for one disturbance: no norm can be smaller than its root."""
     n, w = len(A), Fraction(omega)
     # x = p + j q: [-A, -w; w, -A] [p; q] = [Bw; 0].

@@ -30,6 +30,8 @@ from synth.extended import transfer_matrix_closely
 from synth.plant import GeneralizedPlant
 
 ZOOMS = 6  # of a bracket, tenfold; a maximum is flat: 10^-12 of the gain
+CLOSE_ZOOMS = 8  # where the gain has twice the digits: 10^-16 of it
+WITHIN = 1e-4  # of the damping of the nearest pole; so close to its top it is a parabola
 EXACT = 1e-10  # relative; a level set this much higher that is empty ends the search
 ILL_CONDITIONED = 1e6  # of the eigenvectors; beyond it the modes give fewer than ten digits
 ALIKE = 1e-9  # relative to the largest gain; where the modes are as close to the transfer function they may say where to look
@@ -47,8 +49,8 @@ class Norm:
         peak_frequency: where it is reached [rad/s]; NaN where the system is not stable.
         level_set: the first route's value.
         sweep: the second route's value.
-        rounding: relative; by how much rounding may have moved the value, to first order; that of the frequency, too, of which
-            floats are too far apart to hold the peak of a damping of 1e-12.
+        rounding: relative; how far from the true norm the value may be, to first order: by rounding, and where the peak lies
+            between the frequencies that were tried, as floats are too far apart to hold that of a damping of 1e-12.
     """
 
     value: float
@@ -72,12 +74,15 @@ def hinf_norm(system: GeneralizedPlant) -> Norm:
     (sweep, at_sweep), (level, at_level) = _by_sweep(gain), _by_level_sets(gain)
     slowest = gain.poles[np.abs(np.real(gain.poles)).argmin()] if len(gain.poles) else 0.0
     ends = np.array([0.0, np.abs(np.imag(slowest)), at_sweep, at_level])
-    rounding = gain.rounding(ends[np.isfinite(ends)], SEEN * max(sweep, level))
+    ends, beside = ends[np.isfinite(ends)], gain.beside
+    rounding = gain.rounding(ends)
+    if rounding > SEEN * max(sweep, level):  # a bound that is often far too large: so it is measured, and all else, too
+        rounding, beside = gain.rounded(ends), gain.between
     if rounding > SEEN * max(sweep, level):
         (sweep, at_sweep), (level, at_level) = gain.polished(at_sweep), gain.polished(at_level)
         rounding = max(gain.missing(at) for at in (at_sweep, at_level))
     value, at = (sweep, at_sweep) if sweep >= level else (level, at_level)
-    return Norm(value, at, level, sweep, rounding / value + gain.beside(at) if value else 0.0)
+    return Norm(value, at, level, sweep, rounding / value + beside(at) + gain.last if value else 0.0)
 
 
 def gain_at(system: GeneralizedPlant, omega: float) -> float:
@@ -136,6 +141,7 @@ class _Gain:
         found = stability_of_balanced(self.A)
         self.poles, self.vectors = found.poles, found.vectors
         self.at_infinity = float(np.linalg.norm(self.Dw, 2))
+        self.last = (self.Dw.size + 4) * np.finfo(float).eps  # what a singular value loses, relative, be T without error
         self.stable = found.stable
         self.on_axis = float(np.abs(np.imag(self.poles[found.on_axis])[0])) if np.any(found.on_axis) else None
 
@@ -152,8 +158,8 @@ class _Gain:
         at = _climbed(self.about, omega, width)
         return float(self.at(at)[0]), float(at[0])
 
-    def rounding(self, omega: Array, enough: float) -> float:
-        """What rounding did to `at` at frequencies [rad/s], or a bound to first order where that is enough.
+    def rounding(self, omega: Array) -> float:
+        """What rounding did to `at` at frequencies [rad/s] at most, to first order.
 
         (Higham 2002, Accuracy and Stability of Numerical Algorithms, section 7.2.)
         """
@@ -161,9 +167,10 @@ class _Gain:
         R = np.abs(np.linalg.inv(1j * omega[:, None, None] * np.eye(n) - self.A))
         seen, driven = np.abs(self.C) @ R, R @ np.abs(self.Bw)
         lost = seen @ ((np.abs(self.A) + omega[:, None, None] * np.eye(n)) @ driven) + np.abs(self.C) @ driven
-        lost = float((n + 2) * np.finfo(float).eps * np.linalg.norm(lost, axis=(1, 2)).max(initial=0.0))
-        if lost <= enough:
-            return lost
+        return float((n + 2) * np.finfo(float).eps * np.linalg.norm(lost, axis=(1, 2)).max(initial=0.0))
+
+    def rounded(self, omega: Array) -> float:
+        """What rounding did to `at` at frequencies [rad/s] at most, measured with twice the digits."""
         gains, missing = self.closely(omega)
         return float((np.abs(self.at(omega) - gains) + missing).max())
 
@@ -177,17 +184,32 @@ class _Gain:
         return float(self.closely(np.array([at]))[1][0]) if np.isfinite(at) else 0.0
 
     def beside(self, at: float) -> float:
-        """How much higher the gain may be between a frequency, the best of floats, and the next, relative, to second order."""
-        if not np.isfinite(at):
+        """How much higher the gain may be between the best frequency that was tried and the next, relative, to second order."""
+        if not (np.isfinite(at) and len(self.poles)):
             return 0.0
-        return float(np.sum((np.spacing(at) / 2 / np.abs(1j * at - self.poles)) ** 2) / 2)
+        apart = np.spacing(at) + 10.0**-ZOOMS * float(self._width(np.array([at]))[0])
+        return float(np.sum((apart / 2 / np.abs(1j * at - self.poles)) ** 2) / 2)
+
+    def between(self, at: float) -> float:
+        """The same, measured with twice the digits: where rounding may have moved poles and led the search.
+
+        About a resonance the gain to the power of -2 is a parabola: that through three frequencies says how high it rises.
+        """
+        if not (np.isfinite(at) and len(self.poles)):
+            return 0.0
+        step = max(float(np.spacing(at)), WITHIN * float(self._width(np.array([at]))[0]))
+        (below, here, above), _ = self.closely(np.array([at - step, at, at + step]))
+        left, right = (here / below) ** 2, (here / above) ** 2
+        bent, slope = left + right - 2, (right - left) / 2
+        lowest = min(1 - slope**2 / (2 * bent) if bent > 0 else 1.0, left, right)
+        return float(lowest**-0.5 - 1)
 
     def polished(self, at: float) -> tuple[float, float]:
         """The highest gain with twice the digits near a frequency or near any pole, and where it is [rad/s]."""
         omega = np.concatenate([[0.0], np.abs(self.poles), np.abs(np.imag(self.poles)), [at] if np.isfinite(at) else []])
         gains, _ = self.closely(omega)
         high = np.unique(omega[gains > 0.9 * gains.max()])
-        there = _climbed(lambda near: self.closely(near)[0], high, self._width(high))
+        there = _climbed(lambda near: self.closely(near)[0], high, self._width(high), CLOSE_ZOOMS)
         best, there = float(self.closely(there)[0][0]), float(there[0])
         return (self.at_infinity, np.inf) if self.at_infinity > best else (best, there)
 
@@ -212,10 +234,10 @@ class _Gain:
         return residues if np.all(np.abs(self._by_modes(residues, probes) - true) <= ALIKE * true.max()) else None
 
 
-def _climbed(gain: Callable[[Array], Array], omega: Array, width: Array) -> Array:
+def _climbed(gain: Callable[[Array], Array], omega: Array, width: Array, zooms: int = ZOOMS) -> Array:
     """Where a gain is highest within some widths of some frequencies [rad/s], shape (1,)."""
     steps = np.linspace(-1, 1, 21)[:, None]
-    for _ in range(ZOOMS):
+    for _ in range(zooms):
         near = np.maximum(omega + width * steps, 0.0)
         there = gain(near.ravel()).reshape(near.shape)
         omega, width = near[there.argmax(axis=0), np.arange(len(omega))], width / 10
