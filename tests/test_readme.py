@@ -2,6 +2,7 @@
 
 import ast
 import importlib
+import json
 import re
 
 import pytest
@@ -14,6 +15,7 @@ from sim.bump import main
 from sim.campaign.file import read_campaign
 from sim.linear.loop import sampled_response, taylor4
 from sim.physics.simulate import simulate
+from sim.report import ride
 from sim.roads.road import Bump
 from sim.runs.run import sample_times
 from synth.designer import Designer
@@ -44,6 +46,37 @@ def test_own_kind_of_vehicle_is_exact(hopper):
     predicted = sampled_response(vehicle, controller, road, time, exponential=taylor4)
     for name in vehicle.linear_model.outputs:
         assert abs(physics[name] - predicted[name]).max() < 1e-11 * predicted.scale(name)  # rounding of 1000 steps
+
+
+def test_own_kind_over_random_roads(hopper, monkeypatch, capsys):
+    """What no force pushes along a suspension is driven over random roads, expected, tabled and reported like any other."""
+    folder = hopper.parent
+    road = ["--class", "B", "--duration", "2", "--timestep", "2e-3", "--no-logs", "--json"]
+    assert main_of("sim.drive")(["--vehicle", str(hopper), "--controller", "I", *road]) in (0, 1)
+    (run,) = json.loads(capsys.readouterr().out)["runs"]
+    assert run["metrics"]["control_force_rms"]["expected"] > 0
+    assert not {"control_power", "control_energy"} & set(run["metrics"])  # no suspension that the force would work on
+
+    campaign = folder / "campaign.toml"
+    text = 'vehicles = ["hopper.toml"]\ncontrollers = ["I"]\nroads = ["iso8608:class=A"]\nspeeds = [10.0]\nseeds = 1\n'
+    campaign.write_text(f"{text}duration = 2.0\ntimestep = 2e-3\n")
+    assert main_of("sim.campaign")([str(campaign), "--json"]) == 0
+    (entry,) = json.loads(capsys.readouterr().out)["summary"]
+    assert entry["ride"]["predicted"] > 0
+    assert entry["travel"] == dict.fromkeys(("column", "rms", "p95", "predicted"))
+
+    monkeypatch.setattr(ride, "CLASSES", "B")
+    monkeypatch.setattr(ride, "SEEDS", (0,))
+    monkeypatch.setattr(ride, "WINDOW", 1.0)
+    vehicle = read_vehicle(hopper)
+    rows = ride.ride_section(vehicle, ride.rides_of(vehicle, [Designer(vehicle).design("I")], 2e-3)).tables[0].rows
+    assert {"sprung acceleration weighted", "control force rms"} <= {row[2] for row in rows}
+
+
+@pytest.mark.slow
+def test_own_kind_is_reported_in_full(hopper):
+    """The whole report of it, with every section, is written."""
+    assert main_of("sim.report")(["--vehicle", str(hopper), "--controller", "I", "--out", str(hopper.with_name("r.html"))]) == 0
 
 
 def test_unknown_kind_is_named(hopper):

@@ -72,8 +72,11 @@ def summarise(plan: Plan, store: Store) -> list[dict[str, Any]]:
 
 
 def _statistics(columns: Mapping[str, Array], names: Sequence[str], some: Array) -> dict[str, Any]:
-    """Of the worst of some columns over those runs that have metrics: root mean square, 95th percentile, and predicted."""
-    there = some[np.isfinite(columns[names[0]][some])]
+    """Of the worst of some columns over those runs that have metrics: root mean square, 95th percentile, and predicted.
+
+    A kind of vehicle may have no such column, as one without a suspension has no travel.
+    """
+    there = some[np.all([np.isfinite(columns[name][some]) for name in names], axis=0)] if names else some[:0]
     if not len(there):
         return {"column": None, "rms": None, "p95": None, "predicted": None}
     rms = {name: _rms(columns[name][there]) for name in names}

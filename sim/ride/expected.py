@@ -154,7 +154,8 @@ def expect(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: f
     for name, *_ in where.actuators:
         signal = root(f"{name}_rms", index[name])
         mean[f"{name}_peak"] = signal.largest(window) * signal.sigma
-    works = np.einsum("f,fsc->cs", band.share, band.values[:, :, len(index) + len(ride) :]).reshape(len(pushing), 3, -1)
+    works = np.einsum("f,fsc->cs", band.share, band.values[:, :, len(index) + len(ride) :])
+    works = works.reshape(len(pushing), 3, band.values.shape[1])
     for (name, _), work in zip(pushing, works, strict=True):
         net, positive = work_rate(*work)
         # n samples have n - 1 steps between them.
