@@ -166,8 +166,11 @@ class Designer:
     def redesign(self, vehicles: Sequence[Vehicle], name: str) -> list[Controller]:
         """A controller of this vehicle for many others like it: `design` for each, side by side, which is several times as fast.
 
-        The others lend their parameters and weights; what is measured says this one. The gains are those of `design`, up to where
-        the central path is stopped. They come without a lower bound: `Designer(vehicle).lower_bound(measured)` has it.
+        The others lend their parameters and weights; what is measured says this one. The gains are those of `design` up to
+        where the central path is stopped: 3e-6 of the largest entry on the paper's car. Each certificate is true of its own gain,
+        but the X of a proof comes from there, too: where rounding leaves it little room, as near a marginal loop, the bound
+        may be looser or tighter than that of `design`, by up to a tenth. They come without a lower bound:
+        `Designer(vehicle).lower_bound(measured)` has it.
 
         Args:
             vehicles: of this vehicle's kind.

@@ -1,5 +1,8 @@
 """The designs of `design.py` for many plants like one that is designed already: side by side, a few milliseconds each.
 
+A gain is that of `design.py` to where the central path is stopped (`central.LIMIT`), and not to the last bit. So the X of its
+proof is another one, too, and where rounding leaves a proof little room the bounds of both may differ by up to a tenth.
+
 All is done in the own units of the one that is designed. Where that does not lead to the limit of the central path and a
 certificate that holds, a plant is designed by itself: if it has another shape, if (25) is infeasible from the optimal X of (22),
 or if the optimum is reached only by gains beyond any actuator.

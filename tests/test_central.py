@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from synth.errors import InfeasibleError
+from synth.lmi.barrier import Barrier, newton
 from synth.lmi.central import central_path
 from synth.lmi.clarabel import solve_lmi
 from synth.lmi.output_feedback import l_matrix, nullspace, output_feedback, r_matrix
@@ -110,3 +111,13 @@ def test_random_plants_with_feedthrough(seed):
     central, solved = state_feedback(plant)[-1], solve_lmi(plant, np.zeros((5, 0)), np.eye(5))
     assert central.gamma == pytest.approx(solved.gamma, rel=2e-5)  # where Clarabel stops; it is up to 6e-6 above
     assert central.gamma < solved.gamma * (1 + 1e-6)  # Clarabel's point violates (24) by its tolerance, ours does not
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("slope", [1e150, 1e170, 1e190])
+def test_a_step_too_far_is_no_warning(slope):
+    """Where a step of Newton's method leaves the range of floats its decrement says there is no centre; numpy is silent."""
+    barrier = Barrier([(np.eye(2), np.array([np.diag([1e-150, 1.0]), np.diag([0.0, 1.0])]))])
+    p, decrement, _ = newton(barrier, np.zeros(2), np.array([slope, -1.0]), 1e-6)
+    assert np.all(np.isfinite(p))
+    assert decrement > 0.5  # what callers ask

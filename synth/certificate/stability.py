@@ -123,7 +123,7 @@ def _eigen(A: Array) -> tuple[Array, Array, Array]:
     if not len(A):
         return np.zeros(0, dtype=complex), np.zeros(0), np.zeros((0, 0), dtype=complex)
     poles, left, right = (np.asarray(part) for part in linalg.eig(A, left=True, right=True))
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", over="ignore"):
         conditions = 1 / np.abs(np.sum(left.conj() * right, axis=0))  # both have length one
     order = np.lexsort((np.imag(poles), np.real(poles)))
     return poles[order].astype(complex), conditions[order], right[:, order].astype(complex)

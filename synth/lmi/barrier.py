@@ -126,6 +126,7 @@ def _eigenvalues(flat: Array) -> Array:
     return lapack.dsyevd(flat.reshape(size, size), compute_v=0)[0]
 
 
+@np.errstate(over="ignore", invalid="ignore")  # a step too far: what is not finite has no Cholesky factor, and is halved
 def newton(
     barrier: Derivatives,
     p: Array,
