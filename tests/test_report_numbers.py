@@ -15,6 +15,7 @@ from sim.drive import main as drive
 from sim.envelope import main as envelope
 from sim.margins import main as margins
 from sim.report.__main__ import main as report
+from sim.report.agreement import bump_section
 from sim.report.answer import over_the_bump, worst
 from sim.report.ride import SEEDS, SPEED, WINDOW, ride_section, ride_text, rides_of
 from sim.report.scope import Scope
@@ -22,6 +23,7 @@ from sim.roads.road import Bump
 from sim.runs.run import run_all, sample_times
 from sim.sweep import main as sweep
 from synth.__main__ import main as synth
+from synth.designer import Designer
 from tests.pages import section
 from tests.reading import PageRead
 
@@ -401,3 +403,33 @@ def test_energy_that_does_not_balance_makes_the_box_red(paper, designer):
     said = over_the_bump(scope, [lost])
     assert worst(said) == "fails"
     assert said[-1].text == "Over the paper's bump energy DOES NOT BALANCE for I: see the table of energy."
+
+
+def test_an_unstable_controller_leaves_the_others_to_be_seen():
+    """Beside a loop that grows without bound the axes of the bump are of the others' size; it is drawn, too."""
+    vehicle = parse_vehicle(
+        read_vehicle("quarter_car").text + '\n[controllers.bad]\nmeasured = ["sprung_velocity"]\ngain = [[60000.0]]\n',
+        source="bad",
+    )
+    designer = Designer(vehicle)
+    controllers = tuple(designer.design(name) for name in ("passive", "I_printed", "bad"))
+    scope, time = Scope(vehicle, designer, controllers, 1e-3, True, print), sample_times(vehicle, 3.0, 1e-3)
+    runs = run_all(vehicle, controllers, Bump(), time)
+    assert runs[2].broke_off is not None
+    (figure,) = bump_section(scope, runs, Bump()).figures
+    for panel in figure.panels:
+        assert panel.ylim is not None
+        others = [curve.y for curve in panel.curves if len(curve.y) and "bad" not in curve.label + curve.name]
+        least, most = (float(end(np.concatenate(others))) for end in (np.min, np.max))
+        assert panel.ylim[0] < least < most < panel.ylim[1]
+        assert panel.ylim[1] - panel.ylim[0] < 3.3 * (most - least)  # as much above and below, and the room at either end
+        bad = [curve for curve in panel.curves if "bad" in curve.label + curve.name]
+        assert bad
+        assert all(curve.x.max() < runs[2].broke_off[1] for curve in bad)
+    assert "where a loop is unstable or a run breaks off, until the linear regime ends" in figure.title
+
+
+def test_the_headline_says_what_holds_throughout(plain):
+    """The green box confirms "throughout" of the paper's bump alone: elsewhere the linear regime ends, as it says below."""
+    assert plain.state == "holds"
+    assert "In short: the physics confirms the analysis, over the paper's bump throughout" in plain.text

@@ -22,7 +22,7 @@ from sim.figures.svg import DASHES, MARKERS, on_paper, svg
 
 LIGHT, DARK = "#ffffff", "#16181b"  # behind figures, as in page.css
 VERDICTS = {
-    "holds": "the physics confirms the analysis throughout",
+    "holds": "the physics confirms the analysis, over the paper's bump throughout",
     "ends": "nothing is refuted, but not all of it holds throughout",
     "fails": "something FAILS",
 }

@@ -2,10 +2,13 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from sim.figures.figure import Curve, Figure, Marker, Panel, styles, thinned
+from models.common.arrays import Array
+from sim.figures.axis import axis_of
+from sim.figures.figure import Curve, Dash, Figure, Marker, Panel, styles, thinned
 from sim.figures.page import Section, Table
 from sim.physics.energy import BALANCED
 from sim.report.scope import BUMP_DURATION, Scope, number
@@ -24,37 +27,27 @@ def bump_section(scope: Scope, runs: Sequence[Run], road: Bump) -> Section:
     style = styles(tuple(run.controller.name for run in runs))
     panels = []
     for name in signals:
-        curves = []
-        for run in runs:
-            color, dash = style[run.controller.name]
-            if float(run.physics.peak(name)) < run.physics.scale(name):
-                continue  # no control force, or no roll on a road that is the same on both sides
-            every = max(1, len(run.physics.time) // POINTS)
-            line = run.continuous if scope.prompt else run.sampled
-            thin = thinned(line[name], max(1, every // 6))
-            curves.append(Curve(line.time[thin], line[name][thin], run.controller.name, color, dash))
-            time, values = run.physics.time[::every], run.physics[name][::every]
-            markers: tuple[Marker, Marker] = ("o", "x")
-            for marker, some in zip(markers, (time < run.agreement.until, time >= run.agreement.until), strict=True):
-                if some.any():
-                    curves.append(
-                        Curve(time[some], values[some], "", color, "none", marker, name=f"{run.controller.name}, MuJoCo")
-                    )
+        drawn = [one for run in runs if (one := _drawn(scope, run, name, style[run.controller.name])) is not None]
+        curves = [curve for one in drawn for curve in one.curves]
         if not curves:
             continue
         if not panels:
             none = np.zeros(0)
             curves.append(Curve(none, none, "MuJoCo", "#666666", "none", "o"))
-            if any(run.agreement.until < math.inf for run in runs):
+            if any(curve.marker == "x" for curve in curves):
                 curves.append(Curve(none, none, "MuJoCo, once the linear regime has ended", "#666666", "none", "x"))
         signal = vehicle.kind.signal(name)
         words, unit = name.replace("_", " "), signal.unit.replace("s2", "s²")
         title = f"{words}, {signal.symbol}"
-        panels.append(Panel(title, "time [s]", f"{words} [{unit}]", tuple(curves), xlim=(0.0, BUMP_DURATION)))
+        seen = axis_of(_seen(drawn), None, log=False)
+        limits = (0.0, BUMP_DURATION), (seen.low, seen.high)
+        panels.append(Panel(title, "time [s]", f"{words} [{unit}]", tuple(curves), None, xlim=limits[0], ylim=limits[1]))
+    early = "; where a loop is unstable or a run breaks off, until the linear regime ends"
+    early = "" if all(_bounded(scope, run) for run in runs) else early
     lines = f"the continuous loop{scope.lag}" if scope.prompt else f"the loop as it runs, {scope.as_it_runs}"
     title = (
         f"Response to the bump of {road.height:g} m height and {road.length:g} m length at {road.speed:g} m/s. "
-        f"Lines: linear analysis of {lines}.\nPoints: MuJoCo at {1e3 * scope.timestep:g} ms"
+        f"Lines: linear analysis of {lines}{early}.\nPoints: MuJoCo at {1e3 * scope.timestep:g} ms"
     )
     figure = Figure("bump", title, tuple(panels), columns=2 if len(signals) <= 4 else 3)
     rows = []
@@ -92,6 +85,64 @@ def bump_section(scope: Scope, runs: Sequence[Run], road: Bump) -> Section:
     )
     verdicts = tuple(f"{run.controller.name}: {line}." for run in runs for line in verdict_lines(run))
     return Section("What happens over a bump?", "the paper's bump, over time", (about, *verdicts), (table,), (figure,))
+
+
+@dataclass(frozen=True, eq=False)
+class _Drawn:
+    """What a panel has of one run.
+
+    Attributes:
+        curves: its line and its points.
+        values: those that there should be room for.
+        bounded: whether they have a bound.
+    """
+
+    curves: tuple[Curve, ...]
+    values: Array
+    bounded: bool
+
+
+def _bounded(scope: Scope, run: Run) -> bool:
+    """Whether what a run does after its linear regime has ended is a vehicle's, and its line's size that of a response."""
+    return run.controller in scope.stable and run.broke_off is None
+
+
+def _drawn(scope: Scope, run: Run, name: str, style: tuple[str, Dash]) -> _Drawn | None:
+    """One signal of one run; None where there is none: no control force, or no roll on a road that is the same on both sides.
+
+    A loop that is unstable, or a run that broke off, has no bound: its line ends with its linear regime, its points where it
+    breaks off, and there is room for what lies within the regime at most.
+    """
+    if float(run.physics.peak(name)) < run.physics.scale(name):
+        return None
+    (color, dash), until = style, run.agreement.until
+    bounded = _bounded(scope, run)
+    end = run.broke_off[1] if run.broke_off is not None else math.inf
+    every = max(1, len(run.physics.time) // POINTS)
+    curves, seen = [], [np.zeros(0)]
+    line = (run.continuous if scope.prompt else run.sampled).until(math.inf if bounded else until)
+    if len(line.time):
+        thin = thinned(line[name], max(1, every // 6))
+        curves.append(Curve(line.time[thin], line[name][thin], run.controller.name, color, dash))
+        seen.append(line[name])
+    time, values = run.physics.time[::every], run.physics[name][::every]
+    markers: tuple[Marker, Marker] = ("o", "x")
+    for marker, some in zip(markers, (time < until, (until <= time) & (time < end)), strict=True):
+        if some.any():
+            curves.append(Curve(time[some], values[some], "", color, "none", marker, name=f"{run.controller.name}, MuJoCo"))
+        if bounded or marker == "o":
+            seen.append(values[some])
+    return _Drawn(tuple(curves), np.concatenate(seen), bounded)
+
+
+def _seen(drawn: Sequence[_Drawn]) -> list[Array]:
+    """What an axis has to hold: all that has a bound, and beside it no more than three times as much."""
+    within = [one.values for one in drawn if one.bounded]
+    if not within:
+        return [one.values for one in drawn]
+    low, high = (float(end(np.concatenate(within))) for end in (np.min, np.max))
+    size = high - low
+    return [one.values if one.bounded else np.clip(one.values, low - size, high + size) for one in drawn]
 
 
 def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -> Section:
