@@ -81,7 +81,18 @@ class Implementation:
     @property
     def blurred(self) -> bool:
         """Whether it measures with noise, or in steps."""
-        return any(self.noise.values()) or any(self.quantisation.values())
+        return bool(self.blur)
+
+    @property
+    def blur(self) -> str:
+        """What stands between a signal and its measurement, in words: noise, quantisation or both; empty where nothing does."""
+        kinds = {"noise": self.noise, "quantisation": self.quantisation}
+        return " and ".join(name for name, values in kinds.items() if any(values.values()))
+
+    @property
+    def clear(self) -> "Implementation":
+        """The same without noise and quantisation: what of it is linear, and so has a frequency response."""
+        return replace(self, noise={}, quantisation={})
 
     def scaled(self, factor: float) -> "Implementation":
         """The same where all signals are so many times as large: its noise and its resolution are, too."""

@@ -108,6 +108,8 @@ def _which_loop(vehicle: Vehicle) -> str:
     """Of which loop the margins are, and the norms of other vehicles, where the vehicle file says more than parameters."""
     lag = "with" if vehicle.limits.actuator_bandwidth is not None else "without"
     without = " and without the file's [implementation], whose delay and period are part of what it bears"
+    if vehicle.implementation.blurred:
+        without += f", and whose {vehicle.implementation.blur} is not tried"
     computer = "" if vehicle.implementation.ideal else without
     return f"borne by the loop {lag} an actuator's lag{computer}; norms of other vehicles are of the ideal loop"
 

@@ -416,3 +416,6 @@ def test_which_loop_is_said(paper):
     assert plain == "borne by the loop without an actuator's lag; norms of other vehicles are of the ideal loop"
     built = dataclasses.replace(paper, limits=Limits(actuator_bandwidth=60.0), implementation=Implementation(delay=1))
     assert "with an actuator's lag and without the file's [implementation]" in _which_loop(built)
+    assert "not tried" not in _which_loop(built)
+    blurred = dataclasses.replace(built, implementation=Implementation(noise={"sprung_velocity": 0.01}))
+    assert "whose noise is not tried;" in _which_loop(blurred)

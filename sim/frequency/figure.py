@@ -4,7 +4,6 @@ The lines are of the paper's continuous loop, or, where the controller is slower
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -67,10 +66,11 @@ def sweep_figure(vehicle: Vehicle, sweeps: Sequence[Lines], amplitude: float, ti
         )
     ended = sorted({name for one in sweeps for name in one.ended})
     regime = f"; outside the linear regime: {', '.join(ended)}" if ended else ""
-    loop = "continuous" if how.prompt else f"as built, {', '.join(replace(how, noise={}, quantisation={}).words)}"
+    loop = "continuous" if how.prompt else f"as built, {', '.join(how.clear.words)}"
+    without = f" without its {how.blur}" if how.blurred else ""
     title = (
         f"{vehicle.kind.name.replace('_', ' ')}: response to road velocity. Lines: linear analysis, {loop}. Points: MuJoCo "
-        f"at {1e3 * timestep:g} ms,\nidentified on roads of {1e3 * amplitude:g} mm{regime}"
+        f"at {1e3 * timestep:g} ms,\nidentified{without} on roads of {1e3 * amplitude:g} mm{regime}"
     )
     return Figure("sweep", title, tuple(panels), columns=2 if len(signals) <= 4 else 3 if len(signals) <= 9 else 4)
 

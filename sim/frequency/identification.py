@@ -80,7 +80,7 @@ def difference(response: Array, reference: Array, units: Sequence[str]) -> Array
 
 def ideal_measurements(vehicle: Vehicle) -> Vehicle:
     """The vehicle without noise and quantisation of `[implementation]`: those have no frequency response."""
-    return replace(vehicle, implementation=replace(vehicle.implementation, noise={}, quantisation={}))
+    return replace(vehicle, implementation=vehicle.implementation.clear)
 
 
 def identify(vehicle: Vehicle, controllers: Sequence[Controller], amplitude: float, timestep: float, speed: float) -> list[Lines]:

@@ -28,6 +28,7 @@ class Sweep:
 
     lines: Lines
     extremes: Extremes
+    without: str  # what the vehicle file has of noise and quantisation, and these runs had not, in words; empty for neither
 
     @property
     def ended(self) -> tuple[str, ...]:
@@ -56,7 +57,7 @@ def sweep(
     lines = identify(vehicle, controllers, amplitude, timestep, speed)
     progress(EXTREMES)
     most = extremes(vehicle, controllers, amplitude, timestep, speed)
-    return [Sweep(*pair) for pair in zip(lines, most, strict=True)]
+    return [Sweep(*pair, vehicle.implementation.blur) for pair in zip(lines, most, strict=True)]
 
 
 def failures(one: Sweep) -> list[str]:
@@ -91,10 +92,10 @@ def sweep_lines(one: Sweep) -> list[str]:
     sampled, continuous = found.error(found.sampled), found.error(found.continuous)
     errors = zip(found.outputs, sampled.tolist(), continuous.tolist(), strict=True)
     rows = [(name, f"{a:.1e}", f"{b:.1e}") for name, a, b in errors]
-    lines = [
-        f"controller {found.controller.name}",
-        *table([("largest relative error over the lines:", "to sampled", "to continuous"), *rows]),
-    ]
+    lines = [f"controller {found.controller.name}"]
+    if one.without:
+        lines.append(f"  its loop as built, but without its {one.without}: no frequency response knows of such")
+    lines += table([("largest relative error over the lines:", "to sampled", "to continuous"), *rows])
     if math.isfinite(found.order):
         lines.append(f"  sampled tends to continuous with the timestep to the power {found.order:.2f}")
     for invariant in one.extremes.invariants:
@@ -130,7 +131,9 @@ def _verdict(one: Sweep) -> str:
     if failed:
         return f"DOES NOT AGREE in {len(failed)} claim{'s' * (len(failed) != 1)}"
     invariants = "the invariants, " if one.extremes.invariants else ""
-    return f"agrees: every line, {invariants}{'and the norm as the largest gain' if one.extremes.lti else 'without the norm'}"
+    without = f" without its {one.without}" if one.without else ""
+    norm = "and the norm as the largest gain" if one.extremes.lti else "without the norm"
+    return f"agrees{without}: every line, {invariants}{norm}"
 
 
 def sweep_object(one: Sweep) -> dict[str, Any]:
@@ -143,6 +146,7 @@ def sweep_object(one: Sweep) -> dict[str, Any]:
     error = {"sampled": found.error(found.sampled), "continuous": found.error(found.continuous)}
     return {
         "controller": found.controller.name,
+        "without": one.without or None,
         "omega": found.omega.tolist(),
         "signals": {
             name: {

@@ -77,11 +77,12 @@ def bump_section(scope: Scope, runs: Sequence[Run], road: Bump) -> Section:
     )
     caption = "Largest and root mean square values over the bump: in MuJoCo, and by both linear analyses."
     table = Table("bump", caption, headings, tuple(rows), words=3)
+    blur = scope.vehicle.implementation.blur.replace(" and ", " or ")
+    unknown = f" or {blur}" if blur else ""
     about = (
         f"Over {BUMP_DURATION:g} s from rest. 'Sampled' is the exact linear response of the loop as it runs, {scope.as_it_runs}; "
-        f"'continuous' is that of the continuous loop{scope.lag}. Neither knows an end of the linear regime"
-        f"{' or noise' if scope.blurred else ''}, so where that has ended before {BUMP_DURATION:g} s, MuJoCo's peaks are of "
-        "something else than theirs."
+        f"'continuous' is that of the continuous loop{scope.lag}. Neither knows an end of the linear regime{unknown}, "
+        f"so where that has ended before {BUMP_DURATION:g} s, MuJoCo's peaks are of something else than theirs."
     )
     verdicts = tuple(f"{run.controller.name}: {line}." for run in runs for line in verdict_lines(run))
     return Section("What happens over a bump?", "the paper's bump, over time", (about, *verdicts), (table,), (figure,))

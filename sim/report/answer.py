@@ -61,7 +61,7 @@ def norms(scope: Scope) -> list[Finding]:
         text += f" The least is {least}'s, {abs(share):.0f} % {'below' if share < 0 else 'above'} the passive suspension's."
     if scope.built_norms:
         built = ", ".join(f"{name} {value.gain:.4g}" for name, value in scope.built_norms.items())
-        text += f" As built, at a step of {1e3 * scope.timestep:g} ms: {built}."
+        text += f" As built{scope.without}, at a step of {1e3 * scope.timestep:g} ms: {built}."
     return [Finding(text)]
 
 
@@ -101,7 +101,7 @@ def _how(scope: Scope, runs: Sequence[Run]) -> str:
     some = [run.agreement for run in runs if run.agreement.agrees and math.isinf(run.agreement.until)]
     words = []
     if any(one.blurred for one in some):
-        words.append("to within the predicted spread of the noise")
+        words.append(f"to within the predicted spread of its {scope.vehicle.implementation.blur}")
     geometry = [signal.sampled for one in some for signal in one.signals.values() if signal.small is not None]
     if geometry:
         words.append(f"to first order, as bodies turn: within {at_most(max(geometry))} of a peak")
@@ -123,11 +123,10 @@ def responses(scope: Scope, lines: Sequence[Lines], sweeps: Sequence[Sweep]) -> 
     if not lines:
         return []
     off = max(float(one.error(one.sampled).max()) for one in lines)
-    without = ", without its noise" if scope.blurred else ""
     found = [
         Finding(
             f"Every frequency response in MuJoCo is within {at_most(off)} of the exact one of the loop "
-            f"{'with its force held over a step' if scope.plain else 'as built'}{without}."
+            f"{'with its force held over a step' if scope.plain else 'as built'}{scope.without}."
         )
     ]
     for one in sweeps:
@@ -139,11 +138,31 @@ def responses(scope: Scope, lines: Sequence[Lines], sweeps: Sequence[Sweep]) -> 
     return found
 
 
-def regime(scope: Scope, bump: Bump, ends: Sequence[tuple[Controller, RegimeEnd | None]]) -> list[Finding]:
-    """Up to which height of a bump the linear regime holds, as MuJoCo has it on both sides."""
+def unclaimed(ends: Sequence[tuple[Controller, RegimeEnd | None]], runs: Sequence[Run]) -> list[str]:
+    """For whom no end of the analysis is claimed, though something breaks at some height: it is not true below, either."""
+    wrong = {run.controller.name for run in runs if not run.agreement.agrees}
+    return [one.name for one, _ in ends if one.name in wrong]
+
+
+def unclaimed_words(ends: Sequence[tuple[Controller, RegimeEnd | None]], runs: Sequence[Run]) -> str:
+    """The same in a sentence; empty where there is none."""
+    names = unclaimed(ends, runs)
+    if not names:
+        return ""
+    return (
+        f"For {joined(names)} no height is claimed below which the analysis is true: over the paper's bump MuJoCo does not "
+        "agree with it."
+    )
+
+
+def regime(scope: Scope, bump: Bump, ends: Sequence[tuple[Controller, RegimeEnd | None]], runs: Sequence[Run]) -> list[Finding]:
+    """Up to which height of a bump the linear regime holds, as MuJoCo has it on both sides, where it holds over the paper's."""
     if not ends:
         return []
-    heights, found = [], []
+    wrong, none = unclaimed(ends, runs), unclaimed_words(ends, runs)
+    ends = [(one, end) for one, end in ends if one.name not in wrong]
+    heights: list[str] = []
+    found = [Finding(none, "fails")] if none else []
     for one, end in ends:
         if end is None:
             heights.append(f"{one.name} at no height")
@@ -157,15 +176,15 @@ def regime(scope: Scope, bump: Bump, ends: Sequence[tuple[Controller, RegimeEnd 
             height = (end.stays + end.leaves) / 2
             predicted = f", predicted {end.predicted:.3g}" if f"{end.predicted:.3g}" != f"{height:.3g}" else ""
             heights.append(f"{one.name} {height:.3g} m ({end.end}{predicted})")
+    comma = "," if scope.blurred else ""
     errors = [end.error for _, end in ends if end is not None and end.confirmed]
-    without = ", without noise," if scope.blurred else ""
     text = (
-        f"Over bumps of {bump.length:g} m at {bump.speed:g} m/s the linear regime{'' if scope.plain else ' as built'} ends at a "
-        f"height of: {'; '.join(heights)}."
+        f"Over bumps of {bump.length:g} m at {bump.speed:g} m/s the linear regime"
+        f"{'' if scope.plain else f' of the loop as built{scope.without}{comma}'} ends at a height of: {'; '.join(heights)}."
     )
     if errors:
         text += (
-            f" MuJoCo{without} was run {100 * (REACHES[0] - 1):.2g} % or less on either side of each: below, nothing breaks and "
-            f"it is within {at_most(max(errors))} of every peak; above, that breaks."
+            f" MuJoCo{scope.without}{comma} was run {100 * (REACHES[0] - 1):.2g} % or less on either side of each: below, "
+            f"nothing breaks and it is within {at_most(max(errors))} of every peak; above, that breaks."
         )
     return [Finding(text), *found] if heights else found

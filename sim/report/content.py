@@ -47,14 +47,14 @@ def page(scope: Scope, provenance: dict[str, str]) -> Page:
         *report_answer.norms(scope),
         *report_answer.over_the_bump(scope, runs),
         *report_answer.responses(scope, lines, sweeps),
-        *report_answer.regime(scope, road, ends),
+        *report_answer.regime(scope, road, ends, runs),
     ]
     sections = [design_section(scope)]
     if lines:
         sections.append(frequency_section(scope, lines, sweeps, road.speed))
     sections += [bump_section(scope, runs, road), agreement_section(scope, runs, finer)]
     if ends:
-        sections.append(regime_section(scope, road, ends))
+        sections.append(regime_section(scope, road, ends, runs))
     if not scope.quick and scope.active:
         for section, findings in (margins_section(scope), validity_section(scope, road)):
             sections.append(section)
@@ -101,7 +101,7 @@ def _provenance(scope: Scope, provenance: dict[str, str]) -> Section:
     rows = dict(provenance)
     h = 1e3 * scope.timestep
     rows["timestep"] = f"{h:g} ms, and {h / 2:g} ms for the orders of convergence"
-    seeds = [f"{how.seed}, of the noise on measurements"] if how.blurred else []
+    seeds = [f"{how.seed}, of the noise on measurements"] if any(how.noise.values()) else []
     if not scope.quick:
         rows["timestep"] += f"; {1e3 * scope.margins_timestep:g} ms for margins, {1e3 * scope.map_timestep:g} ms for the map"
         seeds.append("1, of the random road that the norm is tried on")

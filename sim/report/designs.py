@@ -63,10 +63,12 @@ def design_section(scope: Scope) -> Section:
             )
             for one in scope.stable
         ]
-        caption = "The norm of the ideal loop, and of the loop as built, with the frequency at which that is reached."
+        caption = (
+            f"The norm of the ideal loop, and of the loop as built{scope.without}, with the frequency at which that is reached."
+        )
         tables.append(Table("norms", caption, ("controller", "norm, ideal loop", "norm, as built", "peak [Hz]"), tuple(rows)))
         harmonics = ", without the harmonics that a controller slower than the timestep makes" if not scope.each_step else ""
-        built = f"As built, the loop has {scope.built}; its norm is that of its linear part{harmonics}."
+        built = f"As built, the loop has {scope.built}; its norm is that of its linear part{scope.without}{harmonics}."
         lower_bounds = {one.name: one.certificate.lower_bound for one in scope.stable}
         below = [name for name, bound in lower_bounds.items() if bound is not None and scope.built_norms[name].gain < bound]
         if below:
@@ -118,9 +120,11 @@ def frequency_section(scope: Scope, lines: Sequence[Lines], sweeps: Sequence[Swe
     headings = ("controller", "error to sampled", "to continuous", "order of the two")
     caption = "How far the frequency responses measured in MuJoCo are from the analysis, and with which power of the step."
     tables = [Table("frequency-responses", caption, headings, tuple(rows))]
+    blur = scope.vehicle.implementation.blur
+    unmeasured = f"{scope.without}: no loop has a frequency response of {'those' if ' and ' in blur else 'that'}" if blur else ""
     text = [
         f"Identified from MuJoCo runs, 0.1 to 25 Hz, on roads of {1e3 * AMPLITUDE:g} mm"
-        f"{', without the noise on measurements, which has no frequency response' if scope.blurred else ''}. 'Sampled' is the "
+        f"{unmeasured}. 'Sampled' is the "
         f"exact response of the loop as it runs there, {scope.as_it_runs}; 'continuous' is that of the continuous loop"
         f"{scope.lag}. The errors are the largest over all lines and signals."
     ]

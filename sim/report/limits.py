@@ -9,12 +9,12 @@ import numpy as np
 from models.reality import Implementation
 from sim.figures.page import Section, Table
 from sim.frequency.identification import ideal_measurements
-from sim.report.answer import Finding
+from sim.report.answer import Finding, unclaimed_words
 from sim.report.regime_end import RegimeEnd
 from sim.report.scope import BUMP_DURATION, Scope, number
 from sim.response.regime import END_NAMES
 from sim.roads.road import Bump
-from sim.runs.run import sample_times
+from sim.runs.run import Run, sample_times
 from sim.stability.figure import margins_figure
 from sim.stability.margins import find_all, searches
 from sim.stability.robustness import robustness, varied_text
@@ -82,12 +82,13 @@ def margins_section(scope: Scope) -> tuple[Section, list[Finding]]:
     )
     if not scope.plain:
         about = f"without [implementation]{scope.lag}: what is asked is how much of a delay or sample period it would bear"
+        about += f", and its {scope.vehicle.implementation.blur} is not tried" if scope.blurred else ""
         text = (*text, f"Margins are those of the loop {about}. The nominal norm is the ideal loop's, too.")
     title = "How much goes wrong before it becomes unstable?"
     return Section(title, "stability margins, other vehicles", text, tables, tuple(figures)), found
 
 
-def regime_section(scope: Scope, bump: Bump, ends: Sequence[tuple[Controller, RegimeEnd | None]]) -> Section:
+def regime_section(scope: Scope, bump: Bump, ends: Sequence[tuple[Controller, RegimeEnd | None]], runs: Sequence[Run]) -> Section:
     """Up to which height of one bump the linear regime holds: predicted, and the two runs of MuJoCo that enclose it."""
     rows = []
     for one, end in ends:
@@ -116,9 +117,11 @@ def regime_section(scope: Scope, bump: Bump, ends: Sequence[tuple[Controller, Re
     )
     text = (
         f"Bumps of {bump.length:g} m at {bump.speed:g} m/s, over {BUMP_DURATION:g} s at {1e3 * scope.timestep:g} ms"
-        f"{', without noise' if scope.blurred else ''}: up to which height nothing breaks, from one linear run of the loop as it "
+        f"{scope.without}: up to which height nothing breaks, from one linear run of the loop as it "
         "runs, and the two nearest heights in MuJoCo, of which the first breaks nothing and the second does.",
     )
+    if none := unclaimed_words(ends, runs):
+        text = (*text, f"{none} What stands here of it is only when something breaks.")
     caption = "Up to which height of a bump nothing breaks: predicted, and the two runs of MuJoCo that enclose it."
     table = Table("regime", caption, headings, tuple(rows), words=2)
     return Section("How high may a bump be?", "where the linear regime ends", text, (table,))
@@ -135,7 +138,7 @@ def validity_section(scope: Scope, bump: Bump) -> tuple[Section, list[Finding]]:
         scope.progress(f"of {one.name}")
         cells = validity(vehicle, one, grid(axes, fixed), time)
         figure = envelope_figure(vehicle, one, cells, axes, {"length": bump.length}, THRESHOLD)
-        figures.append(replace(figure, name=f"map-{one.name}"))
+        figures.append(replace(figure, name=f"map-{one.name}", title=f"{figure.title}{scope.without}"))
         shares = [np.mean(cells.first == end) for end in (-1, *range(len(END_NAMES)))]
         rows.append(
             (
@@ -157,10 +160,9 @@ def validity_section(scope: Scope, bump: Bump) -> tuple[Section, list[Finding]]:
         "as predicted",
         "of the others not at a boundary",
     )
-    without = ", without noise" if scope.blurred else ""
     text = (
         f"Bumps of {bump.length:g} m length, {len(axes[0].values)} heights by {len(axes[1].values)} speeds, each run in MuJoCo "
-        f"at {1e3 * timestep:g} ms{without}: what breaks first, and where the linear prediction is off by more than "
+        f"at {1e3 * timestep:g} ms{scope.without}: what breaks first, and where the linear prediction is off by more than "
         f"{100 * THRESHOLD:g} % of a peak.",
     )
     table = Table("validity", "Shares of every controller's map, and how much of it is as predicted.", headings, tuple(rows))

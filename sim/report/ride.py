@@ -128,7 +128,7 @@ def _rides(vehicle: Vehicle, controller: Controller, timestep: float) -> Iterato
     response = physics.response
     ended = np.minimum(physics.diverged, reached(vehicle, response)[:, REGIME_ENDS.index(FLAT)])
     measured = [measure(vehicle, response.run(i), first) for i in range(count)]
-    ideal = replace(vehicle, implementation=replace(vehicle.implementation, noise={}, quantisation={}))
+    ideal = replace(vehicle, implementation=vehicle.implementation.clear)
 
     where = points(vehicle)
     metrics = [(f"{name}_weighted", "m/s2") for name in where.accelerations]

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -56,6 +56,11 @@ class Scope:
         return self.vehicle.implementation.blurred
 
     @property
+    def without(self) -> str:
+        """What a linear loop lacks of the measurements as built, after a comma; empty where nothing blurs them."""
+        return f", without its {self.vehicle.implementation.blur}" if self.blurred else ""
+
+    @property
     def built(self) -> str:
         """The loop as built, in words."""
         words = (*self.vehicle.limits.words, *self.vehicle.implementation.words)
@@ -73,8 +78,8 @@ class Scope:
 
     @property
     def as_it_runs(self) -> str:
-        """What the sampled linear loop has, in words: nothing that ends its regime, and no noise."""
-        how = replace(self.vehicle.implementation, noise={}, quantisation={})
+        """What the sampled linear loop has, in words: nothing that ends its regime, and nothing that blurs what it measures."""
+        how = self.vehicle.implementation.clear
         held = f"its force held over every step of {1e3 * self.timestep:g} ms"
         return ", ".join([*(how.words or (held,)), *self._lag.words])
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from sim.figures.figure import Bars, Curve, Figure, Panel, styles
 from sim.figures.page import Section, Table
+from sim.report.answer import unclaimed
 from sim.report.regime_end import RegimeEnd
 from sim.report.ride import SPEED, Ride
 from sim.report.scope import Scope, number
@@ -31,7 +32,8 @@ def summary(
     norms = {one.name: one.certificate.norm.value for one in scope.controllers if one.certificate.stable}
     passive = scope.designer.design("passive").certificate.norm.value
     roughness, label, unit, where = _roughness(scope, runs, rides)
-    heights = {one.name: _height(end) for one, end in ends if end is not None}
+    wrong = unclaimed(ends, runs)
+    heights = {one.name: _height(end) for one, end in ends if end is not None and one.name not in wrong}
 
     shake = _bars(names, norms, {}, {name: f"{value:.4g}{_against(value, passive)}" for name, value in norms.items()}, "unstable")
     rough = _bars(
@@ -45,11 +47,16 @@ def summary(
         Panel("How hard can a road shake it?\nH-infinity norm of the ideal loop: shorter is better", "norm", "", *shake),
         Panel(f"How rough is the ride?\n{label}, {where}: shorter is better", f"{label} [{unit}]", "", *rough),
     ]
-    stated = {one.name: "at any height" if end is None else _metres(heights[one.name]) for one, end in ends}
+    stated = dict.fromkeys(wrong, "none claimed")
+    for one, end in ends:
+        if one.name not in wrong:
+            stated[one.name] = "at any height" if end is None else _metres(heights[one.name])
     if ends:
         predicted, seen = ({name: pair[i] for name, pair in heights.items()} for i in (0, 1))
         tall = _bars(names, predicted, seen, stated, "nowhere: unstable")
-        panels.append(Panel("Up to which bump is the analysis true?\nheight at which it ends", "height [m]", "", *tall))
+        panels.append(
+            Panel(f"Up to which bump is the analysis true?\nheight at which it ends{scope.without}", "height [m]", "", *tall)
+        )
     title = (
         "What control gains, and until where the analysis is true. Bars: linear analysis. "
         f"Points: MuJoCo at {1e3 * scope.timestep:g} ms. Percentages are against the passive suspension."
@@ -70,7 +77,7 @@ def summary(
         "H-infinity norm",
         f"{label} [{unit}], predicted",
         "in MuJoCo",
-        "analysis true up to",
+        f"analysis true up to{scope.without}",
         "over the paper's bump",
     )
     caption = "Each controller in short. How it is found out, and with which reservations, is said below."
