@@ -71,6 +71,16 @@ class Vehicle:
         return self.kind.linear_model(self.parameters)
 
     @property
+    def kind_files(self) -> tuple[Path, ...]:
+        """The files that its kind was read from."""
+        return self.kind.mjcf, self.kind.mjcf.with_suffix(".py")
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The files that it was read from: its own, unless it is text alone, and its kind's."""
+        return (*((Path(self.source),) if self.source else ()), *self.kind_files)
+
+    @property
     def ideal(self) -> bool:
         """Whether the file says nothing of limits and of the controller as it would be built."""
         return self.limits == Limits() and self.implementation.ideal

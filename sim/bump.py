@@ -29,7 +29,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     time = sample_times(vehicle, options.duration, options.timestep)
     road.check(vehicle, time)
     check_view(options)
-    check_outputs({"logs": options.logs}, [vehicle.source])
+    check_outputs({"logs": options.logs}, vehicle.files)
 
     together, designer = list(dict.fromkeys([*names, "passive"])), Designer(vehicle)  # with which they are compared
     controllers = [designer.design(name) for name in together]

@@ -45,7 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     time = sample_times(vehicle, options.duration, options.timestep)
     _check(vehicle, bumps, time, options.threshold)
     outputs = {"csv": options.csv, "picture": options.picture}
-    check_outputs(outputs | {"logs": options.logs}, [vehicle.source], options.json)
+    check_outputs(outputs | {"logs": options.logs}, vehicle.files, options.json)
     stage = Stages("design", "map", "picture and logs")
     stage("design")
     controller = design(vehicle, name)

@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     vehicle = replace(as_built, implementation=Implementation())
     name = one_chosen(vehicle.controller_names, options.controller)
     outputs = {"picture": options.picture}
-    check_outputs(outputs | {"logs": options.logs}, [vehicle.source])
+    check_outputs(outputs | {"logs": options.logs}, vehicle.files)
     stage = Stages("design", "margins", "other vehicles", "picture and logs")
     stage("design")
     controller = _with_loop(vehicle, name, options.timestep)

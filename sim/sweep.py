@@ -36,7 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if "speed" in options.given and not any(wheel.behind(vehicle.parameters) for wheel in vehicle.kind.wheels):
         raise InputError(f"--speed matters to rear wheels only, and a {vehicle.kind.name} has none; leave it out")
     outputs = {"picture": options.picture}
-    check_outputs(outputs | {"logs": options.logs}, [vehicle.source])
+    check_outputs(outputs | {"logs": options.logs}, vehicle.files)
     stage = Stages("designs", LINES, EXTREMES, "picture and logs")
     stage("designs")
     designer = Designer(vehicle)

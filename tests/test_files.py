@@ -1,5 +1,6 @@
 """The two doors for files: what is written is whole and stays what it was, what is read is a plain file of a stated size."""
 
+import errno
 import os
 import signal
 import socket
@@ -45,7 +46,7 @@ def test_a_file_is_whole_or_as_it_was(tmp_path):
 
 @POSIX
 def test_a_link_stays_a_link(tmp_path):
-    """What a link points to is written, through links to links, also where it is not there yet; hard links stay one file."""
+    """What a link points to is written, through links to links, also where it is not there yet; a hard link keeps what it had."""
     target = tmp_path / "target.csv"
     (tmp_path / "first").symlink_to("second")
     (tmp_path / "second").symlink_to(target)
@@ -53,7 +54,8 @@ def test_a_link_stays_a_link(tmp_path):
     assert target.read_text() == "one"
     os.link(target, tmp_path / "other")
     write(tmp_path / "first", "two")
-    assert (tmp_path / "other").read_text() == target.read_text() == "two"
+    assert target.read_text() == "two"
+    assert (tmp_path / "other").read_text() == "one"
     assert (tmp_path / "first").is_symlink()
     assert (tmp_path / "second").is_symlink()
     assert alone(tmp_path, "first", "second", "target.csv", "other")
@@ -75,6 +77,60 @@ def test_mode_and_owner_stay(tmp_path):
     after = file.stat()
     assert file.read_text() == "again"
     assert (after.st_mode, after.st_uid, after.st_gid) == (before.st_mode, before.st_uid, before.st_gid)
+
+
+@POSIX
+@pytest.mark.skipif(os.name == "nt" or os.geteuid() != 0, reason="files of others are root's to make")
+@pytest.mark.parametrize("sticky", [False, True])
+def test_what_is_anothers_is_whole_or_as_it_was(tmp_path, monkeypatch, sticky):
+    """Who may not give a file away replaces it whole all the same, opens it to no group, and says where that is forbidden."""
+    file = tmp_path / "out.csv"
+    file.write_text("old")
+    os.chown(file, 1234, 2345)
+    file.chmod(0o664)
+    os.chown(tmp_path, 1234, 2345)
+    tmp_path.chmod(0o1777 if sticky else 0o777)
+    monkeypatch.setattr(os, "geteuid", lambda: 4321)
+
+    def forbidden(*_) -> None:
+        raise PermissionError(errno.EPERM, "Operation not permitted")
+
+    monkeypatch.setattr(os, "chown", forbidden)
+    if sticky:
+        for act in (lambda: check_file(file, "csv"), lambda: write(file)):
+            with pytest.raises(InputError, match="another user's, and only they may replace it"):
+                act()
+        assert file.read_text() == "old"
+    else:
+        check_file(file, "csv")
+        write(file)
+        assert file.read_text() == "new"
+        assert stat.S_IMODE(file.stat().st_mode) == 0o644
+    assert alone(tmp_path, "out.csv")
+
+
+@POSIX
+@pytest.mark.parametrize("kind", ["hard link", "plain"])
+def test_a_disk_that_is_full_leaves_the_old_content(tmp_path, kind):
+    """Where less is free than is written, every name of a file still holds all of what it held."""
+    old, file, other = "old\n", tmp_path / "r.csv", tmp_path / "o.csv"
+    file.write_text(old)
+    if kind == "hard link":
+        os.link(file, other)
+    names = [path.name for path in tmp_path.iterdir()]
+    # No write goes beyond this, as on a full disk: what is written whole beside leaves no room for a copy of any part of it.
+    code = (
+        "import resource, signal\nfrom pathlib import Path\nfrom models.common.whole_file import whole_file\n"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        f"with whole_file(Path({str(file)!r}), 'csv') as beside:\n    beside.write_text('x' * 9000)\n"
+        "    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr  # a name takes no room
+    assert file.read_text() == "x" * 9000
+    if kind == "hard link":
+        assert other.read_text() == old
+    assert alone(tmp_path, *names)
 
 
 @POSIX

@@ -12,6 +12,7 @@ from models.common.errors import InputError
 from models.vehicle import read_vehicle
 from synth.designer import Designer
 from tests.commands import main_of
+from tests.pages import hopper
 
 MAP = ("--vary", "height:0.1:0.2:2", "--vary", "speed:5:10:2")
 COMMANDS = {  # with the least that each needs
@@ -71,6 +72,10 @@ REFUSED = [
     ("sim.envelope", MAP, "no controller was asked for"),
     ("sim.envelope", ["--controller", "I", *MAP, "--csv", "m.png", "--picture", "m.png"], "is the file of --csv too"),
     ("sim.envelope", ["--controller", "I", *MAP, "--csv", "car.toml", "--vehicle", "car.toml"], "is what is read"),
+    ("sim.envelope", ["--controller", "I", *MAP, "--csv", "hard.csv", "--vehicle", "car.toml"], "is what is read"),
+    ("sim.envelope", ["--controller", "I", *MAP, "--csv", "a.csv", "--picture", "a.svg"], "is the file of --csv too"),
+    ("sim.sweep", ["--picture", "hopper.svg", "--vehicle", "hopper.toml"], "is what is read"),
+    ("synth", ["--save", "hopper.xml", "--vehicle", "hopper.toml"], "is the vehicle's kind"),
     ("sim.envelope", ["--controller", "I", *MAP, "--csv", "/dev/stdout", "--json"], "print into one another"),
     ("sim.margins", ["--controller", "passive", "--controller", "I"], "--controller: is given twice"),
     ("sim.report", ["--controller", "all", "--controller", "I"], "all has every controller in it"),
@@ -95,6 +100,10 @@ def test_what_makes_no_sense_together_is_refused(name, arguments, words, tmp_pat
     (tmp_path / "given.toml").write_text(
         text[: text.index("[controllers")] + '[controllers.mine]\nmeasured = ["sprung_velocity"]\ngain = [[-9000.0]]\n'
     )
+    hopper(tmp_path)
+    for one, other in (("car.toml", "hard.csv"), ("hopper.xml", "hopper.svg"), ("a.csv", "a.svg")):
+        (tmp_path / one).touch()
+        os.link(tmp_path / one, tmp_path / other)
     monkeypatch.chdir(tmp_path)
     before = tree(tmp_path)
     with pytest.raises(InputError) as caught:

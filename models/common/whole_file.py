@@ -1,7 +1,9 @@
 """The one door for files that are written: whole or not at all, through links, and over nothing that is not a plain file.
 
 A file is written beside its place under a hidden name, flushed to the disk, and renamed. A link keeps being one: what it points
-to is written. A file that was there keeps its permissions and its owner.
+to is written. Of a file with several names (hard links) the one that is written gets the new content, the others keep the old:
+written in place, all would hold half of it when a disk is full. A file that was there keeps its permissions, and its owner and
+group as far as the system lets us.
 """
 
 import errno
@@ -90,11 +92,10 @@ def together() -> Iterator[None]:
 
 def _name(beside: Path, target: Path, before: os.stat_result | None) -> None:
     """Gives a whole file its name; what was there is replaced."""
-    if before is None or _like(beside, before):
-        beside.replace(target)
-        _settle(target.parent)
-    else:  # other names of the file, or an owner that cannot be kept: its content is all that changes
-        shutil.copyfile(beside, target)
+    if before is not None:
+        _make_like(beside, before)
+    beside.replace(target)
+    _settle(target.parent)
 
 
 def _removed(beside: Path) -> None:
@@ -197,6 +198,9 @@ def _target(path: Path, what: str, instead: str) -> tuple[Path, os.stat_result |
         raise _refused(path, what, f"is {kind_of(found.st_mode)}, not a plain file", instead)
     if not found.st_mode & WRITABLE or not os.access(target, os.W_OK):
         raise _refused(path, what, "is read-only", f"make it writable or {instead}")
+    folder = target.parent.stat()
+    if folder.st_mode & stat.S_ISVTX and os.geteuid() not in (0, found.st_uid, folder.st_uid):  # not on Windows: no such bit
+        raise _refused(path, what, "is another user's, and only they may replace it in this folder", instead)
     return target, found
 
 
@@ -211,19 +215,26 @@ def kind_of(mode: int) -> str:
     return "a device"
 
 
-def _like(beside: Path, before: os.stat_result) -> bool:
-    """Gives a new file the permissions and the owner of the one that it replaces; whether it may take its place."""
-    if before.st_nlink > 1:
-        return False
+def _make_like(beside: Path, before: os.stat_result) -> None:
+    """Gives a new file the permissions of the one that it replaces, and its owner and group where the system lets us."""
+    mode = stat.S_IMODE(before.st_mode)
     with_owner = getattr(os, "chown", None)  # not on Windows
-    now = beside.stat()
-    if with_owner is not None and (now.st_uid, now.st_gid) != (before.st_uid, before.st_gid):
-        try:
-            with_owner(beside, before.st_uid, before.st_gid)
-        except PermissionError:
-            return False
-    beside.chmod(stat.S_IMODE(before.st_mode))
-    return True
+    if with_owner is not None:
+        for owner, group in ((-1, before.st_gid), (before.st_uid, -1)):
+            with suppress(PermissionError):
+                with_owner(beside, owner, group)
+        if beside.stat().st_gid != before.st_gid:  # another group may do with it what everyone may
+            mode = mode & ~stat.S_IRWXG | (mode & stat.S_IRWXO) << 3
+    beside.chmod(mode)
+
+
+def identity(path: Path) -> tuple[int, int] | str:
+    """What two paths share that are one file, or one folder, by whatever names: links, hard links, another case."""
+    try:
+        found = path.stat()
+    except (OSError, ValueError):
+        return os.path.realpath(path)
+    return found.st_dev, found.st_ino
 
 
 def _settle(folder: Path) -> None:

@@ -1,12 +1,11 @@
 """The files and folders that a command's options name: proved before the work, and named when they are written."""
 
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from models.common.errors import InputError
 from models.common.printed import Whole
-from models.common.whole_file import STDOUT, check_file, check_folder
+from models.common.whole_file import STDOUT, check_file, check_folder, identity
 from sim.figures.picture import check_picture
 
 OPTIONS = {"report": "out"}  # where an option is not called as what it writes
@@ -18,20 +17,20 @@ def check_outputs(outputs: Mapping[str, Path | None], read: Sequence[Path | str]
 
     Args:
         outputs: path by what it is, None for what is not wanted: csv, picture, report, logs or figures.
-        read: files that the command reads.
+        read: files that the command reads, by whatever names they are read.
         json: whether standard output is for one JSON object.
 
     Raises:
         InputError: something cannot be written, two are one file, or one is a file that is read.
     """
-    taken: dict[str, str] = {os.path.realpath(path): "is what is read" for path in read}
+    taken: dict[object, str] = {identity(Path(path)): "is what is read" for path in read}
     for what, path in outputs.items():
         option = OPTIONS.get(what, what)
         if path is None:
             continue
         if path == STDOUT and json:
             raise InputError(f"--{option} {path} and --json would print into one another; give --{option} a file")
-        place = str(path) if path == STDOUT else os.path.realpath(path)
+        place = str(path) if path == STDOUT else identity(path)
         if place in taken:
             raise InputError(f"--{option} {path} {taken[place]}; give another file")
         taken[place] = f"is the file of --{option} too"

@@ -46,7 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.out.suffix.lower() not in (".html", ".htm"):
         raise InputError(f"report {options.out}: a report is HTML; give a name that ends in .html")
     outputs = {"report": options.out, "figures": options.figures}
-    check_outputs(outputs, [vehicle.source], options.json)
+    check_outputs(outputs, vehicle.files, options.json)
     if options.figures is not None:
         check_drawing()
     from models.common.versions import versions

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from models.common.errors import InputError
-from models.common.whole_file import check_file, whole_file
+from models.common.whole_file import check_file, identity, whole_file
 from models.vehicle import Vehicle, parse_vehicle
 from synth.certificate.record import to_record
 from synth.controller import Controller
@@ -27,6 +27,8 @@ def check_save(path: Path, vehicle: Vehicle, names: Sequence[str]) -> None:
     for name in names:
         if name + SUFFIX in vehicle.controllers:
             raise InputError(f"--save: {vehicle.source} has a controller {name + SUFFIX!r} already; rename or remove that one")
+    if identity(path) in map(identity, vehicle.kind_files):
+        raise InputError(f"--save {path} is the vehicle's kind, which is read; give another file")
     check_file(path, "--save")
 
 
