@@ -199,7 +199,8 @@ def _target(path: Path, what: str, instead: str) -> tuple[Path, os.stat_result |
     if not found.st_mode & WRITABLE or not os.access(target, os.W_OK):
         raise _refused(path, what, "is read-only", f"make it writable or {instead}")
     folder = target.parent.stat()
-    if folder.st_mode & stat.S_ISVTX and os.geteuid() not in (0, found.st_uid, folder.st_uid):  # not on Windows: no such bit
+    who = getattr(os, "geteuid", int)()  # 0 on Windows, where files have other owners, and folders no such bit
+    if folder.st_mode & stat.S_ISVTX and who not in (0, found.st_uid, folder.st_uid):
         raise _refused(path, what, "is another user's, and only they may replace it in this folder", instead)
     return target, found
 
