@@ -1,7 +1,8 @@
 """A vehicle file (TOML): the kind of vehicle, its parameters, the performance weights and the controllers. All a user writes."""
 
+import unicodedata
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -85,6 +86,15 @@ class Vehicle:
         """Whether the file says nothing of limits and of the controller as it would be built."""
         return self.limits == Limits() and self.implementation.ideal
 
+    def checked(self) -> "Vehicle":
+        """The same, its parameters and weights checked as a vehicle file's are: what `dataclasses.replace` was given was not.
+
+        Raises:
+            InputError: one is missing, unknown or not allowed.
+        """
+        sound = replace(self, parameters=self.kind.check(self.parameters))
+        return replace(sound, performance=_performance(self.performance, sound.linear_model))
+
     @property
     def controller_names(self) -> tuple[str, ...]:
         """Every controller that can be asked for."""
@@ -140,7 +150,7 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
         kind=vehicle_kind,
         parameters=parameters,
         performance=_performance(data["performance"], model),
-        controllers={name: _controller(name, entry, model) for name, entry in data.get("controllers", {}).items()},
+        controllers=_controllers(data.get("controllers", {}), model),
         text=text,
         source=source,
         limits=read_limits(data.get("limits", {})),
@@ -164,14 +174,31 @@ def _performance(section: Mapping[str, Any], model: LinearModel) -> dict[str, fl
     return weights
 
 
+def _controllers(section: Mapping[str, Any], model: LinearModel) -> dict[str, ControllerEntry]:
+    """By name, each in the one spelling (NFC) of those that look alike: with letters and their marks composed."""
+    found: dict[str, ControllerEntry] = {}
+    for written, entry in section.items():
+        name = unicodedata.normalize("NFC", written)
+        if name in found:
+            raise InputError(f"[controllers.{name}] is there twice, in two spellings that look alike; rename one")
+        found[name] = _controller(name, entry, model)
+    return found
+
+
+def _is_name(name: str) -> bool:
+    """Whether a controller may be called so; vowel signs, as in Hindi and Thai, are marks on letters."""
+    kinds = ["L" if one.isalnum() else "-" if one in "_-" else unicodedata.category(one) for one in name]
+    return "L" in kinds and {*kinds} <= {"L", "-", "Mn", "Mc"} and kinds[0] not in ("Mn", "Mc") and not name.startswith("-")
+
+
 def _controller(name: str, entry: Any, model: LinearModel) -> ControllerEntry:
     where = f"[controllers.{name}]"
     if name in RESERVED or name == "all":
         raise InputError(f"{where} the name {name!r} is taken: passive, state and all always exist; rename it")
-    if not name.replace("_", "").replace("-", "").isalnum() or len(name.encode()) > LONGEST_NAME or name.startswith("-"):
+    if len(name.encode()) > LONGEST_NAME or not _is_name(name):
         raise InputError(
-            f"{where} a controller's name has letters, digits, '_' and '-' only, at most {LONGEST_NAME} of them, and no '-' "
-            "first, as an option has"
+            f"{where} a controller's name has letters, digits, '_' and '-' only, at most {LONGEST_NAME} bytes of UTF-8, and no "
+            "'-' first, as an option has"
         )
     if not isinstance(entry, dict):
         raise InputError(f"{where} is not a section with measured = [signals]")

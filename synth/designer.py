@@ -1,5 +1,6 @@
 """The designs of a vehicle file: from a controller's name to a certified gain."""
 
+import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -7,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError, listing
+from models.common.errors import InputError, listing, quoted
 from models.vehicle import ControllerEntry, Vehicle
 from synth.certificate.bounding import certify_tightly
 from synth.certificate.certificate import Certificate, certify
@@ -180,25 +181,33 @@ class Designer:
             A controller for each vehicle, in their order.
 
         Raises:
-            InputError: no controller has that name, its gain is given, or a vehicle is of another kind.
+            InputError: no controller has that name, its gain is given, or a vehicle is none, of another kind, or has a parameter
+                or a weight that is missing, unknown or not allowed.
             BatchError: some vehicles have no such controller; the message names them by index, and the error carries the
                 controllers of the others, `designs`, and why these have none, `failures`, each by index.
         """
         entry = self._entry(name)
         if entry.gain is not None:
             raise InputError(f"controller {name!r} has its gain and is not designed; `design` certifies it for a vehicle")
+        sound: list[Vehicle] = []
         for i, vehicle in enumerate(vehicles):
+            if not isinstance(vehicle, Vehicle):
+                raise InputError(f"vehicle {i} is {quoted(vehicle)}; expected a Vehicle, as `read_vehicle` reads one")
             if vehicle.kind.name != self.vehicle.kind.name:
                 raise InputError(
                     f"vehicle {i} is a {vehicle.kind.name}; expected {self.vehicle.kind.name}, as the vehicle that is redesigned"
                 )
-        plants = [generalized_plant(vehicle) for vehicle in vehicles]
+            try:
+                sound.append(vehicle.checked())
+            except InputError as error:
+                raise InputError(f"vehicle {i}: {error}") from error
+        plants = [generalized_plant(vehicle) for vehicle in sound]
         states = self.vehicle.linear_model.states
         try:
             if name == "state":
                 designs = state_designs(self.plant, self.state_path, plants, states)
             else:
-                Cy, *Cys = (each.linear_model.rows(entry.measured)[0] for each in (self.vehicle, *vehicles))
+                Cy, *Cys = (each.linear_model.rows(entry.measured)[0] for each in (self.vehicle, *sound))
                 designs = two_step_designs(self.plant, self.state_path, Cy, plants, Cys, states)
         except BatchError as error:
             controllers = {i: _designed(entry, design) for i, design in error.designs.items()}
@@ -225,7 +234,7 @@ class Designer:
 
     def _entry(self, name: str) -> ControllerEntry:
         """What is to be designed or certified under a name."""
-        model = self.vehicle.linear_model
+        name, model = unicodedata.normalize("NFC", name), self.vehicle.linear_model
         if name == "passive":
             return ControllerEntry(name, (), np.zeros((len(model.inputs), 0)))
         if name == "state":

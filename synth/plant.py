@@ -29,8 +29,8 @@ class GeneralizedPlant:
             of a plant that is what its floats say.
 
     Raises:
-        InputError: a matrix is not one of real finite numbers, has the wrong shape, more than `MOST` rows or columns, or entries
-            beyond `SMALLEST` or `LARGEST`; the message names it.
+        InputError: there is no state, or a matrix is not one of real finite numbers, has the wrong shape, more than `MOST` rows
+            or columns, or entries beyond `SMALLEST` or `LARGEST`; the message names it.
     """
 
     A: Array
@@ -50,6 +50,8 @@ class GeneralizedPlant:
                 )
             matrix.flags.writeable = False
             object.__setattr__(self, name, matrix)
+        if not len(self.A):
+            raise InputError(f"A has shape {self.A.shape}, a plant without a state, where gains have nothing to act on; give one")
         size = {"n": len(self.A), "m": self.B.shape[1], "r": self.Bw.shape[1], "d": len(self.C)}
         for name, (rows, columns) in SHAPES.items():
             matrix, shape = getattr(self, name), (size[rows], size[columns])

@@ -361,6 +361,8 @@ def test_another_campaign_is_left_alone(tmp_path):
     (tmp_path / "photos" / "cat.png").touch()
     with pytest.raises(InputError, match=r"holds no campaign, but cat\.png"):
         run(tmp_path, text, results="photos")
+    with pytest.raises(InputError, match=r"holds no campaign, but cat\.png; give a folder of a finished campaign's results$"):
+        main(["--verify", str(tmp_path / "photos")])
     assert run(tmp_path, text)[0] == rows
 
 

@@ -296,6 +296,7 @@ def test_a_plant_that_is_fast_by_itself():
         ({"Dw": np.ones((1, 1))}, r"Dw has shape \(1, 1\); expected \(2, 1\), as A says n = 2"),
         ({"A": np.array([1.0, 2.0])}, r"A has shape \(2,\); expected a matrix of shape \('n', 'n'\)"),
         ({"A": np.array([[np.nan, 0.0], [0.0, 1.0]])}, "A has an entry that is not finite"),
+        ({"A": np.zeros((0, 0))}, r"A has shape \(0, 0\), a plant without a state"),
         ({"A": [["a", "b"], ["c", "d"]]}, "A is not a matrix of numbers"),
         ({"A": [[1.0, 2.0], [3.0]]}, "A is not a matrix of numbers .*rows of the same length"),
         ({"A": np.diag([-1.0 + 1e-3j, -2.0])}, "A is complex; give a real matrix"),

@@ -212,7 +212,7 @@ def test_a_plain_file_is_read(tmp_path):
     with pytest.raises(InputError, match="too large"):
         read_bytes(file, "vehicle file", 15, "give one")
     file.write_bytes(b"\xff\xfe")
-    with pytest.raises(InputError, match=r"UTF-8 .*at byte 0\); give one"):
+    with pytest.raises(InputError, match=r"UTF-8 .*at byte 0\); save it as UTF-8, or give one"):
         read_text(file, "vehicle file", MIB, "give one")
 
 

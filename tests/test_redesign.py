@@ -157,6 +157,35 @@ def test_names_that_do_not_fit(designer, paper, name, message):
         designer.redesign([paper], name)
 
 
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda paper: None, "vehicle 1 is None; expected a Vehicle"),
+        (lambda paper: changed(paper, sprung_mass=np.nan), "vehicle 1: sprung_mass = nan is not allowed; give a number from"),
+        (lambda paper: dataclasses.replace(paper, parameters={}), r"vehicle 1: parameter 'sprung_mass' \[kg\] is missing"),
+        (lambda paper: changed(paper, colour=1.0), "vehicle 1: unknown parameter 'colour'"),
+        (lambda paper: dataclasses.replace(paper, performance={"colour": 1.0}), "vehicle 1: .* unknown signal 'colour'"),
+    ],
+    ids=["none", "nan", "missing", "unknown", "weight"],
+)
+def test_what_is_no_vehicle_is_refused(designer, paper, change, message):
+    """Vehicles that `dataclasses.replace` made are checked as files are, and the one at fault is named."""
+    with pytest.raises(InputError, match=message) as caught:
+        designer.redesign([paper, change(paper)], "I")
+    assert "\n" not in str(caught.value)
+
+
+def test_numbers_of_numpy_are_numbers(designer, paper):
+    """A parameter in single precision, or a whole one, is designed for as the same float is."""
+    found = designer.redesign([changed(paper, sprung_mass=kind(505)) for kind in (float, np.float32, np.int64)], "I")
+    assert all(np.array_equal(one.gain, found[0].gain) for one in found)
+
+
+def changed(vehicle, **parameters):
+    """A vehicle with some parameters of its own."""
+    return dataclasses.replace(vehicle, parameters={**vehicle.parameters, **parameters})
+
+
 def test_another_kind_is_refused(designer, paper):
     """Vehicles are of one kind; the first of another is named."""
     with pytest.raises(InputError, match="vehicle 1 is a half_car; expected quarter_car"):

@@ -471,7 +471,9 @@ def test_what_is_written_is_read(tmp_path):
         ("0,0\n1,0\n2,0\n3,0\n40,0\n", "gap from 3 m to 40 m"),
         ("0,0\n1,nan\n2,0\n3,0\n", "line 2 is not finite"),
         ("distance,height\n0,0\n1,inf\n2,0\n3,0\n", "line 3 is not finite"),
-        ("0,0\n1,\n2,0\n3,0\n", "line 2: '1' is not 2 numbers"),
+        ("0,0\n1,\n2,0\n3,0\n", "line 2 has 1 column(s), and line 1 has 2"),
+        ("0 0\n1 0.01 3\n2 0\n3 0\n", "line 2 has 3 column(s), and line 1 has 2"),
+        ("0 0\n1 high 3\n2 0\n3 0\n", "line 2: '1 high 3' is not 2 numbers"),
         ("0,0\n1,high\n2,0\n", "line 2"),
         ("0,0\n1,0,3\n2,0\n", "line 2"),
         ("0\n1\n2\n3\n", "1 column(s)"),
@@ -494,6 +496,26 @@ def test_bad_profiles(tmp_path, text, said):
     assert said in str(error.value)
     assert str(path) in str(error.value)
     assert len(str(error.value).splitlines()) == 1
+
+
+def test_lines_may_end_in_any_way(tmp_path):
+    """Those of Unix, Windows and old Macs are the same road, and a bad line has the same number."""
+    path = tmp_path / "road.csv"
+    for end in (b"\n", b"\r\n", b"\r"):
+        path.write_bytes(end.join([b"distance,height", b"0,0", b"1,0.01", b"2,0", b"3,0", b""]))
+        assert read_profile(path, 20.0).heights[:, 0].tolist() == [0.0, 0.01, 0.0, 0.0]
+        path.write_bytes(path.read_bytes().replace(b"2,0", b"2,high"))
+        with pytest.raises(InputError, match=r"line 4: '2 high' is not 2 numbers"):
+            choose_road(str(path))
+
+
+@pytest.mark.parametrize("encoding", ["latin-1", "utf-16", "utf-16-le"])
+def test_a_road_of_another_encoding_is_to_be_saved(tmp_path, encoding):
+    """It is said that it is no UTF-8, and what to do about it."""
+    path = tmp_path / "road.csv"
+    path.write_bytes("Höhe,m\n0,0\n".encode(encoding))
+    with pytest.raises(InputError, match=r"not a text file in UTF-8 \(.*\); save it as UTF-8"):
+        choose_road(str(path))
 
 
 @pytest.mark.parametrize(

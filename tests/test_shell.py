@@ -6,6 +6,7 @@ import re
 import shlex
 import subprocess
 import sys
+import unicodedata
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,7 @@ import pytest
 from models.common.errors import InputError
 from models.common.shell import option, pasted, pasted_path
 from models.kind import HERE
-from models.vehicle import parse_vehicle
+from models.vehicle import parse_vehicle, read_vehicle
 from sim.recording.files import opening_lines
 from synth.__main__ import main
 from tests.test_own_kind import folder as hopper
@@ -65,12 +66,29 @@ def test_a_value_is_none_for_an_option(name):
     assert not pasted_path(Path(name)).startswith("-")
 
 
-@pytest.mark.parametrize("name", ["--help", "-", "-I", "--", "a b", "a\\nb", "it's", ""])
+@pytest.mark.parametrize(
+    "name", ["--help", "-", "-I", "--", "a b", "a\\nb", "it's", "", "\N{COMBINING ACUTE ACCENT}a", "_\N{COMBINING ACUTE ACCENT}"]
+)
 def test_names_of_controllers(name):
     """A controller whose name would be an option, or no word, is refused."""
     text = (HERE / "quarter_car.toml").read_text(encoding="utf-8")
     with pytest.raises(InputError, match=r"a controller's name has letters, digits, '_' and '-' only, .* no '-' first"):
         parse_vehicle(f'{text}\n[controllers."{name}"]\nmeasured = ["sprung_velocity"]')
+
+
+@pytest.mark.parametrize("name", ["नियंत्रक", "ผู้ช่วย", "re\N{COMBINING ACUTE ACCENT}glage", "𐐷-1"])
+def test_names_of_controllers_have_marks(tmp_path, capsys, name):
+    """Letters of any script with their vowel signs and accents make a name, in either spelling; what is saved is read again."""
+    car, saved = tmp_path / "car.toml", tmp_path / "saved.toml"
+    text = (HERE / "quarter_car.toml").read_text(encoding="utf-8").partition("[controllers.I]")[0]
+    car.write_text(f'{text}\n[controllers."{name}"]\nmeasured = ["suspension_deflection", "sprung_velocity"]\n', encoding="utf-8")
+    for form in ("NFC", "NFD"):
+        asked = unicodedata.normalize(form, name)
+        assert main(["--vehicle", str(car), "--controller", asked, "--save", str(saved)]) == 0
+        vehicle = read_vehicle(saved)
+        assert set(vehicle.controllers) == {unicodedata.normalize("NFC", name + ending) for ending in ("", "_designed")}
+        assert main(["--check", str(saved)]) == 0
+    capsys.readouterr()
 
 
 @pytest.mark.parametrize("name", ["--help.toml", "my car's.toml", "a\nb.toml"])

@@ -7,6 +7,7 @@ import os
 import re
 import shlex
 import sys
+import unicodedata
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -63,6 +64,7 @@ class Parser(argparse.ArgumentParser):
         self.add_argument(
             "--controller",
             action="append",
+            type=_name,
             metavar="NAME",
             help=f"passive, state, one of the vehicle file's, or all; may be repeated ({default})",
         )
@@ -70,7 +72,7 @@ class Parser(argparse.ArgumentParser):
 
     def add_one(self, which: str) -> None:
         """The options `--controller`, which is needed and given once, and `--vehicle`."""
-        self.add_argument("--controller", metavar="NAME", help=f"{which}. Required")
+        self.add_argument("--controller", type=_name, metavar="NAME", help=f"{which}. Required")
         self._add_vehicle()
 
     def _add_vehicle(self) -> None:
@@ -234,6 +236,11 @@ def _text(text: str) -> str:
     if not text.strip():
         raise argparse.ArgumentTypeError("is empty; give it a value or leave the option out")
     return text
+
+
+def _name(text: str) -> str:
+    """A name in the spelling that names of a vehicle file are read in."""
+    return unicodedata.normalize("NFC", text)
 
 
 def _path(text: str) -> Path:

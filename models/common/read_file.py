@@ -74,9 +74,14 @@ def read_text(path: Path, what: str, most: int, give: str) -> str:
         InputError: see `read_bytes`; or it is not text.
     """
     try:
-        text = read_bytes(path, what, most, give).decode("utf-8-sig")
+        content = read_bytes(path, what, most, give)
+        text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise InputError(f"{what} {path}: not a text file in UTF-8 ({error.reason} at byte {error.start}); {give}") from error
+        found = f"{error.reason} at byte {error.start}"
+        raise InputError(f"{what} {path}: not a text file in UTF-8 ({found}); save it as UTF-8, or {give}") from error
+    if "\0" in text:
+        found = f"a NUL character at byte {content.index(0)}, as in UTF-16"
+        raise InputError(f"{what} {path}: not a text file in UTF-8 ({found}); save it as UTF-8, or {give}")
     return text.replace("\r\n", "\n")
 
 

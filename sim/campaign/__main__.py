@@ -30,6 +30,7 @@ from sim.physics.blocks import RUNS_AT_ONCE
 from synth.controller import Controller
 from synth.designer import Designer, given
 
+FINISHED = "give a folder of a finished campaign's results"
 MOST_WORKERS = 1024
 NUMBERS = ("roadproof", "mujoco", "numpy", "scipy")  # packages whose versions decide the numbers
 
@@ -39,7 +40,7 @@ FEWEST = 16  # runs in a batch all the same; 16 cost 11 % more than 192, each, 3
 EPILOG = """
 Interrupted, by Ctrl-C, kill -9 or a power cut, and started again, it goes on where it was, and loses a few seconds of work.
 exit code: 0 every run is there (with --verify: the results are what the campaign comes to), 1 --verify found a fault,
-2 bad input or a full disk, 130 interrupted, 143 by SIGTERM: what is done is kept
+2 bad input or a full disk, 130 interrupted, 143 by SIGTERM, 129 by the end of its terminal: what is done is kept
 
 examples:
   python -m sim.campaign campaign.toml
@@ -160,9 +161,9 @@ def _found(options: argparse.Namespace, folder: Path) -> tuple[int, Verified, st
         InputError: there is no finished campaign, or not all that it names is here.
         FaultError: its folder's files are not what they were.
     """
-    manifest = read_manifest(folder)
+    manifest = read_manifest(folder, FINISHED)
     if manifest is None:
-        raise InputError(f"--verify {folder}: is empty; give a folder of a finished campaign's results")
+        raise InputError(f"--verify {folder}: is empty; {FINISHED}")
     remark = ""
     if options.file is not None:
         campaign = read_campaign(options.file)
@@ -181,7 +182,7 @@ def _found(options: argparse.Namespace, folder: Path) -> tuple[int, Verified, st
                 f"results {folder}: the campaign's text, or a vehicle or road file that it names, is not what it was when the "
                 "campaign began"
             )
-    check_same(manifest, folder, campaign.sources, _versions(), described(campaign))
+    check_same(manifest, folder, campaign.sources, _versions(), described(campaign), FINISHED)
     plan = _planned(campaign, manifest.controllers)
     stage = Stages("rows", "runs driven again")
     stage("rows")

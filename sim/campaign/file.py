@@ -1,6 +1,7 @@
 """A campaign file (TOML): which vehicles, controllers, roads, speeds, seeds and sampled parameters are combined."""
 
 import hashlib
+import unicodedata
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -98,7 +99,7 @@ def _parse(text: str, folder: Path) -> Campaign:
     names = _texts(data, "vehicles", "quarter_car")
     vehicles = {name: read_vehicle(name if not (folder / name).is_file() else folder / name) for name in names}
     _check_once("vehicles", names, [Path(vehicles[name].source).resolve() for name in names])
-    controllers = tuple(_texts(data, "controllers", "I"))
+    controllers = tuple(unicodedata.normalize("NFC", name) for name in _texts(data, "controllers", "I"))
     _check_once("controllers", controllers, controllers)
     for name, vehicle in vehicles.items():
         for controller in controllers:

@@ -22,7 +22,7 @@ from synth.controller import Controller
 NAME, LOCK = "campaign.json", ".lock"
 LARGEST = 64 * MIB
 FULL = "free some space or name another folder with --results; what is done is kept"
-ELSEWHERE = "name another folder with --results, or remove it"
+ELSEWHERE = "name another folder, empty or new, with --results, or remove what is there"
 
 
 class FaultError(InputError):
@@ -74,8 +74,12 @@ class Manifest:
             path.write_text(json.dumps(whole, indent=1), encoding="utf-8", newline="\n")
 
 
-def read_manifest(folder: Path) -> Manifest | None:
+def read_manifest(folder: Path, instead: str = ELSEWHERE) -> Manifest | None:
     """What a folder says of its campaign; None where there is nothing in it yet.
+
+    Args:
+        folder: of the results.
+        instead: what to do where it is no campaign's, or not one that can be read, for the message.
 
     Raises:
         InputError: it holds something else, a campaign of another format, or what it says is damaged or was edited.
@@ -84,26 +88,26 @@ def read_manifest(folder: Path) -> Manifest | None:
     if not path.is_symlink() and not path.exists():
         others = sorted(other.name for other in folder.iterdir() if other.name != LOCK)
         if others:
-            raise InputError(f"{folder} holds no campaign, but {others[0]}; name an empty or a new folder with --results")
+            raise InputError(f"{folder} holds no campaign, but {others[0]}; {instead}")
         return None
-    text = read_text(path, "results", LARGEST, ELSEWHERE)
+    text = read_text(path, "results", LARGEST, instead)
     try:
         whole = json.loads(text)
     except (ValueError, RecursionError):
         whole = None
     if isinstance(whole, dict) and "seal" not in whole:
         raise InputError(
-            f"results {path}: has no seal; it is of an older Roadproof, or was edited; go on with that version, {ELSEWHERE}"
+            f"results {path}: has no seal; it is of an older Roadproof, or was edited; go on with that version, or {instead}"
         )
     if not isinstance(whole, dict) or whole.pop("seal") != _sealed(whole):
-        raise FaultError(f"results {path}: was changed since the campaign began, or is damaged; restore it, {ELSEWHERE}")
+        raise FaultError(f"results {path}: was changed since the campaign began, or is damaged; restore it, or {instead}")
     entries = {field.name for field in fields(Manifest)}
     if set(whole) != entries:
         found = ", ".join([f"no {name}" for name in sorted(entries - set(whole))] + sorted(set(whole) - entries))
-        raise InputError(f"results {path}: is of another version of Roadproof ({found}); go on with that version, {ELSEWHERE}")
+        raise InputError(f"results {path}: is of another version of Roadproof ({found}); go on with that version, or {instead}")
     for name, value in whole.items():
         if not _is_its_kind(name, value):
-            raise FaultError(f"results {path}: {name} = {quoted(value)} is not what a campaign writes; restore it, {ELSEWHERE}")
+            raise FaultError(f"results {path}: {name} = {quoted(value)} is not what a campaign writes; restore it, or {instead}")
     return Manifest(**whole)
 
 
@@ -138,26 +142,31 @@ def _is_its_kind(name: str, value: Any) -> bool:
 
 
 def check_same(
-    manifest: Manifest, folder: Path, sources: str, versions: Mapping[str, str], columns: Mapping[str, Mapping[str, str]]
+    manifest: Manifest,
+    folder: Path,
+    sources: str,
+    versions: Mapping[str, str],
+    columns: Mapping[str, Mapping[str, str]],
+    instead: str = ELSEWHERE,
 ) -> None:
-    """Whether a campaign can go on in a folder.
+    """Whether a campaign can go on in a folder; `instead` is what to do where it cannot, for the message.
 
     Raises:
         InputError: the folder holds another campaign, one by other versions, or one whose results have other columns.
     """
     if manifest.digest != digest(sources):
-        raise InputError(f"{folder} holds another campaign, of other files than these; {ELSEWHERE}")
+        raise InputError(f"{folder} holds another campaign, of other files than these; {instead}")
     for name, version in versions.items():
         if manifest.versions.get(name) != version:
             raise InputError(
                 f"the campaign in {folder} was begun with {name} {manifest.versions.get(name)}, and here is {version}: its "
-                "numbers could differ; go on with that, or name another folder with --results"
+                "numbers could differ; go on with that, or {instead}"
             )
     other = [name for name in dict.fromkeys([*manifest.columns, *columns]) if manifest.columns.get(name) != columns.get(name)]
     if other:
         raise InputError(
             f"the campaign in {folder} was begun by another version of Roadproof, with other columns ({some(other)}); go on "
-            f"with that version, {ELSEWHERE}"
+            f"with that version, or {instead}"
         )
 
 

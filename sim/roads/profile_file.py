@@ -80,7 +80,7 @@ def read_profile(path: Path, speed: float, table: Table | None = None) -> Profil
 
 
 def _profile(text: str, speed: float, source: str, table: Table) -> Profile:
-    rows = text.split("\n")
+    rows = text.replace("\r", "\n").split("\n")  # lines of old Macs end so
     first, mark = _first(rows, table)
     count = len(_cells(rows[first], mark)) if first < len(rows) else 2
     headings = headings_of([_heading_cells(line, mark, count) for line in rows[:first] if line.strip()], count)
@@ -99,9 +99,12 @@ def _profile(text: str, speed: float, source: str, table: Table) -> Profile:
         cells = _cells(line, mark)
         used = [cells[column] if column < len(cells) else "" for column in columns]
         found = _numbers(used)
-        if found is None or (len(cells) != count and not table.columns):
-            shown = used if table.columns else cells
-            raise InputError(f"line {number}: {' '.join(shown)!r} is not {len(shown if found else used)} numbers; {FORMAT}")
+        if not table.columns and len(cells) != count and _numbers(cells) is not None:
+            raise InputError(f"line {number} has {len(cells)} column(s), and line {first + 1} has {count}; {FORMAT}")
+        if found is None:
+            raise InputError(
+                f"line {number}: {' '.join(used if table.columns else cells)!r} is not {len(used)} numbers; {FORMAT}"
+            )
         if doubtful:
             doubtful, padded = all(WHOLE.fullmatch(cell) for cell in used[1:]), padded or bool(PADDED.match(used[2]))
         lines.append(number)

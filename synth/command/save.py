@@ -50,7 +50,7 @@ def save(path: Path, vehicle: Vehicle, controllers: Sequence[Controller]) -> Non
 
 def _entry(name: str, controller: Controller) -> list[str]:
     record = to_record(controller.certificate)
-    key = name if name.isascii() else json.dumps(name)
+    key = name if name.isascii() else json.dumps(name, ensure_ascii=False)
     return [
         f"[controllers.{key}]",
         f"measured = {_toml(list(controller.measured))}",
