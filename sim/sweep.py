@@ -15,6 +15,7 @@ from sim.asked.sweep import asked_names, parser, worst_road, worst_times
 from sim.command.claims import say_false_claims
 from sim.command.logs import log_lines, recorded
 from sim.command.outputs import check_outputs, written, written_lines
+from sim.figures.figure import styles
 from sim.figures.picture import write_picture
 from sim.frequency.identification import ideal_measurements
 from sim.frequency.sweep import EXTREMES, LINES, Sweep, failures, summary_lines, sweep, sweep_lines, sweep_object
@@ -47,8 +48,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.picture is not None:
         from sim.frequency.figure import sweep_figure
 
-        lines = [one.lines for one in sweeps]
-        write_picture(sweep_figure(vehicle, lines, options.amplitude, options.timestep, options.speed), options.picture)
+        lines, style = [one.lines for one in sweeps], styles(tuple(names))
+        write_picture(sweep_figure(vehicle, lines, options.amplitude, options.timestep, options.speed, style), options.picture)
 
     result = {
         "sweeps": [sweep_object(one) for one in sweeps],

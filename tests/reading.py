@@ -37,4 +37,4 @@ def _rows(table: str) -> list[dict[str, str]]:
 
 
 def _text(piece: str) -> str:
-    return " ".join(html.unescape(re.sub(r"<[^>]+>", " ", piece)).split())
+    return " ".join(html.unescape(re.sub(r"<[^>]+>", " ", re.sub(r"</?bdi>", "", piece))).split())

@@ -17,6 +17,7 @@ from sim.figures.axis import Axis, axis_of
 from sim.figures.contrast import GRAPHICS, TEXT, contrast, readable
 from sim.figures.describe import about
 from sim.figures.figure import OTHERS, STYLES, Bars, Classes, Curve, Figure, Panel, Shades, styles, thinned
+from sim.figures.names import page_text
 from sim.figures.page import DARK, LIGHT, Page, Section, Table, by_night, render
 from sim.figures.svg import svg
 from sim.report.designs import gain_table
@@ -31,6 +32,7 @@ VOID = {"meta", "link", "br", "img", "input", "hr"}
 PLAIN = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 POWER = re.compile(r"(?:(\d)·)?10([⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)")
 HOSTILE = ('<script>alert("1")</script>', "a & b 'quoted' \"twice\"", "Ω" * 40, "n" * 60, "中" * 20, "]]>", "a\tb c", "{{ x }}")
+LEFTWARD = ("العربية", "עברית_1-2", "x_שלום")
 
 
 class Elements(HTMLParser):
@@ -90,7 +92,12 @@ def everything(names: tuple[str, ...]) -> Page:
     return Page("title", names, Section("", "", (), tables[:0], figures[:0]), (section,))
 
 
-PAGES = {"plain": ("passive", "state", "I", "II"), "hostile": HOSTILE, "many": tuple(f"controller-{k}" for k in range(12))}
+PAGES = {
+    "plain": ("passive", "state", "I", "II"),
+    "hostile": HOSTILE,
+    "many": tuple(f"controller-{k}" for k in range(12)),
+    "leftward": LEFTWARD,
+}
 
 
 @pytest.fixture(scope="module", params=PAGES)
@@ -158,10 +165,27 @@ def test_names_are_text(page):
     """Whatever a controller is called stands on the page as it is, and is no markup."""
     text, found = page
     names = found.some("caption")[0]["text"], found.some("caption")[-1]["text"]
-    assert any(name.endswith((f"of {HOSTILE[0]}", "of passive", "of controller-0")) for name in names)
+    assert any(name.endswith((f"of {HOSTILE[0]}", "of passive", "of controller-0", f"of {LEFTWARD[0]}")) for name in names)
     assert len(found.some("script")) == 1
     assert "alert(" not in re.sub(r"&lt;script&gt;.*?&lt;/script&gt;", "", text)
     assert "\n".join(one["text"] for one in found.some("p")).count("{{ x }}") == text.count("<p>{{ x }}")
+
+
+def test_names_from_right_to_left_keep_to_themselves():
+    """Wherever such a name is read or seen, nothing beside it changes sides: it is an element, or between isolates."""
+    text = re.sub(r"<(script|style)>.*?</\1>|(?:id|aria-labelledby)=\"[^\"]*\"", "", render(everything(LEFTWARD)), flags=re.S)
+    for name in LEFTWARD:
+        assert text.count(f"<bdi>{name}</bdi>") >= 4  # a sentence, a caption, a cell, a legend
+        assert text.count(f"\u2068{name}\u2069") >= 3  # beside its bar, under the pointer, in the figure's words
+        assert text.count(name) == text.count(f"<bdi>{name}</bdi>") + text.count(f"\u2068{name}\u2069")
+    assert "\u2068" not in render(everything(("passive", "n" * 60, "Ω" * 40, "中" * 20)))
+
+
+def test_only_long_names_may_be_broken():
+    """A name that is too long for a column can be broken in it, a word cannot, and what is read is the same."""
+    assert page_text("of " + "n" * 60 + ", 1 & 2") == f"of <bdi>{'n' * 60}</bdi>, 1 &amp; 2"
+    assert page_text("suspension deflection, I_printed") == "suspension deflection, I_printed"
+    assert "bdi { overflow-wrap: anywhere; }" in CSS
 
 
 def drawn(path: str) -> np.ndarray:

@@ -237,6 +237,24 @@ def test_styles_tell_controllers_apart():
     found = styles(("passive", "I", "mine", "yours"))
     assert found["I"] == ("#d62728", "dashdot")
     assert len(set(found.values())) == 4
+    many = styles(tuple(f"mine-{k}" for k in range(30)))
+    assert len(set(many.values())) == 30
+
+
+def test_a_controller_looks_the_same_in_every_figure(tmp_path, capsys):
+    """Where an unstable loop is left out of some figures, the other controllers keep their colours and dashes in them."""
+    path = tmp_path / "three.toml"
+    gains = {"bad": 60000.0, "mild": -5000.0, "firm": -9000.0}
+    sections = [f'[controllers.{name}]\nmeasured = ["sprung_velocity"]\ngain = [[{gain}]]\n' for name, gain in gains.items()]
+    path.write_text("\n".join([read_vehicle("quarter_car").text, *sections]))
+    asked = [word for name in gains for word in ("--controller", name)]
+    out = tmp_path / "page.html"
+    assert main(["--quick", "--timestep", "0.002", "--vehicle", str(path), *asked, "--out", str(out)]) == 0
+    legends = re.findall(r'<ul class="legend.*?</ul>', out.read_text(encoding="utf-8"), re.S)
+    entries = [re.findall(r'<line class="(\S+)"[^>]*stroke-dasharray="([^"]*)".*?</svg>(\w+)', one, re.S) for one in legends]
+    looks = [{name: (color, dash) for color, dash, name in one} for one in entries if one]
+    assert [set(one) for one in looks] == [{"mild", "firm"}, {"bad", "mild", "firm"}]  # frequency responses, the bump
+    assert all(looks[0][name] == looks[1][name] for name in ("mild", "firm"))
 
 
 def test_ride_is_of_runs_that_came_through(monkeypatch):
@@ -247,7 +265,7 @@ def test_ride_is_of_runs_that_came_through(monkeypatch):
         read_vehicle("quarter_car").text + '\n[controllers.wild]\nmeasured = ["sprung_velocity"]\ngain = [[1e6]]\n', source="wild"
     )
     designed = [Designer(vehicle).design(name) for name in ("I_printed", "wild")]
-    section = report_ride.ride_section(vehicle, report_ride.rides_of(vehicle, designed, 2e-3))
+    section = report_ride.ride_section(vehicle, report_ride.rides_of(vehicle, designed, 2e-3), styles(("I_printed", "wild")))
     rows = {(row[1], row[2]): row for row in section.tables[0].rows}
     assert all(row[4:] == ("-", "-", "-", "4 of 4 flat or diverged") for (name, _), row in rows.items() if name == "wild")
 

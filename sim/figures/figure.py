@@ -20,12 +20,18 @@ STYLES: dict[str, tuple[str, Dash]] = {
     "II": ("#2ca02c", "solid"),
 }
 OTHERS = ("#9467bd", "#ff7f0e", "#8c564b", "#17becf", "#e377c2", "#bcbd22")
+DASHES: tuple[Dash, ...] = ("longdash", "solid", "dot", "dashdot", "dash")  # one after the other, when the colours are used up
 
 
 def styles(names: tuple[str, ...]) -> dict[str, tuple[str, Dash]]:
-    """Colour and line style of every controller: the paper's for the paper's."""
+    """Colour and line style of every controller: the paper's for the paper's, for others the first that is free.
+
+    Args:
+        names: all controllers that are spoken of, in their order: of fewer, the same ones would look otherwise.
+    """
     rest = [name for name in names if name not in STYLES]
-    return {name: STYLES.get(name) or (OTHERS[rest.index(name) % len(OTHERS)], "longdash") for name in names}
+    free: list[tuple[str, Dash]] = [(color, dash) for dash in DASHES for color in OTHERS]
+    return {name: STYLES.get(name) or free[rest.index(name) % len(free)] for name in names}
 
 
 def rgb(color: str) -> tuple[int, int, int]:

@@ -3,7 +3,6 @@
 import itertools
 import unicodedata
 from collections.abc import Iterator, Sequence
-from html import escape
 
 import numpy as np
 
@@ -11,6 +10,7 @@ from models.common.arrays import Array
 from sim.figures.area import BAR, FINE, ROW, Area, line_path
 from sim.figures.axis import Axis, nice_step
 from sim.figures.figure import Bars, Classes, Panel, Shades, bands
+from sim.figures.names import drawn_text
 
 # From light to dark: ColorBrewer's YlOrBr.
 SEQUENCE = ("#ffffe5", "#fff7bc", "#fee391", "#fec44f", "#fe9929", "#ec7014", "#cc4c02", "#993404", "#662506")
@@ -52,11 +52,11 @@ def _bars(bars: Bars, area: Area) -> Iterator[str]:
     for k, (name, value, words, color) in enumerate(rows):
         top = area.top + ROW * k
         shown = shortened(name, area.width - text_width(words) - 10)
-        yield f'<text class="name" x="{area.left:.5g}" y="{top + 11:.5g}">{escape(shown)}</text>'
-        yield f'<text class="name" x="{right:.5g}" y="{top + 11:.5g}" text-anchor="end">{escape(words)}</text>'
+        yield f'<text class="name" x="{area.left:.5g}" y="{top + 11:.5g}">{drawn_text(shown)}</text>'
+        yield f'<text class="name" x="{right:.5g}" y="{top + 11:.5g}" text-anchor="end">{drawn_text(words)}</text>'
         if np.isfinite(value):
             width = max(0.5, float(area.across(np.array(value))) - area.left)
-            said = escape(f"{name}: {words}")
+            said = drawn_text(f"{name}: {words}")
             yield (
                 f'<rect class="f-{color[1:]}" data-name="{said}" x="{area.left:.5g}" y="{top + (ROW - BAR) / 2:.5g}" '
                 f'width="{width:.5g}" height="{BAR}"/>'
@@ -83,7 +83,7 @@ def _classes(ground: Classes, area: Area) -> Iterator[str]:
     for i, (name, color) in enumerate(zip(ground.names, ground.colors, strict=True)):
         if np.any(ground.kind == i):
             path = "".join(_cells(ground.kind == i, area, *size))
-            yield f'<path class="cells f-{color[1:]}" data-name="{escape(name)}" d="{path}"/>'
+            yield f'<path class="cells f-{color[1:]}" data-name="{drawn_text(name)}" d="{path}"/>'
 
 
 def _cells(there: Array, area: Area, width: float, height: float) -> Iterator[str]:
@@ -101,7 +101,7 @@ def _shades(ground: Shades, area: Area) -> Iterator[str]:
     colors = shade_colors(len(between) - 1)
     for (low, high), color, rings in zip(itertools.pairwise(between), colors, bands(ground, between), strict=True):
         path = "".join(f"{line_path(area.across(ring[:, 0]), area.down(ring[:, 1]))}z" for ring in rings)
-        name = escape(f"{ground.label} {low:.6g} to {high:.6g}")
+        name = drawn_text(f"{ground.label} {low:.6g} to {high:.6g}")
         if path:
             yield f'<path class="f-{color[1:]}" data-name="{name}" transform="scale({1 / FINE})" d="{path}"/>'
     yield from _color_bar(ground.label, between, colors, area)
@@ -115,5 +115,5 @@ def _color_bar(label: str, between: Sequence[float], colors: Sequence[str], area
         yield f'<rect class="f-{color[1:]}" x="{left:.5g}" y="{top:.5g}" width="12" height="{step + 0.3:.5g}"/>'
     for tick, text in scale.ticks(6):
         down = area.top + area.height * (1 - float(scale.place(np.array(tick))))
-        yield f'<text class="at" x="{left + 16:.5g}" y="{down + 4:.5g}">{escape(text)}</text>'
-    yield f'<text class="name" x="{left + 56:.5g}" y="18" text-anchor="end">{escape(label)}</text>'
+        yield f'<text class="at" x="{left + 16:.5g}" y="{down + 4:.5g}">{drawn_text(text)}</text>'
+    yield f'<text class="name" x="{left + 56:.5g}" y="18" text-anchor="end">{drawn_text(label)}</text>'

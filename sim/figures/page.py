@@ -11,13 +11,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from models.common.errors import InputError
 from models.common.whole_file import whole_file
 from sim.figures.contrast import GRAPHICS, contrast, readable
 from sim.figures.figure import Bars, Classes, Figure, Panel, Shades
 from sim.figures.ground import levels, shade_colors
+from sim.figures.names import page_text
 from sim.figures.svg import DASHES, MARKERS, on_paper, svg
 
 LIGHT, DARK = "#ffffff", "#16181b"  # behind figures, as in page.css
@@ -109,7 +110,9 @@ def render(page: Page) -> str:
     """The page as one HTML document."""
     import jinja2
 
-    environment = jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined)
+    environment = jinja2.Environment(
+        autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined, finalize=_said
+    )
     return environment.from_string(_resource("page.html.jinja")).render(
         page=page,
         verdict=VERDICTS[page.state],
@@ -122,6 +125,13 @@ def render(page: Page) -> str:
         paper=_on_paper,
         layout=_layout,
     )
+
+
+def _said(value: Any) -> Any:
+    """What stands in the page for a value: names in a text keep to themselves; what is markup already stays."""
+    from markupsafe import Markup
+
+    return Markup(page_text(value)) if isinstance(value, str) and not isinstance(value, Markup) else value
 
 
 def write_page(page: Page, path: Path) -> None:

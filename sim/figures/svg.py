@@ -15,6 +15,7 @@ from sim.figures.axis import Axis
 from sim.figures.describe import about, quantity
 from sim.figures.figure import Bars, Classes, Curve, Panel, Shades
 from sim.figures.ground import ground_parts
+from sim.figures.names import drawn_text
 
 WIDTH, HEIGHT = 420, 280
 WIDE = (600, 360)  # of a figure of one panel
@@ -56,7 +57,7 @@ def svg(panel: Panel, name: str, wide: bool = False) -> str:
         f'<svg class="plot {shape} {"paper" if on_paper(panel) else "ink"}" id="{identifier}" role="img" '
         f'aria-labelledby="{identifier}-title {identifier}-text" viewBox="0 0 {width} {height}" '
         f'data-axes="{escape(json.dumps(ends, allow_nan=False))}">'
-        f'<title id="{identifier}-title">{escape(title)}</title><desc id="{identifier}-text">{escape(text)}</desc>'
+        f'<title id="{identifier}-title">{drawn_text(title)}</title><desc id="{identifier}-text">{drawn_text(text)}</desc>'
         f"{''.join(parts)}</svg>"
     )
 
@@ -76,21 +77,21 @@ def _axes(panel: Panel, area: Area, height: float) -> Iterator[str]:
     """Grid, labels and names of the axes."""
     left, top, right, bottom = area.left, area.top, area.left + area.width, area.top + area.height
     if not panel.ylabel:
-        yield f'<text class="name" x="{left:.5g}" y="{height - 12:.5g}">{escape(panel.xlabel)}</text>'
+        yield f'<text class="name" x="{left:.5g}" y="{height - 12:.5g}">{drawn_text(panel.xlabel)}</text>'
         return
     grid = "grid" if panel.ground is None else "tick"
     ticks = [(tick, f"{tick:g}") for tick in panel.xticks] or area.x.ticks(6)
     names = panel.xnames or [text for _, text in ticks]
     for at, text in zip(area.across(np.array([tick for tick, _ in ticks])).tolist(), names, strict=True):
         yield f'<path class="{grid}" d="M{at:.5g} {bottom:.5g}V{top if grid == "grid" else bottom + 4:.5g}"/>'
-        yield f'<text class="at" x="{at:.5g}" y="{bottom + 17:.5g}" text-anchor="middle">{escape(text)}</text>'
+        yield f'<text class="at" x="{at:.5g}" y="{bottom + 17:.5g}" text-anchor="middle">{drawn_text(text)}</text>'
     ticks = area.y.ticks(6)
     for at, (_, text) in zip(area.down(np.array([tick for tick, _ in ticks])).tolist(), ticks, strict=True):
         yield f'<path class="{grid}" d="M{left:.5g} {at:.5g}H{right if grid == "grid" else left - 4:.5g}"/>'
-        yield f'<text class="at" x="{left - 6:.5g}" y="{at + 4:.5g}" text-anchor="end">{escape(text)}</text>'
+        yield f'<text class="at" x="{left - 6:.5g}" y="{at + 4:.5g}" text-anchor="end">{drawn_text(text)}</text>'
     middle = left + area.width / 2
-    yield f'<text class="name" x="{middle:.5g}" y="{height - 8:.5g}" text-anchor="middle">{escape(panel.xlabel)}</text>'
-    yield f'<text class="name" x="2" y="18">{escape(panel.ylabel)}</text>'
+    yield f'<text class="name" x="{middle:.5g}" y="{height - 8:.5g}" text-anchor="middle">{drawn_text(panel.xlabel)}</text>'
+    yield f'<text class="name" x="2" y="18">{drawn_text(panel.ylabel)}</text>'
 
 
 def _line(curve: Curve, area: Area) -> str:
@@ -112,5 +113,5 @@ def _markers(curve: Curve, area: Area) -> str:
 
 def _drawn(curve: Curve, path: str, look: str, kind: str = "line ") -> str:
     name = curve.name or curve.label
-    named = f' data-name="{escape(name)}"' if name else ""
+    named = f' data-name="{drawn_text(name)}"' if name else ""
     return f'<path class="{kind}s-{curve.color[1:]}"{named} transform="scale({1 / FINE})"{look} d="{path}"/>' if path else ""

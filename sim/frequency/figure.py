@@ -3,13 +3,13 @@
 The lines are of the paper's continuous loop, or, where the controller is slower or later than the timestep, of the loop as built.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.vehicle import Vehicle
-from sim.figures.figure import Curve, Figure, Panel, styles
+from sim.figures.figure import Curve, Dash, Figure, Panel
 from sim.frequency.identification import HIGHEST, LOWEST, Lines
 from sim.linear.frequency import as_met, continuous_frequency_response, sampled_frequency_response
 from sim.response.response import SILENT
@@ -20,7 +20,14 @@ CLOSELY = 41  # more where it is largest or least
 TICKS = (0.1, 0.3, 1.0, 3.0, 10.0, 25.0)  # Hz
 
 
-def sweep_figure(vehicle: Vehicle, sweeps: Sequence[Lines], amplitude: float, timestep: float, speed: float) -> Figure:
+def sweep_figure(
+    vehicle: Vehicle,
+    sweeps: Sequence[Lines],
+    amplitude: float,
+    timestep: float,
+    speed: float,
+    style: Mapping[str, tuple[str, Dash]],
+) -> Figure:
     """Magnitudes of all weighted signals that answer over frequency, one panel each.
 
     Args:
@@ -29,8 +36,9 @@ def sweep_figure(vehicle: Vehicle, sweeps: Sequence[Lines], amplitude: float, ti
         amplitude: largest height of the roads [m], for the caption.
         timestep: [s], for the caption.
         speed: forward velocity [m/s].
+        style: colour and line style of every controller.
     """
-    how, style = vehicle.implementation, styles(tuple(one.controller.name for one in sweeps))
+    how = vehicle.implementation
     signals = [name for name, weight in vehicle.performance.items() if weight > 0]
     curves: dict[str, list[Curve]] = {name: [] for name in signals}
     for one in sweeps:

@@ -8,7 +8,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from sim.figures.axis import axis_of
-from sim.figures.figure import Curve, Dash, Figure, Marker, Panel, styles, thinned
+from sim.figures.figure import Curve, Figure, Marker, Panel, thinned
 from sim.figures.page import Section, Table
 from sim.physics.energy import BALANCED
 from sim.report.scope import BUMP_DURATION, Scope, number
@@ -24,10 +24,9 @@ def bump_section(scope: Scope, runs: Sequence[Run], road: Bump) -> Section:
     """The paper's Fig. 4, and the peaks in it."""
     vehicle = scope.vehicle
     signals = [name for name, weight in vehicle.performance.items() if weight > 0]
-    style = styles(tuple(run.controller.name for run in runs))
     panels = []
     for name in signals:
-        drawn = [one for run in runs if (one := _drawn(scope, run, name, style[run.controller.name])) is not None]
+        drawn = [one for run in runs if (one := _drawn(scope, run, name)) is not None]
         curves = [curve for one in drawn for curve in one.curves]
         if not curves:
             continue
@@ -108,7 +107,7 @@ def _bounded(scope: Scope, run: Run) -> bool:
     return run.controller in scope.stable and run.broke_off is None
 
 
-def _drawn(scope: Scope, run: Run, name: str, style: tuple[str, Dash]) -> _Drawn | None:
+def _drawn(scope: Scope, run: Run, name: str) -> _Drawn | None:
     """One signal of one run; None where there is none: no control force, or no roll on a road that is the same on both sides.
 
     A loop that is unstable, or a run that broke off, has no bound: its line ends with its linear regime, its points where it
@@ -116,7 +115,7 @@ def _drawn(scope: Scope, run: Run, name: str, style: tuple[str, Dash]) -> _Drawn
     """
     if float(run.physics.peak(name)) < run.physics.scale(name):
         return None
-    (color, dash), until = style, run.agreement.until
+    (color, dash), until = scope.styles[run.controller.name], run.agreement.until
     bounded = _bounded(scope, run)
     end = run.broke_off[1] if run.broke_off is not None else math.inf
     every = max(1, len(run.physics.time) // POINTS)

@@ -63,7 +63,7 @@ def page(scope: Scope, provenance: dict[str, str]) -> Page:
     if not scope.quick and scope.stable:
         scope.progress("random roads")
         rides = rides_of(vehicle, scope.stable, h)
-        sections.append(ride_section(vehicle, rides))
+        sections.append(ride_section(vehicle, rides, scope.styles))
     if is_the_papers(vehicle):
         sections.append(_paper(scope))
     sections.append(_provenance(scope, provenance))

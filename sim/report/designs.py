@@ -107,7 +107,9 @@ def per_unit(unit: str, other: str) -> str:
 
 def frequency_section(scope: Scope, lines: Sequence[Lines], sweeps: Sequence[Sweep], speed: float) -> Section:
     """The paper's Fig. 3, points of MuJoCo on its lines; and the norm as a fact, where there are sweeps."""
-    figure = replace(sweep_figure(scope.vehicle, lines, AMPLITUDE, scope.timestep, speed), name="frequency-responses")
+    figure = replace(
+        sweep_figure(scope.vehicle, lines, AMPLITUDE, scope.timestep, speed, scope.styles), name="frequency-responses"
+    )
     rows = [
         (
             one.controller.name,

@@ -1,13 +1,13 @@
 """The ride section of a report: random roads of several classes, MuJoCo beside what the spectrum predicts."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from models.vehicle import Vehicle
-from sim.figures.figure import Curve, Figure, Panel, styles
+from sim.figures.figure import Curve, Dash, Figure, Panel
 from sim.figures.page import Section, Table
 from sim.physics.simulate import simulate
 from sim.report.scope import joined, number
@@ -48,7 +48,7 @@ class Ride:
     events: str
 
 
-def ride_section(vehicle: Vehicle, rides: Sequence[Ride]) -> Section:
+def ride_section(vehicle: Vehicle, rides: Sequence[Ride], style: Mapping[str, tuple[str, Dash]]) -> Section:
     """Every controller over every class."""
     names = ("class", "controller", "metric", "unit", "MuJoCo", "predicted", "road to road", "lift-off")
     rows = tuple(
@@ -66,17 +66,18 @@ def ride_section(vehicle: Vehicle, rides: Sequence[Ride]) -> Section:
     )
     table = Table("ride", "Every metric of the ride, class by class: in MuJoCo, and predicted.", names, rows, words=4)
     title = "How much more comfortable is it, and does it hold the road?"
-    return Section(title, "ride over random roads, ISO 8608", (ride_text(vehicle),), (table,), (ride_figure(rides),))
+    return Section(title, "ride over random roads, ISO 8608", (ride_text(vehicle),), (table,), (ride_figure(rides, style),))
 
 
-def ride_figure(rides: Sequence[Ride]) -> Figure:
+def ride_figure(rides: Sequence[Ride], style: Mapping[str, tuple[str, Dash]]) -> Figure:
     """Every metric over the classes: lines are predicted, points MuJoCo."""
-    style = styles(tuple(dict.fromkeys(one.controller for one in rides)))
+    names = tuple(dict.fromkeys(one.controller for one in rides))
     places = {name: float(k) for k, name in enumerate(CLASSES)}
     panels = []
     for metric, unit in dict.fromkeys((one.metric, one.unit) for one in rides):
         curves = []
-        for name, (color, dash) in style.items():
+        for name in names:
+            color, dash = style[name]
             some = [one for one in rides if (one.controller, one.metric) == (name, metric)]
             x, predicted, measured = (
                 np.array([(places[one.road_class], one.predicted, one.measured) for one in some], dtype=float).reshape(-1, 3).T

@@ -9,6 +9,7 @@ import numpy as np
 
 from models.reality import Limits, steps_per_sample
 from models.vehicle import Vehicle
+from sim.figures.figure import Dash, styles
 from sim.frequency.identification import check
 from sim.linear.frequency import Worst, sampled_frequency_response, worst_sinusoid
 from sim.linear.loop import sampled_radius
@@ -117,6 +118,11 @@ class Scope:
             )
             for one in self.stable
         }
+
+    @cached_property
+    def styles(self) -> dict[str, tuple[str, Dash]]:
+        """How each controller is drawn, in every figure of the page alike."""
+        return styles(tuple(one.name for one in self.controllers))
 
     @property
     def active(self) -> list[Controller]:

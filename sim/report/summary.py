@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sim.figures.figure import Bars, Curve, Figure, Panel, styles
+from sim.figures.figure import Bars, Curve, Figure, Panel
 from sim.figures.page import Section, Table
 from sim.report.answer import unclaimed
 from sim.report.regime_end import RegimeEnd
@@ -28,16 +28,15 @@ def summary(
         ends: of the linear regimes.
         rides: over random roads; none in a quick report.
     """
-    names = tuple(one.name for one in scope.controllers)
     norms = {one.name: one.certificate.norm.value for one in scope.controllers if one.certificate.stable}
     passive = scope.designer.design("passive").certificate.norm.value
     roughness, label, unit, where = _roughness(scope, runs, rides)
     wrong = unclaimed(ends, runs)
     heights = {one.name: _height(end) for one, end in ends if end is not None and one.name not in wrong}
 
-    shake = _bars(names, norms, {}, {name: f"{value:.4g}{_against(value, passive)}" for name, value in norms.items()}, "unstable")
+    shake = _bars(scope, norms, {}, {name: f"{value:.4g}{_against(value, passive)}" for name, value in norms.items()}, "unstable")
     rough = _bars(
-        names,
+        scope,
         {name: pair[0] for name, pair in roughness.items()},
         {name: pair[1] for name, pair in roughness.items()},
         {name: f"{number(pair[0], '.3g')} {unit}{_against(pair[0], _passive(roughness))}" for name, pair in roughness.items()},
@@ -53,7 +52,7 @@ def summary(
             stated[one.name] = "at any height" if end is None else _metres(heights[one.name])
     if ends:
         predicted, seen = ({name: pair[i] for name, pair in heights.items()} for i in (0, 1))
-        tall = _bars(names, predicted, seen, stated, "nowhere: unstable")
+        tall = _bars(scope, predicted, seen, stated, "nowhere: unstable")
         panels.append(
             Panel(f"Up to which bump is the analysis true?\nheight at which it ends{scope.without}", "height [m]", "", *tall)
         )
@@ -122,13 +121,13 @@ def _against(value: float, passive: float) -> str:
 
 
 def _bars(
-    names: tuple[str, ...], values: dict[str, float], seen: dict[str, float], words: dict[str, str], none: str
+    scope: Scope, values: dict[str, float], seen: dict[str, float], words: dict[str, str], none: str
 ) -> tuple[tuple[Curve, ...], Bars]:
     """A panel's points, which are MuJoCo's, and its bars."""
-    style = styles(names)
+    names = tuple(scope.styles)
     lengths = np.array([values.get(name, math.nan) for name in names], dtype=float)
     lengths[~np.isfinite(lengths)] = math.nan
-    bars = Bars(names, lengths, tuple(words.get(name, none) for name in names), tuple(style[name][0] for name in names))
+    bars = Bars(names, lengths, tuple(words.get(name, none) for name in names), tuple(scope.styles[name][0] for name in names))
     points = tuple(
         Curve(np.array([seen[name]]), np.array([float(k)]), "", "#000000", "none", "o", name=f"{name}, MuJoCo")
         for k, name in enumerate(names)
