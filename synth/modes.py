@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from models.common.arrays import Array
-from synth.certificate.stability import balance, stability
+from synth.certificate.stability import balance, pole_text, stability
 from synth.plant import GeneralizedPlant
 from synth.scaling import own_units
 
@@ -50,14 +50,14 @@ def obstacles(plant: GeneralizedPlant, Cy: Array | None = None, states: Sequence
     names, own = list(states) or [f"x{i + 1}" for i in range(len(plant.A))], own_units(plant, Cy)
     plant = own.into(plant)
     found = [
-        f"the plant cannot be stabilised: no input reaches the mode at {rate(pole)}, which does not decay and shows most in "
+        f"the plant cannot be stabilised: no input reaches the mode at {pole_text(pole)}, which does not decay and shows most in "
         f"{largest(vector, names)}; add an actuator that acts on it, or take it out of the model"
         for pole, vector in unreached(plant.A, plant.B)
     ]
     if Cy is not None:
         found += [
-            f"the plant cannot be stabilised from what is measured: no measurement shows the mode at {rate(pole)}, which does "
-            f"not decay and moves most in {largest(vector, names)}; measure a signal that it is seen in"
+            f"the plant cannot be stabilised from what is measured: no measurement shows the mode at {pole_text(pole)}, which "
+            f"does not decay and moves most in {largest(vector, names)}; measure a signal that it is seen in"
             for pole, vector in unreached(plant.A.T, (Cy * own.states).T)
         ]
     return found
@@ -66,8 +66,3 @@ def obstacles(plant: GeneralizedPlant, Cy: Array | None = None, states: Sequence
 def largest(vector: Array, names: Sequence[str]) -> str:
     """The state with the largest part of an eigenvector."""
     return names[int(np.argmax(np.abs(vector)))]
-
-
-def rate(pole: complex) -> str:
-    """An eigenvalue in words."""
-    return f"{pole.real:.4g}{abs(pole.imag):+.4g}j rad/s" if pole.imag else f"{pole.real:.4g} rad/s"

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.arrays import Array
-from synth.certificate.stability import balance, is_stable
+from synth.certificate.stability import balance, is_stable, pole_text
 from synth.lmi.unseen import RANK, hidden, nulling, unseen
-from synth.modes import largest, rate
+from synth.modes import largest
 from synth.plant import GeneralizedPlant
 from synth.scaling import own_units, size
 
@@ -111,7 +111,7 @@ def standing(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[str]:
         if still:  # the slowest of them: which comes first is rounding's choice
             omega, vector = min(still, key=lambda pair: pair[0])
             return [
-                f"z does not see the mode at {rate(complex(0.0, omega))}, which does not decay and moves most in "
+                f"z does not see the mode at {pole_text(complex(0.0, omega))}, which does not decay and moves most in "
                 f"{largest(scale * (V @ vector), names)}: the optimum would let it be, and is not stable; weigh a signal that it "
                 "is seen in, or take it out of the model"
             ]

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -317,8 +318,20 @@ def test_a_mildly_unstable_gain_is_run_and_called_unstable(capsys, tmp_path):
     assert run["agrees"] is True
     main(["--controller", "mine", "--no-logs", "--vehicle", vehicle])
     out = capsys.readouterr().out
-    assert "unstable: a pole at" in out
+    assert re.search(r"unstable: a pole at \S+\+\S+j rad/s|unstable: a pole at \S+ 1/s", out)
     assert "unstable: the sampled loop grows by a factor of 1.000" in out
+
+
+def test_a_diverged_run_shows_no_numbers_of_its_linear_analysis(capsys, tmp_path):
+    """Where MuJoCo diverges, no peak and no rms is printed, and the errors say until when they are."""
+    assert main(["--controller", "mine", "--no-logs", "--vehicle", vehicle_with(tmp_path, 6e4)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    (until,) = [line for line in lines if "the linear comparison does not apply from" in line]
+    instant = until.split("from ")[1].split(" s")[0]
+    assert f"  (error and to cont.: until {instant} s; peak and rms: of the whole run)" in lines
+    rows = [line.split() for line in lines if re.match(r"    (peak|rms) ", line)]
+    assert len(rows) >= 10
+    assert all(row[1:4] == ["-", "-", "-"] for row in rows)
 
 
 @pytest.mark.parametrize(("gain", "continuous_is_stable"), [("1e6", False), ("-1e7", True), ("1e12", False)])

@@ -199,7 +199,7 @@ def test_a_gain_that_is_not_settled_is_said(paper, name):
 
 def test_unreached_mode_is_named():
     """An unstable mode that no input reaches is named by its rate and its state."""
-    with pytest.raises(InfeasibleError, match=r"no input reaches the mode at 1 rad/s.*in x1"):
+    with pytest.raises(InfeasibleError, match=r"no input reaches the mode at 1 1/s.*in x1"):
         state_path(plant_of([[1, 0], [0, -1]], [[0], [1]]))
     oscillator = plant_of([[0, 1, 0], [-4, 0, 0], [0, 0, -1]], [[0], [0], [1]])
     with pytest.raises(InfeasibleError, match=r"the mode at 0\+2j rad/s.*in position"):
@@ -209,7 +209,7 @@ def test_unreached_mode_is_named():
 def test_unseen_mode_is_named():
     """So is one that no measurement shows."""
     plant = plant_of([[1, 0], [0, -1]], [[1], [1]])
-    with pytest.raises(InfeasibleError, match=r"no measurement shows the mode at 1 rad/s.*in x1"):
+    with pytest.raises(InfeasibleError, match=r"no measurement shows the mode at 1 1/s.*in x1"):
         two_step_design(plant, np.array([[0.0, 1.0]]))
 
 

@@ -158,6 +158,19 @@ def test_a_run_that_ends_early_has_no_metrics(capsys):
     assert not any(line.split()[:1] == ["dynamic_load"] for line in out.splitlines())
 
 
+def test_what_an_error_is_of_is_said(capsys):
+    """Where the comparison ends, the table says until when its errors are; where it does not, they are of the whole run."""
+    about = "peak and rms: of the whole run"
+    assert main(["--controller", "I", "--class", "D", "--duration", "3", "--no-logs"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    (at,) = [i for i, line in enumerate(lines) if about in line]
+    assert lines[at - 1].split() == ["signal", "MuJoCo", "sampled", "continuous", "error", "to", "cont.", "vs", "passive"]
+    time = lines[at].split("until ")[1].split(" s;")[0]
+    assert any(f"until {time} s" in line and "agrees" in line for line in lines[at + 1 :])
+    assert main(["--controller", "I", "--class", "A", "--duration", "3", "--no-logs"]) == 0
+    assert about not in capsys.readouterr().out
+
+
 def test_what_metrics_rest_on_is_said(capsys):
     """How much of the variance is there when measuring begins, what is approximate, and what is in one column alone."""
     arguments = ["--controller", "passive", "--class", "C", "--duration", "4", "--no-logs"]

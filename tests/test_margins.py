@@ -400,7 +400,7 @@ def test_bad_input(arguments, words):
 
 
 @pytest.mark.parametrize(
-    ("gain", "word"), [("[[0.0]]", "no gain"), ("[[90000.0]]", r"not stable as it is \(unstable: a pole at 170.7 rad/s\)")]
+    ("gain", "word"), [("[[0.0]]", "no gain"), ("[[90000.0]]", r"not stable as it is \(unstable: a pole at 170.7 1/s\)")]
 )
 def test_loops_without_margins(tmp_path, paper, gain, word):
     """A gain of zero makes no loop, and an unstable loop has no margin to lose."""

@@ -8,7 +8,7 @@ from sim.figures.page import State
 from sim.frequency.identification import Lines
 from sim.frequency.sweep import Sweep, failures
 from sim.report.regime_end import REACHES, RegimeEnd
-from sim.report.scope import BUMP_DURATION, Scope, at_most, joined
+from sim.report.scope import BUMP_DURATION, Scope, at_most, joined, percents
 from sim.response.regime import REGIME_ENDS
 from sim.roads.road import Bump
 from sim.runs.run import Run
@@ -57,8 +57,8 @@ def norms(scope: Scope) -> list[Finding]:
     passive = scope.designer.design("passive").certificate.norm.value
     text = f"H-infinity norms of the ideal loop: {', '.join(f'{name} {value:.4g}' for name, value in values.items())}."
     if least != "passive" and math.isfinite(passive):
-        share = 100 * (values[least] / passive - 1)
-        text += f" The least is {least}'s, {abs(share):.0f} % {'below' if share < 0 else 'above'} the passive suspension's."
+        share = values[least] / passive - 1
+        text += f" The least is {least}'s, {percents(share)} % {'below' if share < 0 else 'above'} the passive suspension's."
     if scope.built_norms:
         built = ", ".join(f"{name} {value.gain:.4g}" for name, value in scope.built_norms.items())
         text += f" As built{scope.without}, at a step of {1e3 * scope.timestep:g} ms: {built}."

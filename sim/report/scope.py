@@ -169,6 +169,12 @@ def at_most(value: float) -> str:
     return f"{math.ceil(value / unit * (1 - 1e-12)) * unit:.1e}"
 
 
+def percents(share: float) -> str:
+    """The size of a change in percent: whole ones, and below them one digit that is not 0."""
+    size = abs(100 * share)
+    return f"{size:.0f}" if size >= 1 else f"{size:.1g}"
+
+
 def joined(words: list[str]) -> str:
     """a, b and c."""
     return " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))

@@ -10,11 +10,12 @@ from sim.figures.page import Section, Table
 from sim.report.answer import unclaimed
 from sim.report.regime_end import RegimeEnd
 from sim.report.ride import SPEED, Ride
-from sim.report.scope import Scope, number
+from sim.report.scope import Scope, number, percents
 from sim.runs.run import Run
 from synth.controller import Controller
 
 CLASS = "C"  # of the roads that the summary compares rides on: an average one
+LEAST = 1e-4  # relative; less is below the digits that stand beside it
 
 
 def summary(
@@ -117,7 +118,8 @@ def _against(value: float, passive: float) -> str:
     """By how much it is more or less than the passive suspension's."""
     if not (math.isfinite(value) and math.isfinite(passive) and passive > 0) or value == passive:
         return ""
-    return f" ({100 * (value / passive - 1):+.0f} %)".replace("-", "−")
+    share = value / passive - 1
+    return f" ({'+' if share > 0 else '−'}{percents(share)} %)" if abs(share) >= LEAST else ""
 
 
 def _bars(

@@ -194,6 +194,8 @@ def verdict_lines(run: Run) -> list[str]:
 def run_lines(run: Run, passive: Run | None) -> list[str]:
     """The table of one run: peak and rms of every signal, physics and sampled, their errors, the change against passive."""
     rows: list[tuple[str, ...] | str] = [("signal", "MuJoCo", "sampled", "continuous", "error", "to cont.", "vs passive")]
+    if math.isfinite(run.agreement.until):
+        rows.append(f"(error and to cont.: until {run.agreement.until:.4g} s; peak and rms: of the whole run)")
     for name, signal in run.agreement.signals.items():
         rows.append(f"{name} [{run.vehicle.kind.signal(name).unit}]")
         # What symmetry keeps silent, or all of it on a flat road, is rounding in the physics without control.
@@ -205,7 +207,8 @@ def run_lines(run: Run, passive: Run | None) -> list[str]:
             reference = float(getattr(passive.physics, kind)(name)) if passive else 0.0
             change = cell(100 * (values[0] / reference - 1), "+.1f", " %") if reference and not silent else "-"
             errors = (cell(signal.sampled, ".1e"), cell(signal.continuous, ".1e")) if kind == "peak" else ("", "")
-            numbers = (cell(value, ".6g") for value in values)
+            # Where MuJoCo has left numbers behind, what linear analysis goes on to says nothing of a vehicle.
+            numbers = ("-" if math.isfinite(run.diverged) else cell(value, ".6g") for value in values)
             rows.append((f"  {kind}", *numbers, *errors, change))
     return table(rows)
 
@@ -228,7 +231,8 @@ def summary(run: Run) -> str:
     lines += [f"- {line}" for line in [gain, *_found(run.vehicle, run.controller)]]
     lines += [f"- measures {', '.join(run.controller.measured) or 'nothing'}", "", "## Verdict", ""]
     lines += [f"- {line}" for line in [*verdict_lines(run), *energy_lines(run)]]
-    lines += ["", "| signal | peak MuJoCo | peak sampled | error |", "|---|---|---|---|"]
+    until = f" until {run.agreement.until:.4g} s" if math.isfinite(run.agreement.until) else ""
+    lines += ["", f"| signal | peak MuJoCo | peak sampled | error{until} |", "|---|---|---|---|"]
     for name, signal in run.agreement.signals.items():
         unit = run.vehicle.kind.signal(name).unit
         physics, sampled = float(run.physics.peak(name)), float(run.sampled.peak(name))

@@ -56,12 +56,12 @@ class Stability:
     def words(self) -> str:
         """The verdict and the pole that decides, on one line."""
         if self.verdict == STABLE:
-            return f"stable, slowest pole {self.worst.real:.4g} rad/s"
+            return f"stable, slowest pole {self.worst.real:.4g} 1/s"
         if self.verdict == MARGINAL:
             at = abs(self.worst.imag)
             where = f"0+{at:.4g}j" if at > self.rounding else "0"
             return f"marginal: a pole at {where} rad/s, to rounding, which does not decay"
-        return f"unstable: a pole at {pole_text(self.worst)} rad/s"
+        return f"unstable: a pole at {pole_text(self.worst)}"
 
 
 def stability(A: Array) -> Stability:
@@ -114,8 +114,10 @@ def rounding(A: Array) -> float:
 
 
 def pole_text(pole: complex) -> str:
-    """A pole, or a pair, with four digits."""
-    return f"{pole.real:.4g}" if pole.imag == 0 else f"{pole.real:.4g}{abs(pole.imag):+.4g}j"
+    """A pole, or a pair, with four digits and its unit: a real one is a rate of growth or decay, and turns nothing."""
+    if pole.imag:
+        return f"{pole.real:.4g}{abs(pole.imag):+.4g}j rad/s"
+    return f"{pole.real:.4g} {'1/s' if pole.real else 'rad/s'}"
 
 
 def _eigen(A: Array) -> tuple[Array, Array, Array]:
