@@ -167,7 +167,8 @@ class _Path:
         # Only numerics from here on: states scaled by what the inputs can reach, and units in which A, B, Bw, C have size one.
         scaling = reachable(plant, self.free)
         plant = plant.in_coordinates(scaling)
-        self.rate = size(plant.A)
+        # Without dynamics of its own a plant has the rate at which motion and force weigh alike in z.
+        self.rate = size(plant.A) if plant.A.any() else size(plant.B) * size(plant.C) / size(plant.D)
         self.input_unit = self.rate / size(plant.B)
         self.disturbance_unit = self.rate / size(plant.Bw)
         self.output_unit = 1 / size(plant.C)
