@@ -181,6 +181,36 @@ def test_names_from_right_to_left_keep_to_themselves():
     assert "\u2068" not in render(everything(("passive", "n" * 60, "Ω" * 40, "中" * 20)))
 
 
+def test_nothing_leaves_a_picture(tmp_path, monkeypatch):
+    """With long names, and many, everything that a picture says is inside it, and no number beside a bar lies over a name."""
+    from matplotlib.figure import Figure as Canvas
+
+    from sim.figures.picture import write_picture
+
+    drawn = []
+    save = Canvas.savefig
+    monkeypatch.setattr(Canvas, "savefig", lambda self, *some, **more: (drawn.append(self), save(self, *some, **more)))
+    names = ("passive", "__proto__", "W" * 60, "n" * 60, *(f"controller_of_some_length_{k}" for k in range(12)))
+    style, x = styles(names), np.linspace(0, 1, 9)
+    curves = tuple(Curve(x, x, name, *style[name]) for name in names)
+    words = ("0.269 m/s² (−76 %)",) * len(names)
+    bars = Bars(names, np.arange(1.0, len(names) + 1), words, tuple(style[name][0] for name in names))
+    long = "sprung acceleration weighted, road of class C at 20 m/s: shorter is better"
+    lines = Figure("a", f"{long}, {long}, {'W' * 60}", (Panel(long, "x", "y", curves),) * 4)
+    for figure in (lines, Figure("b", long, (Panel(f"How?\n{long}", "norm", "", (), bars),) * 3, columns=3)):
+        write_picture(figure, tmp_path / "a.png")
+        canvas = drawn[-1]
+        width, height = canvas.get_size_inches()
+        box = canvas.get_tightbbox()
+        assert 0 <= box.x0 < box.x1 <= width
+        assert 0 <= box.y0 < box.y1 <= height
+        assert len(canvas.legends) == bool(canvas.axes[0].lines)
+        assert all("__proto__" in [text.get_text() for text in legend.get_texts()] for legend in canvas.legends)
+        for axis in canvas.axes:
+            texts = [text.get_window_extent() for text in axis.texts]
+            assert all(name.x1 < number.x0 for name, number in zip(texts[::2], texts[1::2], strict=True))
+
+
 def test_only_long_names_may_be_broken():
     """A name that is too long for a column can be broken in it, a word cannot, and what is read is the same."""
     assert page_text("of " + "n" * 60 + ", 1 & 2") == f"of <bdi>{'n' * 60}</bdi>, 1 &amp; 2"

@@ -11,7 +11,10 @@ from models.common.whole_file import check_file, whole_file
 from sim.figures.figure import Bars, Classes, Figure, Panel, Shades
 
 SUFFIXES = (".png", ".svg")
-LONGEST = 24  # letters of a name beside a bar
+LONGEST = 24  # letters of a name in a legend
+SHOWN = " "  # before a label in a legend: matplotlib leaves out those that begin with _
+ROW = 0.4  # of bars [inches]; above each its name
+TITLE, HEAD, WORDS = 11, 10, 9  # sizes of letters [points]
 DASHES: dict[str, Any] = {
     "solid": "-",
     "dash": "--",
@@ -53,30 +56,12 @@ def write_picture(figure: Figure, *paths: Path) -> None:
         InputError: it cannot be written.
     """
     import matplotlib
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure as Canvas
 
-    width, height = figure.size
-    canvas = Canvas(figsize=(width * figure.columns, height * figure.rows + 1.0), dpi=130, layout="constrained")
-    FigureCanvasAgg(canvas)
-    axes = canvas.subplots(figure.rows, figure.columns, squeeze=False).ravel()
-    for axis, panel in zip(axes, figure.panels, strict=False):
-        _draw_panel(axis, panel)
-    for axis in axes[len(figure.panels) :]:
-        axis.set_visible(False)
-    entries: dict[str, Any] = {}
-    for axis in axes:
-        for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
-            entries.setdefault(label, handle)
-    if entries:
-        columns = min(len(entries), 3 * figure.columns - (figure.columns > 1))
-        canvas.legend(list(entries.values()), list(entries), loc="outside lower center", ncols=columns, fontsize=9, frameon=False)
-    canvas.suptitle(figure.title, fontsize=11)
-    # Laid out once, not for every file: that takes longer than drawing.
-    layout = canvas.get_layout_engine()
-    assert layout is not None
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", r"Glyph \d+ ")  # letters that the font has not are boxes
+        canvas = _drawn(figure)
+        # Laid out once, not for every file: that takes longer than drawing.
+        layout = canvas.get_layout_engine()
         layout.execute(canvas)
         canvas.set_layout_engine("none")
         for path in paths:
@@ -85,7 +70,74 @@ def write_picture(figure: Figure, *paths: Path) -> None:
                 canvas.savefig(beside, metadata=dateless)
 
 
-def _draw_panel(axis: Any, panel: Panel) -> None:
+def _drawn(figure: Figure) -> Any:
+    """A figure as matplotlib has it, high enough for its bars and its legend."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure as Canvas
+
+    width, height = figure.size
+    bars = max((len(panel.ground.names) for panel in figure.panels if isinstance(panel.ground, Bars)), default=0)
+    height = max(height, ROW * bars + 1.0)
+    canvas = Canvas(figsize=(width * figure.columns, height * figure.rows + 1.0), dpi=130, layout="constrained")
+    FigureCanvasAgg(canvas)
+    axes = canvas.subplots(figure.rows, figure.columns, squeeze=False).ravel()
+    for axis, panel in zip(axes, figure.panels, strict=False):
+        _draw_panel(axis, panel, width - 0.5)
+    for axis in axes[len(figure.panels) :]:
+        axis.set_visible(False)
+    entries: dict[str, Any] = {}
+    for axis in axes:
+        for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
+            entries.setdefault(label.removeprefix(SHOWN), handle)
+    columns = min(len(entries), 3 * figure.columns - (figure.columns > 1))
+    names = [label if len(label) <= LONGEST or " " in label else f"{label[: LONGEST - 1]}…" for label in entries]
+    room = width * figure.columns - 0.2
+    while columns:  # as many as fit beside one another
+        legend = canvas.legend(
+            list(entries.values()), names, loc="outside lower center", ncols=columns, fontsize=WORDS, frameon=False
+        )
+        if columns == 1 or legend.get_window_extent().width <= room * canvas.dpi:
+            canvas.set_figheight(canvas.get_figheight() + 0.18 * (-(-len(names) // columns) - 1))
+            break
+        legend.remove()
+        columns -= 1
+    canvas.suptitle(_broken(figure.title, room, TITLE), fontsize=TITLE)
+    return canvas
+
+
+def _width(text: str, size: float) -> float:
+    """How wide a line of text is at a size of letters in points [inches]."""
+    from matplotlib.font_manager import FontProperties
+    from matplotlib.textpath import TextToPath
+
+    return TextToPath().get_text_width_height_descent(text, FontProperties(size=size), ismath=False)[0] / 72
+
+
+def _broken(text: str, room: float, size: float) -> str:
+    """A text whose lines have no more than this width [inches], where their words let them."""
+    lines: list[str] = []
+    for line in text.split("\n"):
+        lines.append("")
+        for word in line.split(" "):
+            longer = f"{lines[-1]} {word}".lstrip()
+            if lines[-1] and _width(longer, size) > room:
+                lines.append(_cut(word, room, size))
+            else:
+                lines[-1] = _cut(longer, room, size)
+    return "\n".join(lines)
+
+
+def _cut(name: str, room: float, size: float) -> str:
+    """A name, or as much of its beginning as there is room for [inches]."""
+    if _width(name, size) <= room:
+        return name
+    while name and _width(f"{name}…", size) > room:
+        name = name[:-1]
+    return f"{name}…"
+
+
+def _draw_panel(axis: Any, panel: Panel, width: float) -> None:
+    """Draws a panel on axes of about this width [inches]."""
     ground = panel.ground
     if isinstance(ground, Classes):
         from matplotlib.colors import ListedColormap
@@ -93,17 +145,20 @@ def _draw_panel(axis: Any, panel: Panel) -> None:
         count = len(ground.colors)
         axis.pcolormesh(ground.x, ground.y, ground.kind, cmap=ListedColormap(ground.colors), vmin=-0.5, vmax=count - 0.5)
         for name, color in ground.legend:
-            axis.plot([], [], color=color, linestyle="", marker="s", markersize=9, label=name)
+            axis.plot([], [], color=color, linestyle="", marker="s", markersize=9, label=SHOWN + name)
     elif isinstance(ground, Shades):
         image = axis.contourf(ground.x, ground.y, np.ma.masked_invalid(ground.z), levels=14, cmap="YlOrBr")
         axis.figure.colorbar(image, ax=axis, label=ground.label)
     elif isinstance(ground, Bars):
-        rows = np.arange(len(ground.names))
-        drawn = axis.barh(rows, np.nan_to_num(ground.values), 0.6, color=ground.colors)
-        axis.bar_label(drawn, ground.words, padding=7, fontsize=9)
-        axis.set_yticks(rows, [name if len(name) <= LONGEST else f"{name[: LONGEST - 1]}…" for name in ground.names], fontsize=9)
-        axis.invert_yaxis()
-        axis.margins(x=0.25)  # for the words
+        count = len(ground.names)
+        axis.barh(np.arange(count), np.nan_to_num(ground.values), 0.3, color=ground.colors)
+        for k, (name, words) in enumerate(zip(ground.names, ground.words, strict=True)):  # above each bar, as on the page
+            style: dict[str, Any] = {"fontsize": WORDS, "va": "bottom", "transform": axis.get_yaxis_transform()}
+            shown = _cut(name, width - _width(words, WORDS) - 0.3, WORDS)
+            axis.text(0.01, k - 0.2, shown, **style)
+            axis.text(0.99, k - 0.2, words, ha="right", **style)
+        axis.set_yticks([])
+        axis.set_ylim(count - 0.5, -0.7)
     for curve in panel.curves:
         axis.plot(
             curve.x,
@@ -116,7 +171,7 @@ def _draw_panel(axis: Any, panel: Panel) -> None:
             markerfacecolor="white" if curve.marker == "o" else None,
             zorder=3 if curve.marker else 2,
             clip_on=not (isinstance(ground, Shades) and len(curve.x)),  # corners are shown whole
-            label=curve.label or None,
+            label=SHOWN + curve.label if curve.label else None,
         )
     if panel.xlog:
         axis.set_xscale("log")
@@ -125,9 +180,10 @@ def _draw_panel(axis: Any, panel: Panel) -> None:
     if panel.xticks:
         axis.set_xticks(panel.xticks, panel.xnames or [f"{tick:g}" for tick in panel.xticks])
         axis.tick_params(axis="x", which="minor", labelbottom=False)
-    axis.set(xlim=panel.xlim, ylim=panel.ylim)
-    axis.set_title(panel.title, fontsize=10)
-    axis.set_xlabel(panel.xlabel, fontsize=9)
-    axis.set_ylabel(panel.ylabel, fontsize=9)
+    if not isinstance(ground, Bars):
+        axis.set(xlim=panel.xlim, ylim=panel.ylim)
+    axis.set_title(_broken(panel.title, width, HEAD), fontsize=HEAD)
+    axis.set_xlabel(panel.xlabel, fontsize=WORDS)
+    axis.set_ylabel(panel.ylabel, fontsize=WORDS)
     if ground is None:
         axis.grid(which="major", color="0.88", linewidth=0.7)
