@@ -71,9 +71,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.json:
         print(json.dumps({**result, "logs": logs}, allow_nan=False))
     else:
-        lines = titled(
-            f"{vehicle.kind.name} with controller {controller.name}, over {int(cells.done.sum())} bumps", vehicle.source
-        )
+        lines = titled(f"{vehicle.kind.name} with controller {controller.name}, over {cells.counted('bumps')}", vehicle.source)
         say([*lines, *written_lines(outputs), *log_lines(logs), "", *envelope_lines(cells, options.threshold)])
     if not cells.done.all():
         complain(f"{interrupt.word()} after {int(cells.done.sum())} of {len(bumps)} cells; they are kept")

@@ -31,6 +31,7 @@ from sim.runs.run import run_all
 from sim.validity.cells import Interrupted, validity
 from sim.validity.figure import envelope_figure
 from sim.validity.grid import grid, read_axes
+from sim.validity.words import envelope_lines, write_csv
 from synth.designer import Designer
 from tests.commands import prose
 from tests.conftest import recorded_runs
@@ -184,8 +185,8 @@ def test_ends_are_told_apart():
         assert len(set(each)) == len(each)
 
 
-def test_interrupted(limited, designer, monkeypatch):
-    """Ctrl-C keeps what is done, whole batches of it, and no other is begun."""
+def test_interrupted(limited, designer, monkeypatch, tmp_path):
+    """Ctrl-C keeps what is done, whole batches of it, and no other is begun; text and CSV say that there was more."""
     monkeypatch.setattr("sim.validity.cells.MOST_AT_ONCE", 2)
     monkeypatch.setattr("sim.validity.cells.cores", lambda: 1)
 
@@ -197,6 +198,13 @@ def test_interrupted(limited, designer, monkeypatch):
     with pytest.raises(Interrupted) as interruption:
         validity(limited, designer.design("I"), bumps, TIME, stop)
     found = interruption.value.cells
+    done = int(found.done.sum())
+    lines = envelope_lines(found, 0.05)
+    assert f"% of {done} cells (of 16 asked) break as" in lines[-1]
+    assert all(line.endswith("of the cells that were run") or "cells that were run:" in line for line in lines[:-1])
+    write_csv(tmp_path / "map.csv", found, 0.05)
+    rows = list(csv.DictReader((tmp_path / "map.csv").open()))
+    assert [row["map_complete"] for row in rows] == ["False"] * done
     order = found.done.reshape(4, 4).T.ravel()  # column by column of the map, two heights at a time
     assert 4 <= order.sum() < 16  # on a busy machine another batch may be done before the interruption is heard
     assert order.tolist() == sorted(order.tolist(), reverse=True)
@@ -215,6 +223,7 @@ def test_command(capsys, tmp_path):
     for row, cell in zip(rows, result["cells"], strict=True):
         assert (float(row["height"]), float(row["length"])) == (cell["height"], cell["length"])
         assert row["broke_first"] == (cell["broke_first"] or "")
+        assert row["map_complete"] == "True"
     assert picture.read_text().startswith("<?xml")
     assert recorded_runs(result["logs"]["mcap"]) == {"II_nothing_breaks", "II_lift_off"}
 

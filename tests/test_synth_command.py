@@ -339,3 +339,20 @@ def test_malformed_certificate(tmp_path, certificate, message):
     file.write_text(read_vehicle("quarter_car").text + f"\n[controllers.I_printed.certificate]\n{certificate}\n")
     with pytest.raises(InputError, match=message):
         main(["--check", str(file), "--controller", "I_printed"])
+
+
+def test_a_refuted_inequality_is_not_stated(tmp_path, capsys):
+    """Of a certificate whose bound was edited, --check states no inequality that does not hold, and no nan."""
+    file, forged = tmp_path / "own.toml", tmp_path / "forged.toml"
+    assert main(["--controller", "II", "--save", str(file)]) == 0
+    text = file.read_text()
+    (bound,) = [line for line in text.splitlines() if line.startswith("bound = ")]
+    for factor in (0.5, 0.9999):
+        forged.write_text(text.replace(bound, f"bound = {factor * float(bound.split('= ')[1])!r}"))
+        capsys.readouterr()
+        assert main(["--check", str(forged), "--controller", "II_designed"]) == 1
+        out = " ".join(capsys.readouterr().out.split())
+        assert "LMI (20) < 0 by" not in out
+        assert "nan" not in out
+        assert "X > 0 by" in out
+        assert "FAILS: LMI (20) is not negative definite" in out

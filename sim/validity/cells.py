@@ -54,6 +54,11 @@ class Cells:
     used: Array
     edge: Array
 
+    def counted(self, noun: str) -> str:
+        """How many were run, and of how many asked where those are more."""
+        done, asked = int(self.done.sum()), len(self.bumps)
+        return f"{done} {noun}" if done == asked else f"{done} {noun} (of {asked} asked)"
+
     @property
     def agrees(self) -> Array:
         """Where physics breaks first what was predicted, shape (N,)."""

@@ -69,7 +69,7 @@ def envelope_figure(
     )
     title = (
         f"How far linear analysis may be trusted: {vehicle.kind.name.replace('_', ' ')}, controller {controller.name}, {rest}\n"
-        f"{100 * cells.agreement:.4g} % of {int(cells.done.sum())} MuJoCo runs end the linear regime as predicted"
+        f"{100 * cells.agreement:.4g} % of {cells.counted('MuJoCo runs')} end the linear regime as predicted"
     )
     panel = Panel("", LABELS[horizontal.name], LABELS[vertical.name], tuple(curves), ground)
     return Figure("envelope", title, (panel,), columns=1, size=(9.0, 5.2))

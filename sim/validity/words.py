@@ -16,15 +16,18 @@ from sim.validity.grid import UNITS, Axis
 
 
 def write_csv(path: Path, cells: Cells, threshold: float) -> None:
-    """One line per cell that was run, SI units; what never happens is left empty."""
+    """One line per cell that was run, SI units; what never happens is left empty; in every line whether all cells are there."""
     names = [end.replace(" ", "_").replace("-", "_") for end in END_NAMES]
     with whole_file(path, "csv") as beside, beside.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
+        complete = bool(cells.done.all())
         columns = ("error", "holds", "broke_first", "at", "predicted", "predicted_at", "agrees")
-        writer.writerow([*UNITS, *columns, *(f"linear_share_of_{name}" for name in names)])
+        writer.writerow([*UNITS, *columns, *(f"linear_share_of_{name}" for name in names), "map_complete"])
         for i in np.flatnonzero(cells.done):
             bump, row = cells.bumps[i], _cell(cells, int(i), threshold)
-            writer.writerow([bump.height, bump.length, bump.speed, *(row[name] for name in columns), *cells.used[i].tolist()])
+            writer.writerow(
+                [bump.height, bump.length, bump.speed, *(row[name] for name in columns), *cells.used[i].tolist(), complete]
+            )
 
 
 def envelope_object(cells: Cells, axes: Sequence[Axis], controller: str, threshold: float) -> dict[str, Any]:
@@ -57,9 +60,10 @@ def _cell(cells: Cells, i: int, threshold: float) -> dict[str, Any]:
 def envelope_lines(cells: Cells, threshold: float) -> list[str]:
     """What a map shows, in lines for a terminal."""
     done = cells.done
+    that = "" if done.all() else " that were run"
 
     def share(which: Array) -> str:
-        return f"{100 * which[done].mean():5.1f} % of the cells" if done.any() else "-"
+        return f"{100 * which[done].mean():5.1f} % of the cells{that}" if done.any() else "-"
 
     lines = [f"  {share(cells.error <= threshold)}: linear analysis holds to {threshold:g} of every peak"]
     lines.append(f"  {share(cells.first < 0)}: nothing breaks")
@@ -69,7 +73,7 @@ def envelope_lines(cells: Cells, threshold: float) -> list[str]:
     count = int(done.sum()) - round(cells.agreement * int(done.sum()))
     others = f"; of the other {count}, {cells.unexplained or 'none'} lies away from a boundary" if count else ""
     lines.append(
-        f"{'agrees' if cells.as_predicted else 'DOES NOT AGREE'}: {100 * cells.agreement:.2f} % of {int(done.sum())} cells break "
-        f"as linear analysis predicts{others}"
+        f"{'agrees' if cells.as_predicted else 'DOES NOT AGREE'}: {100 * cells.agreement:.2f} % of {cells.counted('cells')} "
+        f"break as linear analysis predicts{others}"
     )
     return lines

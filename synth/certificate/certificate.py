@@ -59,7 +59,9 @@ class LmiProof:
         if not self.positive.proved:
             failures.append(_not_proved("X is not positive definite", "X > 0 is not proved", "smallest", 1, self.positive))
         if not self.negative.proved:
-            failures.append(_not_proved("LMI (20) is violated", "LMI (20) is not proved", "largest", -1, self.negative))
+            failures.append(
+                _not_proved("LMI (20) is not negative definite", "LMI (20) is not proved", "largest", -1, self.negative)
+            )
         return tuple(failures)
 
 

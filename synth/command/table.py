@@ -96,11 +96,13 @@ def detail_lines(row: Row) -> list[str]:
     if certificate.stable:
         lines.append(f"  norm by level sets and by a sweep, {certificate.norm.gap:.0e} apart")
     if certificate.proof is not None:
-        positive, negative = certificate.proof.positive, certificate.proof.negative
-        lines.append(
-            f"  X > 0 by {positive.smallest:.1e} and LMI (20) < 0 by {negative.smallest:.1e}, both balanced; rounding is at most "
-            f"{positive.rounding:.0e} and {negative.rounding:.0e}"
-        )
+        # What is not proved stands among the failures, in words: a number here would read as if it were.
+        parts = {"X > 0": certificate.proof.positive, "LMI (20) < 0": certificate.proof.negative}
+        proved = {name: part for name, part in parts.items() if part.proved}
+        if proved:
+            by = " and ".join(f"{name} by {part.smallest:.1e}" for name, part in proved.items())
+            rounding = " and ".join(f"{part.rounding:.0e}" for part in proved.values())
+            lines.append(f"  {by}, {'both ' * (len(proved) > 1)}balanced; rounding is at most {rounding}")
     if certificate.gap is not None:
         lines.append(f"  norm {percent(certificate.gap)} above the lower bound")
     if row.witness is not None:
