@@ -183,6 +183,18 @@ def test_figures_and_tables_as_files(report):
     assert not list(folder.glob(".*"))
 
 
+def test_what_is_old_in_a_folder_is_told(tmp_path, capsys):
+    """Into the folder of an earlier report: what that left of a controller that is not reported now is named, and not removed."""
+    common = ["--quick", "--timestep", "0.002", "--out", str(tmp_path / "a.html"), "--figures", str(tmp_path / "f")]
+    assert main([*common, "--controller", "I"]) == 0
+    assert "not of this report" not in capsys.readouterr().out
+    assert main([*common, "--controller", "passive"]) == 0
+    assert "not of this report, and left in figures\n  gain-I.csv\n\n" in capsys.readouterr().out
+    assert (tmp_path / "f" / "gain-I.csv").exists()
+    assert main([*common, "--controller", "passive", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["not_of_this_report"] == ["gain-I.csv"]
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

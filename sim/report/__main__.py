@@ -11,7 +11,7 @@ from pathlib import Path
 
 from models.common.command import Parser, chosen, run_command
 from models.common.errors import InputError
-from models.common.printed import say
+from models.common.printed import Whole, say
 from models.common.progress import Stages
 from models.common.whole_file import made_folder, together, whole_file
 from models.vehicle import read_vehicle
@@ -81,11 +81,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         write_page(result, options.out)
         if options.figures is not None:
             _write_figures(result, options.figures)
+    others = _others(result, options.figures) if options.figures is not None else []
     stage.end()
     if options.json:
-        print(json.dumps({**report_object(result), **written(outputs)}, allow_nan=False))
+        print(json.dumps({**report_object(result), **written(outputs), "not_of_this_report": others}, allow_nan=False))
     else:
-        say([*written_lines(outputs)[1:], "", *result.answer])
+        left = ["not of this report, and left in figures", *(Whole(f"  {name}") for name in others)] if others else []
+        say([*written_lines(outputs)[1:], *left, "", *result.answer])
     return 0
 
 
@@ -111,6 +113,14 @@ def _write_figures(page: Page, folder: Path) -> None:
                 beside.open("w", newline="", encoding="utf-8") as file,
             ):
                 csv.writer(file).writerows([table.headings, *table.rows])
+
+
+def _others(page: Page, folder: Path) -> list[str]:
+    """Figures and tables in the folder that are not of this page: of an earlier report, or its owner's, so they stay."""
+    own = {f"{table.name}.csv" for part in page.parts for table in part.tables}
+    own |= {f"{figure.name}{suffix}" for part in page.parts for figure in part.figures for suffix in (".svg", ".png")}
+    there = {path.name for path in folder.iterdir() if path.suffix in (".csv", ".svg", ".png") and not path.name.startswith(".")}
+    return sorted(there - own)
 
 
 if __name__ == "__main__":
