@@ -1,6 +1,7 @@
 """`python -m synth`: the design table of a vehicle file, and how good every controller of it is."""
 
 import json
+import math
 from argparse import Namespace
 from collections.abc import Sequence
 from pathlib import Path
@@ -69,7 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         save(options.save, vehicle, [row.controller for row in rows if row.controller is not None])
     stage(FREE)
     limit = designer.beyond_control
-    moved = {} if options.check else _flatness(designer)
+    moved = {} if options.check else _flatness(designer, rows)
     stage.end()
     if options.json:
         result = {
@@ -172,10 +173,14 @@ def _refined_row(designer: Designer, name: str, zero_l: bool) -> Row:
     return Row(name, refined.controller, (*said, refined.traded), refined.controller.certificate.failures)
 
 
-def _flatness(designer: Designer) -> dict[str, list[float | None]]:
-    """By state: the largest gain on it, and how far that may fall and rise by itself for FLAT of gamma; None is any distance."""
+def _flatness(designer: Designer, rows: Sequence[Row]) -> dict[str, list[float | None]]:
+    """By state: the largest gain on it, and how far that may fall and rise by itself for FLAT of gamma; None is any distance.
+
+    Of the state feedback that is designed, which need not be the end of its path; of the one in the table where it is there.
+    """
+    shown = [row.controller for row in rows if row.name == "state" and row.controller is not None]
     try:
-        K = designer.state_feedback.K
+        K = (shown or [designer.design("state")])[0].gain
     except DesignError:
         return {}
     states = designer.vehicle.linear_model.states
@@ -183,6 +188,7 @@ def _flatness(designer: Designer) -> dict[str, list[float | None]]:
     return {
         state: [float(value) if np.isfinite(value) else None for value in values]
         for state, values in zip(states, moves.T, strict=True)
+        if values[1:].any()  # a gain that may not move at all is not flat
     }
 
 
@@ -197,10 +203,14 @@ def _limit(limit: LowerBound) -> str:
 
 
 def _range(gain: float | None, down: float | None, up: float | None) -> tuple[str, str, str]:
-    """A gain and the ends of the interval that it may move in."""
+    """A gain and the ends of the interval that it may move in, with digits enough to tell them apart."""
     assert gain is not None
-    low, high = (f"{gain - down:.4g}" if down is not None else "any"), (f"{gain + up:.4g}" if up is not None else "any")
-    return f"{gain:.5g}", f"from {low}", f"to {high}"
+    width = min((move for move in (down, up) if move), default=0.0)
+    digits = math.ceil(math.log10(abs(gain) / width)) + 2 if gain and width else 0
+    digits = min(max(digits, 4), 15)
+    low = f"{gain - down:.{digits}g}" if down is not None else "any"
+    high = f"{gain + up:.{digits}g}" if up is not None else "any"
+    return f"{gain:.{digits + 1}g}", f"from {low}", f"to {high}"
 
 
 if __name__ == "__main__":

@@ -20,6 +20,27 @@ from synth.designer import Designer
 from synth.errors import DesignError
 from synth.lmi import full_order
 from tests.commands import prose
+from tests.pages import hopper
+
+
+@pytest.mark.parametrize("options", [[], ["--controller", "I"], ["--controller", "state", "--refine"]])
+def test_what_is_flat_is_the_gain_in_the_table(tmp_path, capsys, options):
+    """Where the path ends at gains beyond any actuator, what is printed is of the designed gain, and has a width."""
+    car = str(hopper(tmp_path))
+    _, found = table(capsys, "--vehicle", car, *options)
+    shown = [row["gain"] for row in found["controllers"] if row["name"] == "state"]
+    ((*gains,),) = shown[0] if shown else Designer(read_vehicle(car)).design("state").gain.tolist()
+    moves = found["flat"]["gain_down_up"]
+    assert [move[0] for move in moves.values()] == gains  # with one force a state's largest gain is its gain
+    main(["--vehicle", car, *options])
+    printed = re.findall(r"^  (\w+) +(\S+) +from (\S+) +to (\S+)$", capsys.readouterr().out, re.MULTILINE)
+    assert [name for name, *_ in printed] == list(moves)
+    for name, gain, low, high in printed:
+        K, down, up = moves[name]
+        assert "any" in (low, high) or float(low) < float(gain) < float(high)
+        for text, value, width in ((gain, K, down or up), (low, K - (down or 0), down), (high, K + (up or 0), up)):
+            # Two digits of the width, as they are rounded.
+            assert text == "any" or float(text) == pytest.approx(value, abs=0.05 * width)
 
 
 def table(capsys, *arguments) -> tuple[int, dict]:
