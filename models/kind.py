@@ -2,9 +2,10 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from numbers import Real
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from models.common.errors import InputError, listing, quoted
 from models.linear_model import LinearModel
@@ -72,7 +73,7 @@ class Parameter:
         """
         smallest = SMALLEST if self.positive else 0.0
         allowed = f"a number from {smallest:g} to {LARGEST:g} {self.unit}"
-        if isinstance(value, bool) or not isinstance(value, Real):
+        if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
             raise InputError(f"{self.name} = {quoted(value)} is not a number; give {allowed}")
         if not smallest <= value <= LARGEST:  # NaN is in no range
             raise InputError(f"{self.name} = {quoted(value)} is not allowed; give {allowed}")

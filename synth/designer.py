@@ -234,7 +234,7 @@ class Designer:
 
     def _entry(self, name: str) -> ControllerEntry:
         """What is to be designed or certified under a name."""
-        name, model = unicodedata.normalize("NFC", name), self.vehicle.linear_model
+        name, model = unicodedata.normalize("NFC", str(name)), self.vehicle.linear_model
         if name == "passive":
             return ControllerEntry(name, (), np.zeros((len(model.inputs), 0)))
         if name == "state":

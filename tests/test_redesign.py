@@ -149,6 +149,7 @@ def test_one_plant_that_fails_leaves_the_others(designer):
         ("III", "unknown controller 'III'; this vehicle has I, II,"),
         ("passive", "controller 'passive' has its gain and is not designed"),
         ("I_printed", "controller 'I_printed' has its gain"),
+        (3, "unknown controller '3'; this vehicle has I, II"),
     ],
 )
 def test_names_that_do_not_fit(designer, paper, name, message):
