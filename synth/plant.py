@@ -29,8 +29,8 @@ class GeneralizedPlant:
             of a plant that is what its floats say.
 
     Raises:
-        InputError: there is no state, or a matrix is not one of real finite numbers, has the wrong shape, more than `MOST` rows
-            or columns, or entries beyond `SMALLEST` or `LARGEST`; the message names it.
+        InputError: a matrix is not one of real finite numbers, has the wrong shape, more than `MOST` rows or columns, or entries
+            beyond `SMALLEST` or `LARGEST`; the message names it.
     """
 
     A: Array
@@ -50,8 +50,6 @@ class GeneralizedPlant:
                 )
             matrix.flags.writeable = False
             object.__setattr__(self, name, matrix)
-        if not len(self.A):
-            raise InputError(f"A has shape {self.A.shape}, a plant without a state, where gains have nothing to act on; give one")
         size = {"n": len(self.A), "m": self.B.shape[1], "r": self.Bw.shape[1], "d": len(self.C)}
         for name, (rows, columns) in SHAPES.items():
             matrix, shape = getattr(self, name), (size[rows], size[columns])
@@ -160,12 +158,24 @@ def _real_matrix(value: object, name: str, expected: str) -> tuple[Array, float]
     return matrix, size
 
 
+def check_states(n: int) -> None:
+    """Whether a plant has a state; parts that are split off one need not.
+
+    Raises:
+        InputError: it has none.
+    """
+    if not n:
+        raise InputError("A has shape (0, 0), a plant without a state, where gains have nothing to act on; give it one")
+
+
 def measurement_matrix(Cy: object, n: int) -> Array:
     """C_y, checked, shape (q, n).
 
     Raises:
-        InputError: it is not one of real finite numbers with n columns, or has no row, or one that is next to zero.
+        InputError: the plant has no state; or it is not one of real finite numbers with n columns, or has no row, or one that is
+            next to zero.
     """
+    check_states(n)
     matrix = real_matrix(Cy, "Cy", f"(q, {n})")
     if matrix.shape[1] != n:
         raise InputError(f"Cy has shape {matrix.shape}; expected (q, {n}), a row for each measured signal")

@@ -17,7 +17,7 @@ from models.common.arrays import Array
 from synth.certificate.stability import balance, is_stable, pole_text
 from synth.lmi.unseen import RANK, hidden, nulling, unseen
 from synth.modes import largest
-from synth.plant import GeneralizedPlant
+from synth.plant import GeneralizedPlant, check_states
 from synth.scaling import own_units, size
 
 INSTEAD = "designed against a disturbance of every state that z sees"
@@ -46,7 +46,12 @@ class Posed:
 
 @functools.lru_cache(maxsize=2)  # both steps of a design ask for it, and plants do not change
 def posed(plant: GeneralizedPlant) -> Posed:
-    """The problem (22) of a plant, or one beside it; what is the case, and what is beside it, does not depend on units."""
+    """The problem (22) of a plant, or one beside it; what is the case, and what is beside it, does not depend on units.
+
+    Raises:
+        InputError: the plant has no state.
+    """
+    check_states(len(plant.A))
     if not (np.any(plant.Bw) or np.any(plant.Dw)) or not (np.any(plant.C) or np.any(plant.D)):
         return Posed(plant)  # bad input, and the central path says so
     scale, forces = own_units(plant).exact

@@ -19,6 +19,7 @@ from synth.lmi.state_feedback import state_feedback
 from synth.modes import obstacles
 from synth.plant import GeneralizedPlant
 from synth.redesign import two_step_designs
+from synth.search.static import static_output_feedback
 from synth.state_space import from_state_space
 from synth.words import notes
 from tests.conftest import plant_with_feedthrough
@@ -289,6 +290,23 @@ def test_a_plant_that_is_fast_by_itself():
 
 
 @pytest.mark.parametrize(
+    "act",
+    [
+        state_design,
+        lambda plant: two_step_design(plant, np.zeros((1, 0))),
+        lambda plant: static_output_feedback(plant, np.zeros((1, 0))),
+        lambda plant: two_step_designs(plant, (), np.zeros((1, 0)), [plant], [np.zeros((1, 0))]),
+    ],
+    ids=["state", "two steps", "descent", "many"],
+)
+def test_a_plant_without_a_state_is_refused(act):
+    """Every door says so, in one line."""
+    none, direct = np.zeros((0, 1)), np.ones((1, 1))
+    with pytest.raises(InputError, match=r"^A has shape \(0, 0\), a plant without a state.*; give it one$"):
+        act(GeneralizedPlant(np.zeros((0, 0)), none, none, none.T, direct, direct))
+
+
+@pytest.mark.parametrize(
     ("change", "message"),
     [
         ({"B": np.ones((3, 1))}, r"B has shape \(3, 1\); expected \(2, 1\)"),
@@ -296,7 +314,6 @@ def test_a_plant_that_is_fast_by_itself():
         ({"Dw": np.ones((1, 1))}, r"Dw has shape \(1, 1\); expected \(2, 1\), as A says n = 2"),
         ({"A": np.array([1.0, 2.0])}, r"A has shape \(2,\); expected a matrix of shape \('n', 'n'\)"),
         ({"A": np.array([[np.nan, 0.0], [0.0, 1.0]])}, "A has an entry that is not finite"),
-        ({"A": np.zeros((0, 0))}, r"A has shape \(0, 0\), a plant without a state"),
         ({"A": [["a", "b"], ["c", "d"]]}, "A is not a matrix of numbers"),
         ({"A": [[1.0, 2.0], [3.0]]}, "A is not a matrix of numbers .*rows of the same length"),
         ({"A": np.diag([-1.0 + 1e-3j, -2.0])}, "A is complex; give a real matrix"),

@@ -27,7 +27,7 @@ from synth.certificate.certificate import Certificate
 from synth.certificate.lower_bound import LowerBound
 from synth.design import Design, two_step_design
 from synth.errors import DesignError
-from synth.plant import GeneralizedPlant
+from synth.plant import GeneralizedPlant, check_states
 from synth.scaling import size
 from synth.search.coordinates import alike
 from synth.search.descent import along_edges, quasi_newton
@@ -102,8 +102,10 @@ def static_output_feedback(
         lower_bound: what no controller of this kind can beat, if known: it ends the search early, and goes into the certificate.
 
     Raises:
+        InputError: the plant has no state.
         DesignError: no stabilising gain was found.
     """
+    check_states(len(plant.A))
     try:
         two_steps = two_step_design(plant, Cy)
     except (DesignError, ValueError, np.linalg.LinAlgError) as error:
