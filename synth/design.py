@@ -14,7 +14,7 @@ from synth.errors import DesignError, InfeasibleError
 from synth.lmi.central import FIRST, CentralPoint, fits, unknowns
 from synth.lmi.output_feedback import independent_rows, l_matrix, nullspace, output_feedback
 from synth.lmi.state_feedback import state_feedback
-from synth.modes import obstacles
+from synth.modes import immovable, obstacles
 from synth.plant import GeneralizedPlant, measurement_matrix
 from synth.posed import free_force, posed, standing
 from synth.scaling import own_units
@@ -193,7 +193,7 @@ def two_step_design(
         beyond.append(found)
     if beyond:
         return min(beyond, key=lambda design: design.certificate.speed_up)
-    if reasons := "; ".join(obstacles(plant, Cy, states)):
+    if reasons := "; ".join(obstacles(plant, Cy, states) or immovable(plant, Cy)):
         raise InfeasibleError(reasons)
     broken = [error for error in failures if not isinstance(error, InfeasibleError)]
     first, *_ = [*broken, *failures]  # only where all are infeasible it is proved that there is none

@@ -12,6 +12,7 @@ from synth.certificate.stability import balance, pole_text, stability
 from synth.plant import GeneralizedPlant
 from synth.scaling import own_units
 
+ZERO = 1e-12  # of what the parts of a sum come to; more than rounding leaves of zero
 UNREACHED = 1e-8  # relative size of what an input does to a mode that it does not reach, up to rounding
 
 
@@ -61,6 +62,37 @@ def obstacles(plant: GeneralizedPlant, Cy: Array | None = None, states: Sequence
             for pole, vector in unreached(plant.A.T, (Cy * own.states).T)
         ]
     return found
+
+
+def immovable(plant: GeneralizedPlant, Cy: Array) -> list[str]:
+    """Why no static gain from what is measured stabilises the plant, though its modes are reached and seen; empty where unknown.
+
+    A gain moves the sum of the poles by tr(K C_y B), and their product by det(I - K C_y (-A)^-1 B).
+
+    Args:
+        plant: n states, m inputs.
+        Cy: shape (q, n).
+    """
+    A, B, where = plant.A, plant.B, stability(plant.A)
+    if where.stable:
+        return []
+    diagonal, mode = np.diagonal(A), pole_text(where.worst)
+    if np.all(np.abs(Cy @ B) <= ZERO * (np.abs(Cy) @ np.abs(B))) and diagonal.sum() >= -ZERO * np.abs(diagonal).sum():
+        return [
+            f"no gain from what is measured stabilises the plant, whose mode at {mode} does not decay: no force acts at once on "
+            f"a measured signal (C_y B = 0), so the sum of all poles stays {diagonal.sum():.4g} 1/s; measure one on which "
+            "it does, as a velocity"
+        ]
+    if np.linalg.cond(balance(A)[0]) * ZERO > 1:
+        return []
+    inverse = np.linalg.inv(A)
+    silent = np.all(np.abs(Cy @ inverse @ B) <= ZERO * (np.abs(Cy) @ np.abs(inverse) @ np.abs(B)))
+    if silent and np.linalg.slogdet(-A)[0] < 0:
+        return [
+            f"no gain from what is measured stabilises the plant, whose mode at {mode} does not decay: a constant force leaves "
+            "what is measured at zero (C_y A^-1 B = 0), so one pole stays real and above zero; measure a position"
+        ]
+    return []
 
 
 def largest(vector: Array, names: Sequence[str]) -> str:

@@ -212,8 +212,7 @@ class _Path:
                     f"the LMI problem is infeasible: no X > 0 of the required structure makes A X + B Y + (A X + B Y)' negative "
                     f"definite (smallest largest eigenvalue found: {p[-1]:.0e}, in units of |A||X|)"
                     + (
-                        ". The measured signals may not suffice, or L does not fit the problem; measure more signals, or use the "
-                        "L of equation (14)"
+                        ". The measured signals may not suffice, or L does not fit the problem; measure more signals"
                         if self.free
                         else ": no gain from what is measured moves every mode off the imaginary axis by more than rounding"
                     )

@@ -83,5 +83,5 @@ def output_feedback(plant: GeneralizedPlant, Cy: Array, L: Array, Q: Array) -> l
     try:
         return central_path(plant, Q, r_matrix(Cy, Q, L))
     except InfeasibleError as error:
-        which = "L = 0" if not np.any(L) else "this L"
-        raise InfeasibleError(f"problem (25) has no solution with eta > 0 for {which}: {error}") from error
+        which, advice = ("L = 0", ", or use the L of equation (14)") if L.size and not np.any(L) else ("this L", "")
+        raise InfeasibleError(f"problem (25) has no solution with eta > 0 for {which}: {error}{advice}") from error
