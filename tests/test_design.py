@@ -99,9 +99,9 @@ def test_redundant_measurements_are_left_out(designer):
 
 def oscillator() -> GeneralizedPlant:
     """One that is lightly damped; its force costs a little."""
-    return GeneralizedPlant(
-        A=[[0, 1], [-4, -0.1]], B=[[0], [1]], Bw=[[0], [1]], C=[[1, 0], [0, 0]], D=[[0], [0.1]], Dw=np.zeros((2, 1))
-    )
+    force = np.array([[0.0], [1.0]])
+    A, C, D = np.array([[0, 1], [-4, -0.1]]), np.array([[1.0, 0], [0, 0]]), np.array([[0], [0.1]])
+    return GeneralizedPlant(A, force, force, C, D, np.zeros((2, 1)))
 
 
 @pytest.mark.parametrize("apart", [1e-2, 1e-5, 1e-7, 3e-8, 1e-9])

@@ -13,6 +13,7 @@ from sim.__main__ import COMMANDS
 from sim.__main__ import main as commands_main
 from sim.bump import main
 from sim.campaign.file import read_campaign
+from sim.figures.figure import styles
 from sim.linear.loop import sampled_response, taylor4
 from sim.physics.simulate import simulate
 from sim.report import ride
@@ -69,7 +70,8 @@ def test_own_kind_over_random_roads(hopper, monkeypatch, capsys):
     monkeypatch.setattr(ride, "SEEDS", (0,))
     monkeypatch.setattr(ride, "WINDOW", 1.0)
     vehicle = read_vehicle(hopper)
-    rows = ride.ride_section(vehicle, ride.rides_of(vehicle, [Designer(vehicle).design("I")], 2e-3)).tables[0].rows
+    rides = ride.rides_of(vehicle, [Designer(vehicle).design("I")], 2e-3)
+    rows = ride.ride_section(vehicle, rides, styles(("I",))).tables[0].rows
     assert {"sprung acceleration weighted", "control force rms"} <= {row[2] for row in rows}
 
 
