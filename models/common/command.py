@@ -240,7 +240,7 @@ def _text(text: str) -> str:
 
 def _name(text: str) -> str:
     """A name in the spelling that names of a vehicle file are read in."""
-    return unicodedata.normalize("NFC", text)
+    return unicodedata.normalize("NFC", _text(text))
 
 
 def _path(text: str) -> Path:
