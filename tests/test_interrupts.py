@@ -98,6 +98,24 @@ def test_wherever_it_is_heard(tmp_path, where):
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "roadproof: interrupted\n")
 
 
+@pytest.mark.parametrize("interrupted", [False, True])
+def test_what_it_cuts_short_does_not_complain(tmp_path, interrupted):
+    """An object that Ctrl-C left half made may fail when it goes, and nothing of that is said; without Ctrl-C it is."""
+    (tmp_path / "child.py").write_text(HALF_MADE)
+    done = subprocess.run(
+        [sys.executable, "-m", "child", *(["interrupted"] if interrupted else [])],
+        cwd=tmp_path,
+        env=environment(),
+        capture_output=True,
+        text=True,
+    )
+    if interrupted:
+        assert (done.returncode, done.stdout, done.stderr) == (130, "", "roadproof: interrupted\n")
+    else:
+        assert (done.returncode, done.stdout) == (0, "done\n")
+        assert "AttributeError: 'HalfMade' object has no attribute 'part'" in done.stderr
+
+
 def test_none_is_lost_where_work_goes_on(tmp_path):
     """A Ctrl-C in the moment in which a file gets its name is heard when it has it, if there is more work to do."""
     (tmp_path / "child.py").write_text(GOES_ON)
@@ -143,6 +161,27 @@ except KeyboardInterrupt:
 with finishing():
     pass
 print("after one more")
+"""
+
+HALF_MADE = """
+import signal
+import sys
+import sim
+from models.common.command import run_command
+
+class HalfMade:
+    def __init__(self):
+        if sys.argv[1:]:
+            signal.raise_signal(signal.SIGINT)
+    def __del__(self):
+        self.part
+
+def main():
+    HalfMade()
+    print("done")
+    return 0
+
+run_command(main)
 """
 
 TURNED = """

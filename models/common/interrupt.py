@@ -19,6 +19,7 @@ from models.common.encoding import speak_utf8
 WORDS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "hung up"}  # what they are to a user; not all are everywhere
 SIGNALS = {int(number): word for name, word in WORDS.items() if (number := getattr(signal, name, None)) is not None}
 _heard = [int(signal.SIGINT)]  # the last one that came, Ctrl-C before
+_raised: list[int] = []  # those that have been raised as a KeyboardInterrupt
 
 
 def code() -> int:
@@ -53,7 +54,7 @@ def raise_from_now_on() -> None:
     """From here on Ctrl-C is a KeyboardInterrupt, so that what was begun is cleaned up."""
     if threading.current_thread() is threading.main_thread():
         _handle_all(_raise)
-        sys.unraisablehook = _again
+        sys.unraisablehook = _unraisable
 
 
 def caused(error: BaseException | None) -> bool:
@@ -116,6 +117,7 @@ def _handle_all(handler: Any) -> None:
 
 def _raise(number: int, frame: FrameType | None) -> None:
     _heard[0] = number
+    _raised.append(number)
     raise KeyboardInterrupt
 
 
@@ -126,9 +128,13 @@ def _leave(number: int, frame: FrameType | None) -> None:
     os._exit(code())
 
 
-def _again(unraisable: Any) -> None:
-    """Where Python can raise nothing, as in a finaliser, it drops an interrupt: it comes again a moment later."""
+def _unraisable(unraisable: Any) -> None:
+    """What Python can raise nowhere, as in a finaliser.
+
+    An interrupt comes again a moment later. After one, an object that it cut short while it was being made may complain when it
+    goes (pyparsing's do): that says nothing to a user.
+    """
     if issubclass(unraisable.exc_type, KeyboardInterrupt):
         threading.Timer(0.005, _thread.interrupt_main, (_heard[0],)).start()
-    else:
+    elif not _raised:
         sys.__unraisablehook__(unraisable)
