@@ -56,19 +56,11 @@ def _guarded_kind(path: Path, kind: VehicleKind) -> VehicleKind:
     return replace(
         kind,
         wheels=tuple(
-            replace(
-                wheel,
-                behind=_guarded(path, f"behind of the wheel at {wheel.road_body!r}", wheel.behind, wrong_distance),
-                lateral=_guarded(path, f"lateral of the wheel at {wheel.road_body!r}", wheel.lateral, wrong_place),
-            )
+            _guarded_part(path, f"the wheel at {wheel.road_body!r}", wheel, behind=wrong_distance, lateral=wrong_place)
             for wheel in kind.wheels
         ),
         invariants=tuple(
-            replace(
-                one,
-                omega=_guarded(path, f"omega of the invariant {one.name!r}", one.omega, wrong_size),
-                magnitude=_guarded(path, f"magnitude of the invariant {one.name!r}", one.magnitude, wrong_size),
-            )
+            _guarded_part(path, f"the invariant {one.name!r}", one, omega=wrong_size, magnitude=wrong_size)
             for one in kind.invariants
         ),
         linear_model=_guarded(path, "linear_model", kind.linear_model, lambda model: wrong_linear_model(model, kind)),
@@ -78,6 +70,11 @@ def _guarded_kind(path: Path, kind: VehicleKind) -> VehicleKind:
         write_mjcf=_guarded(path, "write_mjcf", kind.write_mjcf, lambda nothing: ""),
         check_together=_guarded(path, "check_together", kind.check_together, lambda nothing: "", refuses=True),
     )
+
+
+def _guarded_part(path: Path, what: str, part: Any, **wrong: Callable[[Any], str]) -> Any:
+    """A part of a kind, whose functions, by name with what is wrong with their results, are guarded."""
+    return replace(part, **{name: _guarded(path, f"{name} of {what}", getattr(part, name), said) for name, said in wrong.items()})
 
 
 def _guarded(

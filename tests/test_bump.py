@@ -399,7 +399,7 @@ def test_help_shows_units_and_defaults(capsys):
     with pytest.raises(SystemExit) as stop:
         main(["--help"])
     assert stop.value.code == 0
-    out = " ".join(capsys.readouterr().out.split())
+    out = prose(capsys.readouterr().out)
     for option in ("--controller", "--vehicle", "--logs", "--no-logs", "--json"):
         assert option in out
     for line in ("[m] (default: 0.1)", "[m] (default: 5)", "[m/s] (default: 12.5)", "[s] (default: 3)", "[s] (default: 0.001)"):

@@ -1,7 +1,6 @@
 """Foxglove and Lichtblick: the log's scene and events are in the published schemas, and the layout beside it fits the log."""
 
 import json
-import shutil
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,6 +21,7 @@ from sim.recording.foxglove_layout import foxglove_layout
 from sim.recording.mcap_writer import write_mcap
 from sim.recording.run_log import RunLog
 from sim.response.difference import difference
+from tests.npm import installed
 from tests.test_recording import make_run
 
 PACKAGES = ("@mcap/core@2.2.2", "fzstd@0.1.1", "protobufjs@8.8.1", "@foxglove/schemas@2.1.0")
@@ -197,15 +197,7 @@ def test_layout_fits_its_log(names: list[str], tmp_path: Path) -> None:
 @pytest.fixture(scope="module")
 def node_modules(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """JavaScript's own readers, from the npm registry."""
-    if not (shutil.which("node") and shutil.which("npm")):
-        pytest.skip("node and npm are not installed")
-    folder = tmp_path_factory.mktemp("node")
-    install = ["npm", "install", "--silent", "--no-audit", "--no-fund", "--prefix", str(folder), *PACKAGES]
-    try:
-        subprocess.run(install, check=True, capture_output=True, timeout=120)
-    except (subprocess.CalledProcessError, subprocess.TimeoutExpired) as error:
-        pytest.skip(f"npm cannot fetch {', '.join(PACKAGES)}: {error}")
-    return folder / "node_modules"
+    return installed(PACKAGES, tmp_path_factory.mktemp("node"))
 
 
 @pytest.mark.slow

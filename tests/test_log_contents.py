@@ -12,6 +12,7 @@ from mcap.records import Channel, Message, Schema
 from models.common.errors import InputError
 from sim.bump import main as bump
 from sim.inspect.__main__ import main
+from tests.commands import prose
 from tests.rewriting import Contents, contents, written
 
 Change = Callable[[Contents], Contents]
@@ -198,7 +199,7 @@ def test_honest_log_is_proved_and_says_what_is_not_checked(parts, tmp_path, caps
     path = tmp_path / "log.mcap"
     path.write_bytes(written(parts))
     assert main([str(path)]) == 0
-    printed = " ".join(capsys.readouterr().out.split())
+    printed = prose(capsys.readouterr().out)
     assert printed.count(" note ") == 1
     assert (
         " note unchecked: who wrote it and when, with which versions and library, in which folders vehicle file and log lay, "

@@ -2,13 +2,13 @@
 
 import json
 import re
-import shutil
 import subprocess
 from pathlib import Path
 
 import pytest
 
 from sim.report.__main__ import main
+from tests.npm import installed
 from tests.test_page import PAGES, everything
 from tests.test_report import BROWSER
 
@@ -22,15 +22,9 @@ READER = Path(__file__).with_name("page_in_browser.mjs")
 @pytest.fixture(scope="module")
 def node_modules(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What drives a browser, and the checker, from the npm registry."""
-    if BROWSER is None or not (shutil.which("node") and shutil.which("npm")):
-        pytest.skip("needs a Chromium, node and npm")
-    folder = tmp_path_factory.mktemp("node")
-    install = ["npm", "install", "--silent", "--no-audit", "--no-fund", "--prefix", str(folder), *PACKAGES]
-    try:
-        subprocess.run(install, check=True, capture_output=True, timeout=120)
-    except (subprocess.CalledProcessError, subprocess.TimeoutExpired) as error:
-        pytest.skip(f"npm cannot fetch {', '.join(PACKAGES)}: {error}")
-    return folder / "node_modules"
+    if BROWSER is None:
+        pytest.skip("needs a Chromium")
+    return installed(PACKAGES, tmp_path_factory.mktemp("node"))
 
 
 def wrong(pages: list[Path], node_modules: Path) -> list[dict[str, list[str]]]:

@@ -17,6 +17,7 @@ from sim.margins import main as margins
 from sim.sweep import main as sweep
 from synth.__main__ import main as synth
 from synth.certificate.stability import MARGINAL, STABLE, UNSTABLE, sampled_growth, stability
+from tests.commands import prose
 
 CASES = [
     ([[-1.0, 1.0], [0.0, -1.0]], STABLE),  # a double pole moves by 1e-8, and is stable still
@@ -103,7 +104,7 @@ def test_every_command_calls_it_marginal(undamped, tmp_path, capsys):
     assert "stable" not in out
     (log,) = tmp_path.glob("*.mcap")
     assert inspect([str(log)]) == 0
-    out = " ".join(capsys.readouterr().out.split())
+    out = prose(capsys.readouterr().out)
     assert "certificate: marginal: a pole at 0+65.4j rad/s, to rounding, which does not decay; as was claimed" in out
     bump(["--vehicle", undamped, "--controller", "passive", "--duration", "0.5", "--no-logs", "--json"])
     run = json.loads(capsys.readouterr().out)["runs"][0]["controller"]

@@ -372,7 +372,7 @@ def test_a_refuted_inequality_is_not_stated(tmp_path, capsys):
         forged.write_text(text.replace(bound, f"bound = {factor * float(bound.split('= ')[1])!r}"))
         capsys.readouterr()
         assert main(["--check", str(forged), "--controller", "II_designed"]) == 1
-        out = " ".join(capsys.readouterr().out.split())
+        out = prose(capsys.readouterr().out)
         assert "LMI (20) < 0 by" not in out
         assert "nan" not in out
         assert "X > 0 by" in out

@@ -97,5 +97,6 @@ def drawn_line(vehicle: Vehicle, controller: Controller, timestep: float, speed:
     coarse = magnitudes(grid)
     around = np.unique([coarse.argmax(axis=0), coarse.argmin(axis=0)])
     between = [np.geomspace(grid[max(i - 1, 0)], grid[min(i + 1, POINTS - 1)], CLOSELY) for i in around]
-    omega = np.unique(np.concatenate([grid, *between]))
-    return omega, magnitudes(omega)
+    closely = np.concatenate(between)
+    omega, order = np.unique(np.concatenate([grid, closely]), return_index=True)
+    return omega, np.concatenate([coarse, magnitudes(closely)])[order]
