@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.threads import one_thread
 from synth.certificate.bounding import certify_tightly
 from synth.certificate.certificate import FASTEST, Certificate, certify
 from synth.certificate.lower_bound import LowerBound
@@ -15,7 +14,8 @@ from synth.lmi.central import FIRST, CentralPoint, fits, unknowns
 from synth.lmi.output_feedback import independent_rows, l_matrix, nullspace, output_feedback
 from synth.lmi.state_feedback import state_feedback
 from synth.modes import immovable, obstacles
-from synth.plant import GeneralizedPlant, measurement_matrix
+from synth.numerics import numerics
+from synth.plant import Feedback, GeneralizedPlant, measurement_matrix
 from synth.posed import free_force, posed, standing
 from synth.scaling import own_units
 
@@ -53,7 +53,7 @@ class Design:
     instead: str = ""
 
 
-@one_thread()
+@numerics()
 def state_path(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[CentralPoint]:
     """The central path of (22), or of the problem beside it where that has no optimum (`posed.py`), in the plant's own units.
 
@@ -80,7 +80,7 @@ def state_path(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[Cent
         raise type(error)("; ".join(free_force(plant)) or str(error)) from error
 
 
-@one_thread()
+@numerics()
 def state_design(
     plant: GeneralizedPlant, path: Sequence[CentralPoint] = (), lower_bound: LowerBound | None = None, states: Sequence[str] = ()
 ) -> Design:
@@ -116,7 +116,8 @@ def furthest(plant: GeneralizedPlant, Cy: Array, path: Sequence[CentralPoint], l
         beyond: list[Design] = []
         for i in reversed(which):
             point = path[i]
-            certificate = certify(plant, point.K @ Cy, point.X if point.proof is None else point.proof, point.eta, lower_bound)
+            X = point.X if point.proof is None else point.proof
+            certificate = certify(plant, Feedback(point.K, Cy), X, point.eta, lower_bound)
             if not certificate.failures:
                 before = path[max(i - 1, 0)].K
                 moved = float(np.abs(point.K - before).max(initial=0.0) / (np.abs(point.K).max(initial=0.0) or 1.0))
@@ -131,13 +132,13 @@ def furthest(plant: GeneralizedPlant, Cy: Array, path: Sequence[CentralPoint], l
     if first is None:
         raise DesignError("its certificate fails: the path has no point")
     # The path's own X may lie too near the edge of what can be proved in floating point, as at 40 states; another one need not.
-    another = certify_tightly(plant, path[-1].K @ Cy, lower_bound)
+    another = certify_tightly(plant, Feedback(path[-1].K, Cy), lower_bound)
     if another.bound is not None and not another.failures:
         return Design(path[-1].K, another)
     raise DesignError(f"its certificate fails: {'; '.join(first.failures)}")
 
 
-@one_thread()
+@numerics()
 def two_step_design(
     plant: GeneralizedPlant,
     Cy: Array,
@@ -172,7 +173,7 @@ def two_step_design(
         on_rows = G @ rows.T
         if np.linalg.norm(on_rows @ rows - G) <= SAME * np.linalg.norm(G):
             K = np.linalg.solve(measured.T, on_rows.T).T
-            best = Design(K, certify_tightly(plant, K @ Cy[kept], lower_bound), case=problem.best_case)
+            best = Design(K, certify_tightly(plant, Feedback(K, Cy[kept]), lower_bound), case=problem.best_case)
             return widened(best, kept, len(Cy), 0.0)
     fits(unknowns(problem.plant), MOST, "the two steps are gone")
     path = path or state_path(plant, states)
@@ -200,7 +201,7 @@ def two_step_design(
     raise type(first)(f"{first} (from {len(failures)} points of the central path)")
 
 
-@one_thread()
+@numerics()
 def zero_l_design(plant: GeneralizedPlant, Cy: Array, lower_bound: LowerBound | None = None) -> Design:
     """Remark 4: (25) with L = 0, in one step.
 

@@ -21,6 +21,7 @@ from synth.fallback import two_steps_or_descent
 from synth.lmi.central import CentralPoint
 from synth.lmi.full_order import bound_beyond_control, find_lower_bound
 from synth.lmi.output_feedback import independent_rows
+from synth.plant import Feedback
 from synth.redesign import state_designs, two_step_designs
 from synth.search.refine import SEEN, Refinement, refine, worth_refining
 from synth.search.static import static_output_feedback
@@ -146,7 +147,7 @@ class Designer:
         refinement = refine(self.plant, Cy, K)
         gain = np.zeros((len(K), len(measured)))
         gain[:, kept] = refinement.gain
-        certificate = certify_tightly(self.plant, refinement.gain @ Cy, lower_bound)
+        certificate = certify_tightly(self.plant, Feedback(refinement.gain, Cy), lower_bound)
         return Refined(Controller(name, measured, gain, True, certificate), start, origin, refinement)
 
     def worth_refining(self, controller: Controller) -> float:
@@ -229,7 +230,7 @@ class Designer:
             X, eta, lower_bound = read_proof(record, self.plant, Cy)
         except InputError as error:
             raise InputError(f"[controllers.{entry.name}] {error}") from error
-        certificate = certify(self.plant, entry.gain @ Cy, X, eta, lower_bound)
+        certificate = certify(self.plant, Feedback(entry.gain, Cy), X, eta, lower_bound)
         return certificate, (*certificate.failures, *false_claims(record, certificate))
 
     def _entry(self, name: str) -> ControllerEntry:
@@ -246,7 +247,7 @@ class Designer:
     def _given(self, entry: ControllerEntry) -> Controller:
         assert entry.gain is not None
         Cy, _ = self.vehicle.linear_model.rows(entry.measured)
-        certificate = certify(self.plant, entry.gain @ Cy, lower_bound=self.lower_bound(entry.measured))
+        certificate = certify(self.plant, Feedback(entry.gain, Cy), lower_bound=self.lower_bound(entry.measured))
         wrong: tuple[str, ...] = ()
         if entry.certificate is not None:
             try:

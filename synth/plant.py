@@ -15,6 +15,22 @@ SHAPES = {"A": ("n", "n"), "B": ("n", "m"), "Bw": ("n", "r"), "C": ("d", "n"), "
 
 
 @dataclass(frozen=True, eq=False)
+class Feedback:
+    """A static gain u = K y from y = C_y x, as the floats of both say: no product of them is rounded on the way to a claim.
+
+    Of signals that nearly follow from one another a gain may weigh the difference a million times, and the nearest floats to
+    K C_y are then the gain of another controller.
+
+    Attributes:
+        K: shape (m, q).
+        Cy: shape (q, n).
+    """
+
+    K: Array
+    Cy: Array
+
+
+@dataclass(frozen=True, eq=False)
 class GeneralizedPlant:
     """A linear plant with a disturbance and a controlled output.
 
@@ -64,16 +80,18 @@ class GeneralizedPlant:
         """[A B Bw; C D Dw], shape (n + d, n + m + r)."""
         return np.vstack([np.hstack([self.A, self.B, self.Bw]), np.hstack([self.C, self.D, self.Dw])])
 
-    def closed_loop(self, G: Array) -> "GeneralizedPlant":
+    def closed_loop(self, G: Array | Feedback) -> "GeneralizedPlant":
         """The plant under u = G x + (a new u), equations (16)-(17): A + B G and C + D G, rounded once, and what that took.
 
         Of a huge gain, or one that cancels much of A, rounding takes what decides the norm.
 
         Args:
-            G: state gain, shape (m, n).
+            G: state gain, shape (m, n), or a gain from measurements.
         """
-        open_loop = np.vstack([self.A, self.C])
-        moved, low = product(np.vstack([self.B, self.D]), G)
+        gain, rest = product(G.K, G.Cy) if isinstance(G, Feedback) else (G, np.zeros_like(G))
+        open_loop, inputs = np.vstack([self.A, self.C]), np.vstack([self.B, self.D])
+        moved, low = product(inputs, gain)
+        low = low + inputs @ rest
         high, off = added(open_loop, moved)
         high, beyond = added(high, off + low if self.beyond is None else off + (low + self.beyond))
         n = len(self.A)

@@ -21,6 +21,7 @@ from synth.fallback import two_steps_or_descent
 from synth.lmi.central import CentralPoint
 from synth.lmi.central_batch import path_limits
 from synth.lmi.output_feedback import l_matrix, nullspace, output_feedback, r_matrix
+from synth.numerics import numerics
 from synth.plant import GeneralizedPlant
 from synth.scaling import OwnUnits, own_units
 
@@ -147,7 +148,9 @@ def _limits(
     if any(point.proof is not None for point in nominal_path):
         return {}
     nominal = min(nominal_path, key=lambda point: abs(np.log(point.mu / SHORT)))
-    return {which[i]: point for i, point in path_limits([plants[i] for i in which], Q, R, nominal).items()}
+    with suppress(DesignError), numerics():
+        return {which[i]: point for i, point in path_limits([plants[i] for i in which], Q, R, nominal).items()}
+    return {}
 
 
 def _each(

@@ -4,6 +4,8 @@ from fractions import Fraction
 
 import numpy as np
 
+from synth.plant import Feedback
+
 Matrix = list[list[Fraction]]
 
 
@@ -79,8 +81,9 @@ def gain_squared(A: Matrix, Bw: Matrix, C: Matrix, omega: float | Fraction) -> F
 
 
 def bounded_real(plant, G, X) -> Matrix:
-    """The matrix of (20) at eta = 0 for u = G x; X is symmetric."""
-    A, B, C, D, g, x = (exact(part) for part in (plant.A, plant.B, plant.C, plant.D, G, X))
+    """The matrix of (20) at eta = 0 for u = G x, or u = K y; X is symmetric."""
+    A, B, C, D, x = (exact(part) for part in (plant.A, plant.B, plant.C, plant.D, X))
+    g = times(exact(G.K), exact(G.Cy)) if isinstance(G, Feedback) else exact(G)
     n, d = len(A), len(C)
     loop = [plus(A, times(B, g)), plus(C, times(D, g))] if g else [A, C]
     left = [[*row, *[Fraction(0)] * d] for part in loop for row in times(part, x)]

@@ -25,20 +25,21 @@ ROOMS = {
     "synth": "",
     "synth.errors": "",
     "synth.extended": "",
+    "synth.numerics": "synth.errors",
     "synth.plant": "synth.extended",
     "synth.scaling": "synth.plant",
-    "synth.certificate": "synth.extended synth.plant synth.scaling",
+    "synth.certificate": "synth.extended synth.numerics synth.plant synth.scaling",
     "synth.modes": "synth.certificate synth.plant synth.scaling",
-    "synth.lmi": "synth.certificate synth.errors synth.plant synth.scaling",
+    "synth.lmi": "synth.certificate synth.errors synth.numerics synth.plant synth.scaling",
     "synth.posed": "synth.certificate synth.lmi synth.modes synth.plant synth.scaling",
-    "synth.design": "synth.certificate synth.errors synth.lmi synth.modes synth.plant synth.posed synth.scaling",
-    "synth.search": "synth.certificate synth.design synth.errors synth.lmi synth.plant synth.scaling",
+    "synth.design": "synth.certificate synth.errors synth.lmi synth.modes synth.numerics synth.plant synth.posed synth.scaling",
+    "synth.search": "synth.certificate synth.design synth.errors synth.lmi synth.numerics synth.plant synth.scaling",
     "synth.fallback": "synth.certificate synth.design synth.errors synth.lmi synth.plant synth.search",
-    "synth.redesign": "synth.design synth.errors synth.fallback synth.lmi synth.plant synth.scaling",
+    "synth.redesign": "synth.design synth.errors synth.fallback synth.lmi synth.numerics synth.plant synth.scaling",
     "synth.controller": "models synth.certificate synth.plant",
     "synth.words": "models synth.controller",
-    "synth.designer": "models synth.certificate synth.controller synth.design synth.errors synth.fallback synth.lmi "
-    "synth.redesign synth.search",
+    "synth.designer": "models synth.certificate synth.controller synth.design synth.errors synth.fallback "
+    "synth.lmi synth.plant synth.redesign synth.search",
     "synth.state_space": "models synth.controller synth.plant",
     "synth.paper": "models synth.certificate synth.designer synth.lmi",
     "synth.command": "models synth.certificate synth.controller synth.design synth.designer synth.errors synth.lmi synth.plant "
@@ -59,7 +60,8 @@ ROOMS = {
     "sim.recording": "sim.figures sim.physics sim.response sim.roads sim.runs",
     "sim.command": "sim.figures sim.recording sim.runs",
     "sim.asked": "sim.command sim.frequency sim.response sim.roads sim.runs sim.stability sim.validity",
-    "sim.inspect": "sim.asked sim.linear sim.physics sim.recording sim.response sim.ride sim.roads sim.runs synth.words",
+    "sim.inspect": "sim.asked sim.linear sim.physics sim.recording sim.response sim.ride sim.roads sim.runs synth.plant "
+    "synth.words",
     "sim.campaign": "sim.command sim.linear sim.physics sim.response sim.ride sim.roads sim.runs synth.designer",
     "sim.report": "sim.command sim.figures sim.frequency sim.linear sim.physics sim.response sim.ride sim.roads "
     "sim.runs sim.stability sim.validity synth.designer synth.paper synth.words",

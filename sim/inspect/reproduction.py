@@ -26,6 +26,7 @@ from sim.runs.prediction import Prediction, predict
 from synth.certificate.certificate import certify
 from synth.certificate.record import read_proof
 from synth.controller import Controller, generalized_plant
+from synth.plant import Feedback
 
 MOST_VEHICLE = 256 * 1024  # bytes of a vehicle file; one with ten saved certificates of a full car has 100 KiB
 MOST_STATES = 1000  # of a loop with all its delayed forces; its eigenvalues take seconds
@@ -97,7 +98,7 @@ def recorded_controller(vehicle: Vehicle, run: RecordedRun) -> Controller:
     if given is None and "X" not in record:
         raise InputError("it was designed, and its certificate proves no bound")
     X, eta, lower_bound = read_proof(record, plant, Cy)
-    return Controller(name, signals, K, given is None, certify(plant, K @ Cy, X, eta, lower_bound))
+    return Controller(name, signals, K, given is None, certify(plant, Feedback(K, Cy), X, eta, lower_bound))
 
 
 def recorded_road(log: Recorded, run: RecordedRun, samples: int) -> Road:

@@ -14,7 +14,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from synth.certificate.exact import floats, integers, product, zeros
-from synth.plant import GeneralizedPlant
+from synth.plant import Feedback, GeneralizedPlant
 
 
 def bounded_real_matrix(plant: GeneralizedPlant, X: Array, Y: Array, eta: float) -> Array:
@@ -33,12 +33,12 @@ def bounded_real_matrix(plant: GeneralizedPlant, X: Array, Y: Array, eta: float)
     return np.block([[top + top.T, low.T], [low, -np.eye(d)]]) + eta * disturbance @ disturbance.T
 
 
-def bounded_real_exactly(plant: GeneralizedPlant, G: Array, X: Array, eta: float) -> Array:
+def bounded_real_exactly(plant: GeneralizedPlant, G: Array | Feedback, X: Array, eta: float) -> Array:
     """The left side of (20) for the loop A + B G, C + D G, computed by integers; every entry is rounded once.
 
     Args:
         plant: n states, m inputs, d controlled outputs.
-        G: shape (m, n).
+        G: shape (m, n), or a gain from measurements.
         X: shape (n, n), symmetric.
         eta: gamma^-2.
 
@@ -46,7 +46,7 @@ def bounded_real_exactly(plant: GeneralizedPlant, G: Array, X: Array, eta: float
         OverflowError: an entry is too large for a float.
     """
     n, m = plant.B.shape
-    (system, unit), (gain, per), (unknown, over) = integers(plant.system_matrix), integers(G), integers(X)
+    (system, unit), (gain, per), (unknown, over) = integers(plant.system_matrix), _gain(G), integers(X)
     eta_top, eta_bottom = float(eta).as_integer_ratio()
     one, other = unit * per * over, eta_bottom * unit**2  # what the terms with X, and those with eta, are integers over
     F = zeros(len(system), len(system))
@@ -55,3 +55,11 @@ def bounded_real_exactly(plant: GeneralizedPlant, G: Array, X: Array, eta: float
     F[np.arange(n, len(F)), np.arange(n, len(F))] = -one
     from_w = system[:, n + m :]
     return floats(F * other + eta_top * one * product(from_w, from_w.T), Fraction(1, one * other))
+
+
+def _gain(G: Array | Feedback) -> tuple[Array, int]:
+    """Integers and what they are over, as `integers`."""
+    if not isinstance(G, Feedback):
+        return integers(G)
+    (gain, per), (rows, over) = integers(G.K), integers(G.Cy)
+    return product(gain, rows), per * over

@@ -7,11 +7,11 @@ import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
-from models.common.threads import one_thread
 from synth.certificate.certificate import Certificate, certify, eta_of, prove_bound
 from synth.certificate.lower_bound import LowerBound
 from synth.certificate.stability import balance
-from synth.plant import GeneralizedPlant
+from synth.numerics import numerics
+from synth.plant import Feedback, GeneralizedPlant
 from synth.scaling import size
 
 MARGINS = (1e-6, 1e-4, 1e-2, 0.1)  # how far above the norm the bound lies, the first that can be proved in floating point
@@ -28,13 +28,13 @@ LEAST_SEEN = (
 BLIND = 1e-14  # of the most that z sees of a state; what it sees less of counts as seen as much
 
 
-@one_thread()
-def certify_tightly(plant: GeneralizedPlant, G: Array, lower_bound: LowerBound | None = None) -> Certificate:
-    """The certificate of a stabilising state gain, with a bound just above its norm if one can be proved, else without.
+@numerics()
+def certify_tightly(plant: GeneralizedPlant, G: Array | Feedback, lower_bound: LowerBound | None = None) -> Certificate:
+    """The certificate of a stabilising gain, with a bound just above its norm if one can be proved, else without.
 
     Args:
         plant: n states, m inputs.
-        G: state gain K C_y (6), shape (m, n).
+        G: the gain from measurements (6), or a state gain, shape (m, n).
         lower_bound: what no controller of the gain's kind can beat.
     """
     plain = certify(plant, G, lower_bound=lower_bound)

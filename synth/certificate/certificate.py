@@ -11,13 +11,13 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.common.threads import one_thread
 from synth.certificate.bounded_real import bounded_real_exactly
 from synth.certificate.definite import SMALLEST, Definiteness, definiteness
 from synth.certificate.lower_bound import LowerBound
 from synth.certificate.norm import Norm, gain_at, hinf_norm
 from synth.certificate.stability import Stability, balance, stability
-from synth.plant import GeneralizedPlant
+from synth.numerics import numerics
+from synth.plant import Feedback, GeneralizedPlant
 from synth.scaling import speed
 
 FASTEST = 100.0  # times the plant: an actuator of such a speed hardly exists
@@ -173,15 +173,19 @@ class Certificate:
         return abs(there - self.norm.value) <= allowed
 
 
-@one_thread()
+@numerics()
 def certify(
-    plant: GeneralizedPlant, G: Array, X: Array | None = None, eta: float | None = None, lower_bound: LowerBound | None = None
+    plant: GeneralizedPlant,
+    G: Array | Feedback,
+    X: Array | None = None,
+    eta: float | None = None,
+    lower_bound: LowerBound | None = None,
 ) -> Certificate:
     """Checks a gain, and its proof if it has one.
 
     Args:
         plant: n states, m inputs.
-        G: state gain K C_y (6), shape (m, n).
+        G: the gain from measurements (6), of which nothing is rounded; or a state gain, shape (m, n).
         X: the matrix of (20), shape (n, n).
         eta: gamma^-2 of (20); given with X.
         lower_bound: what no controller of the gain's kind can beat.
@@ -203,14 +207,14 @@ def certify(
     )
 
 
-def prove_bound(plant: GeneralizedPlant, G: Array, X: Array, eta: float) -> LmiProof:
+def prove_bound(plant: GeneralizedPlant, G: Array | Feedback, X: Array, eta: float) -> LmiProof:
     """Whether X and eta satisfy X > 0 and (20) for the loop A + B G, C + D G.
 
     All numbers are taken as they are, and the matrix of (20), see `bounded_real.py`, is computed without rounding.
 
     Args:
         plant: n states, m inputs.
-        G: shape (m, n).
+        G: shape (m, n), or a gain from measurements.
         X: shape (n, n); its symmetric part counts.
         eta: gamma^-2.
 

@@ -26,6 +26,7 @@ import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
+from models.common.errors import InputError
 from synth.certificate.side import transposed
 from synth.plant import GeneralizedPlant
 from synth.scaling import own_units
@@ -111,8 +112,11 @@ def _pencil(plant: GeneralizedPlant) -> tuple[Array, Array]:
 
 @np.errstate(all="ignore")  # infinite zeros
 def _zeros(plant: GeneralizedPlant) -> tuple[complex, ...]:
-    """The zeros from u to z in the right half plane; none where there are not as many of u as of z."""
-    M, E = _pencil(own_units(plant).into(plant))
+    """The zeros from u to z in the right half plane; none if not as many of u as of z, or in no units alike."""
+    try:
+        M, E = _pencil(own_units(plant).into(plant))
+    except InputError:
+        return ()
     if len(M) != M.shape[1]:
         return ()
     zeros = np.asarray(linalg.eigvals(M, E))
@@ -123,9 +127,12 @@ def _enclosed(plant: GeneralizedPlant, near: complex) -> Node | None:
     """What the zero next to a point says; None where none is enclosed in the right half plane."""
     # In units in which all numbers have size one, each a power of two: nothing is rounded on the way there and back.
     units = own_units(plant)
-    own, time = units.into(plant), _power(units.rate)
-    z, w = _power(float(np.linalg.norm(np.hstack([own.C, own.D])))), time / _power(float(np.linalg.norm(own.Bw)))
-    own = GeneralizedPlant(own.A / time, own.B / time, own.Bw * (w / time), own.C / z, own.D / z, own.Dw * (w / z))
+    try:
+        own, time = units.into(plant), _power(units.rate)
+        z, w = _power(float(np.linalg.norm(np.hstack([own.C, own.D])))), time / _power(float(np.linalg.norm(own.Bw)))
+        own = GeneralizedPlant(own.A / time, own.B / time, own.Bw * (w / time), own.C / z, own.D / z, own.Dw * (w / z))
+    except InputError:  # there are none: numbers that are too far apart
+        return None
     found = _enclosed_in_own(own, near / time)
     if found is None:
         return None

@@ -41,7 +41,11 @@ class Barrier:
         self.blocks = [(F0, F, F.reshape(len(F), -1), *_upper(len(F0))) for F0, F in blocks]
 
     def at(self, p: Array) -> "Local | None":
-        """The derivatives at a point, or None outside the feasible set."""
+        """The derivatives at a point, or None outside the feasible set.
+
+        Raises:
+            LinAlgError: some change of the unknowns changes no constraint, but for what underflows.
+        """
         W, rows, trace = [], [], 0.0
         for F0, F, flat, upper, diagonal, weights in self.blocks:
             factor, outside = lapack.dpotrf(F0 + (p @ flat).reshape(F0.shape), lower=1, clean=1)
@@ -56,7 +60,10 @@ class Barrier:
             trace = trace + moved.take(diagonal, axis=1).sum(axis=1)
         # The Hessian is G G' with rows G_i = vec(L^-1 F_i L^-T): a QR of G' gives its factor with half the digits lost.
         G = np.concatenate(rows, axis=1)
-        scale = 1 / np.sqrt(np.einsum("ij,ij->i", G, G))
+        squares = np.einsum("ij,ij->i", G, G)
+        if not squares.all():
+            raise np.linalg.LinAlgError("some change of the unknowns changes no constraint beyond rounding")
+        scale = 1 / np.sqrt(squares)
         triangle = lapack.dgeqrf((G * scale[:, None]).T, overwrite_a=1)[0][: len(p)]
         return Local(np.asarray(trace), scale, np.asfortranarray(triangle), W)
 
@@ -146,7 +153,8 @@ def newton(
         here: the barrier's derivatives at the start, where they are known.
 
     Returns:
-        The minimiser, its Newton decrement, and the derivatives there. The caller looks at the decrement.
+        The minimiser, its Newton decrement, and the derivatives there. The caller looks at the decrement, which is infinite where
+        rounding leaves none.
     """
     here = here or barrier.at(p)
     assert here is not None, "the starting point is feasible"
@@ -154,6 +162,8 @@ def newton(
     for _ in range(STEPS):
         half = here.half(c - here.trace)
         decrement = float(np.linalg.norm(half))
+        if not decrement < np.inf:
+            return p, np.inf, here
         if decrement < tolerance or (decrement < 1e-2 and decrement >= 0.5 * previous):
             break
         previous = decrement

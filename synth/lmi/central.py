@@ -30,7 +30,7 @@ from synth.errors import DesignError, InfeasibleError, TooLargeError
 from synth.lmi.barrier import Barrier, Derivatives, Factored, boundary, newton
 from synth.lmi.basis import Basis, direction
 from synth.lmi.structured import Constraint, StructuredBarrier, path_constraints, start_constraints
-from synth.lmi.unseen import unseen
+from synth.lmi.unseen import Unseen, unseen
 from synth.plant import GeneralizedPlant
 from synth.scaling import reachable, size
 
@@ -123,8 +123,7 @@ def along_path(plant: GeneralizedPlant, Q: Array, R: Array, mu: float = LIMIT) -
     part = unseen(plant, Q, R)
     if part is not None:  # X may grow there without bound: the path is that of the rest
         for point in along_path(part.rest, part.Q, part.R, mu):
-            proof = part.proof(point.K, point.X if point.proof is None else point.proof, point.eta)
-            yield CentralPoint(part.followed(point.K, point.X, point.eta), part.gain(point.K), point.eta, point.mu, proof)
+            yield _put_back(part, point)
         return
     fits(unknowns(plant, Q.shape[1]), MOST, "the central path is followed")
     with one_thread():
@@ -140,6 +139,19 @@ def along_path(plant: GeneralizedPlant, Q: Array, R: Array, mu: float = LIMIT) -
             yield from path.follow(mu)
         except np.linalg.LinAlgError as error:
             raise DesignError(f"the central path could not be followed: rounding ends it ({error}); give other units") from error
+
+
+def _put_back(part: Unseen, point: CentralPoint) -> CentralPoint:
+    """A point of the path of what z sees as one of the whole plant.
+
+    Raises:
+        DesignError: rounding leaves no X of the whole.
+    """
+    try:
+        proof = part.proof(point.K, point.X if point.proof is None else point.proof, point.eta)
+        return CentralPoint(part.followed(point.K, point.X, point.eta), part.gain(point.K), point.eta, point.mu, proof)
+    except (np.linalg.LinAlgError, ValueError) as error:  # scipy's word for what is not finite
+        raise DesignError(f"rounding leaves no X of the states that z does not see ({error}); give other units") from error
 
 
 def unknowns(plant: GeneralizedPlant, free: int = 0) -> int:

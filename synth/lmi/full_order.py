@@ -16,7 +16,6 @@ from scipy import linalg
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.common.threads import one_thread
 from synth.certificate.exact import floats
 from synth.certificate.invariant import invariant_limit
 from synth.certificate.lower_bound import LowerBound, Witness, prove_from_sides
@@ -25,6 +24,7 @@ from synth.certificate.stability import balance
 from synth.certificate.zeros import zero_limit
 from synth.lmi.barrier import Barrier, Block, boundary, newton
 from synth.lmi.central import CENTRED, INSIDE, CentralPoint, along_path
+from synth.numerics import numerics
 from synth.plant import GeneralizedPlant, measurement_matrix
 from synth.scaling import size
 
@@ -36,7 +36,7 @@ MOST = 1200  # unknowns of the joint path, 33 states: minutes, and a fifth of a 
 ENTER = 1e2  # mu over t at the entry of the joint path, which starts far from its centre
 
 
-@one_thread()
+@numerics()
 def find_lower_bound(
     plant: GeneralizedPlant, Cy: Array | None = None, path: Sequence[CentralPoint] = (), beyond_control: LowerBound | None = None
 ) -> LowerBound:
@@ -84,7 +84,7 @@ def _for_state_feedback(plant: GeneralizedPlant, one: Side, path: Sequence[Centr
 def _along_the_walk(plant: GeneralizedPlant, Cy: Array | None, one: Side, other: Side | None) -> LowerBound:
     """The best bound of `_walk`; 0 where the problem has no solution, or none at a finite gain."""
     points = []
-    with contextlib.suppress(np.linalg.LinAlgError, ValueError), np.errstate(all="ignore"):
+    with contextlib.suppress(np.linalg.LinAlgError, OverflowError, ValueError), np.errstate(all="ignore"):
         for point in _walk(plant, Cy, one, other):
             points.append(point)
     return _sharpest(one, other, points)

@@ -7,7 +7,8 @@
   far a step may go where the curvature says nothing, or has the wrong sign, is measured in the coordinates of `coordinates.py`.
 """
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from scipy import linalg, optimize
@@ -92,8 +93,20 @@ def along_edges(landscape: Landscape, x: Array, limit: Array, rounds: int) -> tu
 
 
 def _stage(landscape: Landscape, x: Array, limit: Array, rounds: int) -> tuple[Array, float]:
-    """Rounds of one stage: until ten of them gain less than a hundred thousandth."""
+    """Rounds of one stage: until ten of them gain less than a hundred thousandth, or rounding leaves no model of the norm."""
     height, at = landscape.norm(x)
+    with contextlib.suppress(ValueError):  # singular, says numpy, or not finite, says scipy
+        for each in _rounds(landscape, x, height, at, limit, rounds):
+            x, height = each
+    return x, height
+
+
+def _rounds(landscape: Landscape, x: Array, height: float, at: float, limit: Array, rounds: int) -> Iterator[tuple[Array, float]]:
+    """The points of one stage, ever lower, and the norm there.
+
+    Raises:
+        ValueError: rounding leaves no model of the norm.
+    """
     M = alike(landscape, x)
     steepest = float(np.linalg.norm(landscape.slope(x, at) @ M)) / height if height > 0 else 0.0
     M = M / (steepest or 1.0)  # a unit of t is of the size of a step
@@ -103,7 +116,7 @@ def _stage(landscape: Landscape, x: Array, limit: Array, rounds: int) -> tuple[A
     omega = landscape.summits(x, height * (1 - depth))
     for _ in range(rounds):
         if height < 1e-12 or failures > 8 or (len(recent) > 10 and recent[-10] - height < 1e-5 * height):
-            break
+            return
         peaks = landscape.cuts(x, omega, height * (1 - 0.1 * depth))
         cuts = peaks + kept
         moving = np.arange(len(cuts.omega)) < len(peaks.omega)
@@ -156,7 +169,7 @@ def _stage(landscape: Landscape, x: Array, limit: Array, rounds: int) -> tuple[A
         omega = landscape.summits(x + step, there * (1 - depth))
         x, height = x + step, there
         recent.append(height)
-    return x, height
+        yield x, height
 
 
 def _corrected(
@@ -179,7 +192,12 @@ def lowest_point(values: Array, slopes: Array, hessian: Array, M: Array, x: Arra
     As a least-distance problem for non-negative least squares (Lawson, Hanson 1974, chapter 23): with h for the maximum,
     h + |y|^2 / 2 is the distance from a point far down the axis of h, up to a term that is too small to count. Of the limits
     those near by count, and those that a solution without them breaks.
+
+    Raises:
+        LinAlgError: there is no cut, or rounding leaves no solution.
     """
+    if not len(values) or not all(np.all(np.isfinite(each)) for each in (values, slopes, hessian, M, x)):
+        raise np.linalg.LinAlgError("no cut is left")
     root = np.linalg.cholesky(hessian).T
     inverse = linalg.solve_triangular(root, np.eye(len(x)))
     far = 10.0
@@ -194,13 +212,25 @@ def lowest_point(values: Array, slopes: Array, hessian: Array, M: Array, x: Arra
         sizes = np.linalg.norm(all_rows, axis=1)
         matrix = np.vstack([all_rows.T / sizes, all_bounds / sizes])
         target = np.append(np.zeros(len(x) + 1), 1.0)
-        weights, _ = optimize.nnls(matrix, target, maxiter=30 * matrix.shape[1])
+        weights = _non_negative(matrix, target)
         residual = matrix @ weights - target
         y = -residual[:-2] / residual[-1]
         broken = ~held & (moves @ y > room + 1e-9 * np.tile(limit, 2))
         if not broken.any():
             return inverse @ y, (weights / sizes)[: len(values)]
         held |= broken
+
+
+def _non_negative(matrix: Array, target: Array) -> Array:
+    """Non-negative least squares, shape (k,) for a matrix of shape (N, k).
+
+    Raises:
+        LinAlgError: rounding leaves no solution.
+    """
+    try:
+        return optimize.nnls(matrix, target, maxiter=30 * matrix.shape[1])[0]
+    except (ValueError, RuntimeError) as error:  # what is not finite, and what does not come to an end
+        raise np.linalg.LinAlgError(str(error)) from error
 
 
 def _convex(curvature: Array, damping: float) -> Array:

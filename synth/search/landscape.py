@@ -79,8 +79,10 @@ class Landscape:
         return self.A + self.B @ G, self.C + self.D @ G
 
     def abscissa(self, x: Array) -> tuple[float, Array]:
-        """Largest real part of a pole [rad/s], and its slope, shape (m q,)."""
+        """Largest real part of a pole [rad/s], and its slope, shape (m q,); infinite where the loop is not finite itself."""
         A, _ = self.loop(x)
+        if not np.all(np.isfinite(A)):
+            return np.inf, np.full(x.shape, np.nan)
         poles, left, right = (np.asarray(part) for part in linalg.eig(A, left=True, right=True))
         i = int(np.argmax(np.real(poles)))
         left, right = left[:, i].conj(), right[:, i]
@@ -92,6 +94,8 @@ class Landscape:
         key = x.tobytes()
         if self.last is None or self.last[0] != key:
             A, C = self.loop(x)
+            if not (np.all(np.isfinite(A)) and np.all(np.isfinite(C))):
+                return _Loop(A, C, np.full(len(A), np.nan), None)
             poles, V = np.linalg.eig(A)
             residues = None
             with contextlib.suppress(np.linalg.LinAlgError):
@@ -103,7 +107,7 @@ class Landscape:
         return self.last[1]
 
     def norm(self, x: Array, above: float = np.inf) -> tuple[float, float]:
-        """The norm and where it peaks [rad/s]; infinite where the loop is unstable.
+        """The norm and where it peaks [rad/s]; infinite where the loop is unstable, or not finite itself.
 
         Args:
             x: a point.

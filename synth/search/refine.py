@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.threads import one_thread
 from synth.errors import DesignError
+from synth.numerics import numerics
 from synth.plant import GeneralizedPlant
 from synth.search.descent import along_edges
 from synth.search.landscape import Landscape
@@ -52,7 +52,7 @@ class Refinement:
         return text
 
 
-@one_thread()
+@numerics()
 def refine(plant: GeneralizedPlant, Cy: Array, K: Array) -> Refinement:
     """Lowers the norm from a stabilising gain.
 
@@ -90,7 +90,7 @@ def refine(plant: GeneralizedPlant, Cy: Array, K: Array) -> Refinement:
     return Refinement(landscape.gain(x), before, norm, size / first if first else 1.0, refused)
 
 
-@one_thread()
+@numerics()
 def worth_refining(plant: GeneralizedPlant, Cy: Array, K: Array) -> float:
     """What `refine` lowers the norm by at least, relative: as far as its first rounds go, which are quick.
 

@@ -21,13 +21,14 @@ from typing import NamedTuple
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.threads import one_thread
+from models.common.errors import InputError
 from synth.certificate.bounding import certify_tightly
 from synth.certificate.certificate import Certificate
 from synth.certificate.lower_bound import LowerBound
 from synth.design import Design, two_step_design
 from synth.errors import DesignError
-from synth.plant import GeneralizedPlant, check_states
+from synth.numerics import numerics
+from synth.plant import Feedback, GeneralizedPlant, check_states
 from synth.scaling import size
 from synth.search.coordinates import alike
 from synth.search.descent import along_edges, quasi_newton
@@ -86,8 +87,7 @@ class Candidate(NamedTuple):
 Descent = Callable[[Array, int], Array]
 
 
-@one_thread()
-@np.errstate(over="ignore", divide="ignore", invalid="ignore")  # a step too far; what is not finite is refused where it is tried
+@numerics()
 def static_output_feedback(
     plant: GeneralizedPlant, Cy: Array, largest_gain: float = LARGEST_GAIN, lower_bound: LowerBound | None = None
 ) -> StaticDesign:
@@ -108,13 +108,12 @@ def static_output_feedback(
     check_states(len(plant.A))
     try:
         two_steps = two_step_design(plant, Cy)
-    except (DesignError, ValueError, np.linalg.LinAlgError) as error:
+    except InputError as error:
         two_steps = str(error)
     return descended(plant, Cy, two_steps, largest_gain, lower_bound)
 
 
-@one_thread()
-@np.errstate(over="ignore", divide="ignore", invalid="ignore")  # as above
+@numerics()
 def descended(
     plant: GeneralizedPlant,
     Cy: Array,
@@ -136,7 +135,7 @@ def descended(
     best = search.best(candidates)
     K = search.landscape.gain(best.x)
     found, without = (two_steps, "") if isinstance(two_steps, Design) else (None, two_steps)
-    return StaticDesign(K, certify_tightly(plant, K @ Cy, lower_bound), found, without, best.origin, starts)
+    return StaticDesign(K, certify_tightly(plant, Feedback(K, Cy), lower_bound), found, without, best.origin, starts)
 
 
 class _Search:
@@ -248,7 +247,7 @@ class _Search:
             return candidate
         try:
             moved = self.admitted(descent(candidate.x, rounds), candidate.origin)
-        except np.linalg.LinAlgError:  # a loop on the border of stability
+        except ValueError:  # of a loop on the border of stability: singular, says numpy, or not finite, says scipy
             return candidate
         return min([candidate, *moved], key=lambda each: each.norm)
 

@@ -71,7 +71,8 @@ class Symmetry:
         other = self.landscape.point(alike(found.x))
         # The largest entry may be one that is the same in all; of no other may it be one.
         smaller = found.fun < start and np.abs(alike(found.x)).max() <= np.abs(K).max() * (1 + SAME)
-        same = abs(self.landscape.norm(other)[0] / self.landscape.norm(x)[0] - 1) < 1e-9  # rounding where the units differ much
+        norm, moved = self.landscape.norm(x)[0], self.landscape.norm(other)[0]
+        same = abs(moved - norm) <= 1e-9 * min(moved, norm)  # rounding where the units differ much
         return other if smaller and same else x
 
 

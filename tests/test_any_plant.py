@@ -1,0 +1,211 @@
+"""Whatever the plant: a design, a bound or a certificate, or one line that says why there is none; and nothing on stderr."""
+
+import time
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from models.common.errors import InputError
+from synth.certificate.bounding import certify_tightly
+from synth.certificate.certificate import certify
+from synth.design import state_design, state_path, two_step_design, zero_l_design
+from synth.errors import DesignError
+from synth.fallback import two_steps_or_descent
+from synth.lmi.barrier import Barrier, newton
+from synth.lmi.full_order import find_lower_bound
+from synth.numerics import numerics
+from synth.plant import Feedback, GeneralizedPlant
+from synth.redesign import two_step_designs
+from synth.search.descent import along_edges, lowest_point
+from synth.search.landscape import Landscape
+from synth.search.refine import refine, worth_refining
+from synth.search.static import static_output_feedback
+from synth.search.symmetry import Symmetry
+from tests.test_bounds_hold import of_lists
+
+LONG = 20.0  # s of processor time, of one call for a plant of at most six states
+FAMILIES = (
+    *("stable", "unstable", "integrators", "undamped", "unseen", "zero"),
+    *("dependent", "scales", "tiny", "huge", "sparse", "units"),
+)
+PARTS = ("A", "B", "Bw", "C", "D", "Dw", "Cy")
+
+
+def drawn(seed: int) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """A random plant, of one family or of three at once, and what is measured."""
+    rng = np.random.default_rng(seed)
+    n, m, q, d, r = (int(rng.integers(low, high)) for low, high in ((1, 7), (1, 4), (1, 5), (1, 5), (1, 4)))
+    shapes = ((n, n), (n, m), (n, r), (d, n), (d, m), (d, r), (q, n))
+    parts = {name: rng.standard_normal(shape) for name, shape in zip(PARTS, shapes, strict=True)}
+    parts["Dw"] *= 0.1 * (rng.random() < 0.3)
+    parts["D"] *= rng.random() < 0.85
+    if rng.random() < 0.3:
+        parts["Cy"] = np.eye(n)[rng.integers(0, n, q)]
+    chosen = [FAMILIES[seed % len(FAMILIES)]] if seed % 3 else list(rng.choice(FAMILIES, 3, replace=False))
+    for family in chosen:
+        made(family, parts, rng)
+    Cy = parts.pop("Cy")
+    return parts, Cy
+
+
+def made(family: str, parts: dict[str, np.ndarray], rng: np.random.Generator) -> None:
+    """Makes the parts of a plant those of a family."""
+    A = parts["A"]
+    n = len(A)
+    match family:
+        case "stable":
+            parts["A"] = A - (np.abs(np.linalg.eigvals(A)).max() + 0.1) * np.eye(n)
+        case "integrators":
+            parts["A"] = np.triu(np.round(A), 1)
+        case "undamped":
+            parts["A"] = np.round(2 * A) - np.round(2 * A).T
+        case "unseen":
+            parts["C"][:, 0] = parts["A"][1:, 0] = 0
+        case "zero":
+            for name in rng.choice(PARTS, 2):
+                parts[name] = 0 * parts[name]
+        case "dependent":
+            for name in rng.choice(PARTS, 3):
+                parts[name][-1] = parts[name][0] + 10.0 ** rng.uniform(-16, -3) * parts[name][-1]
+        case "scales":
+            each = 10.0 ** rng.uniform(-12, 12, n)
+            for name in ("A", "B", "Bw"):
+                parts[name] = parts[name] / each[:, None]
+            for name in ("A", "C", "Cy"):
+                parts[name] = parts[name] * each
+        case "tiny" | "huge":
+            sizes = (1e-160, -1e-160, 1e-300, 5e-324, 1e-49, 1e-30, -1e-17) if family == "tiny" else (1e49, -1e30, 1e12, 1e20)
+            for name in rng.choice(PARTS, 4):
+                parts[name].flat[rng.integers(parts[name].size)] = rng.choice(sizes)
+        case "sparse":
+            for name in PARTS:
+                parts[name] = np.round(parts[name]) * (rng.random(parts[name].shape) < 0.5)
+        case "units":
+            parts[str(rng.choice(PARTS))] *= 10.0 ** rng.choice([-50, -40, -20, 20, 40, 49])
+
+
+def asked(what: Callable[[], Any]) -> Any:
+    """What a call returns, or None where it says in one line why it does not; anything else fails."""
+    start, said, found = time.process_time(), "because", None
+    try:
+        found = what()
+    except InputError as error:
+        said = str(error)
+    assert time.process_time() - start < LONG
+    assert said
+    assert "\n" not in said
+    return found
+
+
+def ask_everything(seed: int, search: bool) -> None:
+    """Every public function, of one plant."""
+    parts, Cy = drawn(seed)
+    plant = asked(lambda: GeneralizedPlant(**parts))
+    if plant is None:
+        return
+    rng, m = np.random.default_rng(seed), plant.B.shape[1]
+    asked(lambda: state_design(plant))
+    design = asked(lambda: two_step_design(plant, Cy))
+    asked(lambda: zero_l_design(plant, Cy))
+    asked(lambda: find_lower_bound(plant))
+    below = asked(lambda: find_lower_bound(plant, Cy))
+    K = rng.standard_normal((m, len(Cy))) * 10.0 ** rng.uniform(-20, 12) if design is None else design.gain
+    u = Feedback(K, Cy)
+    for found in (asked(lambda: certify(plant, u)), asked(lambda: certify_tightly(plant, u, below))):
+        assert found is None or found.failures or np.isfinite(found.norm.value)
+    asked(lambda: refine(plant, Cy, K))
+    asked(lambda: worth_refining(plant, Cy, K))
+    if search:
+        asked(lambda: static_output_feedback(plant, Cy, lower_bound=below))
+        asked(lambda: two_steps_or_descent(plant, Cy))
+    if design is not None:
+        others = [GeneralizedPlant(**{**parts, "A": parts["A"] * (1 + 0.01 * k)}) for k in range(2)]
+        asked(lambda: two_step_designs(plant, state_path(plant), Cy, others, [Cy, Cy]))
+
+
+@pytest.mark.attack
+@pytest.mark.parametrize("first", range(0, 360, 60))
+def test_no_plant_is_too_odd(first, capfd):
+    """Of 360 random plants, stable or not, in any units, with any zeros, every function answers in time, without a warning."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for seed in range(first, first + 60):
+            ask_everything(seed, search=seed % 20 == 0)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_odd_plants(capfd):
+    """So of one plant of each family."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for seed in range(1000, 1000 + len(FAMILIES)):
+            ask_everything(seed, search=False)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_what_rounding_leaves_without_an_answer_is_said():
+    """At a door numpy's and scipy's own errors are a `DesignError`, bad input stays what it is, and overflow is silent."""
+
+    @numerics()
+    def door(error: Exception) -> None:
+        assert np.array([1e300]) * 1e300 == np.inf  # a warning would be an error here
+        raise error
+
+    for error in (np.linalg.LinAlgError("Singular matrix"), ValueError("array must not contain infs"), ZeroDivisionError("none")):
+        with pytest.raises(DesignError, match=f"rounding leaves no answer \\({error}\\)"):
+            door(error)
+    with pytest.raises(InputError, match="Cy has no rows"):
+        door(InputError("Cy has no rows"))
+    with pytest.raises(AssertionError):
+        door(AssertionError())
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_a_model_without_a_cut_has_no_lowest_point(count):
+    """No cut at all, as where rounding leaves none that comes near the norm, or one that is not finite."""
+    one = np.eye(2)
+    with pytest.raises(np.linalg.LinAlgError):
+        lowest_point(np.full(count, np.nan), np.zeros((count, 2)), one, one, np.zeros(2), np.ones(2))
+
+
+def test_a_descent_ends_where_rounding_leaves_no_model(monkeypatch):
+    """It stays where it is, and its norm is the one that it had: what was reached is never lost."""
+    plant = of_lists([[-1, 1], [0, -2]], [[0], [1]], [[1], [1]], [[1, 0], [0, 0]], [[0], [0.1]])
+    landscape = Landscape(plant, np.eye(2))
+    x, limit = np.zeros(2), np.full(2, 1e3)
+    reached, norm = along_edges(landscape, x, limit, 30)
+    assert norm < landscape.norm(x)[0]
+    monkeypatch.setattr(
+        Landscape, "heights", lambda self, x, cuts: (np.full(len(cuts.omega), -9.0), np.zeros((len(cuts.omega), 2)))
+    )
+    assert np.array_equal(along_edges(landscape, reached, limit, 30)[0], reached)
+
+
+def test_gains_that_leave_floats_are_not_stable():
+    """Of a point whose loop is not finite the norm is infinite, and so is the real part of its last pole."""
+    plant = of_lists([[-1.0]], [[1.0]], [[1.0]], [[1.0]], [[1.0]])
+    landscape = Landscape(plant, np.eye(1))
+    for far in (np.inf, np.nan):
+        assert landscape.norm(np.array([far]))[0] == np.inf
+        assert landscape.abscissa(np.array([far]))[0] == np.inf
+
+
+def test_a_norm_of_zero_has_its_smallest_gain():
+    """Where w does not reach z the norms of all gains that are alike are zero, and the smallest of them is found as elsewhere."""
+    plant = of_lists([[-1, 0], [0, -1]], [[1, 0], [0, 1]], [[1], [0]], [[0, 0]], [[0, 0]])
+    landscape = Landscape(plant, np.eye(2))
+    assert landscape.norm(np.zeros(4))[0] == 0
+    x = np.array([-1.0, 0.0, 0.0, -1.0])
+    assert np.all(np.isfinite(Symmetry(landscape).smallest(x)))
+
+
+def test_newton_says_that_it_has_no_decrement():
+    """What underflows has no Newton step: the blocks say so, and a slope that is not finite has an infinite decrement."""
+    one = np.eye(2)
+    with pytest.raises(np.linalg.LinAlgError, match="changes no constraint"):
+        Barrier([(one, np.array([[[1.0, 0.0], [0.0, 0.0]], 1e-170 * one]))]).at(np.zeros(2))
+    barrier = Barrier([(one, np.array([[[1.0, 0.0], [0.0, 0.0]], [[0.0, 0.0], [0.0, 1.0]]]))])
+    assert newton(barrier, np.zeros(2), np.array([np.nan, 0.0]), 1e-6)[1] == np.inf
