@@ -49,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     stage("margins")
     found = find_margins(vehicle, controller, options.timestep, stage)
     stage("other vehicles")
-    box = robustness(vehicle, controller, options.timestep, stage)
+    (box,) = robustness(vehicle, [controller], options.timestep, stage)
     stage("picture and logs")
     if options.picture is not None:
         from sim.stability.figure import margins_figure

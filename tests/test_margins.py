@@ -194,7 +194,7 @@ def test_infinite_margins_in_physics(paper):
 def test_worst_norm_is_inside_or_on_the_box(paper, designer):
     """No vehicle drawn from the box has a larger norm than the worst."""
     controller = designer.design("I")
-    box = robustness(paper, controller, 2e-3)
+    (box,) = robustness(paper, [controller], 2e-3)
     assert box is not None
     rng = np.random.default_rng(20261121)
     for mass, tyre in zip(rng.uniform(0.7, 1.4, 20), rng.uniform(0.75, 1.25, 20), strict=True):
@@ -253,6 +253,19 @@ def test_points_of_the_picture_are_the_slowest_pole(paper, designer, amount):
         (growth,) = grow([trial], timestep)
         rate = math.log(sampled_radius(trial.vehicle, trial.controller, timestep)) / timestep
         assert growth.rate == pytest.approx(rate, rel=1e-3)  # what is left unexplained is below 1e-4 of the samples
+
+
+def test_what_becomes_of_a_run_does_not_depend_on_company(paper, designer):
+    """Beside others, that settle sooner or later and measure something else, a run has the rate that it has alone, to the bit."""
+    timestep, trials = 2e-3, []
+    for name in ("I", "II"):
+        one = searches(paper, designer.design(name), [0], timestep)
+        for search in (one.gain.search, one.delay, one.sample_period):
+            trials += [search.trial(amount) for amount in search.next()[:3]]
+    assert len({trial.vehicle.implementation.ideal for trial in trials}) == 2
+    alone = [grow([trial], timestep)[0] for trial in trials]
+    assert len({round(one.rate, 6) for one in alone}) == len(trials)  # they are different runs
+    assert grow(trials, timestep) == alone
 
 
 @pytest.mark.parametrize(("kind", "name"), [("quarter_car", "I"), ("quarter_car", "II"), ("half_car", "I"), ("full_car", "II")])
@@ -325,7 +338,7 @@ def test_the_kind_says_what_varies(hopper):
     """The box, its worst norm and its words are of the parameters that the kind lets vary, as far as it does, and no others."""
     vehicle = read_vehicle(hopper)
     controller = design(vehicle, "I")
-    box = robustness(vehicle, controller, 2e-3)
+    (box,) = robustness(vehicle, [controller], 2e-3)
     assert box is not None
     ends = {"weight": (180.0, 240.0), "rate": (112500.0, 150000.0)}
     names = ["weight", "rate"][: len(box.varied)]

@@ -4,15 +4,14 @@ import itertools
 import os
 import socket
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
 from models.common.errors import InputError
+from models.common.side_by_side import AHEAD, side_by_side
 from models.common.threads import one_thread
 from sim.campaign.batch import run_batch
 from sim.campaign.plan import Plan
@@ -21,7 +20,6 @@ Rows = list[dict[str, Any]]
 Done = tuple[int, Rows, float]  # first run of a batch, its rows, and the time that it took [s]
 HERE = "local"  # Ray's own name for it
 ANSWER = 3.0  # s that a cluster's head may take to answer
-AHEAD = 2  # batches in flight per worker: one runs, one waits
 TOKEN = "where its head was started with tokens, as Ray 2.60 does by itself, set RAY_AUTH_MODE=token here as well"
 RETRIES = 5  # of a batch whose Ray worker dies
 
@@ -35,22 +33,14 @@ def run_timed(plan: Plan, start: int, stop: int, stopped: Callable[[], bool] = l
 
 def local(plan: Plan, batches: Iterator[tuple[int, int]], workers: int) -> Iterator[Done]:
     """Runs batches on threads, in the order in which they are done. MuJoCo and numpy work outside Python's lock."""
-    stop = threading.Event()
-    with ThreadPoolExecutor(workers) as pool:
-        running: dict[Future[tuple[Rows | None, float]], int] = {}
-        try:
-            while True:
-                for start, end in itertools.islice(batches, workers * AHEAD - len(running)):
-                    running[pool.submit(run_timed, plan, start, end, stop.is_set)] = start
-                if not running:
-                    return
-                for done in wait(running, return_when=FIRST_COMPLETED).done:
-                    (rows, took), start = done.result(), running.pop(done)
-                    if rows is not None:
-                        yield start, rows, took
-        finally:
-            stop.set()
-            pool.shutdown(cancel_futures=True)
+
+    def piece(batch: tuple[int, int]) -> Callable[[Callable[[], bool]], tuple[int, Rows | None, float]]:
+        return lambda stopped: (batch[0], *run_timed(plan, *batch, stopped))
+
+    with closing(side_by_side(map(piece, batches), workers)) as done:
+        for _, (start, rows, took) in done:
+            if rows is not None:
+                yield start, rows, took
 
 
 @contextmanager

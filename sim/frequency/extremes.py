@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
+from models.common.arrays import Array
 from models.reality import steps_per_sample
 from models.vehicle import Vehicle
 from sim.frequency.identification import HIGHEST, LINES, LOWEST, check, fit, ideal_measurements, images, l2_gain
@@ -18,13 +19,14 @@ from sim.linear.loop import sampled_radius, taylor4
 from sim.physics.simulate import simulate
 from sim.response.regime import ended_by
 from sim.response.response import Response
-from sim.roads.road import Bump
+from sim.roads.road import Bump, Road
 from sim.roads.sinusoids import Multisine, random_road, sinusoid
 from sim.runs.run import sample_times
 from synth.controller import Controller
 
 DURATION = 20.0  # s, of all roads but the worst sinusoid, which takes as long as it needs to settle
 SETTLED = 1e-6  # what is left of free motion when its gain is read; the gain is then within about as much
+ENTRIES = 2e7  # numbers in a batch's record: a full car's roads all at once would take gigabytes
 FINEST = 2000  # samples of the worst sinusoid at least: its frequency is then within 0.03 % of the peak's
 
 
@@ -84,7 +86,7 @@ def extremes(
     Arguments and errors as for `sim.frequency.identification.identify`.
     """
     check(vehicle, controllers, amplitude, timestep)
-    vehicle, count = ideal_measurements(vehicle), len(controllers)
+    vehicle = ideal_measurements(vehicle)
     time = sample_times(vehicle, DURATION, timestep)
     roads = {
         "random": random_road(2 * np.pi * np.geomspace(LOWEST, HIGHEST, LINES), 1, speed).to_height(amplitude, time),
@@ -94,9 +96,7 @@ def extremes(
     if special:
         together = Multisine(tuple(special), (1.0,) * len(special), (0.0,) * len(special), speed)
         roads["invariants"] = together.to_height(amplitude, time)
-    responses: dict[str, Response] = {}
-    for name, road in roads.items():  # one batch each: all at once, a full car's take gigabytes
-        responses[name] = simulate([vehicle] * count, controllers, [road] * count, time, threads=0).response
+    responses = _responses(vehicle, controllers, roads, time)
     worst, integrated = (
         [
             worst_sinusoid(
@@ -114,11 +114,26 @@ def extremes(
     lti = steps_per_sample(vehicle.implementation, timestep) == 1
     found = []
     for i, controller in enumerate(controllers):
-        runs = {"worst sinusoid": settled[i]} | {name: response.run(i) for name, response in responses.items()}
+        runs = {"worst sinusoid": settled[i]} | {name: of_each[i] for name, of_each in responses.items()}
         ended = dict.fromkeys(name for run in runs.values() for name in ended_by(vehicle, run))
         invariants = _measured(vehicle, controller, runs["invariants"], len(time) // 2, timestep) if special else ()
         gains = {name: l2_gain(vehicle, run) for name, run in runs.items() if name != "invariants"}
         found.append(Extremes(worst[i], integrated[i].gain, tried[i], gains, invariants, tuple(ended), lti))
+    return found
+
+
+def _responses(
+    vehicle: Vehicle, controllers: Sequence[Controller], roads: Mapping[str, Road], time: Array
+) -> dict[str, list[Response]]:
+    """The responses of all controllers over each road, as many roads in a batch as memory is asked for."""
+    count = len(controllers)
+    together = max(1, int(ENTRIES / (count * len(time) * len(vehicle.kind.signals))))
+    names, found = list(roads), {}
+    for first in range(0, len(names), together):
+        some = names[first : first + together]
+        on = [roads[name] for name in some for _ in controllers]
+        response = simulate([vehicle] * len(on), [*controllers] * len(some), on, time, threads=0).response
+        found |= {name: [response.run(k * count + i) for i in range(count)] for k, name in enumerate(some)}
     return found
 
 

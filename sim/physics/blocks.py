@@ -1,30 +1,24 @@
-"""N runs in MuJoCo, some samples at a time, shared out among threads: what is read, what is asked for, what is recorded."""
+"""N runs in MuJoCo, some samples at a time: what is read, what is asked for, what is recorded."""
 
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo's bindings carry no type stubs.
 
-import contextvars
-import itertools
-import threading
+import functools
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 from mujoco.batch import Batch
 
 from models.common.arrays import Array
-from models.common.cores import cores
 from models.mjcf import build_model, quiet
 from models.vehicle import Vehicle
-from sim.physics.readout import Readout, force_from_road, gain_on, mix, prepared, signal_from_road
+from sim.physics.readout import Readout, force_from_road, gain_on, mix, prepared, sensed_stage, signal_from_road
 from sim.physics.sampler import Sampler
 from sim.physics.stepping import step_batch
 from synth.controller import Controller
 
 DIVERGED = 1e8  # a signal beyond this, in SI units, is no vehicle any more
-
-FEWEST = 4  # runs to a thread: of fewer the numpy between their steps, which one thread at a time can do, takes as long
 
 # Of runs that are not kept whole:
 RUNS_AT_ONCE = 256  # more hardly save time
@@ -71,15 +65,11 @@ def in_blocks(
     now: Array,
     midway: Array,
     timestep: float,
-    threads: int,
-    size: int,
+    edges: Sequence[int],
     undelayed: Sequence[Controller | None] | None = None,
+    going: Array | None = None,
 ) -> Iterator[Block]:
     """The runs of `simulate`, some samples at a time: nothing but the roads need be held whole.
-
-    A run's numbers do not depend, to the last bit, on the runs of its controller beside it, on threads, or on blocks: sums over a
-    run's few signals are taken one by one, never by a product of matrices whose order of summation depends on how many runs there
-    are.
 
     Args:
         vehicles: N vehicles of the same kind that read out alike, see `reads_out`.
@@ -87,9 +77,39 @@ def in_blocks(
         now: road heights at the samples [m], shape (T, N, r).
         midway: the same half a step later, where MuJoCo holds them.
         timestep: [s].
-        threads: as for `simulate`.
-        size: B, samples in a block.
+        edges: block k has the samples from `edges[k]` up to `edges[k + 1]`; the first is 0, the last at most T.
         undelayed: as for `simulate`.
+        going: whether each run is still wanted, shape (N,), for the caller to change between blocks: one that is not wanted stays
+            where it is, and what later blocks have of it means nothing. None where all are, to the end.
+    """
+    (blocks,) = in_shares(vehicles, controllers, now, midway, timestep, edges, [slice(None)], undelayed, going)
+    yield from blocks(lambda: False)
+
+
+def in_shares(
+    vehicles: Sequence[Vehicle],
+    controllers: Sequence[Controller],
+    now: Array,
+    midway: Array,
+    timestep: float,
+    edges: Sequence[int],
+    shares: Sequence[slice],
+    undelayed: Sequence[Controller | None] | None = None,
+    going: Array | None = None,
+) -> list[Callable[[Callable[[], bool]], Iterator[Block]]]:
+    """The blocks of each of some shares of the runs, to be stepped on a thread of their own, until told to give up.
+
+    A run's numbers do not depend, to the last bit, on the runs of its controller beside it, on shares, or on blocks: sums over a
+    run's few signals are taken one by one, never by a product of matrices whose order of summation depends on how many runs there
+    are.
+
+    A batch to each share, and a thread: faster than one batch on all threads, which wait while Python has its turn, and on a busy
+    machine for each other.
+
+    Args:
+        shares: of the N runs.
+
+    Other arguments as for `in_blocks`.
     """
     vehicle = vehicles[0]
     model, readout = prepared(vehicle, timestep)
@@ -108,8 +128,7 @@ def in_blocks(
             beside[i] = gain_on(readout.names, vehicles[i], other)
     of_state, of_sensors = np.where(readout.linear, K, 0), np.where(readout.linear, 0, K)
     offset = force_from_road(of_state, now, readout) + force_from_road(of_sensors, now - before, readout)
-    used = np.any((K != 0) | (beside != 0), axis=(0, 1)) & ~readout.linear
-    stage = int(max(readout.stage[used], default=0))
+    stage = sensed_stage(readout, np.any((K != 0) | (beside != 0), axis=(0, 1)))
     gain = of_state @ readout.of_state
     if stage:
         gain = np.concatenate([gain, of_sensors @ readout.of_sensors], axis=-1)
@@ -122,9 +141,8 @@ def in_blocks(
     names = [signal.name for signal in signals]
     heights = [names.index(wheel.road_displacement) for wheel in vehicle.kind.wheels]
     inside = readout.stage > stage
-    stop = threading.Event()
 
-    def of(runs: slice) -> Iterator[Block]:
+    def of(runs: slice, stopped: Callable[[], bool]) -> Iterator[Block]:
         """The blocks of some of the runs."""
         batch = Batch(model, len(vehicles[runs]), 1)
         if models:
@@ -135,7 +153,8 @@ def in_blocks(
             law = _law(sampler, readout, unseen[:, runs], stage)
         level, road, left = now[:, runs], midway[:, runs], before[:, runs]
         felt = level if readout.felt else None
-        steps = step_batch(batch, readout.mocap, gain[runs], offset[:, runs], road, felt, stage, law, size, stop)
+        wanted = going[runs] if going is not None else None
+        steps = step_batch(batch, readout.mocap, gain[runs], offset[:, runs], road, felt, stage, law, edges, wanted, stopped)
         for start, sensed, qpos, qvel, asked in steps:
             some = slice(start, start + len(sensed))
             recorded = np.zeros((len(sensed), len(signals), batch.nsim))
@@ -152,40 +171,11 @@ def in_blocks(
                 largest = np.maximum(largest, np.abs(force))
             yield Block(start, recorded, qpos, qvel, largest)
 
-    with quiet():
-        yield from _side_by_side([of(runs) for runs in _shares(len(vehicles), threads)], stop)
+    def quietly(runs: slice, stopped: Callable[[], bool]) -> Iterator[Block]:
+        with quiet():
+            yield from of(runs, stopped)
 
-
-def _shares(count: int, threads: int) -> list[slice]:
-    """Runs shared out among threads, as many to each as to the others."""
-    shares = max(1, min(threads or cores(), count // FEWEST))
-    edges = [count * i // shares for i in range(shares + 1)]
-    return [slice(*pair) for pair in itertools.pairwise(edges)]
-
-
-def _side_by_side(parts: Sequence[Iterator[Block]], stop: threading.Event) -> Iterator[Block]:
-    """The blocks of runs that are stepped side by side, put together; they stop when asked to.
-
-    A thread to each part, on a batch of its own: faster than one batch on all of them, whose threads wait while Python has its
-    turn, and on a busy machine for each other.
-    """
-    if len(parts) == 1:
-        yield from parts[0]
-        return
-    with ThreadPoolExecutor(len(parts)) as pool:
-        try:
-            while True:
-                asked = [pool.submit(contextvars.copy_context().run, next, part, None) for part in parts]
-                blocks = [block for one in asked if (block := one.result()) is not None]
-                if not blocks:
-                    return
-                yield Block(
-                    blocks[0].start,
-                    np.concatenate([block.values for block in blocks], axis=2),
-                    *(np.concatenate([getattr(block, name) for block in blocks], axis=1) for name in ("qpos", "qvel", "largest")),
-                )
-        finally:
-            stop.set()
+    return [functools.partial(quietly, runs) for runs in shares]
 
 
 def _law(sampler: Sampler, readout: Readout, unseen_of_road: Array, stage: int) -> Callable[[int, Array], Array]:

@@ -104,6 +104,17 @@ def gain_on(signals: Sequence[str], vehicle: Vehicle, controller: Controller) ->
     return gain
 
 
+def stage_of(vehicle: Vehicle, controller: Controller, timestep: float) -> int:
+    """The mjtStage up to which sensors are evaluated before a step, for what the controller measures; 0 where none is needed."""
+    readout = prepared(vehicle, timestep)[1]
+    return sensed_stage(readout, np.any(gain_on(readout.names, vehicle, controller), axis=0))
+
+
+def sensed_stage(readout: Readout, used: Array) -> int:
+    """The mjtStage up to which sensors are evaluated before a step, for the signals that are used, shape (S,)."""
+    return int(max(readout.stage[used & ~readout.linear], default=0))
+
+
 def force_from_road(gain: Array, road: Array, readout: Readout) -> Array:
     """What is known beforehand of the forces, shape (T, N, m): the gain (N, m, S) on what a reading has not seen of the road.
 

@@ -3,9 +3,8 @@
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo's bindings carry no type stubs.
 
-import functools
-import threading
-from collections.abc import Callable, Iterator
+import itertools
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -23,8 +22,9 @@ def step_batch(
     at_samples: Array | None,
     stage: int,
     law: Callable[[int, Array], Array] | None,
-    size: int,
-    stop: threading.Event,
+    edges: Sequence[int],
+    going: Array | None,
+    stopped: Callable[[], bool],
 ) -> Iterator[tuple[int, Array, Array, Array, Array]]:
     """All samples of a batch.
 
@@ -37,28 +37,28 @@ def step_batch(
         at_samples: road heights at the samples, shape (T, N, r), if sensors are to be evaluated there on top; else None.
         stage: mjtStage up to which sensors are evaluated before a step.
         law: forces (N, m) of step k from the reading (N, k), instead of the gain; None for controllers that are a gain.
-        size: B, samples in a block.
-        stop: set where no more of them are wanted.
+        edges: of the blocks, see `in_blocks`.
+        going: whether each run is still stepped, shape (N,), asked at the beginning of every block; None where all are.
+        stopped: says whether to give up.
 
     Yields:
         Of every block its first sample, and `sensordata`, shape (B, nsensordata, N): that of the samples; else up to the stage
         from before the step, the rest from inside it. Then qpos, shape (B, N, nq), qvel, shape
         (B, N, nv), and the forces asked for, shape (B, N, m).
     """
-    samples, count, m = offset.shape
+    count, m = offset.shape[1:]
     # The motors, in the order of the linear model's inputs, are all there is in ctrl.
     ctrl, heights, sensors = batch.bind("ctrl"), batch.bind("mocap_pos")[:, :, 2], batch.bind("sensordata").T
     motion, width = _motion(batch), gain.shape[2]
     moved, positions = motion.shape[1], batch.bind("qpos").shape[1]
     early = np.repeat(batch.model.sensor_needstage, batch.model.sensor_dim) <= stage
-    step = functools.partial(batch.step, stage=stage) if stage else batch.step
     batch.forward(stage=stage)
 
     # A numpy call costs a tenth of a step, so there are few: the forces' known part lies beside the reading, with unit gain.
     gain = np.concatenate([gain, np.broadcast_to(np.eye(m), (count, m, m))], axis=-1)
-    for start in range(0, samples, size):
-        block = slice(start, min(start + size, samples))
-        length = block.stop - start
+    for start, end in itertools.pairwise(edges):
+        block, length = slice(start, end), end - start
+        some = None if going is None or going.all() else np.flatnonzero(going)
         seen = np.empty((length, count, width + m))
         seen[..., width:] = offset[block]
         roads = np.zeros((length, *heights.shape))
@@ -66,7 +66,7 @@ def step_batch(
         sensed, asked = np.empty((length, *sensors.shape)), np.empty((length, count, m))
         rows: Any = zip(seen, seen[..., :moved], seen[..., moved:width], roads, sensed, asked, strict=True)
         for k, (all_seen, moving, sensing, road, result, forces) in enumerate(rows, start):
-            if stop.is_set():
+            if stopped():
                 return
             moving[...] = motion
             if stage:
@@ -81,7 +81,7 @@ def step_batch(
                 batch.forward()
                 result[...] = sensors
             heights[...] = road
-            step()
+            batch.step(some, stage=stage)
             if at_samples is None:
                 result[...] = sensors
         if stage and at_samples is None:

@@ -46,7 +46,8 @@ class Watched:
 
     def blocks(self) -> Iterator[Block]:
         """Every block in its turn; once a run has diverged, what is left of it is clipped."""
-        for block in in_blocks(self.vehicles, self.controllers, self.now, self.midway, self.timestep, 1, BLOCK):
+        edges = [*range(0, len(self.time), BLOCK), len(self.time)]
+        for block in in_blocks(self.vehicles, self.controllers, self.now, self.midway, self.timestep, edges):
             self.diverged = np.minimum(self.diverged, block.diverged(self.time))
             if np.isfinite(self.diverged).any():
                 block.clip()

@@ -36,9 +36,8 @@ def margins_section(scope: Scope) -> tuple[Section, list[Finding]]:
     timestep = scope.margins_timestep
     loops = [searches(vehicle, one, actuators, timestep) for one in scope.active]
     find_all(loops, timestep)
-    for one, loop in zip(scope.active, loops, strict=True):
-        scope.progress(f"other vehicles with {one.name}")
-        box = robustness(vehicle, one, timestep)
+    scope.progress("other vehicles")
+    for one, loop, box in zip(scope.active, loops, robustness(vehicle, scope.active, timestep), strict=True):
         predicted = loop.predicted
         pairs = [
             ("gain, factor", predicted.gain, loop.gain.found),

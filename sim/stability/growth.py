@@ -1,17 +1,23 @@
 """Growth or decay: what becomes of a loop in MuJoCo after a tiny bump.
 
-A run that grows is unstable, one that decays is not. One that has settled into neither is run again, for twice as long.
+A run that grows is unstable, one that decays is not. One that has settled into neither runs on, for twice as long.
 """
 
+import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.cores import cores
+from models.common.side_by_side import side_by_side
 from models.vehicle import Vehicle
-from sim.physics.simulate import simulate
+from sim.physics.blocks import in_blocks
+from sim.physics.readout import stage_of
+from sim.physics.simulate import on_each, shared
 from sim.roads.road import Bump
 from sim.stability.slowest_mode import slowest_rate
 from synth.controller import Controller
@@ -24,7 +30,8 @@ CERTAIN, EXPONENTIAL = 0.02, 0.3  # of the logarithm of energy from window to wi
 FREE = 0.125  # of a run, after which the bump is over
 LINEAR = 25.0  # growth of energy before a wheel may lift
 GONE, ESCAPED = 1e-12, 1e4  # of the energy that the bump has left: nothing, and what no decaying run has between
-ENTRIES = 2e7  # numbers in a batch's record; more run in turns
+TOGETHER = 16  # runs in a batch at most: more hardly save time, and a batch goes on until its last run has settled
+ENTRIES = 1e7  # numbers in a batch's record
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,29 +67,99 @@ def silent(message: str) -> None:
 
 
 def grow(trials: Sequence[Trial], timestep: float, progress: Callable[[str], None] = silent) -> list[Growth]:
-    """Whether runs grow, and how fast. Those that have not settled into growth or decay are run again, for twice as long."""
-    found: list[Growth | None] = [None] * len(trials)
-    duration = SHORTEST
-    while True:
-        open_ones = [i for i, growth in enumerate(found) if growth is None]
-        if not open_ones:
-            break
-        time = np.arange(round(duration / timestep) + 1) * timestep
-        signals = len(trials[0].vehicle.kind.signals)
-        together = max(1, int(ENTRIES / (len(time) * signals)))
-        for first in range(0, len(open_ones), together):
-            progress(f"{len(open_ones) - first} runs of {duration:g} s to go")
-            some = open_ones[first : first + together]
-            states = _states([trials[i] for i in some], time)
-            for i, one in zip(some, states, strict=True):
-                enough = HOLDS * _hold(trials[i], timestep)
-                rate = _rate(one, timestep, round(_hold(trials[i], timestep) / timestep))
-                grows = _grows(one, rate, last=duration >= max(LONGEST, enough))
-                if grows or (grows is False and duration >= enough):
-                    found[i] = Growth(grows, rate)
-        duration *= 2
+    """Whether runs grow, and how fast. Those that have not settled into growth or decay run on, for twice as long."""
+    found: dict[int, Growth] = {}
+    batches = _batches(trials, timestep)
+    progress(f"{len(trials)} runs to go")
+    pieces = [functools.partial(_settled, [trials[i] for i in batch], timestep) for batch in batches]
+    with closing(side_by_side(pieces, cores())) as done:
+        for number, growths in done:
+            found |= zip(batches[number], growths, strict=True)
+            progress(f"{len(trials) - len(found)} of {len(trials)} runs to go")
     progress("")
-    return [growth for growth in found if growth is not None]
+    return [found[i] for i in range(len(trials))]
+
+
+def _batches(trials: Sequence[Trial], timestep: float) -> list[list[int]]:
+    """Which trials run in one batch, the longest first: such as take as long, and whose forces are computed alike.
+
+    So what becomes of a run does not depend on the others, to the last bit.
+    """
+    alike: dict[tuple[int, bool, bool], list[int]] = {}
+    for i, trial in enumerate(trials):
+        how = trial.vehicle.implementation
+        stages = [stage_of(trial.vehicle, one, timestep) for one in (trial.controller, trial.undelayed) if one is not None]
+        alike.setdefault((max(stages), how.sample_period is None, how.ideal and trial.undelayed is None), []).append(i)
+    batches: list[tuple[float, list[int]]] = []
+    for group in alike.values():
+        group.sort(key=lambda i: -_enough(trials[i], timestep))
+        while group:
+            first = trials[group[0]]
+            samples = _duration(first, timestep) / timestep
+            most = max(1, min(TOGETHER, int(ENTRIES / (samples * len(first.vehicle.kind.signals)))))
+            share = shared(len(group), max(cores(), math.ceil(len(group) / most)))[0]
+            batches.append((samples, group[share]))
+            del group[share]
+    return [batch for _, batch in sorted(batches, key=lambda one: -one[0] * len(one[1]))]
+
+
+def _settled(trials: Sequence[Trial], timestep: float, stopped: Callable[[], bool]) -> list[Growth]:
+    """What becomes of some runs in one batch; less than all of them once it is stopped."""
+    found: dict[int, Growth] = {}
+    duration = max(_duration(trial, timestep) for trial in trials)
+    while (left := [i for i in range(len(trials)) if i not in found]) and not stopped():
+        with closing(_watched([trials[i] for i in left], duration, timestep, stopped)) as growths:
+            found |= ((left[i], growth) for i, growth in growths)
+        duration *= 2
+    return list(found[i] for i in sorted(found))
+
+
+def _watched(
+    trials: Sequence[Trial], duration: float, timestep: float, stopped: Callable[[], bool]
+) -> Generator[tuple[int, Growth]]:
+    """What becomes of the trials that settle within some time [s], which are looked at each time that it has doubled."""
+    time = np.arange(round(duration / timestep) + 1) * timestep
+    vehicles, controllers = [trial.vehicle for trial in trials], [trial.controller for trial in trials]
+    undelayed = [trial.undelayed for trial in trials] if any(trial.undelayed for trial in trials) else None
+    now, midway = (on_each(vehicles, [BUMP] * len(trials), "displacement", times) for times in (time, time + timestep / 2))
+    ends = [1 + round(SHORTEST * k / timestep) for k in range(1, round(duration / SHORTEST) + 1)]
+    doubled = {1 + round(SHORTEST * 2**k / timestep): SHORTEST * 2**k for k in range(len(ends).bit_length())}
+    names = [signal.name for signal in vehicles[0].kind.signals]
+    rows = [names.index(name) for name in vehicles[0].linear_model.states]
+    states, diverged, going = (
+        np.empty((len(trials), len(rows), len(time))),
+        np.full(len(trials), np.inf),
+        np.full(len(trials), True),
+    )
+    for block in in_blocks(vehicles, controllers, now, midway, timestep, (0, *ends), undelayed, going):
+        end = block.start + len(block.values)
+        states[:, :, block.start : end] = block.values[:, rows].transpose(2, 1, 0)
+        diverged = np.minimum(diverged, block.diverged(time))
+        if end in doubled:
+            for i in np.flatnonzero(going).tolist():
+                seen = _over_its_peak(states[i, :, :end], time[:end], diverged[i])
+                if (growth := _growth(trials[i], seen, timestep, doubled[end])) is not None:
+                    going[i] = False
+                    yield i, growth
+        if stopped() or not going.any():
+            return
+
+
+def _growth(trial: Trial, states: Array, timestep: float, duration: float) -> Growth | None:
+    """What is made of a run that has gone for so long [s]; None where that is not enough."""
+    enough = _enough(trial, timestep)
+    rate = _rate(states, timestep, round(_hold(trial, timestep) / timestep))
+    grows = _grows(states, rate, last=duration >= max(LONGEST, enough))
+    return Growth(grows, rate) if grows or (grows is False and duration >= enough) else None
+
+
+def _duration(trial: Trial, timestep: float) -> float:
+    """How long a run has to be before it can be said to decay [s]."""
+    return SHORTEST * 2 ** max(0, math.ceil(math.log2(_enough(trial, timestep) / SHORTEST)))
+
+
+def _enough(trial: Trial, timestep: float) -> float:
+    return HOLDS * _hold(trial, timestep)
 
 
 def _hold(trial: Trial, timestep: float) -> float:
@@ -91,13 +168,10 @@ def _hold(trial: Trial, timestep: float) -> float:
     return (how.sample_period or timestep) * (1 + how.delay)
 
 
-def _states(trials: Sequence[Trial], time: Array) -> Array:
-    """All states over time, each over its peak in the first half second, shape (N, n, T); infinite from where a run diverges."""
-    vehicles, controllers = [trial.vehicle for trial in trials], [trial.controller for trial in trials]
-    undelayed = [trial.undelayed for trial in trials] if any(trial.undelayed for trial in trials) else None
-    response = simulate(vehicles, controllers, [BUMP] * len(trials), time, threads=0, undelayed=undelayed).response
-    states = np.stack([response[name] for name in trials[0].vehicle.linear_model.states], axis=1)
-    peaks = np.nanmax(np.abs(states[..., time < 0.5]), axis=-1, keepdims=True)
+def _over_its_peak(states: Array, time: Array, diverged: float) -> Array:
+    """States over time, each over its peak in the first half second, shape (n, T); infinite from where the run diverged."""
+    states = np.where(time >= diverged, np.nan, states)
+    peaks = np.nanmax(np.abs(states[:, time < 0.5]), axis=-1, keepdims=True)
     return np.nan_to_num(states / np.where(peaks > 0, peaks, 1.0), nan=np.inf)
 
 

@@ -3,6 +3,7 @@
 Which parameters vary, and how far, is the kind's to say: `Parameter.varied`.
 """
 
+import functools
 import itertools
 import math
 from collections.abc import Callable, Sequence
@@ -15,8 +16,10 @@ from scipy import optimize
 from models.common.arrays import Array
 from models.kind import Variation, VehicleKind
 from models.vehicle import Vehicle
+from sim.physics.simulate import simulate
 from sim.roads.road import Bump
-from sim.runs.run import run_all, sample_times
+from sim.runs.prediction import predict
+from sim.runs.run import judge, sample_times
 from sim.stability.growth import Trial, grow, silent
 from synth.certificate.norm import hinf_norm
 from synth.controller import Controller, generalized_plant
@@ -76,21 +79,51 @@ def varied_text(kind: VehicleKind) -> str:
 
 
 def robustness(
-    vehicle: Vehicle, controller: Controller, timestep: float, progress: Callable[[str], None] = silent
-) -> Robustness | None:
-    """The worst norm over the box, on a grid and refined from there, and the physics at its corners.
+    vehicle: Vehicle, controllers: Sequence[Controller], timestep: float, progress: Callable[[str], None] = silent
+) -> list[Robustness | None]:
+    """The worst norm of each controller over the box, on a grid and refined from there, and the physics at its corners.
 
     None where the kind of vehicle varies nothing: then there is no other vehicle.
     """
     varied = tuple(vehicle.kind.variations)
     if not varied:
-        return None
+        return [None] * len(controllers)
+    corners = list(itertools.product(*((each.smallest, each.largest) for each in varied)))
+    others = [_with_factors(vehicle, corner) for corner in corners]
+    trials = [Trial(other, controller) for controller in controllers for other in others]
+    physics = zip(grow(trials, timestep, progress), _agree(trials, sample_times(vehicle, 3.0, timestep)), strict=True)
+    found: list[Robustness | None] = []
+    for controller in controllers:
+        norm = functools.partial(_norm, vehicle, controller)
+        factors, norms, worst, at = _worst(norm, varied)
+        told = itertools.islice(physics, len(corners))
+        found.append(
+            Robustness(
+                varied=varied,
+                norm=worst,
+                at=_changed(vehicle, at),
+                corners=tuple(
+                    Corner(corner, _changed(vehicle, corner), norm(corner), not growth.grows, agrees)
+                    for corner, (growth, agrees) in zip(corners, told, strict=True)
+                ),
+                factors=factors,
+                norms=norms,
+            )
+        )
+    return found
+
+
+def _norm(vehicle: Vehicle, controller: Controller, factors: Sequence[float]) -> float:
+    """The H-infinity norm on the vehicle with these factors; infinite where unstable."""
+    other = _with_factors(vehicle, factors)
+    return hinf_norm(generalized_plant(other).closed_loop(controller.state_gain(other))).value
+
+
+def _worst(
+    norm: Callable[[Sequence[float]], float], varied: Sequence[Variation]
+) -> tuple[tuple[Array, ...], Array, float, Sequence[float]]:
+    """The factors of a grid over the box and the norms there, then the worst norm and where that is."""
     box = [(each.smallest, each.largest) for each in varied]
-
-    def norm(point: Sequence[float]) -> float:
-        other = _with_factors(vehicle, point)
-        return hinf_norm(generalized_plant(other).closed_loop(controller.state_gain(other))).value
-
     count = max(3, round(GRID ** (1 / len(box))))
     factors = tuple(np.linspace(*ends, count) for ends in box)
     grid = list(itertools.product(*(axis.tolist() for axis in factors)))
@@ -102,23 +135,16 @@ def robustness(
         )
         if -refined.fun > worst:
             worst, at = -float(refined.fun), tuple(refined.x)
+    return factors, np.reshape(values, (count,) * len(box)), worst, at
 
-    corners = list(itertools.product(*box))
-    vehicles = [_with_factors(vehicle, corner) for corner in corners]
-    time = sample_times(vehicle, 3.0, timestep)
-    settled = [not growth.grows for growth in grow([Trial(other, controller) for other in vehicles], timestep, progress)]
-    runs = [run_all(other, [controller], BUMP, time)[0] for other in vehicles]
-    return Robustness(
-        varied=varied,
-        norm=worst,
-        at=_changed(vehicle, at),
-        corners=tuple(
-            Corner(corner, _changed(vehicle, corner), norm(corner), decays, run.agreement.agrees)
-            for corner, decays, run in zip(corners, settled, runs, strict=True)
-        ),
-        factors=factors,
-        norms=np.reshape(values, (count,) * len(box)),
-    )
+
+@np.errstate(over="ignore", invalid="ignore")  # an unstable loop overflows
+def _agree(trials: Sequence[Trial], time: Array) -> list[bool]:
+    """Whether MuJoCo agrees with the linear response of each over the bump; all of them run in one batch."""
+    vehicles, controllers = [trial.vehicle for trial in trials], [trial.controller for trial in trials]
+    predictions = [predict(trial.vehicle, trial.controller, BUMP, time) for trial in trials]
+    response = simulate(vehicles, controllers, [BUMP] * len(trials), time, threads=0).response
+    return [run.agreement.agrees for run in judge(predictions, [response.run(i) for i in range(len(trials))])]
 
 
 def _changed(vehicle: Vehicle, factors: Sequence[float]) -> dict[str, float]:

@@ -5,16 +5,17 @@ proportional to the height of the bump. One linear run per length and speed pred
 every cell, says whether that is so.
 """
 
+import functools
 import math
-import threading
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import closing
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.common.cores import cores
+from models.common.side_by_side import side_by_side
 from models.vehicle import Vehicle
 from sim.linear.loop import sampled_responses
 from sim.physics.blocks import runs_at_once
@@ -111,31 +112,20 @@ def validity(
     Raises:
         Interrupted: Ctrl-C came before the last cell was done.
     """
-    # One linear response serves all heights, so they lie side by side. Every core takes batches of its own, on one thread, as
-    # many and as large as the others': faster than one batch on all, whose threads wait while Python has its turn.
+    # One linear response serves all heights, so they lie side by side. Every core has batches as many and as large as the others.
     order = sorted(range(len(bumps)), key=lambda i: (bumps[i].length, bumps[i].speed))
-    workers_at_once = cores()
     at_once = min(MOST_AT_ONCE, runs_at_once(len(time), len(vehicle.kind.wheels)))
-    rounds = math.ceil(len(bumps) / (workers_at_once * at_once))
-    chunks = [chunk for chunk in np.array_split(order, workers_at_once * rounds) if len(chunk)]
+    rounds = math.ceil(len(bumps) / (cores() * at_once))
+    chunks = [chunk for chunk in np.array_split(order, cores() * rounds) if len(chunk)]
+    pieces = [functools.partial(_run, vehicle, controller, [bumps[i] for i in chunk], time) for chunk in chunks]
     parts: list[Cells | None] = [None] * len(chunks)
-    stop, workers = threading.Event(), ThreadPoolExecutor(workers_at_once)
-
-    def run(number: int) -> int:
-        some = [bumps[i] for i in chunks[number]]
-        parts[number] = _run(vehicle, controller, some, time, stop.is_set)
-        return len(some)
-
     try:
-        done = 0
-        for part in as_completed([workers.submit(run, number) for number in range(len(chunks))]):
-            done += part.result()
-            progress(done)
+        with closing(side_by_side(pieces, cores())) as results:
+            for number, part in results:
+                parts[number] = part
+                progress(sum(len(part.bumps) for part in parts if part is not None))
     except KeyboardInterrupt:
         pass
-    finally:
-        stop.set()
-        workers.shutdown(cancel_futures=True)
     complete = None not in parts
     parts = [part or _not_run([bumps[i] for i in chunk]) for part, chunk in zip(parts, chunks, strict=True)]
     back = np.argsort(order)
