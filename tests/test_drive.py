@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
-from models.vehicle import read_vehicle
+from models.vehicle import Vehicle, read_vehicle
 from sim.drive import main
 from sim.ride.metrics import metrics_of
 from sim.roads.road import Bump
@@ -80,14 +80,26 @@ def test_profile(capsys, tmp_path):
     assert result["road"]["points"] == 200
 
 
+def metric_rows(out: str, vehicle: Vehicle) -> dict[str, list[str]]:
+    """The printed cells of every metric, by the name that it has in JSON: a signal heads those that are of it."""
+    names, rows, signal = {(metric.source, metric.what): metric.name for metric in metrics_of(vehicle)}, {}, ""
+    for line in out.partition("measured from")[2].splitlines()[2:]:
+        name, *cells = line.split() or [""]
+        if line.startswith("    ") and (signal, name) in names:
+            rows[names.pop((signal, name))] = cells
+        signal = name if not cells else signal
+    return rows
+
+
 def test_full_car_in_words(capsys, tmp_path):
     """A full car on two coherent tracks: the table has every metric of every wheel, and how to open the logs."""
     arguments = ["--vehicle", "full_car", "--controller", "passive", "--class", "B", "--duration", "3", "--logs", str(tmp_path)]
     assert main(arguments) == 0
     out = capsys.readouterr().out
     vehicle = read_vehicle("full_car")
-    rows = {line.split()[0] for line in out.splitlines() if line.strip()}
-    assert {metric.name for metric in metrics_of(vehicle)} <= rows
+    rows = metric_rows(out, vehicle)
+    assert set(rows) == {metric.name for metric in metrics_of(vehicle)}
+    assert all(len(row) >= 4 for row in rows.values())  # unit, and three numbers: no name has pushed them to another line
     assert "agrees to first order" in out
     assert "track_width 1.51" in out
     assert f"  rerun {next(tmp_path.glob('*.rrd'))}" in out.splitlines()
@@ -189,8 +201,9 @@ def test_what_metrics_rest_on_is_said(capsys):
     assert "of short or lightly damped runs the +- is up to 45 % too large" in out
     assert "may be off" not in out
     for name, metric in run["metrics"].items():
-        (line,) = [line for line in table.splitlines() if line.split()[:1] == [name]]
-        assert (f"~{metric['expected']:.4g}" in line) == bool(metric["approximate"] and metric["expected"])
+        row = metric_rows(table, read_vehicle("quarter_car"))[name]
+        assert row[:3] == [metric["unit"], f"{metric['mujoco']:.4g}", f"{metric['linear']:.4g}"]
+        assert (f"~{metric['expected']:.4g}" in row) == bool(metric["approximate"] and metric["expected"])
         assert metric["approximate"] == name.endswith(("vdv", "mtvv", "crest", "peak"))
     assert "without bump stops" not in out
     assert "noise" not in out
@@ -203,7 +216,7 @@ def test_what_linear_numbers_have_not_is_said(capsys, tmp_path):
     main(["--vehicle", str(tmp_path / "built.toml"), "--controller", "I", "--class", "B", "--duration", "2", "--no-logs"])
     out = prose(capsys.readouterr().out)
     assert "sampled and expected numbers are of a vehicle without bump stops" in out
-    assert "noise and quantisation of what is measured are in MuJoCo's numbers, not in sampled and expected ones" in out
+    assert "MuJoCo's numbers have the noise of what is measured in them, sampled and expected ones have not" in out
 
 
 def test_why_the_comparison_ends_is_said(paper, designer):
@@ -223,7 +236,7 @@ def test_a_flat_road_changes_nothing(tmp_path, capsys):
     options = ["--controller", "I", "--controller", "passive", "--duration", "1", "--no-logs"]
     assert main([*options, "--road", str(road)]) == 0
     rows = [line.split() for line in capsys.readouterr().out.splitlines()]
-    changes = [row[-1] for row in rows if row[:1] in (["peak"], ["rms"])]
+    changes = [row[-1] for row in rows if row[:1] in (["peak"], ["rms"]) and len(row) > 4]  # metrics have a unit and two numbers
     assert len(changes) == 2 * 2 * 6  # two runs of six signals
     assert set(changes) == {"-"}
     assert main([*options, "--road", "bump"]) == 0

@@ -412,6 +412,26 @@ def older(parts: Contents) -> Contents:
     return parts.without_claim("roadproof", "format")
 
 
+def test_until_when_the_error_is_of(parts, tmp_path, capsys):
+    """Until when a run's errors are of is held against the run like any number; a log from before it was written lacks it."""
+
+    def changed(change) -> Contents:
+        def result(data: bytes) -> bytes:
+            said = json.loads(data)
+            for run in said["runs"]:
+                change(run)
+            return json.dumps(said).encode()
+
+        return parts.with_attachment("result.json", result)
+
+    path = tmp_path / "changed.mcap"
+    path.write_bytes(written(changed(lambda run: run.pop("until"))))
+    assert inspected(path, capsys)[0] == 0
+    path.write_bytes(written(changed(lambda run: run.update(until=0.5))))
+    code, found = inspected(path, capsys)
+    assert (code, broken(found)) == (1, {("result", "FAILS")})
+
+
 def test_no_claim_of_energy(parts, tmp_path, capsys):
     """A log that claims to be older may lack the balance, which is said; one of this format, or of another, may not."""
     path = tmp_path / "older.mcap"

@@ -14,6 +14,7 @@ from sim.runs.agreement import ROUNDING
 HOLDS, FAILS, MISSING, NOTE = "holds", "FAILS", "missing", "note"
 SAME = 1e-6  # relative: how far other versions of numpy, on another machine, may move a number that was derived
 LATER = ("stability", "energy", "half_step")  # of a result: logs older than formats are numbered may not have them
+SINCE = ("until",)  # of a result of format 1: came when there were logs of it, and says nothing that others do not
 HUGE = 1e150  # a linear response beyond it is unstable, and its squares overflow
 
 
@@ -68,7 +69,7 @@ def different(said: Any, now: Any, exact: bool, path: str = "", absolute: float 
     Args:
         said: what a log has.
         now: computed anew.
-        exact: whether it has the same keys; else it may lack of `LATER`, and what is not computed now is not looked at.
+        exact: whether it has the same keys, but for `SINCE`; else it may lack of `LATER`, and what is not computed now is let be.
         path: where in the whole it stands.
         absolute: how far numbers may differ, where that is more than `SAME` of them.
     """
@@ -85,7 +86,7 @@ def different(said: Any, now: Any, exact: bool, path: str = "", absolute: float 
         near = SAME if key == "half_step" else absolute
         if key in said:
             yield from different(said[key], value, exact, here, near)
-        elif exact or key not in LATER:
+        elif key not in (SINCE if exact else LATER + SINCE):
             yield f"{here} is missing"
     for key in said:
         if exact and key not in now:

@@ -179,8 +179,8 @@ def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -
         )
     if "noise" in kinds:
         text.append(
-            "Controllers that measure with noise, or in steps, make MuJoCo another run at every step: it is held to six of the "
-            "standard deviations that the noise is predicted to make, and the difference has no order."
+            f"Controllers that measure with {scope.vehicle.implementation.blur} make MuJoCo another run at every step: it is "
+            "held to six of the standard deviations that are predicted of that, and the difference has no order."
         )
     if "geometry" in kinds:
         text.append(

@@ -94,8 +94,8 @@ def beside(vehicle: Vehicle) -> list[str]:
     lines = []
     if vehicle.limits.suspension_stroke is not None or vehicle.limits.actuator_force is not None:
         lines.append("sampled and expected numbers are of a vehicle without bump stops and with forces of any size")
-    if vehicle.implementation.noise or vehicle.implementation.quantisation:
-        lines.append("noise and quantisation of what is measured are in MuJoCo's numbers, not in sampled and expected ones")
+    if blur := vehicle.implementation.blur:
+        lines.append(f"MuJoCo's numbers have the {blur} of what is measured in them, sampled and expected ones have not")
     return lines
 
 
@@ -123,12 +123,16 @@ def metric_lines(run: Run, found: RunMetrics, start: float, end: float) -> list[
     if run.broke_off is not None and not any(one.expected is not None for one in measured.values()):
         return [f"  {note}" for note in notes]
     random = any(one.expected is not None for one in measured.values())
-    rows = [("", "unit", "MuJoCo", "sampled", *(("expected", "+- by road") if random else ()))]
-    for name, one in measured.items():
+    rows: list[Sequence[str] | str] = [("", "unit", "MuJoCo", "sampled", *(("expected", "+- by road") if random else ()))]
+    source = ""
+    for metric in metrics_of(run.vehicle):
+        if metric.source != source:
+            rows.append(source := metric.source)
+        one = measured[metric.name]
         spread = cell(one.spread, ".4g") if one.spread is not None else ""
         expected = ("~" if one.approximate and one.expected else "") + cell(one.expected, ".4g")
         numbers = (cell(one.mujoco, ".4g"), cell(one.sampled, ".4g"))
-        rows.append((name, one.unit, *numbers, *((expected, spread) if random else ())))
+        rows.append((f"  {metric.what}", one.unit, *numbers, *((expected, spread) if random else ())))
     return [f"  measured from {start:.4g} to {end:.4g} s", *table(rows), *(f"  {note}" for note in notes)]
 
 

@@ -34,14 +34,16 @@ class Metric:
     """One number of a run.
 
     Attributes:
-        name: of a column.
+        name: of a column of a file.
         unit: SI.
         source: the signal that it is of.
+        what: it is of that signal.
     """
 
     name: str
     unit: str
     source: str
+    what: str
 
 
 @dataclass(frozen=True)
@@ -76,23 +78,23 @@ def metrics_of(vehicle: Vehicle) -> tuple[Metric, ...]:
     """The metrics of a vehicle, in the order of a table."""
     where, found = points(vehicle), []
     for name in where.accelerations:
-        found += [Metric(f"{name}_rms", "m/s2", name), Metric(f"{name}_weighted", "m/s2", name)]
-        found += [
-            Metric(f"{name}_vdv", "m/s1.75", name),
-            Metric(f"{name}_mtvv", "m/s2", name),
-            Metric(f"{name}_crest", "-", name),
-        ]
+        units = {"rms": "m/s2", "weighted": "m/s2", "vdv": "m/s1.75", "mtvv": "m/s2", "crest": "-"}
+        found += [_of(name, what, unit) for what, unit in units.items()]
     for name in where.suspensions:
-        found += [Metric(f"{name}_rms", "m", name), Metric(f"{name}_peak", "m", name)]
+        found += [_of(name, "rms", "m"), _of(name, "peak", "m")]
         if vehicle.limits.suspension_stroke is not None:
-            found.append(Metric(f"{name}_at_stops", "-", name))
+            found.append(_of(name, "at_stops", "-"))
     for name in where.tyres:
-        found += [Metric(dynamic_load(name), "-", name), Metric(off_ground(name), "-", name)]
+        found += [Metric(dynamic_load(name), "-", name, "dynamic_load"), Metric(off_ground(name), "-", name, "off_ground")]
     for name, *travel in where.actuators:
-        found += [Metric(f"{name}_rms", "N", name), Metric(f"{name}_peak", "N", name)]
+        found += [_of(name, "rms", "N"), _of(name, "peak", "N")]
         if travel:
-            found += [Metric(power(name), "W", name), Metric(energy(name), "J", name)]
+            found += [Metric(power(name), "W", name, "power"), Metric(energy(name), "J", name, "energy")]
     return tuple(found)
+
+
+def _of(signal: str, what: str, unit: str) -> Metric:
+    return Metric(f"{signal}_{what}", unit, signal, what)
 
 
 def dynamic_load(tyre: str) -> str:

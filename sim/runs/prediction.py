@@ -59,14 +59,14 @@ def predict(vehicle: Vehicle, controller: Controller, road: Road, time: Array, m
         most_states: of a loop, its delayed forces among them, of which eigenvalues are still taken.
 
     Raises:
-        InputError: noise goes through a larger loop than that, and its spread is not known.
+        InputError: noise or quantisation goes through a larger loop than that, and its spread is not known.
     """
     timestep = float(time[1] - time[0])
     model, _ = with_actuators(vehicle, controller)
     small = len(model.A) + vehicle.implementation.delay * len(model.inputs) <= most_states
-    noisy = any(vehicle.implementation.noise.values()) or any(vehicle.implementation.quantisation.values())
+    noisy = vehicle.implementation.blurred
     if noisy and not small:
-        raise InputError("its noise goes through a loop with too many delayed forces to compute its spread")
+        raise InputError(f"the spread of its {vehicle.implementation.blur} is not computed: its loop has too many delayed forces")
     return Prediction(
         vehicle=vehicle,
         controller=controller,

@@ -37,6 +37,7 @@ def run_object(run: Run) -> dict[str, Any]:
             }
             for name, signal in agreement.signals.items()
         },
+        "until": finite(agreement.until),
         "lift_off": [list(interval) for interval in agreement.lift_off],
         "agrees": agreement.agrees,
     } | ({"energy": energy_object(run.energy)} if run.energy is not None else {})
@@ -133,7 +134,7 @@ def _flights(lift_off: Sequence[tuple[float, float]]) -> list[str]:
 
 def verdict_lines(run: Run) -> list[str]:
     """What the comparison of physics and analysis came to, in sentences."""
-    agreement, lines = run.agreement, []
+    agreement, blur, lines = run.agreement, run.vehicle.implementation.blur, []
     if run.prediction.radius > 1:
         lines.append(f"unstable: the sampled loop grows by a factor of {run.prediction.radius:.6g} every step")
     elif run.prediction.radius == 1:
@@ -149,7 +150,7 @@ def verdict_lines(run: Run) -> list[str]:
     elif run.half_step is not None:
         lines.append("after lift-off the physics is good for nothing: at half the step it diverges")
     elif agreement.lift_off and agreement.blurred:
-        lines.append("how good the physics is after lift-off is not said: at half the step other noise would be measured")
+        lines.append(f"how good the physics is after lift-off is not said: at half the step its {blur} would be another")
     times = agreement.ended
     lines += [end.verdict.format(when=times[end.name]) for end in REGIME_ENDS if end.verdict and math.isfinite(times[end.name])]
     when = "throughout"
@@ -170,18 +171,16 @@ def verdict_lines(run: Run) -> list[str]:
     if agreement.agrees and error.small is not None:
         worst = max(agreement.signals, key=lambda name: agreement.signals[name].sampled - agreement.signals[name].allowed / SLACK)
         error = agreement.signals[worst]
-        made, noise, is_it = ("geometry makes", "", "follows the exact sampled response to")
+        made, with_it, is_it = ("geometry makes", "", "follows the exact sampled response to")
         if agreement.blurred:
-            made, noise, is_it = ("geometry and noise make", " and noise", "is within")
+            made, with_it, is_it = (f"geometry and {blur} make", f" and {blur}", "is within")
         off = error.sampled - (0.0 if agreement.blurred else error.allowed / SLACK)
         lines.append(
             f"agrees to first order {when}: {made} up to {off:.1e} of a peak ({worst}); at {SMALL:g} of this road's "
-            f"height{noise} MuJoCo {is_it} {error.small:.1e} of it"
+            f"height{with_it} MuJoCo {is_it} {error.small:.1e} of it"
         )
     elif agreement.agrees and agreement.blurred:
-        lines.append(
-            f"agrees {when}: MuJoCo stays within the spread that its measurements' noise is predicted to make ({numbers})"
-        )
+        lines.append(f"agrees {when}: MuJoCo stays within the spread that is predicted of its measurements' {blur} ({numbers})")
     elif agreement.agrees:
         lines.append(f"agrees {when}: MuJoCo follows the exact sampled response to within RK4's own error ({numbers})")
     else:
