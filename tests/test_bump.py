@@ -142,7 +142,8 @@ def test_json_has_this_shape(everything):
     assert everything["logs"] == {"mcap": None, "layout": None, "rerun": None}
     assert [run["controller"]["name"] for run in everything["runs"]] == CONTROLLERS
     for run in everything["runs"]:
-        assert set(run) == {"controller", "signals", "lift_off", "agrees", "energy", "half_step"}
+        assert set(run) == {"controller", "signals", "until", "lift_off", "agrees", "energy", "half_step"}
+        assert run["until"] is None  # nothing ends the comparison
         assert run["half_step"] is None  # no tyre lifts
         assert set(run["controller"]) == {"name", "measured", "gain", "bound", "norm", "peak_frequency", "stability"}
         assert {name: entry["unit"] for name, entry in run["signals"].items()} == UNITS

@@ -290,6 +290,37 @@ def test_several_files_get_their_names_together_or_not_at_all(tmp_path):
     assert alone(tmp_path, "a.csv", "new")
 
 
+@pytest.mark.parametrize("links", [True, False])
+def test_where_one_file_cannot_get_its_name_none_keeps_it(tmp_path, monkeypatch, links):
+    """The last of four cannot: what was there before is there again, what was not is gone; with hard links, and without."""
+    write(tmp_path / "a.csv", "old")
+    write(tmp_path / "d.csv", "old")
+    rename = Path.replace
+
+    def replace(beside: Path, target: Path) -> Path:
+        if target.name == "d.csv":
+            assert {name: (tmp_path / f"{name}.csv").read_text() for name in "abcd"} == dict.fromkeys("abc", "new") | {"d": "old"}
+            raise PermissionError(errno.EPERM, "not this one")
+        return rename(beside, target)
+
+    def hardlink_to(link: Path, target: Path) -> None:
+        raise PermissionError(errno.EPERM, "no links here")
+
+    monkeypatch.setattr(Path, "replace", replace)
+    if not links:
+        monkeypatch.setattr(Path, "hardlink_to", hardlink_to)
+
+    def write_all() -> None:
+        with together():
+            for name in "abcd":
+                write(tmp_path / f"{name}.csv")
+
+    with pytest.raises(InputError, match=r"^what was written cannot get its name \(not this one\); mend that$"):
+        write_all()
+    assert (tmp_path / "a.csv").read_text() == (tmp_path / "d.csv").read_text() == "old"
+    assert alone(tmp_path, "a.csv", "d.csv")
+
+
 @POSIX
 def test_what_is_being_finished_is_not_interrupted():
     """One Ctrl-C comes too late for it, a second one is heeded, and afterwards it is as before."""

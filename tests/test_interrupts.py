@@ -42,6 +42,21 @@ def test_an_interrupted_map_is_kept(tmp_path, name, code, word):
     assert err == f"roadproof: {word} after {result['done']} of 10000 cells; they are kept\n"
 
 
+@pytest.mark.parametrize("stderr", [False, True])
+@pytest.mark.parametrize(("name", "code", "word"), ENDINGS)
+def test_who_reads_it_has_gone_too(name, code, word, stderr):
+    """What was printed and can go nowhere any more, as when the terminal has ended, does not change the exit code."""
+    gone, output = os.pipe()
+    os.close(gone)
+    child = f"print('some'); import signal; signal.raise_signal(signal.{name})"
+    command = [sys.executable, "-c", f"from models.common.command import run_command\nrun_command(lambda: exec({child!r}))"]
+    buffered = {key: value for key, value in environment().items() if key != "PYTHONUNBUFFERED"}
+    done = subprocess.run(command, env=buffered, text=True, stdout=output, stderr=output if stderr else subprocess.PIPE)
+    os.close(output)
+    assert done.returncode == code
+    assert stderr or done.stderr == f"roadproof: {word}\n"
+
+
 @pytest.mark.parametrize(("name", "code", "word"), ENDINGS)
 def test_nothing_is_left_of_a_recording(tmp_path, name, code, word):
     """A signal while a recording is written ends the command with one line and its exit code, and leaves no file, no folder."""

@@ -11,7 +11,7 @@ import unicodedata
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TextIO
 
 from models.common import interrupt
 from models.common.errors import InputError, listing, one_line, quoted
@@ -180,6 +180,9 @@ def run_command(main: Callable[[], int]) -> NoReturn:
     except (Exception, KeyboardInterrupt) as error:
         code = _ended_by(error)
     interrupt.ignore_from_now_on()
+    for stream in (sys.stdout, sys.stderr):
+        if stream:  # Python flushes both at its exit, and where that fails, as after the end of the terminal, the code is 120
+            _flushed(stream)
     sys.exit(code)
 
 
@@ -192,14 +195,12 @@ def _ended_by(error: BaseException) -> int:
         complain(str(error))
         return BAD_INPUT
     if isinstance(error, BrokenPipeError):  # the reader has gone, as in `| head`
-        _forget_output()
         return 0
     if isinstance(error, UnicodeEncodeError) and sys.getfilesystemencoding() != "utf-8":
         complain(f"{quoted(error.object)} cannot be written in this locale's encoding, {error.encoding}; set LC_ALL=C.UTF-8")
         return BAD_INPUT
     if isinstance(error, OSError):  # a full disk
         complain(f"cannot write the output: {error.strerror or error}; mend that or write it elsewhere")
-        _forget_output()
         return BAD_INPUT
     raise error
 
@@ -212,9 +213,16 @@ def complain(message: str) -> None:
             print(f"roadproof: {one_line(message)}", file=sys.stderr)
 
 
-def _forget_output() -> None:
+def _flushed(stream: TextIO) -> None:
+    try:
+        stream.flush()
+    except OSError:
+        _forget(stream)
+
+
+def _forget(stream: TextIO) -> None:
     """Lets Python's own flush at exit succeed."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def _check_encoding(arguments: Sequence[str]) -> None:

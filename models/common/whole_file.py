@@ -13,18 +13,18 @@ import shutil
 import stat
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
-from functools import partial
 from pathlib import Path
 
 from models.common import interrupt
 from models.common.errors import InputError
 
 STDOUT = Path("/dev/stdout")  # the one name that is no file and may be written: the command's own output
-# Files that are whole and wait for their names, in `together`; None outside it.
-_waiting: ContextVar[list[tuple[Path, Callable[[], None]]] | None] = ContextVar("_waiting", default=None)
+Waiting = tuple[Path, Path, os.stat_result | None]  # a whole file, the name that it is to get, and what has that name now
+# Those that wait for their names, in `together`; None outside it.
+_waiting: ContextVar[list[Waiting] | None] = ContextVar("_waiting", default=None)
 WRITABLE = stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH
 
 
@@ -55,7 +55,7 @@ def whole_file(path: Path, what: str, instead: str = "give another") -> Iterator
             os.fsync(file.fileno())
         waiting = _waiting.get()
         if waiting is not None:
-            waiting.append((beside, partial(_name, beside, target, before)))
+            waiting.append((beside, target, before))
             return
         with interrupt.finishing():
             _name(beside, target, before)
@@ -64,7 +64,7 @@ def whole_file(path: Path, what: str, instead: str = "give another") -> Iterator
     except OSError as error:
         raise _refused(path, what, f"cannot be written ({error.strerror or error})", instead) from error
     finally:
-        if not any(beside == other for other, _ in _waiting.get() or ()):
+        if not any(beside == other for other, *_ in _waiting.get() or ()):
             _removed(beside)
 
 
@@ -75,19 +75,50 @@ def together() -> Iterator[None]:
     Raises:
         InputError: they cannot get their names.
     """
-    waiting: list[tuple[Path, Callable[[], None]]] = []
+    waiting: list[Waiting] = []
     token = _waiting.set(waiting)
     try:
         yield
         with interrupt.finishing():
-            for _, name in waiting:
-                name()
+            _name_all(waiting)
     except OSError as error:
         raise InputError(f"what was written cannot get its name ({error.strerror or error}); mend that") from error
     finally:
         _waiting.reset(token)
-        for beside, _ in waiting:
+        for beside, *_ in waiting:
             _removed(beside)
+
+
+def _name_all(waiting: Sequence[Waiting]) -> None:
+    """Gives whole files their names; where one cannot get its own, those before it give way to what was there."""
+    named: list[tuple[Path, Path | None]] = []
+    try:
+        for beside, target, before in waiting:
+            kept = _kept(target) if before is not None else None
+            named.append((target, kept))
+            _name(beside, target, before)
+    except OSError:
+        for (target, kept), (beside, *_) in reversed(list(zip(named, waiting, strict=False))):
+            with suppress(OSError):  # of the others as many as can be
+                if kept is not None:
+                    kept.replace(target)
+                elif not beside.exists():  # it has got its name
+                    target.unlink()
+        raise
+    finally:
+        for _, kept in named:
+            if kept is not None:
+                _removed(kept)
+
+
+def _kept(target: Path) -> Path:
+    """A second, hidden name of a file, or where the system has no such, a copy."""
+    kept = target.with_name(f".{secrets.token_hex(8)}.part")
+    try:
+        kept.hardlink_to(target)
+    except OSError:
+        shutil.copy2(target, kept)
+    return kept
 
 
 def _name(beside: Path, target: Path, before: os.stat_result | None) -> None:
