@@ -14,7 +14,8 @@ from models.signals import CONTROL_FORCE, SUSPENSION_DEFLECTION, Signal
 HERE = Path(__file__).parent
 GRAVITY = 9.81  # m/s2, written into every MJCF
 SMALLEST, LARGEST = 1e-6, 1e12  # SI; beyond these a parameter is a slip of the pen, and rounding decides
-MOST_SQUEEZE = 0.25  # m; every MJCF keeps its hubs further than this above the road, and no tyre survives it
+MOST_SQUEEZE = 0.25  # m; no tyre survives it
+LOWEST_HUB = 0.26  # m above the road, at rest, at least: until the end of a step a tyre may be squeezed by more than that
 
 Parameters = Mapping[str, float]
 

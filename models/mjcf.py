@@ -12,7 +12,7 @@ import numpy as np
 
 from models.common.errors import InputError, quoted
 from models.common.read_file import MIB, TEXT, open_plain
-from models.kind import GRAVITY
+from models.kind import GRAVITY, LOWEST_HUB
 from models.vehicle import Vehicle
 
 GIVE = "give the model of the kind of vehicle"
@@ -204,6 +204,36 @@ def _check_numbers(vehicle: Vehicle, model: mujoco.MjModel) -> None:
     for what, values in {"acceleration": data.qacc, "sensor": data.sensordata}.items():
         if not np.all(np.isfinite(values)):
             raise InputError(f"{where}: its {what}s at qpos = 0 are not finite; mend it, or what write_mjcf writes into it")
+    _check_hubs(vehicle, model)
+
+
+def _check_hubs(vehicle: Vehicle, model: mujoco.MjModel) -> None:
+    """Refuses a model whose tyres cannot be squeezed flat: past its hub a road makes the tyre longer again.
+
+    Raises:
+        InputError: it says which tyre.
+    """
+    kind, data = vehicle.kind, mujoco.MjData(model)
+
+    def read(tyre: str) -> float:
+        with quiet():
+            mujoco.mj_forward(model, data)
+        total = 0.0
+        for part, factor in kind.combined.get(tyre, {tyre: 1.0}).items():
+            sensed = data.sensor(part).data
+            total += factor * float(model.sensor(part).user[: len(sensed)] @ sensed)
+        return total
+
+    for wheel, mocap in zip(kind.wheels, mocap_indices(vehicle, model), strict=True):
+        mujoco.mj_resetData(model, data)
+        rest = read(wheel.tyre_deflection)
+        data.mocap_pos[mocap, 2] += LOWEST_HUB
+        moved = read(wheel.tyre_deflection) - rest
+        if not abs(moved + LOWEST_HUB) < 1e-6:
+            raise InputError(
+                f"MJCF {kind.mjcf}: where {wheel.road_body!r} rises by {LOWEST_HUB} m, {wheel.tyre_deflection!r} changes by "
+                f"{moved:.4g} m, not by -{LOWEST_HUB}; give a hub that is at least so high above its road at rest"
+            )
 
 
 def mjcf_text(vehicle: Vehicle, timestep: float) -> str:

@@ -17,11 +17,25 @@ from synth.plant import GeneralizedPlant
 BUILT = "\n[implementation]\nsample_period = 0.01\ndelay = {delay}\n"
 LAGGED = "\n[limits]\nactuator_bandwidth = 60.0\n"
 
+TEXTBOOK = {
+    "sprung_mass": 300,
+    "unsprung_mass": 60,
+    "suspension_stiffness": 16000,
+    "suspension_damping": 1000,
+    "tyre_stiffness": 190000,
+}
+
 
 @pytest.fixture(scope="session")
 def paper() -> Vehicle:
     """The paper's quarter-car."""
     return read_vehicle("quarter_car")
+
+
+@pytest.fixture(scope="session")
+def textbook(paper) -> Vehicle:
+    """A quarter-car with a damper as cars have it."""
+    return dataclasses.replace(paper, parameters={name: float(value) for name, value in TEXTBOOK.items()})
 
 
 @pytest.fixture(scope="session")

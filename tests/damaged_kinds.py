@@ -170,5 +170,7 @@ def _models() -> Iterator[Damage]:
         ("unknown element", "<worldbody>", "<worldbody><nothing/>"),
         ("numbers that are none", 'pos="0 0 .3"', 'pos="0 0 x"'),
         ("NaN", 'pos="0 0 .3"', 'pos="0 0 nan"'),
+        ("a hub too low", 'pos="0 0 .3"', 'pos="0 0 .25"'),
+        ("a tyre read upside down", 'tendon="tyre" user="1"', 'tendon="tyre" user="-1"'),
     ):
         yield Damage(what, "xml", "hopper.xml|hopper.py: write_mjcf", new, old)

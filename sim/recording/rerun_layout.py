@@ -9,7 +9,7 @@ import rerun.blueprint as rrb
 from models.common.arrays import Array
 from models.signals import Signal
 from sim.recording.format import MUJOCO, SAMPLED
-from sim.recording.rerun_axes import value_axis
+from sim.recording.rerun_axes import extremes_text, value_axis
 from sim.recording.rerun_signals import TIMELINE, colours, entity, line
 from sim.recording.run_log import RunLog
 from sim.recording.signal_groups import groups, shown, signals_of
@@ -173,7 +173,7 @@ def _plot(
     return rrb.TimeSeriesView(
         origin="/",
         contents=[f"+ {path}" for path in paths],
-        name=f"{signal.name.replace('_', ' ')}   {signal.symbol} [{signal.unit}]",
+        name="   ".join(filter(None, [signal.name.replace("_", " "), f"{signal.symbol} [{signal.unit}]", extremes_text(curves)])),
         axis_x=rrb.TimeAxis(link="LinkToGlobal"),
         axis_y=value_axis(curves),
         plot_legend=rrb.PlotLegend(corner="RightTop", visible=legend),

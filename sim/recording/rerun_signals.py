@@ -116,14 +116,15 @@ def listed(metadata: Mapping[str, str]) -> str:
 
 
 def certificates(runs: Sequence[RunLog]) -> str:
-    """What is proved and found of every run, side by side, as Markdown."""
+    """What is proved of every run, a table as narrow as a view, and what was found, in sentences that break; as Markdown."""
     keys = ("bound", "norm", "stable")
-    rows = ["| controller | " + " | ".join(keys) + " | MuJoCo | first |", "|---" * (len(keys) + 3) + "|"]
+    rows, found = ["| controller | " + " | ".join(keys) + " |", "|---" * (len(keys) + 1) + "|"], []
     for run in runs:
-        claims = [*(_number(run.metadata.get(key, "-")) for key in keys), _cell(run.verdict) or "-"]
-        first = f"{run.events[0][1]} {run.events[0][0]:.3g} s" if run.events else "-"
-        rows.append(f"| {_cell(run.name)} | {' | '.join(claims)} | {first} |")
-    return "\n".join(rows)
+        claims = [_number(run.metadata.get(key, "-")) for key in keys]
+        rows.append(f"| {_cell(run.name)} | {' | '.join(claims)} |")
+        first = f"; first: {run.events[0][1]}, {run.events[0][0]:.3g} s" if run.events else ""
+        found.append(f"- **{_cell(run.name)}** {_cell(run.verdict) or '-'}{first}")
+    return "\n".join([*rows, "", "MuJoCo:", "", *found])
 
 
 def _number(text: str) -> str:
