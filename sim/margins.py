@@ -105,7 +105,7 @@ def _delayed_runs(vehicle: Vehicle, controller: Controller, loop: LoopMargins, t
 
 
 def _which_loop(vehicle: Vehicle) -> str:
-    """Of which loop the margins are, and the norms of other vehicles, where the vehicle file says more than parameters."""
+    """Which loop has these margins, and which the norms of other vehicles, where the vehicle file says more than parameters."""
     lag = "with" if vehicle.limits.actuator_bandwidth is not None else "without"
     without = " and without the file's [implementation], whose delay and period are part of what it bears"
     if vehicle.implementation.blurred:

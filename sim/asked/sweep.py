@@ -54,7 +54,7 @@ def asked(vehicle: Vehicle, options: argparse.Namespace) -> Asked:
 
 
 def asked_names(vehicle: Vehicle, options: argparse.Namespace) -> list[str]:
-    """Of the controllers that were asked for."""
+    """Names of the controllers that were asked for."""
     usual = [name for name in FIGURE_3 if name in vehicle.controller_names]
     return chosen(vehicle.controller_names, options.controller, usual)
 

@@ -193,7 +193,7 @@ def _found(options: argparse.Namespace, folder: Path) -> tuple[int, Verified, st
 
 
 def _plan(campaign: Campaign, folder: Path, file: Path) -> tuple[Plan, Manifest]:
-    """The runs, with the gains of the first start, or of this one, if it is that; and what the folder says of them.
+    """The runs with the gains that the campaign began with, designed now where it begins; and what the folder says of them.
 
     Raises:
         InputError: the folder holds another campaign; a controller cannot be designed; far too many runs.
@@ -220,7 +220,7 @@ def _planned(campaign: Campaign, gains: Gains) -> Plan:
     """The runs, with gains that are known.
 
     Raises:
-        InputError: some are missing, or are none.
+        InputError: gains are missing, or are no gains.
     """
     try:
         controllers = {
@@ -255,7 +255,7 @@ class _Progress:
         return self.done * self.steps / max(time.monotonic() - self.began, 1e-9)
 
     def next_batch(self) -> int:
-        """Runs for the next batch: as many as a worker does in a time that may be lost."""
+        """How many runs the next batch has: as many as a worker does in the time that an interruption may cost."""
         return self._next
 
     def add(self, runs: int, took: float) -> None:

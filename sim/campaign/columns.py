@@ -25,7 +25,7 @@ class Column:
 
     Attributes:
         kind: int, float or str.
-        about: what else there is to know of it, by `unit`, `definition` and, of an expectation that is one, `approximate`.
+        about: what else there is to know of it: its `unit`, its `definition` and, of an approximate expectation, `approximate`.
     """
 
     kind: type

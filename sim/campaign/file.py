@@ -197,12 +197,12 @@ def _check_once(key: str, written: Sequence[Any], read: Sequence[Hashable]) -> N
 
 
 def _what_it_is(road: RoadChoice, vehicle: Vehicle) -> Hashable:
-    """What tells a road from another, whatever words it was asked for in."""
+    """What tells one road from another, in whatever words they were asked for."""
     return tuple(_measured(road)) or tuple(sorted(road.build(vehicle, 20.0, 0, 1.0).describe().items()))
 
 
 def _measured(road: RoadChoice) -> list[str]:
-    """Checksums of what a file holds that a road is; none of a road that is made."""
+    """Checksums of the file that a road was measured in; none of a road that is computed."""
     arrays = [road.profile.distance, road.profile.heights] if road.profile else []
     arrays += [road.surface.u, road.surface.v, road.surface.z] if road.surface else []
     return [f"{array.shape} {hashlib.sha256(np.ascontiguousarray(array).data).hexdigest()}" for array in arrays]

@@ -226,7 +226,7 @@ class Store:
         return table
 
     def _groups(self) -> Iterator[pa.Table]:
-        """All rows in groups of one size. Whole, as chunks show in a file's bytes."""
+        """All rows in groups of one size, as how they are cut shows in a file's bytes."""
         held = self.schema.empty_table()
         for part in self._parts:
             held = pa.concat_tables([held, self._read(part)])

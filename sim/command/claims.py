@@ -1,4 +1,4 @@
-"""What a vehicle file claims of its gains and is not so: said wherever they are driven, and judged by `synth --check`."""
+"""Claims of a vehicle file about its gains that are not true: said wherever they are driven, and judged by `synth --check`."""
 
 from collections.abc import Iterable
 
@@ -7,7 +7,7 @@ from synth.controller import Controller
 
 
 def say_false_claims(controllers: Iterable[Controller]) -> None:
-    """One line on stderr for every controller whose certificate does not hold: it is driven as it is, by what is true of it."""
+    """One line on stderr for every controller whose certificate does not hold: it is driven all the same."""
     for one in controllers:
         if one.false_claims:
             first, *others = one.false_claims

@@ -25,11 +25,11 @@ class Area:
     y: Axis
 
     def across(self, values: Array) -> Array:
-        """Of numbers along the horizontal axis."""
+        """Where numbers lie along the horizontal axis."""
         return self.left + self.width * self.x.place(values)
 
     def down(self, values: Array) -> Array:
-        """Of numbers along the vertical axis."""
+        """Where numbers lie along the vertical axis."""
         return self.top + self.height * (1 - self.y.place(values))
 
 

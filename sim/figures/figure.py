@@ -27,7 +27,7 @@ def styles(names: tuple[str, ...]) -> dict[str, tuple[str, Dash]]:
     """Colour and line style of every controller: the paper's for the paper's, for others the first that is free.
 
     Args:
-        names: all controllers that are spoken of, in their order: of fewer, the same ones would look otherwise.
+        names: all controllers that are spoken of, in their order: where one is left out, others look different.
     """
     rest = [name for name in names if name not in STYLES]
     free: list[tuple[str, Dash]] = [(color, dash) for dash in DASHES for color in OTHERS]
@@ -178,7 +178,7 @@ class Figure:
 
 
 def thinned(y: Array, every: int) -> Array:
-    """Which of the points of a line to draw, as indices: every so many, and its largest and its least, which are told, too.
+    """Indices of the points of a line to draw: one in every so many, and the largest and the least, which words tell, too.
 
     Args:
         y: shape (N,), finite somewhere.

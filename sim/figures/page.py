@@ -221,7 +221,7 @@ def _of_panel(panel: Panel) -> Iterator[_Entry]:
 
 
 def _on_paper(figure: Figure) -> bool:
-    """Whether all of it is on ground that is the same in the dark."""
+    """Whether all of it lies on ground that is as light by night as by day."""
     return all(on_paper(panel) for panel in figure.panels)
 
 

@@ -69,7 +69,7 @@ def _ends(label: str, axis: Axis, names: Sequence[str] = ()) -> dict[str, object
 
 
 def on_paper(panel: Panel) -> bool:
-    """Whether its colours are on ground that is the same in the dark."""
+    """Whether its colours lie on ground that is as light by night as by day."""
     return isinstance(panel.ground, Classes | Shades)
 
 

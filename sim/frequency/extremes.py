@@ -153,7 +153,7 @@ def _drive_worst(
 
 
 def _whole_periods(omega: float, timestep: float) -> tuple[int, int]:
-    """How many periods of about this frequency fit how many samples, at least `FINEST`, exactly."""
+    """How many periods of about this frequency are exactly how many samples, `FINEST` of them or more."""
     periods = math.ceil(FINEST * timestep * omega / (2 * np.pi))
     return periods, round(periods * 2 * np.pi / (omega * timestep))
 

@@ -127,7 +127,7 @@ def identify(vehicle: Vehicle, controllers: Sequence[Controller], amplitude: flo
 
 
 def images(omega: Array, vehicle: Vehicle, timestep: float) -> Array:
-    """Where a controller that samples every few steps makes sinusoids besides those of the road, the largest of them [rad/s]."""
+    """Frequencies of the largest sinusoids that a controller makes besides the road's, as it samples every few steps [rad/s]."""
     steps = steps_per_sample(vehicle.implementation, timestep)
     rate = 2 * np.pi / (steps * timestep)
     orders = rate * np.arange(1, min(IMAGES, steps // 2) + 1)[:, None]

@@ -1,7 +1,7 @@
 """Everything that a log holds, against what it would hold if it were written now from the runs made anew.
 
 What is written, and what a log is held to, comes from the same functions (`recording/format.py`), so that nothing can be missing
-from the one and not from the other. Nothing extra is borne: whoever reads the log in a player would believe it.
+from the one and not from the other. Nothing extra is accepted: whoever reads the log in a player would believe it.
 """
 
 from collections.abc import Iterator, Sequence

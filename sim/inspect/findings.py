@@ -24,7 +24,7 @@ class Finding:
 
     Attributes:
         part: of what.
-        verdict: one of `HOLDS`, `FAILS`, `MISSING` (what would prove it is not there), `NOTE` (nothing that was to be proved).
+        verdict: one of `HOLDS`, `FAILS`, `MISSING` (what would prove it is not there), `NOTE` (there was nothing to prove).
         text: what was found.
     """
 

@@ -230,7 +230,7 @@ def _inspect(log: Recorded, vehicle: Vehicle, recorded: RecordedRun, h: float, c
 
 
 def _is_whole(recorded: RecordedRun, samples: int) -> bool:
-    """Whether all samples are there; what does not say how many were is not."""
+    """Whether all samples are there; of a log that does not say how many there were, they are not."""
     try:
         return samples == claimed_samples(recorded, samples)
     except InputError:  # which `check_samples` says
@@ -238,7 +238,7 @@ def _is_whole(recorded: RecordedRun, samples: int) -> bool:
 
 
 def _guarded(part: str, verdict: str, check: Callable[[], Iterator[Finding]]) -> list[Finding]:
-    """A check's findings; what it stumbles over is one too."""
+    """A check's findings; an error that stops it is one, too."""
     found: list[Finding] = []
     try:
         found.extend(check())

@@ -61,7 +61,7 @@ def recorded_vehicle(log: Recorded, kinds: Path | None) -> Vehicle:
 
 
 def implemented(vehicle: Vehicle, run: RecordedRun) -> Vehicle:
-    """The vehicle with the implementation that this run had: a margin's run is late, where the vehicle file is not.
+    """The vehicle with the implementation of this run: one that shows a delay margin has a delay that the vehicle file has not.
 
     Raises:
         InputError: what the log says is none, or its limits are not those of the vehicle file.

@@ -15,7 +15,7 @@ from sim.recording.format import MUJOCO, SAMPLED
 
 
 def write_signals(path: Path, proof: Proof) -> None:
-    """One line per sample and run, units in the headings; what there is not, or is not finite, is left empty.
+    """One line per sample and run, units in the headings; a number that is missing or not finite is left empty.
 
     Args:
         path: the file; it gets its name when it is whole.

@@ -118,7 +118,7 @@ def sensed_stage(readout: Readout, used: Array) -> int:
 def force_from_road(gain: Array, road: Array, readout: Readout) -> Array:
     """What is known beforehand of the forces, shape (T, N, m): the gain (N, m, S) on what a reading has not seen of the road.
 
-    A sensor's reading has its value at rest in it besides; that of the state has none.
+    A sensor's reading has its value at rest in it, too; what is read from the state has none.
     """
     known = np.zeros((*road.shape[:2], gain.shape[1]))
     for m, s in np.argwhere(gain.any(axis=0)).tolist():

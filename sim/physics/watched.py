@@ -41,7 +41,7 @@ class Watched:
 
     @property
     def until(self) -> Array:
-        """Before when each is linear [s], infinite for always, shape (N,)."""
+        """The time before which each is linear [s], infinite for always, shape (N,)."""
         return np.minimum(self.ends.first, self.diverged)
 
     def blocks(self) -> Iterator[Block]:

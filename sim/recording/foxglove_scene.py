@@ -139,7 +139,7 @@ def alike(kind: type, first: bytes, second: bytes) -> bool:
 
 
 def _alike(first: Any, second: Any) -> bool:
-    """The same of whatever a message holds."""
+    """The same, of any part of a message."""
     if isinstance(first, float):
         far = abs(first - second)
         return far <= NEAR or (far <= GRID and first % GRID == second % GRID == 0)

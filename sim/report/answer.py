@@ -30,7 +30,7 @@ def worst(findings: Sequence[Finding]) -> State:
 
 
 def loops(scope: Scope) -> list[Finding]:
-    """Which loop is meant by what, where there are two; and whose is stable ideally only, or not even so."""
+    """Which of two loops is meant where; and whose loop is stable only as the ideal one, or not at all."""
     found = []
     if not scope.plain:
         found.append(
@@ -97,7 +97,7 @@ def over_the_bump(scope: Scope, runs: Sequence[Run]) -> list[Finding]:
 
 
 def _how(scope: Scope, runs: Sequence[Run]) -> str:
-    """How they agree that agree throughout."""
+    """How closely those agree that agree throughout."""
     some = [run.agreement for run in runs if run.agreement.agrees and math.isinf(run.agreement.until)]
     words = []
     if any(one.blurred for one in some):

@@ -28,7 +28,7 @@ THRESHOLD = 0.05  # of a peak, where linear analysis is said to hold
 
 
 def margins_section(scope: Scope) -> tuple[Section, list[Finding]]:
-    """What the loops bear, predicted and found; and those of whom physics says something else."""
+    """What the loops bear, predicted and found; and the controllers of which physics says something else."""
     rows, figures, robust, found = [], [], [], []
     vehicle = replace(scope.vehicle, implementation=Implementation())
     scope.progress("margins")
@@ -127,7 +127,7 @@ def regime_section(scope: Scope, bump: Bump, ends: Sequence[tuple[Controller, Re
 
 
 def validity_section(scope: Scope, bump: Bump) -> tuple[Section, list[Finding]]:
-    """The map of every controller; and those that break otherwise than predicted."""
+    """The map of every controller; and the controllers whose runs break otherwise than predicted."""
     axes, timestep, vehicle = read_axes(MAP), scope.map_timestep, ideal_measurements(scope.vehicle)
     fixed = {"height": bump.height, "length": bump.length, "speed": bump.speed}
     time = sample_times(vehicle, BUMP_DURATION, timestep)

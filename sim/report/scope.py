@@ -102,7 +102,7 @@ class Scope:
 
     @cached_property
     def built_norms(self) -> dict[str, Worst]:
-        """The H-infinity norms as built, by controller, where the vehicle file makes them others and has one wheel.
+        """The H-infinity norms as built, by controller, where the vehicle file makes them differ; of one wheel only.
 
         With more wheels the ideal norm is of any road under any wheel, and of the sampled loop there is only one road's.
         """

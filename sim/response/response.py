@@ -59,7 +59,7 @@ class Response:
 
     @property
     def diverged(self) -> float:
-        """When a single run diverged [s], the first sample of which a number is none; infinite where it did not."""
+        """When a single run diverged [s], the first sample with a value that is no number; infinite where it did not."""
         broken = ~np.all(np.isfinite(self.values), axis=-1)
         return float(self.time[broken.argmax()]) if broken.any() else np.inf
 

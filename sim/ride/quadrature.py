@@ -61,7 +61,7 @@ def sample_band(
     poles: Array,
     longest: float,
 ) -> Band:
-    """A function at as many frequencies of a band as the integrals of what is made of it need.
+    """A function at as many frequencies of a band as are needed for integrals of what is made of it.
 
     Args:
         function: of frequencies [rad/s], (F,) to (F, ...).
