@@ -183,7 +183,7 @@ def test_where_control_can_change_all_nothing_is_bounded():
 
 
 def test_a_plant_that_has_no_rate_of_its_own_has_a_bound():
-    """With all poles at 0, simple, many or defective, the bound is what it is by hand, in any units."""
+    """With all poles at 0, simple, many or defective, seen by z or not, the bound is what it is by hand, in any units."""
     one, none = [[1.0, 0.0]], [[0.0]]
     chain = [[0, 1], [0, 0]]
     integers = [[0, 2, 2], [1, 1, 1], [-1, -1, -1]], [[0, -1], [0, -1], [0, 0]], [[-1], [1], [1]], [[-1, -1, -1]]
@@ -191,13 +191,13 @@ def test_a_plant_that_has_no_rate_of_its_own_has_a_bound():
         # With u = -k x, z = [x, u] = [1, -k] w / (s + k): at 0 rad/s of length (1 / k^2 + 1)^1/2, above 1 for every k.
         (of_lists(none, [[1]], [[1]], [[1], [0]], [[0], [1]]), 1),
         (of_lists(none, [[1e-3]], [[1e3]], [[1], [0]], [[0], [1]]), 1e6),  # at 0 rad/s u holds w still
-        (
-            of_lists(none, [[1]], [[1]], [[0], [0]], [[0], [1]]),
-            0,
-        ),  # z is the force, which may be small
+        # z is the force: whatever holds the integrator still answers a lasting w with -w.
+        (of_lists(none, [[1]], [[1]], [[0], [0]], [[0], [1]]), 1),
+        # z is the output of a filter that u enters with -1 / 2 as much as w does: at 0 rad/s u = -w leaves half of w.
+        (of_lists([[0, 0], [0, -1]], [[1], [-0.5]], [[1], [0]], [[0, 1], [0, 0]], [[0], [0]]), 0.5),
         (of_lists(chain, [[0], [1]], [[0], [1]], [*one, [0, 0]], [[0], [1]]), 1),
-        (of_lists([[0, 0], [0, -1]], [[1], [1]], [[1], [1]], [[0, 1], [0, 0]], [[0], [1]]), 0.5**0.5),
-        (of_lists(*integers, [[0, 0]]), 0),
+        (of_lists([[0, 0], [0, -1]], [[1], [1]], [[1], [1]], [[0, 1], [0, 0]], [[0], [1]]), 1),  # likewise, and the force counts
+        (of_lists(*integers, [[0, 0]]), 1),  # z + w is the rate of the last state, which comes to rest
         (of_lists([[0, 0]] * 2, [[1, 0], [0, 1]], [[1], [1]], [[1, 0], [0, 1]], [[0, 0]] * 2), 0),
     ):
         for seed in range(4):

@@ -42,6 +42,20 @@ def test_a_zero_by_hand():
     assert of_y == ()
 
 
+def test_a_zero_of_more_outputs_or_of_forces_that_do_nothing():
+    """A second z counts with its answer at the zero, by hand; a force into a state that z never sees changes nothing."""
+    plant = two_by_two()
+    C, D = np.vstack([plant.C, [[1.0, 0.0]]]), np.vstack([plant.D, [[0.0]]])  # 1 / (s + 2) again
+    taller = GeneralizedPlant(plant.A, plant.B, plant.Bw, C, D, np.zeros((2, 1)))
+    assert zero_limit(taller)[0] == pytest.approx(2**0.5 / 3, rel=1e-8)  # SHORT
+    A, B = np.diag([*np.diag(plant.A), 0.0]), np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    C, D = np.hstack([plant.C, [[0.0]]]), np.hstack([plant.D, [[0.0]]])
+    wider = GeneralizedPlant(A, B, np.vstack([plant.Bw, [[1.0]]]), C, D, np.zeros((1, 1)))
+    assert zero_limit(wider)[0] == pytest.approx(1 / 3, rel=1e-8)  # its pencil has no rank anywhere
+    eye = np.eye(2)
+    assert zero_limit(GeneralizedPlant(-eye, eye, eye, eye, eye, 0 * eye))[0] == 0  # a zero at -2
+
+
 @pytest.mark.parametrize("seed", [0, 1, 2, 6])
 def test_zeros_are_all_there_is_to_state_feedback(seed):
     """Of as many forces as outputs, each weighed, the zeros from u to z prove the optimum of (22): by quite another route."""

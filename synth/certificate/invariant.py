@@ -9,6 +9,9 @@ Floats only propose the frequency and the direction. The proof is a pair (q, p) 
 
 and it is exact: as many entries of q and p as there are independent equations follow from the others by integers. At a resonance,
 near a zero of Gu, or where u can do all there is no such pair but a true one, and no tolerance decides which.
+
+Where z does not see a pole on the axis there are more such pairs than beside it: whatever makes the loop stable holds that mode,
+too, and what w would move it by must come to nothing. An integrator that z does not see is one.
 """
 
 import contextlib
@@ -17,9 +20,9 @@ from fractions import Fraction
 import numpy as np
 
 from models.common.arrays import Array
-from synth.certificate.exact import Nullspace, integers, product, root_below
+from synth.certificate.exact import Nullspace, floats, identity, integers, product, root_below, without_factors
 from synth.certificate.norm import largest_singular_values, transfer_matrix
-from synth.certificate.stability import balance
+from synth.certificate.stability import balance, stability
 from synth.plant import GeneralizedPlant
 from synth.scaling import own_units
 
@@ -47,7 +50,7 @@ def invariant_limit(plant: GeneralizedPlant) -> tuple[float, float] | None:
         index = np.arange(len(middle))
         middle, height, width = near[highest, index], there[highest, index], width / 5
     middle, height = np.append(middle, 0.0), np.append(height, largest_singular_values(_left(plant, np.zeros(1))))
-    best, at = 0.0, 0.0
+    best, at = max(((limit_at(plant, there), there) for there in _standing(plant)), default=(0.0, 0.0))
     for promised, there in sorted(zip(height.tolist(), middle.tolist(), strict=True), reverse=True):
         if promised > best * (1 + ENOUGH):
             best, at = max((best, at), (limit_at(plant, there), there))
@@ -65,18 +68,52 @@ def limit_at(plant: GeneralizedPlant, omega: float) -> float:
     solutions = Nullspace(integers(np.block([[still, turning], [turning, -still]]))[0])
     if not solutions.free:
         return 0.0
-    p, q = _guess(plant, omega)
-    guess = np.concatenate([np.real(q), np.real(p), np.imag(q), np.imag(p)])[solutions.free]
-    if not np.all(np.isfinite(guess)):
-        return 0.0
-    found = solutions.complete(integers(guess[:, None])[0])
     answer, unit = integers(plant.system_matrix[:, n + m :])
-    to_w = product(np.hstack([found[: n + d], found[n + d :]]).T, answer)
     outputs = [*range(n, n + d), *range(2 * n + d, 2 * (n + d))]
-    own = int(np.sum(found[outputs] ** 2))
-    with contextlib.suppress(OverflowError):
-        return root_below(Fraction(int(np.sum(to_w**2)), unit**2 * own)) if own else 0.0
-    return 0.0
+
+    def proved(guess: Array) -> float:
+        if not np.all(np.isfinite(guess)):
+            return 0.0
+        found = solutions.complete(integers(guess[:, None])[0])
+        to_w = product(np.hstack([found[: n + d], found[n + d :]]).T, answer)
+        own = int(np.sum(found[outputs] ** 2))
+        with contextlib.suppress(OverflowError):
+            return root_below(Fraction(int(np.sum(to_w**2)), unit**2 * own)) if own else 0.0
+        return 0.0
+
+    p, q = _guess(plant, omega)
+    best = proved(np.concatenate([np.real(q), np.real(p), np.imag(q), np.imag(p)])[solutions.free])
+    if not _is_pole(plant, omega):
+        return best
+    whole, over = without_factors(solutions.complete(identity(len(solutions.free))))
+    basis = floats(whole, Fraction(1, over))
+    to_w = np.hstack([basis[: n + d].T, basis[n + d :].T]) @ np.kron(np.eye(2), plant.system_matrix[:, n + m :])
+    return max(best, proved(basis[solutions.free] @ _strongest(basis[outputs].T, to_w)))
+
+
+def _is_pole(plant: GeneralizedPlant, omega: float) -> bool:
+    """Whether j omega is a pole to the last digit, as 0 is that of an integrator."""
+    return bool(np.linalg.matrix_rank(balance(plant.A)[0] - 1j * omega * np.eye(len(plant.A))) < len(plant.A))
+
+
+def _standing(plant: GeneralizedPlant) -> list[float]:
+    """Frequencies [rad/s] of the poles that lie on the axis to the last digit."""
+    found = stability(plant.A)
+    there = np.unique(np.append(np.abs(np.imag(found.poles[found.on_axis])), 0.0))
+    return [omega for omega in there.tolist() if _is_pole(plant, omega)]
+
+
+def _strongest(own: Array, answer: Array) -> Array:
+    """The combination x with the largest |x' answer| / |x' own|; of those with none of their own, nothing.
+
+    Args:
+        own: shape (k, d).
+        answer: shape (k, r).
+    """
+    directions, sizes, _ = np.linalg.svd(own, full_matrices=False)
+    kept = sizes > NONE * sizes.max(initial=0.0)
+    directions = directions[:, kept] / sizes[kept]
+    return directions @ np.linalg.svd(directions.T @ answer)[0][:, 0] if kept.any() else np.zeros(len(own))
 
 
 def _rates(plant: GeneralizedPlant) -> Array:

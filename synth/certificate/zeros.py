@@ -1,9 +1,9 @@
 """What zeros in the right half plane allow no controller: at such a zero some of z answers to w alone, and to some of w z alone.
 
-Let M - s E = [A - s, B; C, D] be square and singular at s, Re s > 0, with [q; p]' (M - s E) = 0. Whatever controller makes the
-loop stable, x and u exist at s, and p' z = (q' Bw + p' Dw) w there. The transposed plant with inputs C_y' says for the zeros from
-w to y that some z = x follows from some w = v whatever controller of y there is, of any order. So the transfer function T from w
-to z is known in directions at points of the right half plane,
+Let M - s E = [A - s, B; C, D] lose rank at s, Re s > 0, with [q; p]' (M - s E) = 0. Whatever controller makes the loop stable, x
+and u exist at s, and p' z = (q' Bw + p' Dw) w there. The transposed plant with inputs C_y' says for the zeros from w to y that
+some z = x follows from some w = v whatever controller of y there is, of any order. So the transfer function T from w to z is
+known in directions at points of the right half plane,
 
     p_i' T(s_i) = y_i',        T(t_k) v_k = x_k,
 
@@ -13,21 +13,24 @@ Interpolation of Rational Matrix Functions, chapter 18; Zames, Francis 1983):
     [ (gamma p_i' p_j* - y_i' y_j* / gamma) / (s_i + s_j*)    (p_i' x_k - y_i' v_k) / (t_k - s_i)                  ]
     [ *                                                       (gamma v_k* v_l - x_k* x_l / gamma) / (t_k* + t_l)   ]  >= 0.
 
-No zero is a float. So each is enclosed: with (q, p, s) near a solution, R near the inverse of the derivative there, and the
-residual bounded with its rounding, a solution lies within the radius r for which |R residual| + |I - R derivative| r +
-|R| r^2 / 2 is at most r (Krawczyk; the equation is quadratic, and Brouwer's theorem does the rest). That a vector has a negative
-form under Pick's matrix is asked of all that is enclosed.
+Where forces are steered at no cost M - s E is singular everywhere. So the pairs are taken as [q; p] = N k, k' (Q - s U) = 0, of a
+`Side`: it has them all, and its pencil is not singular.
+
+No zero is a float. So each is enclosed: with (k, s) near a solution, R near the inverse of the derivative there, and the residual
+bounded with its rounding, a solution lies within the radius r for which |R residual| + |I - R derivative| r + |R| |U| r^2 / 2 is
+at most r (Krawczyk; the equation is quadratic, and Brouwer's theorem does the rest). Where there are several k at a zero, the one
+that proves most by itself is told from the others by as many rows of its own. That a vector has a negative form under Pick's
+matrix is asked of all that is enclosed.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
-from models.common.errors import InputError
-from synth.certificate.side import transposed
+from synth.certificate.side import Side, transposed
 from synth.plant import GeneralizedPlant
 from synth.scaling import own_units
 
@@ -35,6 +38,8 @@ STEPS = 3  # of Newton's method from where a zero is said to be
 SAFE = 4.0  # times what a sum of products may lose to rounding: they are complex, and norms of matrices are computed, too
 SHORT = (1e-9, 1e-6, 1e-3)  # how far below the best bound one is tried: what is enclosed must fit in between
 TINY = 1e-60  # gamma; the largest is 1 / TINY
+SEED = 20261122
+NEARLY = 1e-6  # relative; a singular value this small may be zero at a zero that is not a float
 APART = 1e-6  # relative; of zeros that are closer only the first is looked at
 
 Zeros = tuple[Sequence[complex], Sequence[complex]]  # [rad/s], from u to z and from w to y
@@ -56,88 +61,114 @@ class Node(NamedTuple):
     off: tuple[float, float, float]
 
 
-def zero_limit(plant: GeneralizedPlant, Cy: Array | None = None) -> tuple[float, Zeros]:
+@np.errstate(all="ignore")  # as below
+def zero_limit(
+    plant: GeneralizedPlant, Cy: Array | None = None, sides: tuple[Side, Side | None] | None = None
+) -> tuple[float, Zeros]:
     """The largest norm that zeros in the right half plane prove, and these, nearly; 0 and none where none do.
 
     Args:
         plant: n states, m inputs.
         Cy: shape (q, n); None for state feedback and more, of which only the zeros from u to z count.
+        sides: of the plant, and of the transposed one, if they are there already.
     """
-    left, right = (*(_zeros(each) for each in _sides(plant, Cy)), ())[:2]
+    left, right = (_enclosed(side, side.zeros()) for side in _sides(plant, Cy, sides))
     best: tuple[float, Zeros] = (0.0, ((), ()))
-    for which in [(left, right), (left, ()), ((), right), *(((one,), ()) for one in left), *(((), (one,)) for one in right)]:
-        gamma = limit_at_zeros(plant, Cy, which)
+    for some in [(left, right), (left, []), ([], right), *(([one], []) for one in left), *(([], [one]) for one in right)]:
+        gamma = _limit(*some)
         if gamma > best[0]:
-            best = gamma, which
+            best = gamma, (tuple(node.zero for node in some[0]), tuple(node.zero for node in some[1]))
     return best
 
 
 @np.errstate(all="ignore")  # what is not finite proves nothing
 def limit_at_zeros(plant: GeneralizedPlant, Cy: Array | None, near: Zeros) -> float:
     """A norm that no controller reaches, for zeros near some points; proved, and 0 where none is enclosed."""
+    left, right = (_enclosed(side, points) for side, points in zip(_sides(plant, Cy), near, strict=True))
+    return _limit(left, right)
+
+
+def _limit(left: Sequence[Node], right: Sequence[Node]) -> float:
+    """What nodes prove, without those that are too close to one before them."""
     nodes: list[list[Node]] = [[], []]
-    for kind, each, points in zip(nodes, _sides(plant, Cy), near, strict=False):
-        for point in points:
-            found = _enclosed(each, point)
-            if found is not None and all(
-                abs(found.zero - other.zero) > APART * abs(found.zero) for some in nodes for other in some
-            ):
-                kind.append(found)
-    left, right = nodes
-    if not left and not right:
+    for kind, given in zip(nodes, (left, right), strict=True):
+        for one in given:
+            if all(abs(one.zero - other.zero) > APART * abs(one.zero) for some in nodes for other in some):
+                kind.append(one)
+    if not any(nodes):
         return 0.0
-    pick = _Pick(left, right)
+    pick = _Pick(*nodes)
     best = pick.least()
     return next((gamma for short in SHORT if pick.refuses(gamma := best * (1 - short))), 0.0)
 
 
-def _alike(one: Node, other: Node) -> bool:
-    return abs(one.zero - other.zero) <= APART * abs(one.zero)
+def _sides(plant: GeneralizedPlant, Cy: Array | None, sides: tuple[Side, Side | None] | None = None) -> "tuple[_Own, _Own]":
+    """The plant's, and that of the transposed one; of no equations where nothing is measured."""
+    one, other = sides or (Side.of(plant), None)
+    if Cy is None:
+        return _Own.of(plant, one), _NOTHING
+    turned = transposed(plant, Cy)
+    return _Own.of(plant, one), _Own.of(turned, other or Side.of(turned))
 
 
-def _sides(plant: GeneralizedPlant, Cy: Array | None) -> Iterator[GeneralizedPlant]:
-    """The plant, and the transposed one."""
-    yield plant
-    if Cy is not None:
-        yield transposed(plant, Cy)
+class _Own(NamedTuple):
+    """The equations k' (Q - s U) = 0, p = c' k, y = b' k of a `Side` in units in which its numbers have size one.
+
+    Attributes:
+        U, Q, b, c: each entry is within a rounding of what it is.
+        time: what one of s counts here [rad/s].
+        answer: what one of y counts here.
+    """
+
+    U: Array
+    Q: Array
+    b: Array
+    c: Array
+    time: float = 1.0
+    answer: float = 1.0
+
+    @classmethod
+    def of(cls, plant: GeneralizedPlant, side: Side) -> "_Own":
+        """Every unit is a power of two: nothing is rounded on the way there and back."""
+        units = own_units(plant)
+        time, states = _power(units.rate), units.states[side.coordinates]
+        try:
+            U, Q, b, c = side.floats()
+        except OverflowError:  # numbers that are too far apart
+            return _NOTHING
+        U, Q = U * states, Q * states / time
+        rows = np.array([_power(float(size)) for size in np.linalg.norm(np.hstack([U, Q]), axis=1)])[:, None]
+        U, Q, b, c = U / rows, Q / rows, b / rows, c / rows
+        y, p = _power(float(np.linalg.norm(b))), _power(float(np.linalg.norm(c)))
+        return cls(U, Q, b / y, c / p, time, y / p)
+
+    def zeros(self) -> list[complex]:
+        """Where Q - s U loses rank in the right half plane, nearly, and other points, if it has more rows than columns."""
+        k, a = self.U.shape
+        if not 0 < a <= k:
+            return []
+        mixed = np.eye(k) if k == a else np.random.default_rng(SEED).standard_normal((a, k))
+        zeros = np.asarray(linalg.eigvals(mixed @ self.Q, mixed @ self.U)).tolist()
+        return [zero * self.time for zero in zeros if np.isfinite(zero) and zero.real > 0 and self.loses_rank(zero)]
+
+    def loses_rank(self, s: complex) -> bool:
+        """Whether that may be so at a point."""
+        sizes = np.linalg.svd(self.Q - s * self.U, compute_uv=False)
+        return bool(sizes[-1] <= NEARLY * sizes[0])
+
+    def strongest(self, s: complex) -> tuple[Array, Array]:
+        """The k near k' (Q - s U) = 0 with the largest |y| for its |p|, of length one; and rows that tell it from all others."""
+        basis = np.linalg.svd(self.Q - s * self.U)[0][:, self.U.shape[1] - 1 :].conj()
+        own, answer = basis.T @ self.c, basis.T @ self.b
+        directions, sizes, _ = np.linalg.svd(own, full_matrices=False)
+        kept = sizes > NEARLY * sizes.max(initial=0.0)
+        directions = directions[:, kept] / sizes[kept]
+        best = directions @ np.linalg.svd(directions.conj().T @ answer)[0][:, :1]
+        k = (basis @ best.conj())[:, 0] if basis.shape[1] > 1 and kept.any() else basis[:, 0]
+        return k / np.linalg.norm(k), basis.conj().T
 
 
-def _pencil(plant: GeneralizedPlant) -> tuple[Array, Array]:
-    """M and E."""
-    n, m = plant.B.shape
-    E = np.zeros((n + len(plant.C), n + m))
-    E[np.arange(n), np.arange(n)] = 1
-    return plant.system_matrix[:, : n + m], E
-
-
-@np.errstate(all="ignore")  # infinite zeros
-def _zeros(plant: GeneralizedPlant) -> tuple[complex, ...]:
-    """The zeros from u to z in the right half plane; none if not as many of u as of z, or in no units alike."""
-    try:
-        M, E = _pencil(own_units(plant).into(plant))
-    except InputError:
-        return ()
-    if len(M) != M.shape[1]:
-        return ()
-    zeros = np.asarray(linalg.eigvals(M, E))
-    return tuple(zero for zero in zeros.tolist() if np.isfinite(zero) and zero.real > 0)
-
-
-def _enclosed(plant: GeneralizedPlant, near: complex) -> Node | None:
-    """What the zero next to a point says; None where none is enclosed in the right half plane."""
-    # In units in which all numbers have size one, each a power of two: nothing is rounded on the way there and back.
-    units = own_units(plant)
-    try:
-        own, time = units.into(plant), _power(units.rate)
-        z, w = _power(float(np.linalg.norm(np.hstack([own.C, own.D])))), time / _power(float(np.linalg.norm(own.Bw)))
-        own = GeneralizedPlant(own.A / time, own.B / time, own.Bw * (w / time), own.C / z, own.D / z, own.Dw * (w / z))
-    except InputError:  # there are none: numbers that are too far apart
-        return None
-    found = _enclosed_in_own(own, near / time)
-    if found is None:
-        return None
-    off = found.off[0] * time, found.off[1], found.off[2] * (z / w)
-    return Node(found.zero * time, found.p, found.y * (z / w), off)
+_NOTHING = _Own(*[np.zeros((0, 0))] * 4, time=1.0, answer=1.0)
 
 
 def _power(size: float) -> float:
@@ -145,40 +176,49 @@ def _power(size: float) -> float:
     return float(np.exp2(np.round(np.log2(size)))) if size > 0 else 1.0
 
 
-def _enclosed_in_own(plant: GeneralizedPlant, near: complex) -> Node | None:
-    """The same for a plant whose numbers have size one."""
-    n, (M, E) = len(plant.A), _pencil(plant)
-    N = len(M)
-    if M.shape[1] != N or not np.isfinite(near):
+def _enclosed(side: _Own, points: Sequence[complex]) -> list[Node]:
+    """What the zeros next to some points say; of those that are enclosed in the right half plane."""
+    return [found for point in points if (found := _enclosed_near(side, complex(point) / side.time)) is not None]
+
+
+def _enclosed_near(side: _Own, near: complex) -> Node | None:
+    (k, a), U, Q = side.U.shape, side.U, side.Q
+    if not 0 < a <= k or not np.isfinite(near):
         return None
     try:
-        last = np.linalg.svd(M - near * E)[0][:, -1]
-        v, s = last.conj(), near
+        v, rows = side.strongest(near)
+        target, s = rows @ v, near
         for _ in range(STEPS):
-            R, residual, _ = _newton(M, E, last, v, s)
+            R, residual, _ = _newton(side, rows, target, v, s)
             moved = R @ residual
             v, s = v - moved[:-1], complex(s - moved[-1])
-        R, residual, derivative = _newton(M, E, last, v, s)
+        R, residual, derivative = _newton(side, rows, target, v, s)
     except np.linalg.LinAlgError:  # a double zero, or every point one
         return None
-    unit = SAFE * (N + 4) * np.finfo(float).eps
-    rounding = unit * np.append((np.abs(M).T + abs(s) * E.T) @ np.abs(v), np.abs(last) @ np.abs(v) + 1)
-    size = (1 + unit) * float(np.linalg.norm(R))
+    unit = SAFE * (k + a + 4) * np.finfo(float).eps
+    below = (np.abs(Q).T + abs(s) * np.abs(U).T) @ np.abs(v), np.abs(rows) @ np.abs(v) + np.abs(target)
+    rounding = unit * np.concatenate(below)
+    size, bend = (1 + unit) * float(np.linalg.norm(R)), (1 + unit) * float(np.linalg.norm(U))
     first = (1 + unit) * float(np.linalg.norm(R @ residual)) + size * float(np.linalg.norm(rounding))
-    contraction = float(np.linalg.norm(np.eye(N + 1) - R @ derivative)) + unit * size * float(np.linalg.norm(derivative))
+    # The derivative, too, is known to rounding only: of its own entries, and of those in Q - s U and U' v that cancel.
+    shaken = float(np.linalg.norm(derivative)) + float(np.linalg.norm(Q)) + (abs(s) + float(np.linalg.norm(v))) * bend
+    contraction = float(np.linalg.norm(np.eye(k + 1) - R @ derivative)) + unit * size * shaken
     radius = 2 * first / (1 - contraction)
-    length, from_w = float(np.linalg.norm(v[n:])), np.vstack([plant.Bw, plant.Dw])
-    if not (contraction < 0.5 and first + contraction * radius + size * radius**2 / 2 <= radius < min(s.real, length)):
+    if not (contraction < 0.5 and first + contraction * radius + size * bend * radius**2 / 2 <= radius < s.real):
         return None
-    off = radius + unit * float(np.linalg.norm(v))
-    return Node(s, v[n:] / length, v @ from_w / length, (radius, off / length, off * float(np.linalg.norm(from_w)) / length))
+    p, y, off = v @ side.c, v @ side.b, radius + unit * float(np.linalg.norm(v))
+    length, off_p, off_y = float(np.linalg.norm(p)), off * float(np.linalg.norm(side.c)), off * float(np.linalg.norm(side.b))
+    if not off_p < length:
+        return None
+    off_y = off_y / length * side.answer
+    return Node(s * side.time, p / length, y / length * side.answer, (radius * side.time, off_p / length, off_y))
 
 
-def _newton(M: Array, E: Array, last: Array, v: Array, s: complex) -> tuple[Array, Array, Array]:
-    """The inverse of the derivative of (M - s E)' v = 0, last' v = 1, the residual, and the derivative."""
-    shifted = (M - s * E).T
-    derivative = np.block([[shifted, -(E.T @ v)[:, None]], [last[None], np.zeros((1, 1))]])
-    return np.linalg.inv(derivative), np.append(shifted @ v, last @ v - 1), derivative
+def _newton(side: _Own, rows: Array, target: Array, v: Array, s: complex) -> tuple[Array, Array, Array]:
+    """The inverse of the derivative of (Q - s U)' v = 0, rows v = target, the residual, and the derivative."""
+    shifted = (side.Q - s * side.U).T
+    derivative = np.block([[shifted, -(side.U.T @ v)[:, None]], [rows, np.zeros((len(rows), 1))]])
+    return np.linalg.inv(derivative), np.concatenate([shifted @ v, rows @ v - target]), derivative
 
 
 class _Pick:

@@ -60,19 +60,22 @@ def find_lower_bound(
     if Cy is not None and len(Cy):  # of no row at all: a bound for what measures nothing
         Cy = measurement_matrix(Cy, len(plant.A))
     best = bound_beyond_control(plant) if beyond_control is None else beyond_control
-    gamma, zeros = zero_limit(plant, Cy)
-    if gamma > best.gamma:
-        best = LowerBound(gamma, zeros=zeros)
     other = Side.of(transposed(plant, Cy)) if Cy is not None else None
     if other is not None and not len(other.J):
-        other = None  # y shows, with its derivatives, all that state feedback knows
-    one = None if path and best.gamma >= path[-1].gamma * (1 - ENOUGH) else Side.of(plant)
-    if one is not None:
+        other = Cy = None  # y shows, with its derivatives, all that state feedback knows
+    reached = bool(path) and best.gamma >= path[-1].gamma * (1 - ENOUGH)
+    if other is None and reached:
+        return best
+    one = Side.of(plant)
+    gamma, zeros = zero_limit(plant, Cy, (one, other))
+    if gamma > best.gamma:
+        best = LowerBound(gamma, zeros=zeros)
+    if not reached:
         best = max(best, _for_state_feedback(plant, one, path), key=_gamma)
     if other is None:
         return best
     # The joint path ends a little short of its optimum, or where rounding ends it: what state feedback does not beat counts, too.
-    return max(best, _along_the_walk(plant, Cy, one or Side.of(plant), other), key=_gamma)
+    return max(best, _along_the_walk(plant, Cy, one, other), key=_gamma)
 
 
 def _for_state_feedback(plant: GeneralizedPlant, one: Side, path: Sequence[CentralPoint]) -> LowerBound:

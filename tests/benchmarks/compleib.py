@@ -9,8 +9,7 @@ names the start that led to the gain.
 
 A lower bound of 0 has no gap. Of AC1, NN10 and UWV the gain beside it reaches 0, to rounding. Of PAS and ROC5 none is above it: y
 and its derivatives show the whole state, and the norm of an LQ state feedback falls with the root of the force's weight. Of ROC4
-and ROC10 it says nothing: stable or undamped zeros leave the full-order LMIs no point inside, and the one zero of ROC10 in the
-right half plane lies in a singular pencil.
+and ROC10 only their zeros in the right half plane count: stable or undamped zeros leave the full-order LMIs no point inside.
 """
 
 import json
