@@ -75,6 +75,7 @@ def test_zeros_of_both_kinds_are_all_there_is_to_output_feedback():
     """Of one z, u, w, y the zeros of both kinds prove what central controllers of full order come to; either alone much less."""
     plant, Cy = unstable()
     gamma, (of_z, of_y) = zero_limit(plant, Cy)
+    assert limit_at_zeros(plant, Cy, (of_z, of_y)) == gamma  # to the last bit: so says a record
     assert len(of_z) == 1
     assert len(of_y) == 2
     alone = [limit_at_zeros(plant, Cy, some) for some in ((of_z, ()), ((), of_y))]

@@ -72,13 +72,15 @@ def zero_limit(
         Cy: shape (q, n); None for state feedback and more, of which only the zeros from u to z count.
         sides: of the plant, and of the transposed one, if they are there already.
     """
-    left, right = (_enclosed(side, side.zeros()) for side in _sides(plant, Cy, sides))
+    one, other = _sides(plant, Cy, sides)
+    left, right = (_enclosed(side, side.zeros()) for side in (one, other))
     best: tuple[float, Zeros] = (0.0, ((), ()))
     for some in [(left, right), (left, []), ([], right), *(([one], []) for one in left), *(([], [one]) for one in right)]:
         gamma = _limit(*some)
         if gamma > best[0]:
             best = gamma, (tuple(node.zero for node in some[0]), tuple(node.zero for node in some[1]))
-    return best
+    near = best[1]  # what is proved is what anybody proves who is told of these
+    return _limit(_enclosed(one, near[0]), _enclosed(other, near[1])), near
 
 
 @np.errstate(all="ignore")  # what is not finite proves nothing
