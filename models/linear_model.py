@@ -70,9 +70,12 @@ class LinearModel:
 
     @property
     def measurable(self) -> tuple[str, ...]:
-        """The output signals that are a function of the state alone: what a static controller can measure."""
-        direct = np.any(self.D, axis=1) | np.any(self.Cr, axis=1)
-        return tuple(name for name, is_direct in zip(self.outputs, direct, strict=True) if not is_direct)
+        """The output signals that a controller can measure: all but the forces, and those with the road's height in them."""
+        return tuple(
+            name
+            for name, of_road in zip(self.outputs, np.any(self.Cr, axis=1), strict=True)
+            if not of_road and name not in self.inputs
+        )
 
     def rows(self, signals: Sequence[str]) -> tuple[Array, Array]:
         """The rows of C and D of some output signals, shapes (k, n) and (k, m).

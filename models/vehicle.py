@@ -1,45 +1,22 @@
 """A vehicle file (TOML): the kind of vehicle, its parameters, the performance weights and the controllers. All a user writes."""
 
-import unicodedata
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
 from models.common.read_file import TEXT, read_text
 from models.common.toml import parse_toml
-from models.kind import HERE, LARGEST, VehicleKind
+from models.controllers import RESERVED, ControllerEntry, is_number, read_controllers
+from models.kind import HERE, VehicleKind
 from models.kinds import kind, kinds
 from models.linear_model import LinearModel
 from models.reality import Implementation, Limits, read_implementation, read_limits
 
 SECTIONS = ("type", "parameters", "performance", "controllers", "limits", "implementation")
-CONTROLLER_KEYS = ("measured", "gain", "certificate")
-RESERVED = ("passive", "state")  # these two always exist: u = 0, and full state feedback
-LONGEST_NAME = 60  # bytes; the names of three controllers go into a file name
 SMALLEST_WEIGHT, LARGEST_WEIGHT = 1e-12, 1e12  # relative to one another; beyond these rounding decides
-
-
-@dataclass(frozen=True, eq=False)
-class ControllerEntry:
-    """One `[controllers.NAME]` of a vehicle file.
-
-    Attributes:
-        name: its name.
-        measured: signals it measures, q of them.
-        gain: shape (m, q) if the file gives it, else None: it is to be designed.
-        certificate: what is claimed of the gain, as `python -m synth --save` wrote it beside it; None without one.
-    """
-
-    name: str
-    measured: tuple[str, ...]
-    gain: Array | None = None
-    certificate: Mapping[str, Any] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,15 +123,24 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
     vehicle_kind = kind(data["type"], folder)
     parameters = vehicle_kind.check(data["parameters"])
     model = vehicle_kind.linear_model(parameters)
+    implementation = read_implementation(data.get("implementation", {}), model.measurable)
+    controllers = read_controllers(data.get("controllers", {}), model)
+    for entry in controllers.values():
+        period = entry.law.sample_period if entry.law is not None else None
+        if period is not None and implementation.sample_period != period:
+            raise InputError(
+                f"[controllers.{entry.name}] has a sample period of {period:g} s of its own, and [implementation] says "
+                f"{implementation.sample_period or 'none'}; give [implementation] sample_period = {period:g}"
+            )
     return Vehicle(
         kind=vehicle_kind,
         parameters=parameters,
         performance=_performance(data["performance"], model),
-        controllers=_controllers(data.get("controllers", {}), model),
+        controllers=controllers,
         text=text,
         source=source,
         limits=read_limits(data.get("limits", {})),
-        implementation=read_implementation(data.get("implementation", {}), model.measurable),
+        implementation=implementation,
     )
 
 
@@ -163,7 +149,7 @@ def _performance(section: Mapping[str, Any], model: LinearModel) -> dict[str, fl
     for signal, weight in section.items():
         if signal not in model.outputs:
             raise InputError(f"[performance] unknown signal {signal!r}; this vehicle has {listing(model.outputs)}")
-        if not _is_number(weight) or not (weight == 0 or SMALLEST_WEIGHT <= weight <= LARGEST_WEIGHT):
+        if not is_number(weight) or not (weight == 0 or SMALLEST_WEIGHT <= weight <= LARGEST_WEIGHT):
             raise InputError(
                 f"[performance] {signal} = {quoted(weight)} is not allowed; give 0 or a weight from {SMALLEST_WEIGHT:g} "
                 f"to {LARGEST_WEIGHT:g}"
@@ -172,81 +158,3 @@ def _performance(section: Mapping[str, Any], model: LinearModel) -> dict[str, fl
     if not any(weights.values()):
         raise InputError(f"[performance] weighs nothing; give at least one weight above 0 to: {listing(model.outputs)}")
     return weights
-
-
-def _controllers(section: Mapping[str, Any], model: LinearModel) -> dict[str, ControllerEntry]:
-    """By name, each in the one spelling (NFC) of those that look alike: with letters and their marks composed."""
-    found: dict[str, ControllerEntry] = {}
-    for written, entry in section.items():
-        name = unicodedata.normalize("NFC", written)
-        if name in found:
-            raise InputError(f"[controllers.{name}] is there twice, in two spellings that look alike; rename one")
-        found[name] = _controller(name, entry, model)
-    return found
-
-
-def _is_name(name: str) -> bool:
-    """Whether a controller may be called so; vowel signs, as in Hindi and Thai, are marks on letters."""
-    kinds = ["L" if one.isalnum() else "-" if one in "_-" else unicodedata.category(one) for one in name]
-    return "L" in kinds and {*kinds} <= {"L", "-", "Mn", "Mc"} and kinds[0] not in ("Mn", "Mc") and not name.startswith("-")
-
-
-def _controller(name: str, entry: Any, model: LinearModel) -> ControllerEntry:
-    where = f"[controllers.{name}]"
-    if name in RESERVED or name == "all":
-        raise InputError(f"{where} the name {name!r} is taken: passive, state and all always exist; rename it")
-    if len(name.encode()) > LONGEST_NAME or not _is_name(name):
-        raise InputError(
-            f"{where} a controller's name has letters, digits, '_' and '-' only, at most {LONGEST_NAME} bytes of UTF-8, and no "
-            "'-' first, as an option has"
-        )
-    if not isinstance(entry, dict):
-        raise InputError(f"{where} is not a section with measured = [signals]")
-    for key in entry:
-        if key not in CONTROLLER_KEYS:
-            raise InputError(
-                f"{where} unknown key {key!r}; a controller is a static gain on what it measures, u = K y, designed where none "
-                f"is given; known: {listing(CONTROLLER_KEYS)}"
-            )
-    if "certificate" in entry and not (isinstance(entry["certificate"], dict) and "gain" in entry):
-        raise InputError(f"{where} a certificate is a section of its own, beside the gain that it is about; take it out")
-
-    measured = entry.get("measured")
-    measurable = listing(model.measurable)
-    if not isinstance(measured, list) or not measured or not all(isinstance(signal, str) for signal in measured):
-        found = f"measured = {quoted(measured)} is no list of signals" if "measured" in entry else "measured is missing"
-        raise InputError(f"{where} {found}; give a list of signals out of: {measurable}")
-    for signal in measured:
-        if signal not in model.outputs:
-            raise InputError(f"{where} unknown signal {quoted(signal)}; it can measure {measurable}")
-        if measured.count(signal) > 1:
-            raise InputError(f"{where} measures {signal!r} twice; name it once")
-        if signal not in model.measurable:
-            raise InputError(
-                f"{where} {signal!r} contains the control force or the road itself, so a static controller cannot measure it; "
-                f"give signals out of: {measurable}"
-            )
-    gain = _gain(where, entry["gain"], model, measured) if "gain" in entry else None
-    return ControllerEntry(name, tuple(measured), gain, entry.get("certificate"))
-
-
-def _gain(where: str, gain: Any, model: LinearModel, measured: list[str]) -> Array:
-    m, q = len(model.inputs), len(measured)
-    example = [[1.0] * q] * m
-    allowed = (
-        f"give {m} row(s) (one per actuator) of {q} number(s) (one per measured signal) of at most {LARGEST:g}, as in "
-        f"gain = {example}"
-    )
-    rows = gain if isinstance(gain, list) else [gain]
-    if not all(isinstance(row, list) and all(_is_number(entry) for entry in row) for row in rows):
-        raise InputError(f"{where} gain = {quoted(gain)} is not a matrix of numbers; {allowed}")
-    if len(rows) != m or any(len(row) != q for row in rows):
-        lengths = " or ".join(str(length) for length in sorted({len(row) for row in rows})) or "no"
-        raise InputError(f"{where} gain has {len(rows)} row(s) of {lengths} number(s); {allowed}")
-    matrix = np.array(rows, dtype=float)
-    matrix.flags.writeable = False
-    return matrix
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and -LARGEST <= value <= LARGEST

@@ -6,8 +6,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from models.common.command import one_chosen, run_command
 from models.common.errors import InputError
 from models.common.printed import say, titled
@@ -78,7 +76,7 @@ def _with_loop(vehicle: Vehicle, name: str, timestep: float) -> Controller:
     """
     sample_times(vehicle, LONGEST, timestep)
     controller = design(vehicle, name)
-    if not np.any(controller.gain):
+    if not controller.law.acts:
         raise InputError(f"controller {name!r} has no gain, so there is no loop and no margin; give one that has")
     if not controller.certificate.stable:
         raise InputError(

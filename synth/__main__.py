@@ -124,7 +124,7 @@ def _names(vehicle: Vehicle, options: Namespace) -> list[str]:
     Raises:
         InputError: `chosen` says so, or what is asked of them does not go with them.
     """
-    designed = [name for name, entry in vehicle.controllers.items() if entry.gain is None]
+    designed = [name for name, entry in vehicle.controllers.items() if entry.law is None]
     everything = designed if options.zero_l else vehicle.controller_names
     if options.zero_l and not designed:
         raise InputError(f"--zero-l is of a design from measurements, and {vehicle.source} asks for none; leave it out")
@@ -141,7 +141,7 @@ def _designs(vehicle: Vehicle, name: str, options: Namespace) -> bool:
     """Whether a controller of that name is given a gain here, which can be saved."""
     if name == "passive":
         return False
-    return options.refine or name == "state" or vehicle.controllers[name].gain is None
+    return options.refine or name == "state" or vehicle.controllers[name].law is None
 
 
 def _row(designer: Designer, name: str, options: Namespace) -> Row:

@@ -1,4 +1,8 @@
-"""The one door through which a vehicle's named signals come in: from a vehicle and a controller's name to a certified gain."""
+"""The one door through which a vehicle's named signals come in: from a vehicle and a controller's name to a certified law.
+
+A law with states is a gain on a larger plant, whose states x_c are integrators with inputs of their own (El Ghaoui,
+Oustry, AitRami 1997): x_c' = v, [u; v] = [D_c, C_c; B_c, A_c] [y; x_c]. What is proved of a static gain is proved of it.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,21 +10,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.arrays import Array
+from models.law import LinearLaw
 from models.linear_model import LinearModel
 from models.vehicle import Vehicle
 from synth.certificate.certificate import Certificate
-from synth.plant import GeneralizedPlant
+from synth.plant import Feedback, GeneralizedPlant
 
 
 @dataclass(frozen=True, eq=False)
 class Controller:
-    """A static controller u = K y with what is known of it.
+    """A linear controller with what is known of it.
 
     Attributes:
         name: as asked for.
         measured: the signals y, q of them. Empty for `passive`.
-        gain: K, shape (m, q) [N per measured unit].
-        designed: whether it was designed here; otherwise the gain was given (or is zero, for `passive`).
+        law: from them to the m forces; a static one is u = K y.
+        designed: whether it was designed here; otherwise the law was given (or is zero, for `passive`).
         state_step_gap: how far from the optimum of (22), relative in gamma, the X was taken that L (14) comes from: 0 at the
             limit of the central path, more where the second problem is infeasible from there.
         optimum_gap: how far from the optimum of its own problem, relative in gamma, the gain was taken: 0 at the limit, more
@@ -36,7 +41,7 @@ class Controller:
 
     name: str
     measured: tuple[str, ...]
-    gain: Array
+    law: LinearLaw
     designed: bool
     certificate: Certificate
     state_step_gap: float = 0.0
@@ -47,10 +52,61 @@ class Controller:
     instead: str = ""
     false_claims: tuple[str, ...] = ()
 
+    @property
+    def gain(self) -> Array:
+        """What acts at once: D_c, and K of a static controller, shape (m, q) [N per measured unit]."""
+        return self.law.D
+
+    def law_on_states(self, vehicle: Vehicle) -> LinearLaw:
+        """The law in continuous time on C_y x: a force that is in what is measured is solved for.
+
+        Raises:
+            InputError: it cannot be, or a discrete law has no continuous counterpart.
+        """
+        return self.law.continuous().fed_back(vehicle.linear_model.rows(self.measured)[1])
+
+    def loop(self, vehicle: Vehicle) -> GeneralizedPlant:
+        """The closed loop (16)-(17) with a vehicle that has these signals, from w to z."""
+        plant, G = on_larger_plant(
+            generalized_plant(vehicle), vehicle.linear_model.rows(self.measured)[0], self.law_on_states(vehicle)
+        )
+        return plant.closed_loop(G)
+
     def state_gain(self, vehicle: Vehicle) -> Array:
-        """G = K C_y (6) for a vehicle that has these signals, shape (m, n)."""
-        Cy, _ = vehicle.linear_model.rows(self.measured)
-        return self.gain @ Cy
+        """G = K C_y (6) of a static controller, for a vehicle that has these signals, shape (m, n).
+
+        Raises:
+            ValueError: it has states; `loop` is of any.
+        """
+        if self.law.states:
+            raise ValueError(f"controller {self.name!r} has states, so no state gain; use loop(vehicle)")
+        return self.law_on_states(vehicle).D @ vehicle.linear_model.rows(self.measured)[0]
+
+
+def on_larger_plant(plant: GeneralizedPlant, Cy: Array, law: LinearLaw) -> tuple[GeneralizedPlant, Feedback]:
+    """The plant with a law's states, and the law as a gain on it: both are as they were for a static law.
+
+    Args:
+        plant: n states, m inputs.
+        Cy: shape (q, n).
+        law: continuous, k states, on C_y x.
+
+    Returns:
+        The plant, of n + k states and m + k inputs, and the gain, from [y; x_c] to [u; x_c'].
+    """
+    k, (n, m) = law.states, plant.B.shape
+    if not k:
+        return plant, Feedback(law.D, Cy)
+    larger = GeneralizedPlant(
+        A=np.block([[plant.A, np.zeros((n, k))], [np.zeros((k, n + k))]]),
+        B=np.block([[plant.B, np.zeros((n, k))], [np.zeros((k, m)), np.eye(k)]]),
+        Bw=np.vstack([plant.Bw, np.zeros((k, plant.Bw.shape[1]))]),
+        C=np.hstack([plant.C, np.zeros((len(plant.C), k))]),
+        D=np.hstack([plant.D, np.zeros((len(plant.D), k))]),
+        Dw=plant.Dw,
+    )
+    measured = np.block([[Cy, np.zeros((len(Cy), k))], [np.zeros((k, n)), np.eye(k)]])
+    return larger, Feedback(np.block([[law.D, law.C], [law.B, law.A]]), measured)
 
 
 def generalized_plant(vehicle: Vehicle) -> GeneralizedPlant:

@@ -9,19 +9,21 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
-from models.vehicle import ControllerEntry, Vehicle
+from models.controllers import ControllerEntry
+from models.law import static_law
+from models.vehicle import Vehicle
 from synth.certificate.bounding import certify_tightly
 from synth.certificate.certificate import Certificate, certify
 from synth.certificate.lower_bound import LowerBound
 from synth.certificate.record import false_claims, read_proof
-from synth.controller import Controller, generalized_plant
+from synth.controller import Controller, generalized_plant, on_larger_plant
 from synth.design import Design, state_design, state_path, zero_l_design
 from synth.errors import BatchError, DesignError
 from synth.fallback import two_steps_or_descent
 from synth.lmi.central import CentralPoint
 from synth.lmi.full_order import bound_beyond_control, find_lower_bound
 from synth.lmi.output_feedback import independent_rows
-from synth.plant import Feedback
+from synth.plant import Feedback, GeneralizedPlant
 from synth.redesign import state_designs, two_step_designs
 from synth.search.refine import SEEN, Refinement, refine, worth_refining
 from synth.search.static import static_output_feedback
@@ -101,9 +103,9 @@ class Designer:
                 two steps cannot be gone to their end, descent on the norm goes on instead, and the result says so.
         """
         entry, model = self._entry(name), self.vehicle.linear_model
-        if entry.gain is not None:
+        if entry.law is not None:
             return self._given(entry)
-        Cy, _ = model.rows(entry.measured)
+        Cy, through = model.rows(entry.measured)
         try:
             lower_bound = self.lower_bound(entry.measured)
             if name == "state":
@@ -114,7 +116,7 @@ class Designer:
                 design = two_steps_or_descent(self.plant, Cy, lambda: self.state_path, lower_bound, model.states)
         except DesignError as error:
             raise type(error)(f"controller {name!r}: {error}") from error
-        return _designed(entry, design)
+        return _designed(entry, design, through)
 
     def refine(self, name: str, zero_l: bool = False) -> Refined:
         """The controller of that name with a lower norm, as far as it is worth a larger gain (`synth.search.refine`).
@@ -136,19 +138,20 @@ class Designer:
             start = self.design(name, zero_l)
         except DesignError:
             start = None
-        rows, _ = self.vehicle.linear_model.rows(measured)
+        rows, through = self.vehicle.linear_model.rows(measured)
         kept = independent_rows(self.plant, rows)
         Cy, origin, lower_bound = rows[kept], "", self.lower_bound(measured)
         if start is None:
             found = static_output_feedback(self.plant, Cy, lower_bound=lower_bound)
             K, origin = found.gain, found.origin
         else:
-            K = _from_some(start.gain, rows, kept)
+            K = _from_some(start.law_on_states(self.vehicle).D, rows, kept)
         refinement = refine(self.plant, Cy, K)
         gain = np.zeros((len(K), len(measured)))
         gain[:, kept] = refinement.gain
         certificate = certify_tightly(self.plant, Feedback(refinement.gain, Cy), lower_bound)
-        return Refined(Controller(name, measured, gain, True, certificate), start, origin, refinement)
+        law = static_law(gain).fed_back(-through)
+        return Refined(Controller(name, measured, law, True, certificate), start, origin, refinement)
 
     def worth_refining(self, controller: Controller) -> float:
         """By how much `refine` lowers a designed controller's norm at least, relative; 0 where not by what seven digits show."""
@@ -162,7 +165,7 @@ class Designer:
             return 0.0
         rows, _ = self.vehicle.linear_model.rows(controller.measured)
         kept = independent_rows(self.plant, rows)
-        share = worth_refining(self.plant, rows[kept], _from_some(controller.gain, rows, kept))
+        share = worth_refining(self.plant, rows[kept], _from_some(controller.law_on_states(self.vehicle).D, rows, kept))
         return share if share > SEEN else 0.0
 
     def redesign(self, vehicles: Sequence[Vehicle], name: str) -> list[Controller]:
@@ -188,8 +191,8 @@ class Designer:
                 controllers of the others, `designs`, and why these have none, `failures`, each by index.
         """
         entry = self._entry(name)
-        if entry.gain is not None:
-            raise InputError(f"controller {name!r} has its gain and is not designed; `design` certifies it for a vehicle")
+        if entry.law is not None:
+            raise InputError(f"controller {name!r} has its law and is not designed; `design` certifies it for a vehicle")
         sound: list[Vehicle] = []
         for i, vehicle in enumerate(vehicles):
             if not isinstance(vehicle, Vehicle):
@@ -204,6 +207,7 @@ class Designer:
                 raise InputError(f"vehicle {i}: {error}") from error
         plants = [generalized_plant(vehicle) for vehicle in sound]
         states = self.vehicle.linear_model.states
+        through = [vehicle.linear_model.rows(entry.measured)[1] for vehicle in sound]
         try:
             if name == "state":
                 designs = state_designs(self.plant, self.state_path, plants, states)
@@ -211,11 +215,11 @@ class Designer:
                 Cy, *Cys = (each.linear_model.rows(entry.measured)[0] for each in (self.vehicle, *sound))
                 designs = two_step_designs(self.plant, self.state_path, Cy, plants, Cys, states)
         except BatchError as error:
-            controllers = {i: _designed(entry, design) for i, design in error.designs.items()}
+            controllers = {i: _designed(entry, design, through[i]) for i, design in error.designs.items()}
             raise BatchError(f"controller {name!r}: {error}", controllers, error.failures) from error
         except DesignError as error:
             raise type(error)(f"controller {name!r}: {error}") from error
-        return [_designed(entry, design) for design in designs]
+        return [_designed(entry, design, D) for design, D in zip(designs, through, strict=True)]
 
     def checked(self, entry: ControllerEntry) -> tuple[Certificate, tuple[str, ...]]:
         """What is true of a gain of the file by the proofs that its certificate brings, and what of that does not hold, in words.
@@ -223,46 +227,59 @@ class Designer:
         Raises:
             InputError: the certificate is malformed.
         """
-        assert entry.gain is not None
+        assert entry.law is not None
         Cy, _ = self.vehicle.linear_model.rows(entry.measured)
         record = entry.certificate or {}
         try:
-            X, eta, lower_bound = read_proof(record, self.plant, Cy)
+            X, eta, lower_bound = read_proof(record, self.plant, Cy, entry.law.states)
         except InputError as error:
             raise InputError(f"[controllers.{entry.name}] {error}") from error
-        certificate = certify(self.plant, Feedback(entry.gain, Cy), X, eta, lower_bound)
+        certificate = certify(*self._on(entry), X, eta, lower_bound, by_itself=self.plant)
         return certificate, (*certificate.failures, *false_claims(record, certificate))
 
     def _entry(self, name: str) -> ControllerEntry:
         """What is to be designed or certified under a name."""
         name, model = unicodedata.normalize("NFC", str(name)), self.vehicle.linear_model
         if name == "passive":
-            return ControllerEntry(name, (), np.zeros((len(model.inputs), 0)))
+            return ControllerEntry(name, (), static_law(np.zeros((len(model.inputs), 0))))
         if name == "state":
             return ControllerEntry(name, model.states)
         if name not in self.vehicle.controllers:
             raise InputError(f"unknown controller {name!r}; this vehicle has {listing(self.vehicle.controller_names)}")
         return self.vehicle.controllers[name]
 
+    def _on(self, entry: ControllerEntry) -> tuple[GeneralizedPlant, Feedback]:
+        """The plant with the states of an entry's law, and the law as a state gain on it.
+
+        Raises:
+            InputError: its force asks for itself, or it has no continuous counterpart.
+        """
+        assert entry.law is not None
+        Cy, D = self.vehicle.linear_model.rows(entry.measured)
+        return on_larger_plant(self.plant, Cy, entry.law.continuous().fed_back(D))
+
     def _given(self, entry: ControllerEntry) -> Controller:
-        assert entry.gain is not None
-        Cy, _ = self.vehicle.linear_model.rows(entry.measured)
-        certificate = certify(self.plant, Feedback(entry.gain, Cy), lower_bound=self.lower_bound(entry.measured))
+        assert entry.law is not None
+        try:
+            certificate = certify(*self._on(entry), lower_bound=self.lower_bound(entry.measured), by_itself=self.plant)
+        except InputError as error:
+            raise InputError(f"[controllers.{entry.name}] {error}") from error
         wrong: tuple[str, ...] = ()
         if entry.certificate is not None:
             try:
                 _, wrong = self.checked(entry)
             except InputError as error:
                 wrong = (str(error),)
-        return Controller(entry.name, entry.measured, entry.gain, designed=False, certificate=certificate, false_claims=wrong)
+        return Controller(entry.name, entry.measured, entry.law, designed=False, certificate=certificate, false_claims=wrong)
 
 
-def _designed(entry: ControllerEntry, design: Design) -> Controller:
+def _designed(entry: ControllerEntry, design: Design, through: Array) -> Controller:
+    """The controller of a gain on C_y x, for measurements that have `through` times the force in them, shape (q, m)."""
     redundant = tuple(entry.measured[i] for i in design.redundant)
     return Controller(
         entry.name,
         entry.measured,
-        design.gain,
+        static_law(design.gain).fed_back(-through),
         designed=True,
         certificate=design.certificate,
         state_step_gap=design.state_step_gap,
@@ -289,7 +306,7 @@ def given(vehicle: Vehicle, name: str, measured: Sequence[str], gain: Sequence[S
         measured: the signals y, q of them.
         gain: K, m rows of q numbers [N per measured unit].
     """
-    entry = ControllerEntry(name, tuple(measured), np.array(gain, dtype=float).reshape(len(gain), len(measured)))
+    entry = ControllerEntry(name, tuple(measured), static_law(np.array(gain, dtype=float).reshape(len(gain), len(measured))))
     return Designer(vehicle)._given(entry)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError, listing
 from models.vehicle import Vehicle
-from synth.controller import Controller, generalized_plant
+from synth.controller import Controller
 from synth.plant import GeneralizedPlant
 
 if TYPE_CHECKING:
@@ -114,7 +114,7 @@ def _loop(vehicle: Vehicle, controller: Controller, outputs: Sequence[str]) -> "
     """The closed loop to a vehicle's z, whose entries are called so."""
     from control import StateSpace, ss
 
-    loop = generalized_plant(vehicle).closed_loop(controller.state_gain(vehicle))
+    loop = controller.loop(vehicle)
     roads = [wheel.road_velocity for wheel in vehicle.kind.wheels]
     more = [f"road_twist_{k}" for k in range(1, loop.Bw.shape[1] - len(roads) + 1)]
     system = ss(
@@ -123,7 +123,7 @@ def _loop(vehicle: Vehicle, controller: Controller, outputs: Sequence[str]) -> "
         loop.C,
         loop.Dw,
         name=f"{vehicle.kind.name}_{controller.name}",
-        states=list(vehicle.linear_model.states),
+        states=[*vehicle.linear_model.states, *(f"controller_{k}" for k in range(1, controller.law.states + 1))],
         inputs=[*roads, *more],
         outputs=list(outputs),
     )

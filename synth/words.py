@@ -1,7 +1,10 @@
 """A controller, and what there is to say of its design, in words."""
 
+import numpy as np
+
 from models.common.arrays import Array
 from models.common.printed import matrix
+from models.law import LinearLaw
 from models.vehicle import Vehicle
 from synth.controller import Controller
 
@@ -15,7 +18,22 @@ def heading_lines(controller: Controller) -> list[str]:
     measures = f"controller {controller.name}: measures {', '.join(controller.measured) or 'nothing'}"
     if not controller.measured:
         return [measures, "  no control force"]
-    return [measures, *gain_lines(controller.gain, "  gain ")]
+    return [measures, *law_lines(controller.law, "  gain ", "  law ")]
+
+
+def law_lines(law: LinearLaw, gain: str, of_states: str) -> list[str]:
+    """A law after some text: a static one as its gain, a row to a line, others by their states and poles."""
+    if not law.states:
+        return gain_lines(law.D, gain)
+    poles = np.linalg.eigvals(law.A)
+    if law.sample_period is None:
+        rates = np.sort(np.abs(poles))
+        poles = f"poles of {rates[0]:.4g} to {rates[-1]:.4g} rad/s"
+        return [f"{of_states}x_c' = A x_c + B y, u = C x_c + D y, of {law.states} states; {poles}"]
+    return [
+        f"{of_states}x_c[i+1] = A x_c[i] + B y[i], u[i] = C x_c[i] + D y[i], of {law.states} states, every "
+        f"{1e3 * law.sample_period:g} ms; its largest pole {np.abs(poles).max():.4g}"
+    ]
 
 
 def gain_lines(gain: Array, start: str) -> list[str]:

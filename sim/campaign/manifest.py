@@ -178,7 +178,7 @@ def digest(sources: str) -> str:
 def gains_of(controllers: Mapping[str, Mapping[str, Controller]]) -> dict[str, dict[str, dict[str, Any]]]:
     """The gains, by vehicle and controller, as JSON has them, every digit of them."""
     return {
-        vehicle: {name: {"measured": list(one.measured), "gain": one.gain.tolist()} for name, one in some.items()}
+        vehicle: {name: {"measured": list(one.measured), **one.law.record} for name, one in some.items()}
         for vehicle, some in controllers.items()
     }
 

@@ -9,7 +9,8 @@ from scipy import linalg
 from models.common.arrays import Array
 from models.vehicle import Vehicle
 from sim.campaign.plan import PlannedRun
-from sim.linear.loop import held_inputs, with_actuators
+from sim.linear.controlled import sampled
+from sim.linear.loop import held_inputs
 from sim.physics.blocks import DIVERGED
 from sim.response.response import SILENT
 from sim.ride.metrics import Meter
@@ -90,7 +91,8 @@ class Twin:
 
 def _system(vehicle: Vehicle, controller: Controller, timestep: float) -> tuple[Array, ...]:
     """The sampled loop as `sim.linear.loop` has it: xi' = loop xi + of_now z_r + of_midway z_r(h/2), x = xi + jump z_r."""
-    model, G = with_actuators(vehicle, controller)
+    cut = sampled(vehicle, controller, timestep)
+    model, G = cut.model, cut.inputs(cut.asked)
     Phi, Gamma_u, Gamma_r = held_inputs(model.A, timestep, linalg.expm, model.B, model.A @ model.Bw + model.Br)
     return Phi + Gamma_u @ G, Gamma_u @ G @ model.Bw, Gamma_r, model.Bw, model.C + model.D @ G, model.Cr
 

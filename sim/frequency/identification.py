@@ -175,7 +175,7 @@ def _free_motion(vehicle: Vehicle, controller: Controller, timestep: float, samp
         if controller.measured:
             return np.zeros((samples, 0))  # see `_lead_in`
         vehicle = replace(vehicle, implementation=Implementation())
-    loop, _, _ = implemented_loop(vehicle, controller, timestep)
+    loop = implemented_loop(vehicle, controller, timestep).transition
     poles = np.linalg.eigvals(loop)
     poles = poles[np.abs(poles) > DEAD ** (1 / samples)].astype(complex)
     motion = np.exp(np.multiply.outer(np.arange(samples), np.log(poles)))

@@ -15,7 +15,7 @@ from sim.inspect.log import Recorded, RecordedRun, read_json, read_log
 from sim.inspect.proof import Inspected, Proof, prove
 from sim.inspect.table import write_signals
 from sim.runs.words import controller_object, run_object
-from synth.words import gain_lines
+from synth.words import law_lines
 
 LONGEST = 400  # characters of a text from a log on the terminal
 
@@ -145,7 +145,7 @@ def _text(proof: Proof) -> list[str]:
             lines += wrapped(_shown(numbers), f"  {'road':10}", 12)
             lines += wrapped(f"{controller.name} measures {', '.join(controller.measured) or 'nothing'}", f"  {'law':10}", 12)
             if controller.measured:
-                lines += gain_lines(controller.gain, f"  {'gain':10}")
+                lines += law_lines(controller.law, f"  {'gain':10}", f"  {'':10}")
         lines += _lines(one.findings)
     broken = [f"the {name}" for name in _broken(proof.findings)]
     broken += [f"{name} of {one.recorded.name}" for one in proof.runs for name in _broken(one.findings)]

@@ -15,6 +15,8 @@ from models.common.arrays import Array
 from models.common.errors import InputError, listing
 from models.kind import LARGEST
 from models.kinds import kinds as kind_names
+from models.law import MATRICES, LinearLaw, static_law
+from models.law import MOST_STATES as MOST_OF_A_LAW
 from models.reality import read_implementation, read_limits
 from models.vehicle import Vehicle, parse_vehicle
 from sim.inspect.log import Recorded, RecordedRun
@@ -25,8 +27,7 @@ from sim.roads.road import Road
 from sim.runs.prediction import Prediction, predict
 from synth.certificate.certificate import certify
 from synth.certificate.record import read_proof
-from synth.controller import Controller, generalized_plant
-from synth.plant import Feedback
+from synth.controller import Controller, generalized_plant, on_larger_plant
 
 MOST_VEHICLE = 256 * 1024  # bytes of a vehicle file; one with ten saved certificates of a full car has 100 KiB
 MOST_STATES = 1000  # of a loop with all its delayed forces; its eigenvalues take seconds
@@ -79,26 +80,29 @@ def recorded_controller(vehicle: Vehicle, run: RecordedRun) -> Controller:
     Raises:
         InputError: it is no controller of this vehicle, its gain is not the vehicle file's, or its proof is no proof.
     """
-    name, measured, gain = run.claims.get("name", ""), run.claim("measured"), run.claim("gain")
+    name, measured = run.claims.get("name", ""), run.claim("measured")
     if name not in vehicle.controller_names:
         raise InputError(f"vehicle.toml has no such controller; it has {listing(vehicle.controller_names)}")
     expected = {"passive": (), "state": vehicle.linear_model.states}
     signals = expected[name] if name in expected else vehicle.controllers[name].measured
     if measured != list(signals):
         raise InputError(f"what it measures is not what vehicle.toml says: {', '.join(signals) or 'nothing'}")
-    K = _gain(gain, (len(vehicle.linear_model.inputs), len(signals)))
-    given = np.zeros_like(K) if name == "passive" else None if name == "state" else vehicle.controllers[name].gain
-    if given is not None and not np.array_equal(K, given):
-        raise InputError("its gain is not that of vehicle.toml")
+    law = _law(run, len(vehicle.linear_model.inputs), len(signals))
+    none = static_law(np.zeros_like(law.D))
+    given = none if name == "passive" else None if name == "state" else vehicle.controllers[name].law
+    if given is not None and law.record != given.record:
+        raise InputError("its gain or law is not that of vehicle.toml")
 
-    plant, (Cy, _) = generalized_plant(vehicle), vehicle.linear_model.rows(signals)
+    plant, (Cy, through) = generalized_plant(vehicle), vehicle.linear_model.rows(signals)
     record = run.claim("certificate")
     if not isinstance(record, dict):
         raise InputError("its certificate is none")
     if given is None and "X" not in record:
         raise InputError("it was designed, and its certificate proves no bound")
-    X, eta, lower_bound = read_proof(record, plant, Cy)
-    return Controller(name, signals, K, given is None, certify(plant, Feedback(K, Cy), X, eta, lower_bound))
+    X, eta, lower_bound = read_proof(record, plant, Cy, law.states)
+    on_states = law.continuous().fed_back(through)
+    certificate = certify(*on_larger_plant(plant, Cy, on_states), X, eta, lower_bound, by_itself=plant)
+    return Controller(name, signals, law, given is None, certificate)
 
 
 def recorded_road(log: Recorded, run: RecordedRun, samples: int) -> Road:
@@ -171,12 +175,23 @@ def _given(section: Any, what: str) -> Mapping[str, Any]:
     return {key: value for key, value in section.items() if value is not None}
 
 
-def _gain(value: Any, shape: tuple[int, int]) -> Array:
+def _law(run: RecordedRun, m: int, q: int) -> LinearLaw:
+    """The law that a run records: a gain, or the matrices of one with states."""
+    if "A" not in run.claims:
+        gain = _matrix(run.claim("gain"), "gain", (m, q))
+        if not np.all(np.abs(gain) <= LARGEST):
+            raise InputError(f"its gain has numbers beyond {LARGEST:g}")
+        return static_law(gain)
+    A, period = run.claim("A"), run.claim("sample_period") if "sample_period" in run.claims else None
+    k = len(A) if isinstance(A, list) else 0
+    shapes = zip(MATRICES, ((k, k), (k, q), (m, k), (m, q)), strict=True)
+    if not 0 < k <= MOST_OF_A_LAW or not (period is None or isinstance(period, float)):
+        raise InputError(f"its law is none of 1 to {MOST_OF_A_LAW} states")
+    return LinearLaw(*(_matrix(run.claim(name), name, shape) for name, shape in shapes), sample_period=period)
+
+
+def _matrix(value: Any, name: str, shape: tuple[int, int]) -> Array:
     try:
-        gain = np.array(value, dtype=float).reshape(shape)
+        return np.array(value, dtype=float).reshape(shape)
     except (TypeError, ValueError, OverflowError):
-        raise InputError(f"its gain is no matrix of {shape[0]} x {shape[1]} numbers") from None
-    if not np.all(np.abs(gain) <= LARGEST):
-        raise InputError(f"its gain has numbers beyond {LARGEST:g}")
-    gain.flags.writeable = False
-    return gain
+        raise InputError(f"its {name} is no matrix of {shape[0]} x {shape[1]} numbers") from None

@@ -22,10 +22,10 @@ import numpy as np
 from scipy import linalg, optimize
 
 from models.common.arrays import Array
-from models.linear_model import LinearModel
 from models.reality import steps_per_sample
 from models.vehicle import Vehicle
-from sim.linear.loop import held_inputs, with_actuators
+from sim.linear.controlled import Controlled, continuous, sampled
+from sim.linear.loop import held_inputs
 from synth.controller import Controller
 
 LOWEST, GRID = 1e-2, 3000  # rad/s, points: a peak is looked for from here to the Nyquist frequency
@@ -39,7 +39,8 @@ def continuous_frequency_response(vehicle: Vehicle, controller: Controller, omeg
         controller: its controller.
         omega: angular frequencies above 0 [rad/s], shape (F,).
     """
-    model, G = with_actuators(vehicle, controller)
+    cut = continuous(vehicle, controller)
+    model, G = cut.model, cut.G
     s = 1j * np.asarray(omega, dtype=float)[:, None, None]
     x = np.linalg.solve(s * np.eye(len(model.A)) - model.A - model.B @ G, model.Bw + model.Br / s)
     return (model.C + model.D @ G) @ x + model.Cr / s
@@ -61,8 +62,9 @@ def sampled_frequency_response(
         timestep: h [s].
         exponential: the matrix exponential; `taylor4` to predict an RK4 integrator.
     """
-    model, _, mean_x, force = _harmonic(vehicle, controller, omega, timestep, exponential)
-    return (model.C @ mean_x + model.D @ force + model.Cr) / (1j * np.asarray(omega, dtype=float)[:, None, None])
+    cut, _, mean_x, inputs = _harmonic(vehicle, controller, omega, timestep, exponential)
+    model = cut.model
+    return (model.C @ mean_x + model.D @ inputs + model.Cr) / (1j * np.asarray(omega, dtype=float)[:, None, None])
 
 
 def sampled_states(vehicle: Vehicle, controller: Controller, omega: Array, timestep: float) -> Array:
@@ -71,10 +73,10 @@ def sampled_states(vehicle: Vehicle, controller: Controller, omega: Array, times
     Arguments as for `sampled_frequency_response`.
     """
     s = 1j * np.asarray(omega, dtype=float)[:, None, None]
-    how, G = vehicle.implementation, with_actuators(vehicle, controller)[1]
-    _, x, _, _ = _harmonic(vehicle, controller, omega, timestep, linalg.expm)
+    how = vehicle.implementation
+    cut, x, _, _ = _harmonic(vehicle, controller, omega, timestep, linalg.expm)
     period = timestep * steps_per_sample(how, timestep)
-    waiting = [np.exp(-s * period * late) * (G @ x) for late in range(how.delay, 0, -1)]
+    waiting = [np.exp(-s * period * late) * (cut.asked @ x) for late in range(how.delay, 0, -1)]
     return np.concatenate([x, *waiting], axis=1) / s
 
 
@@ -88,38 +90,41 @@ def stepwise_frequency_response(vehicle: Vehicle, controller: Controller, omega:
         Shape (steps + 1, F, p, r), complex; the last is the first of the next period.
     """
     s = 1j * np.asarray(omega, dtype=float)[:, None, None]
-    (model, G), how, h = with_actuators(vehicle, controller), vehicle.implementation, timestep
-    Phi, Gamma_u, Gamma_r = held_inputs(model.A, h, linalg.expm, model.B, model.A @ model.Bw + model.Br)
-    _, x, _, _ = _harmonic(vehicle, controller, omega, timestep, linalg.expm)
-    steps = steps_per_sample(how, h)
-    force, xi, found = np.exp(-s * h * steps * how.delay) * (G @ x), x - model.Bw, []
+    how, h = vehicle.implementation, timestep
+    cut, x, _, _ = _harmonic(vehicle, controller, omega, timestep, linalg.expm)
+    model, steps = cut.model, steps_per_sample(how, h)
+    Phi, Gamma, Gamma_r = held_inputs(model.A, h, linalg.expm, model.B, model.A @ model.Bw + model.Br)
+    inputs = cut.inputs(np.exp(-s * h * steps * how.delay) * (cut.asked @ x), cut.kept @ x)
+    xi, found = x - model.Bw, []
     for i in range(steps + 1):
         road = np.exp(s * h * i)
-        held = force if i < steps else force * road
+        held = inputs if i < steps else inputs * road
         found.append((model.C @ (xi + model.Bw * road) + model.D @ held + model.Cr * road) / s)
-        xi = Phi @ xi + Gamma_u @ force + Gamma_r * np.exp(s * h * (i + 0.5))
+        xi = Phi @ xi + Gamma @ inputs + Gamma_r * np.exp(s * h * (i + 0.5))
     return np.stack(found)
 
 
 def _harmonic(
     vehicle: Vehicle, controller: Controller, omega: Array, timestep: float, exponential: Callable[[Array], Array]
-) -> tuple[LinearModel, Array, Array, Array]:
-    """What oscillates with omega per unit of Z: model, state at the controller's samples, state and force over a period."""
-    (model, G), how, h = with_actuators(vehicle, controller), vehicle.implementation, timestep
+) -> tuple[Controlled, Array, Array, Array]:
+    """What oscillates with omega per unit of Z: of what, state at the controller's samples, state and inputs over a period."""
+    how, h = vehicle.implementation, timestep
     s = 1j * np.asarray(omega, dtype=float)[:, None, None]
     steps = steps_per_sample(how, h)
-    Phi, Gamma_u, Gamma_r = held_inputs(model.A, h, exponential, model.B, model.A @ model.Bw + model.Br)
+    cut = sampled(vehicle, controller, steps * h)
+    model = cut.model
+    Phi, Gamma, Gamma_r = held_inputs(model.A, h, exponential, model.B, model.A @ model.Bw + model.Br)
 
-    # From xi at a sample of the controller and Z to xi after i steps, P xi + Q Z, under the force F (xi + Bw Z) it computes.
-    F = np.exp(-s * h * steps * how.delay) * G
+    # From xi at a sample of the controller and Z to xi after i steps, P xi + Q Z, under the inputs F (xi + Bw Z) it asks for.
+    F = cut.inputs(np.exp(-s * h * steps * how.delay) * cut.asked)
     P, Q = np.broadcast_to(np.eye(len(model.A)), (len(s), *model.A.shape)), np.zeros((len(s), *model.Bw.shape))
     mean_P, mean_Q, mean_held = 0.0, 0.0, 0.0  # what of them, and of a held force, oscillates with omega itself
     for i in range(steps):
         turn = np.exp(-s * h * i) / steps
         mean_P, mean_Q, mean_held = mean_P + turn * P, mean_Q + turn * Q, mean_held + turn
-        P, Q = Phi @ P + Gamma_u @ F, Phi @ Q + Gamma_u @ F @ model.Bw + Gamma_r * np.exp(s * h * (i + 0.5))
+        P, Q = Phi @ P + Gamma @ F, Phi @ Q + Gamma @ F @ model.Bw + Gamma_r * np.exp(s * h * (i + 0.5))
     xi = np.linalg.solve(np.exp(s * h * steps) * np.eye(len(model.A)) - P, Q)
-    return model, xi + model.Bw, mean_P @ xi + mean_Q + model.Bw, mean_held * (F @ (xi + model.Bw))
+    return cut, xi + model.Bw, mean_P @ xi + mean_Q + model.Bw, mean_held * (F @ (xi + model.Bw))
 
 
 def as_met(vehicle: Vehicle, omega: Array, speed: float) -> Array:

@@ -6,6 +6,8 @@ everything on the right but xi is constant:
 
     xi[k+1] = Phi xi[k] + Gamma [u[k]; z_r(t_k + h/2)],    x[k] = xi[k] + Bw z_r(t_k),    u[k] = K C_y x[k].
 
+A law with states, and a measured acceleration, make the vehicle larger (`controlled.py`), and the formulas stay as they are.
+
 Continuous. x' = A_G x + Bw z_r'(t) + Br z_r(t) with A_G = A + B K C_y. Over a step,
 
     x[k+1] = exp(A_G h) x[k] + integral of exp(A_G (h - s)) (Bw z_r' + Br z_r)(t_k + s) ds,
@@ -16,7 +18,7 @@ by Gauss-Legendre quadrature with 8 nodes: exact to rounding for a smooth road. 
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg
@@ -25,6 +27,7 @@ from models.common.arrays import Array
 from models.linear_model import LinearModel
 from models.reality import steps_per_sample
 from models.vehicle import Vehicle
+from sim.linear.controlled import Controlled, continuous, sampled
 from sim.response.response import Response
 from sim.roads.road import Road, delays, under_wheels
 from synth.certificate.stability import sampled_growth
@@ -68,58 +71,40 @@ def sampled_responses(
 ) -> Response:
     """The responses to N roads side by side, values of shape (N, T, S). Arguments as for `sampled_response`."""
     h = float(time[1] - time[0])
-    model, G = with_actuators(vehicle, controller)
-    Phi, Gamma_u, Gamma_r = held_inputs(model.A, h, exponential, model.B, model.A @ model.Bw + model.Br)
+    how = vehicle.implementation
+    period = steps_per_sample(how, h)
+    cut = sampled(vehicle, controller, period * h)
+    model = cut.model
+    Phi, Gamma, Gamma_r = held_inputs(model.A, h, exponential, model.B, model.A @ model.Bw + model.Br)
     now = np.stack([under_wheels(road.displacement, road, vehicle, time) for road in roads])
     midway = np.stack([under_wheels(road.displacement, road, vehicle, time + h / 2) for road in roads])
 
     jump, push = now @ model.Bw.T, midway @ Gamma_r.T  # x - xi, and what the road does to xi
-    how = vehicle.implementation
-    if how.sample_period is None and how.delay == 0:
-        states = _recursion(Phi + Gamma_u @ G, push + jump @ (Gamma_u @ G).T) + jump
-        forces = states @ G.T
+    if how.prompt:
+        G = cut.inputs(cut.asked)
+        states = _recursion(Phi + Gamma @ G, push + jump @ (Gamma @ G).T) + jump
+        inputs = states @ G.T
     else:
-        period = steps_per_sample(how, h)
-        states, forces = np.zeros_like(jump), np.zeros((*jump.shape[:2], model.B.shape[1]))
+        states, inputs = np.zeros_like(jump), np.zeros((*jump.shape[:2], model.B.shape[1]))
         # By the sample at which they act.
-        computed = np.zeros((len(time) // period + 1 + how.delay, len(roads), model.B.shape[1]))
-        xi = np.zeros((len(roads), len(model.A)))
+        computed = np.zeros((len(time) // period + 1 + how.delay, len(roads), cut.forces))
+        xi, acting = np.zeros((len(roads), len(model.A))), inputs[:, 0]
         for k in range(len(time)):
             states[:, k] = xi + jump[:, k]
             if k % period == 0:
-                computed[k // period + how.delay] = states[:, k] @ G.T
-            forces[:, k] = computed[k // period]
-            xi = xi @ Phi.T + forces[:, k] @ Gamma_u.T + push[:, k]
-    runs = [_response(vehicle, model, road, time, states[i], forces[i]).values for i, road in enumerate(roads)]
+                computed[k // period + how.delay] = states[:, k] @ cut.asked.T
+                acting = cut.inputs(computed[k // period].T, cut.kept @ states[:, k].T).T
+            inputs[:, k] = acting
+            xi = xi @ Phi.T + inputs[:, k] @ Gamma.T + push[:, k]
+    runs = [_response(vehicle, model, road, time, states[i], inputs[i]).values for i, road in enumerate(roads)]
     return Response(time, vehicle.kind.signals, np.stack(runs))
-
-
-def with_actuators(vehicle: Vehicle, controller: Controller) -> tuple[LinearModel, Array]:
-    """The linear model with its actuators' lag, if they have one, and the gain from its states to the forces asked for.
-
-    With a lag the forces are states: f' = bandwidth (u - f), and what the control forces did in every signal, f does.
-    """
-    model, G, bandwidth = vehicle.linear_model, controller.state_gain(vehicle), vehicle.limits.actuator_bandwidth
-    if bandwidth is None:
-        return model, G
-    (n, m), r = model.B.shape, model.Bw.shape[1]
-    lagged = replace(
-        model,
-        A=np.block([[model.A, model.B], [np.zeros((m, n)), -bandwidth * np.eye(m)]]),
-        B=np.vstack([np.zeros((n, m)), bandwidth * np.eye(m)]),
-        Bw=np.vstack([model.Bw, np.zeros((m, r))]),
-        Br=np.vstack([model.Br, np.zeros((m, r))]),
-        C=np.hstack([model.C, model.D]),
-        D=np.zeros_like(model.D),
-        states=(*model.states, *(f"lagged_{name}" for name in model.inputs)),
-    )
-    return lagged, np.hstack([G, np.zeros((m, m))])
 
 
 def continuous_response(vehicle: Vehicle, controller: Controller, road: Road, time: Array) -> Response:
     """The response of the continuous closed loop (16), from rest. Arguments as for `sampled_response`."""
     h = float(time[1] - time[0])
-    model, G = with_actuators(vehicle, controller)
+    cut = continuous(vehicle, controller)
+    model, G = cut.model, cut.G
     A = model.A + model.B @ G
 
     forcing = _convolution(A, model, road, vehicle, time, h)
@@ -167,13 +152,13 @@ def _recursion(Phi: Array, forcing: Array) -> Array:
     return states
 
 
-def _response(vehicle: Vehicle, model: LinearModel, road: Road, time: Array, states: Array, forces: Array) -> Response:
-    """Every signal of the vehicle from its states and forces over time, shapes (T, n) and (T, m)."""
+def _response(vehicle: Vehicle, model: LinearModel, road: Road, time: Array, states: Array, inputs: Array) -> Response:
+    """Every signal of the vehicle from the states and inputs of a model of it over time, shapes (T, n) and (T, m)."""
     z_r, w = (under_wheels(function, road, vehicle, time) for function in (road.displacement, road.velocity))
     values = {}
     for i, wheel in enumerate(vehicle.kind.wheels):
         values |= {wheel.road_displacement: z_r[:, i], wheel.road_velocity: w[:, i]}
-    outputs = states @ model.C.T + forces @ model.D.T + z_r @ model.Cr.T
+    outputs = states @ model.C.T + inputs @ model.D.T + z_r @ model.Cr.T
     values |= dict(zip(model.outputs, outputs.T, strict=True))
     signals = vehicle.kind.signals
     return Response(time, signals, np.stack([values[signal.name] for signal in signals], axis=-1))
@@ -181,33 +166,53 @@ def _response(vehicle: Vehicle, model: LinearModel, road: Road, time: Array, sta
 
 def sampled_radius(vehicle: Vehicle, controller: Controller, timestep: float) -> float:
     """Growth per timestep of the sampled closed loop, as it is implemented: above 1 it is unstable, at exactly 1 marginal."""
-    loop, _, _ = implemented_loop(vehicle, controller, timestep)
+    loop = implemented_loop(vehicle, controller, timestep).transition
     return sampled_growth(loop) ** (1 / steps_per_sample(vehicle.implementation, timestep))
 
 
-def implemented_loop(vehicle: Vehicle, controller: Controller, timestep: float) -> tuple[Array, Array, Array]:
+@dataclass(frozen=True, eq=False)
+class ImplementedLoop:
     """The loop from one sample of the controller to the next.
 
-    The forces on their way are states beside those of `with_actuators`, the next to act first.
+    Its s states are those of `controlled.sampled`, and beside them the forces on their way, the next to act first.
 
-    Returns:
-        The transition, shape (s, s); what a force that is added to those computed does to the next state, shape (s, m); and the
-        forces that act, from the state, shape (m, s).
+    Attributes:
+        cut: the vehicle and what its controller keeps, before the loop is closed.
+        transition: shape (s, s).
+        inputs: all inputs of `cut`, held until the next sample, from the state, shape (m + k, s).
+        added: what is added to the inputs that are computed at a sample does to the next state, shape (s, m + k).
+        at_once: what of it acts until then, shape (m + k, m + k).
     """
-    model, G = with_actuators(vehicle, controller)
+
+    cut: Controlled
+    transition: Array
+    inputs: Array
+    added: Array
+    at_once: Array
+
+
+def implemented_loop(vehicle: Vehicle, controller: Controller, timestep: float) -> ImplementedLoop:
+    """The loop of a vehicle and its controller as it is implemented."""
     how = vehicle.implementation
-    Phi, Gamma = held_inputs(model.A, steps_per_sample(how, timestep) * timestep, linalg.expm, model.B)
-    n, m = Gamma.shape
+    period = steps_per_sample(how, timestep) * timestep
+    cut = sampled(vehicle, controller, period)
+    Phi, Gamma = held_inputs(cut.model.A, period, linalg.expm, cut.model.B)
+    n, m, k = len(Phi), cut.forces, len(cut.hold)
+    force, rate = np.eye(m, m + k), np.eye(m + k)[m:]
     if how.delay == 0:
-        return Phi + Gamma @ G, Gamma, G
-    size = n + how.delay * m
-    loop, added, acting = np.zeros((size, size)), np.zeros((size, m)), np.zeros((m, size))
-    loop[:n, :n], loop[:n, n : n + m] = Phi, Gamma
-    loop[n : size - m, n + m :] = np.eye(size - n - m)
-    loop[size - m :, :n] = G
-    added[size - m :] = np.eye(m)
-    acting[:, n : n + m] = np.eye(m)
-    return loop, added, acting
+        G, at_once = cut.inputs(cut.asked), cut.inputs(force, rate)
+        return ImplementedLoop(cut, Phi + Gamma @ G, G, Gamma @ at_once, at_once)
+    size, rest = n + how.delay * m, how.delay * m
+    on_their_way = np.hstack([np.zeros((m, n)), np.eye(m, rest)])
+    inputs = cut.inputs(on_their_way, np.hstack([cut.kept, np.zeros((k, rest))]))
+    at_once = np.vstack([np.zeros_like(force), rate])
+    transition, added = np.zeros((size, size)), np.zeros((size, m + k))
+    transition[:n, :n] = Phi
+    transition[:n] += Gamma @ inputs
+    transition[n : size - m, n + m :] = np.eye(rest - m)
+    transition[size - m :, :n] = cut.asked
+    added[:n], added[size - m :] = Gamma @ at_once, force
+    return ImplementedLoop(cut, transition, inputs, added, at_once)
 
 
 def largest_timestep(vehicle: Vehicle) -> float:
@@ -241,20 +246,22 @@ def noise_spreads(vehicle: Vehicle, controller: Controller, timestep: float) -> 
     force that is held: rms repeat with the period.
     """
     how = vehicle.implementation
-    model, _ = with_actuators(vehicle, controller)
-    loop, added, acting = implemented_loop(vehicle, controller, timestep)
-    forces = controller.gain * _measured_rms(vehicle, controller)
-    root = _stationary(loop, added @ forces)
-    # Without a delay the force of a sample has the noise of that sample in it, beside the state.
-    held = forces if how.delay == 0 else np.zeros_like(forces)
+    loop = implemented_loop(vehicle, controller, timestep)
+    read = loop.cut.reading * _measured_rms(vehicle, controller)
+    model, root = loop.cut.model, _stationary(loop.transition, loop.added @ read)
+    # What of a sample's noise acts at once is not in the state yet.
+    held = loop.at_once @ read
 
     Phi, Gamma = held_inputs(model.A, timestep, linalg.expm, model.B)
-    of_state, of_noise = np.eye(len(model.A), len(loop)), np.zeros_like(model.B @ held)  # the vehicle's state, from the loop's
+    of_state, of_noise = (
+        np.eye(len(model.A), len(loop.transition)),
+        np.zeros_like(model.B @ held),
+    )  # the vehicle's, from the loop's
     found = []
     for _ in range(steps_per_sample(how, timestep)):
-        rows, direct = model.C @ of_state + model.D @ acting, model.C @ of_noise + model.D @ held
+        rows, direct = model.C @ of_state + model.D @ loop.inputs, model.C @ of_noise + model.D @ held
         found.append(np.sqrt(np.sum((rows @ root) ** 2, axis=1) + np.sum(direct**2, axis=1)))
-        of_state, of_noise = Phi @ of_state + Gamma @ acting, Phi @ of_noise + Gamma @ held
+        of_state, of_noise = Phi @ of_state + Gamma @ loop.inputs, Phi @ of_noise + Gamma @ held
     return np.stack(found)
 
 

@@ -8,11 +8,14 @@ follows from the linear model.
 
 import numpy as np
 
+from models.common.arrays import Array
+from models.law import LinearLaw
 from models.vehicle import Vehicle
 from synth.controller import Controller
 
 LENGTH = 16 * float(np.finfo(float).eps)  # m or rad; measured over roads of 1e-9 m: up to 5e-16 m, in 20000 steps
 LENGTHS = ("m", "rad")
+RATES = 400  # at which a law is asked what it makes of a measurement
 
 
 def roundings(vehicle: Vehicle, controller: Controller) -> dict[str, float]:
@@ -20,5 +23,16 @@ def roundings(vehicle: Vehicle, controller: Controller) -> dict[str, float]:
     model, kind = vehicle.linear_model, vehicle.kind
     rate = float(np.abs(np.linalg.eigvals(model.A)).max())
     shaken = np.array([LENGTH if kind.signal(name).unit in LENGTHS else rate * LENGTH for name in model.states])
-    moved = np.abs(model.C) @ shaken + np.abs(model.D) @ (np.abs(controller.state_gain(vehicle)) @ shaken)
+    gain = _most_asked(controller.law_on_states(vehicle), rate) @ np.abs(model.rows(controller.measured)[0])
+    moved = np.abs(model.C) @ shaken + np.abs(model.D) @ (gain @ shaken)
     return dict(zip(model.outputs, moved.tolist(), strict=True))
+
+
+def _most_asked(law: LinearLaw, fastest: float) -> Array:
+    """The most that a law makes of each measurement, at whatever rate up to twice that of the vehicle [rad/s], shape (m, q)."""
+    if not law.states:
+        return np.abs(law.D)
+    s = 1j * np.concatenate([[0.0], np.geomspace(1e-4, 2.0, RATES) * fastest])[:, None, None]
+    steady = np.linalg.lstsq(-law.A, law.B)[0][None]  # an integrator asks for what it has come to
+    moving = np.linalg.solve(s[1:] * np.eye(law.states) - law.A, np.broadcast_to(law.B.astype(complex), (RATES, *law.B.shape)))
+    return np.abs(law.C @ np.concatenate([steady, moving]) + law.D).max(axis=0)

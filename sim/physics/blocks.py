@@ -5,17 +5,19 @@
 
 import functools
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
 from models.common.arrays import Array
 from models.mjcf import build_model, quiet
+from models.reality import Implementation
 from models.vehicle import Vehicle
-from sim.physics.readout import Readout, force_from_road, gain_on, mix, prepared, sensed_stage, signal_from_road
+from sim.physics.readout import Readout, force_from_road, laws_on, mix, prepared, sensed_stage, signal_from_road
 from sim.physics.sampler import Sampler
-from sim.physics.stepping import step_batch
+from sim.physics.stepping import Reading, step_batch
 from synth.controller import Controller
 
 DIVERGED = 1e8  # a signal beyond this, in SI units, is no vehicle any more
@@ -121,26 +123,27 @@ def in_shares(
 
     # What a controller measures is read before a step: from the state where it is linear in it, else from its sensor. To it comes
     # what that reading has not seen of the road.
-    K = np.stack([gain_on(readout.names, vehicle, controller) for vehicle, controller in zip(vehicles, controllers, strict=True)])
-    beside = np.zeros_like(K)
-    for i, other in enumerate(undelayed or ()):
-        if other is not None:
-            beside[i] = gain_on(readout.names, vehicles[i], other)
+    K, memory = laws_on(readout.names, vehicles, controllers, timestep)
+    others = undelayed or [None] * len(vehicles)
+    beside, beside_memory = laws_on(readout.names, [_ideal(one) for one in vehicles], others, timestep)
     of_state, of_sensors = np.where(readout.linear, K, 0), np.where(readout.linear, 0, K)
-    offset = force_from_road(of_state, now, readout) + force_from_road(of_sensors, now - before, readout)
-    stage = sensed_stage(readout, np.any((K != 0) | (beside != 0), axis=(0, 1)))
+    stage = sensed_stage(readout, np.any(K != 0, axis=(0, 1)) | np.any(beside != 0, axis=(0, 1)))
+    # An acceleration is read in an evaluation of its own: the road where it is now, and the force that has acted until now.
+    fresh = stage > int(mujoco.mjtStage.mjSTAGE_VEL)
+    unmoved = np.zeros_like(now) if fresh else now - before
+    offset = force_from_road(of_state, now, readout) + force_from_road(of_sensors, unmoved, readout)
     gain = of_state @ readout.of_state
     if stage:
         gain = np.concatenate([gain, of_sensors @ readout.of_sensors], axis=-1)
     plain = undelayed is None and all(other.implementation.ideal for other in vehicles)
-    unseen = np.zeros(0) if plain else signal_from_road(now, readout, True) + signal_from_road(now - before, readout, False)
+    unseen = np.zeros(0) if plain else signal_from_road(now, readout, True) + signal_from_road(unmoved, readout, False)
 
     # What is recorded was sensed inside the step, where the road was midway, or before it, where the last step had left it.
     signals = vehicle.kind.signals
     place = np.array([[signal.name == name for name in readout.names] for signal in signals], dtype=float)
     names = [signal.name for signal in signals]
     heights = [names.index(wheel.road_displacement) for wheel in vehicle.kind.wheels]
-    inside = readout.stage > stage
+    inside, felt = readout.stage > stage, readout.felt or fresh
 
     def of(runs: slice, stopped: Callable[[], bool]) -> Iterator[Block]:
         """The blocks of some of the runs."""
@@ -149,20 +152,25 @@ def in_shares(
             batch.set_models([models[key] for key in hardware[runs]])
         law = None
         if not plain:
-            sampler = Sampler(vehicles[runs], K[runs], beside[runs], readout.names, timestep, len(now))
-            law = _law(sampler, readout, unseen[:, runs], stage)
+            how = [one.implementation for one in vehicles[runs]]
+            samplers = [Sampler(how, K[runs], memory[runs], readout.names, timestep, len(now))]
+            if undelayed is not None:
+                ideal = [Implementation()] * len(how)
+                samplers.append(Sampler(ideal, beside[runs], beside_memory[runs], readout.names, timestep, len(now)))
+            law = _law(samplers, readout, unseen[:, runs], stage)
         level, road, left = now[:, runs], midway[:, runs], before[:, runs]
-        felt = level if readout.felt else None
+        at_samples = level if felt else None
         wanted = going[runs] if going is not None else None
-        steps = step_batch(batch, readout.mocap, gain[runs], offset[:, runs], road, felt, stage, law, edges, wanted, stopped)
+        reading = Reading(gain[runs], memory[runs], offset[:, runs], stage, fresh)
+        steps = step_batch(batch, readout.mocap, reading, road, at_samples, law, edges, wanted, stopped)
         for start, sensed, qpos, qvel, asked in steps:
             some = slice(start, start + len(sensed))
             recorded = np.zeros((len(sensed), len(signals), batch.nsim))
             mix(place @ readout.of_sensors, sensed, recorded)
             recorded -= (place @ readout.rest)[:, None]
-            if not readout.felt:
+            if not felt:
                 mix(place[:, inside] @ readout.of_road[inside], np.moveaxis(level[some] - road[some], 1, 2), recorded)
-            if stage and not readout.felt:
+            if stage and not felt:
                 mix(place[:, ~inside] @ readout.of_road[~inside], np.moveaxis(level[some] - left[some], 1, 2), recorded)
             recorded[:, heights] = np.moveaxis(level[some], 1, 2)
             # A force beyond 1e10 MuJoCo replaces by none at all, and runs on: what was asked for counts, not only what came.
@@ -178,13 +186,19 @@ def in_shares(
     return [functools.partial(quietly, runs) for runs in shares]
 
 
-def _law(sampler: Sampler, readout: Readout, unseen_of_road: Array, stage: int) -> Callable[[int, Array], Array]:
-    """The forces of step k from the reading, for controllers that are more than a gain."""
+def _ideal(vehicle: Vehicle) -> Vehicle:
+    return replace(vehicle, implementation=Implementation())
+
+
+def _law(samplers: Sequence[Sampler], readout: Readout, unseen_of_road: Array, stage: int) -> Callable[[int, Array], Array]:
+    """The forces of step k from the reading, the sum of all samplers', for controllers that are not ideal."""
     of_reading = np.where(readout.linear[:, None], readout.of_state, 0.0)
     if stage:
         of_reading = np.concatenate([of_reading, np.where(readout.linear[:, None], 0.0, readout.of_sensors)], axis=-1)
 
     def forces(k: int, reading: Array) -> Array:
-        return sampler(k, np.matvec(of_reading, reading) + unseen_of_road[k])
+        signals = np.matvec(of_reading, reading) + unseen_of_road[k]
+        first, *others = [sampler(k, signals) for sampler in samplers]
+        return first + others[0] if others else first
 
     return forces

@@ -12,6 +12,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.mjcf import build_model, mocap_indices
+from models.reality import steps_per_sample
 from models.vehicle import Vehicle
 from synth.controller import Controller
 
@@ -97,11 +98,32 @@ def _readout(vehicle: Vehicle, model: mujoco.MjModel) -> Readout:
     return Readout(names, stage, linear, of_state, of_sensors, np.where(late[:, None], 0.0, of_road), rest, felt, mocap)
 
 
-def gain_on(signals: Sequence[str], vehicle: Vehicle, controller: Controller) -> Array:
-    """The controller's gain on all of these signals, shape (m, S): zero on what it does not measure."""
-    gain = np.zeros((len(vehicle.linear_model.inputs), len(signals)))
-    gain[:, [signals.index(name) for name in controller.measured]] = controller.gain
-    return gain
+def laws_on(
+    signals: Sequence[str], vehicles: Sequence[Vehicle], controllers: Sequence[Controller | None], timestep: float
+) -> tuple[Array, Array]:
+    """N controllers as they are run, [u; next x_c] from these signals and x_c, each sampled as its vehicle says.
+
+    Args:
+        signals: names of S of them; a controller has no gain on what it does not measure.
+        vehicles: N of them.
+        controllers: N of them; None for no force.
+        timestep: at which one without a sample period of its own is sampled [s].
+
+    Returns:
+        From the signals, shape (N, m + k, S), and from x_c, shape (N, m + k, k), with the k of the one that has most states.
+    """
+    periods = [steps_per_sample(vehicle.implementation, timestep) * timestep for vehicle in vehicles]
+    pairs = list(zip(controllers, periods, strict=True))
+    once = {(id(one), period): one.law.sampled(period) for one, period in dict.fromkeys(pairs) if one is not None}
+    m, k = len(vehicles[0].linear_model.inputs), max((law.states for law in once.values()), default=0)
+    of_signals, of_states = np.zeros((len(pairs), m + k, len(signals))), np.zeros((len(pairs), m + k, k))
+    for i, (one, period) in enumerate(pairs):
+        if one is not None:
+            law, seen = once[id(one), period], [signals.index(name) for name in one.measured]
+            end = m + law.states
+            of_signals[i, :m, seen], of_signals[i, m:end, seen] = law.D.T, law.B.T
+            of_states[i, :m, : law.states], of_states[i, m:end, : law.states] = law.C, law.A
+    return of_signals, of_states
 
 
 def stage_of(vehicle: Vehicle, controller: Controller, timestep: float) -> int:
@@ -116,7 +138,7 @@ def sensed_stage(readout: Readout, used: Array) -> int:
 
 
 def force_from_road(gain: Array, road: Array, readout: Readout) -> Array:
-    """What is known beforehand of the forces, shape (T, N, m): the gain (N, m, S) on what a reading has not seen of the road.
+    """What is known beforehand of the forces, shape (T, N, m): a gain (N, m, S) on what a reading has not seen of the road.
 
     A sensor's reading has its value at rest in it, too; what is read from the state has none.
     """

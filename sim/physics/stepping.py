@@ -5,6 +5,7 @@
 
 import itertools
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,14 +14,32 @@ from mujoco.batch import Batch
 from models.common.arrays import Array
 
 
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """What N controllers of m forces and k states read, and what they make of it.
+
+    Attributes:
+        gain: from the reading to [forces; next states], shape (N, m + k, r). The reading is (qpos, qvel), and `sensordata` if
+            there is a stage.
+        memory: from their states, shape (N, m + k, k).
+        offset: what else comes to them, shape (T, N, m + k).
+        stage: mjtStage up to which sensors are evaluated before a step.
+        fresh: whether they are evaluated there by themselves, with the road at the samples, so that accelerations count.
+    """
+
+    gain: Array
+    memory: Array
+    offset: Array
+    stage: int
+    fresh: bool
+
+
 def step_batch(
     batch: Batch,
     mocap: list[int],
-    gain: Array,
-    offset: Array,
+    reading: Reading,
     midway: Array,
     at_samples: Array | None,
-    stage: int,
     law: Callable[[int, Array], Array] | None,
     edges: Sequence[int],
     going: Array | None,
@@ -31,12 +50,10 @@ def step_batch(
     Args:
         batch: N runs.
         mocap: mocap index of every wheel's road.
-        gain: from the reading to the forces, shape (N, m, k). The reading is (qpos, qvel), and `sensordata` if there is a stage.
-        offset: the forces' other part, shape (T, N, m).
+        reading: what is read before a step, and what ideal controllers make of it.
         midway: road heights during the steps, shape (T, N, r).
         at_samples: road heights at the samples, shape (T, N, r), if sensors are to be evaluated there on top; else None.
-        stage: mjtStage up to which sensors are evaluated before a step.
-        law: forces (N, m) of step k from the reading (N, k), instead of the gain; None for controllers that are a gain.
+        law: forces (N, m) of step k from the reading (N, r), of controllers that are not ideal; None for those that are.
         edges: of the blocks, see `in_blocks`.
         going: whether each run is still stepped, shape (N,), asked at the beginning of every block; None where all are.
         stopped: says whether to give up.
@@ -46,7 +63,9 @@ def step_batch(
         from before the step, the rest from inside it. Then qpos, shape (B, N, nq), qvel, shape
         (B, N, nv), and the forces asked for, shape (B, N, m).
     """
-    count, m = offset.shape[1:]
+    gain, offset, stage, fresh = reading.gain, reading.offset, reading.stage, reading.fresh
+    (count, known), kept = offset.shape[1:], reading.memory.shape[2]
+    m = known - kept
     # The motors, in the order of the linear model's inputs, are all there is in ctrl.
     ctrl, heights, sensors = batch.bind("ctrl"), batch.bind("mocap_pos")[:, :, 2], batch.bind("sensordata").T
     motion, width = _motion(batch), gain.shape[2]
@@ -54,13 +73,15 @@ def step_batch(
     early = np.repeat(batch.model.sensor_needstage, batch.model.sensor_dim) <= stage
     batch.forward(stage=stage)
 
-    # A numpy call costs a tenth of a step, so there are few: the forces' known part lies beside the reading, with unit gain.
-    gain = np.concatenate([gain, np.broadcast_to(np.eye(m), (count, m, m))], axis=-1)
+    # A numpy call costs a tenth of a step, so there are few: what is known of the forces lies beside the reading, with unit gain,
+    # and so do the controllers' states.
+    gain = np.concatenate([gain, np.broadcast_to(np.eye(known), (count, known, known)), reading.memory], axis=-1)
+    states, asks = np.zeros((count, kept)), np.empty((count, known))
     for start, end in itertools.pairwise(edges):
         block, length = slice(start, end), end - start
         some = None if going is None or going.all() else np.flatnonzero(going)
-        seen = np.empty((length, count, width + m))
-        seen[..., width:] = offset[block]
+        seen = np.empty((length, count, width + known + kept))
+        seen[..., width : width + known] = offset[block]
         roads = np.zeros((length, *heights.shape))
         roads[..., mocap] = midway[block]
         sensed, asked = np.empty((length, *sensors.shape)), np.empty((length, count, m))
@@ -69,10 +90,17 @@ def step_batch(
             if stopped():
                 return
             moving[...] = motion
+            if fresh and at_samples is not None:
+                heights[:, mocap] = at_samples[k]
+                batch.forward()
             if stage:
                 sensing[...] = sensors.T
-            if law is None:
+            if law is None and not kept:
                 np.matvec(gain, all_seen, forces)
+            elif law is None:
+                all_seen[:, width + known :] = states
+                np.matvec(gain, all_seen, asks)
+                forces[...], states = asks[:, :m], asks[:, m:]
             else:
                 forces[...] = law(k, all_seen[:, :width])
             ctrl[...] = forces
@@ -81,7 +109,7 @@ def step_batch(
                 batch.forward()
                 result[...] = sensors
             heights[...] = road
-            batch.step(some, stage=stage)
+            batch.step(some, stage=0 if fresh else stage)
             if at_samples is None:
                 result[...] = sensors
         if stage and at_samples is None:

@@ -221,7 +221,7 @@ def _energy(runs: Sequence[Run]) -> Table:
 
 def _settles(scope: Scope, run: Run) -> bool:
     """Whether a run's sampled response tends to the continuous one with the step."""
-    return scope.prompt or not np.any(run.controller.gain)
+    return scope.prompt or not run.controller.law.acts
 
 
 def _order(coarse: float, fine: float) -> str:

@@ -135,7 +135,7 @@ def _rides(vehicle: Vehicle, controller: Controller, timestep: float) -> Iterato
     metrics = [(f"{name}_weighted", "m/s2") for name in where.accelerations]
     metrics += [(f"{name}_rms", "m") for name in where.suspensions]
     metrics += [(dynamic_load(name), "-") for name in where.tyres]
-    metrics += [(f"{name}_rms", "N") for name, *_ in where.actuators if np.any(controller.gain)]
+    metrics += [(f"{name}_rms", "N") for name, *_ in where.actuators if controller.law.acts]
     for k, road_class in enumerate(CLASSES):
         runs = range(k * len(SEEDS), (k + 1) * len(SEEDS))
         some = [measured[i] for i in runs if np.isinf(ended[i])]

@@ -127,7 +127,7 @@ class Scope:
     @property
     def active(self) -> list[Controller]:
         """Those of them that do something."""
-        return [one for one in self.stable if np.any(one.gain)]
+        return [one for one in self.stable if one.law.acts]
 
     @property
     def margins_timestep(self) -> float:

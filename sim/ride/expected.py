@@ -32,8 +32,9 @@ from models.common.arrays import Array
 from models.common.threads import one_thread
 from models.reality import steps_per_sample
 from models.vehicle import Vehicle
+from sim.linear.controlled import continuous
 from sim.linear.frequency import as_met, stepwise_frequency_response
-from sim.linear.loop import implemented_loop, sampled_radius, with_actuators
+from sim.linear.loop import implemented_loop, sampled_radius
 from sim.ride.gaussian import Gaussian, positive_part
 from sim.ride.metrics import RUNNING, dynamic_load, energy, off_ground, points, power
 from sim.ride.quadrature import sample_band
@@ -65,8 +66,8 @@ class Expected:
 
 def settling_time(vehicle: Vehicle, controller: Controller) -> float:
     """When the slowest mode of a vehicle from rest has all but `FORGOTTEN` of its variance [s]; infinite for an unstable loop."""
-    model, G = with_actuators(vehicle, controller)
-    found = stability(model.A + model.B @ G)
+    cut = continuous(vehicle, controller)
+    found = stability(cut.model.A + cut.model.B @ cut.G)
     return math.log(FORGOTTEN) / (2 * found.worst.real) if found.stable else math.inf
 
 
@@ -217,7 +218,7 @@ def loop_poles(vehicle: Vehicle, controller: Controller, timestep: float, high: 
 
     A loop that is sampled has every pole again at every multiple of its sampling frequency, and so has the weighting of images.
     """
-    loop, _, _ = implemented_loop(vehicle, controller, timestep)
+    loop = implemented_loop(vehicle, controller, timestep).transition
     period = timestep * steps_per_sample(vehicle.implementation, timestep)
     values = np.linalg.eigvals(loop)
     found = np.log(values[np.abs(values) > 1e-12].astype(complex)) / period

@@ -23,7 +23,7 @@ from models.common.arrays import Array
 from models.reality import steps_per_sample
 from models.vehicle import Vehicle
 from sim.linear.frequency import as_met, sampled_states
-from sim.linear.loop import implemented_loop, sampled_radius, with_actuators
+from sim.linear.loop import implemented_loop, sampled_radius
 from sim.ride.expected import longest_panel, loop_poles, power_of, tracks
 from sim.ride.metrics import points
 from sim.ride.quadrature import sample_band
@@ -67,11 +67,11 @@ def settled_shares(vehicle: Vehicle, controller: Controller, road: Spectrum, tim
     """The same of every measured signal that moves, by name; empty for an unstable loop."""
     if sampled_radius(vehicle, controller, timestep) >= 1:
         return {}
-    model, G = with_actuators(vehicle, controller)
-    loop, _, acting = implemented_loop(vehicle, controller, timestep)
-    C = np.hstack([model.C, np.zeros((len(model.C), len(loop) - model.C.shape[1]))]) + model.D @ acting
-    raised = -np.linalg.solve(model.A + model.B @ G, model.Br)
-    raised = np.vstack([raised, *([G @ raised] * vehicle.implementation.delay)])
+    implemented = implemented_loop(vehicle, controller, timestep)
+    loop, cut, model = implemented.transition, implemented.cut, implemented.cut.model
+    C = np.hstack([model.C, np.zeros((len(model.C), len(loop) - model.C.shape[1]))]) + model.D @ implemented.inputs
+    raised = -np.linalg.solve(model.A + model.B @ cut.inputs(cut.asked), model.Br)
+    raised = np.vstack([raised, *([cut.asked @ raised] * vehicle.implementation.delay)])
 
     period = timestep * steps_per_sample(vehicle.implementation, timestep)
     sample = round(start / period)

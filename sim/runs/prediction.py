@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.vehicle import Vehicle
-from sim.linear.loop import continuous_response, noise_spread, sampled_radius, sampled_response, taylor4, with_actuators
+from sim.linear.controlled import sampled
+from sim.linear.loop import continuous_response, noise_spread, sampled_radius, sampled_response, taylor4
 from sim.response.response import Response
 from sim.roads.road import Road
 from synth.controller import Controller
@@ -62,8 +63,8 @@ def predict(vehicle: Vehicle, controller: Controller, road: Road, time: Array, m
         InputError: noise or quantisation goes through a larger loop than that, and its spread is not known.
     """
     timestep = float(time[1] - time[0])
-    model, _ = with_actuators(vehicle, controller)
-    small = len(model.A) + vehicle.implementation.delay * len(model.inputs) <= most_states
+    cut = sampled(vehicle, controller, timestep)
+    small = len(cut.model.A) + vehicle.implementation.delay * cut.forces <= most_states
     noisy = vehicle.implementation.blurred
     if noisy and not small:
         raise InputError(f"the spread of its {vehicle.implementation.blur} is not computed: its loop has too many delayed forces")

@@ -16,7 +16,7 @@ from sim.response.regime import FLAT, LIFT_OFF, REGIME_ENDS
 from sim.runs.agreement import COARSEST, SLACK, SMALL
 from sim.runs.run import Run
 from synth.controller import Controller
-from synth.words import gain_text, heading_lines, ideal_lines, notes
+from synth.words import gain_text, heading_lines, ideal_lines, law_lines, notes
 
 MOST_FLIGHTS = 4  # of a run that are told one by one
 
@@ -72,7 +72,7 @@ def controller_object(controller: Controller) -> dict[str, Any]:
     return {
         "name": controller.name,
         "measured": list(controller.measured),
-        "gain": controller.gain.tolist(),
+        **controller.law.record,
         "bound": certificate.bound,
         "norm": finite(certificate.norm.value),
         "peak_frequency": finite(certificate.norm.peak_frequency),
@@ -226,8 +226,10 @@ def events(run: Run) -> tuple[tuple[float, str], ...]:
 def summary(run: Run) -> str:
     """Design and verdict as Markdown."""
     lines = [f"# {run.controller.name}", ""]
-    gain = f"gain {gain_text(run.controller.gain)}" if run.controller.measured else "no control force"
-    lines += [f"- {line}" for line in [gain, *_found(run.vehicle, run.controller)]]
+    law = law_lines(run.controller.law, "gain ", "")[0] if run.controller.law.states else f"gain {gain_text(run.controller.gain)}"
+    lines += [
+        f"- {line}" for line in [law if run.controller.measured else "no control force", *_found(run.vehicle, run.controller)]
+    ]
     lines += [f"- measures {', '.join(run.controller.measured) or 'nothing'}", "", "## Verdict", ""]
     lines += [f"- {line}" for line in [*verdict_lines(run), *energy_lines(run)]]
     until = f" until {run.agreement.until:.4g} s" if math.isfinite(run.agreement.until) else ""

@@ -9,12 +9,11 @@ dozen applications of it do (Arnoldi's method; Lehoucq, Sorensen, Yang 1998, ARP
 import math
 
 import numpy as np
-from scipy import linalg
 from scipy.sparse.linalg import LinearOperator, eigs
 
 from models.common.arrays import Array
 from models.vehicle import Vehicle
-from sim.linear.loop import held_inputs, with_actuators
+from sim.stability.loop import cut_sampled
 from synth.controller import Controller
 
 FEW = 60  # states and forces on their way; of so few all eigenvalues are quicker
@@ -30,9 +29,7 @@ def delayed_rate(vehicle: Vehicle, controller: Controller, timestep: float, dela
         timestep: [s].
         delay: in samples, at least 0.
     """
-    model, G = with_actuators(vehicle, controller)
-    Phi, Gamma = held_inputs(model.A, timestep, linalg.expm, model.B)
-    return _logarithm(Phi, Gamma, G, delay) / timestep
+    return _logarithm(*cut_sampled(vehicle, controller, timestep), delay) / timestep
 
 
 def _logarithm(Phi: Array, Gamma: Array, G: Array, delay: int) -> float:

@@ -44,7 +44,7 @@ def margins_figure(
         return math.log(sampled_radius(vehicle, controller, timestep)) / timestep
 
     def of_gain(factor: float) -> float:
-        return rate(vehicle, replace(controller, gain=factor * controller.gain))
+        return rate(vehicle, replace(controller, law=controller.law.scaled(factor)))
 
     def of_delay(seconds: float) -> float:
         return delayed_rate(vehicle, controller, timestep, round(seconds / timestep))

@@ -4,8 +4,9 @@ Cut at some actuators, with the others closed, the vehicle and its controller ar
 
     x' = A x + B u,    v = G x,    L(s) = G (s I - A)^-1 B,
 
-where u is the force that acts and v the force asked for. The loop is closed by u = v, so it is on the verge of stability where an
-eigenvalue of L(j w) is 1. No margin is read off a frequency grid. With M = B G:
+where u is the force that acts and v the force asked for. The states are the vehicle's and the controller's own. A measured
+acceleration has the force in it, which makes v = G x + H u and adds H to L(s). The loop is closed by u = v, so it is on the verge
+of stability where an eigenvalue of L(j w) is 1. No margin is read off a frequency grid. With M = B G:
 
 - a gain factor k puts a pole of A + k M on the imaginary axis only if two poles of it add to zero, so only if
   (A + k M) (+) (A + k M) is singular, with X (+) Y = kron(X, I) + kron(I, Y): a linear eigenvalue problem in k;
@@ -14,9 +15,11 @@ eigenvalue of L(j w) is 1. No margin is read off a frequency grid. With M = B G:
   that lag, and of all crossovers the one with the smallest delay is the delay margin;
 - a sample period T puts an eigenvalue of exp(A T) + (integral of exp(A s) ds B) G on the unit circle.
 
-What these give is then refined on the poles themselves.
+With H these are no problems of one matrix, and candidates come from a fine grid. What all this gives is then refined on the poles
+themselves.
 """
 
+import functools
 import itertools
 import math
 from collections.abc import Callable, Sequence
@@ -28,10 +31,15 @@ from scipy import linalg, optimize
 
 from models.common.arrays import Array
 from models.vehicle import Vehicle
-from sim.linear.loop import held_inputs, with_actuators
+from sim.linear.controlled import continuous, readings, sampled, with_lag
+from sim.linear.loop import held_inputs
 from synth.controller import Controller
 
 LARGEST_FACTOR = 1e4  # a loop that bears this much gain bears any: beyond, rounding decides on which side a pole is
+FACTORS = np.geomspace(1.001 / LARGEST_FACTOR, LARGEST_FACTOR / 1.001, 4000)
+ANGLES = 4001  # from no lag to a whole turn
+MOST_QUADRATIC = 18  # states; the quadratic problem of more has a matrix of above 500 rows, and a grid is quicker
+COARSER = 0.1  # radian that a pole turns by from one sample period that is tried to the next
 LONGEST = 100.0  # s; the longest sample period that is looked at where the vehicle does not settle without the loop
 
 
@@ -43,21 +51,31 @@ class Loop:
         A: state matrix with the other actuators' loops closed, shape (n, n).
         B: from the forces that act, shape (n, k).
         G: to the forces asked for, shape (k, n).
+        H: to those from the forces that act, shape (k, k).
+        at_period: of a controller with states, the same sampled every so many seconds, see `cut_sampled`; None of a static one.
     """
 
     A: Array
     B: Array
     G: Array
+    H: Array
+    at_period: Callable[[float], tuple[Array, Array, Array]] | None = None
 
     @property
     def M(self) -> Array:
-        """What closing the loop adds to A, shape (n, n)."""
+        """What closing the loop adds to A where H is zero, shape (n, n)."""
         return self.B @ self.G
+
+    def closed(self, factor: complex) -> Array:
+        """A of the loop that is closed by u = factor v, shape (n, n)."""
+        if not np.any(self.H):
+            return self.A + factor * self.M
+        return self.A + self.B @ np.linalg.solve(np.eye(len(self.H)) - factor * self.H, factor * self.G)
 
     def transfer(self, omega: Array) -> Array:
         """L(j omega), shape (F, k, k), for angular frequencies [rad/s] of shape (F,)."""
         resolvent = 1j * omega[:, None, None] * np.eye(len(self.A)) - self.A
-        return self.G @ np.linalg.solve(resolvent, np.broadcast_to(self.B, (len(omega), *self.B.shape)))
+        return self.G @ np.linalg.solve(resolvent, np.broadcast_to(self.B, (len(omega), *self.B.shape))) + self.H
 
 
 @dataclass(frozen=True)
@@ -117,9 +135,54 @@ class Margins:
 
 def cut(vehicle: Vehicle, controller: Controller, actuators: Sequence[int]) -> Loop:
     """The loop of a vehicle and its controller, cut at some actuators; with their lag, if the vehicle's have one."""
-    model, G = with_actuators(vehicle, controller)
-    others = [i for i in range(len(G)) if i not in actuators]
-    return Loop(model.A + model.B[:, others] @ G[others], model.B[:, actuators], G[actuators])
+    law, model = controller.law.continuous(), with_lag(vehicle)
+    C, D = readings(vehicle, controller)
+    others = [i for i in range(len(law.D)) if i not in actuators]
+    if not law.states and not np.any(D):
+        G = continuous(vehicle, controller).G
+        H = np.zeros((len(actuators), len(actuators)))
+        return Loop(model.A + model.B[:, others] @ G[others], model.B[:, actuators], G[actuators], H)
+    C = np.hstack([C, np.zeros((len(C), len(model.A) - C.shape[1]))])
+    A = np.block([[model.A, np.zeros((len(model.A), law.states))], [law.B @ C, law.A]])
+    B, G, H = np.vstack([model.B, law.B @ D]), np.hstack([law.D @ C, law.C]), law.D @ D
+    # The others' forces: u = inverse (their rows of G x + H u of the cut ones).
+    inverse = np.linalg.inv(np.eye(len(others)) - H[np.ix_(others, others)])
+    closing, through = inverse @ G[others], inverse @ H[np.ix_(others, actuators)]
+    return Loop(
+        A + B[:, others] @ closing,
+        B[:, actuators] + B[:, others] @ through,
+        G[actuators] + H[np.ix_(actuators, others)] @ closing,
+        H[np.ix_(actuators, actuators)] + H[np.ix_(actuators, others)] @ through,
+        functools.partial(cut_sampled, vehicle, controller, actuators=actuators),
+    )
+
+
+def cut_sampled(
+    vehicle: Vehicle,
+    controller: Controller,
+    period: float,
+    actuators: Sequence[int] | None = None,
+    exponential: Callable[[Array], Array] = linalg.expm,
+) -> tuple[Array, Array, Array]:
+    """The same from sample to sample, x[i+1] = Phi x[i] + Gamma u[i], v[i] = G x[i]: Phi, Gamma and G.
+
+    Args:
+        vehicle: the vehicle; what its `[implementation]` says of sampling and delay does not count.
+        controller: its controller.
+        period: from sample to sample [s].
+        actuators: those that are cut; None for all.
+        exponential: the matrix exponential; `taylor4` to predict an RK4 integrator whose step is the period.
+    """
+    kept = sampled(vehicle, controller, period)
+    actuators = range(kept.forces) if actuators is None else actuators
+    if not len(kept.hold):
+        loop = cut(vehicle, controller, actuators)
+        Phi, Gamma = held_inputs(loop.A, period, exponential, loop.B)
+        return Phi, Gamma, loop.G
+    Phi, Gamma = held_inputs(kept.model.A, period, exponential, kept.model.B)
+    m, others = kept.forces, [i for i in range(kept.forces) if i not in actuators]
+    Phi, Gamma = Phi + Gamma[:, m:] @ kept.kept, Gamma[:, :m] + Gamma[:, m:] @ kept.hold
+    return Phi + Gamma[:, others] @ kept.asked[others], Gamma[:, actuators], kept.asked[actuators]
 
 
 def margins(loop: Loop) -> Margins:
@@ -135,6 +198,8 @@ def margins(loop: Loop) -> Margins:
 
 def gain_crossings(loop: Loop) -> list[float]:
     """Factors on the gain, between 0 and `LARGEST_FACTOR`, at which the loop changes between stable and unstable."""
+    if np.any(loop.H):
+        return _sign_changes(lambda k: float(np.linalg.eigvals(loop.closed(k)).real.max()), FACTORS)
     # From the closed loop, which is stable: with k = 1 + d, S + d T is singular where -1 / d is an eigenvalue of S^-1 T.
     S, T = (_kronecker_sum(X, X) for X in (loop.A + loop.M, loop.M))
     inverses = np.linalg.eigvals(np.linalg.solve(S, T))
@@ -143,16 +208,11 @@ def gain_crossings(loop: Loop) -> list[float]:
     return _sign_changes(lambda k: float(np.linalg.eigvals(loop.A + k * loop.M).real.max()), tried)
 
 
-def sampled_gain_crossings(loop: Loop, period: float, exponential: Callable[[Array], Array] = linalg.expm) -> list[float]:
-    """The same for the loop that samples every so many seconds, and holds the force between.
-
-    Args:
-        loop: the loop.
-        period: from sample to sample [s].
-        exponential: the matrix exponential; `taylor4` to predict an RK4 integrator whose step is the period.
-    """
-    Phi, Gamma = held_inputs(loop.A, period, exponential, loop.B)
-    M, n = Gamma @ loop.G, len(Phi)
+def sampled_gain_crossings(Phi: Array, Gamma: Array, G: Array) -> list[float]:
+    """The same for the loop that is sampled, and holds the force between; arguments as `cut_sampled` returns them."""
+    M, n = Gamma @ G, len(Phi)
+    if n > MOST_QUADRATIC:
+        return _sign_changes(lambda k: float(np.abs(np.linalg.eigvals(Phi + k * M)).max() - 1), FACTORS)
     # kron(Phi + k M, Phi + k M) has the eigenvalue 1: with k = 1 + d, a quadratic problem in d.
     closed = Phi + M
     constant = np.kron(closed, closed) - np.eye(n * n)
@@ -166,6 +226,8 @@ def sampled_gain_crossings(loop: Loop, period: float, exponential: Callable[[Arr
 
 def crossovers(loop: Loop) -> tuple[Crossover, ...]:
     """Every crossover at a frequency above zero, by the delay that it allows."""
+    if np.any(loop.H) or len(loop.A) > MOST_QUADRATIC:
+        return _by_delay(_crossings_on_a_grid(loop))
     A, M, identity = loop.A, loop.M, np.eye(len(loop.A))
     # z^2 kron(M, I) + z (A (+) A) + kron(I, M) is singular.
     S, size = _kronecker_sum(A, A), len(A) ** 2
@@ -175,22 +237,41 @@ def crossovers(loop: Loop) -> tuple[Crossover, ...]:
         solutions = linalg.eigvals(*pencil)
     solutions = solutions[np.isfinite(solutions)]
 
-    found: list[Crossover] = []
+    found: list[Crossover | None] = []
     fastest = float(np.abs(np.linalg.eigvals(A + M)).max())
     for z in solutions[np.abs(np.abs(solutions) - 1) < 1e-4]:
         poles = np.linalg.eigvals(A + z * M)
         for pole in poles[(np.abs(poles.real) < 1e-3 * np.abs(poles)) & (poles.imag > 1e-6 * fastest)]:
-            refined = _refined(loop, float(-np.angle(z)), complex(pole))
-            if refined and not any(math.isclose(refined.delay, other.delay, rel_tol=1e-7) for other in found):
-                found.append(refined)
-    return tuple(sorted(found, key=lambda crossover: crossover.delay))
+            found.append(_refined(loop, float(-np.angle(z)), complex(pole)))
+    return _by_delay(found)
+
+
+def _by_delay(found: Sequence[Crossover | None]) -> tuple[Crossover, ...]:
+    """Those that are crossovers, each once, by the delay that they allow."""
+    different: list[Crossover] = []
+    for one in found:
+        if one and not any(math.isclose(one.delay, other.delay, rel_tol=1e-7) for other in different):
+            different.append(one)
+    return tuple(sorted(different, key=lambda crossover: crossover.delay))
+
+
+def _crossings_on_a_grid(loop: Loop) -> list[Crossover | None]:
+    """Crossovers where, between two lags of a fine grid, another number of poles is unstable."""
+    angles = np.linspace(0, 2 * np.pi, ANGLES)
+    poles = np.linalg.eigvals(np.stack([loop.closed(np.exp(-1j * angle)) for angle in angles]))
+    unstable = np.sum(np.real(poles) > 0, axis=1)
+    found = []
+    for i in np.flatnonzero(np.diff(unstable)):
+        nearest = poles[i][np.argsort(np.abs(poles[i].real))[: 1 + abs(int(unstable[i + 1] - unstable[i]))]]
+        found += [_refined(loop, float(angles[i]), complex(pole)) for pole in nearest if pole.imag > 0]
+    return found
 
 
 def _refined(loop: Loop, theta: float, pole: complex) -> Crossover | None:
     """The crossover next to a lag and a pole, to rounding; None where the pole only comes near the axis."""
 
     def nearest(angle: float) -> complex:
-        poles = np.linalg.eigvals(loop.A + np.exp(-1j * angle) * loop.M)
+        poles = np.linalg.eigvals(loop.closed(np.exp(-1j * angle)))
         return complex(poles[np.argmin(np.abs(poles - pole))])
 
     found: Any = optimize.root_scalar(
@@ -209,6 +290,9 @@ def largest_sample_period(loop: Loop) -> float:
     Looked for in steps that no pole turns by more than a twentieth of a radian in, as long as anything is left of it.
     """
     poles = np.linalg.eigvals(loop.A)
+    at_period = loop.at_period
+    if at_period is not None:
+        return _first_unstable(lambda period: _closed(at_period(period)), poles)
     n, k = loop.B.shape
     augmented = np.zeros((n + k, n + k))
     augmented[:n] = np.hstack([loop.A, loop.B])
@@ -234,6 +318,30 @@ def largest_sample_period(loop: Loop) -> float:
             refined: Any = optimize.brentq(growth, before, first, xtol=1e-13)
             return float(refined)
         start += count * h
+    return math.inf
+
+
+def _closed(sampled_loop: tuple[Array, Array, Array]) -> Array:
+    Phi, Gamma, G = sampled_loop
+    return Phi + Gamma @ G
+
+
+def _first_unstable(at_period: Callable[[float], Array], poles: Array) -> float:
+    """The shortest period at which a transition has an eigenvalue on the unit circle, as above, but each is made by itself."""
+
+    def growth(period: float) -> float:
+        return float(np.abs(np.linalg.eigvals(at_period(period))).max() - 1)
+
+    start = 0.0
+    while start < LONGEST:
+        alive = np.abs(poles[-np.real(poles) * start < 25])
+        if len(alive) == 0:
+            break
+        h = COARSER / alive.max()
+        if growth(start + h) > 0:
+            refined: Any = optimize.brentq(growth, max(start, 1e-3 * h), start + h, xtol=1e-13)
+            return float(refined)
+        start += h
     return math.inf
 
 

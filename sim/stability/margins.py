@@ -11,7 +11,7 @@ from models.vehicle import Vehicle
 from sim.linear.loop import taylor4
 from sim.stability.bisection import Search, run_searches
 from sim.stability.growth import Trial, silent
-from sim.stability.loop import Margins, cut, margins, sampled_gain_crossings
+from sim.stability.loop import Margins, cut, cut_sampled, margins, sampled_gain_crossings
 from synth.controller import Controller
 
 SLOWEST = 2.0  # s; the longest delay and sample period that are tried where none is predicted to matter
@@ -137,10 +137,10 @@ def searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int],
     """The predicted margins of the loop cut at some actuators, and the searches for them, not yet run."""
     loop = cut(vehicle, controller, actuators)
     predicted = margins(loop)
-    mine = np.isin(np.arange(len(controller.gain)), actuators)[:, None]
+    mine = np.isin(np.arange(len(vehicle.linear_model.inputs)), actuators)
 
     def with_gain(factor: float) -> Trial:
-        return Trial(vehicle, replace(controller, gain=np.where(mine, factor, 1.0) * controller.gain))
+        return Trial(vehicle, replace(controller, law=controller.law.scaled(np.where(mine, factor, 1.0))))
 
     def gain_margin(trial: Callable[[float], Trial], own: float, power: int) -> GainMargin:
         # A factor to this power is an amount above 1: how many times more gain, or how many times less.
@@ -148,10 +148,12 @@ def searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int],
         return GainMargin(own, (coarse, fine), Search(trial, coarse, most=AMPLE), Search(trial, fine, most=AMPLE))
 
     def built(how: Implementation) -> Trial:
-        cut_out, rest = (replace(controller, gain=np.where(part, controller.gain, 0.0)) for part in (mine, ~mine))
-        return Trial(replace(vehicle, implementation=how), cut_out, rest if np.any(rest.gain) else None)
+        cut_out, rest = (replace(controller, law=controller.law.only(part)) for part in (mine, ~mine))
+        return Trial(replace(vehicle, implementation=how), cut_out, rest if rest.law.acts else None)
 
-    sampled = [sampled_gain_crossings(loop, step, taylor4) for step in (timestep, timestep / 2)]
+    sampled = [
+        sampled_gain_crossings(*cut_sampled(vehicle, controller, step, actuators, taylor4)) for step in (timestep, timestep / 2)
+    ]
     late = max(predicted.delay - timestep / 2, timestep)  # half a sample is in the hold
     return LoopMargins(
         predicted=predicted,

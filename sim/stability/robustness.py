@@ -22,7 +22,7 @@ from sim.runs.prediction import predict
 from sim.runs.run import judge, sample_times
 from sim.stability.growth import Trial, grow, silent
 from synth.certificate.norm import hinf_norm
-from synth.controller import Controller, generalized_plant
+from synth.controller import Controller
 
 GRID = 81  # norms that are taken first, whatever the box's dimension
 BUMP = Bump(height=2e-2, track="left")  # high enough for what geometry makes to be told from rounding
@@ -116,7 +116,7 @@ def robustness(
 def _norm(vehicle: Vehicle, controller: Controller, factors: Sequence[float]) -> float:
     """The H-infinity norm on the vehicle with these factors; infinite where unstable."""
     other = _with_factors(vehicle, factors)
-    return hinf_norm(generalized_plant(other).closed_loop(controller.state_gain(other))).value
+    return hinf_norm(controller.loop(other)).value
 
 
 def _worst(

@@ -29,15 +29,21 @@ BLIND = 1e-14  # of the most that z sees of a state; what it sees less of counts
 
 
 @numerics()
-def certify_tightly(plant: GeneralizedPlant, G: Array | Feedback, lower_bound: LowerBound | None = None) -> Certificate:
+def certify_tightly(
+    plant: GeneralizedPlant,
+    G: Array | Feedback,
+    lower_bound: LowerBound | None = None,
+    by_itself: GeneralizedPlant | None = None,
+) -> Certificate:
     """The certificate of a stabilising gain, with a bound just above its norm if one can be proved, else without.
 
     Args:
         plant: n states, m inputs.
         G: the gain from measurements (6), or a state gain, shape (m, n).
         lower_bound: what no controller of the gain's kind can beat.
+        by_itself: as for `certify`.
     """
-    plain = certify(plant, G, lower_bound=lower_bound)
+    plain = certify(plant, G, lower_bound=lower_bound, by_itself=by_itself)
     if not plain.stable or not np.isfinite(plain.norm.value):
         return plain
     loop = plant.closed_loop(G)

@@ -180,6 +180,7 @@ def certify(
     X: Array | None = None,
     eta: float | None = None,
     lower_bound: LowerBound | None = None,
+    by_itself: GeneralizedPlant | None = None,
 ) -> Certificate:
     """Checks a gain, and its proof if it has one.
 
@@ -189,12 +190,13 @@ def certify(
         X: the matrix of (20), shape (n, n).
         eta: gamma^-2 of (20); given with X.
         lower_bound: what no controller of the gain's kind can beat.
+        by_itself: the plant without the states of a controller, whose speed an actuator's is compared to; None: the plant.
 
     Raises:
         InputError: eta or X is out of range.
     """
     loop = plant.closed_loop(G)
-    found, norm, (fastest, moves) = stability(loop.A), hinf_norm(loop), speed(plant)
+    found, norm, (fastest, moves) = stability(loop.A), hinf_norm(loop), speed(by_itself or plant)
     return Certificate(
         loop=loop,
         stability=found,

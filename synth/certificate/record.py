@@ -48,13 +48,16 @@ def to_record(certificate: Certificate) -> dict[str, Any]:
     }
 
 
-def read_proof(record: Mapping[str, Any], plant: GeneralizedPlant, Cy: Array) -> tuple[Array | None, float | None, LowerBound]:
+def read_proof(
+    record: Mapping[str, Any], plant: GeneralizedPlant, Cy: Array, kept: int = 0
+) -> tuple[Array | None, float | None, LowerBound]:
     """X and eta for (20), either None, and the lower bound that the record's witnesses prove, recomputed with numpy alone.
 
     Args:
         record: see `to_record`.
         plant: n states.
         Cy: what is measured, shape (q, n); any number of rows.
+        kept: states of the controller, which are in X too.
 
     Raises:
         InputError: a key is unknown or null, or not of the form that it must have.
@@ -67,7 +70,7 @@ def read_proof(record: Mapping[str, Any], plant: GeneralizedPlant, Cy: Array) ->
     n = len(plant.A)
     for key in ("norm", "peak_frequency", "lower_bound"):
         _number(record, key)
-    X = _matrix(record, "X", (n, n))
+    X = _matrix(record, "X", (n + kept, n + kept))
     if X is not None:
         if not np.all(np.diagonal(X) >= SMALLEST):
             raise InputError(

@@ -17,7 +17,7 @@ def check(designer: Designer, names: Sequence[str] | None) -> list[Row]:
         InputError: a name is unknown or has no gain, there is no gain at all, or a certificate is malformed.
     """
     vehicle = designer.vehicle
-    gains = [name for name, entry in vehicle.controllers.items() if entry.gain is not None]
+    gains = [name for name, entry in vehicle.controllers.items() if entry.law is not None]
     if not gains:
         raise InputError(f"{vehicle.source} holds no controller with a gain to check; write one with --save")
     for name in names or ():
@@ -27,8 +27,8 @@ def check(designer: Designer, names: Sequence[str] | None) -> list[Row]:
 
 
 def _checked(designer: Designer, entry: ControllerEntry) -> Row:
-    assert entry.gain is not None
+    assert entry.law is not None
     certificate, failures = designer.checked(entry)
     note = "checked: every claim of its certificate holds" if entry.certificate and not failures else ""
     note = note or ("its certificate does not hold" if entry.certificate else "came without a certificate")
-    return Row(entry.name, Controller(entry.name, entry.measured, entry.gain, False, certificate), (note,), failures)
+    return Row(entry.name, Controller(entry.name, entry.measured, entry.law, False, certificate), (note,), failures)

@@ -54,7 +54,7 @@ def _entry(name: str, controller: Controller) -> list[str]:
     return [
         f"[controllers.{key}]",
         f"measured = {_toml(list(controller.measured))}",
-        f"gain = {_toml(controller.gain.tolist())}",
+        *(f"{key} = {_toml(value)}" for key, value in controller.law.record.items()),
         "",
         f"[controllers.{key}.certificate]    # checked by: python -m synth --check THIS_FILE",
         *(f"{key} = {_toml(value)}" for key, value in record.items()),

@@ -47,7 +47,7 @@ def row_object(row: Row) -> dict[str, Any]:
     return {
         "name": row.name,
         "measured": list(controller.measured),
-        "gain": controller.gain.tolist(),
+        **controller.law.record,
         "designed": controller.designed,
         "bound": certificate.bound,
         "norm": finite(norm.value),

@@ -1,0 +1,158 @@
+"""`[controllers]` of a vehicle file: what each measures, and its law, if it is given."""
+
+import math
+import unicodedata
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError, listing, quoted
+from models.kind import LARGEST
+from models.law import MATRICES, LinearLaw, static_law
+from models.linear_model import LinearModel
+
+CONTROLLER_KEYS = ("measured", "gain", *MATRICES, "sample_period", "certificate")
+RESERVED = ("passive", "state")  # these two always exist: u = 0, and full state feedback
+LONGEST_NAME = 60  # bytes; the names of three controllers go into a file name
+SHORTEST, LONGEST = 1e-6, 10.0  # s, of a discrete controller's sample period
+
+
+@dataclass(frozen=True, eq=False)
+class ControllerEntry:
+    """One `[controllers.NAME]` of a vehicle file.
+
+    Attributes:
+        name: its name.
+        measured: signals it measures, q of them.
+        law: from the q measurements to the m forces if the file gives it, else None: it is to be designed.
+        certificate: what is claimed of the law, as `python -m synth --save` wrote it beside it; None without one.
+    """
+
+    name: str
+    measured: tuple[str, ...]
+    law: LinearLaw | None = None
+    certificate: Mapping[str, Any] | None = None
+
+
+def read_controllers(section: Mapping[str, Any], model: LinearModel) -> dict[str, ControllerEntry]:
+    """`[controllers]`, checked: by name, each in the one spelling (NFC) of those that look alike, letters and marks composed."""
+    found: dict[str, ControllerEntry] = {}
+    for written, entry in section.items():
+        name = unicodedata.normalize("NFC", written)
+        if name in found:
+            raise InputError(f"[controllers.{name}] is there twice, in two spellings that look alike; rename one")
+        found[name] = _controller(name, entry, model)
+    return found
+
+
+def _is_name(name: str) -> bool:
+    """Whether a controller may be called so; vowel signs, as in Hindi and Thai, are marks on letters."""
+    kinds = ["L" if one.isalnum() else "-" if one in "_-" else unicodedata.category(one) for one in name]
+    return "L" in kinds and {*kinds} <= {"L", "-", "Mn", "Mc"} and kinds[0] not in ("Mn", "Mc") and not name.startswith("-")
+
+
+def _controller(name: str, entry: Any, model: LinearModel) -> ControllerEntry:
+    where = f"[controllers.{name}]"
+    if name in RESERVED or name == "all":
+        raise InputError(f"{where} the name {name!r} is taken: passive, state and all always exist; rename it")
+    if len(name.encode()) > LONGEST_NAME or not _is_name(name):
+        raise InputError(
+            f"{where} a controller's name has letters, digits, '_' and '-' only, at most {LONGEST_NAME} bytes of UTF-8, and no "
+            "'-' first, as an option has"
+        )
+    if not isinstance(entry, dict):
+        raise InputError(f"{where} is not a section with measured = [signals]")
+    for key in entry:
+        if key not in CONTROLLER_KEYS:
+            raise InputError(
+                f"{where} unknown key {key!r}; a controller is a static gain on what it measures, u = K y, or a law with states, "
+                f"x_c' = A x_c + B y, u = C x_c + D y, designed where neither is given; known: {listing(CONTROLLER_KEYS)}"
+            )
+    given = any(key in entry for key in ("gain", *MATRICES))
+    if "certificate" in entry and not (isinstance(entry["certificate"], dict) and given):
+        raise InputError(f"{where} a certificate is a section of its own, beside the gain or law that it is about; take it out")
+
+    measured = entry.get("measured")
+    measurable = listing(model.measurable)
+    if not isinstance(measured, list) or not measured or not all(isinstance(signal, str) for signal in measured):
+        found = f"measured = {quoted(measured)} is no list of signals" if "measured" in entry else "measured is missing"
+        raise InputError(f"{where} {found}; give a list of signals out of: {measurable}")
+    for signal in measured:
+        if signal not in model.outputs:
+            raise InputError(f"{where} unknown signal {quoted(signal)}; it can measure {measurable}")
+        if measured.count(signal) > 1:
+            raise InputError(f"{where} measures {signal!r} twice; name it once")
+        if signal not in model.measurable:
+            raise InputError(
+                f"{where} {signal!r} is a control force, or has the road's height in it, which no sensor measures; "
+                f"give signals out of: {measurable}"
+            )
+    return ControllerEntry(name, tuple(measured), _law(where, entry, model, measured), entry.get("certificate"))
+
+
+def _law(where: str, entry: Mapping[str, Any], model: LinearModel, measured: list[str]) -> LinearLaw | None:
+    """The law that an entry gives; None where it gives none."""
+    matrices = [key for key in MATRICES if key in entry]
+    if "gain" in entry and (matrices or "sample_period" in entry):
+        raise InputError(f"{where} has a gain and {listing(matrices or ['sample_period'])}; a static gain is whole by itself")
+    if "gain" in entry:
+        return static_law(_gain(where, entry["gain"], model, measured))
+    if not matrices and "sample_period" not in entry:
+        return None
+    missing = [key for key in MATRICES if key not in entry]
+    if missing:
+        raise InputError(
+            f"{where} {listing(missing)} is missing: a law with states is x_c' = A x_c + B y, u = C x_c + D y; give all four"
+        )
+    for key in MATRICES:
+        rows = entry[key]
+        if not (isinstance(rows, list) and all(isinstance(row, list) and all(map(_is_real, row)) for row in rows)):
+            raise InputError(f"{where} {key} = {quoted(rows)} is not a matrix of numbers; give a list of rows")
+    period = entry.get("sample_period")
+    if period is not None and (not _is_real(period) or not SHORTEST <= period <= LONGEST):
+        raise InputError(
+            f"{where} sample_period = {quoted(period)} is not allowed; give seconds from {SHORTEST:g} to {LONGEST:g}"
+        )
+    k, m, q = len(entry["A"]), len(model.inputs), len(measured)
+    shapes = {"A": (k, k), "B": (k, q), "C": (m, k), "D": (m, q)}
+    for key, (rows, columns) in shapes.items():
+        if len(entry[key]) != rows or any(len(row) != columns for row in entry[key]):
+            raise InputError(
+                f"{where} {key} is no matrix of {rows} row(s) of {columns} number(s), as A has {k} row(s), this vehicle {m} "
+                f"actuator(s), and {q} signal(s) are measured"
+            )
+    try:
+        return LinearLaw(*(np.array(entry[key], dtype=float).reshape(shapes[key]) for key in MATRICES), sample_period=period)
+    except InputError as error:
+        raise InputError(f"{where} {error}") from error
+
+
+def _gain(where: str, gain: Any, model: LinearModel, measured: list[str]) -> Array:
+    m, q = len(model.inputs), len(measured)
+    example = [[1.0] * q] * m
+    allowed = (
+        f"give {m} row(s) (one per actuator) of {q} number(s) (one per measured signal) of at most {LARGEST:g}, as in "
+        f"gain = {example}"
+    )
+    rows = gain if isinstance(gain, list) else [gain]
+    if not all(isinstance(row, list) and all(is_number(entry) for entry in row) for row in rows):
+        raise InputError(f"{where} gain = {quoted(gain)} is not a matrix of numbers; {allowed}")
+    if len(rows) != m or any(len(row) != q for row in rows):
+        lengths = " or ".join(str(length) for length in sorted({len(row) for row in rows})) or "no"
+        raise InputError(f"{where} gain has {len(rows)} row(s) of {lengths} number(s); {allowed}")
+    matrix = np.array(rows, dtype=float)
+    matrix.flags.writeable = False
+    return matrix
+
+
+def _is_real(value: Any) -> bool:
+    """Whether it is a number; how large a law's entries may be depends on its states' units, and is the law's to say."""
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def is_number(value: Any) -> bool:
+    """Whether it is a number that a vehicle file may hold."""
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and -LARGEST <= value <= LARGEST
