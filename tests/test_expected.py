@@ -8,8 +8,8 @@ from scipy import integrate, linalg, special
 
 from models.reality import Limits
 from models.vehicle import read_vehicle
+from sim.linear.controlled import continuous
 from sim.linear.frequency import sampled_frequency_response
-from sim.linear.loop import with_actuators
 from sim.ride.expected import EXACT, expect, sources
 from sim.ride.metrics import metrics_of
 from sim.ride.weighting import sampled_wk
@@ -51,7 +51,8 @@ def white_covariance(vehicle, controller, road):
     covariance is a sum of finite Gramians; the integral of exp(A t) Q exp(A' t) over 0..d is X - exp(A d) X exp(A' d), A X + X A'
     = -Q.
     """
-    model, G = with_actuators(vehicle, controller)
+    loop = continuous(vehicle, controller)
+    model, G = loop.model, loop.G
     A, p = model.A + model.B @ G, vehicle.parameters
     delays = np.array([wheel.behind(p) / road.speed for wheel in vehicle.kind.wheels])
     kick, total, before = np.zeros((len(A), 1)), 0.0, 0.0
@@ -125,7 +126,8 @@ def held_variances(vehicle, designed, h, steps, delay):
     Returns:
         Shape (steps, p) and (steps,): of unit intensity.
     """
-    model, G = with_actuators(vehicle, designed)
+    loop = continuous(vehicle, designed)
+    model, G = loop.model, loop.G
     assert not model.Br.any()
     n, m = model.B.shape
     augmented = np.zeros((n + m, n + m))

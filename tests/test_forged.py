@@ -33,7 +33,7 @@ def honest(designer):
 
 def failures(designer, controller, record) -> tuple[str, ...]:
     """What `--check` says of a record; it reads TOML and JSON, so numbers go through text."""
-    entry = ControllerEntry("forged", controller.measured, controller.gain, json.loads(json.dumps(record)))
+    entry = ControllerEntry("forged", controller.measured, controller.law, json.loads(json.dumps(record)))
     vehicle = dataclasses.replace(designer.vehicle, controllers={"forged": entry})
     (row,) = check(Designer(vehicle), None)
     assert (row.notes == ("checked: every claim of its certificate holds",)) == (not row.failures)

@@ -21,7 +21,16 @@ from sim.stability.bisection import Search, run_searches
 from sim.stability.delayed import delayed_rate
 from sim.stability.figure import margins_figure
 from sim.stability.growth import Growth, grow
-from sim.stability.loop import Loop, crossovers, cut, gain_crossings, largest_sample_period, margins, sampled_gain_crossings
+from sim.stability.loop import (
+    Loop,
+    crossovers,
+    cut,
+    cut_sampled,
+    gain_crossings,
+    largest_sample_period,
+    margins,
+    sampled_gain_crossings,
+)
 from sim.stability.margins import GainMargin, find_margins, searches
 from sim.stability.robustness import robustness, varied_text
 from sim.stability.slowest_mode import slowest_rate
@@ -38,7 +47,7 @@ KNOWN = {"II_printed": (87.097, 18.18, 0.005), "I_printed": (293.0, 7.70, 0.05),
 
 def scalar(a: float, k: float) -> Loop:
     """x' = a x + u, u = -k x: every margin of it is known in closed form."""
-    return Loop(np.array([[a]]), np.array([[1.0]]), np.array([[-k]]))
+    return Loop(np.array([[a]]), np.array([[1.0]]), np.array([[-k]]), np.zeros((1, 1)))
 
 
 @pytest.mark.parametrize(("a", "k"), [(-1.0, 3.0), (1.0, 3.0), (-1.0, 0.5)])
@@ -104,16 +113,17 @@ def test_sampled_loop(paper, designer):
     loop = cut(paper, controller, [0])
     period = largest_sample_period(loop)
     assert sampled_radius(paper, controller, period * (1 - 1e-6)) < 1 < sampled_radius(paper, controller, period * (1 + 1e-6))
-    for factor in sampled_gain_crossings(loop, 0.01):
+    for factor in sampled_gain_crossings(*cut_sampled(paper, controller, 0.01)):
         for side in (1 - 1e-6, 1 + 1e-6):
-            with_gain = dataclasses.replace(controller, gain=side * factor * controller.gain)
+            with_gain = dataclasses.replace(controller, law=controller.law.scaled(side * factor))
             assert (sampled_radius(paper, with_gain, 0.01) > 1) == (side > 1)
 
 
 def test_conditionally_stable_loop():
     """A loop that needs its gain has a lower gain margin, sampled too: x' = x + u, u = -3 x is stable above a third."""
     assert gain_crossings(scalar(1.0, 3.0)) == [pytest.approx(1 / 3, rel=1e-12)]
-    low, high = sampled_gain_crossings(scalar(1.0, 3.0), 0.1)
+    held = (math.exp(0.1) - 1) * np.ones((1, 1))
+    low, high = sampled_gain_crossings(np.array([[math.exp(0.1)]]), held, np.array([[-3.0]]))
     assert low == pytest.approx(1 / 3, rel=1e-9)  # a pole at 1 stays there when sampled
     assert high == pytest.approx((math.exp(0.1) + 1) / (math.exp(0.1) - 1) / 3, rel=1e-9)
 

@@ -12,6 +12,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
+from models.law import static_law
 from models.vehicle import read_vehicle
 from sim.figures.axis import Axis, axis_of
 from sim.figures.contrast import GRAPHICS, TEXT, contrast, readable
@@ -394,7 +395,9 @@ def test_gains_are_matrices(designer):
     )
     vehicle = read_vehicle("full_car")
     gain = np.arange(12.0).reshape(4, 3)
-    table = gain_table(vehicle, dataclasses.replace(one, measured=("heave_velocity", "pitch_rate", "roll_rate"), gain=gain))
+    table = gain_table(
+        vehicle, dataclasses.replace(one, measured=("heave_velocity", "pitch_rate", "roll_rate"), law=static_law(gain))
+    )
     assert table is not None
     assert table.headings[2:] == tuple(name.replace("_", " ") for name in vehicle.linear_model.inputs)
     assert [row[:2] for row in table.rows] == [("heave velocity", "N·s/m"), ("pitch rate", "N·s/rad"), ("roll rate", "N·s/rad")]

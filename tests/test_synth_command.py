@@ -221,7 +221,7 @@ def test_cross_check(capsys, vehicle):
 def test_a_witness_against_is_a_failure(designer, monkeypatch):
     """A gain that is off the face, an optimum that is another, an inaccurate or missing answer: each is said."""
     state = designer.design("state")
-    other = dataclasses.replace(state, gain=0.9 * state.gain)
+    other = dataclasses.replace(state, law=state.law.scaled(0.9))
     witness = cross_check(designer, other)
     assert witness is not None
     assert "our gain attains" in witness.failures[0]
