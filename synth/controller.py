@@ -10,10 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.errors import InputError
+from models.controllers import ControllerEntry
 from models.law import LinearLaw
 from models.linear_model import LinearModel
 from models.vehicle import Vehicle
-from synth.certificate.certificate import Certificate
+from synth.certificate.certificate import Certificate, certify
+from synth.certificate.lower_bound import LowerBound
+from synth.certificate.record import false_claims, read_proof
 from synth.plant import Feedback, GeneralizedPlant
 
 
@@ -107,6 +111,55 @@ def on_larger_plant(plant: GeneralizedPlant, Cy: Array, law: LinearLaw) -> tuple
     )
     measured = np.block([[Cy, np.zeros((len(Cy), k))], [np.zeros((k, n)), np.eye(k)]])
     return larger, Feedback(np.block([[law.D, law.C], [law.B, law.A]]), measured)
+
+
+def checked(vehicle: Vehicle, plant: GeneralizedPlant, entry: ControllerEntry) -> tuple[Certificate, tuple[str, ...]]:
+    """What is true of a law by the proofs that its certificate brings, and what of that does not hold, in words.
+
+    Args:
+        vehicle: whose it is.
+        plant: of the vehicle.
+        entry: it gives its law.
+
+    Raises:
+        InputError: the certificate is malformed, or the law has no loop (`Controller.law_on_states`).
+    """
+    law, record = _law(entry), entry.certificate or {}
+    try:
+        X, eta, lower_bound = read_proof(record, plant, vehicle.linear_model.rows(entry.measured)[0], law.states)
+        certificate = certify(*_closed(vehicle, plant, entry), X, eta, lower_bound, by_itself=plant)
+    except InputError as error:
+        raise InputError(f"[controllers.{entry.name}] {error}") from error
+    return certificate, (*certificate.failures, *false_claims(record, certificate))
+
+
+def certified(vehicle: Vehicle, plant: GeneralizedPlant, entry: ControllerEntry, lower_bound: LowerBound) -> Controller:
+    """The controller of an entry that gives its law; arguments as for `checked`.
+
+    Raises:
+        InputError: the law has no loop.
+    """
+    try:
+        certificate = certify(*_closed(vehicle, plant, entry), lower_bound=lower_bound, by_itself=plant)
+    except InputError as error:
+        raise InputError(f"[controllers.{entry.name}] {error}") from error
+    wrong: tuple[str, ...] = ()
+    if entry.certificate is not None:
+        try:
+            _, wrong = checked(vehicle, plant, entry)
+        except InputError as error:
+            wrong = (str(error),)
+    return Controller(entry.name, entry.measured, _law(entry), designed=False, certificate=certificate, false_claims=wrong)
+
+
+def _law(entry: ControllerEntry) -> LinearLaw:
+    assert entry.law is not None, "it gives its law"
+    return entry.law
+
+
+def _closed(vehicle: Vehicle, plant: GeneralizedPlant, entry: ControllerEntry) -> tuple[GeneralizedPlant, Feedback]:
+    Cy, through = vehicle.linear_model.rows(entry.measured)
+    return on_larger_plant(plant, Cy, _law(entry).continuous().fed_back(through))
 
 
 def generalized_plant(vehicle: Vehicle) -> GeneralizedPlant:

@@ -13,17 +13,16 @@ from models.controllers import ControllerEntry
 from models.law import static_law
 from models.vehicle import Vehicle
 from synth.certificate.bounding import certify_tightly
-from synth.certificate.certificate import Certificate, certify
+from synth.certificate.certificate import Certificate
 from synth.certificate.lower_bound import LowerBound
-from synth.certificate.record import false_claims, read_proof
-from synth.controller import Controller, generalized_plant, on_larger_plant
+from synth.controller import Controller, certified, checked, generalized_plant
 from synth.design import Design, state_design, state_path, zero_l_design
 from synth.errors import BatchError, DesignError
 from synth.fallback import two_steps_or_descent
 from synth.lmi.central import CentralPoint
 from synth.lmi.full_order import bound_beyond_control, find_lower_bound
 from synth.lmi.output_feedback import independent_rows
-from synth.plant import Feedback, GeneralizedPlant
+from synth.plant import Feedback
 from synth.redesign import state_designs, two_step_designs
 from synth.search.refine import SEEN, Refinement, refine, worth_refining
 from synth.search.static import static_output_feedback
@@ -222,20 +221,12 @@ class Designer:
         return [_designed(entry, design, D) for design, D in zip(designs, through, strict=True)]
 
     def checked(self, entry: ControllerEntry) -> tuple[Certificate, tuple[str, ...]]:
-        """What is true of a gain of the file by the proofs that its certificate brings, and what of that does not hold, in words.
+        """What is true of a law of the file by the proofs that its certificate brings, and what of that does not hold, in words.
 
         Raises:
             InputError: the certificate is malformed.
         """
-        assert entry.law is not None
-        Cy, _ = self.vehicle.linear_model.rows(entry.measured)
-        record = entry.certificate or {}
-        try:
-            X, eta, lower_bound = read_proof(record, self.plant, Cy, entry.law.states)
-        except InputError as error:
-            raise InputError(f"[controllers.{entry.name}] {error}") from error
-        certificate = certify(*self._on(entry), X, eta, lower_bound, by_itself=self.plant)
-        return certificate, (*certificate.failures, *false_claims(record, certificate))
+        return checked(self.vehicle, self.plant, entry)
 
     def _entry(self, name: str) -> ControllerEntry:
         """What is to be designed or certified under a name."""
@@ -248,29 +239,8 @@ class Designer:
             raise InputError(f"unknown controller {name!r}; this vehicle has {listing(self.vehicle.controller_names)}")
         return self.vehicle.controllers[name]
 
-    def _on(self, entry: ControllerEntry) -> tuple[GeneralizedPlant, Feedback]:
-        """The plant with the states of an entry's law, and the law as a state gain on it.
-
-        Raises:
-            InputError: its force asks for itself, or it has no continuous counterpart.
-        """
-        assert entry.law is not None
-        Cy, D = self.vehicle.linear_model.rows(entry.measured)
-        return on_larger_plant(self.plant, Cy, entry.law.continuous().fed_back(D))
-
     def _given(self, entry: ControllerEntry) -> Controller:
-        assert entry.law is not None
-        try:
-            certificate = certify(*self._on(entry), lower_bound=self.lower_bound(entry.measured), by_itself=self.plant)
-        except InputError as error:
-            raise InputError(f"[controllers.{entry.name}] {error}") from error
-        wrong: tuple[str, ...] = ()
-        if entry.certificate is not None:
-            try:
-                _, wrong = self.checked(entry)
-            except InputError as error:
-                wrong = (str(error),)
-        return Controller(entry.name, entry.measured, entry.law, designed=False, certificate=certificate, false_claims=wrong)
+        return certified(self.vehicle, self.plant, entry, self.lower_bound(entry.measured))
 
 
 def _designed(entry: ControllerEntry, design: Design, through: Array) -> Controller:

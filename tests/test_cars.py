@@ -276,7 +276,7 @@ def test_rear_wheels_follow_the_front_ones(car):
         ("half_car", "pitch_inertia = 1222.0", "pitch_inertia = 122200.0", ["pitch_inertia", "no body of 690 kg", "at most"]),
         ("full_car", "roll_inertia = 460.0", "roll_inertia = 46000.0", ["roll_inertia", "track of 1.51 m"]),
         ("half_car", '"pitch_rate"]', '"roll_rate"]', ["'roll_rate'", "pitch_rate"]),
-        ("full_car", '"roll_rate"]', '"tyre_deflection_front_left"]', ["'tyre_deflection_front_left'", "road itself"]),
+        ("full_car", '"roll_rate"]', '"tyre_deflection_front_left"]', ["'tyre_deflection_front_left'", "road's height"]),
     ],
 )
 def test_bad_cars_are_refused(name, old, new, words):

@@ -18,19 +18,11 @@ from sim.figures.figure import Curve
 from sim.linear.loop import sampled_radius
 from sim.margins import _which_loop, main
 from sim.stability.bisection import Search, run_searches
+from sim.stability.cut import Loop, cut, cut_sampled
 from sim.stability.delayed import delayed_rate
 from sim.stability.figure import margins_figure
 from sim.stability.growth import Growth, grow
-from sim.stability.loop import (
-    Loop,
-    crossovers,
-    cut,
-    cut_sampled,
-    gain_crossings,
-    largest_sample_period,
-    margins,
-    sampled_gain_crossings,
-)
+from sim.stability.loop import crossovers, gain_crossings, largest_sample_period, margins, sampled_gain_crossings
 from sim.stability.margins import GainMargin, find_margins, searches
 from sim.stability.robustness import robustness, varied_text
 from sim.stability.slowest_mode import slowest_rate

@@ -147,8 +147,8 @@ def test_one_plant_that_fails_leaves_the_others(designer):
     ("name", "message"),
     [
         ("III", "unknown controller 'III'; this vehicle has I, II,"),
-        ("passive", "controller 'passive' has its gain and is not designed"),
-        ("I_printed", "controller 'I_printed' has its gain"),
+        ("passive", "controller 'passive' has its law and is not designed"),
+        ("I_printed", "controller 'I_printed' has its law"),
         (3, "unknown controller '3'; this vehicle has I, II"),
     ],
 )

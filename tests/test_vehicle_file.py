@@ -10,6 +10,7 @@ from models.vehicle import parse_vehicle, read_vehicle
 MEASURABLE = "sprung_velocity, suspension_deflection, tyre_deflection, unsprung_velocity"
 MASS = "sprung_mass = 504.5"
 WEIGHT = "sprung_acceleration = 1.0"
+LAW = "A = [[-1.0]]\nB = [[1.0, 1.0]]\nC = [[1.0]]\nD = [[1.0, 1.0]]"
 MINE = 'measured = ["suspension_deflection", "sprung_velocity"]'
 
 # (what is wrong, replaced in the file that ships, by this, what the message says: the key, what is allowed)
@@ -51,13 +52,28 @@ CHANGES = [
     ("weight NaN", WEIGHT, "sprung_acceleration = nan", ["sprung_acceleration = nan", "1e-12 to 1e+12"]),
     ("weight in words", WEIGHT, 'sprung_acceleration = "much"', ["sprung_acceleration = 'much'", "1e-12 to 1e+12"]),
     ("unknown controller key", MINE, f"{MINE}\ngains = [[1.0, 2.0]]", ["[controllers.I]", "'gains'", "gain, measured"]),
-    ("a dynamic controller", MINE, f"{MINE}\nA = [[1.0]]", ["'A'", "a static gain on what it measures", "gain, measured"]),
+    ("half a law", MINE, f"{MINE}\nA = [[1.0]]", ["[controllers.I] B, C, D is missing", "x_c' = A x_c + B y"]),
+    ("a law and a gain", MINE, f"{MINE}\nA = [[1.0]]\ngain = [[1.0, 1.0]]", ["has a gain and A", "whole by itself"]),
+    (
+        "a law that does not fit",
+        MINE,
+        f"{MINE}\n{LAW}".replace("C = [[1.0]]", "C = [[1.0, 2.0]]"),
+        ["C is no matrix of 1 row(s) of 1"],
+    ),
+    (
+        "a law without end",
+        MINE,
+        f"{MINE}\n{LAW.replace('A = [[-1.0]]', 'A = [[nan]]')}",
+        ["A = [[nan]] is not a matrix of numbers"],
+    ),
+    ("a law of its own rate", MINE, f"{MINE}\n{LAW}\nsample_period = 0.01", ["give [implementation] sample_period = 0.01"]),
+    ("a rate that is none", MINE, f"{MINE}\n{LAW}\nsample_period = -1", ["sample_period = -1", "seconds from"]),
     ("nothing measured", MINE, "", ["[controllers.I] measured is missing", MEASURABLE]),
     ("empty measurement", MINE, "measured = []", ["[controllers.I] measured = []", MEASURABLE]),
     ("measured as text", MINE, 'measured = "sprung_velocity"', ["[controllers.I] measured = 'sprung_velocity'", MEASURABLE]),
     ("unknown signal", MINE, 'measured = ["jerk"]', ["[controllers.I]", "'jerk'", MEASURABLE]),
     ("the road is not measured", MINE, 'measured = ["road_velocity"]', ["'road_velocity'", MEASURABLE]),
-    ("algebraic loop", MINE, 'measured = ["sprung_acceleration"]', ["'sprung_acceleration'", "control force", MEASURABLE]),
+    ("its own force", MINE, 'measured = ["control_force"]', ["'control_force'", "is a control force", MEASURABLE]),
     ("measured twice", MINE, 'measured = ["sprung_velocity", "sprung_velocity"]', ["'sprung_velocity' twice"]),
     ("gain is a number", MINE, f"{MINE}\ngain = 1.0", ["[controllers.I] gain = 1.0", "1 row(s)", "of 2 number(s)"]),
     ("gain is a list", MINE, f"{MINE}\ngain = [1.0, 2.0]", ["gain = [1.0, 2.0]", "gain = [[1.0, 1.0]]"]),
@@ -99,9 +115,10 @@ def test_the_file_that_ships_is_the_papers(paper):
     measured = {name: entry.measured for name, entry in paper.controllers.items()}
     assert measured["I"] == measured["I_printed"] == ("suspension_deflection", "sprung_velocity")  # (45)
     assert measured["II"] == measured["II_printed"] == ("sprung_velocity",)  # (54)
-    gains = {name: entry.gain for name, entry in paper.controllers.items()}
-    assert gains["I"] is None
-    assert gains["II"] is None
+    laws = {name: entry.law for name, entry in paper.controllers.items()}
+    assert laws["I"] is None
+    assert laws["II"] is None
+    gains = {name: law.D for name, law in laws.items() if law is not None and not law.states}
     np.testing.assert_array_equal(gains["I_printed"], [[1.0824e4, -0.2071e4]])  # (50)
     np.testing.assert_array_equal(gains["II_printed"], [[-8970.3]])  # (58)
     np.testing.assert_array_equal(gains["state_printed"], [[1.1810e4, 0.2333e4, -0.1096e4, 0.0109e4]])  # (40)

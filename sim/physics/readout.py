@@ -129,7 +129,8 @@ def laws_on(
 def stage_of(vehicle: Vehicle, controller: Controller, timestep: float) -> int:
     """The mjtStage up to which sensors are evaluated before a step, for what the controller measures; 0 where none is needed."""
     readout = prepared(vehicle, timestep)[1]
-    return sensed_stage(readout, np.any(gain_on(readout.names, vehicle, controller), axis=0))
+    of_signals, _ = laws_on(readout.names, [vehicle], [controller], timestep)
+    return sensed_stage(readout, np.any(of_signals, axis=(0, 1)))
 
 
 def sensed_stage(readout: Readout, used: Array) -> int:

@@ -13,7 +13,7 @@ from scipy.sparse.linalg import LinearOperator, eigs
 
 from models.common.arrays import Array
 from models.vehicle import Vehicle
-from sim.stability.loop import cut_sampled
+from sim.stability.cut import cut_sampled
 from synth.controller import Controller
 
 FEW = 60  # states and forces on their way; of so few all eigenvalues are quicker

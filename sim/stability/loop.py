@@ -1,12 +1,7 @@
-"""The loop, cut at the actuators: its transfer function, and the margins that it predicts.
+"""The margins of a loop, predicted from where it is cut.
 
-Cut at some actuators, with the others closed, the vehicle and its controller are
-
-    x' = A x + B u,    v = G x,    L(s) = G (s I - A)^-1 B,
-
-where u is the force that acts and v the force asked for. The states are the vehicle's and the controller's own. A measured
-acceleration has the force in it, which makes v = G x + H u and adds H to L(s). The loop is closed by u = v, so it is on the verge
-of stability where an eigenvalue of L(j w) is 1. No margin is read off a frequency grid. With M = B G:
+Cut as in `cut.py`, the loop L(s) = G (s I - A)^-1 B + H is on the verge of stability where an eigenvalue of L(j w)
+is 1. No margin is read off a frequency grid. With M = B G, and H = 0:
 
 - a gain factor k puts a pole of A + k M on the imaginary axis only if two poles of it add to zero, so only if
   (A + k M) (+) (A + k M) is singular, with X (+) Y = kron(X, I) + kron(I, Y): a linear eigenvalue problem in k;
@@ -19,7 +14,6 @@ With H these are no problems of one matrix, and candidates come from a fine grid
 themselves.
 """
 
-import functools
 import itertools
 import math
 from collections.abc import Callable, Sequence
@@ -30,10 +24,8 @@ import numpy as np
 from scipy import linalg, optimize
 
 from models.common.arrays import Array
-from models.vehicle import Vehicle
-from sim.linear.controlled import continuous, readings, sampled, with_lag
 from sim.linear.loop import held_inputs
-from synth.controller import Controller
+from sim.stability.cut import Loop
 
 LARGEST_FACTOR = 1e4  # a loop that bears this much gain bears any: beyond, rounding decides on which side a pole is
 FACTORS = np.geomspace(1.001 / LARGEST_FACTOR, LARGEST_FACTOR / 1.001, 4000)
@@ -41,41 +33,6 @@ ANGLES = 4001  # from no lag to a whole turn
 MOST_QUADRATIC = 18  # states; the quadratic problem of more has a matrix of above 500 rows, and a grid is quicker
 COARSER = 0.1  # radian that a pole turns by from one sample period that is tried to the next
 LONGEST = 100.0  # s; the longest sample period that is looked at where the vehicle does not settle without the loop
-
-
-@dataclass(frozen=True, eq=False)
-class Loop:
-    """A loop, cut at k actuators.
-
-    Attributes:
-        A: state matrix with the other actuators' loops closed, shape (n, n).
-        B: from the forces that act, shape (n, k).
-        G: to the forces asked for, shape (k, n).
-        H: to those from the forces that act, shape (k, k).
-        at_period: of a controller with states, the same sampled every so many seconds, see `cut_sampled`; None of a static one.
-    """
-
-    A: Array
-    B: Array
-    G: Array
-    H: Array
-    at_period: Callable[[float], tuple[Array, Array, Array]] | None = None
-
-    @property
-    def M(self) -> Array:
-        """What closing the loop adds to A where H is zero, shape (n, n)."""
-        return self.B @ self.G
-
-    def closed(self, factor: complex) -> Array:
-        """A of the loop that is closed by u = factor v, shape (n, n)."""
-        if not np.any(self.H):
-            return self.A + factor * self.M
-        return self.A + self.B @ np.linalg.solve(np.eye(len(self.H)) - factor * self.H, factor * self.G)
-
-    def transfer(self, omega: Array) -> Array:
-        """L(j omega), shape (F, k, k), for angular frequencies [rad/s] of shape (F,)."""
-        resolvent = 1j * omega[:, None, None] * np.eye(len(self.A)) - self.A
-        return self.G @ np.linalg.solve(resolvent, np.broadcast_to(self.B, (len(omega), *self.B.shape))) + self.H
 
 
 @dataclass(frozen=True)
@@ -131,58 +88,6 @@ class Margins:
     def smallest_phase(self) -> float:
         """The smallest lag of all crossovers [rad]: less than `phase` where a slower one needs less lag, but more delay."""
         return min((crossover.phase for crossover in self.crossovers), default=math.inf)
-
-
-def cut(vehicle: Vehicle, controller: Controller, actuators: Sequence[int]) -> Loop:
-    """The loop of a vehicle and its controller, cut at some actuators; with their lag, if the vehicle's have one."""
-    law, model = controller.law.continuous(), with_lag(vehicle)
-    C, D = readings(vehicle, controller)
-    others = [i for i in range(len(law.D)) if i not in actuators]
-    if not law.states and not np.any(D):
-        G = continuous(vehicle, controller).G
-        H = np.zeros((len(actuators), len(actuators)))
-        return Loop(model.A + model.B[:, others] @ G[others], model.B[:, actuators], G[actuators], H)
-    C = np.hstack([C, np.zeros((len(C), len(model.A) - C.shape[1]))])
-    A = np.block([[model.A, np.zeros((len(model.A), law.states))], [law.B @ C, law.A]])
-    B, G, H = np.vstack([model.B, law.B @ D]), np.hstack([law.D @ C, law.C]), law.D @ D
-    # The others' forces: u = inverse (their rows of G x + H u of the cut ones).
-    inverse = np.linalg.inv(np.eye(len(others)) - H[np.ix_(others, others)])
-    closing, through = inverse @ G[others], inverse @ H[np.ix_(others, actuators)]
-    return Loop(
-        A + B[:, others] @ closing,
-        B[:, actuators] + B[:, others] @ through,
-        G[actuators] + H[np.ix_(actuators, others)] @ closing,
-        H[np.ix_(actuators, actuators)] + H[np.ix_(actuators, others)] @ through,
-        functools.partial(cut_sampled, vehicle, controller, actuators=actuators),
-    )
-
-
-def cut_sampled(
-    vehicle: Vehicle,
-    controller: Controller,
-    period: float,
-    actuators: Sequence[int] | None = None,
-    exponential: Callable[[Array], Array] = linalg.expm,
-) -> tuple[Array, Array, Array]:
-    """The same from sample to sample, x[i+1] = Phi x[i] + Gamma u[i], v[i] = G x[i]: Phi, Gamma and G.
-
-    Args:
-        vehicle: the vehicle; what its `[implementation]` says of sampling and delay does not count.
-        controller: its controller.
-        period: from sample to sample [s].
-        actuators: those that are cut; None for all.
-        exponential: the matrix exponential; `taylor4` to predict an RK4 integrator whose step is the period.
-    """
-    kept = sampled(vehicle, controller, period)
-    actuators = range(kept.forces) if actuators is None else actuators
-    if not len(kept.hold):
-        loop = cut(vehicle, controller, actuators)
-        Phi, Gamma = held_inputs(loop.A, period, exponential, loop.B)
-        return Phi, Gamma, loop.G
-    Phi, Gamma = held_inputs(kept.model.A, period, exponential, kept.model.B)
-    m, others = kept.forces, [i for i in range(kept.forces) if i not in actuators]
-    Phi, Gamma = Phi + Gamma[:, m:] @ kept.kept, Gamma[:, :m] + Gamma[:, m:] @ kept.hold
-    return Phi + Gamma[:, others] @ kept.asked[others], Gamma[:, actuators], kept.asked[actuators]
 
 
 def margins(loop: Loop) -> Margins:

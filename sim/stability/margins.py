@@ -10,8 +10,9 @@ from models.reality import Implementation
 from models.vehicle import Vehicle
 from sim.linear.loop import taylor4
 from sim.stability.bisection import Search, run_searches
+from sim.stability.cut import cut, cut_sampled
 from sim.stability.growth import Trial, silent
-from sim.stability.loop import Margins, cut, cut_sampled, margins, sampled_gain_crossings
+from sim.stability.loop import Margins, margins, sampled_gain_crossings
 from synth.controller import Controller
 
 SLOWEST = 2.0  # s; the longest delay and sample period that are tried where none is predicted to matter

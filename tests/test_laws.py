@@ -1,0 +1,125 @@
+"""Controllers with states, and measured accelerations: closed, sampled, driven and cut as a static gain is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import linalg
+
+from models.common.errors import InputError
+from models.law import LinearLaw, static_law
+from models.reality import Implementation, Limits
+from models.vehicle import Vehicle, read_vehicle
+from sim.linear.frequency import continuous_frequency_response
+from sim.roads.road import Bump
+from sim.runs.run import run_all, sample_times
+from sim.stability.cut import cut, cut_sampled
+from sim.stability.loop import largest_sample_period, margins
+from synth.certificate.certificate import certify
+from synth.controller import Controller, generalized_plant
+
+REALITIES = {
+    "ideal": (Implementation(), Limits()),
+    "slow": (Implementation(sample_period=0.004), Limits()),
+    "late": (Implementation(sample_period=0.002, delay=3), Limits()),
+    "lagging": (Implementation(delay=1), Limits(actuator_bandwidth=60.0)),
+}
+
+
+def controller(vehicle: Vehicle, kind: str, states: int = 4) -> Controller:
+    """A stable random law on deflections and velocities, or accelerations, weak enough for the loop to be stable."""
+    rng = np.random.default_rng(states)
+    names = [one for one in vehicle.linear_model.measurable if kind in one or one.startswith("suspension_deflection")]
+    m, q = len(vehicle.linear_model.inputs), len(names)
+    A = np.diag(-np.geomspace(2.0, 300.0, states)) + np.triu(rng.uniform(-20, 20, (states, states)), 1)
+    B, C = rng.standard_normal((states, q)), 40.0 * rng.standard_normal((m, states))
+    law = LinearLaw(A, B, C, 5.0 * rng.standard_normal((m, q)))
+    plant = generalized_plant(vehicle)
+    return Controller(kind, tuple(names), law, False, certify(plant, np.zeros_like(plant.B.T)))
+
+
+@pytest.mark.parametrize("name", ["quarter_car", "half_car", "full_car"])
+@pytest.mark.parametrize("reality", REALITIES)
+def test_physics_agrees_to_rk4s_own_error(name, reality):
+    """MuJoCo is within 1e-6 of peak of the exact sampled response over a bump, and 16 times as near at half the step."""
+    implementation, limits = REALITIES[reality]
+    vehicle = replace(read_vehicle(name), implementation=implementation, limits=limits)
+    some = [controller(vehicle, "velocity"), controller(vehicle, "acceleration")]
+    errors = []
+    for h in (1e-3, 5e-4):
+        how = replace(implementation, sample_period=implementation.sample_period or 1e-3)
+        runs = run_all(replace(vehicle, implementation=how), some, Bump(height=0.01), sample_times(vehicle, 1.0, h))
+        assert all(run.agreement.agrees and run.energy is not None and run.energy.balances for run in runs)
+        errors.append([max(one.sampled for one in run.agreement.signals.values()) for run in runs])
+    if name == "quarter_car":  # the others' geometry is not linear: their error does not fall with the step
+        assert np.max(errors) < 1e-6
+        assert np.all(np.array(errors[0]) / errors[1] > 12)
+
+
+def test_a_static_law_is_a_law_without_states():
+    """What a law of states that do nothing asks for is what its gain does, in every form of it."""
+    vehicle = read_vehicle("quarter_car")
+    gain = np.array([[9000.0, -1500.0]])
+    silent = LinearLaw(-np.eye(2), np.zeros((2, 2)), np.ones((1, 2)), gain)
+    plain = controller(vehicle, "velocity")
+    names = ("suspension_deflection", "sprung_velocity")
+    one, other = (replace(plain, measured=names, law=law) for law in (static_law(gain), silent))
+    omega = np.geomspace(0.1, 1000, 50)
+    found = [continuous_frequency_response(vehicle, each, omega) for each in (one, other)]
+    np.testing.assert_allclose(*found, rtol=1e-10)
+    first, second = (margins(cut(vehicle, each, [0])) for each in (one, other))
+    assert first.gain == pytest.approx(second.gain, rel=1e-9)
+    assert first.delay == pytest.approx(second.delay, rel=1e-9)
+    assert first.sample_period == pytest.approx(second.sample_period, rel=1e-9)
+
+
+def test_a_loop_through_the_measurements_is_solved():
+    """A law on y = y0 + D u is the law on y0 with that loop closed, at every frequency; a singular one is refused."""
+    rng = np.random.default_rng(1)
+    law = LinearLaw(
+        -np.diag([1.0, 30.0, 4.0]), rng.standard_normal((3, 2)), rng.standard_normal((2, 3)), rng.standard_normal((2, 2))
+    )
+    D = rng.standard_normal((2, 2))
+    solved = law.fed_back(D)
+    for omega in (0.0, 1.0, 20.0):
+        K, L = (one.C @ np.linalg.solve(1j * omega * np.eye(3) - one.A, one.B) + one.D for one in (law, solved))
+        np.testing.assert_allclose(L, np.linalg.solve(np.eye(2) - K @ D, K), rtol=1e-10)
+    back = solved.fed_back(-D)
+    for name in "ABCD":
+        np.testing.assert_allclose(getattr(back, name), getattr(law, name), atol=1e-10)
+    with pytest.raises(InputError, match="I - D_c D is singular"):
+        static_law(np.eye(2)).fed_back(np.eye(2))
+
+
+def test_sampled_law_is_exact_for_ramps():
+    """Between samples of a measurement that goes straight a continuous law's force is met exactly at the samples."""
+    rng = np.random.default_rng(2)
+    law = LinearLaw(-np.diag([1.0, 2000.0]), rng.standard_normal((2, 1)), rng.standard_normal((1, 2)), np.ones((1, 1)))
+    T, y = 0.01, rng.standard_normal(40).cumsum()
+    sampled, x, forces = law.sampled(T), np.zeros(2), []
+    for value in y - y[0]:
+        forces.append(float((sampled.C @ x + sampled.D @ [value])[0]))
+        x = sampled.A @ x + sampled.B @ [value]
+    exact, state = [0.0], np.zeros(2)
+    for now, then in zip(y - y[0], y[1:] - y[0], strict=False):
+        # x' = A x + B y with y' constant: the exponential of both together.
+        both = np.zeros((4, 4))
+        both[:2, :2], both[:2, 2:3], both[2, 3] = law.A, law.B, 1.0
+        state = (linalg.expm(both * T) @ np.concatenate([state, [now, (then - now) / T]]))[:2]
+        exact.append(float((law.C @ state)[0] + then))
+    np.testing.assert_allclose(forces, exact, atol=1e-12 * np.abs(exact).max())
+
+
+def test_margins_of_a_loop_with_an_accelerometer():
+    """Gain, delay and sample period at which it is unstable are where a pole of the loop that bears them is on the verge."""
+    vehicle = read_vehicle("quarter_car")
+    law = LinearLaw([[-3.0]], [[0.0, 1.0]], [[-4000.0]], [[6000.0, 100.0]])
+    one = replace(controller(vehicle, "velocity"), measured=("suspension_deflection", "sprung_acceleration"), law=law)
+    loop = cut(vehicle, one, [0])
+    found = margins(loop)
+    scaled = replace(one, law=law.scaled(found.gain))
+    assert abs(np.linalg.eigvals(scaled.loop(vehicle).A).real.max()) < 1e-7 * np.abs(loop.A).max()
+    at = np.exp(-1j * found.frequency * found.delay)
+    assert abs(np.linalg.eigvals(loop.transfer(np.array([found.frequency]))[0] * at)[0] - 1) < 1e-7
+    Phi, Gamma, G = cut_sampled(vehicle, one, largest_sample_period(loop))
+    assert np.abs(np.linalg.eigvals(Phi + Gamma @ G)).max() == pytest.approx(1, abs=1e-9)
