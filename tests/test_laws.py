@@ -113,7 +113,7 @@ def test_sampled_law_is_exact_for_ramps():
 def test_margins_of_a_loop_with_an_accelerometer():
     """Gain, delay and sample period at which it is unstable are where a pole of the loop that bears them is on the verge."""
     vehicle = read_vehicle("quarter_car")
-    law = LinearLaw(*map(np.array, ([[-3.0]], [[0.0, 1.0]], [[-4000.0]], [[6000.0, 100.0]])))
+    law = LinearLaw(*(np.array(one) for one in ([[-3.0]], [[0.0, 1.0]], [[-4000.0]], [[6000.0, 100.0]])), sample_period=None)
     one = replace(controller(vehicle, "velocity"), measured=("suspension_deflection", "sprung_acceleration"), law=law)
     loop = cut(vehicle, one, [0])
     found = margins(loop)
