@@ -186,6 +186,18 @@ def check_states(n: int) -> None:
         raise InputError("A has shape (0, 0), a plant without a state, where gains have nothing to act on; give it one")
 
 
+def check_posed(plant: GeneralizedPlant) -> None:
+    """Whether there is something to design against, and for.
+
+    Raises:
+        InputError: nothing disturbs the plant, or nothing is weighed.
+    """
+    if not (np.any(plant.Bw) or np.any(plant.Dw)):
+        raise InputError("the plant has no disturbance: Bw and Dw are zero; name one, or there is nothing to design against")
+    if not (np.any(plant.C) or np.any(plant.D)):
+        raise InputError("the controlled output is zero: C and D are; give at least one signal a weight above zero")
+
+
 def measurement_matrix(Cy: object, n: int) -> Array:
     """C_y, checked, shape (q, n).
 
@@ -193,15 +205,50 @@ def measurement_matrix(Cy: object, n: int) -> Array:
         InputError: the plant has no state; or it is not one of real finite numbers with n columns, or has no row, or one that is
             next to zero.
     """
+    matrix = _measured(Cy, n)
+    _refuse_silent(matrix, "Cy", "of the state")
+    return matrix
+
+
+def measurement_matrices(plant: GeneralizedPlant, Cy: object, Dyw: object = None) -> tuple[Array, Array]:
+    """C_y and Dyw of y = C_y x + Dyw w, checked, shapes (q, n) and (q, r).
+
+    Args:
+        plant: n states, r disturbances.
+        Cy: a row for each measured signal.
+        Dyw: likewise; zero where it is not given.
+
+    Raises:
+        InputError: one of them is not one of real finite numbers of its shape, or no signal is measured, or one that is next to
+            zero in both.
+    """
+    if Dyw is None:
+        states = measurement_matrix(Cy, len(plant.A))
+        return states, np.zeros((len(states), plant.Bw.shape[1]))
+    states = _measured(Cy, len(plant.A))
+    shape = len(states), plant.Bw.shape[1]
+    noise = real_matrix(Dyw, "Dyw", str(shape))
+    if noise.shape != shape:
+        raise InputError(
+            f"Dyw has shape {noise.shape}; expected {shape}: a row for each measured signal, a column for each disturbance"
+        )
+    _refuse_silent(np.hstack([states, noise]), "[Cy Dyw]", "of state or disturbance")
+    return states, noise
+
+
+def _measured(Cy: object, n: int) -> Array:
     check_states(n)
     matrix = real_matrix(Cy, "Cy", f"(q, {n})")
     if matrix.shape[1] != n:
         raise InputError(f"Cy has shape {matrix.shape}; expected (q, {n}), a row for each measured signal")
     if not len(matrix):
         raise InputError("Cy has no rows: nothing is measured; give at least one signal")
-    sizes = np.abs(matrix).max(axis=1)
+    return matrix
+
+
+def _refuse_silent(rows: Array, name: str, of: str) -> None:
+    sizes = np.abs(rows).max(axis=1)
     silent = np.flatnonzero(sizes < SMALLEST)
     if len(silent):
         what = "zero" if sizes[silent[0]] == 0 else f"below {SMALLEST:g}"
-        raise InputError(f"row {silent[0]} of Cy is {what}: that signal says nothing of the state; leave it out")
-    return matrix
+        raise InputError(f"row {silent[0]} of {name} is {what}: that signal says nothing {of}; leave it out")

@@ -76,11 +76,19 @@ class OwnUnits:
         Returns:
             V, shape (q, n), and S, shape (q, q), lower triangular: y = S V x.
         """
-        rows = Cy * self.states
-        measured = _powers(np.log2(np.linalg.norm(rows, axis=1)))  # exact, so that no unit of y is in what is rounded
-        basis, triangle = np.linalg.qr((rows / measured[:, None]).T)
-        signs = np.where(np.diagonal(triangle) < 0, -1.0, 1.0)  # alike for rows that are alike
-        return (basis * signs).T, measured[:, None] * (signs[:, None] * triangle).T
+        return orthonormal_rows(Cy * self.states)
+
+
+def orthonormal_rows(rows: Array) -> tuple[Array, Array]:
+    """Independent rows as S V with orthonormal rows V, and S, lower triangular; whatever the unit of each, V is the same.
+
+    Args:
+        rows: shape (q, n).
+    """
+    lengths = _powers(np.log2(np.linalg.norm(rows, axis=1)))  # exact, so that no unit is in what is rounded
+    basis, triangle = np.linalg.qr((rows / lengths[:, None]).T)
+    signs = np.where(np.diagonal(triangle) < 0, -1.0, 1.0)  # alike for rows that are alike
+    return (basis * signs).T, lengths[:, None] * (signs[:, None] * triangle).T
 
 
 def own_units(plant: GeneralizedPlant, Cy: Array | None = None) -> OwnUnits:

@@ -1,6 +1,6 @@
 """What no controller can beat: lower bounds on the norm, proved by dual solutions in exact arithmetic.
 
-A controller of any order from y = C_y x, y free of w, reaches a norm below gamma only if there are X > 0 and S > 0 with
+A controller of any order from y = C_y x + Dyw w reaches a norm below gamma only if there are X > 0 and S > 0 with
 [X I; I S] >= 0, of which X solves the `Side` of the plant with eta = gamma^-2, and S that of the transposed plant (Gahinet,
 Apkarian 1994) with a disturbance of weight one and gamma^2 in the place of I:
 
@@ -14,7 +14,7 @@ and as W1 and W2 may be scaled each by itself gamma^2 is at least the largest ei
 
     [ e1 / t1, . ; f (e1 / t1)^1/2 / (t1 t2)^1/2, f^2 / (t1 t2) + e2 / t2 ].
 
-Its first entry is the bound for state feedback, which no controller that knows x and more, dynamic or nonlinear, beats
+Its first entry is the bound for state feedback, which no controller that knows x and w and more, dynamic or nonlinear, beats
 (Khargonekar, Petersen, Rotea 1988). On the central path W = (c c' - He(Q X U') - eta b b')^-1 is such a solution, so a point
 (X, eta) says it all.
 
@@ -73,7 +73,11 @@ class LowerBound:
 
 
 def prove_lower_bound(
-    plant: GeneralizedPlant, state: Witness, Cy: Array | None = None, observer: Witness | None = None
+    plant: GeneralizedPlant,
+    state: Witness,
+    Cy: Array | None = None,
+    observer: Witness | None = None,
+    Dyw: Array | None = None,
 ) -> LowerBound:
     """The bound that witnesses prove. Short of the limit of the path it is weaker, by (2 n + d) mu, and easier to prove.
 
@@ -82,6 +86,7 @@ def prove_lower_bound(
         state: of the plant.
         Cy: shape (q, n); given with an observer.
         observer: of the transposed plant.
+        Dyw: shape (q, r); zero where it is not given.
 
     Raises:
         ValueError: a witness is not of the plant's shape.
@@ -89,7 +94,7 @@ def prove_lower_bound(
     one = Side.of(plant)
     if observer is None or Cy is None:
         return prove_from_sides(one, None, state, None)
-    return prove_from_sides(one, Side.of(transposed(plant, Cy)), state, observer)
+    return prove_from_sides(one, Side.of(transposed(plant, Cy, Dyw)), state, observer)
 
 
 def prove_from_sides(one: Side, other: Side | None, state: Witness, observer: Witness | None) -> LowerBound:

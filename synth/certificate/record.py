@@ -49,7 +49,7 @@ def to_record(certificate: Certificate) -> dict[str, Any]:
 
 
 def read_proof(
-    record: Mapping[str, Any], plant: GeneralizedPlant, Cy: Array, kept: int = 0
+    record: Mapping[str, Any], plant: GeneralizedPlant, Cy: Array, kept: int = 0, Dyw: Array | None = None
 ) -> tuple[Array | None, float | None, LowerBound]:
     """X and eta for (20), either None, and the lower bound that the record's witnesses prove, recomputed with numpy alone.
 
@@ -58,6 +58,7 @@ def read_proof(
         plant: n states.
         Cy: what is measured, shape (q, n); any number of rows.
         kept: states of the controller, which are in X too.
+        Dyw: what of w is measured with it, shape (q, r); zero where it is not given.
 
     Raises:
         InputError: a key is unknown or null, or not of the form that it must have.
@@ -88,12 +89,12 @@ def read_proof(
         lower_bound = LowerBound(proved_at(plant, limit_at), limit_at=limit_at)
     zeros = _zeros(record)
     if zeros is not None:
-        gamma = limit_at_zeros(plant, Cy if len(Cy) else None, zeros)
+        gamma = limit_at_zeros(plant, Cy if len(Cy) else None, zeros, Dyw)
         lower_bound = max(lower_bound, LowerBound(gamma, zeros=zeros), key=lambda each: each.gamma)
     state, observer = _witness(record, "state"), _witness(record, "observer")
     if state is not None:
         try:
-            proved = prove_lower_bound(plant, state, Cy, observer)
+            proved = prove_lower_bound(plant, state, Cy, observer, Dyw)
         except ValueError as error:
             raise InputError(f"the witnesses of a certificate do not fit the vehicle: {error}; save it again") from error
         lower_bound = proved if proved.gamma > lower_bound.gamma else lower_bound

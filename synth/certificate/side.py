@@ -1,12 +1,12 @@
 """The Gahinet-Apkarian inequality of a plant, without the controller's terms, in exact integers and in floats.
 
 For state feedback (21) has a Y exactly if N' (21) N < 0 at Y = 0, N a basis of all q with [B; D]' q = 0 (the elimination lemma;
-Gahinet, Apkarian 1994). For output feedback from y = C_y x there is a second one, the same of the transposed plant, in S.
+Gahinet, Apkarian 1994). For output feedback from y = C_y x + Dyw w there is a second one, the same of the transposed plant, in S.
 
 **Directions that cost nothing.** Inputs v with D v = 0 let X grow without bound along B v, and along A B v, ... as far as C does
 not see it. Let F hold these directions (`steered`). No dual solution can weigh them, so N is also orthogonal to [F; 0] and
-[A F; C F], and of X only J X J' remains, J a basis of all rows with J F = 0. Of the transposed plant with inputs C_y', F is what
-y and those of its derivatives show that are free of w (`shown`).
+[A F; C F], and of X only J X J' remains, J a basis of all rows with J F = 0. Of the transposed plant, whose B is C_y' and D is
+Dyw', F is what y and those of its derivatives show that are free of w (`shown`).
 
 The same goes for states that z does not see and that decay by themselves: in them, too, X grows at no price.
 
@@ -49,7 +49,7 @@ class Side:
 
     @classmethod
     def of(cls, plant: GeneralizedPlant) -> "Side":
-        """The side of state feedback; of the transposed plant with C_y' for B that of the observer."""
+        """The side of state feedback; of the transposed plant that of the observer."""
         n, (system, unit) = len(plant.A), integers(plant.system_matrix)
         m = plant.B.shape[1]
         states, inputs = system[:, :n], system[:, n : n + m]
@@ -78,11 +78,16 @@ class Side:
         return floats(self.U, one), floats(self.Q, two), floats(self.b, two), floats(self.c, one)
 
 
-def transposed(plant: GeneralizedPlant, Cy: Array) -> GeneralizedPlant:
-    """The plant whose state feedback is the injection of y = C_y x, and whose w and z have changed places."""
-    return GeneralizedPlant(
-        plant.A.T, np.asarray(Cy).T, plant.C.T, plant.Bw.T, np.zeros((plant.Bw.shape[1], len(Cy))), plant.Dw.T
-    )
+def transposed(plant: GeneralizedPlant, Cy: Array, Dyw: Array | None = None) -> GeneralizedPlant:
+    """The plant whose state feedback is the injection of y = C_y x + Dyw w, and whose w and z have changed places.
+
+    Args:
+        plant: n states, r disturbances.
+        Cy: shape (q, n).
+        Dyw: shape (q, r); zero where it is not given.
+    """
+    D = np.zeros((plant.Bw.shape[1], len(Cy))) if Dyw is None else np.asarray(Dyw).T
+    return GeneralizedPlant(plant.A.T, np.asarray(Cy).T, plant.C.T, plant.Bw.T, D, plant.Dw.T)
 
 
 def meeting(one: Side, other: Side) -> tuple[Array, int]:
@@ -98,12 +103,12 @@ def steered(plant: GeneralizedPlant) -> Array:
     return _closure(system[:, :n], system[:, n : n + plant.B.shape[1]])
 
 
-def shown(plant: GeneralizedPlant, Cy: Array) -> Array:
-    """What y and those of its derivatives show that are free of w: independent rows of integers, shape (q' >= q, n).
+def shown(plant: GeneralizedPlant, Cy: Array, Dyw: Array | None = None) -> Array:
+    """What y and those of its derivatives show that are free of w: independent rows of integers, shape (q', n).
 
-    G C_y Bw = 0 makes G y' = G C_y A x + (known) another measurement, and so on.
+    G Dyw = 0 and G C_y Bw = 0 make G y' = G C_y A x + (known) another measurement, and so on.
     """
-    return steered(transposed(plant, Cy)).T
+    return steered(transposed(plant, Cy, Dyw)).T
 
 
 def _closure(states: Array, inputs: Array) -> Array:

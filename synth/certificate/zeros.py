@@ -1,7 +1,7 @@
 """What zeros in the right half plane allow no controller: at such a zero some of z answers to w alone, and to some of w z alone.
 
 Let M - s E = [A - s, B; C, D] lose rank at s, Re s > 0, with [q; p]' (M - s E) = 0. Whatever controller makes the loop stable, x
-and u exist at s, and p' z = (q' Bw + p' Dw) w there. The transposed plant with inputs C_y' says for the zeros from w to y that
+and u exist at s, and p' z = (q' Bw + p' Dw) w there. The transposed plant says for the zeros from w to y = C_y x + Dyw w that
 some z = x follows from some w = v whatever controller of y there is, of any order. So the transfer function T from w to z is
 known in directions at points of the right half plane,
 
@@ -63,7 +63,10 @@ class Node(NamedTuple):
 
 @np.errstate(all="ignore")  # as below
 def zero_limit(
-    plant: GeneralizedPlant, Cy: Array | None = None, sides: tuple[Side, Side | None] | None = None
+    plant: GeneralizedPlant,
+    Cy: Array | None = None,
+    sides: tuple[Side, Side | None] | None = None,
+    Dyw: Array | None = None,
 ) -> tuple[float, Zeros]:
     """The largest norm that zeros in the right half plane prove, and these, nearly; 0 and none where none do.
 
@@ -71,8 +74,9 @@ def zero_limit(
         plant: n states, m inputs.
         Cy: shape (q, n); None for state feedback and more, of which only the zeros from u to z count.
         sides: of the plant, and of the transposed one, if they are there already.
+        Dyw: shape (q, r); zero where it is not given.
     """
-    one, other = _sides(plant, Cy, sides)
+    one, other = _sides(plant, Cy, Dyw, sides)
     left, right = (_enclosed(side, side.zeros()) for side in (one, other))
     best: tuple[float, Zeros] = (0.0, ((), ()))
     for some in [(left, right), (left, []), ([], right), *(([one], []) for one in left), *(([], [one]) for one in right)]:
@@ -84,9 +88,9 @@ def zero_limit(
 
 
 @np.errstate(all="ignore")  # what is not finite proves nothing
-def limit_at_zeros(plant: GeneralizedPlant, Cy: Array | None, near: Zeros) -> float:
+def limit_at_zeros(plant: GeneralizedPlant, Cy: Array | None, near: Zeros, Dyw: Array | None = None) -> float:
     """A norm that no controller reaches, for zeros near some points; proved, and 0 where none is enclosed."""
-    left, right = (_enclosed(side, points) for side, points in zip(_sides(plant, Cy), near, strict=True))
+    left, right = (_enclosed(side, points) for side, points in zip(_sides(plant, Cy, Dyw), near, strict=True))
     return _limit(left, right)
 
 
@@ -104,12 +108,14 @@ def _limit(left: Sequence[Node], right: Sequence[Node]) -> float:
     return next((gamma for short in SHORT if pick.refuses(gamma := best * (1 - short))), 0.0)
 
 
-def _sides(plant: GeneralizedPlant, Cy: Array | None, sides: tuple[Side, Side | None] | None = None) -> "tuple[_Own, _Own]":
+def _sides(
+    plant: GeneralizedPlant, Cy: Array | None, Dyw: Array | None, sides: tuple[Side, Side | None] | None = None
+) -> "tuple[_Own, _Own]":
     """The plant's, and that of the transposed one; of no equations where nothing is measured."""
     one, other = sides or (Side.of(plant), None)
     if Cy is None:
         return _Own.of(plant, one), _NOTHING
-    turned = transposed(plant, Cy)
+    turned = transposed(plant, Cy, Dyw)
     return _Own.of(plant, one), _Own.of(turned, other or Side.of(turned))
 
 

@@ -31,7 +31,7 @@ from synth.lmi.barrier import Barrier, Derivatives, Factored, boundary, newton
 from synth.lmi.basis import Basis, direction
 from synth.lmi.structured import Constraint, StructuredBarrier, path_constraints, start_constraints
 from synth.lmi.unseen import Unseen, unseen
-from synth.plant import GeneralizedPlant
+from synth.plant import GeneralizedPlant, check_posed
 from synth.scaling import reachable, size
 
 LIMIT = 1e-9
@@ -114,10 +114,7 @@ def central_path(plant: GeneralizedPlant, Q: Array, R: Array, mu: float = LIMIT)
 
 def along_path(plant: GeneralizedPlant, Q: Array, R: Array, mu: float = LIMIT) -> Iterator[CentralPoint]:
     """The same points one by one, for those who can use the first where the last cannot be reached."""
-    if not (np.any(plant.Bw) or np.any(plant.Dw)):
-        raise InputError("the plant has no disturbance: Bw and Dw are zero; name one, or there is nothing to design against")
-    if not (np.any(plant.C) or np.any(plant.D)):
-        raise InputError("the controlled output is zero: C and D are; give at least one signal a weight above zero")
+    check_posed(plant)
     if not len(plant.A):
         raise DesignError("z sees no state that a gain does not keep out of it: every such gain is an optimum")
     part = unseen(plant, Q, R)

@@ -25,7 +25,7 @@ from synth.certificate.zeros import zero_limit
 from synth.lmi.barrier import Barrier, Block, boundary, newton
 from synth.lmi.central import CENTRED, INSIDE, CentralPoint, along_path
 from synth.numerics import numerics
-from synth.plant import GeneralizedPlant, measurement_matrix
+from synth.plant import GeneralizedPlant, measurement_matrices
 from synth.scaling import size
 
 STATE_END = 1e-5  # mu over eta; the bound for state feedback is then within (2 n + d) mu / 2 of the best
@@ -38,7 +38,11 @@ ENTER = 1e2  # mu over t at the entry of the joint path, which starts far from i
 
 @numerics()
 def find_lower_bound(
-    plant: GeneralizedPlant, Cy: Array | None = None, path: Sequence[CentralPoint] = (), beyond_control: LowerBound | None = None
+    plant: GeneralizedPlant,
+    Cy: Array | None = None,
+    path: Sequence[CentralPoint] = (),
+    beyond_control: LowerBound | None = None,
+    Dyw: Array | None = None,
 ) -> LowerBound:
     """A norm that no controller reaches: the largest of what the dual, what no control force changes, and zeros prove.
 
@@ -46,28 +50,30 @@ def find_lower_bound(
 
     Args:
         plant: n states, m inputs.
-        Cy: shape (q, n): the bound is for output feedback from y = C_y x, of any order. Without it, for state feedback and more:
-            that bound holds for what knows less, too, and no bound that is returned lies below it.
+        Cy: shape (q, n): the bound is for output feedback from y = C_y x + Dyw w, of any order. Without it, for state feedback
+            and more: that bound holds for what knows less, too, and no bound that is returned lies below it.
         path: of `state_feedback` of the plant, if it is there already.
         beyond_control: the bound of that name, likewise.
+        Dyw: shape (q, r); zero where it is not given.
 
     Returns:
         The bound; 0 with no witness where nothing is proved.
 
     Raises:
-        InputError: C_y does not fit the plant, see `measurement_matrix`.
+        InputError: C_y or Dyw does not fit the plant, see `measurement_matrices`.
     """
     if Cy is not None and len(Cy):  # of no row at all: a bound for what measures nothing
-        Cy = measurement_matrix(Cy, len(plant.A))
+        Cy, Dyw = measurement_matrices(plant, Cy, Dyw)
     best = bound_beyond_control(plant) if beyond_control is None else beyond_control
-    other = Side.of(transposed(plant, Cy)) if Cy is not None else None
+    dual = transposed(plant, Cy, Dyw) if Cy is not None else None
+    other = Side.of(dual) if dual is not None else None
     if other is not None and not len(other.J):
         other = Cy = None  # y shows, with its derivatives, all that state feedback knows
     reached = bool(path) and best.gamma >= path[-1].gamma * (1 - ENOUGH)
     if other is None and reached:
         return best
     one = Side.of(plant)
-    gamma, zeros = zero_limit(plant, Cy, (one, other))
+    gamma, zeros = zero_limit(plant, Cy, (one, other), Dyw)
     if gamma > best.gamma:
         best = LowerBound(gamma, zeros=zeros)
     if not reached:
@@ -75,7 +81,7 @@ def find_lower_bound(
     if other is None:
         return best
     # The joint path ends a little short of its optimum, or where rounding ends it: what state feedback does not beat counts, too.
-    return max(best, _along_the_walk(plant, Cy, one, other), key=_gamma)
+    return max(best, _along_the_walk(plant, dual, one, other), key=_gamma)
 
 
 def _for_state_feedback(plant: GeneralizedPlant, one: Side, path: Sequence[CentralPoint]) -> LowerBound:
@@ -84,11 +90,11 @@ def _for_state_feedback(plant: GeneralizedPlant, one: Side, path: Sequence[Centr
     return found if found.gamma else _sharpest(one, None, _of_state_feedback(plant, path))
 
 
-def _along_the_walk(plant: GeneralizedPlant, Cy: Array | None, one: Side, other: Side | None) -> LowerBound:
+def _along_the_walk(plant: GeneralizedPlant, dual: GeneralizedPlant | None, one: Side, other: Side | None) -> LowerBound:
     """The best bound of `_walk`; 0 where the problem has no solution, or none at a finite gain."""
     points = []
     with contextlib.suppress(np.linalg.LinAlgError, OverflowError, ValueError), np.errstate(all="ignore"):
-        for point in _walk(plant, Cy, one, other):
+        for point in _walk(plant, dual, one, other):
             points.append(point)
     return _sharpest(one, other, points)
 
@@ -125,7 +131,7 @@ def _sharpest(one: Side, other: Side | None, points: Sequence[tuple[Witness, Wit
 
 
 def _walk(
-    plant: GeneralizedPlant, Cy: Array | None, one: Side, other: Side | None
+    plant: GeneralizedPlant, dual: GeneralizedPlant | None, one: Side, other: Side | None
 ) -> Iterator[tuple[Witness, Witness | None, float]]:
     """Witnesses along the path with the gamma that it has come to, ever closer to the optimum, until it cannot be followed."""
     if sum(len(side.J) * (len(side.J) + 1) // 2 + 1 for side in (one, other) if side is not None) > MOST:
@@ -133,8 +139,8 @@ def _walk(
     first, second, between = _Face(one, _inside(plant)), None, np.zeros((0, len(one.J)))
     eta = first.room()
     weight, grow = eta, 2.0
-    if other is not None and Cy is not None:
-        second = _Face(other, _inside(transposed(plant, Cy)))
+    if other is not None and dual is not None:
+        second = _Face(other, _inside(dual))
         weight = second.room()
         second.T = second.T / weight**0.5
         whole, over = meeting(one, other)

@@ -26,7 +26,12 @@ def independent_rows(plant: GeneralizedPlant, Cy: Array) -> list[int]:
         plant: n states.
         Cy: shape (q, n), no row zero.
     """
-    rows, _ = _unit_rows(Cy * own_units(plant, Cy).states)
+    return independent(Cy * own_units(plant, Cy).states)
+
+
+def independent(rows: Array) -> list[int]:
+    """Which rows do not follow from those before them, ascending, whatever the unit of each; none may be zero."""
+    rows, _ = _unit_rows(rows)
     kept: list[int] = []
     for i in range(len(rows)):
         if np.linalg.svd(rows[[*kept, i]], compute_uv=False)[-1] > DEPENDENT and len(kept) < rows.shape[1]:

@@ -16,52 +16,33 @@ from models.common.arrays import Array
 from synth.certificate.norm import ILL_CONDITIONED, highest, largest_singular_values, level_crossings, transfer_matrix
 from synth.certificate.stability import balance
 from synth.plant import GeneralizedPlant
+from synth.search.cuts import Cuts
 
 NEAR = 1e-9  # relative; a level set this much higher that is empty ends the search for the peak
 ALIKE = 0.02  # relative; eigenvalues closer than this count as one
+FAR = 1e4  # times the fastest pole
 MOST_ALIKE = 3  # singular values of one frequency that are looked at
-
-
-@dataclass(frozen=True, eq=False)
-class Cuts:
-    """F functions Re u' T(j omega; K) v.
-
-    Attributes:
-        omega: frequencies [rad/s], shape (F,).
-        u: unit vectors, complex, shape (F, d).
-        v: unit vectors, complex, shape (F, r).
-    """
-
-    omega: Array
-    u: Array
-    v: Array
-
-    def __getitem__(self, index: Array | slice) -> "Cuts":
-        return Cuts(self.omega[index], self.u[index], self.v[index])
-
-    def __add__(self, other: "Cuts") -> "Cuts":
-        return Cuts(
-            np.concatenate([self.omega, other.omega]), np.concatenate([self.u, other.u]), np.concatenate([self.v, other.v])
-        )
 
 
 class Landscape:
     """The closed loops of one plant. It remembers where peaks were, which only makes the next search shorter."""
 
-    def __init__(self, plant: GeneralizedPlant, Cy: Array) -> None:
+    def __init__(self, plant: GeneralizedPlant, Cy: Array, Dyw: Array | None = None) -> None:
         """Args:
-        plant: n states, m inputs.
+        plant: n states, m inputs, r disturbances.
         Cy: shape (q, n).
+        Dyw: shape (q, r); zero where it is not given.
         """
         self.A, balancing = balance(plant.A)
         self.B, self.Bw = plant.B / balancing[:, None], plant.Bw / balancing[:, None]
         self.C, self.Cy = plant.C * balancing, Cy * balancing
         self.D, self.Dw = plant.D, plant.Dw
+        self.Dyw = np.zeros((len(Cy), plant.Bw.shape[1])) if Dyw is None else Dyw
+        self.noisy = bool(np.any(self.Dyw))
         self.shape = (self.B.shape[1], len(self.Cy))
         columns, rows = np.linalg.norm(self.B, axis=0), np.linalg.norm(self.Cy, axis=1)
         rate = float(np.linalg.norm(self.A, 2)) or 1.0
         self.scale = rate / np.outer(np.where(columns > 0, columns, 1.0), np.where(rows > 0, rows, 1.0))
-        self.at_infinity = float(np.linalg.norm(self.Dw, 2))
         self.peaks: list[float] = []
         self.last: tuple[bytes, _Loop] | None = None
 
@@ -78,6 +59,13 @@ class Landscape:
         G = self.gain(x) @ self.Cy
         return self.A + self.B @ G, self.C + self.D @ G
 
+    def disturbed(self, x: Array) -> tuple[Array, Array]:
+        """Bw + B K Dyw and Dw + D K Dyw."""
+        if not self.noisy:
+            return self.Bw, self.Dw
+        through = self.gain(x) @ self.Dyw
+        return self.Bw + self.B @ through, self.Dw + self.D @ through
+
     def abscissa(self, x: Array) -> tuple[float, Array]:
         """Largest real part of a pole [rad/s], and its slope, shape (m q,); infinite where the loop is not finite itself."""
         A, _ = self.loop(x)
@@ -93,17 +81,17 @@ class Landscape:
         """The loop of a point; the last one is remembered."""
         key = x.tobytes()
         if self.last is None or self.last[0] != key:
-            A, C = self.loop(x)
-            if not (np.all(np.isfinite(A)) and np.all(np.isfinite(C))):
-                return _Loop(A, C, np.full(len(A), np.nan), None)
+            (A, C), (Bw, Dw) = self.loop(x), self.disturbed(x)
+            if not all(np.all(np.isfinite(part)) for part in (A, C, Bw, Dw)):
+                return _Loop(A, Bw, C, Dw, np.full(len(A), np.nan), None)
             poles, V = np.linalg.eig(A)
             residues = None
             with contextlib.suppress(np.linalg.LinAlgError):
                 inverse = np.linalg.inv(V)
                 if np.linalg.norm(V) * np.linalg.norm(inverse) < ILL_CONDITIONED:
-                    seen, driven = (C @ V).T, inverse @ self.Bw
+                    seen, driven = (C @ V).T, inverse @ Bw
                     residues = (seen[:, :, None] * driven[:, None, :]).reshape(len(poles), -1)
-            self.last = key, _Loop(A, C, poles, residues)
+            self.last = key, _Loop(A, Bw, C, Dw, poles, residues)
         return self.last[1]
 
     def norm(self, x: Array, above: float = np.inf) -> tuple[float, float]:
@@ -118,8 +106,8 @@ class Landscape:
         if not np.all(np.real(poles) < -1e-13 * np.abs(poles).max()):
             return np.inf, np.nan
         upper = poles[np.imag(poles) >= 0]
-        omega = np.concatenate([[0.0], np.imag(upper), np.abs(upper), self.peaks])
-        best, at = self.at_infinity, np.inf
+        omega = np.concatenate([[0.0], np.imag(upper), np.abs(upper), self.peaks, loop.far[: self.noisy]])
+        best, at = loop.at_infinity, np.inf
         for _ in range(30):
             gain, i = highest(self._responses(loop, omega), best * (1 + NEAR))
             if gain <= best * (1 + NEAR):
@@ -127,7 +115,7 @@ class Landscape:
             best, at = gain, float(omega[i])
             if best > above:
                 break
-            omega = level_crossings(loop.A, self.Bw, loop.C, self.Dw, best * (1 + NEAR))
+            omega = level_crossings(loop.A, loop.Bw, loop.C, loop.Dw, best * (1 + NEAR))
             omega = np.concatenate([omega, (omega[:-1] + omega[1:]) / 2])
         if np.isfinite(at):
             self.peaks = [*self.peaks[-5:], at]
@@ -135,15 +123,17 @@ class Landscape:
 
     def slope(self, x: Array, at: float) -> Array:
         """Slope of the largest singular value at a frequency, shape (m q,)."""
+        (A, C), (Bw, Dw) = self.loop(x), self.disturbed(x)
         if not np.isfinite(at):
-            return np.zeros(self.shape).ravel()
-        A, C = self.loop(x)
+            U, _, Vh = np.linalg.svd(Dw, full_matrices=False)
+            return (np.outer(U[:, 0] @ self.D, self.Dyw @ Vh[0]) * self.scale).ravel()
         shifted = 1j * at * np.eye(len(A)) - A
-        reached = np.linalg.solve(shifted, self.Bw)
-        U, _, Vh = np.linalg.svd(C @ reached + self.Dw, full_matrices=False)
+        reached = np.linalg.solve(shifted, Bw)
+        U, _, Vh = np.linalg.svd(C @ reached + Dw, full_matrices=False)
         adjoint, v = U[:, 0].conj(), Vh[0].conj()
         seen = np.linalg.solve(shifted.T, adjoint @ C)
-        return np.real(np.outer(seen @ self.B + adjoint @ self.D, self.Cy @ (reached @ v)) * self.scale).ravel()
+        measured = (self.Cy @ reached + self.Dyw) @ v
+        return np.real(np.outer(seen @ self.B + adjoint @ self.D, measured) * self.scale).ravel()
 
     def cuts(self, x: Array, omega: Array, floor: float) -> Cuts:
         """The cuts that touch the singular values >= floor at some frequencies, and those between values that are alike.
@@ -152,8 +142,8 @@ class Landscape:
         """
         if not len(omega):
             return Cuts(omega, np.zeros((0, len(self.C)), complex), np.zeros((0, self.Bw.shape[1]), complex))
-        A, C = self.loop(x)
-        U, S, Vh = np.linalg.svd(transfer_matrix(A, self.Bw, C, self.Dw, omega), full_matrices=False)
+        (A, C), (Bw, Dw) = self.loop(x), self.disturbed(x)
+        U, S, Vh = np.linalg.svd(transfer_matrix(A, Bw, C, Dw, omega), full_matrices=False)
         where, u, v = np.arange(len(omega)), [U[:, :, 0]], [Vh[:, 0].conj()]
         for k in range(1, min(S.shape[1], MOST_ALIKE)):
             alike = np.flatnonzero(S[:, k] >= floor)
@@ -171,15 +161,16 @@ class Landscape:
 
     def heights(self, x: Array, cuts: Cuts) -> tuple[Array, Array]:
         """Values of cuts at a point, shape (F,), and slopes, shape (F, m q)."""
-        A, C = self.loop(x)
+        (A, C), (Bw, Dw) = self.loop(x), self.disturbed(x)
         n = len(A)
         shifted = np.broadcast_to(-A, (len(cuts.omega), n, n)).astype(complex)
         shifted[:, np.arange(n), np.arange(n)] += 1j * cuts.omega[:, None]
         adjoint = cuts.u.conj()
-        driven = np.linalg.solve(shifted, (cuts.v @ self.Bw.T)[:, :, None])[:, :, 0]  # (j omega - A)^-1 Bw v
+        driven = np.linalg.solve(shifted, (cuts.v @ Bw.T)[:, :, None])[:, :, 0]  # (j omega - A)^-1 Bw v
         seen = np.linalg.solve(shifted.transpose(0, 2, 1), (adjoint @ C)[:, :, None])[:, :, 0]  # u' C (j omega - A)^-1
-        values = np.real(np.sum(adjoint * (driven @ C.T + cuts.v @ self.Dw.T), axis=1))
-        slopes = np.real((seen @ self.B + adjoint @ self.D)[:, :, None] * (driven @ self.Cy.T)[:, None, :])
+        values = np.real(np.sum(adjoint * (driven @ C.T + cuts.v @ Dw.T), axis=1))
+        measured = driven @ self.Cy.T + cuts.v @ self.Dyw.T
+        slopes = np.real((seen @ self.B + adjoint @ self.D)[:, :, None] * measured[:, None, :])
         return values, (slopes * self.scale).reshape(len(values), self.scale.size)
 
     def curvature(self, x: Array, cuts: Cuts, weights: Array) -> Array:
@@ -189,12 +180,12 @@ class Landscape:
         of J = [0 T; T' 0] that belongs to q, and perturbation theory has its second derivatives over x and omega; omega follows
         its maximum, which takes out one rank. Eigenvalues nearly alike are not divided by: mixed cuts stand for them.
         """
-        A, C = self.loop(x)
+        (A, C), (Bw, Dw) = self.loop(x), self.disturbed(x)
         n, size, (d, r) = len(A), x.size, self.Dw.shape
         omega, adjoint, v = cuts.omega, cuts.u.conj()[:, None, :], cuts.v[:, :, None]
         R = np.linalg.inv(1j * omega[:, None, None] * np.eye(n) - A)
-        left, right = C @ R, R @ self.Bw
-        T, Tu, Tw, Ty = left @ self.Bw + self.Dw, left @ self.B + self.D, self.Cy @ right, self.Cy @ R @ self.B
+        left, right = C @ R, R @ Bw
+        T, Tu, Tw, Ty = left @ Bw + Dw, left @ self.B + self.D, self.Cy @ right + self.Dyw, self.Cy @ R @ self.B
         Tu_rate, Tw_rate = -1j * (left @ R @ self.B), -1j * (self.Cy @ R @ right)
         # First derivatives of T v and T' u over the entries of x, then over omega.
         seen, driven = (adjoint @ Tu)[:, 0], (Tw @ v)[:, :, 0]
@@ -226,10 +217,12 @@ class Landscape:
 
     def summits(self, x: Array, level: float) -> Array:
         """Frequencies [rad/s] of the local maxima of the gain that exceed a level, shape (P,), ascending."""
-        if level <= self.at_infinity * (1 + 1e-6):
-            return np.unique(np.append(self.peaks, 0.0))
         loop = self._closed(x)
-        edges = level_crossings(loop.A, self.Bw, loop.C, self.Dw, level)
+        above = loop.at_infinity * (1 + 1e-6)
+        if level <= above and not self.noisy:
+            return np.unique(np.append(self.peaks, 0.0))
+        level, beyond = max(level, above), loop.far[: self.noisy]
+        edges = level_crossings(loop.A, loop.Bw, loop.C, loop.Dw, level)
         inside = edges[:-1, None] + np.diff(edges)[:, None] * (np.arange(5) + 0.5) / 5
         omega = np.unique(np.concatenate([edges, inside.ravel(), self.peaks]))
         gains = self._gains(loop, omega)
@@ -250,7 +243,7 @@ class Landscape:
             middle, height = np.where(higher, vertex, middle), np.where(higher, there, height)
             width = np.maximum(0.2 * np.minimum(a, b), 1e-7 * np.abs(middle))
             left, right = middle - width, middle + width
-        return np.unique(np.abs(middle))
+        return np.unique(np.concatenate([np.abs(middle), beyond]))
 
     def _gains(self, loop: "_Loop", omega: Array) -> Array:
         """Largest singular values at frequencies, shape (F,)."""
@@ -259,9 +252,9 @@ class Landscape:
     def _responses(self, loop: "_Loop", omega: Array) -> Array:
         """T at frequencies, shape (F, d, r)."""
         if loop.residues is None:
-            return transfer_matrix(loop.A, self.Bw, loop.C, self.Dw, omega)
+            return transfer_matrix(loop.A, loop.Bw, loop.C, loop.Dw, omega)
         T = (1 / (1j * omega[:, None] - loop.poles)) @ loop.residues
-        return T.reshape(len(omega), *self.Dw.shape) + self.Dw
+        return T.reshape(len(omega), *loop.Dw.shape) + loop.Dw
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,13 +262,25 @@ class _Loop:
     """A closed loop.
 
     Attributes:
-        A, C: A + B K C_y and C + D K C_y.
+        A, Bw, C, Dw: A + B K C_y, Bw + B K Dyw, C + D K C_y and Dw + D K Dyw.
         poles: shape (n,).
         residues: C v w' Bw of every mode, with its right and left eigenvectors v and w, shape (n, d r), which make frequency
             responses cheap; None where eigenvectors lose too many digits.
     """
 
     A: Array
+    Bw: Array
     C: Array
+    Dw: Array
     poles: Array
     residues: Array | None
+
+    @property
+    def far(self) -> Array:
+        """A frequency at which the gain is next to that at infinity, for cuts stand at finite ones [rad/s], shape (1,)."""
+        return FAR * np.abs(self.poles).max(keepdims=True)
+
+    @property
+    def at_infinity(self) -> float:
+        """The gain at an infinite frequency."""
+        return float(np.linalg.norm(self.Dw, 2))

@@ -53,18 +53,19 @@ class Refinement:
 
 
 @numerics()
-def refine(plant: GeneralizedPlant, Cy: Array, K: Array) -> Refinement:
+def refine(plant: GeneralizedPlant, Cy: Array, K: Array, Dyw: Array | None = None) -> Refinement:
     """Lowers the norm from a stabilising gain.
 
     Args:
         plant: n states, m inputs.
         Cy: shape (q, n).
         K: shape (m, q).
+        Dyw: shape (q, r); zero where it is not given.
 
     Raises:
         DesignError: K does not stabilise the plant.
     """
-    landscape = Landscape(plant, Cy)
+    landscape = Landscape(plant, Cy, Dyw)
     x = start = landscape.point(K)
     before, _ = landscape.norm(x)
     if not np.isfinite(before):

@@ -22,13 +22,15 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
+from models.law import static_law
 from synth.certificate.bounding import certify_tightly
 from synth.certificate.certificate import Certificate
 from synth.certificate.lower_bound import LowerBound
 from synth.design import Design, two_step_design
+from synth.dynamic.loop import on_larger_plant
 from synth.errors import DesignError
 from synth.numerics import numerics
-from synth.plant import Feedback, GeneralizedPlant, check_states
+from synth.plant import GeneralizedPlant, check_states
 from synth.scaling import size
 from synth.search.coordinates import alike
 from synth.search.descent import along_edges, quasi_newton
@@ -89,7 +91,11 @@ Descent = Callable[[Array, int], Array]
 
 @numerics()
 def static_output_feedback(
-    plant: GeneralizedPlant, Cy: Array, largest_gain: float = LARGEST_GAIN, lower_bound: LowerBound | None = None
+    plant: GeneralizedPlant,
+    Cy: Array,
+    largest_gain: float = LARGEST_GAIN,
+    lower_bound: LowerBound | None = None,
+    Dyw: Array | None = None,
 ) -> StaticDesign:
     """The best static gain that the search finds, no entry larger than `largest_gain`.
 
@@ -100,6 +106,8 @@ def static_output_feedback(
             this is what keeps the gain finite. (The search itself is made in balanced coordinates, and of two that differ by
             units one may end in another valley; what is proved of either is true.)
         lower_bound: what no controller of this kind can beat, if known: it ends the search early, and goes into the certificate.
+        Dyw: shape (q, r), for y = C_y x + Dyw w; zero where it is not given. The two steps know no noise, and are where one
+            descent starts.
 
     Raises:
         InputError: the plant has no state.
@@ -110,7 +118,7 @@ def static_output_feedback(
         two_steps = two_step_design(plant, Cy)
     except InputError as error:
         two_steps = str(error)
-    return descended(plant, Cy, two_steps, largest_gain, lower_bound)
+    return descended(plant, Cy, two_steps, largest_gain, lower_bound, Dyw)
 
 
 @numerics()
@@ -120,9 +128,10 @@ def descended(
     two_steps: Design | str,
     largest_gain: float = LARGEST_GAIN,
     lower_bound: LowerBound | None = None,
+    Dyw: Array | None = None,
 ) -> StaticDesign:
     """The same where the two steps are gone already: their design, or why there is none."""
-    search = _Search(plant, Cy, largest_gain, lower_bound.gamma if lower_bound is not None else 0.0)
+    search = _Search(plant, Cy, largest_gain, lower_bound.gamma if lower_bound is not None else 0.0, Dyw)
     candidates = search.starts()
     starts = len(candidates)
     if isinstance(two_steps, Design):
@@ -135,15 +144,18 @@ def descended(
     best = search.best(candidates)
     K = search.landscape.gain(best.x)
     found, without = (two_steps, "") if isinstance(two_steps, Design) else (None, two_steps)
-    return StaticDesign(K, certify_tightly(plant, Feedback(K, Cy), lower_bound), found, without, best.origin, starts)
+    certificate = certify_tightly(*on_larger_plant(plant, Cy, static_law(K), Dyw), lower_bound)
+    return StaticDesign(K, certificate, found, without, best.origin, starts)
 
 
 class _Search:
     """The search for one plant."""
 
-    def __init__(self, plant: GeneralizedPlant, Cy: Array, largest_gain: float, beaten_by_none: float) -> None:
-        self.plant, self.Cy, self.beaten_by_none = plant, Cy, beaten_by_none
-        self.landscape = Landscape(plant, Cy)
+    def __init__(
+        self, plant: GeneralizedPlant, Cy: Array, largest_gain: float, beaten_by_none: float, Dyw: Array | None = None
+    ) -> None:
+        self.plant, self.Cy, self.Dyw, self.beaten_by_none = plant, Cy, Dyw, beaten_by_none
+        self.landscape = Landscape(plant, Cy, Dyw)
         self.limit = self.landscape.point(np.full(self.landscape.shape, largest_gain))
         self.symmetry = Symmetry(self.landscape)
         self.nothing = ZERO * (
@@ -153,7 +165,7 @@ class _Search:
     def refined(self, two_steps: Design) -> list[Candidate]:
         """The two steps, refined."""
         try:
-            gain = refine(self.plant, self.Cy, two_steps.gain).gain
+            gain = refine(self.plant, self.Cy, two_steps.gain, self.Dyw).gain
         except DesignError:  # stable by its proof, but for the landscape's rounding not
             return []
         return self.admitted(self.landscape.point(gain), "the two steps, refined")

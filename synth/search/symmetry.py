@@ -3,7 +3,7 @@
 Where the plant's state holds what a controller remembers (a controller of some order, written as a static gain of the larger
 plant), the units of that memory are free: another choice changes the gain, and nothing else. In general, with a T for which
 
-    T A = A T,   T B = B R,   C_y T = S C_y,   C T = 0,   T Bw = 0,
+    T A = A T,   T B = B R,   C_y T = S C_y,   C T = 0,   T Bw = 0,   S Dyw = 0,
 
 the gains e^R K e^-S make the same answer to w, for the state e^T x. So a bound on the entries of a gain counts where they are
 smallest.
@@ -37,6 +37,7 @@ class Symmetry:
             matrix / size(matrix) for matrix in (landscape.A, landscape.B, landscape.Cy, landscape.C, landscape.Bw)
         )
         n, m = B.shape
+        Dyw = landscape.Dyw / size(landscape.Dyw)
         into, out = (np.eye(n), np.eye(n)) if n <= SMALL else (_silent(A, C), _silent(A.T, Bw.T))
         # T = into M out', and S follows from T.
         shape, blind = (into.shape[1], out.shape[1]), linalg.null_space(Cy)
@@ -45,6 +46,7 @@ class Symmetry:
             np.kron(C @ into, np.eye(shape[1])),
             np.kron(np.eye(shape[0]), Bw.T @ out),
             np.kron(Cy @ into, blind.T @ out),
+            np.kron(Cy @ into, (np.linalg.pinv(Cy) @ Dyw).T @ out),
         ]
         with_R = np.hstack([np.kron(into, B.T @ out), -np.kron(B, np.eye(m))])
         alone = np.vstack(of_M)

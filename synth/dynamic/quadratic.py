@@ -1,0 +1,159 @@
+"""LQR, LQG and H2: the same weights with the mean square in the place of the worst case, which is what a reader compares with.
+
+w is white noise of intensity one, and z is as small as it can be in the mean: the root of its mean square is the H2 norm of the
+loop. Of the state that is a gain (LQR); of measurements with noise it is the gain on the state that a Kalman filter estimates,
+and no linear controller does better (the separation theorem; Anderson, Moore 1990, Optimal Control, chapters 2, 7 and 8).
+
+LQG and H2 are one problem: with the noise of each measurement by itself it is called the first, with z and y of a generalized
+plant the second. Where a measurement has no noise, or a force no cost, the problem is singular, and a small share of either is
+assumed, in the plant's own units, and said. White noise through Dw has no mean square; it is what no control changes, and left
+out.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import linalg
+
+from models.common.arrays import Array
+from models.common.errors import InputError
+from models.law import LinearLaw, static_law
+from synth.certificate.bounding import certify_tightly
+from synth.certificate.certificate import Certificate
+from synth.certificate.stability import balance, is_stable
+from synth.dynamic.loop import on_larger_plant
+from synth.dynamic.measured import Measured, missing
+from synth.errors import DesignError, InfeasibleError
+from synth.modes import obstacles
+from synth.numerics import numerics
+from synth.plant import GeneralizedPlant, check_posed, measurement_matrices, real_matrix
+
+ASSUMED = 1e-2  # of the plant's own size: noise of what has none, and cost of a force that costs nothing
+
+
+@dataclass(frozen=True, eq=False)
+class QuadraticDesign:
+    """A controller that is the best in the mean.
+
+    Attributes:
+        law: static on the state for LQR; else as many states as the plant, a Kalman filter's estimate.
+        h2_norm: root of the mean square of z under white noise w, with what was given alone; Dw left out.
+        certificate: what is true of its loop in the worst case.
+        remark: what had to be assumed, in words; empty where nothing had.
+    """
+
+    law: LinearLaw
+    h2_norm: float
+    certificate: Certificate
+    remark: str
+
+
+def lqr_design(plant: GeneralizedPlant, states: Sequence[str] = ()) -> QuadraticDesign:
+    """The state feedback u = K x with the smallest mean square of z, whatever of the states is disturbed.
+
+    Args:
+        plant: n states, m inputs.
+        states: names of the states, for messages.
+
+    Raises:
+        InputError: the plant has no state or disturbance, or nothing is weighed.
+        InfeasibleError: the plant cannot be stabilised; the message names the mode.
+        DesignError: z does not see a mode that does not decay.
+    """
+    everything = np.eye(len(plant.A))
+    return _design(plant, everything, np.zeros((len(everything), plant.Bw.shape[1])), states, True)
+
+
+def lqg_design(
+    plant: GeneralizedPlant, Cy: Array, noise: Sequence[float] | None = None, states: Sequence[str] = ()
+) -> QuadraticDesign:
+    """The controller of y = C_y x + v with the smallest mean square of z, v white noise of each measurement by itself.
+
+    Args:
+        plant: n states, m inputs.
+        Cy: shape (q, n).
+        noise: of each measurement, shape (q,) [its unit times root of s]: a noise of rms sigma that is drawn every T seconds is
+            one of sigma sqrt(T). (As w has intensity one, B_w and D_w are to hold the root of its true one.) Without it a small
+            one is assumed, and said.
+        states: names of the states, for messages.
+
+    Raises:
+        InputError: C_y or the noise does not fit, or as `lqr_design`.
+        InfeasibleError: the plant cannot be stabilised from what is measured; the message names the mode.
+        DesignError: as `lqr_design`, or w does not reach a mode that does not decay.
+    """
+    Cy, none = measurement_matrices(plant, Cy)
+    if noise is None:
+        return h2_design(plant, Cy, none, states)
+    q, (n, r) = len(Cy), plant.Bw.shape
+    sizes = real_matrix([list(noise)], "noise", f"(1, {q})")[0]
+    if sizes.shape != (q,) or np.any(sizes < 0):
+        raise InputError(f"noise has shape {sizes.shape}; expected {q} numbers from 0 upwards, one for each measurement")
+    wide = replace(plant, Bw=np.hstack([plant.Bw, np.zeros((n, q))]), Dw=np.hstack([plant.Dw, np.zeros((len(plant.C), q))]))
+    return h2_design(wide, Cy, np.hstack([np.zeros((q, r)), np.diag(sizes)]), states)
+
+
+def h2_design(plant: GeneralizedPlant, Cy: Array, Dyw: Array | None = None, states: Sequence[str] = ()) -> QuadraticDesign:
+    """The controller of y = C_y x + Dyw w with the smallest H2 norm from w to z.
+
+    Args:
+        plant: n states, m inputs, r disturbances.
+        Cy: shape (q, n).
+        Dyw: shape (q, r); zero where it is not given.
+        states: names of the states, for messages.
+
+    Raises:
+        InputError, InfeasibleError, DesignError: as `lqg_design`.
+    """
+    return _design(plant, *measurement_matrices(plant, Cy, Dyw), states, False)
+
+
+def h2_norm(loop: GeneralizedPlant) -> float:
+    """Root of the mean square of z under white noise w, through the states of a stable loop alone."""
+    A, scale = balance(loop.A)
+    Bw, C = loop.Bw / scale[:, None], loop.C * scale
+    covariance = linalg.solve_continuous_lyapunov(A, -Bw @ Bw.T)
+    return float(np.sqrt(max(np.trace(C @ covariance @ C.T), 0.0)))
+
+
+@numerics()
+def _design(plant: GeneralizedPlant, Cy: Array, Dyw: Array, states: Sequence[str], all_known: bool) -> QuadraticDesign:
+    check_posed(plant)
+    if reasons := "; ".join(obstacles(plant, Cy, states)):
+        raise InfeasibleError(reasons)
+    own = Measured.of(plant, Cy, Dyw)
+    A, B, C, D = own.plant.A, own.plant.B, own.plant.C, own.plant.D
+    cost, noise = missing(D, ASSUMED), missing(own.Dyw.T, ASSUMED)
+    assumed = ["cost of a force that costs next to nothing"] if np.any(cost) else []
+    K = _regulator(A, B, C, D, cost, "z does not see a mode that neither decays nor grows; weigh a signal that it is in")
+    if all_known:
+        law = own.back(static_law(K @ np.linalg.inv(own.Cy)))
+    else:
+        unreached = "w does not reach a mode that neither decays nor grows; let w disturb it"
+        L = _regulator(A.T, own.Cy.T, own.plant.Bw.T, own.Dyw.T, noise, unreached).T
+        law = own.back(LinearLaw(A + B @ K + L @ own.Cy, -L, K, np.zeros((len(K), len(own.Cy)))))
+        assumed += ["noise of what is measured next to without"] if np.any(noise) else []
+    larger, G = on_larger_plant(plant, Cy, law, Dyw)
+    certificate = certify_tightly(larger, G, by_itself=plant)
+    if certificate.failures:
+        raise DesignError(f"its certificate fails: {'; '.join(certificate.failures)}")
+    remark = f"assumed, {ASSUMED:g} of the plant's own size: {' and '.join(assumed)}" if assumed else ""
+    return QuadraticDesign(law, h2_norm(certificate.loop), certificate, remark)
+
+
+def _regulator(A: Array, B: Array, C: Array, D: Array, more: Array, advice: str) -> Array:
+    """K of the u = K x that makes the mean square of C x + D u and of `more` u the smallest, shape (m, n).
+
+    Raises:
+        DesignError: there is none that is stable beyond rounding.
+    """
+    weight = D.T @ D + more.T @ more
+    try:
+        X = linalg.solve_continuous_are(A, B, C.T @ C, weight, s=C.T @ D)
+        K = -np.linalg.solve(weight, B.T @ X + D.T @ C)
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise DesignError(f"a Riccati equation has no stabilising solution ({error}): {advice}") from error
+    if not is_stable(A + B @ K):
+        raise DesignError(f"a Riccati equation has no stabilising solution beyond rounding: {advice}")
+    return K

@@ -1,0 +1,237 @@
+"""Full-order controllers: within 0.1 % of what no controller beats, certified, the same in all units; or they say why not."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import linalg
+
+from models.common.errors import InputError
+from models.law import LinearLaw
+from models.vehicle import read_vehicle
+from synth.certificate.certificate import FASTEST
+from synth.certificate.norm import hinf_norm
+from synth.controller import generalized_plant
+from synth.dynamic.central import central_law
+from synth.dynamic.full_order import WITHIN, FullOrderDesign, full_order_design
+from synth.dynamic.loop import on_larger_plant
+from synth.errors import DesignError, InfeasibleError
+from synth.plant import GeneralizedPlant
+from tests.active_suspension import PRINTED, SCENARIOS, active_suspension
+from tests.test_bounds_hold import a_plant
+from tests.test_units import Moved, any_plant
+
+
+def loop_by_hand(plant: GeneralizedPlant, Cy: np.ndarray, law: LinearLaw, Dyw: np.ndarray) -> GeneralizedPlant:
+    """The closed loop written out, by another route than the larger plant's: u = D_c y + C_c x_c put into x' and z."""
+    A = np.block([[plant.A + plant.B @ law.D @ Cy, plant.B @ law.C], [law.B @ Cy, law.A]])
+    Bw = np.vstack([plant.Bw + plant.B @ law.D @ Dyw, law.B @ Dyw])
+    C = np.hstack([plant.C + plant.D @ law.D @ Cy, plant.D @ law.C])
+    return GeneralizedPlant(A, np.zeros((len(A), 1)), Bw, C, np.zeros((len(C), 1)), plant.Dw + plant.D @ law.D @ Dyw)
+
+
+def holds(plant: GeneralizedPlant, Cy: np.ndarray, found: FullOrderDesign, Dyw: np.ndarray | None = None) -> None:
+    """Everything that is claimed of a design, from its law alone."""
+    loop = loop_by_hand(plant, Cy, found.law, np.zeros((len(Cy), plant.Bw.shape[1])) if Dyw is None else Dyw)
+    certificate = found.certificate
+    assert np.all(np.linalg.eigvals(loop.A).real < 0)
+    norm = hinf_norm(loop)
+    # Laws with entries of 1e9 lose that many digits where the loop is formed by floats alone.
+    assert norm.value == pytest.approx(certificate.norm.value, rel=max(1e-7, 10 * norm.rounding))
+    if certificate.lower_bound is not None:
+        assert certificate.lower_bound * (1 - 1e-9) <= certificate.norm.value  # rounding of the norm
+    if certificate.bound is not None:
+        assert certificate.norm.value <= certificate.bound
+    assert not certificate.failures
+    assert bool(found.remark) == (certificate.gap is None or certificate.gap > WITHIN)
+
+
+@pytest.mark.parametrize(("kind", "name"), [("quarter_car", "I"), ("quarter_car", "II"), ("half_car", "I"), ("half_car", "II")])
+def test_cars(kind, name):
+    """From what I and II measure the norm is within 0.1 % of what no controller beats, with poles of the plant's speed."""
+    vehicle = read_vehicle(kind)
+    plant, Cy = generalized_plant(vehicle), vehicle.linear_model.rows(vehicle.controllers[name].measured)[0]
+    found = full_order_design(plant, Cy)
+    holds(plant, Cy, found)
+    assert found.certificate.gap is not None
+    assert found.certificate.gap < WITHIN
+    assert found.certificate.speed_up < 5
+    assert not found.remark
+    assert not found.trade
+    if kind == "quarter_car":
+        assert found.certificate.norm.value < 7.8443  # 7.836458, given with that many digits, and 0.1 %
+        assert found.certificate.lower_bound == pytest.approx(7.836458, abs=1e-6)
+
+
+@pytest.mark.parametrize("name", ["I", "II"])
+def test_full_car_with_its_twist(name):
+    """So is the full car's, on the road's velocities and its twist: 14 states, 4 forces, 5 disturbances."""
+    vehicle = read_vehicle("full_car")
+    plant, Cy = generalized_plant(vehicle), vehicle.linear_model.rows(vehicle.controllers[name].measured)[0]
+    assert plant.Bw.shape == (14, 5)
+    found = full_order_design(plant, Cy)
+    holds(plant, Cy, found)
+    assert found.certificate.gap is not None
+    assert found.certificate.gap < WITHIN
+    assert not found.certificate.beyond_actuators
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_active_suspension(scenario):
+    """The three scenarios of MathWorks' example, with weights over frequency and noise on both measurements: as printed."""
+    plant, Cy, Dyw = active_suspension(scenario)
+    found = full_order_design(plant, Cy, Dyw)
+    holds(plant, Cy, found, Dyw)
+    printed, by_lmi = PRINTED[scenario]
+    assert round(found.certificate.norm.value, 2) == pytest.approx(printed)
+    assert found.certificate.lower_bound == pytest.approx(by_lmi, abs=5e-6)  # given with 5 digits
+    assert found.certificate.gap is not None
+    assert found.certificate.gap < WITHIN
+
+
+@pytest.mark.parametrize("kind", ["undamped", "uncontrollable", "free inputs", "rank-deficient D", "feedthrough"])
+@pytest.mark.parametrize("seed", [0, 4])
+def test_random_plants(kind, seed):
+    """On random plants, singular as they are, it comes within 0.1 % of the lower bound where poles may be as fast as it takes."""
+    plant, Cy = a_plant(kind, seed)
+    found = full_order_design(plant, Cy, fastest=np.inf)
+    holds(plant, Cy, found)
+    assert found.certificate.gap is not None
+    assert found.certificate.gap < WITHIN
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_trade(seed):
+    """Where it takes poles beyond actuators it stays short of them, and says to what norm which speed leads: both are true."""
+    plant, Cy = any_plant(seed)
+    found = full_order_design(plant, Cy)
+    holds(plant, Cy, found)
+    speeds, norms = [each.speed_up for each in found.trade], [each.norm for each in found.trade]
+    assert speeds == sorted(speeds)
+    assert norms == sorted(norms, reverse=True)
+    assert found.remark
+    assert found.certificate.speed_up <= FASTEST * max(1.0, speeds[0])
+    said = re.search(
+        r"a norm of (\S+) takes a pole (\S+) times as fast as the plant's, and this one's fastest is (\S+) times", found.remark
+    )
+    assert said is not None
+    norm, speed, own = (float(each) for each in said.groups())
+    assert own == pytest.approx(found.certificate.speed_up, rel=0.05)  # two digits
+    best = full_order_design(plant, Cy, fastest=1.1 * speed)
+    assert best.certificate.norm.value <= norm * 1.0011  # as near as what is next to the best, and four digits
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_central_law(seed):
+    """A law for gamma has a norm below it, with feed-through from w to z, and none is refused far above what is reached."""
+    rng = np.random.default_rng(seed)
+    n, m, q, r, d = int(rng.integers(1, 6)), 1 + seed % 2, 1 + seed // 4, 4, 4
+    A, B, Bw, C, D = (rng.standard_normal(shape) for shape in ((n, n), (n, m), (n, r), (d, n), (d, m)))
+    plant = GeneralizedPlant(A - (seed % 3) * np.eye(n), B, Bw, C, D, rng.standard_normal((d, r)) / 4)
+    Cy, Dyw = rng.standard_normal((q, n)), rng.standard_normal((q, r))
+    reached, refused = [], []
+    for gamma in np.geomspace(0.2, 2e5, 80):
+        try:
+            law = central_law(plant, Cy, Dyw, gamma)
+        except InfeasibleError:
+            refused.append(gamma)
+            continue
+        loop = loop_by_hand(plant, Cy, law, Dyw)
+        assert np.all(np.linalg.eigvals(loop.A).real < 0)
+        assert hinf_norm(loop).value < gamma
+        reached.append(hinf_norm(loop).value)
+    assert reached
+    assert max(refused) < min(reached) * 1.2  # the step of gamma: it is refused only where it cannot be reached
+
+
+def test_the_central_law_of_the_textbook():
+    """For D' [C D] = [0 I] and so on the law is that of the simple formulas (Doyle, Glover, Khargonekar, Francis 1989)."""
+    rng = np.random.default_rng(3)
+    n, gamma = 4, 20.0
+    A, B, B1, C1, Cy = (rng.standard_normal(shape) for shape in ((n, n), (n, 2), (n, 2), (2, n), (1, n)))
+    A = A - 2 * np.eye(n)
+    plant = GeneralizedPlant(
+        A, B, np.hstack([B1, np.zeros((n, 1))]), np.vstack([C1, np.zeros((2, n))]), np.vstack([np.zeros((2, 2)), np.eye(2)]),
+        np.zeros((4, 3)),
+    )  # fmt: skip
+    law = central_law(plant, Cy, np.array([[0.0, 0.0, 1.0]]), gamma)
+    X = linalg.solve_continuous_are(A, np.hstack([B, B1]), C1.T @ C1, np.diag([1.0] * 2 + [-(gamma**2)] * 2))
+    Y = linalg.solve_continuous_are(A.T, np.vstack([Cy, C1]).T, B1 @ B1.T, np.diag([1.0] + [-(gamma**2)] * 2))
+    Z = np.linalg.inv(np.eye(n) - Y @ X / gamma**2)
+    expected = LinearLaw(A + B1 @ B1.T @ X / gamma**2 - B @ B.T @ X - Z @ Y @ Cy.T @ Cy, Z @ Y @ Cy.T, -B.T @ X, np.zeros((2, 1)))
+    s = 1j * np.array([0.0, 0.3, 1.0, 10.0])[:, None, None]
+    one, other = (
+        each.C @ np.linalg.solve(s * np.eye(n) - each.A, each.B.astype(complex)[None]) + each.D for each in (law, expected)
+    )
+    np.testing.assert_allclose(one, other, rtol=1e-9)  # rounding of two Riccati equations
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_units(seed):
+    """In units of states, forces, measurements, w, z, time that differ by powers of two the law is the same to the last bit."""
+    plant, Cy = any_plant(seed) if seed % 2 else a_plant("free inputs", seed)
+    moved = Moved(plant, Cy, seed)
+    one, other = full_order_design(plant, Cy).law, full_order_design(moved.plant, moved.Cy).law
+    # The unit of the states as a whole is left open.
+    np.testing.assert_array_equal(other.A / moved.t, one.A)
+    np.testing.assert_array_equal(moved.u[:, None] * other.D * moved.y, one.D)
+    through = [np.einsum("mk,kq->kmq", law.C, law.B) for law in (one, other)]
+    np.testing.assert_array_equal(moved.u[:, None] / moved.t * through[1] * moved.y, through[0])
+
+
+def test_redundant_measurements():
+    """A signal that follows from others is left alone where it is free of noise; with noise of its own it helps."""
+    plant, Cy = a_plant("undamped", 0)
+    twice = np.vstack([Cy, 2 * Cy[:1]])
+    found = full_order_design(plant, twice)
+    assert not np.any(found.law.B[:, len(Cy) :])
+    assert found.certificate.norm.value == pytest.approx(full_order_design(plant, Cy).certificate.norm.value, rel=WITHIN)
+    q, r, n = len(Cy), plant.Bw.shape[1], len(plant.A)
+    noisy = replace(plant, Bw=np.hstack([plant.Bw, np.zeros((n, q + 1))]), Dw=np.zeros((len(plant.C), r + q + 1)))
+    noise = np.hstack([np.zeros((q + 1, r)), np.diag([3.0] * q + [6.0])])
+    both, one = full_order_design(noisy, twice, noise), full_order_design(noisy, Cy, noise[:q])
+    holds(noisy, twice, both, noise)
+    assert np.any(both.law.B[:, q:])
+    assert both.certificate.norm.value < one.certificate.norm.value * (1 - 1e-3)
+
+
+def test_what_cannot_be_designed():
+    """It says in a line which mode is not reached or not seen, or what is missing from the plant."""
+    plant, Cy = a_plant("undamped", 0)
+    n = len(plant.A)
+    A = np.asarray(linalg.block_diag(plant.A, [[0.5]]))
+    wide = GeneralizedPlant(
+        A, np.vstack([plant.B, [[0.0] * plant.B.shape[1]]]), np.vstack([plant.Bw, [[1.0] * plant.Bw.shape[1]]]),
+        np.hstack([plant.C, np.ones((len(plant.C), 1))]), plant.D, plant.Dw,
+    )  # fmt: skip
+    names = [f"s{i}" for i in range(n)] + ["lost"]
+    with pytest.raises(InfeasibleError, match=r"no input reaches the mode at 0\.5 1/s.*most in lost"):
+        full_order_design(wide, np.hstack([Cy, np.ones((len(Cy), 1))]), states=names)
+    driven = replace(wide, B=np.vstack([plant.B, np.ones((1, plant.B.shape[1]))]))
+    with pytest.raises(InfeasibleError, match=r"no measurement shows the mode at 0\.5 1/s.*most in lost"):
+        full_order_design(driven, np.hstack([Cy, np.zeros((len(Cy), 1))]), states=names)
+    with pytest.raises(InputError, match="no disturbance"):
+        full_order_design(replace(plant, Bw=0 * plant.Bw, Dw=0 * plant.Dw), Cy)
+    with pytest.raises(InputError, match="controlled output is zero"):
+        full_order_design(replace(plant, C=0 * plant.C, D=0 * plant.D), Cy)
+    with pytest.raises(InputError, match="Dyw has shape"):
+        full_order_design(plant, Cy, np.zeros((len(Cy), 7)))
+    with pytest.raises(InputError, match="row 0 of Cy is zero"):
+        full_order_design(plant, 0 * Cy)
+    assert issubclass(InfeasibleError, DesignError)
+
+
+def test_larger_plant():
+    """A law as a gain on the larger plant makes the loop that is written out, with noise that goes straight through it."""
+    rng = np.random.default_rng(0)
+    plant, Cy = a_plant("feedthrough", 0)
+    n, m, q, r, k = len(plant.A), plant.B.shape[1], len(Cy), plant.Bw.shape[1], 3
+    A, B, C, D = (rng.standard_normal(shape) for shape in ((k, k), (k, q), (m, k), (m, q)))
+    law = LinearLaw(A, B, C, D)
+    Dyw = rng.standard_normal((q, r))
+    larger, G = on_larger_plant(plant, Cy, law, Dyw)
+    one, other = larger.closed_loop(G), loop_by_hand(plant, Cy, law, Dyw)
+    assert len(larger.A) == n + k
+    for name in ("A", "Bw", "C", "Dw"):
+        np.testing.assert_allclose(getattr(one, name), getattr(other, name), rtol=1e-13, atol=1e-13)  # sums in another order

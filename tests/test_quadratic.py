@@ -1,0 +1,188 @@
+"""LQR, LQG, H2 and leaky integrators: the best in the mean, by two routes, and never better when anything is changed."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import integrate
+
+from models.common.errors import InputError
+from models.law import LinearLaw, static_law
+from models.vehicle import read_vehicle
+from synth.certificate.norm import hinf_norm
+from synth.controller import generalized_plant
+from synth.dynamic.estimator import leaky_integrator_law
+from synth.dynamic.loop import on_larger_plant
+from synth.dynamic.quadratic import ASSUMED, h2_design, h2_norm, lqg_design, lqr_design
+from synth.errors import DesignError, InfeasibleError
+from synth.plant import GeneralizedPlant
+from tests.test_noise import noisy
+from tests.test_units import Moved
+
+
+def norm_of(plant: GeneralizedPlant, Cy: np.ndarray, law: LinearLaw, Dyw: np.ndarray | None = None) -> float:
+    """The H2 norm of a loop by its Gramian; infinite where it is not stable."""
+    larger, G = on_larger_plant(plant, Cy, law, Dyw)
+    loop = larger.closed_loop(G)
+    return h2_norm(loop) if np.all(np.linalg.eigvals(loop.A).real < 0) else np.inf
+
+
+def by_frequencies(loop: GeneralizedPlant) -> float:
+    """The same from the power at all frequencies, the root of the integral of |T|^2 over omega / 2 pi."""
+
+    def power(angle: float) -> float:
+        T = loop.frequency_response(np.array([np.tan(angle)]))[0]
+        return float(np.sum(np.abs(T) ** 2)) / np.cos(angle) ** 2
+
+    total, _ = integrate.quad(power, -np.pi / 2, np.pi / 2, limit=2000, epsrel=1e-10)
+    return float(np.sqrt(total / (2 * np.pi)))
+
+
+def changed(law: LinearLaw, seed: int, by: float) -> LinearLaw:
+    """A law with all its entries moved a little, each by its own."""
+    rng = np.random.default_rng(seed)
+    A, B, C, D = (
+        matrix + by * np.abs(matrix).max(initial=0.0) * rng.standard_normal(matrix.shape)
+        for matrix in (law.A, law.B, law.C, law.D)
+    )
+    return LinearLaw(A, B, C, D)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_lqr(seed):
+    """Its gain is that of python-control's lqr for these weights, its norm two routes', and no other gain has a smaller one."""
+    import control
+
+    plant, _, _ = noisy(seed, 1.0)
+    rng = np.random.default_rng(seed)
+    plant = replace(plant, D=plant.D + 0.2 * rng.standard_normal(plant.D.shape))
+    found = lqr_design(plant)
+    K, _, _ = control.lqr(plant.A, plant.B, plant.C.T @ plant.C, plant.D.T @ plant.D, plant.C.T @ plant.D)
+    np.testing.assert_allclose(found.law.D, -np.asarray(K), rtol=1e-7, atol=1e-7 * np.abs(K).max())  # two Riccati solvers
+    everything = np.eye(len(plant.A))
+    assert found.h2_norm == pytest.approx(by_frequencies(found.certificate.loop), rel=1e-8)  # the quadrature
+    for i in range(20):
+        other = norm_of(plant, everything, changed(found.law, i, 10.0 ** -(i % 4)))
+        assert other >= found.h2_norm * (1 - 1e-9)  # rounding of the Gramian
+    assert not found.remark
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_lqg_and_h2(seed):
+    """They are one law for one noise: python-control's Kalman gain and lqr put together, and no changed law is better."""
+    import control
+
+    plant, Cy, Dyw = noisy(seed, 0.4)
+    found = h2_design(plant, Cy, Dyw)
+    K, _, _ = control.lqr(plant.A, plant.B, plant.C.T @ plant.C, plant.D.T @ plant.D)
+    L, _, _ = control.lqe(plant.A, np.eye(len(plant.A)), Cy, plant.Bw @ plant.Bw.T, Dyw @ Dyw.T)
+    K, L = np.asarray(K), np.asarray(L)
+    textbook = LinearLaw(plant.A - plant.B @ K - L @ Cy, L, -K, np.zeros((len(K), len(Cy))))
+    omega = 1j * np.array([0.0, 0.5, 2.0, 30.0])[:, None, None] * np.eye(len(K.T))
+    one, other = (law.C @ np.linalg.solve(omega - law.A, law.B.astype(complex)[None]) for law in (found.law, textbook))
+    np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-9 * np.abs(other).max())  # two Riccati solvers
+    assert found.h2_norm == pytest.approx(by_frequencies(found.certificate.loop), rel=1e-8)  # the quadrature
+    for i in range(20):
+        assert norm_of(plant, Cy, changed(found.law, i, 10.0 ** -(i % 4)), Dyw) >= found.h2_norm * (1 - 1e-9)
+    assert not found.remark
+    alone = replace(plant, Bw=plant.Bw[:, :2], Dw=plant.Dw[:, :2])
+    same = lqg_design(alone, Cy, [0.4] * len(Cy))
+    assert same.h2_norm == pytest.approx(found.h2_norm, rel=1e-9)
+    assert not same.remark
+    assert lqr_design(plant).h2_norm <= found.h2_norm
+    assert hinf_norm(found.certificate.loop).value == pytest.approx(found.certificate.norm.value, rel=1e-9)
+
+
+def test_correlated_noise_and_weights():
+    """Weights that couple states and forces, and noise that disturbs the plant too, count: no changed law is better."""
+    plant, Cy, Dyw = noisy(3, 0.4, 0.5)
+    rng = np.random.default_rng(0)
+    plant = replace(plant, D=plant.D + 0.3 * rng.standard_normal(plant.D.shape), Dw=0 * plant.Dw)
+    found = h2_design(plant, Cy, Dyw)
+    for i in range(40):
+        assert norm_of(plant, Cy, changed(found.law, i, 10.0 ** -(1 + i % 4)), Dyw) >= found.h2_norm * (1 - 1e-9)
+
+
+@pytest.mark.parametrize("kind", ["quarter_car", "half_car", "full_car"])
+def test_cars(kind):
+    """A car's LQR is the best in the mean, LQG pays for what it does not measure, and the noise it takes for granted is said."""
+    vehicle = read_vehicle(kind)
+    plant, Cy = generalized_plant(vehicle), vehicle.linear_model.rows(vehicle.controllers["I"].measured)[0]
+    lqr, lqg, h2 = lqr_design(plant), lqg_design(plant, Cy), h2_design(plant, Cy)
+    static = norm_of(plant, Cy, static_law(np.zeros((plant.B.shape[1], len(Cy)))))
+    assert lqr.h2_norm < lqg.h2_norm < static
+    assert h2.h2_norm == pytest.approx(lqg.h2_norm, rel=1e-9)
+    assert not lqr.remark
+    assert lqg.remark == f"assumed, {ASSUMED:g} of the plant's own size: noise of what is measured next to without"
+    assert lqg.certificate.stable
+    noisier = lqg_design(plant, Cy, [0.05] * len(Cy))
+    assert not noisier.remark
+    assert noisier.h2_norm > lqr.h2_norm
+
+
+def test_a_force_that_costs_nothing():
+    """Where z does not weigh a force a small cost is assumed, and said."""
+    plant, Cy, Dyw = noisy(2, 0.4)
+    free = replace(plant, D=0 * plant.D)
+    assert "cost of a force" in lqr_design(free).remark
+    assert "noise" not in h2_design(free, Cy, Dyw).remark
+    assert lqr_design(free).h2_norm < lqr_design(plant).h2_norm
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_units(seed):
+    """The same law in units that differ by powers of two, also where noise is assumed."""
+    plant, Cy, _ = noisy(seed, 0.4)
+    moved = Moved(plant, Cy, seed)
+    one, other = lqg_design(plant, Cy), lqg_design(moved.plant, moved.Cy)
+    assert other.h2_norm == pytest.approx(one.h2_norm * moved.norm * moved.t**0.5, rel=1e-9)  # rounding of the Gramian
+    through = [np.einsum("mk,kq->kmq", each.law.C, each.law.B) for each in (one, other)]
+    np.testing.assert_array_equal(moved.u[:, None] / moved.t * through[1] * moved.y, through[0])
+    np.testing.assert_array_equal(moved.u[:, None] * lqr_design(moved.plant).law.D / moved.x, lqr_design(plant).law.D)
+
+
+def test_refused():
+    """What has no best in the mean is refused, and why is said."""
+    plant, Cy, _ = noisy(0, 1.0)
+    n, m = plant.B.shape
+    A = np.block([[plant.A, np.zeros((n, 1))], [np.zeros((1, n)), np.zeros((1, 1))]])
+    beside = GeneralizedPlant(
+        A, np.vstack([plant.B, np.ones((1, m))]), np.vstack([plant.Bw, np.ones((1, plant.Bw.shape[1]))]),
+        np.hstack([plant.C, np.zeros((len(plant.C), 1))]), plant.D, plant.Dw,
+    )  # fmt: skip
+    with pytest.raises(DesignError, match="z does not see a mode"):
+        lqr_design(beside)
+    with pytest.raises(InfeasibleError, match="no measurement shows the mode at 0"):
+        lqg_design(beside, np.hstack([Cy, np.zeros((len(Cy), 1))]))
+    with pytest.raises(InputError, match=r"noise has shape \(3,\); expected"):
+        lqg_design(plant, Cy, [0.1] * 3)
+    with pytest.raises(InputError, match="numbers from 0 upwards"):
+        lqg_design(plant, Cy, [-0.1] * len(Cy))
+    with pytest.raises(InputError, match="no disturbance"):
+        lqr_design(replace(plant, Bw=0 * plant.Bw))
+
+
+def loop_with_accelerometer(corner: float) -> GeneralizedPlant:
+    """The paper's quarter car with the printed gain of I on its deflection and its integrated accelerometer."""
+    vehicle = read_vehicle("quarter_car")
+    Cy, through = vehicle.linear_model.rows(("suspension_deflection", "sprung_acceleration"))
+    law = leaky_integrator_law(np.array([[10824.0, -2071.0]]), [1], corner).fed_back(through)
+    larger, G = on_larger_plant(generalized_plant(vehicle), Cy, law)
+    return larger.closed_loop(G)
+
+
+def test_leaky_integrator():
+    """As the corner falls the loop becomes that of the gain on the velocity itself, 7.8432; above it the law is that gain."""
+    norms = {corner: hinf_norm(loop_with_accelerometer(corner)).value for corner in (1e-5, 0.1, 1.0)}
+    assert norms[1e-5] == pytest.approx(7.843188, abs=2e-4)  # the norm of the printed gain, and the corner
+    assert abs(norms[0.1] - 7.843188) < abs(norms[1.0] - 7.843188)
+    K, corner, s = np.array([[3.0, -2.0, 5.0], [0.0, 7.0, 1.0]]), 0.5, 400j
+    law = leaky_integrator_law(K, [2, 0], corner)
+    response = law.C @ np.linalg.solve(s * np.eye(2) - law.A, law.B.astype(complex)) + law.D
+    np.testing.assert_allclose(response * np.array([s, 1, s]), K, atol=2 * 5 * corner / abs(s))  # omega_c over omega
+    np.testing.assert_array_equal(law.C @ np.linalg.solve(-law.A, law.B) + law.D, K / np.array([corner, 1, corner]))
+    for wrong in ([3], [0, 0], [-1]):
+        with pytest.raises(InputError, match="not different columns"):
+            leaky_integrator_law(K, wrong, corner)
+    with pytest.raises(InputError, match="without a leak offsets grow"):
+        leaky_integrator_law(K, [0], 0.0)

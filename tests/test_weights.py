@@ -1,0 +1,74 @@
+"""Filters and how they are put together: at every frequency what is put together is what its parts say."""
+
+import numpy as np
+import pytest
+
+from models.common.errors import InputError
+from synth.dynamic.weights import System, append, gain, generalized, series, transfer_function
+
+OMEGA = np.array([0.0, 0.3, 1.0, 7.0, 200.0])
+
+
+def response(system: System) -> np.ndarray:
+    """C (j omega - A)^-1 B + D, shape (F, p, k)."""
+    s = 1j * OMEGA[:, None, None] * np.eye(len(system.A))
+    return system.C @ np.linalg.solve(s - system.A, system.B.astype(complex)[None]) + system.D
+
+
+def random_system(seed: int, p: int, k: int) -> System:
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 4))
+    return System(*(rng.standard_normal(shape) for shape in ((n, n), (n, k), (p, n), (p, k))))
+
+
+@pytest.mark.parametrize(
+    ("above", "below"),
+    [([3.0], [2.0, 1.0]), ([1.0, 50.0], [1.0, 500.0]), ([0.0, 0.0, 4.0], [0.0, 2.0]), ([1.0, 0, 2], [1, 3, 5.0])],
+)
+def test_transfer_function(above, below):
+    """A filter is the ratio of its polynomials; leading zeros mean nothing."""
+    s = 1j * OMEGA
+    expected = np.polyval(above, s) / np.polyval(below, s)
+    np.testing.assert_allclose(response(transfer_function(above, below))[:, 0, 0], expected, rtol=1e-12)  # rounding
+
+
+def test_one_after_the_other_and_beside():
+    """Series multiplies responses, append puts them on a diagonal, an index picks outputs and inputs; parts may have no state."""
+    one, other, D = random_system(0, 2, 3), random_system(1, 4, 2), np.array([[1.0, -2.0]])
+    np.testing.assert_allclose(response(series(one, other)), response(other) @ response(one), rtol=1e-12)
+    np.testing.assert_allclose(response(series(one, gain(D))), D @ response(one), rtol=1e-12)
+    both = response(append(one, gain(D), other))
+    np.testing.assert_allclose(both[:, :2, :3], response(one), rtol=1e-12)
+    np.testing.assert_allclose(both[:, 2:3, 3:5], np.broadcast_to(D, (len(OMEGA), 1, 2)))
+    np.testing.assert_allclose(both[:, 3:, 5:], response(other), rtol=1e-12)
+    assert not both[:, :2, 3:].any()
+    assert not both[:, 2:, :3].any()
+    np.testing.assert_allclose(response(one[[1], [2, 0]]), response(one)[:, [1]][:, :, [2, 0]], rtol=1e-12)
+
+
+def test_generalized():
+    """A system from [w; u] to [z; y] as a plant with its measurements is the same system."""
+    system = random_system(2, 5, 3)
+    D = system.D.copy()
+    D[3:, 2:] = 0
+    system = System(system.A, system.B, system.C, D)
+    plant, Cy, Dyw = generalized(system, 2, 3)
+    np.testing.assert_allclose(plant.frequency_response(OMEGA), response(system)[:, :3, :2], rtol=1e-12)
+    np.testing.assert_allclose(response(System(plant.A, plant.Bw, Cy, Dyw)), response(system)[:, 3:, :2], rtol=1e-12)
+    np.testing.assert_allclose(response(System(plant.A, plant.B, Cy, np.zeros((2, 1)))), response(system)[:, 3:, 2:], rtol=1e-12)
+
+
+def test_refused():
+    """What is no filter, or does not fit, is refused in a line."""
+    with pytest.raises(InputError, match="would differentiate"):
+        transfer_function([1, 2], [3])
+    with pytest.raises(InputError, match="denominator of a filter is zero"):
+        transfer_function([1], [0, 0])
+    with pytest.raises(InputError, match="not finite"):
+        transfer_function([np.inf], [1])
+    with pytest.raises(InputError, match="of 2 outputs feeds one of 1 inputs"):
+        series(gain(np.eye(2)), gain(1))
+    with pytest.raises(InputError, match=r"B has shape \(1, 1\); expected \(1, 2\)"):
+        System(np.eye(1), np.eye(1), np.eye(1), np.zeros((1, 2)))
+    with pytest.raises(InputError, match="u goes straight through to y"):
+        generalized(gain(np.eye(2)), 1, 1)
