@@ -1,8 +1,4 @@
-"""The one door through which a vehicle's named signals come in: from a vehicle and a controller's name to a certified law.
-
-A law with states is a gain on a larger plant, whose states x_c are integrators with inputs of their own (El Ghaoui,
-Oustry, AitRami 1997): x_c' = v, [u; v] = [D_c, C_c; B_c, A_c] [y; x_c]. What is proved of a static gain is proved of it.
-"""
+"""The one door through which a vehicle's named signals come in: from a vehicle and a controller's name to a certified law."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,6 +14,7 @@ from models.vehicle import Vehicle
 from synth.certificate.certificate import Certificate, certify
 from synth.certificate.lower_bound import LowerBound
 from synth.certificate.record import false_claims, read_proof
+from synth.dynamic.loop import on_larger_plant
 from synth.plant import Feedback, GeneralizedPlant
 
 
@@ -85,32 +82,6 @@ class Controller:
         if self.law.states:
             raise ValueError(f"controller {self.name!r} has states, so no state gain; use loop(vehicle)")
         return self.law_on_states(vehicle).D @ vehicle.linear_model.rows(self.measured)[0]
-
-
-def on_larger_plant(plant: GeneralizedPlant, Cy: Array, law: LinearLaw) -> tuple[GeneralizedPlant, Feedback]:
-    """The plant with a law's states, and the law as a gain on it: both are as they were for a static law.
-
-    Args:
-        plant: n states, m inputs.
-        Cy: shape (q, n).
-        law: continuous, k states, on C_y x.
-
-    Returns:
-        The plant, of n + k states and m + k inputs, and the gain, from [y; x_c] to [u; x_c'].
-    """
-    k, (n, m) = law.states, plant.B.shape
-    if not k:
-        return plant, Feedback(law.D, Cy)
-    larger = GeneralizedPlant(
-        A=np.block([[plant.A, np.zeros((n, k))], [np.zeros((k, n + k))]]),
-        B=np.block([[plant.B, np.zeros((n, k))], [np.zeros((k, m)), np.eye(k)]]),
-        Bw=np.vstack([plant.Bw, np.zeros((k, plant.Bw.shape[1]))]),
-        C=np.hstack([plant.C, np.zeros((len(plant.C), k))]),
-        D=np.hstack([plant.D, np.zeros((len(plant.D), k))]),
-        Dw=plant.Dw,
-    )
-    measured = np.block([[Cy, np.zeros((len(Cy), k))], [np.zeros((k, n)), np.eye(k)]])
-    return larger, Feedback(np.block([[law.D, law.C], [law.B, law.A]]), measured)
 
 
 def checked(vehicle: Vehicle, plant: GeneralizedPlant, entry: ControllerEntry) -> tuple[Certificate, tuple[str, ...]]:

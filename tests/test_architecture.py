@@ -38,7 +38,7 @@ ROOMS = {
     "synth.scaling",
     "synth.fallback": "synth.certificate synth.design synth.errors synth.lmi synth.plant synth.search",
     "synth.redesign": "synth.design synth.errors synth.fallback synth.lmi synth.numerics synth.plant synth.scaling",
-    "synth.controller": "models synth.certificate synth.plant",
+    "synth.controller": "models synth.certificate synth.dynamic synth.plant",
     "synth.words": "models synth.controller",
     "synth.designer": "models synth.certificate synth.controller synth.design synth.errors synth.fallback "
     "synth.lmi synth.plant synth.redesign synth.search",
@@ -62,7 +62,8 @@ ROOMS = {
     "sim.recording": "sim.figures sim.physics sim.response sim.roads sim.runs",
     "sim.command": "sim.figures sim.recording sim.runs",
     "sim.asked": "sim.command sim.frequency sim.response sim.roads sim.runs sim.stability sim.validity",
-    "sim.inspect": "sim.asked sim.linear sim.physics sim.recording sim.response sim.ride sim.roads sim.runs synth.words",
+    "sim.inspect": "sim.asked sim.linear sim.physics sim.recording sim.response sim.ride sim.roads sim.runs synth.dynamic "
+    "synth.words",
     "sim.campaign": "sim.command sim.linear sim.physics sim.response sim.ride sim.roads sim.runs synth.designer",
     "sim.report": "sim.command sim.figures sim.frequency sim.linear sim.physics sim.response sim.ride sim.roads "
     "sim.runs sim.stability sim.validity synth.designer synth.paper synth.words",

@@ -27,7 +27,8 @@ from sim.roads.road import Road
 from sim.runs.prediction import Prediction, predict
 from synth.certificate.certificate import certify
 from synth.certificate.record import read_proof
-from synth.controller import Controller, generalized_plant, on_larger_plant
+from synth.controller import Controller, generalized_plant
+from synth.dynamic.loop import on_larger_plant
 
 MOST_VEHICLE = 256 * 1024  # bytes of a vehicle file; one with ten saved certificates of a full car has 100 KiB
 MOST_STATES = 1000  # of a loop with all its delayed forces; its eigenvalues take seconds

@@ -29,7 +29,10 @@ def on_larger_plant(
         The plant, of n + k states and m + k inputs, and the gain, from q + k measurements.
     """
     k, (n, m) = law.states, plant.B.shape
-    if Dyw is not None and np.any(Dyw):
+    noisy = Dyw is not None and np.any(Dyw)
+    if not k and not noisy:
+        return plant, Feedback(law.D, Cy)
+    if Dyw is not None and noisy:
         Bw, kept, Dw = plant.Bw + plant.B @ law.D @ Dyw, law.B @ Dyw, plant.Dw + plant.D @ law.D @ Dyw
     else:
         Bw, kept, Dw = plant.Bw, np.zeros((k, plant.Bw.shape[1])), plant.Dw
