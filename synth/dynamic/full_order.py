@@ -14,6 +14,7 @@ walked: for each share the smallest gamma that its problem allows.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from synth.certificate.bounding import certify_tightly
 from synth.certificate.certificate import FASTEST, Certificate
 from synth.certificate.lower_bound import LowerBound
 from synth.certificate.norm import level_set_norm
-from synth.certificate.stability import stability
+from synth.certificate.stability import is_stable, stability
 from synth.dynamic.central import central_law
 from synth.dynamic.loop import on_larger_plant
 from synth.dynamic.measured import Measured, missing
@@ -38,7 +39,8 @@ from synth.scaling import speed
 WITHIN = 1e-3  # relative; so close to what no controller beats, nothing is left to gain
 SHARES = tuple(10.0 ** (-k / 2) for k in range(-1, 17))  # of noise and of cost, of what drives the states and of what z weighs
 STATES = 0.1  # of a share: by how much all states are disturbed and weighed
-FURTHER = 2  # shares that are looked at beyond the first that does: so near its edge a problem has wild gains
+AROUND = tuple(10.0 ** (k / 8) for k in range(-8, 13))  # times the first share that does, further ones that are looked at
+REACHES = (0.0, 2e-3, 1e-2, 3e-2)  # relative; how far beyond what is asked for gamma is taken: what is reached is often less
 MARGINS = (
     1e-3,
     1e-2,
@@ -59,12 +61,19 @@ class Traded:
         law: in the units given.
         norm: of its loop, by one route.
         speed_up: of the loop's fastest pole, over the plant's speed without control.
+        stable: whether the law is, by itself.
     """
 
     share: float
     law: LinearLaw
     norm: float
     speed_up: float
+    stable: bool
+
+    @property
+    def trouble(self) -> tuple[bool, float]:
+        """What is to be small where norms are alike: a law that grows by itself is worst, for a force may be cut off."""
+        return not self.stable, self.speed_up
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,12 +85,14 @@ class FullOrderDesign:
         certificate: what is true of its loop; its matrices are those of the plant with the law's states (`on_larger_plant`).
         trade: the controllers that no other beats in norm and speed, the slowest first; empty where what was asked for was found.
         remark: how near it came and why no nearer, in words; empty where it is as near as was asked for.
+        stable: whether the law is, by itself; one that is not grows while its loop is open, as when a force is at its limit.
     """
 
     law: LinearLaw
     certificate: Certificate
     trade: tuple[Traded, ...]
     remark: str
+    stable: bool
 
 
 @numerics()
@@ -93,7 +104,7 @@ def full_order_design(
     states: Sequence[str] = (),
     fastest: float = FASTEST,
 ) -> FullOrderDesign:
-    """The slowest full-order controller within 0.1 % of what no controller beats; else the nearest that is not too fast.
+    """A full-order controller within 0.1 % of what no controller beats, stable and slow if may be; else the nearest not too fast.
 
     Args:
         plant: n states, m inputs.
@@ -126,7 +137,7 @@ def full_order_design(
     certificate = certify_tightly(larger, G, below, by_itself=plant)
     if certificate.failures:
         raise DesignError(f"its certificate fails: {'; '.join(certificate.failures)}")
-    return FullOrderDesign(best.law, certificate, trade, _remark(best, trade, below.gamma, fastest))
+    return FullOrderDesign(best.law, certificate, trade, _remark(best, trade, below.gamma, fastest), best.stable)
 
 
 def _remark(best: Traded, trade: Sequence[Traded], bound: float, limit: float) -> str:
@@ -154,20 +165,24 @@ class _Search:
         self.fastest, _ = speed(plant)
 
     def near(self, fastest: float) -> Traded | None:
-        """The slowest controller within WITHIN of the bound, and not too fast; None where there is none."""
-        gamma, found = _coarse(self.bound * (1 + WITHIN)), list[Traded]()
-        if gamma < SMALLEST:
+        """The controller within WITHIN of the bound with the least trouble, and not too fast; None where there is none."""
+        target = _coarse(self.bound * (1 + WITHIN))
+        if target < SMALLEST:
             return None
-        left = FURTHER
-        for share in SHARES:
-            each = self.traded(share, gamma)
-            if each is not None and each.norm * self.own.norm <= gamma:
-                found.append(each)
-            left -= bool(found)
-            if left < 0:
-                break
-        slowest = min(found, key=lambda each: each.speed_up, default=None)
-        return slowest if slowest is not None and slowest.speed_up <= fastest else None
+        found = list[Traded]()
+        first = next((share for share in SHARES if self.reaches(target, share, target, found)), None)
+        if first is not None:
+            for reach, part in product(REACHES, AROUND):
+                self.reaches(target, first * part, target * (1 + reach), found)
+        return min((each for each in found if each.speed_up <= fastest), key=lambda each: each.trouble, default=None)
+
+    def reaches(self, target: float, share: float, gamma: float, found: list[Traded]) -> bool:
+        """Whether the controller of a share for some gamma has a norm of at most the target; then it is among what was found."""
+        each = self.traded(share, gamma)
+        if each is None or each.norm * self.own.norm > target:
+            return False
+        found.append(each)
+        return True
 
     def trade(self) -> list[Traded]:
         """The controllers that no other beats in norm and speed, the slowest first, of all shares and of some gamma."""
@@ -182,7 +197,7 @@ class _Search:
         return [each for each, least in zip(found, norms, strict=False) if each.norm < least]
 
     def chosen(self, trade: Sequence[Traded], fastest: float) -> Traded | None:
-        """The slowest of those next to the smallest norm, of all that are not too fast; None where none is stable.
+        """The one with the least trouble of those next to the smallest norm, of all that are not too fast; None of none.
 
         Where all are, the slowest stands for the plant.
         """
@@ -191,7 +206,7 @@ class _Search:
         slowest = trade[0].speed_up
         limit = fastest if slowest <= fastest else fastest * slowest
         slow = [each for each in trade if each.speed_up <= limit]
-        return next(each for each in slow if each.norm <= slow[-1].norm * (1 + WITHIN))
+        return min((each for each in slow if each.norm <= slow[-1].norm * (1 + WITHIN)), key=lambda each: each.trouble)
 
     def smallest(self, share: float, above: float) -> float:
         """The smallest gamma that the problem of a share allows; what one of a larger share allows, this one does, too."""
@@ -220,7 +235,7 @@ class _Search:
         if not found.stable:
             return None
         speed_up = own.rate * float(np.abs(found.poles).max()) / self.fastest
-        return Traded(share, back, level_set_norm(loop)[0] / own.norm, speed_up)
+        return Traded(share, back, level_set_norm(loop)[0] / own.norm, speed_up, is_stable(law.A))
 
     def law(self, share: float, gamma: float) -> LinearLaw:
         """The central law of the regularised problem, in own units.
