@@ -19,8 +19,8 @@ from synth.dynamic.loop import on_larger_plant
 from synth.errors import DesignError, InfeasibleError
 from synth.plant import GeneralizedPlant
 from tests.active_suspension import PRINTED, SCENARIOS, active_suspension
-from tests.test_bounds_hold import a_plant
-from tests.test_units import Moved, any_plant
+from tests.test_bounds_hold import KINDS, a_plant
+from tests.test_units import Moved, any_plant, in_other_units
 
 
 def loop_by_hand(plant: GeneralizedPlant, Cy: np.ndarray, law: LinearLaw, Dyw: np.ndarray) -> GeneralizedPlant:
@@ -235,3 +235,26 @@ def test_larger_plant():
     assert len(larger.A) == n + k
     for name in ("A", "Bw", "C", "Dw"):
         np.testing.assert_allclose(getattr(one, name), getattr(other, name), rtol=1e-13, atol=1e-13)  # sums in another order
+
+
+@pytest.mark.attack
+@pytest.mark.parametrize("kind", [*KINDS, "any", "other units"])
+def test_hostile_plants(kind):
+    """Of every kind of plant, in any units, every claim holds, or one line says why there is no controller; never a traceback."""
+    designed, said = 0, list[str]()
+    for seed in range(20, 30):
+        if kind in ("any", "other units"):
+            plant, Cy = any_plant(seed)
+            if kind == "other units":
+                plant, Cy, _ = in_other_units(plant, Cy, seed)
+        else:
+            plant, Cy = a_plant(kind, seed)
+        try:
+            found = full_order_design(plant, Cy)
+        except DesignError as error:
+            said.append(str(error))
+            continue
+        designed += 1
+        holds(plant, Cy, found)
+    assert designed > 4
+    assert not any("\n" in line for line in said)

@@ -12,6 +12,7 @@ controller that reaches it is taken. Where none does, or none that an actuator c
 walked: for each share the smallest gamma that its problem allows.
 """
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -29,6 +30,7 @@ from synth.certificate.stability import is_stable, stability
 from synth.dynamic.central import central_law
 from synth.dynamic.loop import on_larger_plant
 from synth.dynamic.measured import Measured, missing
+from synth.dynamic.reduction import reduced_law
 from synth.errors import DesignError, InfeasibleError
 from synth.lmi.full_order import find_lower_bound
 from synth.modes import obstacles
@@ -47,6 +49,7 @@ MARGINS = (
     1e-1,
     1.0,
 )  # relative; how far above the smallest gamma that a problem allows laws are taken: further, slower
+SAME = 1e-6  # relative; what a norm may rise by where states are left out of a law
 CLOSE = 1e-4  # relative; how closely that gamma is found
 GRAIN = 2.0**-14  # of an exponent of two
 SMALLEST, LARGEST = 1e-6, 1e9  # gamma, in units in which a plant's numbers have size one
@@ -59,6 +62,7 @@ class Traded:
     Attributes:
         share: of noise and cost that it was designed with.
         law: in the units given.
+        own: the same in the plant's own units.
         norm: of its loop, by one route.
         speed_up: of the loop's fastest pole, over the plant's speed without control.
         stable: whether the law is, by itself.
@@ -66,6 +70,7 @@ class Traded:
 
     share: float
     law: LinearLaw
+    own: LinearLaw
     norm: float
     speed_up: float
     stable: bool
@@ -81,7 +86,7 @@ class FullOrderDesign:
     """A full-order controller, and what nearer ones would cost.
 
     Attributes:
-        law: as many states as the plant, on y = C_y x + Dyw w.
+        law: on y = C_y x + Dyw w; as many states as the plant, but for those that would do next to nothing.
         certificate: what is true of its loop; its matrices are those of the plant with the law's states (`on_larger_plant`).
         trade: the controllers that no other beats in norm and speed, the slowest first; empty where what was asked for was found.
         remark: how near it came and why no nearer, in words; empty where it is as near as was asked for.
@@ -133,6 +138,7 @@ def full_order_design(
             "no full-order controller was found whose loop is stable beyond rounding, with noise and cost from "
             f"{SHARES[0]:.2g} to {SHARES[-1]:.0e} of the plant's own size; measure more signals, or give other units"
         )
+    best = search.reduced(best)
     larger, G = on_larger_plant(plant, Cy, best.law, Dyw)
     certificate = certify_tightly(larger, G, below, by_itself=plant)
     if certificate.failures:
@@ -159,7 +165,6 @@ class _Search:
     """The search for one plant."""
 
     def __init__(self, plant: GeneralizedPlant, Cy: Array, Dyw: Array, bound: float) -> None:
-        self.given, self.Cy, self.Dyw = plant, Cy, Dyw
         self.own = Measured.of(plant, Cy, Dyw)
         self.bound = bound * self.own.norm
         self.fastest, _ = speed(plant)
@@ -223,19 +228,33 @@ class _Search:
 
     def traded(self, share: float, gamma: float) -> Traded | None:
         """The controller of a share for some gamma, with its loop's norm; None where that is not stable, or there is none."""
-        try:
-            law = self.law(share, gamma)
-            back = self.own.back(law)
-        except InputError:  # infeasible, or an entry is too large for a law
-            return None
-        own = self.own
+        with contextlib.suppress(InputError):  # infeasible, or an entry is too large for a law
+            return self.judged(share, self.law(share, gamma))
+        return None
+
+    def judged(self, share: float, law: LinearLaw) -> Traded | None:
+        """A law in own units with the norm of its loop; None where that is not stable.
+
+        Raises:
+            InputError: an entry is too large for a law in the units given.
+        """
+        own, back = self.own, self.own.back(law)
         larger, G = on_larger_plant(own.plant, own.Cy, law, own.Dyw)
         loop = larger.closed_loop(G)
         found = stability(loop.A)
         if not found.stable:
             return None
         speed_up = own.rate * float(np.abs(found.poles).max()) / self.fastest
-        return Traded(share, back, level_set_norm(loop)[0] / own.norm, speed_up, is_stable(law.A))
+        return Traded(share, back, law, level_set_norm(loop)[0] / own.norm, speed_up, is_stable(law.A))
+
+    def reduced(self, best: Traded) -> Traded:
+        """A controller without states that do next to nothing, if its norm stays as it is and it is no more trouble."""
+        with contextlib.suppress(InputError, np.linalg.LinAlgError):
+            law = reduced_law(best.own, FASTEST * self.fastest / self.own.rate)
+            less = self.judged(best.share, law) if law.states < best.own.states else None
+            if less is not None and less.norm <= best.norm * (1 + SAME) and less.stable >= best.stable:
+                return less
+        return best
 
     def law(self, share: float, gamma: float) -> LinearLaw:
         """The central law of the regularised problem, in own units.
