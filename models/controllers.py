@@ -14,7 +14,7 @@ from models.kind import LARGEST
 from models.law import MATRICES, LinearLaw, static_law
 from models.linear_model import LinearModel
 
-CONTROLLER_KEYS = ("measured", "gain", *MATRICES, "sample_period", "certificate")
+CONTROLLER_KEYS = ("measured", "gain", *MATRICES, "sample_period", "certificate", "file")
 RESERVED = ("passive", "state")  # these two always exist: u = 0, and full state feedback
 LONGEST_NAME = 60  # bytes; the names of three controllers go into a file name
 SHORTEST, LONGEST = 1e-6, 10.0  # s, of a discrete controller's sample period
@@ -71,6 +71,8 @@ def _controller(name: str, entry: Any, model: LinearModel) -> ControllerEntry:
                 f"{where} unknown key {key!r}; a controller is a static gain on what it measures, u = K y, or a law with states, "
                 f"x_c' = A x_c + B y, u = C x_c + D y, designed where neither is given; known: {listing(CONTROLLER_KEYS)}"
             )
+    if "file" in entry:
+        raise InputError(f"{where} its file is read beside a vehicle file, and this is text from elsewhere; give its matrices")
     given = any(key in entry for key in ("gain", *MATRICES))
     if "certificate" in entry and not (isinstance(entry["certificate"], dict) and given):
         raise InputError(f"{where} a certificate is a section of its own, beside the gain or law that it is about; take it out")

@@ -10,6 +10,7 @@ from models.common.errors import InputError, listing, quoted
 from models.common.read_file import TEXT, read_text
 from models.common.toml import parse_toml
 from models.controllers import RESERVED, ControllerEntry, is_number, read_controllers
+from models.formats.law_file import with_laws
 from models.kind import HERE, VehicleKind
 from models.kinds import kind, kinds
 from models.linear_model import LinearModel
@@ -28,10 +29,11 @@ class Vehicle:
         parameters: SI values by name.
         performance: weight of each signal in the controlled output z (34).
         controllers: by name, without `passive` and `state`, which always exist.
-        text: the vehicle file, as read; it goes into the logs.
+        text: the vehicle file, as read, with the matrices of laws in place of the files that it names; it goes into the logs.
         source: where it came from, for messages.
         limits: where the hardware ends.
         implementation: the controller as it would be built.
+        law_files: those files.
     """
 
     kind: VehicleKind
@@ -42,6 +44,7 @@ class Vehicle:
     source: str = ""
     limits: Limits = field(default_factory=Limits)
     implementation: Implementation = field(default_factory=Implementation)
+    law_files: tuple[Path, ...] = ()
 
     @cached_property
     def linear_model(self) -> LinearModel:
@@ -55,8 +58,8 @@ class Vehicle:
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The files that it was read from: its own, unless it is text alone, and its kind's."""
-        return (*((Path(self.source),) if self.source else ()), *self.kind_files)
+        """The files that it was read from: its own, unless it is text alone, those of its laws, and its kind's."""
+        return (*((Path(self.source),) if self.source else ()), *self.law_files, *self.kind_files)
 
     @property
     def ideal(self) -> bool:
@@ -90,7 +93,8 @@ def read_vehicle(file: str | Path) -> Vehicle:
         path = HERE / f"{file}.toml"
     text = read_text(path, "vehicle file", TEXT, f"give a TOML file or one of: {listing(kinds())}")
     try:
-        return parse_vehicle(text, source=str(path), folder=path.parent)
+        whole, files = with_laws(text, path.parent)
+        return replace(parse_vehicle(whole, source=str(path), folder=path.parent), law_files=files)
     except InputError as error:
         raise InputError(f"vehicle file {path}: {error}") from error
 
@@ -104,7 +108,7 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
         folder: where a kind of vehicle of the user's own may lie; without one, only those that ship are known.
 
     Raises:
-        InputError: see `read_vehicle`.
+        InputError: see `read_vehicle`; or it names a file for a law, which is read for a vehicle file alone, not for text.
     """
     data = parse_toml(text)
     for section in data:

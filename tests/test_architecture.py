@@ -20,7 +20,8 @@ MODULES = {name: path for path, name in NAMES.items()}
 ROOMS = {
     # models: what a vehicle is
     "models.common": "",
-    "models": "models.common",
+    "models.formats": "models.common",
+    "models": "models.common models.formats",
     # synth: what a controller is; of vehicles it knows nothing below `controller`
     "synth": "",
     "synth.errors": "",

@@ -13,6 +13,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, listing
+from models.common.read_file import TEXT
 from models.kind import LARGEST
 from models.kinds import kinds as kind_names
 from models.law import MATRICES, LinearLaw, static_law
@@ -30,7 +31,7 @@ from synth.certificate.record import read_proof
 from synth.controller import Controller, generalized_plant
 from synth.dynamic.loop import on_larger_plant
 
-MOST_VEHICLE = 256 * 1024  # bytes of a vehicle file; one with ten saved certificates of a full car has 100 KiB
+MOST_VEHICLE = TEXT  # bytes of a vehicle file: what a command reads, its log may hold
 MOST_STATES = 1000  # of a loop with all its delayed forces; its eigenvalues take seconds
 FEWEST = 3  # samples that make a run
 

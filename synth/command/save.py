@@ -27,8 +27,8 @@ def check_save(path: Path, vehicle: Vehicle, names: Sequence[str]) -> None:
     for name in names:
         if name + SUFFIX in vehicle.controllers:
             raise InputError(f"--save: {vehicle.source} has a controller {name + SUFFIX!r} already; rename or remove that one")
-    if identity(path) in map(identity, vehicle.kind_files):
-        raise InputError(f"--save {path} is the vehicle's kind, which is read; give another file")
+    if identity(path) in map(identity, (*vehicle.kind_files, *vehicle.law_files)):
+        raise InputError(f"--save {path} is the vehicle's kind, or a controller's law, which is read; give another file")
     check_file(path, "--save")
 
 

@@ -1,0 +1,1 @@
+"""Formats of files from elsewhere, read as what they are: numbers."""

@@ -1,0 +1,164 @@
+"""A controller's law in a file of its own, `file = "mine.mat"` in a vehicle file: its matrices take the place of its name.
+
+So a vehicle file is whole once it is read: what goes into a log, a campaign, or a file that is saved has the matrices, and what
+reads those never opens a file for them. A comment says which file they come from.
+"""
+
+import hashlib
+import json
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError, listing, quoted, some
+from models.common.read_file import MIB, TEXT, read_bytes
+from models.common.toml import parse_toml
+from models.formats.mat_file import SAVE, Variable, read_mat
+
+MATRICES = ("A", "B", "C", "D")
+PERIODS = ("Ts", "sample_period")
+NAMES = (*MATRICES, "K", *PERIODS)
+MOST = 64 * MIB  # of a file: who saves a whole workspace saves more than a controller
+GIVE = "give a MATLAB file with A, B, C, D, or K"
+LINE = re.compile(r"^[ \t]*file[ \t]*=[^\n]*$", re.M)
+
+
+def with_laws(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
+    """A vehicle file's text with matrices in place of the files that it names for them, and those files.
+
+    Args:
+        text: TOML.
+        folder: where the vehicle file lies, from which its paths go.
+
+    Raises:
+        InputError: it is not TOML, or a file is not there, is none, or holds no controller; the message names it.
+    """
+    if not LINE.search(text) and not re.search(r"\bfile\b", text):
+        return text, ()
+    sections = _controllers(text)
+    asked = {name: entry for name, entry in sections.items() if isinstance(entry, dict) and "file" in entry}
+    if not asked:
+        return text, ()
+    records, comments, files = {}, {}, []
+    for name, entry in asked.items():
+        try:
+            records[name], comments[name], file = _read(entry, folder)
+        except InputError as error:
+            raise InputError(f"[controllers.{name}] {error}") from error
+        files.append(file)
+
+    # Each such line says where it stands, once; so the parser says which is whose.
+    lines = {str(found.start()): found for found in LINE.finditer(text)}
+    try:
+        marked = _controllers(LINE.sub(lambda found: f'file = "{found.start()}"', text))
+    except InputError:
+        marked = {}
+    place = {name: str(marked.get(name, {}).get("file")) for name in asked}
+    whole = text
+    for name in sorted(asked, key=lambda name: -int(place[name]) if place[name] in lines else 0):
+        if place[name] in lines:
+            start, end = lines[place[name]].span()
+            given = "\n".join([comments[name], *(f"{key} = {json.dumps(value)}" for key, value in records[name].items())])
+            whole = whole[:start] + given + whole[end:]
+    if len(whole.encode()) > TEXT:
+        raise InputError(f"with the matrices of its files it has more than {TEXT / MIB:g} MiB; reduce the controllers' order")
+    found = _controllers(whole)
+    for name, entry in asked.items():
+        if found.get(name) != {key: value for key, value in entry.items() if key != "file"} | records[name]:
+            raise InputError(f'[controllers.{name}] its file is not named on a line of its own; write file = "NAME.mat" on one')
+    return whole, tuple(files)
+
+
+def _controllers(text: str) -> dict[str, Any]:
+    sections = parse_toml(text).get("controllers")
+    return sections if isinstance(sections, dict) else {}
+
+
+def _read(entry: Mapping[str, Any], folder: Path) -> tuple[dict[str, Any], str, Path]:
+    """What a file gives an entry, as TOML has it; a comment that says where it is from; and the file."""
+    file = entry["file"]
+    if not isinstance(file, str) or not file:
+        raise InputError(f"file = {quoted(file)} is no file's name; {GIVE}")
+    beside = [key for key in ("gain", "law", *MATRICES) if key in entry]
+    if beside:
+        raise InputError(f"has a file and {listing(beside)}; a file is whole by itself, so leave one out")
+    path = folder / file
+    content = read_bytes(path, "file", MOST, GIVE)
+    try:
+        variables, others = read_mat(content, NAMES)
+        record, period = _law(variables, others, path.name)
+    except InputError as error:
+        raise InputError(f"file {path}: {error}") from error
+    if period is not None:
+        said = entry.get("sample_period", period)
+        if said != period:
+            raise InputError(f"file {path}: has a sample period of {period:g} s, and sample_period = {quoted(said)} is another")
+        record |= {} if "sample_period" in entry else {"sample_period": period}
+    digest = hashlib.sha256(content).hexdigest()
+    return record, f"# from {file!a}, {len(content)} bytes, SHA-256 {digest}", path
+
+
+def _law(variables: Mapping[str, Variable], others: Mapping[str, str], file: str) -> tuple[dict[str, Any], float | None]:
+    """The one law among what a file holds, as TOML has it, and its sample period; None of a continuous or static one."""
+    loose = {name: value for name, value in variables.items() if not isinstance(value, dict)}
+    places = {"the file": loose} | {f"the struct {name}": value for name, value in variables.items() if isinstance(value, dict)}
+    holding = {where: held for where, held in places.items() if {*held} & {*MATRICES, "K"}}
+    if not holding:
+        opaque = [name for name, what in others.items() if what.startswith("a MATLAB object")]
+        if opaque:
+            name = opaque[0]
+            raise InputError(
+                f"{name} is {others[name]}, which only MATLAB reads; there, say [A, B, C, D, Ts] = ssdata({name}); "
+                f"save('{file}', 'A', 'B', 'C', 'D', 'Ts', '-v7')"
+            )
+        there = [f"{name}, {what}" for name, what in others.items()] + [name for name in variables]
+        raise InputError(f"holds no A, B, C, D, and no K; it has {some(there) or 'nothing'}: {SAVE}")
+    if len(holding) > 1:
+        raise InputError(f"holds more than one controller, in {' and '.join(holding)}; keep one")
+    ((where, held),) = holding.items()
+    gains = [name for name in ("K", "D") if name in held]
+    if {"A", "B", "C"} & {*held}:
+        missing = [name for name in MATRICES if name not in held]
+        if missing:
+            raise InputError(f"{listing(missing)} is missing in {where}; give A, B, C and D, or K alone")
+    if "K" in held and {*MATRICES} & {*held}:
+        raise InputError(f"{where} has K beside {listing({*MATRICES} & {*held})}; keep K, a static gain, or A, B, C and D")
+    static = "A" not in held or not held["A"].size
+    if static:
+        return {"gain": _numbers(gains[0], held[gains[0]]).tolist()}, None
+    return {name: _numbers(name, held[name]).tolist() for name in MATRICES}, _period(held)
+
+
+def _numbers(name: str, value: Array) -> Array:
+    """A matrix of real finite numbers.
+
+    Raises:
+        InputError: it is none.
+    """
+    if value.ndim != 2:
+        raise InputError(f"{name} is no matrix but an array of shape {value.shape}; give a matrix of numbers")
+    if np.iscomplexobj(value):
+        if np.any(np.imag(value)):
+            raise InputError(f"{name} has complex entries; give real ones")
+        value = np.real(value)
+    if not np.all(np.isfinite(value)):
+        raise InputError(f"{name} has an entry that is not finite; give numbers")
+    return value
+
+
+def _period(held: Mapping[str, Array]) -> float | None:
+    """The sample period, in seconds; None of a continuous law, whose period MATLAB writes as 0."""
+    found = {}
+    for name in PERIODS:
+        if name in held:
+            value = _numbers(name, held[name])
+            if value.size != 1 or value.item() < 0:
+                raise InputError(f"{name} = {quoted(value)} is no sample period; give seconds, or 0 for a continuous law")
+            found[name] = value.item()
+    if len({*found.values()}) > 1:
+        raise InputError("Ts and sample_period are two sample periods; keep one")
+    return next(iter(found.values()), 0.0) or None
