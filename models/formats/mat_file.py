@@ -189,7 +189,7 @@ def _inflated(data: memoryview, most: int) -> bytes:
         raise DamagedError(f"it cannot be decompressed ({error})") from error
 
 
-def _of_matrix(inflated: bytes, order: str, whole: bool = False) -> memoryview:
+def _of_matrix(inflated: bytes | memoryview, order: str, whole: bool = False) -> memoryview:
     """The content of the one variable that was compressed; its first bytes, where it is not whole."""
     if len(inflated) < 8:
         raise DamagedError("a variable was cut")
