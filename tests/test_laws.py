@@ -14,7 +14,8 @@ from sim.linear.frequency import continuous_frequency_response
 from sim.roads.road import Bump
 from sim.runs.run import run_all, sample_times
 from sim.stability.cut import cut, cut_sampled
-from sim.stability.loop import largest_sample_period, margins
+from sim.stability.growth import Trial, grow
+from sim.stability.loop import gain_crossings, largest_sample_period, margins, sampled_gain_crossings
 from synth.certificate.certificate import certify
 from synth.controller import Controller, generalized_plant
 
@@ -123,3 +124,42 @@ def test_margins_of_a_loop_with_an_accelerometer():
     assert abs(np.linalg.eigvals(loop.transfer(np.array([found.frequency]))[0] * at)[0] - 1) < 1e-7
     Phi, Gamma, G = cut_sampled(vehicle, one, largest_sample_period(loop))
     assert np.abs(np.linalg.eigvals(Phi + Gamma @ G)).max() == pytest.approx(1, abs=1e-9)
+
+
+def test_growth_that_creeps_is_seen():
+    """A loop that a filtered measurement lets diverge slowly is found to, in MuJoCo, where its pole crosses zero."""
+    vehicle = read_vehicle("quarter_car")
+    # At rest the force is a third of the spring's, and away from it: three times the gain holds nothing.
+    stiffness = vehicle.parameters["suspension_stiffness"]
+    law = LinearLaw(*(np.array(one) for one in ([[-2.0]], [[2.0]], [[stiffness / 3]], [[0.0]])), sample_period=None)
+    one = replace(controller(vehicle, "velocity"), measured=("suspension_deflection",), law=law)
+    assert gain_crossings(cut(vehicle, one, [0])) == [pytest.approx(3, rel=1e-9)]
+    trials = [Trial(vehicle, replace(one, law=law.scaled(3 * share))) for share in (0.98, 1.02)]
+    found = grow(trials, 2e-3)
+    assert [each.grows for each in found] == [False, True]
+    for each, trial in zip(found, trials, strict=True):
+        slowest = np.linalg.eigvals(trial.controller.loop(vehicle).A).real.max()
+        assert each.rate == pytest.approx(slowest, rel=1e-2)  # of first order in the hold
+
+
+@pytest.mark.parametrize("other", ["velocity", "acceleration"])
+def test_growth_of_a_run_does_not_depend_on_its_company(other):
+    """Whatever runs beside it, of other controllers with other states, the numbers of a run are the same to the last bit."""
+    vehicle = read_vehicle("quarter_car")
+    one, company = controller(vehicle, "velocity", 3), [controller(vehicle, other, states) for states in (8, 3, 5)]
+    static = replace(one, law=static_law(one.law.D))
+    trials = [Trial(vehicle, each) for each in (one, static)]
+    alone = [grow([trial], 1e-3)[0].rate for trial in trials]
+    beside = [each.rate for each in grow([*trials, *(Trial(vehicle, each) for each in company)], 1e-3)[:2]]
+    assert beside == alone
+
+
+def test_a_force_in_its_own_measurement_bears_no_more_gain_than_it_comes_back_with():
+    """Of a gain on acceleration the margin is where the force moves the sensor by more than itself, as the sampled loop tells."""
+    vehicle = read_vehicle("quarter_car")
+    mass = vehicle.parameters["sprung_mass"]
+    one = replace(controller(vehicle, "velocity"), measured=("sprung_acceleration",), law=static_law(-np.full((1, 1), mass / 5)))
+    assert gain_crossings(cut(vehicle, one, [0])) == [pytest.approx(5, rel=1e-9)]
+    errors = [sampled_gain_crossings(*cut_sampled(vehicle, one, step))[0] - 5 for step in (1e-4, 5e-5)]
+    assert 0 < errors[0] < 0.01  # of first order in the step
+    assert errors[0] / errors[1] == pytest.approx(2, rel=0.01)

@@ -73,15 +73,17 @@ def step_batch(
     early = np.repeat(batch.model.sensor_needstage, batch.model.sensor_dim) <= stage
     batch.forward(stage=stage)
 
-    # A numpy call costs a tenth of a step, so there are few: what is known of the forces lies beside the reading, with unit gain,
-    # and so do the controllers' states.
-    gain = np.concatenate([gain, np.broadcast_to(np.eye(known), (count, known, known)), reading.memory], axis=-1)
+    # A numpy call costs a tenth of a step, so there are few: what is known of the forces lies beside the reading, with unit gain.
+    # Of controllers with states more is known, and they lie there instead: in a batch the gains have to come from memory.
+    beside = kept or m
+    gain = np.concatenate([gain, reading.memory if kept else np.broadcast_to(np.eye(m), (count, m, m))], axis=-1)
     states, asks = np.zeros((count, kept)), np.empty((count, known))
     for start, end in itertools.pairwise(edges):
         block, length = slice(start, end), end - start
         some = None if going is None or going.all() else np.flatnonzero(going)
-        seen = np.empty((length, count, width + known + kept))
-        seen[..., width : width + known] = offset[block]
+        seen = np.empty((length, count, width + beside))
+        if not kept:
+            seen[..., width:] = offset[block]
         roads = np.zeros((length, *heights.shape))
         roads[..., mocap] = midway[block]
         sensed, asked = np.empty((length, *sensors.shape)), np.empty((length, count, m))
@@ -98,8 +100,9 @@ def step_batch(
             if law is None and not kept:
                 np.matvec(gain, all_seen, forces)
             elif law is None:
-                all_seen[:, width + known :] = states
+                all_seen[:, width:] = states
                 np.matvec(gain, all_seen, asks)
+                asks += offset[k]
                 forces[...], states = asks[:, :m], asks[:, m:]
             else:
                 forces[...] = law(k, all_seen[:, :width])

@@ -28,6 +28,7 @@ SHORTEST, LONGEST = 4.0, 32.0  # s; how long a run is first, and at most
 HOLDS = 24  # of its controller's sample periods, or delays, a run has at least: what alternates from one to the next grows slowly
 CERTAIN, EXPONENTIAL = 0.02, 0.3  # of the logarithm of energy from window to window: its size, its spread
 FREE = 0.125  # of a run, after which the bump is over
+CREEPS = 3.0  # time constants of its slowest mode that a run has at least where a controller has states: some are slow, and faint
 LINEAR = 25.0  # growth of energy before a wheel may lift
 GONE, ESCAPED = 1e-12, 1e4  # of the energy that the bump has left: nothing, and what no decaying run has between
 TOGETHER = 16  # runs in a batch at most: more hardly save time, and a batch goes on until its last run has settled
@@ -85,11 +86,13 @@ def _batches(trials: Sequence[Trial], timestep: float) -> list[list[int]]:
 
     So what becomes of a run does not depend on the others, to the last bit.
     """
-    alike: dict[tuple[int, bool, bool], list[int]] = {}
+    alike: dict[tuple[object, ...], list[int]] = {}
     for i, trial in enumerate(trials):
-        how = trial.vehicle.implementation
-        stages = [stage_of(trial.vehicle, one, timestep) for one in (trial.controller, trial.undelayed) if one is not None]
-        alike.setdefault((max(stages), how.sample_period is None, how.ideal and trial.undelayed is None), []).append(i)
+        how, laws = trial.vehicle.implementation, [one for one in (trial.controller, trial.undelayed) if one is not None]
+        stage = max(stage_of(trial.vehicle, one, timestep) for one in laws)
+        states = tuple(one.law.states for one in laws)
+        key = stage, states, how.sample_period is None, how.ideal and trial.undelayed is None
+        alike.setdefault(key, []).append(i)
     batches: list[tuple[float, list[int]]] = []
     for group in alike.values():
         group.sort(key=lambda i: -_enough(trials[i], timestep))
@@ -149,6 +152,8 @@ def _growth(trial: Trial, states: Array, timestep: float, duration: float) -> Gr
     """What is made of a run that has gone for so long [s]; None where that is not enough."""
     enough = _enough(trial, timestep)
     rate = _rate(states, timestep, round(_hold(trial, timestep) / timestep))
+    if trial.controller.law.states:
+        enough = max(enough, min(CREEPS / abs(rate), LONGEST) if rate else LONGEST)
     grows = _grows(states, rate, last=duration >= max(LONGEST, enough))
     return Growth(grows, rate) if grows or (grows is False and duration >= enough) else None
 
@@ -191,7 +196,8 @@ def _grows(states: Array, rate: float, last: bool) -> bool | None:
     is left of a run that has settled is an exponential: the same ratio from window to window. Two kinds of growth the bump hardly
     excites, so that they hide behind what decays: to one side, and from one side to the other with every step. They are told by
     the mean over a window, plain and with alternating sign, and nothing decays while they grow. A run that has not settled by
-    that is told by the rate of its slowest mode, where that is known.
+    that is told by the rate of its slowest mode, where that is known. Where that rate says otherwise than the windows, a mode
+    that creeps, or turns but once in the run, is hidden in them by what is faster: a longer run tells, and at last the rate.
     """
     length = states.shape[-1] // 4
     hann = np.hanning(length)
@@ -207,8 +213,12 @@ def _grows(states: Array, rate: float, last: bool) -> bool | None:
         return False
     early, late = math.log(second / first), math.log(third / second)
     settled = abs(late) > CERTAIN and abs(late - early) < EXPONENTIAL * abs(late)
-    if last or (settled and late > 0):
-        return late > 0
+    if last:
+        return late > 0 if math.isnan(rate) else rate > 0
+    if settled and rate * late < 0:
+        return None
+    if settled and late > 0:
+        return True
     for sign in (np.ones(length), (-1.0) ** np.arange(length)):
         before, after = (float(((states[:, window] @ (sign * hann)) ** 2).sum()) for window in windows[1:])
         if after >= max(before, gone):

@@ -102,9 +102,15 @@ def margins(loop: Loop) -> Margins:
 
 
 def gain_crossings(loop: Loop) -> list[float]:
-    """Factors on the gain, between 0 and `LARGEST_FACTOR`, at which the loop changes between stable and unstable."""
+    """Factors on the gain, between 0 and `LARGEST_FACTOR`, at which the loop changes between stable and unstable.
+
+    Beyond the factor that makes the spectral radius of H one no loop that is built is stable, as the least delay shows.
+    """
     if np.any(loop.H):
-        return _sign_changes(lambda k: float(np.linalg.eigvals(loop.closed(k)).real.max()), FACTORS)
+        # A force that is in its own measurement, k H of it, grows by that at every turn once this takes any time at all.
+        turned = 1 / float(np.abs(np.linalg.eigvals(loop.H)).max(initial=1 / LARGEST_FACTOR))
+        changes = _sign_changes(lambda k: float(np.linalg.eigvals(loop.closed(k)).real.max()), FACTORS)
+        return [*(k for k in changes if k < turned), *([turned] if turned < LARGEST_FACTOR else [])]
     # From the closed loop, which is stable: with k = 1 + d, S + d T is singular where -1 / d is an eigenvalue of S^-1 T.
     S, T = (_kronecker_sum(X, X) for X in (loop.A + loop.M, loop.M))
     inverses = np.linalg.eigvals(np.linalg.solve(S, T))

@@ -15,11 +15,13 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import mujoco
 import numpy as np
 import pytest
 
+from models.law import LinearLaw
 from models.mjcf import build_model
 from models.vehicle import read_vehicle
 from sim.campaign.__main__ import FEWEST
@@ -120,6 +122,19 @@ def test_closed_loop(benchmark, name, runs, samples, claim):
         7,
     )
     assert ratio <= claim
+
+
+@pytest.mark.parametrize("name", ["quarter_car", "half_car", "full_car"])
+@pytest.mark.parametrize(("runs", "samples", "claim"), [(1, 3001, 1.25), (1024, 101, 1.15)])
+def test_controller_with_states(benchmark, name, runs, samples, claim):
+    """A closed-loop run-step of a controller of 8 states, against that of a static one."""
+    vehicle, rng = read_vehicle(name), np.random.default_rng(0)
+    static = Designer(vehicle).design("I")
+    (m, q), poles = static.gain.shape, -np.geomspace(2.0, 300.0, 8)
+    law = LinearLaw(np.diag(poles), rng.standard_normal((8, q)), rng.standard_normal((m, 8)), static.gain)
+    sample_times, vehicles, roads = np.arange(samples) * 1e-3, [vehicle] * runs, [Bump()] * runs
+    calls = [lambda one=one: simulate(vehicles, [one] * runs, roads, sample_times) for one in (replace(static, law=law), static)]
+    assert paired_ratio(benchmark, *calls, 9) <= claim
 
 
 def test_envelope(benchmark):
