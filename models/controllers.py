@@ -14,7 +14,9 @@ from models.kind import LARGEST
 from models.law import MATRICES, LinearLaw, static_law
 from models.linear_model import LinearModel
 
-CONTROLLER_KEYS = ("measured", "gain", *MATRICES, "sample_period", "certificate", "file")
+DESIGNS = ("lqr", "lqg", "h2")  # what `design` may be; without it the paper's two steps
+FULL = "full"  # what `order` may be
+CONTROLLER_KEYS = ("measured", "gain", *MATRICES, "sample_period", "order", "design", "certificate", "file")
 RESERVED = ("passive", "state")  # these two always exist: u = 0, and full state feedback
 LONGEST_NAME = 60  # bytes; the names of three controllers go into a file name
 SHORTEST, LONGEST = 1e-6, 10.0  # s, of a discrete controller's sample period
@@ -28,12 +30,14 @@ class ControllerEntry:
         name: its name.
         measured: signals it measures, q of them.
         law: from the q measurements to the m forces if the file gives it, else None: it is to be designed.
+        design: how: "full" for the full-order H-infinity controller, or one of `DESIGNS`; empty for the paper's two steps.
         certificate: what is claimed of the law, as `python -m synth --save` wrote it beside it; None without one.
     """
 
     name: str
     measured: tuple[str, ...]
     law: LinearLaw | None = None
+    design: str = ""
     certificate: Mapping[str, Any] | None = None
 
 
@@ -77,6 +81,9 @@ def _controller(name: str, entry: Any, model: LinearModel) -> ControllerEntry:
     if "certificate" in entry and not (isinstance(entry["certificate"], dict) and given):
         raise InputError(f"{where} a certificate is a section of its own, beside the gain or law that it is about; take it out")
 
+    design = _design(where, entry, given)
+    if design == "lqr" and "measured" not in entry:
+        entry = entry | {"measured": list(model.states)}
     measured = entry.get("measured")
     measurable = listing(model.measurable)
     if not isinstance(measured, list) or not measured or not all(isinstance(signal, str) for signal in measured):
@@ -92,7 +99,27 @@ def _controller(name: str, entry: Any, model: LinearModel) -> ControllerEntry:
                 f"{where} {signal!r} is a control force, or has the road's height in it, which no sensor measures; "
                 f"give signals out of: {measurable}"
             )
-    return ControllerEntry(name, tuple(measured), _law(where, entry, model, measured), entry.get("certificate"))
+    if design == "lqr" and set(measured) != set(model.states):
+        raise InputError(
+            f'{where} measured = {quoted(measured)}: design = "lqr" is of the state, {listing(model.states)}; leave measured '
+            'out, or give design = "lqg"'
+        )
+    return ControllerEntry(name, tuple(measured), _law(where, entry, model, measured), design, entry.get("certificate"))
+
+
+def _design(where: str, entry: Mapping[str, Any], given: bool) -> str:
+    """How a controller is to be designed, see `ControllerEntry`."""
+    for key, allowed in {"order": (FULL,), "design": DESIGNS}.items():
+        if key in entry and entry[key] not in allowed:
+            raise InputError(f"{where} {key} = {quoted(entry[key])} is not known; known: {listing(allowed)}")
+    asked = [key for key in ("order", "design") if key in entry]
+    if len(asked) > 1:
+        raise InputError(f"{where} has an order and a design; an H2, LQG or LQR controller has its order: leave order out")
+    if asked and given:
+        raise InputError(
+            f"{where} has {asked[0]} = {quoted(entry[asked[0]])} and a law of its own, which is not designed; give one"
+        )
+    return entry[asked[0]] if asked else ""
 
 
 def _law(where: str, entry: Mapping[str, Any], model: LinearModel, measured: list[str]) -> LinearLaw | None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError
+from models.common.errors import InputError, quoted
 from models.controllers import ControllerEntry
 from models.law import LinearLaw
 from models.linear_model import LinearModel
@@ -37,6 +37,7 @@ class Controller:
         certificate: what is true of it.
         case: what is the case where (22) has no optimum, or every gain is one, in words; else empty.
         instead: how else the gain was found, and why the two steps did not lead to one, in words; empty where they did.
+        remarks: of another design than by two steps, how near it came or what it is the best of, in words.
         false_claims: what of the certificate that came with its gain does not hold, in words.
     """
 
@@ -51,6 +52,7 @@ class Controller:
     redundant: tuple[str, ...] = ()
     case: str = ""
     instead: str = ""
+    remarks: tuple[str, ...] = ()
     false_claims: tuple[str, ...] = ()
 
     @property
@@ -160,3 +162,22 @@ def _twist(model: LinearModel, signals: Sequence[str]) -> tuple[Array, Array]:
     _, sizes, directions = np.linalg.svd(np.vstack([model.Br, model.Cr]))
     directions = directions[: int(np.sum(sizes > 1e-12 * sizes.max(initial=0.0)))] if np.any(sizes) else directions[:0]
     return model.Br @ directions.T / model.twist_rate, Cr @ directions.T / model.twist_rate
+
+
+def alike(one: Vehicle, vehicles: Sequence[Vehicle]) -> list[Vehicle]:
+    """Vehicles of the kind of one, checked.
+
+    Raises:
+        InputError: one is no vehicle, of another kind, or has a parameter or a weight that is missing, unknown or not allowed.
+    """
+    sound: list[Vehicle] = []
+    for i, vehicle in enumerate(vehicles):
+        if not isinstance(vehicle, Vehicle):
+            raise InputError(f"vehicle {i} is {quoted(vehicle)}; expected a Vehicle, as `read_vehicle` reads one")
+        if vehicle.kind.name != one.kind.name:
+            raise InputError(f"vehicle {i} is a {vehicle.kind.name}; expected {one.kind.name}, as the vehicle that is redesigned")
+        try:
+            sound.append(vehicle.checked())
+        except InputError as error:
+            raise InputError(f"vehicle {i}: {error}") from error
+    return sound

@@ -2,21 +2,22 @@
 
 import unicodedata
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError, listing, quoted
+from models.common.errors import InputError, listing
 from models.controllers import ControllerEntry
 from models.law import static_law
 from models.vehicle import Vehicle
 from synth.certificate.bounding import certify_tightly
 from synth.certificate.certificate import Certificate
 from synth.certificate.lower_bound import LowerBound
-from synth.controller import Controller, certified, checked, generalized_plant
+from synth.controller import Controller, alike, certified, checked, generalized_plant
 from synth.design import Design, state_design, state_path, zero_l_design
+from synth.dynamic.named import named_design
 from synth.errors import BatchError, DesignError
 from synth.fallback import two_steps_or_descent
 from synth.lmi.central import CentralPoint
@@ -104,9 +105,13 @@ class Designer:
         entry, model = self._entry(name), self.vehicle.linear_model
         if entry.law is not None:
             return self._given(entry)
+        if entry.design and zero_l:
+            raise InputError(f"controller {name!r} is not designed in two steps, so that there is no L; design it as it is")
         Cy, through = model.rows(entry.measured)
         try:
             lower_bound = self.lower_bound(entry.measured)
+            if entry.design:
+                return self._named(entry, lower_bound)
             if name == "state":
                 design = state_design(self.plant, self.state_path, lower_bound)
             elif zero_l:
@@ -116,6 +121,18 @@ class Designer:
         except DesignError as error:
             raise type(error)(f"controller {name!r}: {error}") from error
         return _designed(entry, design, through)
+
+    def _named(self, entry: ControllerEntry, lower_bound: LowerBound) -> Controller:
+        """A controller that is designed in another way than by two steps."""
+        vehicle, how = self.vehicle, self.vehicle.implementation
+        Cy, through = vehicle.linear_model.rows(entry.measured)
+        # Drawn every T seconds, noise of rms sigma is white noise of sigma sqrt(T).
+        rms = [how.noise.get(signal, 0.0) * (how.sample_period or 0.0) ** 0.5 for signal in entry.measured]
+        noise = rms if any(rms) else None
+        found = named_design(entry.design, self.plant, Cy, lower_bound, vehicle.linear_model.states, noise)
+        certificate = replace(found.certificate, below=lower_bound)
+        law = found.law.fed_back(-through)
+        return Controller(entry.name, entry.measured, law, True, certificate, remarks=found.remarks)
 
     def refine(self, name: str, zero_l: bool = False) -> Refined:
         """The controller of that name with a lower norm, as far as it is worth a larger gain (`synth.search.refine`).
@@ -130,9 +147,12 @@ class Designer:
             InputError: no controller has that name, or it has no gain to change, as `passive`.
             DesignError: it does not stabilise the vehicle, or no start leads to a gain.
         """
-        measured = self._entry(name).measured
+        entry = self._entry(name)
+        measured = entry.measured
         if not measured:
             raise InputError(f"controller {name!r} measures nothing, so that it has no gain to refine; give one that does")
+        if entry.design or (entry.law is not None and entry.law.states):
+            raise DesignError(f"controller {name!r} is no static gain of the least norm, which is what is refined")
         try:
             start = self.design(name, zero_l)
         except DesignError:
@@ -158,6 +178,7 @@ class Designer:
         if (
             not controller.designed
             or not controller.measured
+            or self._entry(controller.name).design
             or not controller.certificate.stable
             or (gap is not None and gap <= SEEN)
         ):
@@ -192,18 +213,9 @@ class Designer:
         entry = self._entry(name)
         if entry.law is not None:
             raise InputError(f"controller {name!r} has its law and is not designed; `design` certifies it for a vehicle")
-        sound: list[Vehicle] = []
-        for i, vehicle in enumerate(vehicles):
-            if not isinstance(vehicle, Vehicle):
-                raise InputError(f"vehicle {i} is {quoted(vehicle)}; expected a Vehicle, as `read_vehicle` reads one")
-            if vehicle.kind.name != self.vehicle.kind.name:
-                raise InputError(
-                    f"vehicle {i} is a {vehicle.kind.name}; expected {self.vehicle.kind.name}, as the vehicle that is redesigned"
-                )
-            try:
-                sound.append(vehicle.checked())
-            except InputError as error:
-                raise InputError(f"vehicle {i}: {error}") from error
+        if entry.design:
+            raise InputError(f"controller {name!r} is not designed in two steps; design it for each vehicle by itself")
+        sound = alike(self.vehicle, vehicles)
         plants = [generalized_plant(vehicle) for vehicle in sound]
         states = self.vehicle.linear_model.states
         through = [vehicle.linear_model.rows(entry.measured)[1] for vehicle in sound]

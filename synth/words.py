@@ -48,7 +48,7 @@ def ideal_lines(vehicle: Vehicle) -> list[str]:
 
 def notes(controller: Controller) -> tuple[str, ...]:
     """What is the case where there is no one optimum, what was done instead, how far from it a design is, what is in vain."""
-    found = [text for text in (controller.case, controller.instead) if text]
+    found = [text for text in (controller.case, controller.instead, *controller.remarks) if text]
     if controller.state_step_gap > SHORT:
         gap = percent(controller.state_step_gap)
         found.append(f"from an X {gap} short of the best state feedback; from the best there is no design")

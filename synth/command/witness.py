@@ -86,6 +86,8 @@ def cross_check(designer: Designer, controller: Controller, zero_l: bool = False
     if (
         not controller.designed
         or controller.instead
+        or controller.law.states
+        or (controller.name in designer.vehicle.controllers and designer.vehicle.controllers[controller.name].design)
         or bound is None
         or (problem.best is not None and controller.case == problem.best_case)
     ):

@@ -1,0 +1,63 @@
+"""The other ways to design a controller, by the names that a vehicle file has for them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.law import LinearLaw
+from synth.certificate.certificate import Certificate
+from synth.certificate.lower_bound import LowerBound
+from synth.dynamic.full_order import full_order_design
+from synth.dynamic.quadratic import h2_design, lqg_design, lqr_design
+from synth.plant import GeneralizedPlant
+
+
+@dataclass(frozen=True, eq=False)
+class NamedDesign:
+    """A controller of one of these ways.
+
+    Attributes:
+        law: on y = C_y x.
+        certificate: what is true of its loop.
+        remarks: how near it came, or what it is the best of and what had to be assumed, in words.
+    """
+
+    law: LinearLaw
+    certificate: Certificate
+    remarks: tuple[str, ...]
+
+
+def named_design(
+    name: str,
+    plant: GeneralizedPlant,
+    Cy: Array,
+    lower_bound: LowerBound,
+    states: Sequence[str],
+    noise: Sequence[float] | None = None,
+) -> NamedDesign:
+    """A controller designed as one of these names says.
+
+    Args:
+        name: "full", "lqr", "lqg" or "h2".
+        plant: n states, m inputs.
+        Cy: shape (q, n); for "lqr" as many rows as states, which it is of.
+        lower_bound: what no controller from these measurements beats.
+        states: names of the states, for messages.
+        noise: of each measurement, for "lqg", see `lqg_design`; None where there is none.
+
+    Raises:
+        InputError, InfeasibleError, DesignError: as `full_order_design`, `lqr_design`, `lqg_design` and `h2_design`.
+    """
+    if name == "full":
+        full = full_order_design(plant, Cy, None, lower_bound, states)
+        return NamedDesign(full.law, full.certificate, (full.remark,) if full.remark else ())
+    if name == "lqr":
+        found = lqr_design(plant, states)
+        law = LinearLaw(found.law.A, np.zeros((0, len(Cy))), found.law.C, np.linalg.solve(Cy.T, found.law.D.T).T)
+    else:
+        found = lqg_design(plant, Cy, noise, states) if name == "lqg" else h2_design(plant, Cy, None, states)
+        law = found.law
+    best = f"the best in the mean: H2 norm {found.h2_norm:.7g}, the rms of z where road velocity is white noise of intensity one"
+    return NamedDesign(law, found.certificate, (best, *([found.remark] if found.remark else [])))
