@@ -30,15 +30,15 @@ class ControllerEntry:
         name: its name.
         measured: signals it measures, q of them.
         law: from the q measurements to the m forces if the file gives it, else None: it is to be designed.
-        design: how: "full" for the full-order H-infinity controller, or one of `DESIGNS`; empty for the paper's two steps.
         certificate: what is claimed of the law, as `python -m synth --save` wrote it beside it; None without one.
+        design: how: "full" for the full-order H-infinity controller, or one of `DESIGNS`; empty for the paper's two steps.
     """
 
     name: str
     measured: tuple[str, ...]
     law: LinearLaw | None = None
-    design: str = ""
     certificate: Mapping[str, Any] | None = None
+    design: str = ""
 
 
 def read_controllers(section: Mapping[str, Any], model: LinearModel) -> dict[str, ControllerEntry]:
@@ -96,15 +96,19 @@ def _controller(name: str, entry: Any, model: LinearModel) -> ControllerEntry:
             raise InputError(f"{where} measures {signal!r} twice; name it once")
         if signal not in model.measurable:
             raise InputError(
-                f"{where} {signal!r} is a control force, or has the road's height in it, which no sensor measures; "
-                f"give signals out of: {measurable}"
+                f"{where} {signal!r} has the road's height in it, which no sensor measures; give signals out of: {measurable}"
+            )
+        if signal in model.inputs and not given and not design:
+            raise InputError(
+                f"{where} {signal!r} says nothing of the state, so no gain is designed on it; leave it out, or give "
+                'order = "full", whose controller takes the force out of the accelerations that it measures'
             )
     if design == "lqr" and set(measured) != set(model.states):
         raise InputError(
             f'{where} measured = {quoted(measured)}: design = "lqr" is of the state, {listing(model.states)}; leave measured '
             'out, or give design = "lqg"'
         )
-    return ControllerEntry(name, tuple(measured), _law(where, entry, model, measured), design, entry.get("certificate"))
+    return ControllerEntry(name, tuple(measured), _law(where, entry, model, measured), entry.get("certificate"), design)
 
 
 def _design(where: str, entry: Mapping[str, Any], given: bool) -> str:

@@ -70,12 +70,11 @@ class LinearModel:
 
     @property
     def measurable(self) -> tuple[str, ...]:
-        """The output signals that a controller can measure: all but the forces, and those with the road's height in them."""
-        return tuple(
-            name
-            for name, of_road in zip(self.outputs, np.any(self.Cr, axis=1), strict=True)
-            if not of_road and name not in self.inputs
-        )
+        """The output signals that a controller can measure: all but those with the road's height in them.
+
+        A control force is one of them: a controller that is told which force acts can take it out of an acceleration.
+        """
+        return tuple(name for name, of_road in zip(self.outputs, np.any(self.Cr, axis=1), strict=True) if not of_road)
 
     def rows(self, signals: Sequence[str]) -> tuple[Array, Array]:
         """The rows of C and D of some output signals, shapes (k, n) and (k, m).

@@ -135,6 +135,33 @@ def _closed(vehicle: Vehicle, plant: GeneralizedPlant, entry: ControllerEntry) -
     return on_larger_plant(plant, Cy, _law(entry).continuous().fed_back(through))
 
 
+def on_readings(law: LinearLaw, model: LinearModel, measured: Sequence[str]) -> LinearLaw:
+    """A law that was designed on C_y x, on what sensors read, where accelerations have the force in them.
+
+    Forces that are measured are taken out of the readings; for the others the law is changed, so that its loop is the same.
+
+    Args:
+        law: on those of the measured signals that are no forces.
+        model: of the vehicle.
+        measured: the q signals.
+
+    Raises:
+        InputError: the loop through the measurements has no solution.
+    """
+    through, forces = model.rows(measured)[1], model.inputs
+    others = [i for i, name in enumerate(measured) if name not in forces]
+    B, D = np.zeros((law.states, len(measured))), np.zeros((len(law.D), len(measured)))
+    B[:, others], D[:, others] = law.B, law.D
+    unknown = np.zeros_like(through)
+    unknown[others] = through[others]
+    for i, name in enumerate(measured):
+        if name in forces:
+            of_force = through[others, forces.index(name)]
+            B[:, i], D[:, i] = -law.B @ of_force, -law.D @ of_force
+            unknown[:, forces.index(name)] = 0.0
+    return LinearLaw(law.A, B, law.C, D, law.sample_period).fed_back(-unknown)
+
+
 def generalized_plant(vehicle: Vehicle) -> GeneralizedPlant:
     """The plant (15) of a vehicle: its linear model, and the weighted signals of `[performance]` as z (34)-(37)."""
     model = vehicle.linear_model

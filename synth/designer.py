@@ -15,7 +15,7 @@ from models.vehicle import Vehicle
 from synth.certificate.bounding import certify_tightly
 from synth.certificate.certificate import Certificate
 from synth.certificate.lower_bound import LowerBound
-from synth.controller import Controller, alike, certified, checked, generalized_plant
+from synth.controller import Controller, alike, certified, checked, generalized_plant, on_readings
 from synth.design import Design, state_design, state_path, zero_l_design
 from synth.dynamic.named import named_design
 from synth.errors import BatchError, DesignError
@@ -82,7 +82,8 @@ class Designer:
         key = tuple(measured)
         if key not in self._bounds:
             everything = not key or key == self.vehicle.linear_model.states
-            Cy = None if everything else self.vehicle.linear_model.rows(key)[0]
+            model = self.vehicle.linear_model
+            Cy = None if everything else model.rows([signal for signal in key if signal not in model.inputs])[0]
             try:
                 path = self.state_path
             except DesignError:  # what cannot be designed may be checked
@@ -125,13 +126,15 @@ class Designer:
     def _named(self, entry: ControllerEntry, lower_bound: LowerBound) -> Controller:
         """A controller that is designed in another way than by two steps."""
         vehicle, how = self.vehicle, self.vehicle.implementation
-        Cy, through = vehicle.linear_model.rows(entry.measured)
+        model = vehicle.linear_model
+        of_state = [signal for signal in entry.measured if signal not in model.inputs]
+        Cy, _ = model.rows(of_state)
         # Drawn every T seconds, noise of rms sigma is white noise of sigma sqrt(T).
-        rms = [how.noise.get(signal, 0.0) * (how.sample_period or 0.0) ** 0.5 for signal in entry.measured]
+        rms = [how.noise.get(signal, 0.0) * (how.sample_period or 0.0) ** 0.5 for signal in of_state]
         noise = rms if any(rms) else None
-        found = named_design(entry.design, self.plant, Cy, lower_bound, vehicle.linear_model.states, noise)
+        found = named_design(entry.design, self.plant, Cy, lower_bound, model.states, noise)
         certificate = replace(found.certificate, below=lower_bound)
-        law = found.law.fed_back(-through)
+        law = on_readings(found.law, model, entry.measured)
         return Controller(entry.name, entry.measured, law, True, certificate, remarks=found.remarks)
 
     def refine(self, name: str, zero_l: bool = False) -> Refined:

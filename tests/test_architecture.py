@@ -41,7 +41,7 @@ ROOMS = {
     "synth.redesign": "synth.design synth.errors synth.fallback synth.lmi synth.numerics synth.plant synth.scaling",
     "synth.controller": "models synth.certificate synth.dynamic synth.plant",
     "synth.words": "models synth.controller",
-    "synth.designer": "models synth.certificate synth.controller synth.design synth.errors synth.fallback "
+    "synth.designer": "models synth.certificate synth.controller synth.design synth.dynamic synth.errors synth.fallback "
     "synth.lmi synth.plant synth.redesign synth.search",
     "synth.state_space": "models synth.controller synth.plant",
     "synth.paper": "models synth.certificate synth.designer synth.lmi",

@@ -73,7 +73,7 @@ CHANGES = [
     ("measured as text", MINE, 'measured = "sprung_velocity"', ["[controllers.I] measured = 'sprung_velocity'", MEASURABLE]),
     ("unknown signal", MINE, 'measured = ["jerk"]', ["[controllers.I]", "'jerk'", MEASURABLE]),
     ("the road is not measured", MINE, 'measured = ["road_velocity"]', ["'road_velocity'", MEASURABLE]),
-    ("its own force", MINE, 'measured = ["control_force"]', ["'control_force'", "is a control force", MEASURABLE]),
+    ("its own force", MINE, 'measured = ["control_force"]', ["'control_force'", "says nothing of the state"]),
     ("measured twice", MINE, 'measured = ["sprung_velocity", "sprung_velocity"]', ["'sprung_velocity' twice"]),
     ("gain is a number", MINE, f"{MINE}\ngain = 1.0", ["[controllers.I] gain = 1.0", "1 row(s)", "of 2 number(s)"]),
     ("gain is a list", MINE, f"{MINE}\ngain = [1.0, 2.0]", ["gain = [1.0, 2.0]", "gain = [[1.0, 1.0]]"]),

@@ -24,6 +24,8 @@ def roundings(vehicle: Vehicle, controller: Controller) -> dict[str, float]:
     rate = float(np.abs(np.linalg.eigvals(model.A)).max())
     shaken = np.array([LENGTH if kind.signal(name).unit in LENGTHS else rate * LENGTH for name in model.states])
     gain = _most_asked(controller.law_on_states(vehicle), rate) @ np.abs(model.rows(controller.measured)[0])
+    if controller.law.states:  # it may ask for far more than a static gain would, and what it asks for moves the states
+        shaken = shaken + np.abs(model.B) @ (gain @ shaken) / rate
     moved = np.abs(model.C) @ shaken + np.abs(model.D) @ (gain @ shaken)
     return dict(zip(model.outputs, moved.tolist(), strict=True))
 

@@ -1,0 +1,138 @@
+"""Controllers that a vehicle file has designed by name: full order, LQR, LQG, H2, with accelerometers too."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from models.common.errors import InputError
+from models.vehicle import Vehicle, parse_vehicle, read_vehicle
+from sim.roads.road import Bump
+from sim.runs.run import run_all, sample_times
+from synth.__main__ import main
+from synth.command.check import check
+from synth.designer import Designer
+from synth.errors import DesignError
+
+ROOT = Path(__file__).parents[1]
+ACCELERATIONS = {"quarter_car": ("sprung",), "half_car": ("heave", "pitch"), "full_car": ("heave", "pitch", "roll")}
+ONE_IN_A_THOUSAND = 1e-3  # of the lower bound: as near as a full-order controller is to come
+
+
+def with_designs(name: str) -> Vehicle:
+    """A vehicle that ships, with a controller of each kind beside its own."""
+    vehicle = read_vehicle(name)
+    model, velocities = vehicle.linear_model, list(vehicle.controllers["I"].measured)
+    deflections = [signal for signal in velocities if signal.startswith("suspension")]
+    readings = [*deflections, *(f"{one}_acceleration" for one in ACCELERATIONS[name]), *model.inputs]
+    return parse_vehicle(
+        f'{vehicle.text}\n[controllers.full]\nmeasured = {json.dumps(velocities)}\norder = "full"\n'
+        f'[controllers.accelerometer]\nmeasured = {json.dumps(readings)}\norder = "full"\n'
+        f'[controllers.lqg]\nmeasured = {json.dumps(velocities)}\ndesign = "lqg"\n[controllers.lqr]\ndesign = "lqr"\n'
+        f'[controllers.h2]\nmeasured = {json.dumps(readings)}\ndesign = "h2"\n'
+    )
+
+
+@pytest.fixture(scope="module", params=ACCELERATIONS)
+def designer(request) -> Designer:
+    """Of each vehicle that ships, with controllers of each kind."""
+    return Designer(with_designs(request.param))
+
+
+NAMES = ("full", "accelerometer", "lqg", "lqr", "h2")
+
+
+def test_full_order_comes_to_the_lower_bound(designer):
+    """A full-order controller is within 0.1 % of what no controller beats, with accelerometers too, where a static one is not."""
+    for name in ("full", "accelerometer"):
+        certificate = designer.design(name).certificate
+        assert certificate.proof is not None
+        assert certificate.proof.holds
+        assert certificate.gap is not None
+        assert 0 <= certificate.gap < ONE_IN_A_THOUSAND
+    static = designer.design("I").certificate
+    assert designer.design("full").certificate.norm.value < static.norm.value
+
+
+def test_best_in_the_mean_is_not_best_in_the_worst_case(designer):
+    """LQR has the smallest H2 norm, LQG and H2 come near it from measurements, and none has the smallest H-infinity norm."""
+    h2 = {}
+    for name in ("lqr", "lqg", "h2"):
+        controller = designer.design(name)
+        h2[name] = float(next(one for one in controller.remarks if "H2 norm" in one).split("H2 norm ")[1].split(",")[0])
+        assert controller.certificate.norm.value > designer.design("state").certificate.norm.value
+    assert h2["lqr"] < min(h2["lqg"], h2["h2"]) < 1.2 * h2["lqr"]
+
+
+def test_physics_follows_them_all(designer):
+    """MuJoCo over the bump agrees with the exact sampled response of every one of them, and its energy balances."""
+    vehicle = designer.vehicle
+    runs = run_all(vehicle, [designer.design(name) for name in NAMES], Bump(height=0.05), sample_times(vehicle, 1.5, 1e-3))
+    for run in runs:
+        assert run.holds, run.controller.name
+
+
+def test_saved_and_checked(tmp_path, capsys):
+    """What is designed is saved with its proof, read again and checked without the solver; a changed matrix is found."""
+    path, saved = tmp_path / "car.toml", tmp_path / "saved.toml"
+    path.write_text(with_designs("quarter_car").text)
+    chosen = [part for name in ("full", "h2") for part in ("--controller", name)]
+    assert main(["--vehicle", str(path), *chosen, "--save", str(saved)]) == 0
+    printed = capsys.readouterr().out
+    assert "of 4 states" in printed
+    vehicle = read_vehicle(saved)
+    assert vehicle.controllers["full_designed"].law is not None
+    assert [row.failures for row in check(Designer(vehicle), None) if row.name in ("full_designed", "h2_designed")] == [(), ()]
+    text = saved.read_text()
+    A = next(line for line in text.splitlines() if line.startswith("A = "))
+    entry = float(A.split("[[")[1].split(",")[0])
+    saved.write_text(text.replace(repr(entry), repr(entry * 1.01)))
+    assert main(["--check", str(saved), "--controller", "full_designed"]) == 1
+    assert "FAILS" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("entry", "said"),
+    [
+        ('measured = ["sprung_velocity"]\norder = "half"', "order = 'half' is not known; known: full"),
+        ('measured = ["sprung_velocity"]\ndesign = "pid"', "design = 'pid' is not known; known: h2, lqg, lqr"),
+        ('measured = ["sprung_velocity"]\norder = "full"\ndesign = "lqg"', "an order and a design"),
+        ('measured = ["sprung_velocity"]\norder = "full"\ngain = [[1.0]]', "a law of its own, which is not designed"),
+        ('measured = ["sprung_velocity"]\ndesign = "lqr"', 'design = "lqr" is of the state'),
+        ('measured = ["control_force"]', "says nothing of the state"),
+    ],
+)
+def test_a_mistake_is_named(entry, said):
+    """What does not go together is refused in one line that names the controller."""
+    with pytest.raises(InputError, match=r"controllers[.]mine") as error:
+        parse_vehicle(f"{read_vehicle('quarter_car').text}\n[controllers.mine]\n{entry}\n")
+    assert said in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_what_is_for_static_gains_alone(designer):
+    """Refining, L = 0 and redesigning side by side are of the two steps: others are refused, not treated as a gain."""
+    with pytest.raises(DesignError, match="no static gain"):
+        designer.refine("full")
+    with pytest.raises(InputError, match="there is no L"):
+        designer.design("full", zero_l=True)
+    with pytest.raises(InputError, match="not designed in two steps"):
+        designer.redesign([designer.vehicle], "full")
+    assert designer.worth_refining(designer.design("lqr")) == 0.0
+
+
+def test_forces_are_taken_out_of_accelerations(designer):
+    """A controller that is told the forces has the loop of one that measures accelerations without them, and a law no faster."""
+    controller = designer.design("accelerometer")
+    law = controller.law_on_states(designer.vehicle)
+    np.testing.assert_allclose(law.A, controller.law.A, rtol=0, atol=1e-9 * np.abs(law.A).max())
+
+
+def test_pages_example():
+    """The controllers of models/README.md can be added to the vehicle that ships, and are stable."""
+    page = (ROOT / "models" / "README.md").read_text(encoding="utf-8")
+    block = page.split("```toml\n[controllers.best]")[1].split("```")[0]
+    vehicle = parse_vehicle(f"{read_vehicle('quarter_car').text}\n[controllers.best]{block}")
+    for name in ("best", "lqg", "leaky"):
+        assert Designer(vehicle).design(name).certificate.stable
