@@ -6,10 +6,14 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
 from models.common.read_file import TEXT, read_text
 from models.common.toml import parse_toml
 from models.controllers import RESERVED, ControllerEntry, is_number, read_controllers
+from models.filters.filter import KEYS, Filter, read_filter
 from models.formats.law_file import with_laws
 from models.kind import HERE, VehicleKind
 from models.kinds import kind, kinds
@@ -17,6 +21,7 @@ from models.linear_model import LinearModel
 from models.reality import Implementation, Limits, read_implementation, read_limits
 
 SECTIONS = ("type", "parameters", "performance", "controllers", "limits", "implementation")
+ROAD = "road"  # in [performance]: the filter from the disturbance w to the road's velocity
 SMALLEST_WEIGHT, LARGEST_WEIGHT = 1e-12, 1e12  # relative to one another; beyond these rounding decides
 
 
@@ -34,6 +39,9 @@ class Vehicle:
         limits: where the hardware ends.
         implementation: the controller as it would be built.
         law_files: those files.
+        filters: what a weighted signal goes through on its way into z, by signal; those of a constant weight are not in it.
+        road_filter: what the disturbance w goes through on its way to the road's velocity under every wheel, where that is not
+            w itself: its spectrum.
     """
 
     kind: VehicleKind
@@ -45,11 +53,41 @@ class Vehicle:
     limits: Limits = field(default_factory=Limits)
     implementation: Implementation = field(default_factory=Implementation)
     law_files: tuple[Path, ...] = ()
+    filters: Mapping[str, Filter] = field(default_factory=dict)
+    road_filter: Filter | None = None
 
     @cached_property
     def linear_model(self) -> LinearModel:
         """The linear model of these parameters."""
         return self.kind.linear_model(self.parameters)
+
+    @property
+    def filtered(self) -> bool:
+        """Whether a weight of z or of the road depends on frequency, so that a design knows more states than the vehicle's."""
+        return bool(self.filters) or self.road_filter is not None
+
+    def weights(self, omega: Array) -> Array:
+        """The weight of every output signal in the controlled output z (34) by frequency, complex, shape (F, p).
+
+        Args:
+            omega: angular frequencies [rad/s], shape (F,).
+        """
+        ones = np.ones(len(omega), dtype=complex)
+        return np.stack(
+            [
+                self.performance.get(name, 0.0) * (self.filters[name].response(omega) if name in self.filters else ones)
+                for name in self.linear_model.outputs
+            ],
+            axis=-1,
+        )
+
+    def road_shape(self, omega: Array) -> Array:
+        """The road's velocity per disturbance w by frequency, complex, shape (F,); one without a filter.
+
+        Args:
+            omega: angular frequencies [rad/s], shape (F,).
+        """
+        return np.ones(len(omega), dtype=complex) if self.road_filter is None else self.road_filter.response(omega)
 
     @property
     def kind_files(self) -> tuple[Path, ...]:
@@ -73,7 +111,9 @@ class Vehicle:
             InputError: one is missing, unknown or not allowed.
         """
         sound = replace(self, parameters=self.kind.check(self.parameters))
-        return replace(sound, performance=_performance(self.performance, sound.linear_model))
+        performance, filters, road_filter = _performance(self.performance, sound.linear_model)
+        filters = {signal: one for signal, one in {**self.filters, **filters}.items() if performance.get(signal)}
+        return replace(sound, performance=performance, filters=filters, road_filter=road_filter or self.road_filter)
 
     @property
     def controller_names(self) -> tuple[str, ...]:
@@ -136,29 +176,52 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
                 f"[controllers.{entry.name}] has a sample period of {period:g} s of its own, and [implementation] says "
                 f"{implementation.sample_period or 'none'}; give [implementation] sample_period = {period:g}"
             )
+    performance, filters, road_filter = _performance(data["performance"], model)
     return Vehicle(
         kind=vehicle_kind,
         parameters=parameters,
-        performance=_performance(data["performance"], model),
+        performance=performance,
         controllers=controllers,
         text=text,
         source=source,
         limits=read_limits(data.get("limits", {})),
         implementation=implementation,
+        filters=filters,
+        road_filter=road_filter,
     )
 
 
-def _performance(section: Mapping[str, Any], model: LinearModel) -> dict[str, float]:
-    weights = {}
-    for signal, weight in section.items():
+def _performance(section: Mapping[str, Any], model: LinearModel) -> tuple[dict[str, float], dict[str, Filter], Filter | None]:
+    """The weights by signal, the filters of those that have one, and that of the road."""
+    weights, filters, road_filter = {}, {}, None
+    for signal, given in section.items():
+        where, weight = f"[performance] {signal}", given
+        if signal == ROAD:
+            if not isinstance(given, Mapping) or "weight" in given:
+                raise InputError(f"{where} = {quoted(given)} is no filter; give it a numerator and a denominator, and no weight")
+            _known_keys(where, given)
+            road_filter = read_filter(where, given)
+            continue
         if signal not in model.outputs:
-            raise InputError(f"[performance] unknown signal {signal!r}; this vehicle has {listing(model.outputs)}")
+            raise InputError(
+                f"[performance] unknown signal {signal!r}; this vehicle has {listing(model.outputs)}; {ROAD!r} "
+                "is the road's filter"
+            )
+        if isinstance(given, Mapping):
+            _known_keys(where, given)
+            filters[signal], weight = read_filter(where, given), given.get("weight", 1.0)
         if not is_number(weight) or not (weight == 0 or SMALLEST_WEIGHT <= weight <= LARGEST_WEIGHT):
             raise InputError(
-                f"[performance] {signal} = {quoted(weight)} is not allowed; give 0 or a weight from {SMALLEST_WEIGHT:g} "
-                f"to {LARGEST_WEIGHT:g}"
+                f"{where} = {quoted(weight)} is not allowed; give 0 or a weight from {SMALLEST_WEIGHT:g} to {LARGEST_WEIGHT:g}, "
+                'or one with a filter, as in { weight = 1.0, filter = "iso2631_wk" }'
             )
         weights[signal] = float(weight)
     if not any(weights.values()):
         raise InputError(f"[performance] weighs nothing; give at least one weight above 0 to: {listing(model.outputs)}")
-    return weights
+    return weights, {signal: one for signal, one in filters.items() if weights[signal]}, road_filter
+
+
+def _known_keys(where: str, given: Mapping[str, Any]) -> None:
+    for key in given:
+        if key not in KEYS:
+            raise InputError(f"{where} unknown key {key!r}; a weight with a filter has {listing(KEYS)}")

@@ -18,10 +18,11 @@ from synth.command.check import check
 from synth.command.save import check_save, save
 from synth.command.table import Row, detail_lines, refine_lines, row_object, table_lines, verdict_lines
 from synth.command.witness import cross_check
+from synth.controller import measurements
 from synth.designer import Designer
 from synth.errors import DesignError
 from synth.search.flat import free_moves
-from synth.words import ideal_lines, notes
+from synth.words import filter_lines, ideal_lines, notes
 
 FREE = "what no controller decides"  # the stage after the designs: a limit for all, and gains that may be others
 FLAT = 1e-4  # of gamma: how far the gains may move for it is printed
@@ -92,7 +93,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         lines += refine_lines(rows, options.vehicle)
         if options.save:
             lines += ["", "saved", Whole(f"  {options.save}")]
-        say([*lines, "", *table_lines(rows), *ideal_lines(vehicle), "", *verdict_lines(rows)])
+        say([*lines, "", *table_lines(rows), *ideal_lines(vehicle), *filter_lines(vehicle), "", *verdict_lines(rows)])
     return 1 if any(row.failures for row in rows) else 0
 
 
@@ -184,7 +185,7 @@ def _flatness(designer: Designer, rows: Sequence[Row]) -> dict[str, list[float |
     except DesignError:
         return {}
     states = designer.vehicle.linear_model.states
-    moves = np.stack(free_moves(designer.plant, np.eye(len(states)), K, FLAT))
+    moves = np.stack(free_moves(designer.plant, measurements(designer.vehicle, states)[0], K, FLAT))
     return {
         state: [float(value) if np.isfinite(value) else None for value in values]
         for state, values in zip(states, moves.T, strict=True)

@@ -8,6 +8,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError, quoted
 from models.controllers import ControllerEntry
+from models.filters.filter import Filter
 from models.law import LinearLaw
 from models.linear_model import LinearModel
 from models.vehicle import Vehicle
@@ -15,6 +16,7 @@ from synth.certificate.certificate import Certificate, certify
 from synth.certificate.lower_bound import LowerBound
 from synth.certificate.record import false_claims, read_proof
 from synth.dynamic.loop import on_larger_plant
+from synth.dynamic.weights import System, append, gain, with_weights
 from synth.plant import Feedback, GeneralizedPlant
 
 
@@ -71,7 +73,7 @@ class Controller:
     def loop(self, vehicle: Vehicle) -> GeneralizedPlant:
         """The closed loop (16)-(17) with a vehicle that has these signals, from w to z."""
         plant, G = on_larger_plant(
-            generalized_plant(vehicle), vehicle.linear_model.rows(self.measured)[0], self.law_on_states(vehicle)
+            generalized_plant(vehicle), measurements(vehicle, self.measured)[0], self.law_on_states(vehicle)
         )
         return plant.closed_loop(G)
 
@@ -99,7 +101,7 @@ def checked(vehicle: Vehicle, plant: GeneralizedPlant, entry: ControllerEntry) -
     """
     law, record = _law(entry), entry.certificate or {}
     try:
-        X, eta, lower_bound = read_proof(record, plant, vehicle.linear_model.rows(entry.measured)[0], law.states)
+        X, eta, lower_bound = read_proof(record, plant, measurements(vehicle, entry.measured)[0], law.states)
         certificate = certify(*_closed(vehicle, plant, entry), X, eta, lower_bound, by_itself=plant)
     except InputError as error:
         raise InputError(f"[controllers.{entry.name}] {error}") from error
@@ -131,7 +133,7 @@ def _law(entry: ControllerEntry) -> LinearLaw:
 
 
 def _closed(vehicle: Vehicle, plant: GeneralizedPlant, entry: ControllerEntry) -> tuple[GeneralizedPlant, Feedback]:
-    Cy, through = vehicle.linear_model.rows(entry.measured)
+    Cy, through = measurements(vehicle, entry.measured)
     return on_larger_plant(plant, Cy, _law(entry).continuous().fed_back(through))
 
 
@@ -163,13 +165,16 @@ def on_readings(law: LinearLaw, model: LinearModel, measured: Sequence[str]) -> 
 
 
 def generalized_plant(vehicle: Vehicle) -> GeneralizedPlant:
-    """The plant (15) of a vehicle: its linear model, and the weighted signals of `[performance]` as z (34)-(37)."""
+    """The plant (15) of a vehicle: its linear model, and the weighted signals of `[performance]` as z (34)-(37).
+
+    Where a weight, or the road's spectrum, depends on frequency, the states of its filters follow those of the vehicle.
+    """
     model = vehicle.linear_model
     weighted = [signal for signal, weight in vehicle.performance.items() if weight > 0]
     C, D = model.rows(weighted)
     weights = np.array([vehicle.performance[signal] for signal in weighted])[:, None]
     Br, Cr = _twist(model, weighted)
-    return GeneralizedPlant(
+    plant = GeneralizedPlant(
         A=model.A,
         B=model.B,
         Bw=np.hstack([model.Bw, Br]),
@@ -177,6 +182,40 @@ def generalized_plant(vehicle: Vehicle) -> GeneralizedPlant:
         D=weights * D,
         Dw=np.hstack([np.zeros((len(C), model.Bw.shape[1])), weights * Cr]),
     )
+    if not vehicle.filtered:
+        return plant
+    outputs = append(*(_system(vehicle.filters.get(signal)) for signal in weighted))
+    return with_weights(plant, outputs, append(*[_system(vehicle.road_filter)] * plant.Bw.shape[1]))
+
+
+def _system(one: Filter | None) -> System:
+    return gain(1.0) if one is None else System(*one.realisation)
+
+
+def plant_states(vehicle: Vehicle) -> tuple[str, ...]:
+    """The names of the states of a vehicle's plant: the vehicle's own, and those of its filters, in their order."""
+    signals = [signal for signal, weight in vehicle.performance.items() if weight > 0 and signal in vehicle.filters]
+    counts = {f"filter_of_{signal}": len(vehicle.filters[signal].realisation.A) for signal in signals}
+    if vehicle.road_filter is not None:
+        model = vehicle.linear_model
+        k = len(vehicle.road_filter.realisation.A)
+        counts |= {f"filter_of_{road}": k for road in model.disturbances}
+        counts |= {f"filter_of_road_twist_{i + 1}": k for i in range(_twist(model, ())[0].shape[1])}
+    filters = [f"{name}_{i + 1}" for name, count in counts.items() for i in range(count)]
+    return (*vehicle.linear_model.states, *filters)
+
+
+def measurements(vehicle: Vehicle, signals: Sequence[str]) -> tuple[Array, Array]:
+    """C_y on the states of a vehicle's plant, shape (q, n), and what the forces do at once to what is measured, shape (q, m).
+
+    No state of a filter is measured: those are of what is asked for, not of the vehicle.
+
+    Raises:
+        InputError: a signal this vehicle has not.
+    """
+    Cy, through = vehicle.linear_model.rows(signals)
+    more = len(plant_states(vehicle)) - Cy.shape[1] if vehicle.filtered else 0
+    return (np.hstack([Cy, np.zeros((len(Cy), more))]) if more else Cy), through
 
 
 def _twist(model: LinearModel, signals: Sequence[str]) -> tuple[Array, Array]:

@@ -15,7 +15,16 @@ from models.vehicle import Vehicle
 from synth.certificate.bounding import certify_tightly
 from synth.certificate.certificate import Certificate
 from synth.certificate.lower_bound import LowerBound
-from synth.controller import Controller, alike, certified, checked, generalized_plant, on_readings
+from synth.controller import (
+    Controller,
+    alike,
+    certified,
+    checked,
+    generalized_plant,
+    measurements,
+    on_readings,
+    plant_states,
+)
 from synth.design import Design, state_design, state_path, zero_l_design
 from synth.dynamic.named import named_design
 from synth.errors import BatchError, DesignError
@@ -27,6 +36,11 @@ from synth.plant import Feedback
 from synth.redesign import state_designs, two_step_designs
 from synth.search.refine import SEEN, Refinement, refine, worth_refining
 from synth.search.static import static_output_feedback
+
+STATE_ALONE = (
+    "filters have states that nothing measures: this is a static gain on the vehicle's own, found by the two steps as any other "
+    "output feedback is"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +75,7 @@ class Designer:
     @cached_property
     def state_path(self) -> list[CentralPoint]:
         """The central path of (22)."""
-        return state_path(self.plant, self.vehicle.linear_model.states)
+        return state_path(self.plant, plant_states(self.vehicle))
 
     @property
     def state_feedback(self) -> CentralPoint:
@@ -78,12 +92,15 @@ class Designer:
         return {}
 
     def lower_bound(self, measured: Sequence[str]) -> LowerBound:
-        """What no controller that measures these signals can beat, of whatever order; full state feedback for all states."""
+        """What no controller that measures these signals can beat, of whatever order.
+
+        For none, and for all states where a filter has none, it is what no state feedback beats, of the filters' states either.
+        """
         key = tuple(measured)
         if key not in self._bounds:
-            everything = not key or key == self.vehicle.linear_model.states
-            model = self.vehicle.linear_model
-            Cy = None if everything else model.rows([signal for signal in key if signal not in model.inputs])[0]
+            model, everything = self.vehicle.linear_model, not key or key == plant_states(self.vehicle)
+            of_state = [signal for signal in key if signal not in model.inputs]
+            Cy = None if everything else measurements(self.vehicle, of_state)[0]
             try:
                 path = self.state_path
             except DesignError:  # what cannot be designed may be checked
@@ -103,36 +120,42 @@ class Designer:
             DesignError: it could not be designed, or its certificate fails. A gain from the file is reported as it is. Where the
                 two steps cannot be gone to their end, descent on the norm goes on instead, and the result says so.
         """
-        entry, model = self._entry(name), self.vehicle.linear_model
+        entry = self._entry(name)
         if entry.law is not None:
             return self._given(entry)
         if entry.design and zero_l:
             raise InputError(f"controller {name!r} is not designed in two steps, so that there is no L; design it as it is")
-        Cy, through = model.rows(entry.measured)
+        Cy, _ = measurements(self.vehicle, entry.measured)
         try:
             lower_bound = self.lower_bound(entry.measured)
             if entry.design:
                 return self._named(entry, lower_bound)
-            if name == "state":
+            if name == "state" and not self.vehicle.filtered:
                 design = state_design(self.plant, self.state_path, lower_bound)
             elif zero_l:
                 design = zero_l_design(self.plant, Cy, lower_bound)
             else:
-                design = two_steps_or_descent(self.plant, Cy, lambda: self.state_path, lower_bound, model.states)
+                states, always = plant_states(self.vehicle), name == "state"
+                design = two_steps_or_descent(self.plant, Cy, lambda: self.state_path, lower_bound, states, always)
         except DesignError as error:
             raise type(error)(f"controller {name!r}: {error}") from error
-        return _designed(entry, design, through)
+        return _designed(self.vehicle, entry, design)
 
     def _named(self, entry: ControllerEntry, lower_bound: LowerBound) -> Controller:
         """A controller that is designed in another way than by two steps."""
         vehicle, how = self.vehicle, self.vehicle.implementation
         model = vehicle.linear_model
         of_state = [signal for signal in entry.measured if signal not in model.inputs]
-        Cy, _ = model.rows(of_state)
+        if entry.design == "lqr" and vehicle.filtered:
+            raise InputError(
+                f"controller {entry.name!r} feeds every state back, and the filters of [performance] have states that nothing "
+                'measures; give it design = "lqg", "h2" or "full", or constant weights'
+            )
+        Cy, _ = measurements(vehicle, of_state)
         # Drawn every T seconds, noise of rms sigma is white noise of sigma sqrt(T).
         rms = [how.noise.get(signal, 0.0) * (how.sample_period or 0.0) ** 0.5 for signal in of_state]
         noise = rms if any(rms) else None
-        found = named_design(entry.design, self.plant, Cy, lower_bound, model.states, noise)
+        found = named_design(entry.design, self.plant, Cy, lower_bound, plant_states(vehicle), noise)
         certificate = replace(found.certificate, below=lower_bound)
         law = on_readings(found.law, model, entry.measured)
         return Controller(entry.name, entry.measured, law, True, certificate, remarks=found.remarks)
@@ -160,7 +183,7 @@ class Designer:
             start = self.design(name, zero_l)
         except DesignError:
             start = None
-        rows, through = self.vehicle.linear_model.rows(measured)
+        rows, through = measurements(self.vehicle, measured)
         kept = independent_rows(self.plant, rows)
         Cy, origin, lower_bound = rows[kept], "", self.lower_bound(measured)
         if start is None:
@@ -186,7 +209,7 @@ class Designer:
             or (gap is not None and gap <= SEEN)
         ):
             return 0.0
-        rows, _ = self.vehicle.linear_model.rows(controller.measured)
+        rows, _ = measurements(self.vehicle, controller.measured)
         kept = independent_rows(self.plant, rows)
         share = worth_refining(self.plant, rows[kept], _from_some(controller.law_on_states(self.vehicle).D, rows, kept))
         return share if share > SEEN else 0.0
@@ -220,20 +243,19 @@ class Designer:
             raise InputError(f"controller {name!r} is not designed in two steps; design it for each vehicle by itself")
         sound = alike(self.vehicle, vehicles)
         plants = [generalized_plant(vehicle) for vehicle in sound]
-        states = self.vehicle.linear_model.states
-        through = [vehicle.linear_model.rows(entry.measured)[1] for vehicle in sound]
+        states = plant_states(self.vehicle)
         try:
-            if name == "state":
+            if name == "state" and not any(vehicle.filtered for vehicle in (self.vehicle, *sound)):
                 designs = state_designs(self.plant, self.state_path, plants, states)
             else:
-                Cy, *Cys = (each.linear_model.rows(entry.measured)[0] for each in (self.vehicle, *sound))
-                designs = two_step_designs(self.plant, self.state_path, Cy, plants, Cys, states)
+                Cy, *Cys = (measurements(each, entry.measured)[0] for each in (self.vehicle, *sound))
+                designs = two_step_designs(self.plant, self.state_path, Cy, plants, Cys, states, name == "state")
         except BatchError as error:
-            controllers = {i: _designed(entry, design, through[i]) for i, design in error.designs.items()}
+            controllers = {i: _designed(sound[i], entry, design) for i, design in error.designs.items()}
             raise BatchError(f"controller {name!r}: {error}", controllers, error.failures) from error
         except DesignError as error:
             raise type(error)(f"controller {name!r}: {error}") from error
-        return [_designed(entry, design, D) for design, D in zip(designs, through, strict=True)]
+        return [_designed(vehicle, entry, design) for vehicle, design in zip(sound, designs, strict=True)]
 
     def checked(self, entry: ControllerEntry) -> tuple[Certificate, tuple[str, ...]]:
         """What is true of a law of the file by the proofs that its certificate brings, and what of that does not hold, in words.
@@ -258,8 +280,10 @@ class Designer:
         return certified(self.vehicle, self.plant, entry, self.lower_bound(entry.measured))
 
 
-def _designed(entry: ControllerEntry, design: Design, through: Array) -> Controller:
-    """The controller of a gain on C_y x, for measurements that have `through` times the force in them, shape (q, m)."""
+def _designed(vehicle: Vehicle, entry: ControllerEntry, design: Design) -> Controller:
+    """The controller of a gain on C_y x; a force that is in what is measured is taken out of it."""
+    through = vehicle.linear_model.rows(entry.measured)[1]
+    beside = STATE_ALONE if entry.name == "state" and vehicle.filtered else ""
     redundant = tuple(entry.measured[i] for i in design.redundant)
     return Controller(
         entry.name,
@@ -271,7 +295,7 @@ def _designed(entry: ControllerEntry, design: Design, through: Array) -> Control
         optimum_gap=design.optimum_gap,
         moved=design.moved,
         redundant=redundant,
-        case=design.case,
+        case="; ".join(said for said in (design.case, beside) if said),
         instead=design.instead,
     )
 

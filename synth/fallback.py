@@ -2,7 +2,8 @@
 
 A central path may break off, or have no end at a finite gain, and problems may be too large for it. That says nothing against a
 gain: the strategy of `static.py` needs no path. Where there is no solution, as the second problem proves from every X, it is left
-at that: that is an answer, and the descent has its own door.
+at that: that is an answer, and the descent has its own door. But for feedback of a vehicle's states where filters have states,
+too: that is what others are held against, and is to be there.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,12 +23,14 @@ def two_steps_or_descent(
     path: Callable[[], Sequence[CentralPoint]] = tuple,
     lower_bound: LowerBound | None = None,
     states: Sequence[str] = (),
+    always: bool = False,
 ) -> Design:
     """What `two_step_design` finds; where that cannot be followed to its end, what descent does, with the reason.
 
     Args:
         plant, Cy, lower_bound, states: as for `two_step_design`.
         path: gives that of (22) if it is there already, or says why there is none.
+        always: descend where the second problem has no solution, too.
 
     Raises:
         InputError, InfeasibleError: as `two_step_design`.
@@ -36,9 +39,9 @@ def two_steps_or_descent(
     """
     try:
         return two_step_design(plant, Cy, path(), lower_bound, states)
-    except InfeasibleError:
-        raise
     except DesignError as error:
+        if isinstance(error, InfeasibleError) and not always:
+            raise
         reason = error
     rows, kept = measurement(plant, Cy)
     try:

@@ -90,7 +90,7 @@ PRINTED = (
 def is_the_papers(vehicle: Vehicle) -> bool:
     """Whether a vehicle has the parameters (33) and weights (38)."""
     paper = read_vehicle("quarter_car")
-    return vehicle.parameters == paper.parameters and vehicle.performance == paper.performance
+    return not vehicle.filtered and vehicle.parameters == paper.parameters and vehicle.performance == paper.performance
 
 
 def ours(designer: Designer) -> dict[str, Array | float]:

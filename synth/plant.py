@@ -43,6 +43,8 @@ class GeneralizedPlant:
         Dw: shape (d, r). Zero in the paper.
         beyond: of a closed loop, by how much its A and C are larger than the floats they are rounded to, shape (n + d, n); None
             of a plant that is what its floats say.
+        weights: how many of its states, the last ones, are those of weights: no control moves their poles, so that they say
+            nothing of how fast the plant is.
 
     Raises:
         InputError: a matrix is not one of real finite numbers, has the wrong shape, more than `MOST` rows or columns, or entries
@@ -56,6 +58,7 @@ class GeneralizedPlant:
     D: Array
     Dw: Array
     beyond: Array | None = None
+    weights: int = 0
 
     def __post_init__(self) -> None:
         for name in SHAPES:

@@ -4,8 +4,9 @@ A gain is that of `design.py` to where the central path is stopped (`central.LIM
 proof is another one, too, and where rounding leaves a proof little room the bounds of both may differ by up to a tenth.
 
 All is done in the own units of the one that is designed. Where that does not lead to the limit of the central path and a
-certificate that holds, a plant is designed by itself: if it has another shape, if (25) is infeasible from the optimal X of (22),
-or if the optimum is reached only by gains beyond any actuator.
+certificate that holds, a plant is designed by itself: if it has another shape, if its weights have states, which leave the X of
+(22) unsettled at its limit and so all that comes after, if (25) is infeasible from the optimal X of (22), or if the optimum is
+reached only by gains beyond any actuator.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -62,6 +63,7 @@ def two_step_designs(
     plants: Sequence[GeneralizedPlant],
     Cys: Sequence[Array],
     states: Sequence[str] = (),
+    always: bool = False,
 ) -> list[Design]:
     """What `two_steps_or_descent` finds for each plant, without a lower bound.
 
@@ -72,6 +74,7 @@ def two_step_designs(
         plants: any number of them.
         Cys: the C_y of each, shape (q, n).
         states: names of the states, for messages.
+        always: as for `two_steps_or_descent`.
 
     Raises:
         InputError: the nominal C_y does not fit its plant, or is empty.
@@ -91,7 +94,13 @@ def two_step_designs(
 
     units = own_units(nominal, Cy[kept])
     nominal_rows, measured = units.rows(Cy[kept])
-    alike = [i for i in checked if plants[i].B.shape == nominal.B.shape and rows[i].shape == nominal_rows.shape]
+    alike = [
+        i
+        for i in checked
+        if plants[i].B.shape == nominal.B.shape
+        and rows[i].shape == nominal_rows.shape
+        and not (plants[i].weights or nominal.weights)
+    ]
     limits = _output_limits(
         units.into(nominal),
         _into(units, nominal_path),
@@ -103,7 +112,7 @@ def two_step_designs(
         len(plants),
         {alike[i]: point.in_units(units.states, units.inputs, measured) for i, point in limits.items()},
         at,
-        lambda i: two_steps_or_descent(plants[i], Cys[i], states=states),
+        lambda i: two_steps_or_descent(plants[i], Cys[i], states=states, always=always),
     )
 
 

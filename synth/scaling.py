@@ -159,7 +159,17 @@ def _with_pivots(normal: Array, right: Array) -> Array:
 
 
 def speed(plant: GeneralizedPlant) -> tuple[float, bool]:
-    """How fast a plant is by itself [rad/s]: its fastest pole, and True; the rate of its own and False where all lie at 0."""
+    """How fast a plant is by itself [rad/s]: its fastest pole, and True; the rate of its own and False where all lie at 0.
+
+    Poles of weights do not count.
+    """
+    n = len(plant.A) - plant.weights
+    if plant.weights:
+        return _speed(GeneralizedPlant(plant.A[:n, :n], plant.B[:n], plant.Bw[:n], plant.C[:, :n], plant.D, plant.Dw))
+    return _speed(plant)
+
+
+def _speed(plant: GeneralizedPlant) -> tuple[float, bool]:
     A = plant.A
     # The sum of all squared poles, beside what it is a sum of: no unit changes either.
     if abs(np.sum(A * A.T)) <= CANCELLED * np.sum(np.abs(A * A.T)):

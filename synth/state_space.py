@@ -9,7 +9,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError, listing
 from models.vehicle import Vehicle
-from synth.controller import Controller
+from synth.controller import Controller, plant_states
 from synth.plant import GeneralizedPlant
 
 if TYPE_CHECKING:
@@ -99,13 +99,15 @@ def closed_loop(vehicle: Vehicle, controller: Controller) -> "control.StateSpace
     each as a velocity: its height times the model's `twist_rate`.
     """
     outputs = vehicle.linear_model.outputs
-    return _loop(replace(vehicle, performance=dict.fromkeys(outputs, 1.0)), controller, outputs)
+    plain = replace(vehicle, performance=dict.fromkeys(outputs, 1.0), filters={}, road_filter=None)
+    return _loop(plain, controller, outputs)
 
 
 def weighted_loop(vehicle: Vehicle, controller: Controller) -> "control.StateSpace":
     """The same to the weighted output z (34) alone: its norm is the certificate's.
 
-    Each output is a signal times its weight in `[performance]`, and is called `z[signal]`.
+    Each output is a signal times its weight in `[performance]`, behind its filter if it has one, and is called `z[signal]`. Where
+    the road has a filter, each input is what comes into it, and is called `w[road]`.
     """
     return _loop(vehicle, controller, [f"z[{signal}]" for signal, weight in vehicle.performance.items() if weight > 0])
 
@@ -117,14 +119,15 @@ def _loop(vehicle: Vehicle, controller: Controller, outputs: Sequence[str]) -> "
     loop = controller.loop(vehicle)
     roads = [wheel.road_velocity for wheel in vehicle.kind.wheels]
     more = [f"road_twist_{k}" for k in range(1, loop.Bw.shape[1] - len(roads) + 1)]
+    inputs = [*roads, *more]
     system = ss(
         loop.A,
         loop.Bw,
         loop.C,
         loop.Dw,
         name=f"{vehicle.kind.name}_{controller.name}",
-        states=[*vehicle.linear_model.states, *(f"controller_{k}" for k in range(1, controller.law.states + 1))],
-        inputs=[*roads, *more],
+        states=[*plant_states(vehicle), *(f"controller_{k}" for k in range(1, controller.law.states + 1))],
+        inputs=inputs if vehicle.road_filter is None else [f"w[{name}]" for name in inputs],
         outputs=list(outputs),
     )
     assert isinstance(system, StateSpace)

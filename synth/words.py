@@ -46,6 +46,15 @@ def ideal_lines(vehicle: Vehicle) -> list[str]:
     return [] if vehicle.ideal else [f"bound, norm and poles are {IDEAL_LOOP}"]
 
 
+def filter_lines(vehicle: Vehicle) -> list[str]:
+    """What filters are in z and in w, where there are any, and whose poles theirs are."""
+    if not vehicle.filtered:
+        return []
+    found = [f"{signal} through {one.words}" for signal, one in vehicle.filters.items()]
+    found += [f"the road's velocity from w through {vehicle.road_filter.words}"] if vehicle.road_filter is not None else []
+    return [f"norms are of {', '.join(found)}; the poles of these are in every loop, and no control moves them"]
+
+
 def notes(controller: Controller) -> tuple[str, ...]:
     """What is the case where there is no one optimum, what was done instead, how far from it a design is, what is in vain."""
     found = [text for text in (controller.case, controller.instead, *controller.remarks) if text]

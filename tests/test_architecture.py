@@ -20,8 +20,9 @@ MODULES = {name: path for path, name in NAMES.items()}
 ROOMS = {
     # models: what a vehicle is
     "models.common": "",
+    "models.filters": "models.common",
     "models.formats": "models.common",
-    "models": "models.common models.formats",
+    "models": "models.common models.filters models.formats",
     # synth: what a controller is; of vehicles it knows nothing below `controller`
     "synth": "",
     "synth.errors": "",
@@ -39,7 +40,7 @@ ROOMS = {
     "synth.scaling",
     "synth.fallback": "synth.certificate synth.design synth.errors synth.lmi synth.plant synth.search",
     "synth.redesign": "synth.design synth.errors synth.fallback synth.lmi synth.numerics synth.plant synth.scaling",
-    "synth.controller": "models synth.certificate synth.dynamic synth.plant",
+    "synth.controller": "models models.filters synth.certificate synth.dynamic synth.plant",
     "synth.words": "models synth.controller",
     "synth.designer": "models synth.certificate synth.controller synth.design synth.dynamic synth.errors synth.fallback "
     "synth.lmi synth.plant synth.redesign synth.search",
@@ -47,7 +48,8 @@ ROOMS = {
     "synth.paper": "models synth.certificate synth.designer synth.lmi",
     "synth.command": "models synth.certificate synth.controller synth.design synth.designer synth.errors synth.lmi synth.plant "
     "synth.posed synth.scaling synth.words",
-    "synth.__main__": "models synth.certificate synth.command synth.designer synth.errors synth.search synth.words",
+    "synth.__main__": "models synth.certificate synth.command synth.controller synth.designer synth.errors synth.search "
+    "synth.words",
     # sim: what a run is
     "sim": "",
     "sim.figures": "",
@@ -56,10 +58,10 @@ ROOMS = {
     "sim.linear": "sim.response sim.roads",
     "sim.physics": "sim.response sim.roads",
     "sim.runs": "sim.linear sim.physics sim.response sim.roads synth.words",
-    "sim.ride": "sim.linear sim.response sim.roads sim.runs",
+    "sim.ride": "models.filters sim.linear sim.response sim.roads sim.runs",
     "sim.validity": "sim.figures sim.linear sim.physics sim.response sim.roads",
     "sim.stability": "sim.figures sim.linear sim.physics sim.roads sim.runs",
-    "sim.frequency": "sim.figures sim.linear sim.physics sim.response sim.roads sim.runs",
+    "sim.frequency": "models.filters sim.figures sim.linear sim.physics sim.response sim.roads sim.runs",
     "sim.recording": "sim.figures sim.physics sim.response sim.roads sim.runs",
     "sim.command": "sim.figures sim.recording sim.runs",
     "sim.asked": "sim.command sim.frequency sim.response sim.roads sim.runs sim.stability sim.validity",

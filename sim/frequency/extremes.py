@@ -13,7 +13,8 @@ from scipy import linalg
 from models.common.arrays import Array
 from models.reality import steps_per_sample
 from models.vehicle import Vehicle
-from sim.frequency.identification import HIGHEST, LINES, LOWEST, check, fit, ideal_measurements, images, l2_gain
+from sim.frequency.gain import l2_gain, settled_gain
+from sim.frequency.identification import HIGHEST, LINES, LOWEST, check, fit, ideal_measurements, images
 from sim.linear.frequency import Worst, sampled_frequency_response, worst_sinusoid
 from sim.linear.loop import sampled_radius, taylor4
 from sim.physics.simulate import simulate
@@ -62,7 +63,7 @@ class Extremes:
         worst: gain and frequency of the worst sinusoid of the sampled loop: its H-infinity norm.
         integrated: gain of the worst sinusoid of the loop as RK4 makes it.
         tried: the frequency that was driven [rad/s], next to it.
-        gains: L2 gains from road velocity to the weighted output, measured in MuJoCo, by road.
+        gains: L2 gains from w to z, measured in MuJoCo, by road; of the worst sinusoid alone where the road has a filter.
         invariants: those that this vehicle has.
         ended: what ended the linear regime, in whichever run.
         lti: whether the sampled loop is time-invariant, as it is where the controller samples at every step; else its norm here
@@ -114,10 +115,12 @@ def extremes(
     lti = steps_per_sample(vehicle.implementation, timestep) == 1
     found = []
     for i, controller in enumerate(controllers):
-        runs = {"worst sinusoid": settled[i]} | {name: of_each[i] for name, of_each in responses.items()}
-        ended = dict.fromkeys(name for run in runs.values() for name in ended_by(vehicle, run))
+        runs = {name: of_each[i] for name, of_each in responses.items()}
+        ended = dict.fromkeys(name for run in (settled[i], *runs.values()) for name in ended_by(vehicle, run))
         invariants = _measured(vehicle, controller, runs["invariants"], len(time) // 2, timestep) if special else ()
-        gains = {name: l2_gain(vehicle, run) for name, run in runs.items() if name != "invariants"}
+        gains = {"worst sinusoid": settled_gain(vehicle, settled[i], tried[i])}
+        others = {name: l2_gain(vehicle, run) for name, run in runs.items() if name != "invariants"}
+        gains |= {name: gain for name, gain in others.items() if gain is not None}
         found.append(Extremes(worst[i], integrated[i].gain, tried[i], gains, invariants, tuple(ended), lti))
     return found
 

@@ -17,7 +17,8 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.reality import Implementation, steps_per_sample
 from models.vehicle import Vehicle
-from sim.linear.frequency import as_met, continuous_frequency_response, sampled_frequency_response, weights
+from sim.frequency.gain import l2_gain
+from sim.linear.frequency import as_met, continuous_frequency_response, sampled_frequency_response
 from sim.linear.loop import implemented_loop, sampled_radius, taylor4
 from sim.physics.simulate import simulate
 from sim.response.regime import ended_by
@@ -47,7 +48,7 @@ class Lines:
         integrated: the same as RK4 makes it.
         continuous: exact, of the continuous loop.
         order: power of the timestep with which sampled tends to continuous; NaN where a delay or sample period stands between.
-        gain: L2 gain of the run, from road velocity to the weighted output.
+        gain: L2 gain of the run, from w to z; None where the road has a filter (`sim.frequency.gain`).
         ended: what ended the linear regime.
     """
 
@@ -60,7 +61,7 @@ class Lines:
     integrated: Array
     continuous: Array
     order: float
-    gain: float
+    gain: float | None
     ended: tuple[str, ...]
 
     def error(self, reference: Array) -> Array:
@@ -160,13 +161,6 @@ def fit(
     count = angle.shape[1]
     lines = coefficients[1 : 1 + count] + 1j * coefficients[1 + count : 1 + 2 * count]
     return dict(zip(response.names, lines[: len(omega)].T, strict=True))
-
-
-def l2_gain(vehicle: Vehicle, response: Response) -> float:
-    """||z|| / ||w|| of a run: weighted outputs over road velocities, both over time and wheels."""
-    z = weights(vehicle) * np.stack([response[name] for name in vehicle.linear_model.outputs], axis=-1)
-    w = np.stack([response[wheel.road_velocity] for wheel in vehicle.kind.wheels], axis=-1)
-    return float(np.linalg.norm(z) / np.linalg.norm(w))
 
 
 def _free_motion(vehicle: Vehicle, controller: Controller, timestep: float, samples: int) -> Array:

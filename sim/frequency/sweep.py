@@ -38,7 +38,7 @@ class Sweep:
     @property
     def gains(self) -> dict[str, float]:
         """L2 gain by road."""
-        return {**self.extremes.gains, "chirp": self.lines.gain}
+        return {**self.extremes.gains, **({} if self.lines.gain is None else {"chirp": self.lines.gain})}
 
 
 def sweep(
@@ -107,9 +107,9 @@ def sweep_lines(one: Sweep) -> list[str]:
         f"  norm of the sampled loop, one road under all wheels: {norm.gain:.7g} at {norm.omega:.5g} rad/s; of the "
         f"continuous one, any road under any wheel: {_norm(one):.7g}"
     )
-    gains = ", ".join(f"{name} {gain:.5g}" for name, gain in one.gains.items() if name != "worst sinusoid")
+    gains = "".join(f", {name} {gain:.5g}" for name, gain in one.gains.items() if name != "worst sinusoid")
     shares = one.gains["worst sinusoid"] / norm.gain
-    lines.append(f"  L2 gains in MuJoCo: worst sinusoid {one.gains['worst sinusoid']:.7g} ({100 * shares:.4f} %), {gains}")
+    lines.append(f"  L2 gains in MuJoCo: worst sinusoid {one.gains['worst sinusoid']:.7g} ({100 * shares:.4f} %){gains}")
     if not one.extremes.lti:
         lines.append("  the controller is slower than the timestep, so its loop has harmonics: the norm is without them")
     if failed and not one.ended:

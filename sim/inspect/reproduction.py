@@ -28,7 +28,7 @@ from sim.roads.road import Road
 from sim.runs.prediction import Prediction, predict
 from synth.certificate.certificate import certify
 from synth.certificate.record import read_proof
-from synth.controller import Controller, generalized_plant
+from synth.controller import Controller, generalized_plant, measurements
 from synth.dynamic.loop import on_larger_plant
 
 MOST_VEHICLE = TEXT  # bytes of a vehicle file: what a command reads, its log may hold
@@ -95,7 +95,7 @@ def recorded_controller(vehicle: Vehicle, run: RecordedRun) -> Controller:
     if given is not None and law.record != given.record:
         raise InputError("its gain or law is not that of vehicle.toml")
 
-    plant, (Cy, through) = generalized_plant(vehicle), vehicle.linear_model.rows(signals)
+    plant, (Cy, through) = generalized_plant(vehicle), measurements(vehicle, signals)
     record = run.claim("certificate")
     if not isinstance(record, dict):
         raise InputError("its certificate is none")

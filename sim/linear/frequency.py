@@ -139,14 +139,9 @@ def as_met(vehicle: Vehicle, omega: Array, speed: float) -> Array:
     return np.exp(-1j * np.multiply.outer(omega, later))
 
 
-def weights(vehicle: Vehicle) -> Array:
-    """The weight of every output signal in the controlled output z (34), shape (p,)."""
-    return np.array([vehicle.performance.get(name, 0.0) for name in vehicle.linear_model.outputs])
-
-
 @dataclass(frozen=True)
 class Worst:
-    """The road that moves the weighted output z most, per its own size (both in the L2 sense).
+    """The road that moves the weighted output z most, per its own size, or that of w where the road has a filter (both in L2).
 
     Attributes:
         gain: ||z|| / ||w||. With one wheel, the H-infinity norm; with more, no more than it, as one road is under them all.
@@ -171,7 +166,7 @@ def worst_sinusoid(vehicle: Vehicle, response: Callable[[Array], Array], highest
 
     def gain(omega: Array) -> Array:
         met = as_met(vehicle, omega, speed)
-        z = weights(vehicle) * np.einsum("fpr,fr->fp", response(omega), met)
+        z = vehicle.weights(omega) * np.einsum("fpr,fr->fp", response(omega), vehicle.road_shape(omega)[:, None] * met)
         return np.linalg.norm(z, axis=1) / np.linalg.norm(met, axis=1)
 
     # Lightly damped poles make narrow peaks; those of a vehicle are wider than the grid's 0.4 %, and each is refined.

@@ -109,6 +109,8 @@ def _provenance(scope: Scope, provenance: dict[str, str]) -> Section:
     rows["seeds"] = "; ".join(seeds) or "none: nothing is random"
     settings = [(name, f"{value:g}") for name, value in vehicle.parameters.items()]
     settings += [(f"weight of {name}", f"{value:g}") for name, value in vehicle.performance.items()]
+    settings += [(f"filter of {name}", one.words) for name, one in vehicle.filters.items()]
+    settings += [("filter of the road", vehicle.road_filter.words)] if vehicle.road_filter is not None else []
     limits = {name: value for name, value in asdict(vehicle.limits).items() if value is not None}
     settings += [(f"[limits] {name}", f"{value:g}") for name, value in limits.items()] or [("[limits]", "none")]
     built = {"sample_period": how.sample_period, "delay": how.delay or None}

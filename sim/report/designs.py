@@ -149,7 +149,7 @@ def frequency_section(scope: Scope, lines: Sequence[Lines], sweeps: Sequence[Swe
                 f"{one.extremes.worst.gain:.6g}",
                 f"{one.gains['worst sinusoid']:.6g}",
                 f"{100 * one.gains['worst sinusoid'] / one.extremes.worst.gain:.3f} %",
-                *(f"{one.gains[name]:.4g}" for name in ("bump", "chirp", "random")),
+                *(f"{one.gains[name]:.4g}" if name in one.gains else "-" for name in ("bump", "chirp", "random")),
             )
             for one in sweeps
         )

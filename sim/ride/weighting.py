@@ -1,11 +1,6 @@
 """The frequency weighting W_k of ISO 2631-1 for vertical vibration of seated or standing people, analog and sampled.
 
-Constants of ISO 8041. With w_i = 2 pi f_i,
-
-    H(s) = 1 / (1 + w1/(Q1 s) + (w1/s)^2) * 1 / (1 + s/(Q2 w2) + (s/w2)^2) * (1 + s/w3) / (1 + s/(Q4 w4) + (s/w4)^2)
-           * (1 + s/(Q5 w5) + (s/w5)^2) / (1 + s/(Q6 w6) + (s/w6)^2) * (w5/w6)^2:
-
-the band limits, the step from acceleration to velocity, and the upward step.
+H(s) and its constants are those of `models/filters/iso2631.py`, where a design finds them as a weight, too.
 
 Sampled, it is H on the straight lines between samples (first-order hold), exactly: each pair of its poles is one recursion of
 second order, side by side. Lines between samples lose high frequencies, by d / (omega h)^2 with d = 2 - 2 cos(omega h). Before
@@ -18,9 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.arrays import Array
+from models.filters.iso2631 import F1, F2, F3, F4, F5, F6, Q1, Q2, Q4, Q5, Q6
 
-F1, F2, F3, F4, F5, F6 = 0.4, 100.0, 12.5, 12.5, 2.37, 3.35  # Hz
-Q1, Q2, Q4, Q5, Q6 = 1 / np.sqrt(2), 1 / np.sqrt(2), 0.63, 0.91, 0.91
 DIFFERENCE = np.array([-1.0, 2.0, -1.0])  # 2 - 2 cos(omega h), one sample late
 RESTORE = np.zeros(7)  # three samples late
 for power, share in enumerate((1.0, 1 / 12, 1 / 90, 1 / 560)):

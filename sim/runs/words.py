@@ -16,7 +16,7 @@ from sim.response.regime import FLAT, LIFT_OFF, REGIME_ENDS
 from sim.runs.agreement import COARSEST, SLACK, SMALL
 from sim.runs.run import Run
 from synth.controller import Controller
-from synth.words import gain_text, heading_lines, ideal_lines, law_lines, notes
+from synth.words import filter_lines, gain_text, heading_lines, ideal_lines, law_lines, notes
 
 MOST_FLIGHTS = 4  # of a run that are told one by one
 
@@ -93,7 +93,14 @@ def _found(vehicle: Vehicle, controller: Controller) -> list[str]:
         proof = f"bound {certificate.bound:.7g}, " if certificate.bound is not None else ""
         where = f" at {norm.peak_frequency:.5g} rad/s" if math.isfinite(norm.peak_frequency) else ""
         lines += [f"{proof}norm {norm.value:.7g}{where}", certificate.stability.words]
-    return [*lines, *ideal_lines(vehicle), *notes(controller), *certificate.remarks, *certificate.failures]
+    return [
+        *lines,
+        *ideal_lines(vehicle),
+        *filter_lines(vehicle),
+        *notes(controller),
+        *certificate.remarks,
+        *certificate.failures,
+    ]
 
 
 def verdict(run: Run) -> str:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from synth.controller import Controller
+from synth.controller import Controller, measurements
 from synth.design import measurement
 from synth.designer import Designer
 from synth.errors import DesignError
@@ -89,14 +89,14 @@ def cross_check(designer: Designer, controller: Controller, zero_l: bool = False
         or controller.law.states
         or (controller.name in designer.vehicle.controllers and designer.vehicle.controllers[controller.name].design)
         or bound is None
-        or (problem.best is not None and controller.case == problem.best_case)
+        or (problem.best is not None and problem.best_case in controller.case)
     ):
         return None
-    Cy, kept = measurement(designer.plant, designer.vehicle.linear_model.rows(controller.measured)[0])
+    Cy, kept = measurement(designer.plant, measurements(designer.vehicle, controller.measured)[0])
     units = own_units(designer.plant, Cy[kept])
     rows, measured = units.rows(Cy[kept])
     K = controller.gain[:, kept] @ measured / units.inputs[:, None]
-    if controller.name == "state":
+    if len(rows) == len(designer.plant.A):
         which, Q, R = "(22)", np.zeros((len(rows), 0)), np.linalg.inv(rows)
     else:
         which, Q = "(25)", nullspace(rows)

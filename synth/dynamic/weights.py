@@ -7,6 +7,7 @@ with an output it weighs that, in series with a disturbance it shapes its spectr
     transfer_function one of a ratio of polynomials in s
     series, append    one after the other, one beside the other
     generalized       a system from [w; u] to [z; y] as a plant and what it measures
+    with_weights      a plant between the filter of its w and that of its z
 
 (Zhou, Doyle, Glover 1996, Robust and Optimal Control, section 3.6.)
 """
@@ -132,6 +133,36 @@ def generalized(system: System, disturbances: int, controlled: int) -> tuple[Gen
         )
     plant = GeneralizedPlant(system.A, system.B[:, r:], system.B[:, :r], system.C[:d], system.D[:d, r:], system.D[:d, :r])
     return plant, system.C[d:], system.D[d:, :r]
+
+
+def with_weights(plant: GeneralizedPlant, outputs: System, disturbances: System) -> GeneralizedPlant:
+    """The plant whose z goes through one system, and whose w comes out of another.
+
+    Its states come first, then those of z, then those of w: what it measures the whole measures with columns of zeros.
+
+    Args:
+        plant: n states, r disturbances, d outputs.
+        outputs: of d inputs.
+        disturbances: of r outputs.
+    """
+    z, w = outputs, disturbances
+    n, k, j = len(plant.A), len(z.A), len(w.A)
+    through = plant.Dw @ w.C
+    return GeneralizedPlant(
+        A=np.block(
+            [
+                [plant.A, np.zeros((n, k)), plant.Bw @ w.C],
+                [z.B @ plant.C, z.A, z.B @ through],
+                [np.zeros((j, n + k)), w.A],
+            ]
+        ),
+        B=np.vstack([plant.B, z.B @ plant.D, np.zeros((j, plant.B.shape[1]))]),
+        Bw=np.vstack([plant.Bw @ w.D, z.B @ plant.Dw @ w.D, w.B]),
+        C=np.hstack([z.D @ plant.C, z.C, z.D @ through]),
+        D=z.D @ plant.D,
+        Dw=z.D @ plant.Dw @ w.D,
+        weights=k + j,
+    )
 
 
 def _diagonal(parts: Sequence[Array]) -> Array:

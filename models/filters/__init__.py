@@ -1,0 +1,1 @@
+"""Filters of one signal, and those that a standard has."""

@@ -1,0 +1,60 @@
+"""How much of a road a run lets through: L2 gains from the disturbance w to the controlled output z of the vehicle file.
+
+A weight that is a filter goes over the run from rest, on the straight lines between samples. Where the road has a filter, too, w
+is what comes in there; of a sinusoid it is known, and of another road it would take the inverse of the filter, which may not be.
+"""
+
+import numpy as np
+from scipy import signal
+
+from models.common.arrays import Array
+from models.filters.filter import Filter
+from models.law import LinearLaw
+from models.vehicle import Vehicle
+from sim.response.response import Response
+
+
+def l2_gain(vehicle: Vehicle, response: Response) -> float | None:
+    """||z|| / ||w|| of a run from rest, both over time and wheels; None where the road has a filter, so that w is not known."""
+    if vehicle.road_filter is not None:
+        return None
+    period = float(response.time[1] - response.time[0])
+    weighted = [
+        weight * (_filtered(vehicle.filters[name], response[name], period) if name in vehicle.filters else response[name])
+        for name, weight in _weights(vehicle)
+    ]
+    return float(np.linalg.norm(np.stack(weighted, axis=-1)) / np.linalg.norm(_roads(vehicle, response)))
+
+
+def settled_gain(vehicle: Vehicle, response: Response, omega: float) -> float:
+    """The same of whole periods of a sinusoid, once all else has decayed.
+
+    Args:
+        vehicle: the vehicle.
+        response: some periods and nothing else.
+        omega: frequency of the road [rad/s].
+    """
+    if not vehicle.filtered:
+        gain = l2_gain(vehicle, response)
+        assert gain is not None, "the road has no filter"
+        return gain
+    signals = np.stack([response[name] for name in vehicle.linear_model.outputs], axis=-1)
+    count, period = len(signals), float(response.time[1] - response.time[0])
+    lines = 2 * np.pi * np.fft.rfftfreq(count, period)
+    z = np.fft.irfft(vehicle.weights(lines) * np.fft.rfft(signals, axis=0), count, axis=0)
+    shape = np.abs(vehicle.road_shape(np.array([omega]))[0])
+    return float(shape * np.linalg.norm(z) / np.linalg.norm(_roads(vehicle, response)))
+
+
+def _weights(vehicle: Vehicle) -> list[tuple[str, float]]:
+    return [(name, vehicle.performance.get(name, 0.0)) for name in vehicle.linear_model.outputs]
+
+
+def _roads(vehicle: Vehicle, response: Response) -> Array:
+    return np.stack([response[wheel.road_velocity] for wheel in vehicle.kind.wheels], axis=-1)
+
+
+def _filtered(one: Filter, values: Array, period: float) -> Array:
+    """A signal through a filter, from rest."""
+    law = LinearLaw(*one.realisation).sampled(period)
+    return signal.dlsim((law.A, law.B, law.C, law.D, period), values[:, None])[1][:, 0]
