@@ -7,7 +7,6 @@ from functools import cached_property
 
 import numpy as np
 
-from models.common.arrays import Array
 from models.common.errors import InputError, listing
 from models.controllers import ControllerEntry
 from models.law import static_law
@@ -15,16 +14,7 @@ from models.vehicle import Vehicle
 from synth.certificate.bounding import certify_tightly
 from synth.certificate.certificate import Certificate
 from synth.certificate.lower_bound import LowerBound
-from synth.controller import (
-    Controller,
-    alike,
-    certified,
-    checked,
-    generalized_plant,
-    measurements,
-    on_readings,
-    plant_states,
-)
+from synth.controller import Controller, alike, certified, checked, generalized_plant, measurements, on_readings, plant_states
 from synth.design import Design, state_design, state_path, zero_l_design
 from synth.dynamic.named import named_design
 from synth.errors import BatchError, DesignError
@@ -34,7 +24,7 @@ from synth.lmi.full_order import bound_beyond_control, find_lower_bound
 from synth.lmi.output_feedback import independent_rows
 from synth.plant import Feedback
 from synth.redesign import state_designs, two_step_designs
-from synth.search.refine import SEEN, Refinement, refine, worth_refining
+from synth.search.refine import SEEN, Refinement, from_some, refine, worth_refining
 from synth.search.static import static_output_feedback
 
 STATE_ALONE = (
@@ -92,10 +82,7 @@ class Designer:
         return {}
 
     def lower_bound(self, measured: Sequence[str]) -> LowerBound:
-        """What no controller that measures these signals can beat, of whatever order.
-
-        For none, and for all states where a filter has none, it is what no state feedback beats, of the filters' states either.
-        """
+        """What no controller that measures these signals beats, of whatever order; for none of them, full state feedback."""
         key = tuple(measured)
         if key not in self._bounds:
             model, everything = self.vehicle.linear_model, not key or key == plant_states(self.vehicle)
@@ -146,11 +133,6 @@ class Designer:
         vehicle, how = self.vehicle, self.vehicle.implementation
         model = vehicle.linear_model
         of_state = [signal for signal in entry.measured if signal not in model.inputs]
-        if entry.design == "lqr" and vehicle.filtered:
-            raise InputError(
-                f"controller {entry.name!r} feeds every state back, and the filters of [performance] have states that nothing "
-                'measures; give it design = "lqg", "h2" or "full", or constant weights'
-            )
         Cy, _ = measurements(vehicle, of_state)
         # Drawn every T seconds, noise of rms sigma is white noise of sigma sqrt(T).
         rms = [how.noise.get(signal, 0.0) * (how.sample_period or 0.0) ** 0.5 for signal in of_state]
@@ -190,7 +172,7 @@ class Designer:
             found = static_output_feedback(self.plant, Cy, lower_bound=lower_bound)
             K, origin = found.gain, found.origin
         else:
-            K = _from_some(start.law_on_states(self.vehicle).D, rows, kept)
+            K = from_some(start.law_on_states(self.vehicle).D, rows, kept)
         refinement = refine(self.plant, Cy, K)
         gain = np.zeros((len(K), len(measured)))
         gain[:, kept] = refinement.gain
@@ -211,7 +193,7 @@ class Designer:
             return 0.0
         rows, _ = measurements(self.vehicle, controller.measured)
         kept = independent_rows(self.plant, rows)
-        share = worth_refining(self.plant, rows[kept], _from_some(controller.law_on_states(self.vehicle).D, rows, kept))
+        share = worth_refining(self.plant, rows[kept], from_some(controller.law_on_states(self.vehicle).D, rows, kept))
         return share if share > SEEN else 0.0
 
     def redesign(self, vehicles: Sequence[Vehicle], name: str) -> list[Controller]:
@@ -298,12 +280,6 @@ def _designed(vehicle: Vehicle, entry: ControllerEntry, design: Design) -> Contr
         case="; ".join(said for said in (design.case, beside) if said),
         instead=design.instead,
     )
-
-
-def _from_some(gain: Array, rows: Array, kept: Sequence[int]) -> Array:
-    """The same force from those of the measurements that the others follow from, shape (m, len(kept))."""
-    left_out = [i for i in range(len(rows)) if i not in kept]
-    return gain[:, kept] + gain[:, left_out] @ rows[left_out] @ np.linalg.pinv(rows[kept]) if left_out else gain
 
 
 def given(vehicle: Vehicle, name: str, measured: Sequence[str], gain: Sequence[Sequence[float]]) -> Controller:

@@ -193,6 +193,26 @@ def test_redesign_with_filters():
             assert one.case == alone.case
 
 
+def test_other_designs_with_filters(capsys, tmp_path):
+    """Full-order, LQG and H2 controllers are designed from the vehicle's signals; LQR, of states nobody measures, says so."""
+    lines, states = "", parse_vehicle(file_with(LEAD)).linear_model.states
+    for name, how, measured in (
+        ("full", 'order = "full"', ["suspension_deflection", "sprung_velocity"]),
+        ("lqg", 'design = "lqg"', ["suspension_deflection", "sprung_velocity"]),
+        ("lqr", 'design = "lqr"', list(states)),
+    ):
+        lines += f"[controllers.{name}]\nmeasured = {json.dumps(measured)}\n{how}\n"
+    file = tmp_path / "felt.toml"
+    file.write_text(file_with(LEAD) + lines)
+    asked = [part for name in ("full", "lqg", "lqr") for part in ("--controller", name)]
+    assert main(["--vehicle", str(file), *asked, "--json"]) == 1
+    full, lqg, lqr = json.loads(capsys.readouterr().out)["controllers"]
+    assert full["failures"] == lqg["failures"] == []
+    assert 0 <= full["gap"] < 1e-3  # as full-order controllers claim
+    assert lqg["norm"] >= lqg["lower_bound"]
+    assert "controller 'lqr': LQR feeds back every state" in lqr["reason"]
+
+
 def test_saved_and_checked(tmp_path, capsys):
     """A design with filters, saved, is checked from its file alone; with another filter it fails; the words say what z is."""
     file = tmp_path / "felt.toml"

@@ -11,6 +11,7 @@ from synth.certificate.certificate import Certificate
 from synth.certificate.lower_bound import LowerBound
 from synth.dynamic.full_order import full_order_design
 from synth.dynamic.quadratic import h2_design, lqg_design, lqr_design
+from synth.errors import DesignError
 from synth.plant import GeneralizedPlant
 
 
@@ -48,12 +49,18 @@ def named_design(
         noise: of each measurement, for "lqg", see `lqg_design`; None where there is none.
 
     Raises:
+        DesignError: LQR is asked for where not every state is measured.
         InputError, InfeasibleError, DesignError: as `full_order_design`, `lqr_design`, `lqg_design` and `h2_design`.
     """
     if name == "full":
         full = full_order_design(plant, Cy, None, lower_bound, states)
         return NamedDesign(full.law, full.certificate, (full.remark,) if full.remark else ())
     if name == "lqr":
+        if len(Cy) < len(plant.A):
+            raise DesignError(
+                "LQR feeds back every state, and those of filters in [performance] are not measured; give design = "
+                '"lqg" or "h2", or order = "full", or constant weights'
+            )
         found = lqr_design(plant, states)
         law = LinearLaw(found.law.A, np.zeros((0, len(Cy))), found.law.C, np.linalg.solve(Cy.T, found.law.D.T).T)
     else:

@@ -5,6 +5,7 @@ of gamma, because the infimum lies at infinite gain. So the gain grows by stages
 gains less than a thousandth while the gain grows is undone.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -114,3 +115,9 @@ def worth_refining(plant: GeneralizedPlant, Cy: Array, K: Array) -> float:
     x, norm = along_edges(landscape, x, np.full(len(x), size), ROUNDS)
     _, reached = along_edges(landscape, x, np.full(len(x), 2 * float(np.abs(x).max())), GLANCE)
     return 1 - reached / before if reached < norm * (1 - WORTH) else 1 - norm / before
+
+
+def from_some(gain: Array, rows: Array, kept: Sequence[int]) -> Array:
+    """The same force from those of the measurements that the others follow from, shape (m, len(kept))."""
+    left_out = [i for i in range(len(rows)) if i not in kept]
+    return gain[:, kept] + gain[:, left_out] @ rows[left_out] @ np.linalg.pinv(rows[kept]) if left_out else gain
