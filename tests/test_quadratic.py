@@ -12,6 +12,7 @@ from models.vehicle import read_vehicle
 from synth.certificate.norm import hinf_norm
 from synth.controller import generalized_plant
 from synth.dynamic.estimator import leaky_integrator_law
+from synth.dynamic.full_order import full_order_design
 from synth.dynamic.loop import on_larger_plant
 from synth.dynamic.quadratic import ASSUMED, h2_design, h2_norm, lqg_design, lqr_design
 from synth.errors import DesignError, InfeasibleError
@@ -139,6 +140,15 @@ def test_units(seed):
     through = [np.einsum("mk,kq->kmq", each.law.C, each.law.B) for each in (one, other)]
     np.testing.assert_array_equal(moved.u[:, None] / moved.t * through[1] * moved.y, through[0])
     np.testing.assert_array_equal(moved.u[:, None] * lqr_design(moved.plant).law.D / moved.x, lqr_design(plant).law.D)
+
+
+def test_no_force():
+    """Where no force does anything, and none is needed, none is applied, by whatever design."""
+    plant, Cy, _ = noisy(0, 1.0)
+    idle = replace(plant, B=0 * plant.B, D=0 * plant.D)
+    for found in (lqr_design(idle), lqg_design(idle, Cy), h2_design(idle, Cy), full_order_design(idle, Cy)):
+        assert not found.law.acts
+        assert found.certificate.norm.value == pytest.approx(hinf_norm(plant).value, rel=1e-9)  # rounding of the norm
 
 
 def test_refused():

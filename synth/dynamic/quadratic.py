@@ -148,6 +148,8 @@ def _regulator(A: Array, B: Array, C: Array, D: Array, more: Array, advice: str)
     Raises:
         DesignError: there is none that is stable beyond rounding.
     """
+    if not B.shape[1]:  # no force does anything
+        return np.zeros((0, len(A)))
     weight = D.T @ D + more.T @ more
     try:
         X = linalg.solve_continuous_are(A, B, C.T @ C, weight, s=C.T @ D)
