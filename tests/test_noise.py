@@ -12,6 +12,7 @@ from synth.certificate.lower_bound import LowerBound, prove_lower_bound
 from synth.certificate.norm import hinf_norm
 from synth.certificate.record import read_proof, to_record
 from synth.certificate.side import shown
+from synth.certificate.zeros import limit_at_zeros
 from synth.dynamic.central import central_law
 from synth.dynamic.loop import on_larger_plant
 from synth.errors import InfeasibleError
@@ -83,6 +84,17 @@ def test_no_controller_beats_it(seed):
     assert stable > 20
 
 
+def test_zeros_of_what_is_measured():
+    """Of y = (s - 1) / (s + 1) w no stable loop makes w again: z = w + u has no norm below 1; of (s + 3) / (s + 1) w it has."""
+    plant = GeneralizedPlant(-np.eye(1), np.zeros((1, 1)), np.eye(1), np.zeros((1, 1)), np.eye(1), np.eye(1))
+    found = find_lower_bound(plant, np.array([[-2.0]]), Dyw=np.eye(1))
+    assert found.gamma == pytest.approx(1.0, rel=1e-8)  # how far below the best bound a proof may lie, 1e-9
+    assert found.zeros is not None
+    assert find_lower_bound(plant, np.array([[2.0]]), Dyw=np.eye(1)).gamma == 0
+    assert limit_at_zeros(plant, np.array([[-2.0]]), found.zeros, np.eye(1)) == found.gamma
+    assert limit_at_zeros(plant, np.array([[-2.0]]), found.zeros) == 0
+
+
 def test_the_proof_is_kept():
     """A record of a bound that lives by noise proves it again with the noise, not without it, and not for less noise."""
     plant, Cy, Dyw = noisy(1, 1.0)
@@ -148,6 +160,15 @@ def test_landscape_with_noise(seed):
     values, slopes = landscape.heights(x, cuts)
     assert values.max() == pytest.approx(height, rel=1e-6)  # the summit's frequency
     np.testing.assert_allclose(slopes[values.argmax()], slope, atol=1e-3 * float(np.linalg.norm(slope)))  # likewise
+    peak = landscape.cuts(x, np.array([at]), 2 * height)
+    bends = [
+        (landscape.slope(x + step, landscape.norm(x + step)[1]) - landscape.slope(x - step, landscape.norm(x - step)[1])) / 2e-4
+        for step in 1e-4 * np.eye(len(x))
+    ]
+    size = float(np.abs(bends).max())
+    np.testing.assert_allclose(
+        landscape.curvature(x, peak, np.ones(1)), bends, atol=5e-2 * size
+    )  # the peak's frequency, 1e-5 / 1e-4
     for step in 0.05 * rng.standard_normal((20, len(x))):
         assert np.all(landscape.heights(x + step, cuts)[0] <= landscape.norm(x + step)[0] * (1 + 1e-9))  # rounding
 

@@ -27,9 +27,10 @@ def a_law(seed: int, idle: int, fast: int) -> tuple[LinearLaw, int]:
     )
     k, n = sum(map(len, core)), len(A)
     B, C = rng.standard_normal((n, 2)), rng.standard_normal((2, n))
+    B[n - fast :] *= 1e4  # what they feed through has size one
     for i in range(idle):
         (B if i % 2 else C.T)[k + i] = 0
-    T = np.linalg.qr(rng.standard_normal((n, n)))[0] * rng.uniform(0.5, 2, n)
+    T = np.linalg.qr(rng.standard_normal((n, n)))[0]
     return LinearLaw(np.linalg.solve(T, A @ T), np.linalg.solve(T, B), C @ T, rng.standard_normal((2, 2))), k
 
 
