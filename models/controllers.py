@@ -4,6 +4,7 @@ import math
 import unicodedata
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,10 +14,11 @@ from models.common.errors import InputError, listing, quoted
 from models.kind import LARGEST
 from models.law import MATRICES, LinearLaw, static_law
 from models.linear_model import LinearModel
+from models.own.python_law import PythonLaw, read_law
 
 DESIGNS = ("lqr", "lqg", "h2")  # what `design` may be; without it the paper's two steps
 FULL = "full"  # what `order` may be
-CONTROLLER_KEYS = ("measured", "gain", *MATRICES, "sample_period", "order", "design", "certificate", "file")
+CONTROLLER_KEYS = ("measured", "gain", *MATRICES, "sample_period", "order", "design", "certificate", "file", "law", "preview")
 RESERVED = ("passive", "state")  # these two always exist: u = 0, and full state feedback
 LONGEST_NAME = 60  # bytes; the names of three controllers go into a file name
 SHORTEST, LONGEST = 1e-6, 10.0  # s, of a discrete controller's sample period
@@ -29,9 +31,10 @@ class ControllerEntry:
     Attributes:
         name: its name.
         measured: signals it measures, q of them.
-        law: from the q measurements to the m forces if the file gives it, else None: it is to be designed.
+        law: from the q measurements to the m forces if the file gives it as numbers, else None: it is to be designed.
         certificate: what is claimed of the law, as `python -m synth --save` wrote it beside it; None without one.
         design: how: "full" for the full-order H-infinity controller, or one of `DESIGNS`; empty for the paper's two steps.
+        python: the law in Python that the file names instead, of which nothing is claimed; None of all others.
     """
 
     name: str
@@ -39,16 +42,23 @@ class ControllerEntry:
     law: LinearLaw | None = None
     certificate: Mapping[str, Any] | None = None
     design: str = ""
+    python: PythonLaw | None = None
 
 
-def read_controllers(section: Mapping[str, Any], model: LinearModel) -> dict[str, ControllerEntry]:
-    """`[controllers]`, checked: by name, each in the one spelling (NFC) of those that look alike, letters and marks composed."""
+def read_controllers(section: Mapping[str, Any], model: LinearModel, folder: Path | None = None) -> dict[str, ControllerEntry]:
+    """`[controllers]`, checked: by name, each in the one spelling (NFC) of those that look alike, letters and marks composed.
+
+    Args:
+        section: as it was read.
+        model: of the vehicle.
+        folder: of the vehicle file, where laws in Python lie; None for one that is text alone.
+    """
     found: dict[str, ControllerEntry] = {}
     for written, entry in section.items():
         name = unicodedata.normalize("NFC", written)
         if name in found:
             raise InputError(f"[controllers.{name}] is there twice, in two spellings that look alike; rename one")
-        found[name] = _controller(name, entry, model)
+        found[name] = _controller(name, entry, model, folder)
     return found
 
 
@@ -58,7 +68,7 @@ def _is_name(name: str) -> bool:
     return "L" in kinds and {*kinds} <= {"L", "-", "Mn", "Mc"} and kinds[0] not in ("Mn", "Mc") and not name.startswith("-")
 
 
-def _controller(name: str, entry: Any, model: LinearModel) -> ControllerEntry:
+def _controller(name: str, entry: Any, model: LinearModel, folder: Path | None) -> ControllerEntry:
     where = f"[controllers.{name}]"
     if name in RESERVED or name == "all":
         raise InputError(f"{where} the name {name!r} is taken: passive, state and all always exist; rename it")
@@ -73,7 +83,8 @@ def _controller(name: str, entry: Any, model: LinearModel) -> ControllerEntry:
         if key not in CONTROLLER_KEYS:
             raise InputError(
                 f"{where} unknown key {key!r}; a controller is a static gain on what it measures, u = K y, or a law with states, "
-                f"x_c' = A x_c + B y, u = C x_c + D y, designed where neither is given; known: {listing(CONTROLLER_KEYS)}"
+                f"x_c' = A x_c + B y, u = C x_c + D y, or a law in Python, and designed where none is given; known: "
+                f"{listing(CONTROLLER_KEYS)}"
             )
     if "file" in entry:
         raise InputError(f"{where} its file is read beside a vehicle file, and this is text from elsewhere; give its matrices")
@@ -81,7 +92,7 @@ def _controller(name: str, entry: Any, model: LinearModel) -> ControllerEntry:
     if "certificate" in entry and not (isinstance(entry["certificate"], dict) and given):
         raise InputError(f"{where} a certificate is a section of its own, beside the gain or law that it is about; take it out")
 
-    design = _design(where, entry, given)
+    design, python = _design(where, entry, given), read_law(where, entry, folder)
     if design == "lqr" and "measured" not in entry:
         entry = entry | {"measured": list(model.states)}
     measured = entry.get("measured")
@@ -98,7 +109,7 @@ def _controller(name: str, entry: Any, model: LinearModel) -> ControllerEntry:
             raise InputError(
                 f"{where} {signal!r} has the road's height in it, which no sensor measures; give signals out of: {measurable}"
             )
-        if signal in model.inputs and not given and not design:
+        if signal in model.inputs and not given and not design and python is None:
             raise InputError(
                 f"{where} {signal!r} says nothing of the state, so no gain is designed on it; leave it out, or give "
                 'order = "full", whose controller takes the force out of the accelerations that it measures'
@@ -108,7 +119,8 @@ def _controller(name: str, entry: Any, model: LinearModel) -> ControllerEntry:
             f'{where} measured = {quoted(measured)}: design = "lqr" is of the state, {listing(model.states)}; leave measured '
             'out, or give design = "lqg"'
         )
-    return ControllerEntry(name, tuple(measured), _law(where, entry, model, measured), entry.get("certificate"), design)
+    law = None if python else _law(where, entry, model, measured)
+    return ControllerEntry(name, tuple(measured), law, entry.get("certificate"), design, python)
 
 
 def _design(where: str, entry: Mapping[str, Any], given: bool) -> str:

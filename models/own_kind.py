@@ -1,20 +1,16 @@
 """A kind of vehicle of the user's own: its Python is run, and whatever is wrong with it, or with what it gives, is one line."""
 
-import sys
-import traceback
 from collections.abc import Callable
-from contextlib import redirect_stdout
 from dataclasses import replace
 from functools import wraps
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-import numpy as np
-
-from models.common.errors import InputError, one_line
+from models.common.errors import InputError
 from models.common.read_file import TEXT, read_text
 from models.kind import VehicleKind
+from models.own.code import compiled, run_own
 from models.sound_kind import wrong_distance, wrong_linear_model, wrong_parts, wrong_place, wrong_rest, wrong_size
 
 GIVE = "give the equations of the kind, as models/README.md shows them"
@@ -31,11 +27,7 @@ def read_kind(folder: Path, name: str) -> VehicleKind:
     what, module = f"kind of vehicle {path}", ModuleType(f"roadproof_{name}")
     module.__file__ = str(path)
     text = read_text(path, "kind of vehicle", TEXT, GIVE)
-    try:
-        code = compile(text, str(path), "exec")
-    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:  # a NUL; brackets in brackets in ...
-        where = f", line {error.lineno}" if isinstance(error, SyntaxError) else ""
-        raise InputError(f"{what}: is no Python ({getattr(error, 'msg', error)}{where}); mend that") from error
+    code = compiled(what, path, text)
     _run(path, "the file", lambda: exec(code, vars(module)))
     found = vars(module).get("KIND")
     if not isinstance(found, VehicleKind):
@@ -102,26 +94,5 @@ def _guarded(
 
 
 def _run(path: Path, name: str, code: Callable[[], Any], refuses: bool = False) -> Any:
-    """Runs code of the user's; what it gives. What it prints goes to stderr: stdout is the command's, and may be JSON.
-
-    Raises:
-        InputError: it failed. The message has the last line of theirs that ran.
-    """
-    try:
-        with np.errstate(all="ignore"), redirect_stdout(sys.stderr):  # what is not finite is found in the result
-            return code()
-    except KeyboardInterrupt:
-        raise
-    except BaseException as error:  # SystemExit too, and what a user derives from BaseException
-        if refuses and isinstance(error, InputError):
-            raise
-        frames = traceback.extract_tb(error.__traceback__)
-        lines = [frame.lineno for frame in frames if frame.filename == str(path)]
-        where = f", line {lines[-1]}" if lines else ""
-        try:
-            said = one_line(str(error))
-        except Exception:  # its text is the user's code as well
-            said = ""
-        kind = "" if isinstance(error, InputError) else type(error).__name__
-        reason = ": ".join(text for text in (kind, said) if text)
-        raise InputError(f"kind of vehicle {path}: {name} fails ({reason}{where}); mend that") from error
+    """Runs code of a kind; see `run_own`."""
+    return run_own(f"kind of vehicle {path}", path, name, code, refuses)

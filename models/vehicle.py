@@ -34,11 +34,12 @@ class Vehicle:
         parameters: SI values by name.
         performance: weight of each signal in the controlled output z (34).
         controllers: by name, without `passive` and `state`, which always exist.
-        text: the vehicle file, as read, with the matrices of laws in place of the files that it names; it goes into the logs.
+        text: the vehicle file, as read, with the matrices of laws in place of the files that it names; it goes into the logs. Laws
+            in Python stay named.
         source: where it came from, for messages.
         limits: where the hardware ends.
         implementation: the controller as it would be built.
-        law_files: those files.
+        law_files: the files with matrices.
         filters: what a weighted signal goes through on its way into z, by signal; those of a constant weight are not in it.
         road_filter: what the disturbance w goes through on its way to the road's velocity under every wheel, where that is not
             w itself: its spectrum.
@@ -96,8 +97,10 @@ class Vehicle:
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The files that it was read from: its own, unless it is text alone, those of its laws, and its kind's."""
-        return (*((Path(self.source),) if self.source else ()), *self.law_files, *self.kind_files)
+        """The files that it is of: its own, unless it is text alone, those of its laws, and its kind's."""
+        python = [entry.python.path for entry in self.controllers.values() if entry.python]
+        laws = (*self.law_files, *(path for path in python if path))
+        return (*((Path(self.source),) if self.source else ()), *laws, *self.kind_files)
 
     @property
     def ideal(self) -> bool:
@@ -119,6 +122,11 @@ class Vehicle:
     def controller_names(self) -> tuple[str, ...]:
         """Every controller that can be asked for."""
         return (*RESERVED, *self.controllers)
+
+    @property
+    def linear_names(self) -> tuple[str, ...]:
+        """Those of them of which linear analysis speaks: all but laws in Python."""
+        return (*RESERVED, *(name for name, entry in self.controllers.items() if entry.python is None))
 
 
 def read_vehicle(file: str | Path) -> Vehicle:
@@ -145,7 +153,8 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
     Args:
         text: TOML.
         source: where it came from, for messages.
-        folder: where a kind of vehicle of the user's own may lie; without one, only those that ship are known.
+        folder: where a kind of vehicle of the user's own may lie, and laws in Python; without one, only those kinds that ship are
+            known, and no such law can be run.
 
     Raises:
         InputError: see `read_vehicle`; or it names a file for a law, which is read for a vehicle file alone, not for text.
@@ -168,7 +177,7 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
     parameters = vehicle_kind.check(data["parameters"])
     model = vehicle_kind.linear_model(parameters)
     implementation = read_implementation(data.get("implementation", {}), model.measurable)
-    controllers = read_controllers(data.get("controllers", {}), model)
+    controllers = read_controllers(data.get("controllers", {}), model, folder)
     for entry in controllers.values():
         period = entry.law.sample_period if entry.law is not None else None
         if period is not None and implementation.sample_period != period:

@@ -16,6 +16,7 @@ from sim.ride.metrics import DEFINITIONS
 from sim.runs.run import run_all, sample_times
 from sim.runs.words import half_step_object, run_object, summary_lines
 from synth.designer import Designer
+from synth.driven import driven
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -33,7 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     check_outputs({"logs": options.logs}, vehicle.files)
 
     together, designer = list(dict.fromkeys([*names, "passive"])), Designer(vehicle)  # with which they are compared
-    controllers = [designer.design(name) for name in together]
+    controllers = [driven(designer, name) for name in together]
     say_false_claims(controllers)
     runs = run_all(vehicle, controllers, road, time)
     passive, runs = runs[together.index("passive")], runs[: len(names)]

@@ -125,8 +125,9 @@ def _names(vehicle: Vehicle, options: Namespace) -> list[str]:
     Raises:
         InputError: `chosen` says so, or what is asked of them does not go with them.
     """
-    designed = [name for name, entry in vehicle.controllers.items() if entry.law is None and not entry.design]
-    everything = designed if options.zero_l else vehicle.controller_names
+    linear = [vehicle.controllers[name] for name in vehicle.linear_names if name in vehicle.controllers]
+    designed = [entry.name for entry in linear if entry.law is None and not entry.design]
+    everything = designed if options.zero_l else vehicle.linear_names
     if options.zero_l and not designed:
         raise InputError(f"--zero-l is of a design from measurements, and {vehicle.source} asks for none; leave it out")
     names = everything if options.controller == [ALL] else chosen(vehicle.controller_names, options.controller, everything)

@@ -256,7 +256,13 @@ class Designer:
             return ControllerEntry(name, model.states)
         if name not in self.vehicle.controllers:
             raise InputError(f"unknown controller {name!r}; this vehicle has {listing(self.vehicle.controller_names)}")
-        return self.vehicle.controllers[name]
+        entry = self.vehicle.controllers[name]
+        if entry.python is not None:
+            raise InputError(
+                f"controller {name!r} is a law in Python, {entry.python.law}, of which there is no linear claim; sim.bump and "
+                "sim.drive drive it; name another one here"
+            )
+        return entry
 
     def _given(self, entry: ControllerEntry) -> Controller:
         return certified(self.vehicle, self.plant, entry, self.lower_bound(entry.measured))

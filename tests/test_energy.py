@@ -140,7 +140,7 @@ def test_wrong_steps_forces_and_dampers_show(paper, designer):
     assert not energy(paper, slower, 0, Bump(speed=12.5 / 1.02)).balances
     values = response.values.copy()
     values[..., response.names.index("control_force")] *= 1.1
-    stronger = PhysicsRuns(Response(response.time, response.signals, values), runs.qpos, runs.qvel, runs.diverged)
+    stronger = PhysicsRuns(Response(response.time, response.signals, values), runs.qpos, runs.qvel, runs.diverged, runs.asked)
     assert not energy(paper, stronger, 0, road).balances
 
 

@@ -32,6 +32,11 @@ def word() -> str:
     return SIGNALS[_heard[0]]
 
 
+def came() -> int | None:
+    """How often it has been told to end: a KeyboardInterrupt without that is some code's own. None where nobody counts."""
+    return len(_raised) if signal.getsignal(signal.SIGINT) is _raise else None
+
+
 def quiet_start() -> None:
     """While `python -m` is still importing a command nothing has begun, so the process may simply end.
 

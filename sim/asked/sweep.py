@@ -55,8 +55,8 @@ def asked(vehicle: Vehicle, options: argparse.Namespace) -> Asked:
 
 def asked_names(vehicle: Vehicle, options: argparse.Namespace) -> list[str]:
     """Names of the controllers that were asked for."""
-    usual = [name for name in FIGURE_3 if name in vehicle.controller_names]
-    return chosen(vehicle.controller_names, options.controller, usual)
+    usual = [name for name in FIGURE_3 if name in vehicle.linear_names]
+    return chosen(vehicle.controller_names, options.controller, usual, vehicle.linear_names)
 
 
 def worst_times(vehicle: Vehicle, options: argparse.Namespace) -> Array:

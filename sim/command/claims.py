@@ -3,13 +3,14 @@
 from collections.abc import Iterable
 
 from models.common.command import complain
+from models.own.python_law import Programmed
 from synth.controller import Controller
 
 
-def say_false_claims(controllers: Iterable[Controller]) -> None:
+def say_false_claims(controllers: Iterable[Controller | Programmed]) -> None:
     """One line on stderr for every controller whose certificate does not hold: it is driven all the same."""
     for one in controllers:
-        if one.false_claims:
+        if isinstance(one, Controller) and one.false_claims:
             first, *others = one.false_claims
             more = f"; and {len(others)} more" if others else ""
             complain(

@@ -8,12 +8,16 @@ from sim.physics.simulate import simulate
 from sim.recording.provenance import run_log
 from sim.recording.run_log import RunLog
 from sim.response.response import Response
-from sim.runs.run import Run, balanced
+from sim.runs.run import Run, balanced, driven
 
 
 def balanced_again(run: Run) -> tuple[Run, Response]:
-    """A run with the energy balance of what MuJoCo makes of it now, and what half the step changes; and that physics."""
-    made = simulate([run.vehicle], [run.controller], [run.road], run.prediction.time)
+    """A run with the energy balance of what MuJoCo makes of it now, and what half the step changes; and that physics.
+
+    A law in Python is not run: the forces that it asked for are.
+    """
+    time = run.prediction.time
+    made = simulate([run.vehicle], [driven(run.prediction, time)], [run.road], time)
     (run,) = balanced([run], made)
     return run, made.response.run(0)
 

@@ -30,7 +30,6 @@ from sim.inspect.reproduction import (
     implemented,
     predicted_again,
     recorded_controller,
-    recorded_road,
     recorded_vehicle,
     usable_samples,
 )
@@ -38,11 +37,14 @@ from sim.recording.format import MUJOCO
 from sim.recording.run_log import RunLog
 from sim.runs.prediction import Prediction
 from sim.runs.run import Run, judge
+from sim.runs.words import NO_CLAIM
+from synth.controller import Controller
 
 UNCHECKED = (
     "who wrote it and when, with which versions and library, in which folders vehicle file and log lay, what a road file held "
     "before it was read, the index behind the data, which players ask"
 )
+NOT_RUN = "its text is attached and was not run: what follows is of the forces that it asked for, which are attached too"
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,15 +196,18 @@ def _inspect(log: Recorded, vehicle: Vehicle, recorded: RecordedRun, h: float, c
         own = implemented(vehicle, recorded)
         if own.implementation != vehicle.implementation:
             findings.append(Finding("implementation", NOTE, f"not that of vehicle.toml: {_differing(vehicle, own)}"))
-        controller = recorded_controller(own, recorded)
+        controller = recorded_controller(log, own, recorded)
     except (ValueError, ArithmeticError) as error:
         findings.append(Finding("controller", FAILS, str(error)))
         return inspected()
-    findings += _guarded("certificate", FAILS, lambda: check_certificate(controller, recorded, current))
+    if isinstance(controller, Controller):
+        findings += _guarded("certificate", FAILS, lambda: check_certificate(controller, recorded, current))
+    else:
+        findings.append(Finding("certificate", NOTE, f"{NO_CLAIM}; {NOT_RUN}"))
     if samples < FEWEST:
         return inspected()
     try:
-        again = predicted_again(own, controller, recorded_road(log, recorded, samples), samples, h)
+        again = predicted_again(log, recorded, own, controller, samples, h)
     except (ValueError, ArithmeticError) as error:
         findings.append(Finding("road", MISSING, f"it cannot be driven again: {error}"))
         return inspected()

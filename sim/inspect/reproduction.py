@@ -4,7 +4,7 @@ Nothing is designed, and no solver is needed: a certificate is checked from its 
 What the log gives is bounded before it is used, so that no file of a few bytes can ask for hours or gigabytes.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from models.kind import LARGEST
 from models.kinds import kinds as kind_names
 from models.law import MATRICES, LinearLaw, static_law
 from models.law import MOST_STATES as MOST_OF_A_LAW
+from models.own.python_law import MOST_TEXT, Programmed, PythonLaw
 from models.reality import read_implementation, read_limits
 from models.vehicle import Vehicle, parse_vehicle
 from sim.inspect.log import Recorded, RecordedRun
@@ -25,7 +26,8 @@ from sim.linear.loop import largest_timestep
 from sim.response.response import Response
 from sim.roads.description import described_road
 from sim.roads.road import Road
-from sim.runs.prediction import Prediction, predict
+from sim.runs.forces import read_forces
+from sim.runs.prediction import Prediction, predict, predict_forced
 from synth.certificate.certificate import certify
 from synth.certificate.record import read_proof
 from synth.controller import Controller, generalized_plant, measurements
@@ -76,8 +78,10 @@ def implemented(vehicle: Vehicle, run: RecordedRun) -> Vehicle:
     return replace(vehicle, implementation=read_implementation(_given(run.claim("implementation"), "implementation"), measurable))
 
 
-def recorded_controller(vehicle: Vehicle, run: RecordedRun) -> Controller:
+def recorded_controller(log: Recorded, vehicle: Vehicle, run: RecordedRun) -> Controller | Programmed:
     """The controller of a run, with a certificate computed anew from its gain and the proof in the log; numpy and scipy alone.
+
+    A law in Python is the text that is attached. Nobody runs it.
 
     Raises:
         InputError: it is no controller of this vehicle, its gain is not the vehicle file's, or its proof is no proof.
@@ -89,6 +93,9 @@ def recorded_controller(vehicle: Vehicle, run: RecordedRun) -> Controller:
     signals = expected[name] if name in expected else vehicle.controllers[name].measured
     if measured != list(signals):
         raise InputError(f"what it measures is not what vehicle.toml says: {', '.join(signals) or 'nothing'}")
+    entry = vehicle.controllers.get(name)
+    if entry is not None and entry.python is not None:
+        return _programmed(log, run, entry.name, signals, entry.python)
     law = _law(run, len(vehicle.linear_model.inputs), len(signals))
     none = static_law(np.zeros_like(law.D))
     given = none if name == "passive" else None if name == "state" else vehicle.controllers[name].law
@@ -105,6 +112,27 @@ def recorded_controller(vehicle: Vehicle, run: RecordedRun) -> Controller:
     on_states = law.continuous().fed_back(through)
     certificate = certify(*on_larger_plant(plant, Cy, on_states), X, eta, lower_bound, by_itself=plant)
     return Controller(name, signals, law, given is None, certificate)
+
+
+def _programmed(log: Recorded, run: RecordedRun, name: str, signals: Sequence[str], law: PythonLaw) -> Programmed:
+    """A law in Python of a run, its text as it is attached.
+
+    Raises:
+        InputError: there is no such text, it is not what the log says, or something is claimed of it.
+    """
+    content = log.attachments.get(run.claims.get("law_file", ""))
+    if content is None or len(content) > MOST_TEXT:
+        raise InputError("the text of its law in Python is not attached")
+    try:
+        found = Programmed(name, tuple(signals), law, content.decode("utf-8"))
+    except UnicodeDecodeError:
+        raise InputError("what is attached as its law in Python is no text") from None
+    if run.claims.get("sha256") != found.sha256:
+        raise InputError("the text of its law in Python is not the one whose checksum the log has")
+    claimed = [key for key in ("bound", "norm", "peak_frequency") if run.claim(key) is not None]
+    if claimed:
+        raise InputError(f"it claims a {claimed[0]}, and linear analysis says nothing of a law in Python")
+    return found
 
 
 def recorded_road(log: Recorded, run: RecordedRun, samples: int) -> Road:
@@ -128,16 +156,32 @@ def recorded_road(log: Recorded, run: RecordedRun, samples: int) -> Road:
     return road
 
 
-def predicted_again(vehicle: Vehicle, controller: Controller, road: Road, samples: int, timestep: float) -> Prediction:
-    """What linear analysis says of a run, anew.
+def predicted_again(
+    log: Recorded, run: RecordedRun, vehicle: Vehicle, controller: Controller | Programmed, samples: int, timestep: float
+) -> Prediction:
+    """What linear analysis says of a run, anew: of a law in Python, under the forces that are attached.
+
+    Args:
+        log: the log.
+        run: the run.
+        vehicle: its vehicle, see `implemented`.
+        controller: its controller, see `recorded_controller`.
+        samples: how many are computed.
+        timestep: [s].
 
     Raises:
-        InputError: no run could have had this timestep, the road cannot be driven with it, or noise goes through a loop with too
-            many delayed forces.
+        InputError: no run could have had this timestep, the road cannot be driven with it, noise goes through a loop with too
+            many delayed forces, or the forces are not there.
     """
     if not timestep <= largest_timestep(vehicle):
         raise InputError(f"the timestep of {timestep:g} s is one with which RK4 is unstable on this vehicle")
-    return predict(vehicle, controller, road, np.arange(samples) * timestep, MOST_STATES)
+    road, time = recorded_road(log, run, samples), np.arange(samples) * timestep
+    if isinstance(controller, Controller):
+        return predict(vehicle, controller, road, time, MOST_STATES)
+    content = log.attachments.get(run.claims.get("forces_file", ""))
+    if content is None:
+        raise InputError("the forces of its law in Python are not attached")
+    return predict_forced(vehicle, controller, road, time, read_forces(content, vehicle.linear_model.inputs, samples))
 
 
 def usable_samples(run: RecordedRun, timestep: float) -> int:

@@ -82,7 +82,7 @@ def sampled_responses(
     jump, push = now @ model.Bw.T, midway @ Gamma_r.T  # x - xi, and what the road does to xi
     if how.prompt:
         G = cut.inputs(cut.asked)
-        states = _recursion(Phi + Gamma @ G, push + jump @ (Gamma @ G).T) + jump
+        states = recursion(Phi + Gamma @ G, push + jump @ (Gamma @ G).T) + jump
         inputs = states @ G.T
     else:
         states, inputs = np.zeros_like(jump), np.zeros((*jump.shape[:2], model.B.shape[1]))
@@ -96,7 +96,7 @@ def sampled_responses(
                 acting = cut.inputs(computed[k // period].T, cut.kept @ states[:, k].T).T
             inputs[:, k] = acting
             xi = xi @ Phi.T + inputs[:, k] @ Gamma.T + push[:, k]
-    runs = [_response(vehicle, model, road, time, states[i], inputs[i]).values for i, road in enumerate(roads)]
+    runs = [response_of(vehicle, model, road, time, states[i], inputs[i]).values for i, road in enumerate(roads)]
     return Response(time, vehicle.kind.signals, np.stack(runs))
 
 
@@ -107,6 +107,14 @@ def continuous_response(vehicle: Vehicle, controller: Controller, road: Road, ti
     model, G = cut.model, cut.G
     A = model.A + model.B @ G
 
+    forcing = road_forcing(A, model, road, vehicle, time)
+    states = recursion(linalg.expm(A * h), forcing)
+    return response_of(vehicle, model, road, time, states, states @ G.T)
+
+
+def road_forcing(A: Array, model: LinearModel, road: Road, vehicle: Vehicle, time: Array) -> Array:
+    """What a road adds to the states of x' = A x + ... over the step from each of these times [s], shape (T, n)."""
+    h = float(time[1] - time[0])
     forcing = _convolution(A, model, road, vehicle, time, h)
     kinks = np.array([kink + delay for kink in road.kinks for delay in delays(road, vehicle)])
     for k in np.unique(np.floor((kinks - time[0]) / h).astype(int)):
@@ -117,8 +125,7 @@ def continuous_response(vehicle: Vehicle, controller: Controller, road: Road, ti
             for left, right in itertools.pairwise(edges):
                 piece = _convolution(A, model, road, vehicle, np.array([left]), right - left)[0]
                 forcing[k] += linalg.expm(A * (end - right)) @ piece
-    states = _recursion(linalg.expm(A * h), forcing)
-    return _response(vehicle, model, road, time, states, states @ G.T)
+    return forcing
 
 
 def held_inputs(A: Array, h: float, exponential: Callable[[Array], Array], *inputs: Array) -> list[Array]:
@@ -142,7 +149,7 @@ def _convolution(A: Array, model: LinearModel, road: Road, vehicle: Vehicle, sta
     return total
 
 
-def _recursion(Phi: Array, forcing: Array) -> Array:
+def recursion(Phi: Array, forcing: Array) -> Array:
     """x[k+1] = Phi x[k] + forcing[k] from x[0] = 0, shape (..., T, n) like the forcing."""
     states = np.zeros_like(forcing)
     x, transposed = states[..., 0, :], np.ascontiguousarray(Phi.T)
@@ -152,7 +159,7 @@ def _recursion(Phi: Array, forcing: Array) -> Array:
     return states
 
 
-def _response(vehicle: Vehicle, model: LinearModel, road: Road, time: Array, states: Array, inputs: Array) -> Response:
+def response_of(vehicle: Vehicle, model: LinearModel, road: Road, time: Array, states: Array, inputs: Array) -> Response:
     """Every signal of the vehicle from the states and inputs of a model of it over time, shapes (T, n) and (T, m)."""
     z_r, w = (under_wheels(function, road, vehicle, time) for function in (road.displacement, road.velocity))
     values = {}

@@ -18,11 +18,13 @@ LENGTHS = ("m", "rad")
 RATES = 400  # at which a law is asked what it makes of a measurement
 
 
-def roundings(vehicle: Vehicle, controller: Controller) -> dict[str, float]:
-    """How far rounding moves every output signal [the signal's unit], at most."""
+def roundings(vehicle: Vehicle, controller: Controller | None) -> dict[str, float]:
+    """How far rounding moves every output signal [the signal's unit], at most; without a controller, under given forces."""
     model, kind = vehicle.linear_model, vehicle.kind
     rate = float(np.abs(np.linalg.eigvals(model.A)).max())
     shaken = np.array([LENGTH if kind.signal(name).unit in LENGTHS else rate * LENGTH for name in model.states])
+    if controller is None:
+        return dict(zip(model.outputs, (np.abs(model.C) @ shaken).tolist(), strict=True))
     gain = _most_asked(controller.law_on_states(vehicle), rate) @ np.abs(model.rows(controller.measured)[0])
     if controller.law.states:  # it may ask for far more than a static gain would, and what it asks for moves the states
         shaken = shaken + np.abs(model.B) @ (gain @ shaken) / rate

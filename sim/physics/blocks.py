@@ -13,10 +13,12 @@ from mujoco.batch import Batch
 
 from models.common.arrays import Array
 from models.mjcf import build_model, quiet
+from models.own.python_law import Programmed
 from models.reality import Implementation
 from models.vehicle import Vehicle
+from sim.physics.python_laws import Driven, Played, PythonLaws
 from sim.physics.readout import Readout, force_from_road, laws_on, mix, prepared, sensed_stage, signal_from_road
-from sim.physics.sampler import Sampler
+from sim.physics.sampler import LinearLaws, Sampler
 from sim.physics.stepping import Reading, step_batch
 from synth.controller import Controller
 
@@ -37,6 +39,7 @@ class Block:
         qpos: generalized positions, shape (B, N, nq).
         qvel: generalized velocities, shape (B, N, nv).
         largest: largest magnitude of any signal, and of any force that was asked for, shape (B, N).
+        asked: the forces that were asked for [N], shape (B, N, m).
     """
 
     start: int
@@ -44,6 +47,7 @@ class Block:
     qpos: Array
     qvel: Array
     largest: Array
+    asked: Array
 
     def diverged(self, time: Array) -> Array:
         """When each run first diverged in it [s], shape (N,), infinite where it did not; from all the samples' times."""
@@ -63,19 +67,20 @@ def runs_at_once(samples: int, wheels: int) -> int:
 
 def in_blocks(
     vehicles: Sequence[Vehicle],
-    controllers: Sequence[Controller],
+    controllers: Sequence[Driven],
     now: Array,
     midway: Array,
     timestep: float,
     edges: Sequence[int],
     undelayed: Sequence[Controller | None] | None = None,
     going: Array | None = None,
+    beyond: Array | None = None,
 ) -> Iterator[Block]:
     """The runs of `simulate`, some samples at a time: nothing but the roads need be held whole.
 
     Args:
         vehicles: N vehicles of the same kind that read out alike, see `reads_out`.
-        controllers: N controllers.
+        controllers: N controllers, all linear, all in Python, or all played.
         now: road heights at the samples [m], shape (T, N, r).
         midway: the same half a step later, where MuJoCo holds them.
         timestep: [s].
@@ -83,14 +88,16 @@ def in_blocks(
         undelayed: as for `simulate`.
         going: whether each run is still wanted, shape (N,), for the caller to change between blocks: one that is not wanted stays
             where it is, and what later blocks have of it means nothing. None where all are, to the end.
+        beyond: road heights at the samples after the last [m], shape (E, N, r), of which laws in Python may be told; None where
+            none is.
     """
-    (blocks,) = in_shares(vehicles, controllers, now, midway, timestep, edges, [slice(None)], undelayed, going)
+    (blocks,) = in_shares(vehicles, controllers, now, midway, timestep, edges, [slice(None)], undelayed, going, beyond)
     yield from blocks(lambda: False)
 
 
 def in_shares(
     vehicles: Sequence[Vehicle],
-    controllers: Sequence[Controller],
+    controllers: Sequence[Driven],
     now: Array,
     midway: Array,
     timestep: float,
@@ -98,6 +105,7 @@ def in_shares(
     shares: Sequence[slice],
     undelayed: Sequence[Controller | None] | None = None,
     going: Array | None = None,
+    beyond: Array | None = None,
 ) -> list[Callable[[Callable[[], bool]], Iterator[Block]]]:
     """The blocks of each of some shares of the runs, to be stepped on a thread of their own, until told to give up.
 
@@ -123,11 +131,14 @@ def in_shares(
 
     # What a controller measures is read before a step: from the state where it is linear in it, else from its sensor. To it comes
     # what that reading has not seen of the road.
-    K, memory = laws_on(readout.names, vehicles, controllers, timestep)
-    others = undelayed or [None] * len(vehicles)
-    beside, beside_memory = laws_on(readout.names, [_ideal(one) for one in vehicles], others, timestep)
+    linear = [one if isinstance(one, Controller) else None for one in controllers]
+    K, memory = laws_on(readout.names, vehicles, linear, timestep)
+    second = undelayed or [None] * len(vehicles)
+    beside, beside_memory = laws_on(readout.names, [_ideal(one) for one in vehicles], second, timestep)
     of_state, of_sensors = np.where(readout.linear, K, 0), np.where(readout.linear, 0, K)
-    stage = sensed_stage(readout, np.any(K != 0, axis=(0, 1)) | np.any(beside != 0, axis=(0, 1)))
+    others = [one for one in controllers if not isinstance(one, Controller)]
+    named = np.isin(readout.names, [name for one in others for name in one.measured])
+    stage = sensed_stage(readout, np.any(K != 0, axis=(0, 1)) | np.any(beside != 0, axis=(0, 1)) | named)
     # An acceleration is read in an evaluation of its own: the road where it is now, and the force that has acted until now.
     fresh = stage > int(mujoco.mjtStage.mjSTAGE_VEL)
     unmoved = np.zeros_like(now) if fresh else now - before
@@ -135,7 +146,7 @@ def in_shares(
     gain = of_state @ readout.of_state
     if stage:
         gain = np.concatenate([gain, of_sensors @ readout.of_sensors], axis=-1)
-    plain = undelayed is None and all(other.implementation.ideal for other in vehicles)
+    plain = undelayed is None and not others and all(other.implementation.ideal for other in vehicles)
     unseen = np.zeros(0) if plain else signal_from_road(now, readout, True) + signal_from_road(unmoved, readout, False)
 
     # What is recorded was sensed inside the step, where the road was midway, or before it, where the last step had left it.
@@ -153,11 +164,21 @@ def in_shares(
         law = None
         if not plain:
             how = [one.implementation for one in vehicles[runs]]
-            samplers = [Sampler(how, K[runs], memory[runs], readout.names, timestep, len(now))]
+            played = [one.forces for one in controllers[runs] if isinstance(one, Played)]
+            programmed = [one for one in controllers[runs] if isinstance(one, Programmed)]
+            laws = LinearLaws(K[runs], memory[runs])
+            if programmed:
+                ahead = now[:, runs] if beyond is None else np.concatenate([now, beyond])[:, runs]
+                laws = PythonLaws(programmed, vehicles[runs], readout.names, timestep, ahead)
+            samplers = [Sampler(how, laws, readout.names, timestep, len(now))]
             if undelayed is not None:
                 ideal = [Implementation()] * len(how)
-                samplers.append(Sampler(ideal, beside[runs], beside_memory[runs], readout.names, timestep, len(now)))
+                laws = LinearLaws(beside[runs], beside_memory[runs])
+                samplers.append(Sampler(ideal, laws, readout.names, timestep, len(now)))
             law = _law(samplers, readout, unseen[:, runs], stage)
+            if played:
+                forces = np.stack(played, axis=1)
+                law = lambda k, reading: forces[k]  # noqa: E731
         level, road, left = now[:, runs], midway[:, runs], before[:, runs]
         at_samples = level if felt else None
         wanted = going[runs] if going is not None else None
@@ -177,7 +198,7 @@ def in_shares(
             largest = np.maximum(recorded.max(axis=1), -recorded.min(axis=1))
             for force in np.moveaxis(asked, 2, 0):
                 largest = np.maximum(largest, np.abs(force))
-            yield Block(start, recorded, qpos, qvel, largest)
+            yield Block(start, recorded, qpos, qvel, largest, asked)
 
     def quietly(runs: slice, stopped: Callable[[], bool]) -> Iterator[Block]:
         with quiet():

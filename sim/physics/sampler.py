@@ -1,11 +1,52 @@
-"""The controller as it would be built: its own states and sample period, a computation delay, noisy, quantised measurements."""
+"""The controller as it would be built: its own sample period, a computation delay, noisy and quantised measurements."""
 
 from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.reality import Implementation, steps_per_sample
+
+
+class Laws(Protocol):
+    """What N controllers make of what they measure.
+
+    Attributes:
+        forces: m.
+    """
+
+    forces: int
+
+    def __call__(self, due: Array | slice, which: Array, k: int, seen: Array) -> Array:
+        """The forces of step k of those that are due, shape (d, m), from the signals as they read them, shape (d, S).
+
+        Args:
+            due: which of the N they are; a slice for all.
+            which: the same as indices, ascending, shape (d,).
+            k: the step.
+            seen: the signals.
+        """
+        ...
+
+
+class LinearLaws:
+    """N linear laws."""
+
+    def __init__(self, gain: Array, memory: Array) -> None:
+        """From the signals to [u; x_c], shape (N, m + k, S), and from x_c, shape (N, m + k, k)."""
+        self.gain, self.memory = gain, memory if memory.shape[2] else None
+        self.forces = gain.shape[1] - memory.shape[2]
+        self.kept = np.zeros((len(gain), memory.shape[2]))
+
+    def __call__(self, due: Array | slice, which: Array, k: int, seen: Array) -> Array:
+        """See `Laws`."""
+        computed = np.matvec(self.gain[due], seen)
+        if self.memory is not None:
+            computed += np.matvec(self.memory[due], self.kept[due])
+            self.kept[due] = computed[:, self.forces :]
+            computed = computed[:, : self.forces]
+        return computed
 
 
 class Sampler:
@@ -15,13 +56,9 @@ class Sampler:
     samples later. Before the first one arrives the force is zero. Its own states are never late.
     """
 
-    def __init__(
-        self, how: Sequence[Implementation], gain: Array, memory: Array, names: Sequence[str], timestep: float, samples: int
-    ) -> None:
-        """For laws [u; x_c] from the signals of these names, shape (N, m + k, S), and from x_c, shape (N, m + k, k)."""
-        self.gain, self.memory = gain, memory if memory.shape[2] else None
-        self.forces = gain.shape[1] - memory.shape[2]
-        self.kept = np.zeros((len(how), memory.shape[2]))
+    def __init__(self, how: Sequence[Implementation], laws: Laws, names: Sequence[str], timestep: float, samples: int) -> None:
+        """For laws on the signals of these names."""
+        self.laws = laws
         self.period = np.array([steps_per_sample(one, timestep) for one in how])
         self.delay = np.array([one.delay for one in how])
         self.resolution = np.array([[one.quantisation.get(name, 0.0) for name in names] for one in how])
@@ -31,8 +68,8 @@ class Sampler:
             if np.any(rms[i]):
                 self.noise[:, i] = rms[i] * np.random.default_rng(one.seed).standard_normal((samples, len(names)))
         self.coarse = bool(np.any(self.resolution))
-        self.queue = np.zeros((int(self.delay.max()) + 1, len(how), self.forces))  # forces by sample, in a ring
-        self.force = np.zeros((len(how), self.forces))
+        self.queue = np.zeros((int(self.delay.max()) + 1, len(how), laws.forces))  # forces by sample, in a ring
+        self.force = np.zeros((len(how), laws.forces))
         self.all = np.arange(len(how))
         self.together = bool(np.all(self.period == 1))
 
@@ -54,11 +91,7 @@ class Sampler:
             resolution = self.resolution[due]
             steps = np.where(resolution > 0, resolution, 1.0)
             seen = np.where(resolution > 0, steps * np.round(seen / steps), seen)
-        computed = np.matvec(self.gain[due], seen)
-        if self.memory is not None:
-            computed += np.matvec(self.memory[due], self.kept[due])
-            self.kept[due] = computed[:, self.forces :]
-            computed = computed[:, : self.forces]
+        computed = self.laws(due, which, k, seen)
         if len(self.queue) == 1:
             self.force[due] = computed
             return

@@ -17,8 +17,10 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.cores import cores
 from models.common.side_by_side import side_by_side
+from models.own.python_law import Programmed
 from models.vehicle import Vehicle
 from sim.physics.blocks import Block, in_shares
+from sim.physics.python_laws import Driven, steps_ahead
 from sim.response.response import Response
 from sim.roads.road import Road, under_wheels
 from synth.controller import Controller
@@ -35,17 +37,19 @@ class PhysicsRuns:
         qpos: generalized positions, shape (N, T, nq), to draw a run.
         qvel: generalized velocities, shape (N, T, nv).
         diverged: when each run diverged [s], shape (N,); infinite where it did not.
+        asked: forces that were asked for at every sample [N], shape (N, T, m).
     """
 
     response: Response
     qpos: Array
     qvel: Array
     diverged: Array
+    asked: Array
 
 
 def simulate(
     vehicles: Sequence[Vehicle],
-    controllers: Sequence[Controller],
+    controllers: Sequence[Driven],
     roads: Sequence[Road],
     time: Array,
     threads: int = 1,
@@ -62,11 +66,18 @@ def simulate(
             core.
         undelayed: second controllers, whose forces come to those of the first and know no `[implementation]`; None for none.
     """
+    kinds = [type(one) for one in controllers]
+    if len(set(kinds)) > 1:
+        return _by_kind(kinds, vehicles, controllers, roads, time, threads)
     timestep, signals, wheels = float(time[1] - time[0]), vehicles[0].kind.signals, vehicles[0].kind.wheels
     now = on_each(vehicles, roads, "displacement", time)
     midway = on_each(vehicles, roads, "displacement", time + timestep / 2)
-    shares = shared(len(vehicles), threads or cores())
-    block = _whole(in_shares(vehicles, controllers, now, midway, timestep, (0, len(time)), shares, undelayed))
+    beyond = None
+    if ahead := steps_ahead(vehicles, controllers, timestep):
+        beyond = on_each(vehicles, roads, "displacement", time[-1] + timestep * np.arange(1, ahead + 1))
+    shares = shared(len(vehicles), 1 if Programmed in kinds else threads or cores())  # Python is run by one thread at a time
+    edges = (0, len(time))
+    block = _whole(in_shares(vehicles, controllers, now, midway, timestep, edges, shares, undelayed, beyond=beyond))
 
     recorded, names = block.values, [signal.name for signal in signals]
     velocity = on_each(vehicles, roads, "velocity", time)
@@ -74,7 +85,30 @@ def simulate(
     diverged = block.diverged(time)
     recorded[np.broadcast_to((time[:, None] >= diverged)[:, None], recorded.shape)] = np.nan
     qpos, qvel = block.qpos.swapaxes(0, 1), block.qvel.swapaxes(0, 1)
-    return PhysicsRuns(Response(time, signals, np.moveaxis(recorded, 2, 0)), qpos, qvel, diverged)
+    return PhysicsRuns(Response(time, signals, np.moveaxis(recorded, 2, 0)), qpos, qvel, diverged, block.asked.swapaxes(0, 1))
+
+
+def _by_kind(
+    kinds: Sequence[type],
+    vehicles: Sequence[Vehicle],
+    controllers: Sequence[Driven],
+    roads: Sequence[Road],
+    time: Array,
+    threads: int,
+) -> PhysicsRuns:
+    """`simulate` of runs some of which a linear law drives and some another: each as it is without the others."""
+    which, made = [], []
+    for kind in dict.fromkeys(kinds):
+        some = [i for i, one in enumerate(kinds) if one is kind]
+        which += some
+        made.append(
+            simulate([vehicles[i] for i in some], [controllers[i] for i in some], [roads[i] for i in some], time, threads)
+        )
+    order = np.argsort(which)
+    values = np.concatenate([one.response.values for one in made])[order]
+    response = Response(time, made[0].response.signals, values)
+    others = (np.concatenate([getattr(one, name) for one in made])[order] for name in ("qpos", "qvel", "diverged", "asked"))
+    return PhysicsRuns(response, *others)
 
 
 def shared(count: int, threads: int) -> list[slice]:
@@ -92,7 +126,7 @@ def _whole(parts: Sequence[Callable[[Callable[[], bool]], Iterator[Block]]]) -> 
     with closing(side_by_side(pieces, len(parts))) as done:
         blocks = [block for _, block in sorted(done, key=lambda one: one[0]) if block is not None]
     values = np.concatenate([block.values for block in blocks], axis=2)
-    others = (np.concatenate([getattr(block, name) for block in blocks], axis=1) for name in ("qpos", "qvel", "largest"))
+    others = (np.concatenate([getattr(block, name) for block in blocks], axis=1) for name in ("qpos", "qvel", "largest", "asked"))
     return Block(0, values, *others)
 
 

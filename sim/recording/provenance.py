@@ -12,10 +12,12 @@ from typing import Any
 
 from models.common.versions import versions
 from models.mjcf import mjcf_text
+from models.own.python_law import Programmed
 from models.vehicle import Vehicle
 from sim.recording.drawing import scene_of
 from sim.recording.format import CONTINUOUS, FORMAT, MUJOCO, SAMPLED, check_keys
 from sim.recording.run_log import RunLog
+from sim.runs.forces import written_forces
 from sim.runs.run import Run
 from sim.runs.words import controller_object, energy_object, events, half_step_object, summary, verdict
 from synth.certificate.record import to_record
@@ -102,32 +104,51 @@ def record_runs(
     return {name: str(path) for name, path in paths.items()}
 
 
+def _named(what: str, suffix: str, content: bytes) -> str:
+    """The name of an attachment: by its content, so that runs share those that are alike."""
+    return f"{what}-{hashlib.sha256(content).hexdigest()[:16]}.{suffix}"
+
+
 def run_log(run: Run, name: str) -> RunLog:
     """One run as it is written down, under a name."""
-    vehicle, road, certificate, agreement = run.vehicle, run.road, run.controller.certificate, run.agreement
+    vehicle, road, controller, agreement = run.vehicle, run.road, run.controller, run.agreement
     assert run.qpos is not None, "what is written down MuJoCo has run"
-    files = {}
+    files: dict[str, tuple[str, bytes]] = {}
+    named: dict[str, str] = {}
     points = road.points
     if points is not None:
-        files[f"road-{hashlib.sha256(points).hexdigest()[:16]}.csv"] = ("text/csv", points)
+        named["road_file"] = _named("road", "csv", points)
+        files[named["road_file"]] = ("text/csv", points)
+    proved: dict[str, Any] = {}
+    if isinstance(controller, Programmed):
+        for what, suffix, media_type, content in (
+            ("law", "py", "text/x-python", controller.text.encode()),
+            ("forces", "csv", "text/csv", written_forces(vehicle.linear_model.inputs, run.prediction.asked)),
+        ):
+            named[f"{what}_file"] = _named(what, suffix, content)
+            files[named[f"{what}_file"]] = (media_type, content)
+    else:
+        certificate = controller.certificate
+        proved = {
+            "designed": controller.designed,
+            "stable": certificate.stable,
+            "poles": [[float(pole.real), float(pole.imag)] for pole in certificate.poles],
+            "certificate": to_record(certificate),
+        }
     claims = {
-        **controller_object(run.controller),
+        **controller_object(controller),
         "samples": len(run.physics.time),
         "road": road.describe(),
         "limits": asdict(vehicle.limits),
         "implementation": asdict(vehicle.implementation),
-        "designed": run.controller.designed,
-        "stable": certificate.stable,
-        "poles": [[float(pole.real), float(pole.imag)] for pole in certificate.poles],
-        "certificate": to_record(certificate),
+        **proved,
         "agrees": agreement.agrees,
         "energy": energy_object(run.energy) if run.energy is not None else None,
         "half_step": half_step_object(run),
         "lift_off": [list(interval) for interval in agreement.lift_off],
         "errors": {name: signal.sampled if math.isfinite(signal.sampled) else None for name, signal in agreement.signals.items()},
     }
-    for file in files:
-        claims["road_file"] = file
+    claims |= named
     return RunLog(
         name=name,
         responses={MUJOCO: run.physics, SAMPLED: run.sampled, CONTINUOUS: run.continuous},

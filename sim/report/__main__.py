@@ -41,8 +41,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     check_page()
     vehicle = read_vehicle(options.vehicle)
-    usual = [name for name in USUAL if name in vehicle.controller_names]
-    names = chosen(vehicle.controller_names, options.controller, usual)
+    usual = [name for name in USUAL if name in vehicle.linear_names]
+    names = chosen(vehicle.controller_names, options.controller, usual, vehicle.linear_names)
     if options.out.suffix.lower() not in (".html", ".htm"):
         raise InputError(f"report {options.out}: a report is HTML; give a name that ends in .html")
     outputs = {"report": options.out, "figures": options.figures}

@@ -15,6 +15,7 @@ from sim.report.scope import BUMP_DURATION, Scope, number
 from sim.roads.road import Bump
 from sim.runs.run import Run
 from sim.runs.words import verdict_lines
+from synth.controller import Controller
 
 POINTS = 60  # of MuJoCo in a time history
 
@@ -221,7 +222,7 @@ def _energy(runs: Sequence[Run]) -> Table:
 
 def _settles(scope: Scope, run: Run) -> bool:
     """Whether a run's sampled response tends to the continuous one with the step."""
-    return scope.prompt or not run.controller.law.acts
+    return scope.prompt or (isinstance(run.controller, Controller) and not run.controller.law.acts)
 
 
 def _order(coarse: float, fine: float) -> str:

@@ -1,5 +1,6 @@
 """The metrics of a run: MuJoCo's, the sampled response's over the same road, those expected of all such roads; in words too."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -8,6 +9,7 @@ import numpy as np
 
 from models.common.numbers import cell, finite
 from models.common.printed import table
+from models.own.python_law import Programmed
 from models.vehicle import Vehicle
 from sim.ride.expected import APPROXIMATE, EXACT, Expected, expect, settling_time
 from sim.ride.metrics import measure, metrics_of
@@ -25,8 +27,8 @@ class Measured:
         unit: SI.
         mujoco: of the physics; None where the run broke off.
         sampled: of the exact sampled response over the same road; None where the run broke off.
-        expected: over all roads of this kind, from their spectrum; None where the road has none, the loop is unstable, or nobody
-            has worked it out.
+        expected: over all roads of this kind, from their spectrum; None where the road has none, the loop is unstable or none
+            that is linear, or nobody has worked it out.
         spread: its standard deviation from road to road; None where it is not known.
         approximate: whether what is expected is.
     """
@@ -45,7 +47,8 @@ class RunMetrics:
 
     Attributes:
         metrics: by name.
-        settled: how far a variance is from its own when measuring begins; None for roads without a spectrum, and unstable loops.
+        settled: how far a variance is from its own when measuring begins; None for roads without a spectrum, unstable loops, and
+            laws in Python.
         error: what the expectations' integrals are off, relative, at most; None where there are none.
     """
 
@@ -54,11 +57,16 @@ class RunMetrics:
     error: float | None
 
 
-def first_sample(vehicle: Vehicle, controllers: Sequence[Controller], road: Road, duration: float, timestep: float) -> int:
-    """The sample from which is measured: when a random road's vehicle has forgotten its start, half of the run at the latest."""
+def first_sample(
+    vehicle: Vehicle, controllers: Sequence[Controller | Programmed], road: Road, duration: float, timestep: float
+) -> int:
+    """The sample from which is measured: when a random road's vehicle has forgotten its start, half of the run at the latest.
+
+    How long a law in Python takes for that is not known: half of the run.
+    """
     if road.spectrum is None:
         return 0
-    settled = max(settling_time(vehicle, controller) for controller in controllers)
+    settled = max(settling_time(vehicle, one) if isinstance(one, Controller) else math.inf for one in controllers)
     return round(min(settled, duration / 2) / timestep)
 
 
@@ -67,9 +75,10 @@ def measure_run(run: Run, first: int) -> RunMetrics:
     vehicle, road, time, timestep = run.vehicle, run.road, run.prediction.time, run.prediction.timestep
     expected: Expected | None = None
     begun: Settled | None = None
-    if (spectrum := road.spectrum) is not None:
-        expected = expect(vehicle, run.controller, spectrum, timestep, (len(time) - first) * timestep)
-        begun = settled(vehicle, run.controller, spectrum, timestep, float(time[first]))
+    controller = run.controller
+    if (spectrum := road.spectrum) is not None and isinstance(controller, Controller):
+        expected = expect(vehicle, controller, spectrum, timestep, (len(time) - first) * timestep)
+        begun = settled(vehicle, controller, spectrum, timestep, float(time[first]))
     mujoco: Mapping[str, float] = {}
     sampled: Mapping[str, float] = {}
     if run.broke_off is None:

@@ -21,6 +21,7 @@ from sim.linear.rounding import roundings
 from sim.response.regime import AT, END_NAMES, LIFT_OFF, reached
 from sim.response.response import Response
 from sim.runs.prediction import Prediction
+from synth.controller import Controller
 
 ROUNDING = 1e-9  # of a peak, over thousands of steps
 COARSEST = 1e-2  # of a peak; physics that is further off confirms nothing, even if the integrator has to be
@@ -99,7 +100,8 @@ def compare(prediction: Prediction, physics: Response) -> Agreement:
     lift_off = lift_off_intervals(vehicle, physics)
     physics, sampled, integrated, continuous = (r.until(until) for r in (physics, sampled, integrated, continuous))
     signals = {}
-    for name, rounded in roundings(vehicle, prediction.controller).items():
+    controller = prediction.controller if isinstance(prediction.controller, Controller) else None
+    for name, rounded in roundings(vehicle, controller).items():
         scale = _scale(sampled, name)
         integrator = min(SLACK * _difference(integrated, sampled, name) + ROUNDING, COARSEST)
         signals[name] = SignalAgreement(

@@ -2,12 +2,16 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
+from models.own.python_law import Programmed
 from models.vehicle import Vehicle
 from sim.linear.controlled import sampled
+from sim.linear.forced import forced_continuous_response, forced_response
 from sim.linear.loop import continuous_response, noise_spread, sampled_radius, sampled_response, taylor4
 from sim.response.response import Response
 from sim.roads.road import Road
@@ -18,6 +22,8 @@ from synth.controller import Controller
 class Prediction:
     """The linear responses of one run, and how well they are to be met.
 
+    Of a law in Python linear analysis says nothing. Its responses are the vehicle's to the forces that it has asked for.
+
     Attributes:
         vehicle: the vehicle, with the limits and implementation of this run.
         controller: its controller.
@@ -26,17 +32,20 @@ class Prediction:
         integrated: the same as RK4 makes it.
         continuous: exact linear response of the continuous closed loop.
         spread: rms that noise and quantisation of the measurements give each signal; empty without them.
-        radius: growth per timestep of the sampled loop: above 1 it is unstable; NaN where it is too large to be asked.
+        radius: growth per timestep of the sampled loop: above 1 it is unstable; NaN where it is too large to be asked, or there
+            is no linear loop.
+        asked: forces that a law in Python asked for [N], shape (T, m); empty of a linear controller, from which they follow.
     """
 
     vehicle: Vehicle
-    controller: Controller
+    controller: Controller | Programmed
     road: Road
     sampled: Response
     integrated: Response
     continuous: Response
     spread: Mapping[str, float]
     radius: float
+    asked: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
     def time(self) -> Array:
@@ -77,4 +86,27 @@ def predict(vehicle: Vehicle, controller: Controller, road: Road, time: Array, m
         continuous=continuous_response(vehicle, controller, road, time),
         spread=noise_spread(vehicle, controller, timestep) if noisy else {},
         radius=sampled_radius(vehicle, controller, timestep) if small else math.nan,
+    )
+
+
+def predict_forced(vehicle: Vehicle, controller: Programmed, road: Road, time: Array, asked: Array) -> Prediction:
+    """What linear analysis makes of the forces that a law in Python has asked for in a run from rest.
+
+    Args:
+        vehicle: the vehicle.
+        controller: its controller.
+        road: the road.
+        time: equidistant sample times from 0 [s], shape (T,).
+        asked: the forces at those [N], shape (T, m).
+    """
+    return Prediction(
+        vehicle=vehicle,
+        controller=controller,
+        road=road,
+        sampled=forced_response(vehicle, asked, road, time),
+        integrated=forced_response(vehicle, asked, road, time, taylor4),
+        continuous=forced_continuous_response(vehicle, asked, road, time),
+        spread={},
+        radius=math.nan,
+        asked=asked,
     )

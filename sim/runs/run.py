@@ -8,15 +8,17 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, listing
+from models.own.python_law import Programmed
 from models.vehicle import Vehicle
 from sim.linear.loop import largest_timestep
 from sim.physics.energy import Energy, energy
+from sim.physics.python_laws import Driven, Played
 from sim.physics.simulate import PhysicsRuns, simulate
 from sim.response.regime import FLAT
 from sim.response.response import Response
 from sim.roads.road import Road
 from sim.runs.agreement import SMALL, Agreement, compare, look_closer
-from sim.runs.prediction import Prediction, predict
+from sim.runs.prediction import Prediction, predict, predict_forced
 from synth.controller import Controller
 
 MOST_SAMPLES = 1_000_000  # a run of these takes 0.4 GB and half a minute
@@ -65,7 +67,7 @@ class Run:
         return self.prediction.vehicle
 
     @property
-    def controller(self) -> Controller:
+    def controller(self) -> Controller | Programmed:
         """Its controller."""
         return self.prediction.controller
 
@@ -123,7 +125,7 @@ def sample_times(vehicle: Vehicle, duration: float, timestep: float) -> Array:
     return np.arange(round(duration / timestep) + 1) * timestep
 
 
-def _check_noise(vehicle: Vehicle, controllers: Sequence[Controller]) -> None:
+def _check_noise(vehicle: Vehicle, controllers: Sequence[Controller | Programmed]) -> None:
     """Refuses noise or quantisation of a signal that none of the controllers measures.
 
     Raises:
@@ -138,7 +140,7 @@ def _check_noise(vehicle: Vehicle, controllers: Sequence[Controller]) -> None:
 
 
 @np.errstate(over="ignore", invalid="ignore")  # an unstable loop overflows; its run says so
-def run_all(vehicle: Vehicle, controllers: Sequence[Controller], road: Road, time: Array) -> list[Run]:
+def run_all(vehicle: Vehicle, controllers: Sequence[Controller | Programmed], road: Road, time: Array) -> list[Run]:
     """Runs every controller over the road, from rest, and compares.
 
     Args:
@@ -148,8 +150,12 @@ def run_all(vehicle: Vehicle, controllers: Sequence[Controller], road: Road, tim
         time: equidistant sample times from 0 [s], see `sample_times`.
     """
     _check_noise(vehicle, controllers)
-    predictions = [predict(vehicle, controller, road, time) for controller in controllers]
+    known = [predict(vehicle, each, road, time) if isinstance(each, Controller) else each for each in controllers]
     made = simulate([vehicle] * len(controllers), controllers, [road] * len(controllers), time)
+    predictions = [
+        each if isinstance(each, Prediction) else predict_forced(vehicle, each, road, time, made.asked[i])
+        for i, each in enumerate(known)
+    ]
     return balanced(judge(predictions, [made.response.run(i) for i in range(len(predictions))]), made)
 
 
@@ -165,7 +171,7 @@ def judge(predictions: Sequence[Prediction], physics: Sequence[Response]) -> lis
     doubtful = [i for i, run in enumerate(runs) if not run.agreement.agrees]
     if doubtful:
         again = [predictions[i] for i in doubtful]
-        small = _simulated(again, again[0].time, _with_small_noise, lambda road: road.scaled(SMALL)).response
+        small = _simulated(again, again[0].time, _with_small_noise, SMALL).response
         for k, i in enumerate(doubtful):
             runs[i] = replace(runs[i], agreement=look_closer(runs[i].agreement, predictions[i], small.run(k)))
     return runs
@@ -196,17 +202,34 @@ def _simulated(
     predictions: Sequence[Prediction],
     time: Array,
     vehicle: Callable[[Vehicle], Vehicle] = lambda same: same,
-    road: Callable[[Road], Road] = lambda same: same,
+    share: float = 1.0,
 ) -> PhysicsRuns:
-    """What MuJoCo makes of what is predicted, with other vehicles and roads if asked: of those that runs share, one."""
+    """What MuJoCo makes of what is predicted, with other vehicles and a share of the road if asked; runs share what they shared.
+
+    A law in Python is not run again: the forces that it asked for are, with the same share of them.
+    """
     vehicles = {id(each.vehicle): vehicle(each.vehicle) for each in predictions}
-    roads = {id(each.road): road(each.road) for each in predictions}
+    roads = {id(each.road): each.road if share == 1 else each.road.scaled(share) for each in predictions}
     return simulate(
         [vehicles[id(each.vehicle)] for each in predictions],
-        [each.controller for each in predictions],
+        [driven(each, time, share) for each in predictions],
         [roads[id(each.road)] for each in predictions],
         time,
     )
+
+
+def driven(prediction: Prediction, time: Array, share: float = 1.0) -> Driven:
+    """What drives a run when it is made again.
+
+    Args:
+        prediction: of the run.
+        time: sample times of the run that is made [s], whose timestep divides that of the prediction.
+        share: of the forces of a law in Python.
+    """
+    if isinstance(prediction.controller, Controller):
+        return prediction.controller
+    held = round(prediction.timestep / float(time[1]))
+    return Played(prediction.controller.measured, share * np.repeat(prediction.asked, held, axis=0)[: len(time)])
 
 
 def _with_small_noise(vehicle: Vehicle) -> Vehicle:

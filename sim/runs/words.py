@@ -10,6 +10,7 @@ import numpy as np
 from models.common.numbers import cell, finite
 from models.common.printed import table, wrapped
 from models.kind import MOST_SQUEEZE
+from models.own.python_law import Programmed
 from models.vehicle import Vehicle
 from sim.physics.energy import BALANCED, Energy
 from sim.response.regime import FLAT, LIFT_OFF, REGIME_ENDS
@@ -18,6 +19,7 @@ from sim.runs.run import Run
 from synth.controller import Controller
 from synth.words import filter_lines, gain_text, heading_lines, ideal_lines, law_lines, notes
 
+NO_CLAIM = "no linear claim: a law in Python"
 MOST_FLIGHTS = 4  # of a run that are told one by one
 
 
@@ -66,8 +68,12 @@ def half_step_object(run: Run) -> dict[str, Any] | None:
     return {"difference": finite(found.difference), "signal": found.signal} if found else None
 
 
-def controller_object(controller: Controller) -> dict[str, Any]:
-    """A controller as JSON has it."""
+def controller_object(controller: Controller | Programmed) -> dict[str, Any]:
+    """A controller as JSON has it; of a law in Python there are no linear claims, which are None."""
+    if isinstance(controller, Programmed):
+        about = {"name": controller.name, "measured": list(controller.measured)}
+        claims = dict.fromkeys(("bound", "norm", "peak_frequency", "stability"))
+        return {**about, **controller.law.record, "sha256": controller.sha256, **claims}
     certificate = controller.certificate
     return {
         "name": controller.name,
@@ -80,13 +86,26 @@ def controller_object(controller: Controller) -> dict[str, Any]:
     }
 
 
-def controller_lines(vehicle: Vehicle, controller: Controller) -> list[str]:
+def controller_lines(vehicle: Vehicle, controller: Controller | Programmed) -> list[str]:
     """A controller and what is known of it."""
-    return [*heading_lines(controller), *(f"  {sentence}" for sentence in _found(vehicle, controller))]
+    if isinstance(controller, Programmed):
+        heading = [f"controller {controller.name}: measures {', '.join(controller.measured)}", f"  {python_text(controller)}"]
+    else:
+        heading = heading_lines(controller)
+    return [*heading, *(f"  {sentence}" for sentence in _found(vehicle, controller))]
 
 
-def _found(vehicle: Vehicle, controller: Controller) -> list[str]:
+def python_text(controller: Programmed) -> str:
+    """Which law in Python drives."""
+    preview = controller.law.preview
+    ahead = "" if preview is None else f", told the road {preview:g} s ahead"
+    return f"law in Python {controller.law.law}{ahead}; SHA-256 of its file {controller.sha256[:16]}..."
+
+
+def _found(vehicle: Vehicle, controller: Controller | Programmed) -> list[str]:
     """What is known of a controller beside its gain, in sentences."""
+    if isinstance(controller, Programmed):
+        return [NO_CLAIM, "sampled and continuous are the linear vehicle's under the forces that the law asked for"]
     certificate = controller.certificate
     norm, lines = certificate.norm, []
     if certificate.stable:
@@ -178,7 +197,7 @@ def verdict_lines(run: Run) -> list[str]:
     if agreement.agrees and error.small is not None:
         worst = max(agreement.signals, key=lambda name: agreement.signals[name].sampled - agreement.signals[name].allowed / SLACK)
         error = agreement.signals[worst]
-        made, with_it, is_it = ("geometry makes", "", "follows the exact sampled response to")
+        made, with_it, is_it = ("geometry makes", "", f"follows {_reference(run)} to")
         if agreement.blurred:
             made, with_it, is_it = (f"geometry and {blur} make", f" and {blur}", "is within")
         off = error.sampled - (0.0 if agreement.blurred else error.allowed / SLACK)
@@ -189,11 +208,18 @@ def verdict_lines(run: Run) -> list[str]:
     elif agreement.agrees and agreement.blurred:
         lines.append(f"agrees {when}: MuJoCo stays within the spread that is predicted of its measurements' {blur} ({numbers})")
     elif agreement.agrees:
-        lines.append(f"agrees {when}: MuJoCo follows the exact sampled response to within RK4's own error ({numbers})")
+        lines.append(f"agrees {when}: MuJoCo follows {_reference(run)} to within RK4's own error ({numbers})")
     else:
         why = "; the timestep is too coarse, give a smaller one" if error.allowed >= COARSEST and not agreement.blurred else ""
-        lines.append(f"DOES NOT AGREE {when} with the exact sampled response ({numbers}{why})")
+        lines.append(f"DOES NOT AGREE {when} with {_reference(run)} ({numbers}{why})")
     return lines
+
+
+def _reference(run: Run) -> str:
+    """What the physics is held against."""
+    if isinstance(run.controller, Programmed):
+        return "the exact linear response to the forces of the law"
+    return "the exact sampled response"
 
 
 @np.errstate(over="ignore")
@@ -230,13 +256,19 @@ def events(run: Run) -> tuple[tuple[float, str], ...]:
     return tuple(sorted(happened))
 
 
+def _law_text(controller: Controller | Programmed) -> str:
+    """A law on one line."""
+    if isinstance(controller, Programmed):
+        return python_text(controller)
+    if not controller.measured:
+        return "no control force"
+    return law_lines(controller.law, "gain ", "")[0] if controller.law.states else f"gain {gain_text(controller.gain)}"
+
+
 def summary(run: Run) -> str:
     """Design and verdict as Markdown."""
     lines = [f"# {run.controller.name}", ""]
-    law = law_lines(run.controller.law, "gain ", "")[0] if run.controller.law.states else f"gain {gain_text(run.controller.gain)}"
-    lines += [
-        f"- {line}" for line in [law if run.controller.measured else "no control force", *_found(run.vehicle, run.controller)]
-    ]
+    lines += [f"- {line}" for line in [_law_text(run.controller), *_found(run.vehicle, run.controller)]]
     lines += [f"- measures {', '.join(run.controller.measured) or 'nothing'}", "", "## Verdict", ""]
     lines += [f"- {line}" for line in [*verdict_lines(run), *energy_lines(run)]]
     until = f" until {run.agreement.until:.4g} s" if math.isfinite(run.agreement.until) else ""

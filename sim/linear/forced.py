@@ -1,0 +1,45 @@
+"""The exact linear response to forces that are known: of a vehicle whose controller no linear analysis speaks of.
+
+As in `sim.linear.loop`, but the forces u[k], held from one sample to the next, are given, and no loop is closed:
+
+    xi[k+1] = Phi xi[k] + Gamma [u[k]; z_r(t_k + h/2)],    x[k] = xi[k] + Bw z_r(t_k).
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy import linalg
+
+from models.common.arrays import Array
+from models.vehicle import Vehicle
+from sim.linear.controlled import with_lag
+from sim.linear.loop import held_inputs, recursion, response_of, road_forcing
+from sim.response.response import Response
+from sim.roads.road import Road, under_wheels
+
+
+def forced_response(
+    vehicle: Vehicle, forces: Array, road: Road, time: Array, exponential: Callable[[Array], Array] = linalg.expm
+) -> Response:
+    """The response to forces, and to the road as MuJoCo holds it, from rest.
+
+    Args:
+        vehicle: the vehicle.
+        forces: asked for at every sample [N], shape (T, m).
+        road: the road.
+        time: equidistant sample times [s], shape (T,).
+        exponential: the matrix exponential; `taylor4` to predict an RK4 integrator to rounding.
+    """
+    h, model = float(time[1] - time[0]), with_lag(vehicle)
+    Phi, Gamma, Gamma_r = held_inputs(model.A, h, exponential, model.B, model.A @ model.Bw + model.Br)
+    now, midway = (under_wheels(road.displacement, road, vehicle, times) for times in (time, time + h / 2))
+    states = recursion(Phi, midway @ Gamma_r.T + forces @ Gamma.T) + now @ model.Bw.T
+    return response_of(vehicle, model, road, time, states, forces)
+
+
+def forced_continuous_response(vehicle: Vehicle, forces: Array, road: Road, time: Array) -> Response:
+    """The response to forces that are held, and to the road as it is, from rest. Arguments as for `forced_response`."""
+    h, model = float(time[1] - time[0]), with_lag(vehicle)
+    Phi, Gamma = held_inputs(model.A, h, linalg.expm, model.B)
+    states = recursion(Phi, road_forcing(model.A, model, road, vehicle, time) + forces @ Gamma.T)
+    return response_of(vehicle, model, road, time, states, np.asarray(forces))

@@ -1,0 +1,127 @@
+"""What drives a run beside a linear law: laws in Python, called at their samples, and forces that are known, played again."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.own.python_law import Programmed
+from models.own.running import OwnLaw
+from models.reality import steps_per_sample
+from models.vehicle import Vehicle
+from synth.controller import Controller
+
+WILD = 1e8  # beyond it in any measurement, in SI units, there is no vehicle any more, and its law is asked no more
+
+
+@dataclass(frozen=True, eq=False)
+class Played:
+    """Forces that are known beforehand, whatever is measured.
+
+    Attributes:
+        measured: what was measured for them, so that everything is read in the same order, to the last bit.
+        forces: asked for at every step [N], shape (T, m).
+    """
+
+    measured: tuple[str, ...]
+    forces: Array
+
+
+Driven = Controller | Programmed | Played
+
+
+def preview_samples(controller: Driven, period: float) -> int:
+    """How many heights of a road a controller is told under each wheel, the one now among them; 0 for none."""
+    if not isinstance(controller, Programmed) or controller.law.preview is None:
+        return 0
+    return int(controller.law.preview / period * (1 + 1e-9)) + 1
+
+
+def steps_ahead(vehicles: Sequence[Vehicle], controllers: Sequence[Driven], timestep: float) -> int:
+    """How many timesteps [s] beyond a run's end a law is told of its road, at most."""
+    periods = [steps_per_sample(vehicle.implementation, timestep) for vehicle in vehicles]
+    pairs = zip(controllers, periods, strict=True)
+    return max((max(preview_samples(one, steps * timestep) - 1, 0) * steps for one, steps in pairs), default=0)
+
+
+class PythonLaws:
+    """N laws in Python, each with a state of its own; a vectorised one is one of all its runs."""
+
+    def __init__(
+        self,
+        controllers: Sequence[Programmed],
+        vehicles: Sequence[Vehicle],
+        signals: Sequence[str],
+        timestep: float,
+        heights: Array,
+    ) -> None:
+        """For signals of these names, and heights of the roads from the start to `steps_ahead` of the end, shape (.., N, r)."""
+        self.forces, self._timestep, self._heights = len(vehicles[0].linear_model.inputs), timestep, heights
+        self._count, self._gone = len(controllers), np.zeros(len(controllers), dtype=bool)
+        self._groups: list[_Group] = []
+        together: dict[tuple[int, int], _Group] = {}
+        for i, (one, vehicle) in enumerate(zip(controllers, vehicles, strict=True)):
+            steps = steps_per_sample(vehicle.implementation, timestep)
+            group = together.get((id(one), steps))
+            if group is None or not group.law.vectorised:
+                seen = [signals.index(name) for name in one.measured]
+                group = _Group(OwnLaw(one, self.forces), seen, steps, preview_samples(one, steps * timestep), [], [])
+                together[id(one), steps] = group
+                self._groups.append(group)
+            group.runs.append(i)
+            group.vehicles.append(vehicle)
+
+    def __call__(self, due: Array | slice, which: Array, k: int, seen: Array) -> Array:
+        """The forces that those that are due ask for at step k, shape (len(which), m), from the signals (len(which), S)."""
+        forces = np.zeros((len(which), self.forces))
+        for group in self._groups:
+            if k % group.steps == 0:
+                runs = np.array(group.runs)
+                rows = runs if len(which) == self._count else np.searchsorted(which, runs)
+                forces[rows] = self._asked(group, runs, k, seen[rows][:, group.seen])
+        return forces
+
+    def _asked(self, group: "_Group", runs: Array, k: int, y: Array) -> Array:
+        """What the runs of a group ask for, shape (n, m), from what they measure, shape (n, q)."""
+        self._gone[runs] |= ~np.all(np.abs(y) <= WILD, axis=1)
+        gone = self._gone[runs]
+        if gone.all():
+            return np.zeros((len(runs), self.forces))
+        preview, parameters = None, group.parameters
+        if group.ahead:
+            heights = self._heights[k : k + (group.ahead - 1) * group.steps + 1 : group.steps][:, runs]
+            preview = np.ascontiguousarray(np.moveaxis(heights, 0, 2))
+        time, period = k * self._timestep, group.steps * self._timestep
+        if not group.law.vectorised:
+            return group.law(y[0], time, period, None if preview is None else preview[0], parameters)[None]
+        asked = group.law(np.where(gone[:, None], 0.0, y), time, period, preview, parameters)
+        return np.where(gone[:, None], 0.0, asked)
+
+
+@dataclass(eq=False)
+class _Group:
+    """Runs that one execution of a law drives.
+
+    Attributes:
+        law: the execution.
+        seen: which of the signals it measures.
+        steps: timesteps between two of its samples.
+        ahead: heights of the road that it is told under each wheel.
+        runs: which of the runs; one of a law that is not vectorised.
+        vehicles: theirs.
+    """
+
+    law: OwnLaw
+    seen: list[int]
+    steps: int
+    ahead: int
+    runs: list[int]
+    vehicles: list[Vehicle]
+
+    @property
+    def parameters(self) -> dict[str, Array | float]:
+        """Of the vehicle or, of a vectorised law, of the vehicles, by name."""
+        if not self.law.vectorised:
+            return dict(self.vehicles[0].parameters)
+        return {name: np.array([vehicle.parameters[name] for vehicle in self.vehicles]) for name in self.vehicles[0].parameters}

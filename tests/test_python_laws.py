@@ -1,0 +1,333 @@
+"""Laws in Python: run as they are built, held against linear laws, logged and proved without being run, ended in one line."""
+
+import io
+import json
+from contextlib import redirect_stdout
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from models.common.errors import InputError
+from models.kind import HERE
+from models.own import running
+from models.own.python_law import Programmed
+from models.reality import Implementation, Limits
+from models.vehicle import Vehicle, parse_vehicle, read_vehicle
+from sim.physics.simulate import PhysicsRuns, simulate
+from sim.roads.road import Bump, under_wheels
+from sim.runs.agreement import compare
+from sim.runs.prediction import predict_forced
+from sim.runs.run import run_all, sample_times
+from synth.designer import Designer
+from synth.driven import driven as driven_by
+from tests.commands import main_of, prose
+from tests.pages import sections
+
+GAIN = """
+def step(sample, state):
+    return 10825.2 * sample["suspension_deflection"] - 2069.5 * sample["sprung_velocity"], state
+"""
+MEASURED = ("suspension_deflection", "sprung_velocity")
+SWITCHED = """
+def step(sample, state):
+    count = (state or 0) + 1
+    return (400.0 if count % 300 > 150 else -300.0) - 2000.0 * sample["sprung_velocity"], count
+"""
+REALITIES = {
+    "ideal": (Implementation(), Limits()),
+    "slow": (Implementation(sample_period=0.004), Limits()),
+    "late": (Implementation(sample_period=0.002, delay=3), Limits()),
+    "noisy": (Implementation(delay=1, noise={"sprung_velocity": 0.01}, quantisation={"sprung_velocity": 0.001}), Limits()),
+    "lagging": (Implementation(delay=1), Limits(actuator_bandwidth=60.0)),
+}
+
+
+def vehicle_of(folder: Path, law: str, kind: str = "quarter_car", measured=MEASURED, more: str = "", add: str = "") -> Path:
+    """A vehicle file with a controller `mine` whose law has this text."""
+    (folder / "mine.py").write_text(law, encoding="utf-8")
+    names = ", ".join(f'"{name}"' for name in measured)
+    entry = f'\n[controllers.mine]\nmeasured = [{names}]\nlaw = "mine.py:step"\n{more}\n'
+    path = folder / "car.toml"
+    path.write_text((HERE / f"{kind}.toml").read_text(encoding="utf-8") + entry + add, encoding="utf-8")
+    return path
+
+
+def driven(path: Path, name: str = "mine", vehicle: Vehicle | None = None, duration: float = 0.6) -> PhysicsRuns:
+    """A run of a vehicle file's controller."""
+    vehicle = vehicle or read_vehicle(path)
+    time = sample_times(vehicle, duration, 1e-3)
+    return simulate([vehicle], [driven_by(Designer(vehicle), name)], [Bump()], time)
+
+
+def refusal(path: Path, command: str = "sim.bump", *options: str) -> str:
+    """What a command says of a vehicle file's controller."""
+    more = ["--no-logs", "--duration", "0.3"] if command == "sim.bump" else []
+    with pytest.raises(InputError) as caught:
+        main_of(command)(["--vehicle", str(path), "--controller", "mine", *more, *options])
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("reality", REALITIES)
+def test_a_gain_in_python_is_that_gain(tmp_path, reality):
+    """Written in Python, a gain drives as its linear law does, however it is built, to rounding."""
+    path = vehicle_of(
+        tmp_path,
+        GAIN,
+        add='[controllers.linear]\nmeasured = ["suspension_deflection", "sprung_velocity"]\ngain = [[10825.2, -2069.5]]\n',
+    )
+    vehicle = read_vehicle(path)
+    how, limits = REALITIES[reality]
+    built = replace(vehicle, implementation=how, limits=limits)
+    ours, linear = (driven(path, name, built).response.run(0) for name in ("mine", "linear"))
+    for name in vehicle.linear_model.outputs:
+        # Sums are taken in another order: 1e-16 of the terms, which a loop that is stable does not pile up.
+        assert np.abs(ours[name] - linear[name]).max() < 1e-10 * linear.scale(name)
+
+
+@pytest.mark.parametrize("kind", ["quarter_car", "half_car"])
+def test_physics_agrees_with_the_response_to_the_forces(tmp_path, kind):
+    """MuJoCo follows the linear response to whatever forces were asked for, its energy balances, and the forces are held."""
+    velocity = "sprung_velocity" if kind == "quarter_car" else "heave_velocity"
+    model = read_vehicle(kind).linear_model
+    law = SWITCHED.replace('sample["sprung_velocity"], count', f'sample["{velocity}"] * np.ones({len(model.inputs)}), count')
+    path = vehicle_of(tmp_path, "import numpy as np\n" + law, kind, (velocity,))
+    for how, limits in REALITIES.values():
+        how = replace(how, noise={}, quantisation={})
+        vehicle = replace(read_vehicle(path), implementation=how, limits=limits)
+        (run,) = run_all(vehicle, [driven_by(Designer(vehicle), "mine")], Bump(height=0.02), sample_times(vehicle, 1.0, 1e-3))
+        assert run.holds
+        assert run.energy is not None
+        assert np.ptp(run.prediction.asked[:, 0]) > 600  # it did switch
+        if kind == "quarter_car":  # no geometry
+            assert max(signal.sampled for signal in run.agreement.signals.values()) < 1e-5  # RK4's own error at 1 ms
+
+
+def test_it_can_disagree(tmp_path):
+    """Physics that is not the response to the forces is found out: other forces by a hundred-thousandth are enough."""
+    path = vehicle_of(tmp_path, GAIN)
+    vehicle = read_vehicle(path)
+    (run,) = run_all(vehicle, [driven_by(Designer(vehicle), "mine")], Bump(), sample_times(vehicle, 1.0, 1e-3))
+    mine = run.controller
+    assert isinstance(mine, Programmed)
+    for share, agrees in {1.0: True, 1.00001: False}.items():
+        wrong = predict_forced(vehicle, mine, run.road, run.physics.time, share * run.prediction.asked)
+        assert compare(wrong, run.physics).agrees is agrees
+
+
+def test_preview_is_the_road_ahead(tmp_path):
+    """What a law is told is the heights under each wheel, now and at the next samples, also beyond the end of the run."""
+    law = "def step(sample, state):\n    return sample.preview[:, -1] * 100 + sample.preview[:, 0], state\n"
+    velocities = ("heave_velocity",)
+    path = vehicle_of(tmp_path, law, "half_car", velocities, "preview = 0.3")
+    vehicle = replace(read_vehicle(path), implementation=Implementation(sample_period=0.002))
+    made = driven(path, vehicle=vehicle, duration=0.4)
+    time, road = made.response.time, Bump()
+    held = np.round(time / 0.002 - 0.25) * 0.002
+    expected = 100 * under_wheels(road.displacement, road, vehicle, held + 0.3) + under_wheels(
+        road.displacement, road, vehicle, held
+    )
+    np.testing.assert_allclose(made.asked[0], expected, atol=1e-9)
+
+
+def test_vectorised_is_the_same_run_by_run(tmp_path):
+    """Called for many runs at once, a law drives each as it would alone."""
+    one = "def step(sample, state):\n    s = 0.9 * (0.0 if state is None else state) + sample['sprung_velocity']\n"
+    one += "    return -500.0 * s * sample.parameters['sprung_mass'] / 500 - 200 * sample.preview[..., 0, 3], s\n"
+    vehicles, roads = [], [Bump(height=0.01 * (i + 1)) for i in range(3)]
+    responses = []
+    for text in (
+        one,
+        one.replace("], s\n", "])[:, None], s\n").replace("return -500", "return (-500") + "step.vectorised = True\n",
+    ):
+        path = vehicle_of(tmp_path, text, more="preview = 0.1")
+        vehicle = read_vehicle(path)
+        mass = vehicle.parameters["sprung_mass"]
+        vehicles = [replace(vehicle, parameters={**vehicle.parameters, "sprung_mass": mass * share}) for share in (1.0, 0.9, 1.2)]
+        controller = driven_by(Designer(vehicle), "mine")
+        responses.append(simulate(vehicles, [controller] * 3, roads, sample_times(vehicle, 0.6, 1e-3)).response.values)
+    np.testing.assert_allclose(*responses, rtol=1e-12, atol=1e-12)  # numpy sums alike, but for its choice of instructions
+
+
+def test_runs_do_not_know_of_one_another(tmp_path):
+    """What a file keeps in names of its own, or in lists that it is given, is one run's: the same alone and beside others."""
+    law = "calls = []\ndef step(sample, state):\n    calls.append(sample.time)\n    sample.y[:] = 7.0\n"
+    law += "    sample.parameters.clear()\n    return -float(len(calls)), state\n"
+    path = vehicle_of(tmp_path, law)
+    vehicle = read_vehicle(path)
+    mine = driven_by(Designer(vehicle), "mine")
+    together = simulate([vehicle] * 3, [mine] * 3, [Bump()] * 3, sample_times(vehicle, 0.3, 1e-3))
+    alone = driven(path, duration=0.3)
+    assert np.array_equal(together.asked[2], alone.asked[0])
+    assert np.array_equal(alone.asked[0, :, 0], -np.arange(1.0, 302.0))
+
+
+def test_linear_controllers_are_the_same_beside_it(tmp_path):
+    """To the last bit a linear controller's run does not depend on whether a law in Python is driven beside it."""
+    path = vehicle_of(tmp_path, GAIN)
+    vehicle = read_vehicle(path)
+    designer, time = Designer(vehicle), sample_times(vehicle, 0.3, 1e-3)
+    both = [driven_by(designer, name) for name in ("mine", "I")]
+    together = simulate([vehicle] * 2, both, [Bump()] * 2, time)
+    alone = simulate([vehicle], both[1:], [Bump()], time)
+    assert np.array_equal(together.response.values[1], alone.response.values[0])
+    assert np.array_equal(together.qpos[1], alone.qpos[0])
+
+
+def test_documented_law_is_driven(tmp_path, capsys):
+    """The law of models/README.md, as it stands there, is driven and recorded, and agrees."""
+    (page,) = [one for one in sections("models/README.md") if one.heading == "A law in Python"]
+    (entry,), (text,) = page.blocks("toml"), page.blocks("python")
+    (tmp_path / "skyhook.py").write_text(text, encoding="utf-8")
+    car = tmp_path / "car.toml"
+    car.write_text((HERE / "quarter_car.toml").read_text(encoding="utf-8") + "\n" + entry, encoding="utf-8")
+    assert main_of("sim.bump")(["--vehicle", str(car), "--controller", "skyhook", "--no-logs"]) == 0
+    said = prose(capsys.readouterr().out)
+    assert "law in Python skyhook.py:step, told the road 0.5 s ahead" in said
+    assert "no linear claim: a law in Python" in said
+    assert "MuJoCo follows the exact linear response to the forces of the law" in said
+    assert "norm" not in said
+
+
+def log_of(folder: Path, law: str = SWITCHED, command: str = "sim.bump", *options: str) -> Path:
+    """A log of a run of a law."""
+    path = vehicle_of(folder, law, measured=("sprung_velocity",))
+    arguments = ["--vehicle", str(path), "--controller", "mine", "--controller", "I", "--logs", str(folder / "logs")]
+    with redirect_stdout(io.StringIO()):
+        assert main_of(command)([*arguments, "--duration", "1", *options]) == 0
+    (log,) = (folder / "logs").glob("*.mcap")
+    return log
+
+
+@pytest.mark.parametrize("options", [("sim.bump", "--height", "0.02"), ("sim.drive", "--class", "B")])
+def test_log_proves_without_running_the_law(tmp_path, monkeypatch, capsys, options):
+    """A log proves its physics, metrics and result from the forces that it has; the law, gone or hostile by now, is not run."""
+    log = log_of(tmp_path, SWITCHED, *options)
+    (tmp_path / "mine.py").unlink()
+    monkeypatch.setattr(running.OwnLaw, "__init__", lambda *arguments: pytest.fail("it was run"))
+    assert main_of("sim.inspect")([str(log), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    mine, linear = found["runs"]
+    assert found["proves"]
+    assert {"law": "mine.py:step", "norm": None, "bound": None, "stability": None}.items() <= mine["controller"].items()
+    assert linear["controller"]["norm"] > 0
+    assert any(one["verdict"] == "note" and "was not run" in one["text"] for one in mine["findings"])
+    assert main_of("sim.inspect")([str(log)]) == 0
+    assert "law in Python mine.py:step; SHA-256" in prose(capsys.readouterr().out)
+
+
+def test_other_forces_or_another_text_in_a_log_are_found(tmp_path, monkeypatch):
+    """Forces that were changed in a log, by a ten-millionth of a newton, or another text of the law, fail."""
+    from sim.inspect import reproduction
+    from sim.inspect.log import read_log
+    from sim.inspect.proof import prove
+
+    log = read_log(log_of(tmp_path, SWITCHED, "sim.bump", "--height", "0.02"))
+    assert prove(log).holds
+    forces = reproduction.read_forces
+    monkeypatch.setattr(reproduction, "read_forces", lambda *arguments: forces(*arguments) + 1e-7)
+    assert not prove(log).holds
+    monkeypatch.undo()
+    name = next(name for name in log.file.attachments if name.startswith("law-"))
+    attached = dict(log.file.attachments)
+    attached[name] = replace(attached[name], data=attached[name].data + b"#")
+    changed = replace(log, file=replace(log.file, attachments=attached))
+    (finding,) = [one for one in prove(changed).runs[0].findings if one.verdict == "FAILS"]
+    assert "checksum" in finding.text
+
+
+def test_text_of_a_vehicle_file_runs_nothing(tmp_path):
+    """A vehicle file that is text alone names a law and reads none; nor does reading a file run it."""
+    path = vehicle_of(tmp_path, "raise SystemExit(3)\n")
+    alone = parse_vehicle(path.read_text(encoding="utf-8"))
+    assert alone.controllers["mine"].python is not None
+    with pytest.raises(InputError, match="read from text alone"):
+        driven_by(Designer(alone), "mine")
+    assert driven_by(Designer(read_vehicle(path)), "mine").name == "mine"
+    assert "SystemExit: 3, line 1" in refusal(path)
+
+
+@pytest.mark.parametrize(
+    ("law", "said"),
+    [
+        ("", "has no function 'step'"),
+        ("step = 3", "has no function 'step'"),
+        ("def step(sample:", r"is no Python \('\(' was never closed, line 1\); mend that"),
+        (
+            "def step(sample, state):\n  return [1][int(sample.time > 0.1)], state",
+            "IndexError: list index out of range, line 2) at 0.101 s",
+        ),
+        ("def step(sample, state): return float('nan'), state", "its force is not finite) at 0 s"),
+        ("def step(sample, state): return [1.0, 2.0], state", "its force has shape (2,); expected (1,)"),
+        ("def step(sample, state): return 3.0", "it gives 3.0, and not two things"),
+        ("def step(sample, state): return 'three', state", "its force is 'three', which is no real number"),
+        ("def step(sample, state): return 3j, state", "its force is a complex, which is no real number"),
+        ("def step(sample, state): return None, state", "its force is not finite"),
+        ("def step(sample, state): return sample['nothing'], state", "it measures no 'nothing', but suspension_deflection"),
+        ("def step(sample, state): raise SystemExit('bye')", "SystemExit: bye, line 1"),
+        ("def step(sample): return 0.0, None", "TypeError: step() takes 1 positional argument but 2 were given"),
+        ("def step(sample, state): raise BaseException('two\\nlines')", "BaseException: two lines, line 1"),
+    ],
+)
+def test_what_is_wrong_with_it_is_one_line(tmp_path, law, said):
+    """Whatever a law does is one line that names controller, law, line and time."""
+    found = refusal(vehicle_of(tmp_path, law))
+    assert found.startswith("controller 'mine', law mine.py:step: ")
+    assert said.replace("\\", "") in found
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ('law = "../mine.py:step"', "is no law in Python"),
+        ('law = "/etc/mine.py:step"', "is no law in Python"),
+        ('law = "mine.py"', "is no law in Python"),
+        ("law = 3", "is no law in Python"),
+        ('law = "other.py:step"', "there is no such file"),
+        ('law = "mine.py:step"\ngain = [[1.0, 2.0]]', "has a law in Python and gain"),
+        ('law = "mine.py:step"\npreview = -1', "preview = -1 is not allowed"),
+        ("preview = 1.0", "preview is what a law in Python is told"),
+    ],
+)
+def test_what_the_file_may_say(tmp_path, line, said):
+    """A law lies beside its vehicle file, and what else is said of it is its preview."""
+    path = vehicle_of(tmp_path, GAIN)
+    path.write_text(path.read_text(encoding="utf-8").replace('law = "mine.py:step"', line), encoding="utf-8")
+    assert said in refusal(path)
+
+
+def test_no_link_leads_out_of_the_folder(tmp_path):
+    """A link in the folder to a file outside it is refused."""
+    (tmp_path / "car").mkdir()
+    path = vehicle_of(tmp_path / "car", GAIN)
+    (tmp_path / "car" / "mine.py").rename(tmp_path / "mine.py")
+    (tmp_path / "car" / "mine.py").symlink_to(tmp_path / "mine.py")
+    assert "is a link out of the folder" in refusal(path)
+
+
+def test_prints_go_to_stderr(tmp_path, capsys):
+    """What a law prints does not come between a command and its JSON."""
+    path = vehicle_of(tmp_path, "print('here')\ndef step(sample, state):\n  print('there')\n  return 0.0, state")
+    assert main_of("sim.bump")(["--vehicle", str(path), "--controller", "mine", "--no-logs", "--duration", "0.1", "--json"]) == 0
+    captured = capsys.readouterr()
+    assert json.loads(captured.out)["runs"][0]["controller"]["norm"] is None
+    assert captured.err.count("there") == 101
+
+
+def test_linear_commands_leave_it_out(tmp_path, capsys):
+    """Commands that are about linear claims say in one line why they cannot have it, and `all` is the others."""
+    path = vehicle_of(tmp_path, GAIN)
+    for command in ("synth", "sim.sweep", "sim.margins", "sim.report"):
+        assert "is a law in Python, mine.py:step, of which there is no linear claim" in refusal(path, command)
+    assert main_of("synth")(["--vehicle", str(path), "--controller", "all", "--json"]) == 0
+    assert "mine" not in [one["name"] for one in json.loads(capsys.readouterr().out)["controllers"]]
+
+
+@pytest.mark.parametrize("body", ["while True: pass", "[0 for _ in iter(int, 1)]", "exec('while True: pass')"])
+def test_a_call_that_takes_too_long(tmp_path, monkeypatch, body):
+    """A law that does not come back is ended, and the line says which and after how long."""
+    monkeypatch.setattr(running, "LONGEST", 0.3)
+    found = refusal(vehicle_of(tmp_path, f"def step(sample, state):\n    {body}\n"))
+    assert found == "controller 'mine', law mine.py:step: step takes longer than 0.3 s at 0 s; mend that"
