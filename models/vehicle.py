@@ -34,8 +34,8 @@ class Vehicle:
         parameters: SI values by name.
         performance: weight of each signal in the controlled output z (34).
         controllers: by name, without `passive` and `state`, which always exist.
-        text: the vehicle file, as read, with the matrices of laws in place of the files that it names; it goes into the logs. Laws
-            in Python stay named.
+        text: the vehicle file, as read, with the matrices of laws in place of the files that it names; it goes into the logs.
+            Laws in Python stay named.
         source: where it came from, for messages.
         limits: where the hardware ends.
         implementation: the controller as it would be built.

@@ -9,6 +9,7 @@ from models.vehicle import read_vehicle
 from sim.asked.drive import asked_road, parser
 from sim.command.claims import say_false_claims
 from sim.command.comparison import check_view, compared_lines, view
+from sim.command.driven import driven
 from sim.command.logs import log_lines, recorded
 from sim.command.outputs import check_outputs
 from sim.ride.measured import first_sample, measure_run, metric_lines, metrics_object
@@ -16,7 +17,6 @@ from sim.ride.metrics import DEFINITIONS
 from sim.runs.run import run_all, sample_times
 from sim.runs.words import half_step_object, run_object, summary_lines
 from synth.designer import Designer
-from synth.driven import driven
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -45,7 +45,6 @@ ROOMS = {
     "synth.words": "models synth.controller",
     "synth.designer": "models synth.certificate synth.controller synth.design synth.dynamic synth.errors synth.fallback "
     "synth.lmi synth.plant synth.redesign synth.search",
-    "synth.driven": "models models.own synth.controller synth.designer",
     "synth.state_space": "models synth.controller synth.plant",
     "synth.paper": "models synth.certificate synth.designer synth.lmi",
     "synth.command": "models synth.certificate synth.controller synth.design synth.designer synth.errors synth.lmi synth.plant "
@@ -65,15 +64,15 @@ ROOMS = {
     "sim.stability": "sim.figures sim.linear sim.physics sim.roads sim.runs",
     "sim.frequency": "models.filters sim.figures sim.linear sim.physics sim.response sim.roads sim.runs",
     "sim.recording": "sim.figures sim.physics sim.response sim.roads sim.runs",
-    "sim.command": "sim.figures sim.recording sim.runs",
+    "sim.command": "sim.figures sim.recording sim.runs synth.designer",
     "sim.asked": "sim.command sim.frequency sim.response sim.roads sim.runs sim.stability sim.validity",
     "sim.inspect": "sim.asked sim.linear sim.physics sim.recording sim.response sim.ride sim.roads sim.runs synth.dynamic "
     "synth.words",
     "sim.campaign": "sim.command sim.linear sim.physics sim.response sim.ride sim.roads sim.runs synth.designer",
     "sim.report": "sim.command sim.figures sim.frequency sim.linear sim.physics sim.response sim.ride sim.roads "
     "sim.runs sim.stability sim.validity synth.designer synth.paper synth.words",
-    "sim.bump": "sim.asked sim.command sim.roads sim.runs synth.designer synth.driven",
-    "sim.drive": "sim.asked sim.command sim.ride sim.runs synth.designer synth.driven",
+    "sim.bump": "sim.asked sim.command sim.roads sim.runs synth.designer",
+    "sim.drive": "sim.asked sim.command sim.ride sim.runs synth.designer",
     "sim.sweep": "sim.asked sim.command sim.figures sim.frequency sim.runs synth.designer",
     "sim.margins": "sim.asked sim.command sim.figures sim.linear sim.runs sim.stability synth.designer",
     "sim.__main__": "",

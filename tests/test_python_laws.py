@@ -15,13 +15,13 @@ from models.own import running
 from models.own.python_law import Programmed
 from models.reality import Implementation, Limits
 from models.vehicle import Vehicle, parse_vehicle, read_vehicle
+from sim.command.driven import driven as driven_by
 from sim.physics.simulate import PhysicsRuns, simulate
 from sim.roads.road import Bump, under_wheels
 from sim.runs.agreement import compare
 from sim.runs.prediction import predict_forced
 from sim.runs.run import run_all, sample_times
 from synth.designer import Designer
-from synth.driven import driven as driven_by
 from tests.commands import main_of, prose
 from tests.pages import sections
 
