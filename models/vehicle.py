@@ -128,6 +128,22 @@ class Vehicle:
         """Those of them of which linear analysis speaks: all but laws in Python."""
         return (*RESERVED, *(name for name, entry in self.controllers.items() if entry.python is None))
 
+    def linear_entry(self, name: str) -> ControllerEntry:
+        """What the file says of a controller, of which linear analysis speaks.
+
+        Raises:
+            InputError: the file has none of that name, or it is a law in Python.
+        """
+        if name not in self.controllers:
+            raise InputError(f"unknown controller {name!r}; this vehicle has {listing(self.controller_names)}")
+        entry = self.controllers[name]
+        if entry.python is not None:
+            raise InputError(
+                f"controller {name!r} is a law in Python, {entry.python.law}, of which there is no linear claim; sim.bump and "
+                "sim.drive drive it; name another one here"
+            )
+        return entry
+
 
 def read_vehicle(file: str | Path) -> Vehicle:
     """Reads a vehicle file, or a vehicle that ships, by name (`quarter_car`).

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from models.common.errors import InputError, listing
+from models.common.errors import InputError
 from models.controllers import ControllerEntry
 from models.law import static_law
 from models.vehicle import Vehicle
@@ -254,15 +254,7 @@ class Designer:
             return ControllerEntry(name, (), static_law(np.zeros((len(model.inputs), 0))))
         if name == "state":
             return ControllerEntry(name, model.states)
-        if name not in self.vehicle.controllers:
-            raise InputError(f"unknown controller {name!r}; this vehicle has {listing(self.vehicle.controller_names)}")
-        entry = self.vehicle.controllers[name]
-        if entry.python is not None:
-            raise InputError(
-                f"controller {name!r} is a law in Python, {entry.python.law}, of which there is no linear claim; sim.bump and "
-                "sim.drive drive it; name another one here"
-            )
-        return entry
+        return self.vehicle.linear_entry(name)
 
     def _given(self, entry: ControllerEntry) -> Controller:
         return certified(self.vehicle, self.plant, entry, self.lower_bound(entry.measured))
