@@ -51,7 +51,7 @@ CHANGES = [
     ("weight that rounds away", WEIGHT, "sprung_acceleration = 1e-300", ["sprung_acceleration = 1e-300", "1e-12 to 1e+12"]),
     ("weight NaN", WEIGHT, "sprung_acceleration = nan", ["sprung_acceleration = nan", "1e-12 to 1e+12"]),
     ("weight in words", WEIGHT, 'sprung_acceleration = "much"', ["sprung_acceleration = 'much'", "1e-12 to 1e+12"]),
-    ("unknown controller key", MINE, f"{MINE}\ngains = [[1.0, 2.0]]", ["[controllers.I]", "'gains'", "gain, measured"]),
+    ("unknown controller key", MINE, f"{MINE}\ngains = [[1.0, 2.0]]", ["[controllers.I]", "'gains'", "gain, law, measured"]),
     ("half a law", MINE, f"{MINE}\nA = [[1.0]]", ["[controllers.I] B, C, D is missing", "x_c' = A x_c + B y"]),
     ("a law and a gain", MINE, f"{MINE}\nA = [[1.0]]\ngain = [[1.0, 1.0]]", ["has a gain and A", "whole by itself"]),
     (
