@@ -21,6 +21,7 @@ from synth.designer import Designer
 from synth.plant import Feedback
 from synth.scaling import speed
 from synth.state_space import closed_loop, weighted_loop
+from tests.pages import section
 
 PAPER = "sprung_acceleration = 1.0"
 WK = 'sprung_acceleration = { filter = "iso2631_wk" }'
@@ -245,6 +246,36 @@ def test_the_worst_sinusoid_reaches_the_filtered_norm(lines):
     assert found.gains["worst sinusoid"] == pytest.approx(found.worst.gain, rel=1e-3)  # the sinusoid is next to the peak
     assert set(found.gains) == {"worst sinusoid"} | (set() if vehicle.road_filter else {"random", "bump"})
     assert all(gain <= found.worst.gain * (1 + 1e-5) for gain in found.gains.values())  # RK4, and what has not decayed
+
+
+def test_the_readmes_example():
+    """The example of models/README.md is a vehicle's weights, and II designed for them is certified."""
+    (snippet,) = section("models/README.md", "Weights that depend").blocks("toml")
+    text = read_vehicle("quarter_car").text
+    head, _, tail = text.partition("[performance]")
+    vehicle = parse_vehicle(head + snippet + "[controllers.I]" + tail.partition("[controllers.I]")[2])
+    at = np.array([1e-3, 1e6])
+    force = vehicle.linear_model.outputs.index("control_force")
+    np.testing.assert_allclose(np.abs(vehicle.weights(at))[:, force], [1e-4, 1e-3], rtol=1e-3)  # at frequencies far off
+    controller = Designer(vehicle).design("II")
+    assert not controller.certificate.failures
+    assert len(controller.certificate.poles) == 4 + 8 + 1 + 1
+
+
+def test_what_synths_readme_says_of_refining():
+    """Refined, I with W_k on the acceleration goes from 20.97 to the lower bound, to seven digits."""
+    refined = Designer(parse_vehicle(file_with(WK))).refine("I")
+    assert refined.start is not None
+    assert refined.start.certificate.norm.value == pytest.approx(20.97, abs=5e-3)  # printed with four digits
+    assert refined.controller.certificate.norm.value == pytest.approx(7.710990, abs=1e-6)
+
+
+def test_no_second_witness_with_filters(tmp_path, capsys):
+    """Clarabel's answers to (25) with filters are off, so `--cross-check` says that there is no second witness, and nothing fails."""
+    file = tmp_path / "felt.toml"
+    file.write_text(file_with(WK))
+    assert main(["--vehicle", str(file), "--controller", "II", "--cross-check"]) == 0
+    assert "no second witness: with filters (25)" in " ".join(capsys.readouterr().out.split())
 
 
 BAD = [
