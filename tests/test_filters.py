@@ -271,7 +271,7 @@ def test_what_synths_readme_says_of_refining():
 
 
 def test_no_second_witness_with_filters(tmp_path, capsys):
-    """Clarabel's answers to (25) with filters are off, so `--cross-check` says that there is no second witness, and nothing fails."""
+    """Clarabel is off on (25) with filters, so `--cross-check` says that there is no second witness, and nothing fails."""
     file = tmp_path / "felt.toml"
     file.write_text(file_with(WK))
     assert main(["--vehicle", str(file), "--controller", "II", "--cross-check"]) == 0

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from synth.controller import Controller, measurements
+from synth.controller import Controller
 from synth.design import measurement
 from synth.designer import Designer
 from synth.errors import DesignError
@@ -95,11 +95,11 @@ def cross_check(designer: Designer, controller: Controller, zero_l: bool = False
     if designer.plant.weights:
         said = "with filters (25) has rates too far apart for Clarabel, whose answers are then off without its saying so"
         return Witness("(25)", bound / (1 + controller.optimum_gap), controller.optimum_gap, None, None, said)
-    Cy, kept = measurement(designer.plant, measurements(designer.vehicle, controller.measured)[0])
+    Cy, kept = measurement(designer.plant, designer.vehicle.linear_model.rows(controller.measured)[0])
     units = own_units(designer.plant, Cy[kept])
     rows, measured = units.rows(Cy[kept])
     K = controller.gain[:, kept] @ measured / units.inputs[:, None]
-    if len(rows) == len(designer.plant.A):
+    if controller.name == "state":
         which, Q, R = "(22)", np.zeros((len(rows), 0)), np.linalg.inv(rows)
     else:
         which, Q = "(25)", nullspace(rows)
