@@ -2,6 +2,8 @@
 
 import io
 import json
+import subprocess
+import sys
 from contextlib import redirect_stdout
 from dataclasses import replace
 from pathlib import Path
@@ -22,7 +24,7 @@ from sim.runs.agreement import compare
 from sim.runs.prediction import predict_forced
 from sim.runs.run import run_all, sample_times
 from synth.designer import Designer
-from tests.commands import main_of, prose
+from tests.commands import environment, main_of, prose
 from tests.pages import sections
 
 GAIN = """
@@ -331,3 +333,40 @@ def test_a_call_that_takes_too_long(tmp_path, monkeypatch, body):
     monkeypatch.setattr(running, "LONGEST", 0.3)
     found = refusal(vehicle_of(tmp_path, f"def step(sample, state):\n    {body}\n"))
     assert found == "controller 'mine', law mine.py:step: step takes longer than 0.3 s at 0 s; mend that"
+
+
+HOSTILE = {
+    "stubborn": "    while True:\n        try:\n            while True: pass\n        except BaseException: pass",
+    "asleep": "    import time\n    time.sleep(1000)",
+    "waiting": "    import threading\n    threading.Lock().acquire() and threading.Event().wait()",
+    "endless": "    return step(sample, state)",
+    "interrupting": "    raise KeyboardInterrupt",
+    "leaving": "    raise SystemExit(0)",
+    "array": "    class A:\n        def __array__(self, *a, **k):\n            while True: pass\n    return A(), state",
+    "speechless": "    class E(Exception):\n        def __str__(self): raise KeyboardInterrupt\n    raise E()",
+    "length": "    class T(tuple):\n        def __len__(self): raise MemoryError\n    return T((0.0, state))",
+    "colouring": "    raise ValueError('\\x1b[31m two\\r\\nlines')",
+    "mute": "    import sys\n    sys.stdout = None\n    raise ValueError",
+}
+
+
+@pytest.mark.attack  # a process each
+@pytest.mark.parametrize("body", HOSTILE.values(), ids=HOSTILE)
+def test_nothing_that_a_law_does_holds_a_command(tmp_path, body):
+    """Whatever a law does, its command ends with code 2 and one line that names it, soon after the limit; nothing is printed."""
+    path = vehicle_of(tmp_path, f"def step(sample, state):\n{body}\n")
+    limits = "from models.own import running; running.LONGEST, running.GRACE = 0.3, 0.5"
+    run = "from models.common.command import run_command; from sim.bump import main"
+    options = ["--vehicle", str(path), "--controller", "mine", "--no-logs", "--duration", "0.1", "--json"]
+    done = subprocess.run(
+        [sys.executable, "-c", f"{limits}; {run}; run_command(lambda: main({options}))"],
+        env=environment(),
+        capture_output=True,
+        text=True,
+        timeout=60,
+        stdin=subprocess.DEVNULL,
+    )
+    assert (done.returncode, done.stdout) == (2, "")
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("roadproof: controller 'mine', law mine.py:step: step ")
+    assert line.isprintable()
