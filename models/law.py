@@ -1,5 +1,6 @@
 """A linear law from measurements to forces: x_c' = A x_c + B y, u = C x_c + D y. A static gain is one without a state."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -164,6 +165,18 @@ def static_law(gain: Array) -> LinearLaw:
     """
     m, q = np.shape(gain)
     return LinearLaw(np.zeros((0, 0)), np.zeros((0, q)), np.zeros((m, 0)), gain)
+
+
+def law_of(record: Mapping[str, Any]) -> LinearLaw:
+    """The law of a `LinearLaw.record`, in which other keys may stand, too.
+
+    Raises:
+        KeyError: it is none.
+        InputError: see `LinearLaw`.
+    """
+    if "gain" in record:
+        return static_law(record["gain"])
+    return LinearLaw(*(record[name] for name in MATRICES), sample_period=record.get("sample_period"))
 
 
 def _matrix(name: str, value: object) -> Array:

@@ -195,12 +195,7 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
     implementation = read_implementation(data.get("implementation", {}), model.measurable)
     controllers = read_controllers(data.get("controllers", {}), model, folder)
     for entry in controllers.values():
-        period = entry.law.sample_period if entry.law is not None else None
-        if period is not None and implementation.sample_period != period:
-            raise InputError(
-                f"[controllers.{entry.name}] has a sample period of {period:g} s of its own, and [implementation] says "
-                f"{implementation.sample_period or 'none'}; give [implementation] sample_period = {period:g}"
-            )
+        check_period(entry, implementation)
     performance, filters, road_filter = _performance(data["performance"], model)
     return Vehicle(
         kind=vehicle_kind,
@@ -214,6 +209,20 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
         filters=filters,
         road_filter=road_filter,
     )
+
+
+def check_period(entry: ControllerEntry, implementation: Implementation) -> None:
+    """Whether a controller with a sample period of its own is built with that one.
+
+    Raises:
+        InputError: it is not.
+    """
+    period = entry.law.sample_period if entry.law is not None else None
+    if period is not None and implementation.sample_period != period:
+        raise InputError(
+            f"[controllers.{entry.name}] has a sample period of {period:g} s of its own, and [implementation] says "
+            f"{implementation.sample_period or 'none'}; give [implementation] sample_period = {period:g}"
+        )
 
 
 def _performance(section: Mapping[str, Any], model: LinearModel) -> tuple[dict[str, float], dict[str, Filter], Filter | None]:

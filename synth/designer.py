@@ -9,7 +9,7 @@ import numpy as np
 
 from models.common.errors import InputError
 from models.controllers import ControllerEntry
-from models.law import static_law
+from models.law import LinearLaw, static_law
 from models.vehicle import Vehicle
 from synth.certificate.bounding import certify_tightly
 from synth.certificate.certificate import Certificate
@@ -109,7 +109,7 @@ class Designer:
         """
         entry = self._entry(name)
         if entry.law is not None:
-            return self._given(entry)
+            return certified(self.vehicle, self.plant, entry, self.lower_bound(entry.measured))
         if entry.design and zero_l:
             raise InputError(f"controller {name!r} is not designed in two steps, so that there is no L; design it as it is")
         Cy, _ = measurements(self.vehicle, entry.measured)
@@ -256,9 +256,6 @@ class Designer:
             return ControllerEntry(name, model.states)
         return self.vehicle.linear_entry(name)
 
-    def _given(self, entry: ControllerEntry) -> Controller:
-        return certified(self.vehicle, self.plant, entry, self.lower_bound(entry.measured))
-
 
 def _designed(vehicle: Vehicle, entry: ControllerEntry, design: Design) -> Controller:
     """The controller of a gain on C_y x; a force that is in what is measured is taken out of it."""
@@ -280,17 +277,18 @@ def _designed(vehicle: Vehicle, entry: ControllerEntry, design: Design) -> Contr
     )
 
 
-def given(vehicle: Vehicle, name: str, measured: Sequence[str], gain: Sequence[Sequence[float]]) -> Controller:
-    """A controller whose gain is known, whatever its name, certified as it is.
+def given(vehicle: Vehicle, name: str, measured: Sequence[str], law: LinearLaw) -> Controller:
+    """A controller whose law is known, from what is measured to the forces, whatever its name, certified as it is.
 
-    Args:
-        vehicle: of which it is.
-        name: its name.
-        measured: the signals y, q of them.
-        gain: K, m rows of q numbers [N per measured unit].
+    Raises:
+        InputError: it has another number of signals or forces, or no loop.
     """
-    entry = ControllerEntry(name, tuple(measured), static_law(np.array(gain, dtype=float).reshape(len(gain), len(measured))))
-    return Designer(vehicle)._given(entry)
+    expected = len(vehicle.linear_model.inputs), len(measured)
+    if law.D.shape != expected:
+        raise InputError(f"controller {name!r} has a D of shape {law.D.shape}; expected {expected}: forces, measured signals")
+    designer = Designer(vehicle)
+    entry = ControllerEntry(name, tuple(measured), law)
+    return certified(vehicle, designer.plant, entry, designer.lower_bound(entry.measured))
 
 
 def design(vehicle: Vehicle, name: str) -> Controller:

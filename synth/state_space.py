@@ -1,5 +1,6 @@
-"""A plant from a `control.StateSpace` with named signals; any object with its attributes will do."""
+"""Plants and controllers from a `control.StateSpace` with named signals, and back; any object with its attributes will do."""
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -7,13 +8,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError, listing
-from models.vehicle import Vehicle
+from models.common.errors import InputError, listing, quoted
+from models.controllers import read_controllers
+from models.law import LinearLaw
+from models.vehicle import Vehicle, check_period
 from synth.controller import Controller, plant_states
+from synth.designer import given
 from synth.plant import GeneralizedPlant
 
 if TYPE_CHECKING:
     import control
+
+NUMBERED = re.compile(r"[uy]\[\d+\]")  # what python-control calls a signal that nobody named
 
 
 def from_state_space(
@@ -62,6 +68,75 @@ def from_state_space(
     weight = np.array(list(weights.values()))[:, None]
     plant = GeneralizedPlant(A, B[:, u], B[:, w], weight * C[z], weight * D[np.ix_(z, u)], weight * D[np.ix_(z, w)])
     return plant, C[y]
+
+
+def controller_from(vehicle: Vehicle, name: str, measured: Sequence[str], system: Any) -> Controller:
+    """A controller that is a system from what is measured to the forces, certified as it is.
+
+    Args:
+        vehicle: whose controller it is to be.
+        name: what to call it.
+        measured: the signals that are its inputs. Where the system names its inputs or outputs, by whatever order it has them, it
+            is the names that count, of signals here and of the vehicle's forces there.
+        system: `control.StateSpace`, or anything that has A, B, C, D, and dt if it is sampled: seconds.
+
+    Raises:
+        InputError: it is no controller of this vehicle: a signal, a shape, an entry or the sample period does not fit.
+    """
+    try:
+        A, B, C, D = (np.asarray(getattr(system, matrix)) for matrix in "ABCD")
+    except AttributeError as error:
+        raise InputError(f"{quoted(system)} has no A, B, C and D; give a state-space system") from error
+    period = getattr(system, "dt", None)
+    if period is True:
+        raise InputError("the system is sampled, and does not say how often (dt = True); give dt in seconds")
+    law = LinearLaw(A, B, C, D, period or None)  # shapes that do not fit together are its to name
+    columns = _order(system, "input_labels", measured)
+    rows = _order(system, "output_labels", vehicle.linear_model.inputs)
+    if law.D.shape == (len(rows), len(columns)):
+        law = LinearLaw(law.A, law.B[:, columns], law.C[rows], law.D[np.ix_(rows, columns)], law.sample_period)
+    entry = read_controllers({name: {"measured": list(measured), **law.record}}, vehicle.linear_model)[name]
+    check_period(entry, vehicle.implementation)
+    return given(vehicle, entry.name, entry.measured, law)
+
+
+def law_system(vehicle: Vehicle, controller: Controller) -> "control.StateSpace":
+    """A controller as a system from what it measures to the forces, all by name: continuous, or sampled as its law is.
+
+    Raises:
+        ValueError: it measures nothing.
+    """
+    from control import StateSpace, ss
+
+    law = controller.law
+    if not controller.measured:
+        raise ValueError(f"controller {controller.name!r} measures nothing, and is no system")
+    system = ss(
+        law.A,
+        law.B,
+        law.C,
+        law.D,
+        law.sample_period or 0,
+        name=controller.name,
+        states=[f"controller_{k}" for k in range(1, law.states + 1)],
+        inputs=list(controller.measured),
+        outputs=list(vehicle.linear_model.inputs),
+        remove_useless_states=False,
+    )
+    assert isinstance(system, StateSpace)
+    return system
+
+
+def _order(system: Any, labels: str, names: Sequence[str]) -> list[int]:
+    """The places of names among a system's inputs or outputs; as they come, where it has no names for them."""
+    found = list(getattr(system, labels, None) or names)
+    if all(NUMBERED.fullmatch(label) for label in found):
+        return list(range(len(names)))
+    if sorted(found) != sorted(names):
+        raise InputError(
+            f"the system has the {labels.replace('_', ' ')} {listing(found)}; expected {listing(names)}, in any order"
+        )
+    return [found.index(name) for name in names]
 
 
 def vehicle_system(vehicle: Vehicle) -> "control.StateSpace":

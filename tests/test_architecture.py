@@ -45,7 +45,7 @@ ROOMS = {
     "synth.words": "models synth.controller",
     "synth.designer": "models synth.certificate synth.controller synth.design synth.dynamic synth.errors synth.fallback "
     "synth.lmi synth.plant synth.redesign synth.search",
-    "synth.state_space": "models synth.controller synth.plant",
+    "synth.state_space": "models synth.controller synth.designer synth.plant",
     "synth.paper": "models synth.certificate synth.designer synth.lmi",
     "synth.command": "models synth.certificate synth.controller synth.design synth.designer synth.errors synth.lmi synth.plant "
     "synth.posed synth.scaling synth.words",

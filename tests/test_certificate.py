@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from models.law import static_law
 from sim.runs.words import controller_lines
 from synth.certificate.bounding import certify_tightly
 from synth.certificate.certificate import FASTEST, certify
@@ -120,7 +121,7 @@ def test_design_of_what_hardly_moves(seed):
 
 def test_speed_is_printed(paper):
     """A gain beyond any actuator is said so on the terminal of both commands and in the JSON."""
-    controller = given(paper, "stiff", ["sprung_velocity"], [[-1e7]])
+    controller = given(paper, "stiff", ["sprung_velocity"], static_law(np.array([[-1e7]])))
     (remark,) = controller.certificate.remarks
     assert f"  {remark}" in detail_lines(Row("stiff", controller, (), ()))
     assert f"  {remark}" in controller_lines(paper, controller)

@@ -16,6 +16,7 @@ from models.formats.law_file import NAMES
 from models.formats.mat_file import MOST_INSIDE, read_mat
 from models.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main as bump
+from sim.campaign.__main__ import main as campaign
 from sim.inspect.__main__ import main as inspect
 from synth.__main__ import main as synth
 
@@ -335,6 +336,20 @@ def test_attack_on_files(seed):
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     assert attack(np.random.default_rng(100 + seed), 10_000) > 3000
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200_000  # KiB: twenty times what a law may take
+
+
+def test_a_campaign_is_of_the_matrices(tmp_path, monkeypatch, capsys):
+    """A law of a file is driven over thousands like any other; with other matrices in the file it is another campaign."""
+    vehicle_with(tmp_path, mat(LAW))
+    monkeypatch.chdir(tmp_path)
+    text = 'vehicles = ["car.toml"]\ncontrollers = ["mine"]\nroads = ["iso8608:class=A"]\nspeeds = [10.0]\nseeds = 1\n'
+    (tmp_path / "many.toml").write_text(f"{text}duration = 1.0\ntimestep = 2e-3\n")
+    line = ["many.toml", "--results", "found", "--workers", "1", "--json"]
+    assert campaign(line) == 0
+    assert campaign(line) == 0
+    (tmp_path / "mine.mat").write_bytes(mat(LAW | {"C": 1.01 * C}))
+    with pytest.raises(InputError, match="another campaign"):
+        campaign(line)
 
 
 def test_json_is_of_the_matrices(tmp_path, capsys):

@@ -6,6 +6,7 @@ import json
 import re
 
 import pytest
+from scipy.io import savemat
 
 from models.common.errors import InputError
 from models.vehicle import parse_vehicle, read_vehicle
@@ -102,6 +103,24 @@ def test_many_vehicles(capsys):
     (snippet,) = section("synth/README.md", "Many vehicles").blocks("python")
     exec(snippet, {})
     assert capsys.readouterr().out.startswith("[[")
+
+
+def test_laws_with_states(tmp_path, capsys):
+    """The law in matrices, the one of a MATLAB file and the system of python-control are one controller, certified."""
+    parts = ("Controllers with states", "A law from MATLAB")
+    snippets = [block for part in parts for block in section("models/README.md", part).blocks("toml")]
+    (tmp_path / "car.toml").write_text("\n".join([read_vehicle("quarter_car").text, *snippets]), encoding="utf-8")
+    savemat(tmp_path / "mine.mat", {"A": -0.5, "B": [[0.0, 1.0]], "C": -2000.0, "D": [[11000.0, 0.0]], "Ts": 0.0})
+    asked = ["--controller", "leaky", "--controller", "of_matlab"]
+    assert main_of("synth")(["--vehicle", str(tmp_path / "car.toml"), *asked, "--json"]) == 0
+    one, other = json.loads(capsys.readouterr().out)["controllers"]
+    assert {**one, "name": ""} == {**other, "name": ""}
+
+    (snippet,) = section("synth/README.md", "Controllers of python-control").blocks("python")
+    exec(snippet, {})
+    printed = capsys.readouterr().out
+    assert float(printed.split()[0]) == one["norm"]
+    assert printed.endswith("['suspension_deflection', 'sprung_acceleration']\n")
 
 
 def test_vehicle_file_snippets():

@@ -19,7 +19,7 @@ from models.common.versions import versions
 from sim.campaign.columns import columns, described
 from sim.campaign.file import Campaign, parse_campaign, read_campaign
 from sim.campaign.manifest import ELSEWHERE, FaultError, Gains, Manifest, check_same, digest, gains_of, held, read_manifest
-from sim.campaign.plan import Plan
+from sim.campaign.plan import Plan, controller_of
 from sim.campaign.samples import MOST_RUNS
 from sim.campaign.store import Store
 from sim.campaign.summary import summarise, summary_lines
@@ -28,7 +28,7 @@ from sim.campaign.workers import HERE, Rows, cluster, run_batches
 from sim.command.claims import say_false_claims
 from sim.physics.blocks import RUNS_AT_ONCE
 from synth.controller import Controller
-from synth.designer import Designer, given
+from synth.designer import Designer
 
 FINISHED = "give a folder of a finished campaign's results"
 MOST_WORKERS = 1024
@@ -224,7 +224,7 @@ def _planned(campaign: Campaign, gains: Gains) -> Plan:
     """
     try:
         controllers = {
-            name: {controller: given(vehicle, controller, **gains[name][controller]) for controller in campaign.controllers}
+            name: {each: controller_of(vehicle, each, gains[name][each]) for each in campaign.controllers}
             for name, vehicle in campaign.vehicles.items()
         }
     except (KeyError, ValueError) as error:

@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
+from models.law import law_of
 from models.vehicle import Vehicle
 from sim.campaign.file import Campaign
 from sim.physics.blocks import runs_at_once
 from sim.roads.road import Road
 from synth.controller import Controller
+from synth.designer import given
 
 
 @dataclass(frozen=True)
@@ -111,3 +113,12 @@ class PlannedRun:
         self.road: Road = self.choice.build(vehicle, self.speed, self.seed, self.speed * c.duration)
         self.system = (id(vehicle), key.controller)
         self.inputs = plan.inputs(key)
+
+
+def controller_of(vehicle: Vehicle, name: str, gain: Mapping[str, Any]) -> Controller:
+    """A controller of `sim.campaign.manifest.gains_of` again, certified.
+
+    Raises:
+        KeyError, ValueError: it is none of the vehicle.
+    """
+    return given(vehicle, name, gain["measured"], law_of(gain))
