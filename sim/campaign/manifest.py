@@ -17,6 +17,7 @@ from models.common import interrupt
 from models.common.errors import InputError, quoted, some
 from models.common.read_file import MIB, read_text
 from models.common.whole_file import made_folder, whole_file
+from models.law import MATRICES
 from synth.controller import Controller
 
 NAME, LOCK = "campaign.json", ".lock"
@@ -126,9 +127,14 @@ def _is_its_kind(name: str, value: Any) -> bool:
     def row(value: Any) -> bool:
         return isinstance(value, list) and all(type(each) in (int, float) for each in value)
 
-    def gain(value: Any) -> bool:
-        right = isinstance(value, dict) and set(value) == {"measured", "gain"} and texts(value["measured"])
-        return right and isinstance(value["gain"], list) and all(row(each) for each in value["gain"])
+    def matrix(value: Any) -> bool:
+        return isinstance(value, list) and all(row(each) for each in value)
+
+    def law(value: Any) -> bool:
+        if not isinstance(value, dict) or not texts(value.get("measured")) or not row([value.get("sample_period", 0)]):
+            return False
+        matrices = set(value) - {"measured", "sample_period"}
+        return matrices in ({"gain"}, set(MATRICES)) and all(matrix(value[each]) for each in matrices)
 
     if name == "runs":
         return type(value) is int
@@ -137,7 +143,7 @@ def _is_its_kind(name: str, value: Any) -> bool:
     if name == "columns":
         return by_text(value, lambda column: by_text(column, text))
     if name == "controllers":
-        return by_text(value, lambda some: by_text(some, gain))
+        return by_text(value, lambda some: by_text(some, law))
     return text(value)
 
 

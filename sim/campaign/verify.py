@@ -5,7 +5,7 @@ sample has.
 """
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -80,11 +80,19 @@ def _gains(plan: Plan) -> list[str]:
         designer = Designer(vehicle)
         now: Gains = gains_of({name: {one: designer.design(one) for one in plan.campaign.controllers}})
         for one, entry in now[name].items():
-            there, here = np.array(held[name][one]["gain"]), np.array(entry["gain"])
-            same = there.shape == here.shape and np.all(np.abs(there - here) <= SAME_GAIN * np.abs(here).max(initial=0.0))
-            if not same or held[name][one]["measured"] != entry["measured"]:
+            if not _same_law(held[name][one], entry):
                 faults.append(f"controller {one} of {name} is not the one that the vehicle file makes")
     return faults
+
+
+def _same_law(there: Mapping[str, Any], here: Mapping[str, Any]) -> bool:
+    """Whether two of `gains_of` measure the same, and are the same to rounding."""
+    if set(there) != set(here) or there["measured"] != here["measured"]:
+        return False
+    pairs = [(np.array(there[name]), np.array(here[name])) for name in here if name != "measured"]
+    return all(
+        one.shape == two.shape and np.all(np.abs(one - two) <= SAME_GAIN * np.abs(two).max(initial=0.0)) for one, two in pairs
+    )
 
 
 def _shape(plan: Plan, store: Store, table: pa.Table) -> list[str]:
