@@ -11,7 +11,9 @@ from models.common.errors import InputError
 from models.filters.filter import Filter
 from models.filters.iso2631 import WEIGHTINGS
 from models.vehicle import Vehicle, parse_vehicle, read_vehicle
+from sim.bump import main as bump
 from sim.frequency.extremes import extremes
+from sim.inspect.__main__ import main as inspect
 from sim.linear.frequency import continuous_frequency_response
 from sim.ride.weighting import wk
 from synth.__main__ import main
@@ -268,6 +270,20 @@ def test_what_synths_readme_says_of_refining():
     assert refined.start is not None
     assert refined.start.certificate.norm.value == pytest.approx(20.97, abs=5e-3)  # printed with four digits
     assert refined.controller.certificate.norm.value == pytest.approx(7.710990, abs=1e-6)
+
+
+def test_a_log_proves_the_filtered_norm(tmp_path, capsys):
+    """A bump with filters is recorded and inspected: the certificate is computed again from the log's own vehicle file."""
+    file = tmp_path / "felt.toml"
+    file.write_text(file_with(WK, SLOW_ROAD))
+    assert bump(["--vehicle", str(file), "--controller", "II_printed", "--logs", str(tmp_path / "logs")]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "norms are of sprung_acceleration through iso2631_wk, the road's velocity from w through (1) / (0.01 s + 1)" in said
+    (log,) = (tmp_path / "logs").glob("*.mcap")
+    assert inspect([str(log)]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    norm = Designer(read_vehicle(file)).design("II_printed").certificate.norm.value
+    assert f"holds certificate: stable, norm {norm:.7g} at" in said
 
 
 def test_no_second_witness_with_filters(tmp_path, capsys):
