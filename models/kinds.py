@@ -13,6 +13,11 @@ def kinds(folder: Path = HERE) -> list[str]:
     return sorted(path.stem for path in folder.glob("*.xml") if path.with_suffix(".py").exists())
 
 
+def shipped() -> list[str]:
+    """The vehicles that ship: a file of every kind, and some more."""
+    return sorted(path.stem for path in HERE.glob("*.toml"))
+
+
 def kind(name: str, folder: Path | None = None) -> VehicleKind:
     """The kind of vehicle of that name: one that ships, or one whose `.py` and `.xml` lie in a folder of the user's.
 

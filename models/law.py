@@ -73,6 +73,11 @@ class LinearLaw:
         """Whether any measurement ever makes a force."""
         return bool(np.any(self.D) or (np.any(self.B) and np.any(self.C)))
 
+    def response(self, omega: float) -> Array:
+        """From the measurements to the forces at a frequency [rad/s], complex, shape (m, q); discrete, below pi / period."""
+        at = 1j * omega if self.sample_period is None else np.exp(1j * omega * self.sample_period)
+        return self.C @ np.linalg.solve(at * np.eye(self.states) - self.A, self.B) + self.D
+
     def scaled(self, factors: Array | float) -> "LinearLaw":
         """The law whose forces are so many times as large.
 

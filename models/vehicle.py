@@ -16,7 +16,7 @@ from models.controllers import RESERVED, ControllerEntry, is_number, read_contro
 from models.filters.filter import KEYS, Filter, read_filter
 from models.formats.law_file import with_laws
 from models.kind import HERE, VehicleKind
-from models.kinds import kind, kinds
+from models.kinds import kind, kinds, shipped
 from models.linear_model import LinearModel
 from models.reality import Implementation, Limits, read_implementation, read_limits
 
@@ -153,9 +153,9 @@ def read_vehicle(file: str | Path) -> Vehicle:
             the file, the key, what is allowed.
     """
     path = Path(file)
-    if str(file) in kinds() and not path.is_file():
+    if str(file) in shipped() and not path.is_file():
         path = HERE / f"{file}.toml"
-    text = read_text(path, "vehicle file", TEXT, f"give a TOML file or one of: {listing(kinds())}")
+    text = read_text(path, "vehicle file", TEXT, f"give a TOML file or one of: {listing(shipped())}")
     try:
         whole, files = with_laws(text, path.parent)
         return replace(parse_vehicle(whole, source=str(path), folder=path.parent), law_files=files)

@@ -25,15 +25,22 @@ def law_lines(law: LinearLaw, gain: str, of_states: str) -> list[str]:
     """A law after some text: a static one as its gain, a row to a line, others by their states and poles."""
     if not law.states:
         return gain_lines(law.D, gain)
-    poles = np.linalg.eigvals(law.A)
     if law.sample_period is None:
-        rates = np.sort(np.abs(poles))
-        poles = f"poles of {rates[0]:.4g} to {rates[-1]:.4g} rad/s"
-        return [f"{of_states}x_c' = A x_c + B y, u = C x_c + D y, of {law.states} states; {poles}"]
-    return [
-        f"{of_states}x_c[i+1] = A x_c[i] + B y[i], u[i] = C x_c[i] + D y[i], of {law.states} states, every "
-        f"{1e3 * law.sample_period:g} ms; its largest pole {np.abs(poles).max():.4g}"
-    ]
+        return [f"{of_states}x_c' = A x_c + B y, u = C x_c + D y, of {states_text(law)}"]
+    return [f"{of_states}x_c[i+1] = A x_c[i] + B y[i], u[i] = C x_c[i] + D y[i], of {states_text(law)}"]
+
+
+def states_text(law: LinearLaw) -> str:
+    """How many states a law has, and where its poles lie."""
+    poles = np.linalg.eigvals(law.A)
+    count = f"{law.states} states" if law.states > 1 else "1 state"
+    if law.sample_period is not None:
+        pole = "its largest pole" if law.states > 1 else "its pole"
+        return f"{count}, every {1e3 * law.sample_period:g} ms; {pole} {np.abs(poles).max():.4g}"
+    least, most = (f"{rate:.4g}" for rate in (np.abs(poles).min(), np.abs(poles).max()))
+    where = f"poles of {least} to {most}" if least != most else f"{'poles' if law.states > 1 else 'its pole'} of {least}"
+    unstable = ", not all stable" if poles.real.max() > 0 else ""
+    return f"{count}; {where} rad/s{unstable}"
 
 
 def gain_lines(gain: Array, start: str) -> list[str]:

@@ -11,6 +11,7 @@ from models.law import LinearLaw, static_law
 from models.reality import Implementation, Limits
 from models.vehicle import Vehicle, read_vehicle
 from sim.linear.frequency import continuous_frequency_response
+from sim.report.designs import gain_table
 from sim.roads.road import Bump
 from sim.runs.run import run_all, sample_times
 from sim.stability.cut import cut, cut_sampled
@@ -18,6 +19,8 @@ from sim.stability.growth import Trial, grow
 from sim.stability.loop import gain_crossings, largest_sample_period, margins, sampled_gain_crossings
 from synth.certificate.certificate import certify
 from synth.controller import Controller, generalized_plant
+from synth.designer import Designer
+from synth.words import law_lines, states_text
 
 REALITIES = {
     "ideal": (Implementation(), Limits()),
@@ -163,3 +166,47 @@ def test_a_force_in_its_own_measurement_bears_no_more_gain_than_it_comes_back_wi
     errors = [sampled_gain_crossings(*cut_sampled(vehicle, one, step))[0] - 5 for step in (1e-4, 5e-5)]
     assert 0 < errors[0] < 0.01  # of first order in the step
     assert errors[0] / errors[1] == pytest.approx(2, rel=0.01)
+
+
+def test_a_vehicle_with_an_accelerometer_ships():
+    """It is found by its name, its law is within 0.1 % of the norm of I, which needs the velocity, and MuJoCo agrees."""
+    vehicle = read_vehicle("quarter_car_accelerometer")
+    found = Designer(vehicle).design("accelerometer")
+    assert found.certificate.norm.value == pytest.approx(Designer(vehicle).design("I").certificate.norm.value, rel=1e-3)
+    assert found.certificate.stability.worst.real < -1  # as fast as I, and three times as fast as without control
+    (run,) = run_all(vehicle, [found], Bump(), sample_times(vehicle, 2.0, 1e-3))
+    assert run.holds
+    assert max(one.sampled for one in run.agreement.signals.values()) < 1e-6
+
+
+@pytest.mark.parametrize("period", [None, 0.02])
+def test_what_is_printed_of_a_law_with_states(period):
+    """The report's table holds its forces' amplitudes, found here from a law that is run on a sinusoid; words count states."""
+    vehicle = read_vehicle("half_car")
+    one = controller(vehicle, "acceleration", 3)
+    law = one.law if period is None else one.law.sampled(period)
+    one = replace(one, law=law)
+    table = gain_table(vehicle, one)
+    assert table is not None
+    frequencies = [float(name.removesuffix(" Hz")) for name in table.headings[2:]]
+    assert frequencies == [0.1, 1, 3, 10, 25][: 5 if period is None else 4]  # below half of 50 Hz
+    assert [row[0] for row in table.rows] == [name.replace("_", " ") for name in one.measured]
+    step = 1e-3 if period is None else period
+    run = law.sampled(step)
+    for i, row in enumerate(table.rows):
+        for frequency, cell in zip(frequencies, row[2:], strict=True):
+            turn = np.exp(2j * np.pi * frequency * step)
+            x = np.linalg.solve(turn * np.eye(3) - run.A, run.B[:, i])
+            force = run.C @ x + run.D[:, i]
+            # Between samples that go straight a sinusoid is less by (w h)^2 / 12: 2e-3 at 25 Hz.
+            assert float(cell) == pytest.approx(np.linalg.norm(force), rel=3e-3 if period is None else 1e-5)
+    line = law_lines(law, "gain ", "law ")[0]
+    assert "of 3 states" in line
+    rates = np.abs(np.linalg.eigvals(law.A))
+    if period is None:
+        assert line.endswith(f"of 3 states; poles of {rates.min():.4g} to {rates.max():.4g} rad/s")
+    else:
+        assert line.endswith(f"of 3 states, every 20 ms; its largest pole {rates.max():.4g}")
+    assert states_text(LinearLaw(*(np.eye(1) * value for value in (-2, 1, 1, 0)), sample_period=None)) == (
+        "1 state; its pole of 2 rad/s"
+    )

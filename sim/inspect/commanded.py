@@ -10,7 +10,7 @@ from typing import Any
 
 from models.common.errors import InputError
 from models.kind import HERE
-from models.kinds import kinds
+from models.kinds import shipped
 from models.reality import Implementation
 from models.vehicle import Vehicle
 from sim.asked import bump, drive, envelope, margins, sweep
@@ -50,7 +50,7 @@ def check_command(log: Recorded, vehicle: Vehicle, timestep: float, runs: Sequen
     asked: Asked = COMMANDS[command].asked(vehicle, options)
     wrong = list(_wrong(log, asked, timestep, runs))
     source = log.metadata.get("vehicle", "")
-    ships = options.vehicle in kinds() and re.split(r"[\\/]", source)[-1] == f"{options.vehicle}.toml"
+    ships = options.vehicle in shipped() and re.split(r"[\\/]", source)[-1] == f"{options.vehicle}.toml"
     if not ships and not same_path(source, options.vehicle):
         wrong.append(f"the vehicle file {options.vehicle} is not the one that the log names")
     if options.logs is None:

@@ -12,7 +12,9 @@ from sim.frequency.identification import Lines
 from sim.frequency.sweep import Sweep
 from sim.report.scope import AMPLITUDE, Scope, joined, number
 from synth.controller import Controller
-from synth.words import percent
+from synth.words import percent, states_text
+
+FREQUENCIES = (0.1, 1.0, 3.0, 10.0, 25.0)  # Hz, from a body's to above a wheel's
 
 
 def design_section(scope: Scope) -> Section:
@@ -45,9 +47,9 @@ def design_section(scope: Scope) -> Section:
         "certificate",
     )
     text = (
-        "The bound is the gamma that the linear matrix inequality proves for this very gain; the norm is recomputed by two other "
+        "The bound is the gamma that the linear matrix inequality proves for this very law; the norm is recomputed by two other "
         "routes. A certificate holds if all poles are stable, X > 0, the inequality (20) is negative definite and norm <= bound, "
-        "checked without the solver that found the gain. No controller of its kind, of whatever order, can have a norm below "
+        "checked without the solver that found it. No controller of its kind, of whatever order, can have a norm below "
         "its lower bound.",
     )
     if not scope.plain:
@@ -82,21 +84,35 @@ def design_section(scope: Scope) -> Section:
 
 
 def gain_table(vehicle: Vehicle, controller: Controller) -> Table | None:
-    """A controller's gain, a row per measured signal and a column per force, K transposed; None where it measures nothing."""
+    """What a controller asks for, a row per measured signal; None where it measures nothing.
+
+    A column per force, K transposed, of a static gain; of a law with states a column per frequency, as on a Bode plot: the
+    magnitude of all its forces together.
+    """
     if not controller.measured:
         return None
-    kind, forces = vehicle.kind, vehicle.linear_model.inputs
+    kind, forces, law = vehicle.kind, vehicle.linear_model.inputs, controller.law
+    if law.states:
+        at = [f for f in FREQUENCIES if law.sample_period is None or 2 * f * law.sample_period < 1]
+        entries = np.stack([np.linalg.norm(law.response(2 * np.pi * f), axis=0) for f in at])
+        headings = [f"{f:g} Hz" for f in at]
+        together = ", of all forces together" if len(vehicle.linear_model.inputs) > 1 else ""
+        caption = (
+            f"The law of controller {controller.name}, of {states_text(law)}: the amplitude of the force that it asks for"
+            f"{together}, per unit of each signal that it measures, at some frequencies."
+        )
+    else:
+        entries, headings = controller.gain, [force.replace("_", " ") for force in forces]
+        caption = f"The gain of controller {controller.name}: the force it asks for, per unit of each signal that it measures."
     rows = tuple(
         (
             name.replace("_", " "),
             per_unit(kind.signal(forces[0]).unit, kind.signal(name).unit),
             *(f"{entry:.6g}" for entry in row),
         )
-        for name, row in zip(controller.measured, controller.gain.T.tolist(), strict=True)
+        for name, row in zip(controller.measured, entries.T.tolist(), strict=True)
     )
-    caption = f"The gain of controller {controller.name}: the force it asks for, per unit of each signal that it measures."
-    headings = ("for each", "unit", *(force.replace("_", " ") for force in forces))
-    return Table(f"gain-{controller.name}", caption, headings, rows, words=2)
+    return Table(f"gain-{controller.name}", caption, ("for each", "unit", *headings), rows, words=2)
 
 
 def per_unit(unit: str, other: str) -> str:
