@@ -1,15 +1,19 @@
 """Controllers with states, and measured accelerations: closed, sampled, driven and cut as a static gain is."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from scipy import linalg
 
 from models.common.errors import InputError
+from models.kind import HERE
 from models.law import LinearLaw, static_law
 from models.reality import Implementation, Limits
 from models.vehicle import Vehicle, read_vehicle
+from sim.campaign.__main__ import main as campaign
 from sim.linear.frequency import continuous_frequency_response
 from sim.report.designs import gain_table
 from sim.roads.road import Bump
@@ -210,3 +214,32 @@ def test_what_is_printed_of_a_law_with_states(period):
     assert states_text(LinearLaw(*(np.eye(1) * value for value in (-2, 1, 1, 0)), sample_period=None)) == (
         "1 state; its pole of 2 rad/s"
     )
+
+
+@pytest.mark.parametrize("period", [None, 0.002])
+def test_a_campaign_drives_laws_with_states(tmp_path, capsys, period):
+    """Over a campaign their linear errors are RK4's own; its folder holds their laws, confirms them, and goes on with them."""
+    one = controller(read_vehicle("quarter_car"), "acceleration", 3)
+    record = (one.law if period is None else one.law.sampled(period)).record
+    text = (HERE / "quarter_car_accelerometer.toml").read_text(encoding="utf-8")
+    matrices = "".join(f"{key} = {value}\n" for key, value in record.items())
+    text += f"\n[controllers.mine]\nmeasured = {json.dumps(one.measured)}\n{matrices}"
+    text += "" if period is None else f"\n[implementation]\nsample_period = {period}\n"
+    (tmp_path / "car.toml").write_text(text, encoding="utf-8")
+    (tmp_path / "campaign.toml").write_text(
+        'vehicles = ["car.toml"]\ncontrollers = ["I", "accelerometer", "mine"]\nroads = ["bump", "iso8608:class=A"]\n'
+        "speeds = [12.5]\nseeds = 2\nduration = 6.0\nsettle = 2.0\n",
+        encoding="utf-8",
+    )
+    ask = [str(tmp_path / "campaign.toml"), "--results", str(tmp_path / "results"), "--workers", "1", "--json"]
+    assert campaign(ask) == 0
+    table = pq.read_table(next((tmp_path / "results").glob("*.parquet"))).to_pylist()
+    assert {row["controller"] for row in table} == {"I", "accelerometer", "mine"}
+    if period is None:  # MuJoCo is compared where the loop is ideal
+        assert all(row["linear_error"] < 1e-6 for row in table if row["road"] == "bump")  # 4e-8 to 4e-7, as in sim.bump
+    assert all(row["reason"] is None for row in table)
+    assert campaign(ask) == 0  # nothing is left to do
+    assert campaign(["--verify", str(tmp_path / "results"), "--json"]) == 0
+    capsys.readouterr()
+    held = json.loads((tmp_path / "results" / "campaign.json").read_text(encoding="utf-8"))["controllers"]["car.toml"]["mine"]
+    assert held == {"measured": list(one.measured), **record}
