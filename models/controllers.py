@@ -15,13 +15,14 @@ from models.kind import LARGEST
 from models.law import MATRICES, LinearLaw, static_law
 from models.linear_model import LinearModel
 from models.own.python_law import PythonLaw, read_law
+from models.reality import LONGEST_PERIOD
 
 DESIGNS = ("lqr", "lqg", "h2")  # what `design` may be; without it the paper's two steps
 FULL = "full"  # what `order` may be
 CONTROLLER_KEYS = ("measured", "gain", *MATRICES, "sample_period", "order", "design", "certificate", "file", "law", "preview")
 RESERVED = ("passive", "state")  # these two always exist: u = 0, and full state feedback
 LONGEST_NAME = 60  # bytes; the names of three controllers go into a file name
-SHORTEST, LONGEST = 1e-6, 10.0  # s, of a discrete controller's sample period
+SHORTEST, LONGEST = 1e-6, LONGEST_PERIOD  # s, of a discrete controller's sample period
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +115,8 @@ def _controller(name: str, entry: Any, model: LinearModel, folder: Path | None) 
                 f"{where} {signal!r} says nothing of the state, so no gain is designed on it; leave it out, or give "
                 'order = "full", whose controller takes the force out of the accelerations that it measures'
             )
+    if design and set(measured) <= set(model.inputs):
+        raise InputError(f"{where} control forces alone say nothing of the state; give measured = signals out of: {measurable}")
     if design == "lqr" and set(measured) != set(model.states):
         raise InputError(
             f'{where} measured = {quoted(measured)}: design = "lqr" is of the state, {listing(model.states)}; leave measured '

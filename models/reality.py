@@ -15,6 +15,7 @@ LIMITS = (
     Parameter("actuator_bandwidth", "rad/s", "corner frequency of every actuator, a first-order lag"),
 )
 
+LONGEST_PERIOD = 1.0  # s, of a sampled controller
 MOST_DELAY = 1000  # sample periods; each is a state of the sampled loop, whose eigenvalues then take a minute
 MOST_SEED = 100_000
 
@@ -146,7 +147,13 @@ def read_implementation(section: Mapping[str, Any], measurable: tuple[str, ...])
             raise InputError(f"[implementation] unknown key {name!r}; known: {listing(keys)}")
     found: dict[str, Any] = {}
     if "sample_period" in section:
-        found["sample_period"] = Parameter("sample_period", "s", "of the controller").check(section["sample_period"])
+        period = Parameter("sample_period", "s", "of the controller").check(section["sample_period"])
+        if period > LONGEST_PERIOD:
+            raise InputError(
+                f"[implementation] sample_period = {period:g} s is not allowed; give at most {LONGEST_PERIOD:g} s: no vehicle is "
+                "controlled so slowly"
+            )
+        found["sample_period"] = period
     for name, most in (("delay", MOST_DELAY), ("seed", MOST_SEED)):
         value = section.get(name, 0)
         if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= most:

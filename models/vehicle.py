@@ -220,8 +220,8 @@ def check_period(entry: ControllerEntry, implementation: Implementation) -> None
     period = entry.law.sample_period if entry.law is not None else None
     if period is not None and implementation.sample_period != period:
         raise InputError(
-            f"[controllers.{entry.name}] has a sample period of {period:g} s of its own, and [implementation] says "
-            f"{implementation.sample_period or 'none'}; give [implementation] sample_period = {period:g}"
+            f"[controllers.{entry.name}] has a sample period of {period!r} s of its own, and [implementation] says "
+            f"{implementation.sample_period or 'none'}; give [implementation] sample_period = {period!r}"
         )
 
 

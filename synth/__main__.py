@@ -133,7 +133,7 @@ def _names(vehicle: Vehicle, options: Namespace) -> list[str]:
     names = everything if options.controller == [ALL] else chosen(vehicle.controller_names, options.controller, everything)
     for name in names:
         if options.zero_l and name not in designed:
-            raise InputError(f"--zero-l: {name!r} is not designed from measurements; this vehicle has {listing(designed)}")
+            raise InputError(f"--zero-l: {name!r} is not designed in two steps; this vehicle has {listing(designed)}")
     if options.refine and list(names) == ["passive"]:
         raise InputError("--refine: passive has no gain to refine; name another controller, or leave --refine out")
     return list(names)

@@ -108,8 +108,10 @@ def checked(vehicle: Vehicle, plant: GeneralizedPlant, entry: ControllerEntry) -
     return certificate, (*certificate.failures, *false_claims(record, certificate))
 
 
-def certified(vehicle: Vehicle, plant: GeneralizedPlant, entry: ControllerEntry, lower_bound: LowerBound) -> Controller:
-    """The controller of an entry that gives its law; arguments as for `checked`.
+def certified(
+    vehicle: Vehicle, plant: GeneralizedPlant, entry: ControllerEntry, lower_bound: LowerBound
+) -> tuple[Certificate, tuple[str, ...]]:
+    """What is true of a law with no proof of its own, and what that beside it claims in vain; arguments as for `checked`.
 
     Raises:
         InputError: the law has no loop.
@@ -124,7 +126,7 @@ def certified(vehicle: Vehicle, plant: GeneralizedPlant, entry: ControllerEntry,
             _, wrong = checked(vehicle, plant, entry)
         except InputError as error:
             wrong = (str(error),)
-    return Controller(entry.name, entry.measured, _law(entry), designed=False, certificate=certificate, false_claims=wrong)
+    return certificate, wrong
 
 
 def _law(entry: ControllerEntry) -> LinearLaw:

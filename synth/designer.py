@@ -85,8 +85,8 @@ class Designer:
         """What no controller that measures these signals beats, of whatever order; for none of them, full state feedback."""
         key = tuple(measured)
         if key not in self._bounds:
-            model, everything = self.vehicle.linear_model, not key or key == plant_states(self.vehicle)
-            of_state = [signal for signal in key if signal not in model.inputs]
+            of_state = [signal for signal in key if signal not in self.vehicle.linear_model.inputs]
+            everything = not of_state or key == plant_states(self.vehicle)
             Cy = None if everything else measurements(self.vehicle, of_state)[0]
             try:
                 path = self.state_path
@@ -109,7 +109,7 @@ class Designer:
         """
         entry = self._entry(name)
         if entry.law is not None:
-            return certified(self.vehicle, self.plant, entry, self.lower_bound(entry.measured))
+            return self._given(entry, entry.law)
         if entry.design and zero_l:
             raise InputError(f"controller {name!r} is not designed in two steps, so that there is no L; design it as it is")
         Cy, _ = measurements(self.vehicle, entry.measured)
@@ -127,6 +127,10 @@ class Designer:
         except DesignError as error:
             raise type(error)(f"controller {name!r}: {error}") from error
         return _designed(self.vehicle, entry, design)
+
+    def _given(self, entry: ControllerEntry, law: LinearLaw) -> Controller:
+        certificate, wrong = certified(self.vehicle, self.plant, entry, self.lower_bound(entry.measured))
+        return Controller(entry.name, entry.measured, law, designed=False, certificate=certificate, false_claims=wrong)
 
     def _named(self, entry: ControllerEntry, lower_bound: LowerBound) -> Controller:
         """A controller that is designed in another way than by two steps."""
@@ -288,7 +292,7 @@ def given(vehicle: Vehicle, name: str, measured: Sequence[str], law: LinearLaw) 
         raise InputError(f"controller {name!r} has a D of shape {law.D.shape}; expected {expected}: forces, measured signals")
     designer = Designer(vehicle)
     entry = ControllerEntry(name, tuple(measured), law)
-    return certified(vehicle, designer.plant, entry, designer.lower_bound(entry.measured))
+    return designer._given(entry, law)
 
 
 def design(vehicle: Vehicle, name: str) -> Controller:

@@ -17,7 +17,7 @@ from synth.fallback import two_steps_or_descent
 from synth.lmi.barrier import Barrier, newton
 from synth.lmi.full_order import find_lower_bound
 from synth.numerics import numerics
-from synth.plant import Feedback, GeneralizedPlant
+from synth.plant import SHAPES, Feedback, GeneralizedPlant
 from synth.redesign import two_step_designs
 from synth.search.descent import along_edges, lowest_point
 from synth.search.landscape import Landscape
@@ -103,7 +103,8 @@ def asked(what: Callable[[], Any]) -> Any:
 def ask_everything(seed: int, search: bool) -> None:
     """Every public function, of one plant."""
     parts, Cy = drawn(seed)
-    plant = asked(lambda: GeneralizedPlant(**parts))
+    A, B, Bw, C, D, Dw = (parts[name] for name in SHAPES)
+    plant = asked(lambda: GeneralizedPlant(A, B, Bw, C, D, Dw))
     if plant is None:
         return
     rng, m = np.random.default_rng(seed), plant.B.shape[1]

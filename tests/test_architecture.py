@@ -64,7 +64,7 @@ ROOMS = {
     "sim.stability": "sim.figures sim.linear sim.physics sim.roads sim.runs",
     "sim.frequency": "models.filters sim.figures sim.linear sim.physics sim.response sim.roads sim.runs",
     "sim.recording": "sim.figures sim.physics sim.response sim.roads sim.runs",
-    "sim.command": "sim.figures sim.recording sim.runs synth.designer",
+    "sim.command": "sim.figures sim.recording sim.runs",
     "sim.asked": "sim.command sim.frequency sim.response sim.roads sim.runs sim.stability sim.validity",
     "sim.inspect": "sim.asked sim.linear sim.physics sim.recording sim.response sim.ride sim.roads sim.runs synth.dynamic "
     "synth.words",

@@ -20,7 +20,7 @@ from synth.certificate.norm import hinf_norm
 from synth.certificate.record import false_claims, to_record
 from synth.command.check import check
 from synth.designer import Designer
-from synth.plant import GeneralizedPlant
+from synth.plant import SHAPES, GeneralizedPlant
 from tests import exactly
 
 
@@ -156,7 +156,8 @@ def test_command_says_it_in_one_line(tmp_path, honest):
 
 def first_order(c: float, d: float) -> GeneralizedPlant:
     """d + c / (s + 1)."""
-    return GeneralizedPlant(*(np.full((1, 1), entry) for entry in (-1.0, 0.0, 1.0, c, 0.0, d)))
+    A, B, Bw, C, D, Dw = (np.full((1, 1), entry) for entry in (-1.0, 0.0, 1.0, c, 0.0, d))
+    return GeneralizedPlant(A, B, Bw, C, D, Dw)
 
 
 def test_flat_peak():
@@ -212,7 +213,8 @@ def test_matrix_of_the_proof():
             for name, shape in {**shapes, "G": (m, n), "X": (n, n)}.items()
         }
         G, X, eta = drawn.pop("G"), drawn.pop("X"), 0.3
-        plant, X = GeneralizedPlant(**drawn), X + X.T
+        A, B, Bw, C, D, Dw = (drawn[name] for name in SHAPES)
+        plant, X = GeneralizedPlant(A, B, Bw, C, D, Dw), X + X.T
         still, turned = exactly.bounded_real(plant, G, X), exactly.disturbed(plant)
         for i, j in np.ndindex(n + d, n + d):
             assert bounded_real_exactly(plant, G, X, eta)[i, j] == float(still[i][j] + turned[i][j] * Fraction(eta))

@@ -243,3 +243,26 @@ def test_a_campaign_drives_laws_with_states(tmp_path, capsys, period):
     capsys.readouterr()
     held = json.loads((tmp_path / "results" / "campaign.json").read_text(encoding="utf-8"))["controllers"]["car.toml"]["mine"]
     assert held == {"measured": list(one.measured), **record}
+
+
+@pytest.mark.parametrize("bandwidth", [60.0, 500.0])
+@pytest.mark.parametrize("unit", [1.0, 1e-6])
+def test_no_crossover_is_missed(bandwidth, unit):
+    """Behind a lag, and with a law's states in whatever unit, every crossing of |L| = 1 on a fine grid is found."""
+    vehicle = replace(read_vehicle("quarter_car"), limits=Limits(actuator_bandwidth=bandwidth))
+    plain, states = controller(vehicle, "velocity"), np.diag([1.0, unit])
+    law = LinearLaw(
+        np.diag([-3.0, -200.0]),
+        np.linalg.solve(states, np.array([[0.0, 1.0], [200.0, 0.0]])),
+        np.array([[-2000.0, 11000.0]]) @ states,
+        np.array([[0.0, 0.0]]),
+    )
+    names = ("suspension_deflection", "sprung_acceleration")
+    static = replace(plain, measured=vehicle.linear_model.states, law=static_law(np.array([[11810.0, 2333.0, -1096.0, 109.0]])))
+    for one in (replace(plain, measured=names, law=law), static):
+        loop = cut(vehicle, one, [0])
+        omega = np.geomspace(1e-2, 1e4, 200_000)
+        above = np.abs(loop.transfer(omega)[:, 0, 0]) > 1
+        crossings = omega[1:][np.diff(above)]
+        found = sorted(crossover.frequency for crossover in margins(loop).crossovers)
+        np.testing.assert_allclose(found, crossings, rtol=1e-4)  # the grid's step

@@ -17,7 +17,7 @@ from models.own import running
 from models.own.python_law import Programmed
 from models.reality import Implementation, Limits
 from models.vehicle import Vehicle, parse_vehicle, read_vehicle
-from sim.command.driven import driven as driven_by
+from sim.command.driven import programmed
 from sim.physics.simulate import PhysicsRuns, simulate
 from sim.roads.road import Bump, under_wheels
 from sim.runs.agreement import compare
@@ -60,7 +60,7 @@ def driven(path: Path, name: str = "mine", vehicle: Vehicle | None = None, durat
     """A run of a vehicle file's controller."""
     vehicle = vehicle or read_vehicle(path)
     time = sample_times(vehicle, duration, 1e-3)
-    return simulate([vehicle], [driven_by(Designer(vehicle), name)], [Bump()], time)
+    return simulate([vehicle], [programmed(vehicle, name) if name == "mine" else Designer(vehicle).design(name)], [Bump()], time)
 
 
 def refusal(path: Path, command: str = "sim.bump", *options: str) -> str:
@@ -99,7 +99,7 @@ def test_physics_agrees_with_the_response_to_the_forces(tmp_path, kind):
     for how, limits in REALITIES.values():
         how = replace(how, noise={}, quantisation={})
         vehicle = replace(read_vehicle(path), implementation=how, limits=limits)
-        (run,) = run_all(vehicle, [driven_by(Designer(vehicle), "mine")], Bump(height=0.02), sample_times(vehicle, 1.0, 1e-3))
+        (run,) = run_all(vehicle, [programmed(vehicle, "mine")], Bump(height=0.02), sample_times(vehicle, 1.0, 1e-3))
         assert run.holds
         assert run.energy is not None
         assert np.ptp(run.prediction.asked[:, 0]) > 600  # it did switch
@@ -111,7 +111,7 @@ def test_it_can_disagree(tmp_path):
     """Physics that is not the response to the forces is found out: other forces by a hundred-thousandth are enough."""
     path = vehicle_of(tmp_path, GAIN)
     vehicle = read_vehicle(path)
-    (run,) = run_all(vehicle, [driven_by(Designer(vehicle), "mine")], Bump(), sample_times(vehicle, 1.0, 1e-3))
+    (run,) = run_all(vehicle, [programmed(vehicle, "mine")], Bump(), sample_times(vehicle, 1.0, 1e-3))
     mine = run.controller
     assert isinstance(mine, Programmed)
     for share, agrees in {1.0: True, 1.00001: False}.items():
@@ -148,7 +148,7 @@ def test_vectorised_is_the_same_run_by_run(tmp_path):
         vehicle = read_vehicle(path)
         mass = vehicle.parameters["sprung_mass"]
         vehicles = [replace(vehicle, parameters={**vehicle.parameters, "sprung_mass": mass * share}) for share in (1.0, 0.9, 1.2)]
-        controller = driven_by(Designer(vehicle), "mine")
+        controller = programmed(vehicle, "mine")
         responses.append(simulate(vehicles, [controller] * 3, roads, sample_times(vehicle, 0.6, 1e-3)).response.values)
     np.testing.assert_allclose(*responses, rtol=1e-12, atol=1e-12)  # numpy sums alike, but for its choice of instructions
 
@@ -159,7 +159,7 @@ def test_runs_do_not_know_of_one_another(tmp_path):
     law += "    sample.parameters.clear()\n    return -float(len(calls)), state\n"
     path = vehicle_of(tmp_path, law)
     vehicle = read_vehicle(path)
-    mine = driven_by(Designer(vehicle), "mine")
+    mine = programmed(vehicle, "mine")
     together = simulate([vehicle] * 3, [mine] * 3, [Bump()] * 3, sample_times(vehicle, 0.3, 1e-3))
     alone = driven(path, duration=0.3)
     assert np.array_equal(together.asked[2], alone.asked[0])
@@ -171,7 +171,7 @@ def test_linear_controllers_are_the_same_beside_it(tmp_path):
     path = vehicle_of(tmp_path, GAIN)
     vehicle = read_vehicle(path)
     designer, time = Designer(vehicle), sample_times(vehicle, 0.3, 1e-3)
-    both = [driven_by(designer, name) for name in ("mine", "I")]
+    both = [programmed(vehicle, "mine"), designer.design("I")]
     together = simulate([vehicle] * 2, both, [Bump()] * 2, time)
     alone = simulate([vehicle], both[1:], [Bump()], time)
     assert np.array_equal(together.response.values[1], alone.response.values[0])
@@ -246,8 +246,8 @@ def test_text_of_a_vehicle_file_runs_nothing(tmp_path):
     alone = parse_vehicle(path.read_text(encoding="utf-8"))
     assert alone.controllers["mine"].python is not None
     with pytest.raises(InputError, match="read from text alone"):
-        driven_by(Designer(alone), "mine")
-    assert driven_by(Designer(read_vehicle(path)), "mine").name == "mine"
+        programmed(alone, "mine")
+    assert programmed(read_vehicle(path), "mine").name == "mine"
     assert "SystemExit: 3, line 1" in refusal(path)
 
 

@@ -434,7 +434,7 @@ def test_energy_that_does_not_balance_makes_the_box_red(paper, designer):
     """A run whose energy is not found again fails in the answer, and only there, although it agrees with the analysis."""
     time = sample_times(paper, 0.5, 1e-3)
     (run,) = run_all(paper, [designer.design("I")], Bump(), time)
-    scope = Scope(paper, designer, (run.controller,), 1e-3, True, print)
+    scope = Scope(paper, designer, (designer.design("I"),), 1e-3, True, print)
     assert worst(over_the_bump(scope, [run])) == "holds"
     assert run.energy is not None
     lost = dataclasses.replace(run, energy=dataclasses.replace(run.energy, residual=2e-3))

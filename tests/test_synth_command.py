@@ -325,7 +325,7 @@ def test_a_saved_file_is_whole_or_not_there(capsys, tmp_path):
     ("arguments", "message"),
     [
         (["--controller", "nobody"], "unknown controller 'nobody'"),
-        (["--zero-l", "--controller", "state"], "--zero-l: 'state' is not designed from measurements"),
+        (["--zero-l", "--controller", "state"], "--zero-l: 'state' is not designed in two steps"),
         (["--controller", "I", "--save", "/no/such/folder/car.toml"], "there is no folder"),
         (["--controller", "passive", "--save", "car.toml"], "nothing to write"),
         (["--vehicle", "/no/such/file"], "there is no such file"),

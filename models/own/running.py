@@ -29,6 +29,7 @@ LONGEST = 10.0  # s of a call; the law of a car has milliseconds
 LONGEST_START = 60.0  # s that its file may take to run: it may import what is large
 GRACE = 5.0  # s from being told to end until a command that waits for it is left
 TICK = 0.05  # s between two looks of the watchdog
+JUMPS = 1000  # back in a loop; at the first of them Python raises what waits to be raised
 
 
 class Sample:
@@ -164,10 +165,18 @@ class _Watched:
         return self
 
     def __exit__(self, *error: object) -> None:
-        with self._watchdog.lock:
-            self._watchdog.calls.pop(self.thread, None)
-            if self.late:  # it may have ended by itself a moment ago
-                ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(self.thread), None)
+        while True:
+            try:
+                with self._watchdog.lock:
+                    self._watchdog.calls.pop(self.thread, None)
+                if self.late:  # the call may have ended by itself a moment ago: what is still to be raised in it is raised here
+                    # Not taken back by PyThreadState_SetAsyncExc(id, NULL): CPython 3.11 then stays on the look-out for it for
+                    # ever, and a function that is profiled never gets beyond its first instruction.
+                    for _ in range(JUMPS):
+                        pass
+            except _TooLong:
+                continue
+            return
 
 
 class _Watchdog:

@@ -1,28 +1,23 @@
-"""A controller as it is driven: designed, given, or a law in Python, of which nothing is claimed."""
-
-import unicodedata
+"""A controller that is a law in Python, as it is driven: nothing is claimed of it."""
 
 from models.common.errors import InputError
 from models.own.python_law import Programmed
-from synth.controller import Controller
-from synth.designer import Designer
+from models.vehicle import Vehicle
 
 
-def driven(designer: Designer, name: str) -> Controller | Programmed:
-    """The controller of that name; the file of a law in Python is read, and not run.
+def programmed(vehicle: Vehicle, name: str) -> Programmed:
+    """The controller of that name; the file of its law is read, and not run.
 
     Args:
-        designer: of the vehicle.
-        name: of the controller.
+        vehicle: the vehicle.
+        name: of one of its controllers that is a law in Python.
 
     Raises:
-        InputError: see `Designer.design`; or the file of a law in Python cannot be read.
-        DesignError: see `Designer.design`.
+        InputError: the file cannot be read.
     """
-    entry = designer.vehicle.controllers.get(unicodedata.normalize("NFC", str(name)))
-    if entry is None or entry.python is None:
-        return designer.design(name)
+    entry = vehicle.controllers[name]
+    assert entry.python is not None, "it is a law in Python"
     try:
         return Programmed(entry.name, entry.measured, entry.python, entry.python.source())
     except InputError as error:
-        raise InputError(f"controller {entry.name!r}: {error}") from error
+        raise InputError(f"controller {name!r}: {error}") from error

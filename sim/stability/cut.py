@@ -43,6 +43,11 @@ class Loop:
         """What closing the loop adds to A where H is zero, shape (n, n)."""
         return self.B @ self.G
 
+    def balanced(self) -> "Loop":
+        """The same with its states in units that make its numbers of a like size, powers of two."""
+        _, (scale, _) = linalg.matrix_balance(np.abs(self.A) + np.abs(self.M), permute=False, separate=True)
+        return Loop(self.A * scale / scale[:, None], self.B / scale[:, None], self.G * scale, self.H, self.at_period)
+
     def closed(self, factor: complex) -> Array:
         """A of the loop that is closed by u = factor v, shape (n, n)."""
         if not np.any(self.H):

@@ -137,8 +137,16 @@ def sampled_gain_crossings(Phi: Array, Gamma: Array, G: Array) -> list[float]:
 
 def crossovers(loop: Loop) -> tuple[Crossover, ...]:
     """Every crossover at a frequency above zero, by the delay that it allows."""
-    if np.any(loop.H) or len(loop.A) > MOST_QUADRATIC:
-        return _by_delay(_crossings_on_a_grid(loop))
+    # The pencil has squares of the loop's numbers in it. Of states in unlike units, as a lagged force in N beside metres, it
+    # hides solutions that a balanced one shows. A crossover is cheap to verify and a missing one is not, so a grid is
+    # asked too.
+    quadratic = not np.any(loop.H) and len(loop.A) <= MOST_QUADRATIC
+    found = [*_of_the_pencil(loop), *_of_the_pencil(loop.balanced())] if quadratic else []
+    return _by_delay([*found, *_crossings_on_a_grid(loop)])
+
+
+def _of_the_pencil(loop: Loop) -> list[Crossover | None]:
+    """Crossovers by the quadratic eigenvalue problem, see the top."""
     A, M, identity = loop.A, loop.M, np.eye(len(loop.A))
     # z^2 kron(M, I) + z (A (+) A) + kron(I, M) is singular.
     S, size = _kronecker_sum(A, A), len(A) ** 2
@@ -154,7 +162,7 @@ def crossovers(loop: Loop) -> tuple[Crossover, ...]:
         poles = np.linalg.eigvals(A + z * M)
         for pole in poles[(np.abs(poles.real) < 1e-3 * np.abs(poles)) & (poles.imag > 1e-6 * fastest)]:
             found.append(_refined(loop, float(-np.angle(z)), complex(pole)))
-    return _by_delay(found)
+    return found
 
 
 def _by_delay(found: Sequence[Crossover | None]) -> tuple[Crossover, ...]:

@@ -125,7 +125,7 @@ def _design(plant: GeneralizedPlant, Cy: Array, Dyw: Array, states: Sequence[str
     own = Measured.of(plant, Cy, Dyw)
     A, B, C, D = own.plant.A, own.plant.B, own.plant.C, own.plant.D
     cost, noise = missing(D, ASSUMED), missing(own.Dyw.T, ASSUMED)
-    assumed = ["cost of a force that costs next to nothing"] if np.any(cost) else []
+    assumed = ["a cost of the forces that cost next to nothing"] if np.any(cost) else []
     K = _regulator(A, B, C, D, cost, "z does not see a mode that neither decays nor grows; weigh a signal that it is in")
     if all_known:
         law = own.back(static_law(K @ np.linalg.inv(own.Cy)))
@@ -133,12 +133,12 @@ def _design(plant: GeneralizedPlant, Cy: Array, Dyw: Array, states: Sequence[str
         unreached = "w does not reach a mode that neither decays nor grows; let w disturb it"
         L = _regulator(A.T, own.Cy.T, own.plant.Bw.T, own.Dyw.T, noise, unreached).T
         law = own.back(LinearLaw(A + B @ K + L @ own.Cy, -L, K, np.zeros((len(K), len(own.Cy)))))
-        assumed += ["noise of what is measured next to without"] if np.any(noise) else []
+        assumed += ["noise on what is measured almost without"] if np.any(noise) else []
     larger, G = on_larger_plant(plant, Cy, law, Dyw)
     certificate = certify_tightly(larger, G, by_itself=plant)
     if certificate.failures:
         raise DesignError(f"its certificate fails: {'; '.join(certificate.failures)}")
-    remark = f"assumed, {ASSUMED:g} of the plant's own size: {' and '.join(assumed)}" if assumed else ""
+    remark = f"it needs {' and '.join(assumed)}: {ASSUMED:g} of the plant's own size was assumed" if assumed else ""
     return QuadraticDesign(law, h2_norm(certificate.loop), certificate, remark)
 
 

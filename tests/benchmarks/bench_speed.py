@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 
 import mujoco
 import numpy as np
@@ -133,8 +134,8 @@ def test_controller_with_states(benchmark, name, runs, samples, claim):
     (m, q), poles = static.gain.shape, -np.geomspace(2.0, 300.0, 8)
     law = LinearLaw(np.diag(poles), rng.standard_normal((8, q)), rng.standard_normal((m, 8)), static.gain)
     sample_times, vehicles, roads = np.arange(samples) * 1e-3, [vehicle] * runs, [Bump()] * runs
-    calls = [lambda one=one: simulate(vehicles, [one] * runs, roads, sample_times) for one in (replace(static, law=law), static)]
-    assert paired_ratio(benchmark, *calls, 9) <= claim
+    calls = [partial(simulate, vehicles, [one] * runs, roads, sample_times) for one in (replace(static, law=law), static)]
+    assert paired_ratio(benchmark, calls[0], calls[1], 9) <= claim
 
 
 def test_envelope(benchmark):
