@@ -1,6 +1,6 @@
 """`[controllers]` of a vehicle file: what each measures, and its law, if it is given."""
 
-import math
+import sys
 import unicodedata
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -198,9 +198,13 @@ def _gain(where: str, gain: Any, model: LinearModel, measured: list[str]) -> Arr
 
 def _is_real(value: Any) -> bool:
     """Whether it is a number; how large a law's entries may be depends on its states' units, and is the law's to say."""
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+    return _is_within(value, sys.float_info.max)
 
 
 def is_number(value: Any) -> bool:
     """Whether it is a number that a vehicle file may hold."""
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and -LARGEST <= value <= LARGEST
+    return _is_within(value, LARGEST)
+
+
+def _is_within(value: Any, most: float) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and -most <= value <= most  # NaN is not

@@ -66,6 +66,7 @@ CHANGES = [
         f"{MINE}\n{LAW.replace('A = [[-1.0]]', 'A = [[nan]]')}",
         ["A = [[nan]] is not a matrix of numbers"],
     ),
+    ("a law beyond floats", MINE, f"{MINE}\n{LAW}".replace("-1.0", f"1{'0' * 400}"), ["A = [[1", "is not a matrix"]),
     ("a law of its own rate", MINE, f"{MINE}\n{LAW}\nsample_period = 0.01", ["give [implementation] sample_period = 0.01"]),
     ("a rate that is none", MINE, f"{MINE}\n{LAW}\nsample_period = -1", ["sample_period = -1", "seconds from"]),
     ("nothing measured", MINE, "", ["[controllers.I] measured is missing", MEASURABLE]),

@@ -260,10 +260,8 @@ def noise_spreads(vehicle: Vehicle, controller: Controller, timestep: float) -> 
     held = loop.at_once @ read
 
     Phi, Gamma = held_inputs(model.A, timestep, linalg.expm, model.B)
-    of_state, of_noise = (
-        np.eye(len(model.A), len(loop.transition)),
-        np.zeros_like(model.B @ held),
-    )  # the vehicle's, from the loop's
+    # The vehicle's state, from the loop's and from the sample's noise.
+    of_state, of_noise = np.eye(len(model.A), len(loop.transition)), np.zeros_like(model.B @ held)
     found = []
     for _ in range(steps_per_sample(how, timestep)):
         rows, direct = model.C @ of_state + model.D @ loop.inputs, model.C @ of_noise + model.D @ held
