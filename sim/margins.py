@@ -17,7 +17,6 @@ from sim.command.claims import say_false_claims
 from sim.command.logs import log_lines, recorded
 from sim.command.outputs import check_outputs, written, written_lines
 from sim.figures.picture import write_picture
-from sim.linear.loop import sampled_radius
 from sim.runs.run import Run, run_all, sample_times
 from sim.stability.growth import BUMP, LONGEST, SHORTEST
 from sim.stability.margins import LoopMargins, find_margins
@@ -25,6 +24,7 @@ from sim.stability.robustness import robustness
 from sim.stability.words import margins_lines, margins_object, verdict
 from synth.controller import Controller
 from synth.designer import design
+from synth.implemented.loop import sampled_radius
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -42,6 +42,8 @@ ROOMS = {
     "synth.fallback": "synth.certificate synth.design synth.errors synth.lmi synth.plant synth.search",
     "synth.redesign": "synth.design synth.errors synth.fallback synth.lmi synth.numerics synth.plant synth.scaling",
     "synth.controller": "models models.filters synth.certificate synth.dynamic synth.plant",
+    "synth.sampled": "",
+    "synth.implemented": "models synth.certificate synth.controller synth.sampled",
     "synth.words": "models synth.controller",
     "synth.designer": "models synth.certificate synth.controller synth.design synth.dynamic synth.errors synth.fallback "
     "synth.lmi synth.plant synth.redesign synth.search",
@@ -68,18 +70,25 @@ ROOMS = {
     "sim.asked": "sim.command sim.frequency sim.response sim.roads sim.runs sim.stability sim.validity",
     "sim.inspect": "sim.asked sim.linear sim.physics sim.recording sim.response sim.ride sim.roads sim.runs synth.dynamic "
     "synth.words",
-    "sim.campaign": "sim.command sim.linear sim.physics sim.response sim.ride sim.roads sim.runs synth.designer",
+    "sim.campaign": "sim.command sim.physics sim.response sim.ride sim.roads sim.runs synth.designer",
     "sim.report": "sim.command sim.figures sim.frequency sim.linear sim.physics sim.response sim.ride sim.roads "
     "sim.runs sim.stability sim.validity synth.designer synth.paper synth.words",
     "sim.bump": "sim.asked sim.command sim.roads sim.runs synth.designer",
     "sim.drive": "sim.asked sim.command sim.ride sim.runs synth.designer",
     "sim.sweep": "sim.asked sim.command sim.figures sim.frequency sim.runs synth.designer",
-    "sim.margins": "sim.asked sim.command sim.figures sim.linear sim.runs sim.stability synth.designer",
+    "sim.margins": "sim.asked sim.command sim.figures sim.runs sim.stability synth.designer",
     "sim.__main__": "",
     "sim.envelope": "sim.asked sim.command sim.figures sim.response sim.roads sim.runs sim.validity synth.designer",
 }
 OF_ALL = "models.common"
-OF_SIM = {"models", "models.own", "synth.certificate", "synth.controller"}  # what all of sim may import
+OF_SIM = {
+    "models",
+    "models.own",
+    "synth.certificate",
+    "synth.controller",
+    "synth.implemented",
+    "synth.sampled",
+}  # what all of sim may import
 MOST_FLOORS = 8  # of rooms in sim, each standing on those below
 MOST_FILES = 16  # in a room, beside its __init__
 MOST_LINES = 300

@@ -8,7 +8,6 @@ from scipy import integrate, linalg, special
 
 from models.reality import Limits
 from models.vehicle import read_vehicle
-from sim.linear.controlled import continuous
 from sim.linear.frequency import sampled_frequency_response
 from sim.ride.expected import EXACT, expect, sources
 from sim.ride.metrics import metrics_of
@@ -16,6 +15,7 @@ from sim.ride.weighting import sampled_wk
 from sim.roads.iso8608 import Iso8608
 from sim.roads.road import track_width
 from synth.designer import Designer
+from synth.implemented.controlled import continuous
 from tests.conftest import TEXTBOOK
 
 

@@ -15,7 +15,6 @@ from models.kind import Variation
 from models.reality import Implementation, Limits
 from models.vehicle import parse_vehicle, read_vehicle
 from sim.figures.figure import Curve
-from sim.linear.loop import sampled_radius
 from sim.margins import _which_loop, main
 from sim.stability.bisection import Search, run_searches
 from sim.stability.cut import Loop, cut, cut_sampled
@@ -30,6 +29,7 @@ from synth.certificate.certificate import certify
 from synth.certificate.norm import hinf_norm
 from synth.controller import generalized_plant
 from synth.designer import Designer, design
+from synth.implemented.loop import sampled_radius
 from tests import pages
 from tests.conftest import recorded_runs
 

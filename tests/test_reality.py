@@ -10,12 +10,13 @@ from models.common.errors import InputError
 from models.kind import GRAVITY
 from models.reality import Implementation, Limits
 from models.vehicle import parse_vehicle, read_vehicle
-from sim.linear.loop import continuous_response, noise_spread, noise_spreads, sampled_radius, sampled_response, taylor4
+from sim.linear.loop import continuous_response, noise_spread, noise_spreads, sampled_response, taylor4
 from sim.physics.simulate import simulate
 from sim.roads.road import Bump
 from sim.runs.run import run_all, sample_times
 from sim.runs.words import verdict_lines
 from synth.designer import Designer
+from synth.implemented.loop import sampled_radius
 
 
 def with_reality(vehicle, limits=None, implementation=None):

@@ -9,12 +9,12 @@ from scipy import linalg
 from models.common.arrays import Array
 from models.vehicle import Vehicle
 from sim.campaign.plan import PlannedRun
-from sim.linear.controlled import sampled
-from sim.linear.loop import held_inputs
 from sim.physics.blocks import DIVERGED
 from sim.response.response import SILENT
 from sim.ride.metrics import Meter
 from synth.controller import Controller
+from synth.implemented.controlled import sampled
+from synth.sampled.hold import held_inputs
 
 
 class Twin:

@@ -16,7 +16,7 @@ from models.vehicle import Vehicle
 from sim.frequency.gain import l2_gain, settled_gain
 from sim.frequency.identification import HIGHEST, LINES, LOWEST, check, fit, ideal_measurements, images
 from sim.linear.frequency import Worst, sampled_frequency_response, worst_sinusoid
-from sim.linear.loop import sampled_radius, taylor4
+from sim.linear.loop import taylor4
 from sim.physics.simulate import simulate
 from sim.response.regime import ended_by
 from sim.response.response import Response
@@ -24,6 +24,7 @@ from sim.roads.road import Bump, Road
 from sim.roads.sinusoids import Multisine, random_road, sinusoid
 from sim.runs.run import sample_times
 from synth.controller import Controller
+from synth.implemented.loop import sampled_radius
 
 DURATION = 20.0  # s, of all roads but the worst sinusoid, which takes as long as it needs to settle
 SETTLED = 1e-6  # what is left of free motion when its gain is read; the gain is then within about as much

@@ -19,13 +19,14 @@ from models.reality import Implementation, steps_per_sample
 from models.vehicle import Vehicle
 from sim.frequency.gain import l2_gain
 from sim.linear.frequency import as_met, continuous_frequency_response, sampled_frequency_response
-from sim.linear.loop import implemented_loop, sampled_radius, taylor4
+from sim.linear.loop import taylor4
 from sim.physics.simulate import simulate
 from sim.response.regime import ended_by
 from sim.response.response import SILENT, Response
 from sim.roads.sinusoids import chirp
 from sim.runs.run import sample_times
 from synth.controller import Controller
+from synth.implemented.loop import implemented_loop, sampled_radius
 
 LOWEST, HIGHEST, LINES = 0.1, 25.0, 60  # Hz, Hz, lines between them, evenly on a logarithmic scale; equal ones fall together
 IMAGES = 8  # of a line on either side of so many multiples of the sample rate; later ones are smaller still

@@ -12,10 +12,11 @@ from scipy import linalg
 
 from models.common.arrays import Array
 from models.vehicle import Vehicle
-from sim.linear.controlled import with_lag
-from sim.linear.loop import held_inputs, recursion, response_of, road_forcing
+from sim.linear.loop import recursion, response_of, road_forcing
 from sim.response.response import Response
 from sim.roads.road import Road, under_wheels
+from synth.implemented.controlled import with_lag
+from synth.sampled.hold import held_inputs
 
 
 def forced_response(

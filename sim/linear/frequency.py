@@ -24,9 +24,9 @@ from scipy import linalg, optimize
 from models.common.arrays import Array
 from models.reality import steps_per_sample
 from models.vehicle import Vehicle
-from sim.linear.controlled import Controlled, continuous, sampled
-from sim.linear.loop import held_inputs
 from synth.controller import Controller
+from synth.implemented.controlled import Controlled, continuous, sampled
+from synth.sampled.hold import held_inputs
 
 LOWEST, GRID = 1e-2, 3000  # rad/s, points: a peak is looked for from here to the Nyquist frequency
 

@@ -6,7 +6,8 @@ everything on the right but xi is constant:
 
     xi[k+1] = Phi xi[k] + Gamma [u[k]; z_r(t_k + h/2)],    x[k] = xi[k] + Bw z_r(t_k),    u[k] = K C_y x[k].
 
-A law with states, and a measured acceleration, make the vehicle larger (`controlled.py`), and the formulas stay as they are.
+A law with states, and a measured acceleration, make the vehicle larger (`synth/implemented/controlled.py`), and the formulas stay
+as they are.
 
 Continuous. x' = A_G x + Bw z_r'(t) + Br z_r(t) with A_G = A + B K C_y. Over a step,
 
@@ -18,7 +19,6 @@ by Gauss-Legendre quadrature with 8 nodes: exact to rounding for a smooth road. 
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg
@@ -27,11 +27,12 @@ from models.common.arrays import Array
 from models.linear_model import LinearModel
 from models.reality import steps_per_sample
 from models.vehicle import Vehicle
-from sim.linear.controlled import Controlled, continuous, sampled
 from sim.response.response import Response
 from sim.roads.road import Road, delays, under_wheels
-from synth.certificate.stability import sampled_growth
 from synth.controller import Controller
+from synth.implemented.controlled import continuous, sampled
+from synth.implemented.loop import implemented_loop, sampled_radius
+from synth.sampled.hold import held_inputs
 
 DECAYED = 1e-12  # of a loop's transition: its square counts in a variance
 SLOWEST_RATE = 1e-12  # rad/s; a mode that is slower does not move within any run, and a step for it would be beyond numbers
@@ -128,16 +129,6 @@ def road_forcing(A: Array, model: LinearModel, road: Road, vehicle: Vehicle, tim
     return forcing
 
 
-def held_inputs(A: Array, h: float, exponential: Callable[[Array], Array], *inputs: Array) -> list[Array]:
-    """Phi and one Gamma per input matrix: the step of x' = A x + sum B_i u_i with every u_i held."""
-    n = len(A)
-    columns = np.cumsum([n, *(B.shape[1] for B in inputs)])
-    augmented = np.zeros((columns[-1], columns[-1]))
-    augmented[:n] = np.hstack([A, *inputs])
-    step = exponential(augmented * h)
-    return [step[:n, :n], *(step[:n, a:b] for a, b in itertools.pairwise(columns))]
-
-
 def _convolution(A: Array, model: LinearModel, road: Road, vehicle: Vehicle, start: Array, h: float) -> Array:
     """Integral of exp(A (h - s)) (Bw z_r' + Br z_r)(start + s) ds over 0..h, shape (T, n), for start times of shape (T,)."""
     nodes, weights = np.polynomial.legendre.leggauss(8)
@@ -169,57 +160,6 @@ def response_of(vehicle: Vehicle, model: LinearModel, road: Road, time: Array, s
     values |= dict(zip(model.outputs, outputs.T, strict=True))
     signals = vehicle.kind.signals
     return Response(time, signals, np.stack([values[signal.name] for signal in signals], axis=-1))
-
-
-def sampled_radius(vehicle: Vehicle, controller: Controller, timestep: float) -> float:
-    """Growth per timestep of the sampled closed loop, as it is implemented: above 1 it is unstable, at exactly 1 marginal."""
-    loop = implemented_loop(vehicle, controller, timestep).transition
-    return sampled_growth(loop) ** (1 / steps_per_sample(vehicle.implementation, timestep))
-
-
-@dataclass(frozen=True, eq=False)
-class ImplementedLoop:
-    """The loop from one sample of the controller to the next.
-
-    Its s states are those of `controlled.sampled`, and beside them the forces on their way, the next to act first.
-
-    Attributes:
-        cut: the vehicle and what its controller keeps, before the loop is closed.
-        transition: shape (s, s).
-        inputs: all inputs of `cut`, held until the next sample, from the state, shape (m + k, s).
-        added: what is added to the inputs that are computed at a sample does to the next state, shape (s, m + k).
-        at_once: what of it acts until then, shape (m + k, m + k).
-    """
-
-    cut: Controlled
-    transition: Array
-    inputs: Array
-    added: Array
-    at_once: Array
-
-
-def implemented_loop(vehicle: Vehicle, controller: Controller, timestep: float) -> ImplementedLoop:
-    """The loop of a vehicle and its controller as it is implemented."""
-    how = vehicle.implementation
-    period = steps_per_sample(how, timestep) * timestep
-    cut = sampled(vehicle, controller, period)
-    Phi, Gamma = held_inputs(cut.model.A, period, linalg.expm, cut.model.B)
-    n, m, k = len(Phi), cut.forces, len(cut.hold)
-    force, rate = np.eye(m, m + k), np.eye(m + k)[m:]
-    if how.delay == 0:
-        G, at_once = cut.inputs(cut.asked), cut.inputs(force, rate)
-        return ImplementedLoop(cut, Phi + Gamma @ G, G, Gamma @ at_once, at_once)
-    size, rest = n + how.delay * m, how.delay * m
-    on_their_way = np.hstack([np.zeros((m, n)), np.eye(m, rest)])
-    inputs = cut.inputs(on_their_way, np.hstack([cut.kept, np.zeros((k, rest))]))
-    at_once = np.vstack([np.zeros_like(force), rate])
-    transition, added = np.zeros((size, size)), np.zeros((size, m + k))
-    transition[:n, :n] = Phi
-    transition[:n] += Gamma @ inputs
-    transition[n : size - m, n + m :] = np.eye(rest - m)
-    transition[size - m :, :n] = cut.asked
-    added[:n], added[size - m :] = Gamma @ at_once, force
-    return ImplementedLoop(cut, transition, inputs, added, at_once)
 
 
 def largest_timestep(vehicle: Vehicle) -> float:

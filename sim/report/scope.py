@@ -12,12 +12,12 @@ from models.vehicle import Vehicle
 from sim.figures.figure import Dash, styles
 from sim.frequency.identification import check
 from sim.linear.frequency import Worst, sampled_frequency_response, worst_sinusoid
-from sim.linear.loop import sampled_radius
 from sim.roads.road import Bump
 from sim.runs.run import sample_times
 from sim.stability.growth import TIMESTEP
 from synth.controller import Controller
 from synth.designer import Designer
+from synth.implemented.loop import sampled_radius
 
 BUMP_DURATION = 3.0  # s
 AMPLITUDE = 1e-4  # m, of the roads that frequency responses are identified on

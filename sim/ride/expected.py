@@ -32,9 +32,7 @@ from models.common.arrays import Array
 from models.common.threads import one_thread
 from models.reality import steps_per_sample
 from models.vehicle import Vehicle
-from sim.linear.controlled import continuous
 from sim.linear.frequency import as_met, stepwise_frequency_response
-from sim.linear.loop import implemented_loop, sampled_radius
 from sim.ride.gaussian import Gaussian, positive_part
 from sim.ride.metrics import RUNNING, dynamic_load, energy, off_ground, points, power
 from sim.ride.quadrature import sample_band
@@ -42,6 +40,8 @@ from sim.ride.weighting import POLES, SampledWk, sampled_wk
 from sim.roads.spectrum import Spectrum
 from synth.certificate.stability import stability
 from synth.controller import Controller
+from synth.implemented.controlled import continuous
+from synth.implemented.loop import implemented_loop, sampled_radius
 
 FORGOTTEN = 0.01  # share of its variance that the slowest mode of a vehicle from rest may still miss when measuring begins
 EXACT = 1e-4  # what an expectation may be off for its integral

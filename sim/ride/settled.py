@@ -23,12 +23,12 @@ from models.common.arrays import Array
 from models.reality import steps_per_sample
 from models.vehicle import Vehicle
 from sim.linear.frequency import as_met, sampled_states
-from sim.linear.loop import implemented_loop, sampled_radius
 from sim.ride.expected import longest_panel, loop_poles, power_of, tracks
 from sim.ride.metrics import points
 from sim.ride.quadrature import sample_band
 from sim.roads.spectrum import Spectrum
 from synth.controller import Controller
+from synth.implemented.loop import implemented_loop, sampled_radius
 
 STILL = 1e-12  # of the largest variance in its unit: a signal that does not move
 

@@ -10,12 +10,13 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.own.python_law import Programmed
 from models.vehicle import Vehicle
-from sim.linear.controlled import sampled
 from sim.linear.forced import forced_continuous_response, forced_response
-from sim.linear.loop import continuous_response, noise_spread, sampled_radius, sampled_response, taylor4
+from sim.linear.loop import continuous_response, noise_spread, sampled_response, taylor4
 from sim.response.response import Response
 from sim.roads.road import Road
 from synth.controller import Controller
+from synth.implemented.controlled import sampled
+from synth.implemented.loop import sampled_radius
 
 
 @dataclass(frozen=True, eq=False)

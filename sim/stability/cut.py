@@ -15,9 +15,9 @@ from scipy import linalg
 
 from models.common.arrays import Array
 from models.vehicle import Vehicle
-from sim.linear.controlled import continuous, readings, sampled, with_lag
-from sim.linear.loop import held_inputs
 from synth.controller import Controller
+from synth.implemented.controlled import continuous, readings, sampled, with_lag
+from synth.sampled.hold import held_inputs
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,12 +10,12 @@ from models.common.arrays import Array
 from models.reality import Implementation
 from models.vehicle import Vehicle
 from sim.figures.figure import Curve, Figure, Marker, Panel, Shades
-from sim.linear.loop import sampled_radius
 from sim.stability.bisection import Search
 from sim.stability.delayed import delayed_rate
 from sim.stability.margins import LoopMargins
 from sim.stability.robustness import Robustness
 from synth.controller import Controller
+from synth.implemented.loop import sampled_radius
 
 POINTS = 30  # of a predicted curve
 LINE = "#404040"

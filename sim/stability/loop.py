@@ -24,8 +24,8 @@ import numpy as np
 from scipy import linalg, optimize
 
 from models.common.arrays import Array
-from sim.linear.loop import held_inputs
 from sim.stability.cut import Loop
+from synth.sampled.hold import held_inputs
 
 LARGEST_FACTOR = 1e4  # a loop that bears this much gain bears any: beyond, rounding decides on which side a pole is
 FACTORS = np.geomspace(1.001 / LARGEST_FACTOR, LARGEST_FACTOR / 1.001, 4000)
