@@ -1,6 +1,7 @@
 """What several tests share: the paper's vehicle, its designs, and vehicles drawn at random."""
 
 import dataclasses
+import signal
 
 import numpy as np
 import pytest
@@ -12,6 +13,11 @@ from sim.roads.road import Bump
 from sim.runs.run import run_all, sample_times
 from synth.designer import Designer
 from synth.plant import GeneralizedPlant
+
+# A shell without a terminal starts what is behind an `&` with Ctrl-C ignored, and every process of it inherits that: tests of
+# interrupts would then wait for one that never comes.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # What a vehicle file may say beside its parameters.
 BUILT = "\n[implementation]\nsample_period = 0.01\ndelay = {delay}\n"
