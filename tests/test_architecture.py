@@ -2,6 +2,8 @@
 
 import ast
 import graphlib
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -258,3 +260,18 @@ def test_checked_without_the_solver():
             seen.add(module)
             ways += [other for name in imported(MODULES[module]) if (other := module_of(name))]
     assert not {module for module in seen if room_of(module) in ("synth.lmi", "synth.search", "synth.design", "synth.designer")}
+
+
+@pytest.mark.parametrize(
+    "command", ["synth --json", "sim.bump --controller I --no-logs --json", "sim.sweep --help", "sim.report --help"]
+)
+def test_a_command_pays_for_what_it_does(command):
+    """No command waits for a package that it has no use for; each of these takes a third of a second to two seconds to import."""
+    code = (
+        f"import atexit, runpy, sys; sys.argv = {command.split()}; atexit.register(lambda: print('\\nloaded', *sys.modules)); "
+        "runpy.run_module(sys.argv[0], run_name='__main__', alter_sys=True)"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = set(run.stdout.rsplit("\nloaded ", 1)[1].split())
+    assert "argparse" in loaded
+    assert not {"scipy.signal", "scipy.stats", "cvxpy", "control", "matplotlib", "rerun", "pandas", "pyarrow"} & loaded

@@ -5,7 +5,6 @@ is what comes in there; of a sinusoid it is known, and of another road it would 
 """
 
 import numpy as np
-from scipy import signal
 
 from models.common.arrays import Array
 from models.filters.filter import Filter
@@ -57,4 +56,6 @@ def _roads(vehicle: Vehicle, response: Response) -> Array:
 def _filtered(one: Filter, values: Array, period: float) -> Array:
     """A signal through a filter, from rest."""
     law = LinearLaw(*one.realisation).sampled(period)
-    return signal.dlsim((law.A, law.B, law.C, law.D, period), values[:, None])[1][:, 0]
+    from scipy.signal import dlsim  # half a second
+
+    return dlsim((law.A, law.B, law.C, law.D, period), values[:, None])[1][:, 0]

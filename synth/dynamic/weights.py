@@ -16,7 +16,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import signal
 
 from models.common.arrays import Array
 from models.common.errors import InputError
@@ -89,7 +88,9 @@ def transfer_function(numerator: Sequence[float], denominator: Sequence[float]) 
         )
     if len(below) == 1:
         return gain(above[0] / below[0] if len(above) else 0.0)
-    return System(*(np.asarray(part) for part in signal.tf2ss(above if len(above) else [0.0], below)))
+    from scipy.signal import tf2ss  # half a second
+
+    return System(*(np.asarray(part) for part in tf2ss(above if len(above) else [0.0], below)))
 
 
 def series(first: System, second: System) -> System:
