@@ -78,6 +78,12 @@ class LinearLaw:
         at = 1j * omega if self.sample_period is None else np.exp(1j * omega * self.sample_period)
         return self.C @ np.linalg.solve(at * np.eye(self.states) - self.A, self.B) + self.D
 
+    def of_state(self, period: float | None) -> float:
+        """What makes the law's own states of those of `sampled(period)`, or of `continuous()` where there is no period."""
+        if self.sample_period is None or (period is not None and self._at(period)):
+            return 1.0
+        return 1 / np.sqrt(self.sample_period)
+
     def scaled(self, factors: Array | float) -> "LinearLaw":
         """The law whose forces are so many times as large.
 
@@ -150,7 +156,7 @@ class LinearLaw:
         Args:
             period: [s].
         """
-        if not self.states or (self.sample_period is not None and np.isclose(self.sample_period, period, rtol=1e-9, atol=0)):
+        if not self.states or self._at(period):
             return LinearLaw(self.A, self.B, self.C, self.D, period)
         law = self.continuous()
         k, q = law.B.shape
@@ -160,6 +166,10 @@ class LinearLaw:
         step = linalg.expm(augmented)
         Phi, held, ramp = step[:k, :k], step[:k, k : k + q], step[:k, k + q :]
         return LinearLaw(Phi, held - ramp + Phi @ ramp, law.C, law.D + law.C @ ramp, period)
+
+    def _at(self, period: float) -> bool:
+        """Whether this is the sample period of its own."""
+        return self.sample_period is not None and bool(np.isclose(self.sample_period, period, rtol=1e-9, atol=0))
 
 
 def static_law(gain: Array) -> LinearLaw:

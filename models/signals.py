@@ -1,5 +1,6 @@
 """The one table of names. A signal is called the same in the linear model, the MJCF, a vehicle file, a log and a plot."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 
@@ -43,3 +44,21 @@ HEAVE_ACCELERATION = Signal("heave_acceleration", "z''", "m/s2", "vertical accel
 PITCH_ACCELERATION = Signal("pitch_acceleration", "theta''", "rad/s2", "pitch acceleration of the body, nose down")
 ROLL_ACCELERATION = Signal("roll_acceleration", "phi''", "rad/s2", "roll acceleration of the body, right side down")
 CONTROL_FORCE = Signal("control_force", "u", "N", "actuator force, positive lifts the body and presses the wheel down")
+
+OWN = "own"  # unit of a controller's state: whatever its law takes it for
+KEPT = "controller_"  # begins the name of one, and of no signal of a vehicle
+
+
+def kept_signals(names: Iterable[int | str]) -> tuple["Signal", ...]:
+    """What a controller keeps from one sample to the next, one signal for each of its states.
+
+    Args:
+        names: of its states, in its own words or as numbers from 1.
+    """
+    about = "state of the controller, in its own coordinates, as it was at its last sample"
+    return tuple(Signal(f"{KEPT}{name}", f"x_c {name}", OWN, about) for name in names)
+
+
+def is_kept(signal: Signal) -> bool:
+    """Whether a signal is a controller's state, and none of the vehicle's."""
+    return signal.name.startswith(KEPT)

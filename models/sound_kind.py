@@ -12,7 +12,7 @@ import numpy as np
 from models.common.errors import quoted, some
 from models.kind import MOST_SQUEEZE, Invariant, Parameter, Suspension, Variation, VehicleKind, Wheel
 from models.linear_model import LinearModel
-from models.signals import Signal
+from models.signals import KEPT, Signal
 
 LARGEST = 1e30  # SI; of any entry. A parameter over a parameter is at most 1e18, and its square is no longer a vehicle's
 LONGEST = 60  # characters of a name
@@ -32,6 +32,8 @@ def wrong_parts(kind: VehicleKind) -> str:
         if wrong := _wrong_names(what, [part.name for part in parts]):
             return wrong
         for part in parts:
+            if part.name.startswith(KEPT):
+                return f"{what} {part.name!r}: names that begin with {KEPT} are of a controller's states; give it another"
             for text in texts:
                 if not isinstance(getattr(part, text), str):
                     return f"{what} {part.name!r} has the {text} {quoted(getattr(part, text))}; give a text"

@@ -10,9 +10,10 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.numbers import finite
+from models.signals import is_kept
 from sim.inspect.findings import FAILS, HOLDS, MISSING, NOTE, SAME, Finding, apart, count, different, folded, off, same
 from sim.inspect.log import Recorded, RecordedRun, read_json
-from sim.inspect.reproduction import FEWEST, as_response
+from sim.inspect.reproduction import FEWEST, as_response, kept
 from sim.recording.format import CONTINUOUS, RESULTS, SAMPLED, WHOLE
 from sim.response.response import Response
 from sim.ride.metrics import DEFINITIONS
@@ -83,9 +84,9 @@ def check_certificate(controller: Controller, recorded: RecordedRun, current: bo
 
 def check_linear(again: Prediction, recorded: RecordedRun, samples: int) -> Iterator[Finding]:
     """The logged sampled and continuous responses, road included, against those that follow from gain and road."""
-    worst = 0.0
+    worst, states = 0.0, kept(again.controller)
     for topic, name, response in ((SAMPLED, "sampled", again.sampled), (CONTINUOUS, "continuous", again.continuous)):
-        far, signal = apart(as_response(again.vehicle, recorded, topic, samples, again.timestep), response)
+        far, signal = apart(as_response(again.vehicle, recorded, topic, samples, again.timestep, states), response)
         worst = max(worst, far)
         if not far <= ROUNDING:
             yield Finding("linear response", FAILS, f"{signal} of the {name} response is {far:.1e} of its peak off")
@@ -122,13 +123,39 @@ def check_physics(recorded: RecordedRun, run: Run, whole: bool) -> Iterator[Find
         yield from (Finding("physics", HOLDS, text) for text in verdict_lines(run))
 
 
+def check_states(run: Run, anew: Response | None) -> Iterator[Finding]:
+    """The states of its law in the logged physics, which follow from what it measures there.
+
+    Args:
+        run: with the physics of the log.
+        anew: what MuJoCo and the law make of the run now; None where that is not known.
+    """
+    states, logged = kept(run.controller), [signal.name for signal in run.physics.signals if is_kept(signal)]
+    if not states:
+        return
+    if not logged:
+        yield Finding("states", NOTE, "the log is older than the states of laws are logged")
+    elif anew is None:
+        yield Finding("states", MISSING, "they follow from the whole run")
+    else:
+        end = run.broke_off[1] if run.broke_off else math.inf
+        far, name = apart(run.physics.only(logged).until(end), anew.until(end))
+        how = f"to {far:.0e} of a peak" if far else "to the last bit"
+        named = logged[0] if len(logged) == 1 else f"{logged[0]} to {logged[-1]}"
+        if far <= SAME:
+            yield Finding("states", HOLDS, f"{named} follow from what the law measures, {how}")
+        else:
+            yield Finding("states", FAILS, f"{name} does not follow from what the law measures: {far:.1e} of its peak off")
+
+
 def check_energy(recorded: RecordedRun, run: Run, anew: Response, current: bool) -> Iterator[Finding]:
     """The logged physics against MuJoCo's own, run anew, also where there is no analysis of it; and the energy that this has.
 
     A balance rests on every position and speed of the model, and the log holds signals: so it is that of the run made anew.
     """
     end = run.broke_off[1] if run.broke_off else math.inf
-    far, signal = apart(run.physics.until(end), anew.until(end))
+    vehicle = [signal.name for signal in run.vehicle.kind.signals]
+    far, signal = apart(run.physics.only(vehicle).until(end), anew.until(end))
     if not far <= SAME:
         yield Finding("energy", FAILS, f"MuJoCo makes another run of it now: {signal} is {far:.1e} of its peak off")
         return

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from sim.inspect.log import RESPONSES, RecordedRun
-from sim.inspect.reproduction import as_response
+from sim.inspect.reproduction import as_response, kept
 from sim.physics.simulate import simulate
 from sim.recording.provenance import run_log
 from sim.recording.run_log import RunLog
@@ -19,11 +19,11 @@ def balanced_again(run: Run) -> tuple[Run, Response]:
     time = run.prediction.time
     made = simulate([run.vehicle], [driven(run.prediction, time)], [run.road], time)
     (run,) = balanced([run], made)
-    return run, made.response.run(0)
+    return run, made.run(0)
 
 
 def written_again(recorded: RecordedRun, run: Run, samples: int) -> RunLog:
     """A run as it would be written now, with the responses that were logged."""
-    timestep = run.prediction.timestep
-    responses = {name: as_response(run.vehicle, recorded, name, samples, timestep) for name in RESPONSES}
+    timestep, states = run.prediction.timestep, kept(run.controller)
+    responses = {name: as_response(run.vehicle, recorded, name, samples, timestep, states) for name in RESPONSES}
     return replace(run_log(run, recorded.name), responses=responses)

@@ -38,7 +38,7 @@ def apart(logged: Response, again: Response) -> tuple[float, str]:
     huge = ~np.all(np.abs(again.values) < HUGE, axis=1)
     end = float(again.time[huge.argmax()]) if huge.any() else math.inf
     logged, again = logged.until(end), again.until(end)
-    far = {name: off(logged[name], again[name], again.scale(name)) if len(again.time) else 0.0 for name in again.names}
+    far = {name: off(logged[name], again[name], again.scale(name)) if len(again.time) else 0.0 for name in logged.names}
     worst = max(far, key=lambda name: far[name])
     return far[worst], worst
 

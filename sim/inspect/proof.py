@@ -16,6 +16,7 @@ from sim.inspect.claims import (
     check_physics,
     check_result,
     check_samples,
+    check_states,
     claimed_samples,
 )
 from sim.inspect.commanded import Held, check_command
@@ -28,6 +29,7 @@ from sim.inspect.reproduction import (
     FEWEST,
     as_response,
     implemented,
+    kept,
     predicted_again,
     recorded_controller,
     recorded_vehicle,
@@ -213,7 +215,7 @@ def _inspect(log: Recorded, vehicle: Vehicle, recorded: RecordedRun, h: float, c
         return inspected()
     findings += _guarded("linear response", MISSING, lambda: check_linear(again, recorded, samples))
     try:
-        (run,) = judge([again], [as_response(own, recorded, MUJOCO, samples, h)])
+        (run,) = judge([again], [as_response(own, recorded, MUJOCO, samples, h, kept(controller))])
     except (ValueError, ArithmeticError, RuntimeError) as error:
         findings.append(Finding("physics", MISSING, str(error)))
         return inspected(again)
@@ -226,6 +228,7 @@ def _inspect(log: Recorded, vehicle: Vehicle, recorded: RecordedRun, h: float, c
         except (ValueError, ArithmeticError, RuntimeError) as error:
             stumbled = str(error)
     findings += _guarded("physics", FAILS, lambda: check_physics(recorded, run, whole))
+    findings += check_states(run, anew)
     if anew is not None and made is not None:
         findings += _guarded("energy", FAILS, lambda: check_energy(recorded, run, anew, current))
         findings += _guarded("result", FAILS, lambda: check_result(log, recorded, run, current))

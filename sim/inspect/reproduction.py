@@ -20,6 +20,7 @@ from models.law import MATRICES, LinearLaw, static_law
 from models.law import MOST_STATES as MOST_OF_A_LAW
 from models.own.python_law import MOST_TEXT, Programmed, PythonLaw
 from models.reality import read_implementation, read_limits
+from models.signals import Signal, kept_signals
 from models.vehicle import Vehicle, parse_vehicle
 from sim.inspect.log import Recorded, RecordedRun
 from sim.linear.loop import largest_timestep
@@ -194,8 +195,17 @@ def usable_samples(run: RecordedRun, timestep: float) -> int:
     return min(counts, default=0)
 
 
-def as_response(vehicle: Vehicle, run: RecordedRun, name: str, samples: int, timestep: float) -> Response:
-    """A logged response with the vehicle's signals, in their order.
+def kept(controller: Controller | Programmed) -> tuple[Signal, ...]:
+    """The signals of a controller's states."""
+    return kept_signals(range(1, controller.law.states + 1)) if isinstance(controller, Controller) else ()
+
+
+def as_response(
+    vehicle: Vehicle, run: RecordedRun, name: str, samples: int, timestep: float, states: tuple[Signal, ...] = ()
+) -> Response:
+    """A logged response with the vehicle's signals, in their order, and those of its controller's states.
+
+    Logs that are older than states are logged have none of them.
 
     Raises:
         InputError: it was not logged, or not with these signals.
@@ -204,6 +214,8 @@ def as_response(vehicle: Vehicle, run: RecordedRun, name: str, samples: int, tim
     if logged is None:
         raise InputError(f"the {name} response is missing")
     signals = vehicle.kind.signals
+    if len(logged.names) != len(signals):
+        signals = (*signals, *states)
     absent = [signal.name for signal in signals if signal.name not in logged.names]
     if absent or len(logged.names) != len(signals):
         raise InputError(f"the {name} response has other signals than a {vehicle.kind.name}: {listing(s.name for s in signals)}")

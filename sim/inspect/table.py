@@ -1,5 +1,6 @@
 """The signals of a log as one CSV table: MuJoCo's, the sampled response as it was logged, and as it is computed anew."""
 
+import contextlib
 import csv
 import math
 from pathlib import Path
@@ -10,12 +11,14 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.whole_file import whole_file
 from sim.inspect.proof import Inspected, Proof
-from sim.inspect.reproduction import as_response
+from sim.inspect.reproduction import as_response, kept
 from sim.recording.format import MUJOCO, SAMPLED
 
 
 def write_signals(path: Path, proof: Proof) -> None:
     """One line per sample and run, units in the headings; a number that is missing or not finite is left empty.
+
+    Of several runs the states of their controllers share columns, by number.
 
     Args:
         path: the file; it gets its name when it is whole.
@@ -28,27 +31,28 @@ def write_signals(path: Path, proof: Proof) -> None:
         raise InputError("--csv: there are no signals in the log to write; leave it out")
     with whole_file(path, "csv") as beside, beside.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
+        states = max((kept(one.again.controller) for one in proof.runs if one.again), key=len, default=())
         columns = [
             f"{signal.name} {which} [{signal.unit}]"
-            for signal in proof.vehicle.kind.signals
+            for signal in (*proof.vehicle.kind.signals, *states)
             for which in ("mujoco", "sampled", "recomputed")
         ]
         writer.writerow(["run", "time [s]", *columns])
         for one in proof.runs:
             time = (np.arange(one.samples) * proof.timestep).tolist()
-            for t, row in zip(time, _rows(proof, one).tolist(), strict=True):
+            for t, row in zip(time, _rows(proof, one, len(columns)).tolist(), strict=True):
                 writer.writerow([one.recorded.name, t, *(value if math.isfinite(value) else "" for value in row)])
 
 
-def _rows(proof: Proof, one: Inspected) -> Array:
-    """The three of every signal beside each other, shape (T, 3 S), NaN where there is none."""
+def _rows(proof: Proof, one: Inspected, columns: int) -> Array:
+    """The three of every signal beside each other, shape (T, columns), NaN where there is none."""
     assert proof.vehicle is not None, "the caller has asked"
-    nothing = np.full((one.samples, len(proof.vehicle.kind.signals)), np.nan)
-    tables = []
-    for name in (MUJOCO, SAMPLED):
-        try:
-            tables.append(as_response(proof.vehicle, one.recorded, name, one.samples, proof.timestep).values)
-        except InputError:
-            tables.append(nothing)
-    tables.append(one.again.sampled.values if one.again else nothing)
-    return np.stack(tables, axis=-1).reshape(one.samples, -1)
+    states = kept(one.again.controller) if one.again else ()
+    rows = np.full((3, one.samples, columns // 3), np.nan)
+    for row, name in zip(rows, (MUJOCO, SAMPLED), strict=False):
+        with contextlib.suppress(InputError):
+            values = as_response(proof.vehicle, one.recorded, name, one.samples, proof.timestep, states).values
+            row[:, : values.shape[1]] = values
+    if one.again:
+        rows[2][:, : one.again.sampled.values.shape[1]] = one.again.sampled.values
+    return np.moveaxis(rows, 0, -1).reshape(one.samples, -1)

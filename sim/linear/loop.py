@@ -26,6 +26,7 @@ from scipy import linalg
 from models.common.arrays import Array
 from models.linear_model import LinearModel
 from models.reality import steps_per_sample
+from models.signals import kept_signals
 from models.vehicle import Vehicle
 from sim.response.response import Response
 from sim.roads.road import Road, delays, under_wheels
@@ -70,7 +71,10 @@ def sampled_responses(
     time: Array,
     exponential: Callable[[Array], Array] = linalg.expm,
 ) -> Response:
-    """The responses to N roads side by side, values of shape (N, T, S). Arguments as for `sampled_response`."""
+    """The responses to N roads side by side, values of shape (N, T, S). Arguments as for `sampled_response`.
+
+    Signals are the vehicle's and, after them, the states of the law, each as it was at the law's last sample.
+    """
     h = float(time[1] - time[0])
     how = vehicle.implementation
     period = steps_per_sample(how, h)
@@ -98,7 +102,9 @@ def sampled_responses(
             inputs[:, k] = acting
             xi = xi @ Phi.T + inputs[:, k] @ Gamma.T + push[:, k]
     runs = [response_of(vehicle, model, road, time, states[i], inputs[i]).values for i, road in enumerate(roads)]
-    return Response(time, vehicle.kind.signals, np.stack(runs))
+    last = np.arange(len(time)) // period * period
+    kept = controller.law.of_state(period * h) * states[:, last, cut.law_states]
+    return _with_kept(Response(time, vehicle.kind.signals, np.stack(runs)), kept)
 
 
 def continuous_response(vehicle: Vehicle, controller: Controller, road: Road, time: Array) -> Response:
@@ -110,7 +116,13 @@ def continuous_response(vehicle: Vehicle, controller: Controller, road: Road, ti
 
     forcing = road_forcing(A, model, road, vehicle, time)
     states = recursion(linalg.expm(A * h), forcing)
-    return response_of(vehicle, model, road, time, states, states @ G.T)
+    response = response_of(vehicle, model, road, time, states, states @ G.T)
+    return _with_kept(response, controller.law.of_state(None) * states[:, cut.law_states])
+
+
+def _with_kept(response: Response, kept: Array) -> Response:
+    """A response with the states of a law after the vehicle's signals, shape (..., T, k)."""
+    return response.beside(kept_signals(range(1, kept.shape[-1] + 1)), kept)
 
 
 def road_forcing(A: Array, model: LinearModel, road: Road, vehicle: Vehicle, time: Array) -> Array:

@@ -16,7 +16,7 @@ from models.mjcf import build_model, quiet
 from models.own.python_law import Programmed
 from models.reality import Implementation
 from models.vehicle import Vehicle
-from sim.physics.python_laws import Driven, Played, PythonLaws
+from sim.physics.python_laws import Again, Driven, Played, PythonLaws
 from sim.physics.readout import Readout, force_from_road, laws_on, mix, prepared, sensed_stage, signal_from_road
 from sim.physics.sampler import LinearLaws, Sampler
 from sim.physics.stepping import Reading, step_batch
@@ -40,6 +40,7 @@ class Block:
         qvel: generalized velocities, shape (B, N, nv).
         largest: largest magnitude of any signal, and of any force that was asked for, shape (B, N).
         asked: the forces that were asked for [N], shape (B, N, m).
+        kept: what the states of linear laws were at their last sample, shape (B, N, k), with the k of the one that has most.
     """
 
     start: int
@@ -48,6 +49,7 @@ class Block:
     qvel: Array
     largest: Array
     asked: Array
+    kept: Array
 
     def diverged(self, time: Array) -> Array:
         """When each run first diverged in it [s], shape (N,), infinite where it did not; from all the samples' times."""
@@ -175,16 +177,15 @@ def in_shares(
                 ideal = [Implementation()] * len(how)
                 laws = LinearLaws(beside[runs], beside_memory[runs])
                 samplers.append(Sampler(ideal, laws, readout.names, timestep, len(now)))
-            law = _law(samplers, readout, unseen[:, runs], stage)
+            law = _Sampled(samplers, readout, unseen[:, runs], stage)
             if played:
-                forces = np.stack(played, axis=1)
-                law = lambda k, reading: forces[k]  # noqa: E731
+                law = Again(np.stack(played, axis=1))
         level, road, left = now[:, runs], midway[:, runs], before[:, runs]
         at_samples = level if felt else None
         wanted = going[runs] if going is not None else None
         reading = Reading(gain[runs], memory[runs], offset[:, runs], stage, fresh)
         steps = step_batch(batch, readout.mocap, reading, road, at_samples, law, edges, wanted, stopped)
-        for start, sensed, qpos, qvel, asked in steps:
+        for start, sensed, qpos, qvel, asked, kept in steps:
             some = slice(start, start + len(sensed))
             recorded = np.zeros((len(sensed), len(signals), batch.nsim))
             mix(place @ readout.of_sensors, sensed, recorded)
@@ -198,7 +199,7 @@ def in_shares(
             largest = np.maximum(recorded.max(axis=1), -recorded.min(axis=1))
             for force in np.moveaxis(asked, 2, 0):
                 largest = np.maximum(largest, np.abs(force))
-            yield Block(start, recorded, qpos, qvel, largest, asked)
+            yield Block(start, recorded, qpos, qvel, largest, asked, kept)
 
     def quietly(runs: slice, stopped: Callable[[], bool]) -> Iterator[Block]:
         with quiet():
@@ -211,15 +212,18 @@ def _ideal(vehicle: Vehicle) -> Vehicle:
     return replace(vehicle, implementation=Implementation())
 
 
-def _law(samplers: Sequence[Sampler], readout: Readout, unseen_of_road: Array, stage: int) -> Callable[[int, Array], Array]:
+class _Sampled:
     """The forces of step k from the reading, the sum of all samplers', for controllers that are not ideal."""
-    of_reading = np.where(readout.linear[:, None], readout.of_state, 0.0)
-    if stage:
-        of_reading = np.concatenate([of_reading, np.where(readout.linear[:, None], 0.0, readout.of_sensors)], axis=-1)
 
-    def forces(k: int, reading: Array) -> Array:
-        signals = np.matvec(of_reading, reading) + unseen_of_road[k]
-        first, *others = [sampler(k, signals) for sampler in samplers]
+    def __init__(self, samplers: Sequence[Sampler], readout: Readout, unseen_of_road: Array, stage: int) -> None:
+        self.samplers, self.unseen, self.used = samplers, unseen_of_road, samplers[0].laws.used
+        of_reading = np.where(readout.linear[:, None], readout.of_state, 0.0)
+        if stage:
+            of_reading = np.concatenate([of_reading, np.where(readout.linear[:, None], 0.0, readout.of_sensors)], axis=-1)
+        self.of_reading = of_reading
+
+    def __call__(self, k: int, reading: Array) -> Array:
+        """See `sim.physics.stepping.Law`."""
+        signals = np.matvec(self.of_reading, reading) + self.unseen[k]
+        first, *others = [sampler(k, signals) for sampler in self.samplers]
         return first + others[0] if others else first
-
-    return forces

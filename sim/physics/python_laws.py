@@ -28,6 +28,17 @@ class Played:
     forces: Array
 
 
+class Again:
+    """The forces of N runs that are known beforehand, shape (T, N, m)."""
+
+    def __init__(self, forces: Array) -> None:
+        self.forces, self.used = forces, np.zeros((forces.shape[1], 0))
+
+    def __call__(self, k: int, reading: Array) -> Array:
+        """See `sim.physics.stepping.Law`."""
+        return self.forces[k]
+
+
 Driven = Controller | Programmed | Played
 
 
@@ -58,6 +69,7 @@ class PythonLaws:
     ) -> None:
         """For signals of these names, and heights of the roads from the start to `steps_ahead` of the end, shape (.., N, r)."""
         self.forces, self._timestep, self._heights = len(vehicles[0].linear_model.inputs), timestep, heights
+        self.used = np.zeros((len(vehicles), 0))
         self._count, self._gone = len(controllers), np.zeros(len(controllers), dtype=bool)
         self._groups: list[_Group] = []
         together: dict[tuple[int, int], _Group] = {}

@@ -14,9 +14,11 @@ class Laws(Protocol):
 
     Attributes:
         forces: m.
+        used: what their states were at their last sample, shape (N, k).
     """
 
     forces: int
+    used: Array
 
     def __call__(self, due: Array | slice, which: Array, k: int, seen: Array) -> Array:
         """The forces of step k of those that are due, shape (d, m), from the signals as they read them, shape (d, S).
@@ -37,13 +39,14 @@ class LinearLaws:
         """From the signals to [u; x_c], shape (N, m + k, S), and from x_c, shape (N, m + k, k)."""
         self.gain, self.memory = gain, memory if memory.shape[2] else None
         self.forces = gain.shape[1] - memory.shape[2]
-        self.kept = np.zeros((len(gain), memory.shape[2]))
+        self.kept, self.used = (np.zeros((len(gain), memory.shape[2])) for _ in range(2))
 
     def __call__(self, due: Array | slice, which: Array, k: int, seen: Array) -> Array:
         """See `Laws`."""
         computed = np.matvec(self.gain[due], seen)
         if self.memory is not None:
-            computed += np.matvec(self.memory[due], self.kept[due])
+            self.used[due] = self.kept[due]
+            computed += np.matvec(self.memory[due], self.used[due])
             self.kept[due] = computed[:, self.forces :]
             computed = computed[:, : self.forces]
         return computed

@@ -17,7 +17,10 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.cores import cores
 from models.common.side_by_side import side_by_side
+from models.law import LinearLaw
 from models.own.python_law import Programmed
+from models.reality import steps_per_sample
+from models.signals import Signal, kept_signals
 from models.vehicle import Vehicle
 from sim.physics.blocks import Block, in_shares
 from sim.physics.python_laws import Driven, steps_ahead
@@ -38,6 +41,8 @@ class PhysicsRuns:
         qvel: generalized velocities, shape (N, T, nv).
         diverged: when each run diverged [s], shape (N,); infinite where it did not.
         asked: forces that were asked for at every sample [N], shape (N, T, m).
+        kept: what the states of each controller were at its last sample, shape (N, T, k), with the k of the one that has most.
+        states: the signals of those of each.
     """
 
     response: Response
@@ -45,6 +50,13 @@ class PhysicsRuns:
     qvel: Array
     diverged: Array
     asked: Array
+    kept: Array
+    states: Sequence[tuple[Signal, ...]]
+
+    def run(self, index: int) -> Response:
+        """One run: the vehicle's signals, and after them the states of its controller."""
+        states = self.states[index]
+        return self.response.run(index).beside(states, self.kept[index, :, : len(states)])
 
 
 def simulate(
@@ -85,7 +97,18 @@ def simulate(
     diverged = block.diverged(time)
     recorded[np.broadcast_to((time[:, None] >= diverged)[:, None], recorded.shape)] = np.nan
     qpos, qvel = block.qpos.swapaxes(0, 1), block.qvel.swapaxes(0, 1)
-    return PhysicsRuns(Response(time, signals, np.moveaxis(recorded, 2, 0)), qpos, qvel, diverged, block.asked.swapaxes(0, 1))
+    response, asked = Response(time, signals, np.moveaxis(recorded, 2, 0)), block.asked.swapaxes(0, 1)
+    laws = [one.law if isinstance(one, Controller) else None for one in controllers]
+    states = [kept_signals(range(1, law.states + 1)) if law else () for law in laws]
+    scales = [1.0 if law is None else _of_state(law, vehicle, timestep) for law, vehicle in zip(laws, vehicles, strict=True)]
+    kept = block.kept.swapaxes(0, 1) * np.array(scales)[:, None, None]
+    kept[time >= diverged[:, None]] = np.nan
+    return PhysicsRuns(response, qpos, qvel, diverged, asked, kept, states)
+
+
+def _of_state(law: LinearLaw, vehicle: Vehicle, timestep: float) -> float:
+    """What makes the law's own states of those that it is run with."""
+    return law.of_state(steps_per_sample(vehicle.implementation, timestep) * timestep)
 
 
 def _by_kind(
@@ -107,8 +130,13 @@ def _by_kind(
     order = np.argsort(which)
     values = np.concatenate([one.response.values for one in made])[order]
     response = Response(time, made[0].response.signals, values)
-    others = (np.concatenate([getattr(one, name) for one in made])[order] for name in ("qpos", "qvel", "diverged", "asked"))
-    return PhysicsRuns(response, *others)
+    qpos, qvel, diverged, asked = (
+        np.concatenate([getattr(one, name) for one in made])[order] for name in ("qpos", "qvel", "diverged", "asked")
+    )
+    most = max(one.kept.shape[2] for one in made)
+    kept = np.concatenate([np.pad(one.kept, ((0, 0), (0, 0), (0, most - one.kept.shape[2]))) for one in made])[order]
+    states = [signals for one in made for signals in one.states]
+    return PhysicsRuns(response, qpos, qvel, diverged, asked, kept, [states[i] for i in order])
 
 
 def shared(count: int, threads: int) -> list[slice]:
@@ -126,8 +154,8 @@ def _whole(parts: Sequence[Callable[[Callable[[], bool]], Iterator[Block]]]) -> 
     with closing(side_by_side(pieces, len(parts))) as done:
         blocks = [block for _, block in sorted(done, key=lambda one: one[0]) if block is not None]
     values = np.concatenate([block.values for block in blocks], axis=2)
-    others = (np.concatenate([getattr(block, name) for block in blocks], axis=1) for name in ("qpos", "qvel", "largest", "asked"))
-    return Block(0, values, *others)
+    names = ("qpos", "qvel", "largest", "asked", "kept")
+    return Block(0, values, *(np.concatenate([getattr(block, name) for block in blocks], axis=1) for name in names))
 
 
 def on_each(vehicles: Sequence[Vehicle], roads: Sequence[Road], what: str, time: Array) -> Array:

@@ -6,7 +6,7 @@
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from mujoco.batch import Batch
@@ -34,17 +34,31 @@ class Reading:
     fresh: bool
 
 
+class Law(Protocol):
+    """What N controllers that are not ideal ask for.
+
+    Attributes:
+        used: what their k states were at their last sample, shape (N, k).
+    """
+
+    used: Array
+
+    def __call__(self, k: int, reading: Array) -> Array:
+        """The forces of step k, shape (N, m), from the reading, shape (N, r)."""
+        ...
+
+
 def step_batch(
     batch: Batch,
     mocap: list[int],
     reading: Reading,
     midway: Array,
     at_samples: Array | None,
-    law: Callable[[int, Array], Array] | None,
+    law: Law | None,
     edges: Sequence[int],
     going: Array | None,
     stopped: Callable[[], bool],
-) -> Iterator[tuple[int, Array, Array, Array, Array]]:
+) -> Iterator[tuple[int, Array, Array, Array, Array, Array]]:
     """All samples of a batch.
 
     Args:
@@ -53,15 +67,15 @@ def step_batch(
         reading: what is read before a step, and what ideal controllers make of it.
         midway: road heights during the steps, shape (T, N, r).
         at_samples: road heights at the samples, shape (T, N, r), if sensors are to be evaluated there on top; else None.
-        law: forces (N, m) of step k from the reading (N, r), of controllers that are not ideal; None for those that are.
+        law: of controllers that are not ideal; None for those that are.
         edges: of the blocks, see `in_blocks`.
         going: whether each run is still stepped, shape (N,), asked at the beginning of every block; None where all are.
         stopped: says whether to give up.
 
     Yields:
         Of every block its first sample, and `sensordata`, shape (B, nsensordata, N): that of the samples; else up to the stage
-        from before the step, the rest from inside it. Then qpos, shape (B, N, nq), qvel, shape
-        (B, N, nv), and the forces asked for, shape (B, N, m).
+        from before the step, the rest from inside it. Then qpos, shape (B, N, nq), qvel, shape (B, N, nv), the forces asked for,
+        shape (B, N, m), and the states of the controllers at their last sample, shape (B, N, k).
     """
     gain, offset, stage, fresh = reading.gain, reading.offset, reading.stage, reading.fresh
     (count, known), kept = offset.shape[1:], reading.memory.shape[2]
@@ -106,6 +120,8 @@ def step_batch(
                 forces[...], states = asks[:, :m], asks[:, m:]
             else:
                 forces[...] = law(k, all_seen[:, :width])
+                if kept:
+                    all_seen[:, width:] = law.used
             ctrl[...] = forces
             if at_samples is not None:
                 heights[:, mocap] = at_samples[k]
@@ -118,7 +134,7 @@ def step_batch(
         if stage and at_samples is None:
             # The evaluation after a step has overwritten what the step itself had sensed.
             sensed[:, early] = np.moveaxis(seen[..., moved:width][..., early], 1, 2)
-        yield start, sensed, seen[..., :positions], seen[..., positions:moved], asked
+        yield start, sensed, seen[..., :positions], seen[..., positions:moved], asked, seen[..., width : width + kept]
 
 
 def _motion(batch: Batch) -> Array:

@@ -17,7 +17,7 @@ from sim.recording.format import MUJOCO, SAMPLED
 from sim.recording.foxglove_scene import WORLD, frame
 from sim.recording.mcap_writer import topic
 from sim.recording.run_log import RunLog
-from sim.recording.signal_groups import PALETTE, RESPONSES, groups, shown, signals_of
+from sim.recording.signal_groups import PALETTE, RESPONSES, compared, groups, plotted, shown, title
 from sim.response.difference import difference
 
 
@@ -41,7 +41,7 @@ def _page(panels: dict[str, Any], runs: Sequence[RunLog], run: RunLog) -> Any:
     panels[car] = _scene(runs, [run])
     panels[log] = {"searchTerms": [], "minLogLevel": 1, "topicToRender": topic(runs, run, "events")}
     pages = []
-    for group, signals in groups(signals_of([run])).items():
+    for group, signals in groups(plotted(run)).items():
         plots = []
         for signal in signals:
             paths = [
@@ -51,7 +51,7 @@ def _page(panels: dict[str, Any], runs: Sequence[RunLog], run: RunLog) -> Any:
             ]
             plots.append(_plot(panels, f"{run.name} {signal.name}", _title(signal), paths))
         gaps = _difference(panels, runs, run, group, signals)
-        pages.append((group, _stack("column", [_grid(plots, 2 if len(plots) <= 8 else 3), *gaps], [4.0, 1.0])))
+        pages.append((title(run, group), _stack("column", [_grid(plots, 2 if len(plots) <= 8 else 3), *gaps], [4.0, 1.0])))
     return _stack("row", [_stack("column", [car, log], [3.0, 1.0]), _paged(panels, run.name, pages)], [2.0, 3.0])
 
 
@@ -74,7 +74,7 @@ def _comparison(panels: dict[str, Any], runs: Sequence[RunLog]) -> Any:
     panels["3D!all"] = _scene(runs, runs)
     colours = styles(tuple(run.name for run in runs))
     pages = []
-    for group, signals in groups(signals_of(runs)).items():
+    for group, signals in groups(compared(runs)).items():
         plots = []
         for signal in signals:
             paths = [

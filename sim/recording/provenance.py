@@ -10,9 +10,12 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from models.common.versions import versions
 from models.mjcf import mjcf_text
 from models.own.python_law import Programmed
+from models.signals import is_kept
 from models.vehicle import Vehicle
 from sim.recording.drawing import scene_of
 from sim.recording.format import CONTINUOUS, FORMAT, MUJOCO, SAMPLED, check_keys
@@ -21,6 +24,7 @@ from sim.runs.forces import written_forces
 from sim.runs.run import Run
 from sim.runs.words import controller_object, energy_object, events, half_step_object, summary, verdict
 from synth.certificate.record import to_record
+from synth.controller import Controller
 
 
 def stem(command: str, vehicle: Vehicle, controllers: Sequence[str]) -> str:
@@ -158,4 +162,16 @@ def run_log(run: Run, name: str) -> RunLog:
         scene=scene_of(vehicle, road, run.physics, run.qpos),
         verdict=verdict(run),
         files=files,
+        active=_active(run),
     )
+
+
+def _active(run: Run) -> tuple[str, ...]:
+    """Its controller's states, the one that asks for most at any moment first, as the sampled response has it."""
+    if not isinstance(run.controller, Controller):
+        return ()
+    names = [signal.name for signal in run.sampled.signals if is_kept(signal)]
+    asks = np.abs(run.controller.law.C).max(axis=0, initial=0.0)
+    with np.errstate(over="ignore", invalid="ignore"):  # of an unstable loop
+        most = [float(np.nan_to_num(ask * run.sampled.peak(name), nan=np.inf)) for ask, name in zip(asks, names, strict=True)]
+    return tuple(names[i] for i in np.argsort(-np.array(most), kind="stable"))

@@ -12,7 +12,8 @@ from sim.recording.format import MUJOCO, SAMPLED
 from sim.recording.rerun_axes import extremes_text, value_axis
 from sim.recording.rerun_signals import TIMELINE, colours, entity, line
 from sim.recording.run_log import RunLog
-from sim.recording.signal_groups import groups, shown, signals_of
+from sim.recording.signal_groups import compared, groups, plotted, shown
+from sim.recording.signal_groups import title as page_title
 from sim.response.difference import difference
 from sim.response.response import Response
 
@@ -53,8 +54,8 @@ def _page(run: RunLog) -> rrb.Container:
         left.append(rrb.TextLogView(origin=entity(run.name, "events"), name="what happened", columns=columns))
     happened = dict.fromkeys(text for _, text in run.events)
     pages = []
-    for name, group in groups(signals_of([run])).items():
-        for title, part in _parts(name, group):
+    for name, group in groups(plotted(run)).items():
+        for title, part in _parts(page_title(run, name), group):
             plots = []
             for signal in part:
                 curves = [response[signal.name] for response in run.responses.values() if signal.name in response.names]
@@ -103,7 +104,7 @@ def _comparison(runs: Sequence[RunLog]) -> rrb.Container:
     wide, tall = _room(len(runs), columns)
     cars = rrb.Grid(*(_car(run, wide / tall) for run in runs), grid_columns=columns)
     pages = []
-    for name, group in groups(signals_of(runs)).items():
+    for name, group in groups(compared(runs)).items():
         for title, part in _parts(name, group):
             plots = [_compared(signal, runs, not i) for i, signal in enumerate(part)]
             pages.append(rrb.Grid(*plots, grid_columns=3 if len(part) > 4 else 2, name=title))

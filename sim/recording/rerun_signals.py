@@ -9,7 +9,7 @@ from models.common.arrays import Array
 from sim.figures.figure import rgb, styles, tint
 from sim.recording.format import MUJOCO, SAMPLED
 from sim.recording.run_log import RunLog
-from sim.recording.signal_groups import PALETTE, RESPONSES, groups, shown, signals_of
+from sim.recording.signal_groups import PALETTE, RESPONSES, groups, plotted, shown
 from sim.response.difference import difference
 from sim.response.regime import REGIME_ENDS
 
@@ -58,7 +58,7 @@ def log_difference(recording: rr.RecordingStream, run: RunLog) -> None:
     if not {MUJOCO, SAMPLED} <= set(run.responses):
         return
     gap = difference(run.responses[MUJOCO], run.responses[SAMPLED])
-    for name, group in groups(signals_of([run])).items():
+    for name, group in groups(plotted(run)).items():
         names = [signal.name for signal in group if signal.name in gap.names]
         if not names:
             continue
@@ -89,7 +89,9 @@ def log_events(recording: rr.RecordingStream, run: RunLog) -> None:
         looks = rr.SeriesPoints(names=text, colors=colour, markers=rr.components.MarkerShape[shape], marker_sizes=7.0)
         times = np.array([time for time, what in run.events if what == text])
         samples = np.clip(np.searchsorted(response.time, times), 0, len(response.time) - 1)
-        for signal in response.signals:
+        for signal in plotted(run):
+            if signal not in response.signals:
+                continue
             path = entity(run.name, "signals", signal.name, text)
             recording.log(path, looks, static=True)
             recording.send_columns(path, time_index(times), rr.Scalars.columns(scalars=response[signal.name][samples]))

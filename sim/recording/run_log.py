@@ -20,6 +20,7 @@ class RunLog:
         scene: what it looks like.
         verdict: what the comparison came to, in a few words; empty where nothing was compared.
         files: attachments that its metadata names, (media type, content) by name: the points of a measured road.
+        active: of its controller's states those that ask for most, the first of them first: what viewers show of many.
     """
 
     name: str
@@ -30,3 +31,4 @@ class RunLog:
     scene: Scene
     verdict: str = ""
     files: Mapping[str, tuple[str, bytes]] = field(default_factory=dict)
+    active: tuple[str, ...] = ()

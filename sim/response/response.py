@@ -1,5 +1,6 @@
 """A response: named signals over time, for one run or many. The linear analysis and the physics both make this."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,6 +52,17 @@ class Response:
     def run(self, index: int) -> "Response":
         """One run of many."""
         return Response(self.time, self.signals, self.values[index])
+
+    def beside(self, signals: tuple[Signal, ...], values: Array) -> "Response":
+        """With more signals after its own, values of shape (..., T, k); it itself where there are none."""
+        if not signals:
+            return self
+        return Response(self.time, (*self.signals, *signals), np.concatenate([self.values, values], axis=-1))
+
+    def only(self, names: Sequence[str]) -> "Response":
+        """Some of its signals."""
+        columns = [self.names.index(name) for name in names]
+        return Response(self.time, tuple(self.signals[i] for i in columns), self.values[..., columns])
 
     def until(self, time: float) -> "Response":
         """The samples before a time [s]."""

@@ -156,7 +156,7 @@ def run_all(vehicle: Vehicle, controllers: Sequence[Controller | Programmed], ro
         each if isinstance(each, Prediction) else predict_forced(vehicle, each, road, time, made.asked[i])
         for i, each in enumerate(known)
     ]
-    return balanced(judge(predictions, [made.response.run(i) for i in range(len(predictions))]), made)
+    return balanced(judge(predictions, [made.run(i) for i in range(len(predictions))]), made)
 
 
 def judge(predictions: Sequence[Prediction], physics: Sequence[Response]) -> list[Run]:

@@ -15,6 +15,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.law import LinearLaw
 from models.linear_model import LinearModel
+from models.signals import KEPT
 from models.vehicle import Vehicle
 from synth.controller import Controller
 
@@ -37,6 +38,12 @@ class Controlled:
     hold: Array
     reading: Array
     forces: int
+
+    @property
+    def law_states(self) -> slice:
+        """Where the law's states are among those of the model."""
+        named = [i for i, name in enumerate(self.model.states) if name.startswith(KEPT)]
+        return slice(named[0], named[-1] + 1) if named else slice(0)
 
     @property
     def asked(self) -> Array:
@@ -119,7 +126,7 @@ def _kept(model: LinearModel, law: LinearLaw, C: Array, D: Array, rate: float = 
     )
     hold = np.vstack([np.zeros((k, m)), rate * np.eye(held, m)])
     reading = np.vstack([law.D, law.B, np.zeros((held, len(C)))])
-    names = [f"controller_{i}" for i in range(1, k + 1)] + [f"acted_{name}" for name in model.inputs[:held]]
+    names = [f"{KEPT}{i}" for i in range(1, k + 1)] + [f"acted_{name}" for name in model.inputs[:held]]
     larger = replace(
         model,
         A=np.block([[model.A, np.zeros((n, more))], [np.zeros((more, n + more))]]),

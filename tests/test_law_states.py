@@ -1,0 +1,193 @@
+"""The states of a controller's law as signals of its logs: right in physics and analysis, shown, and proved by inspection."""
+
+import csv
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+import rerun.blueprint as rrb
+
+from models.reality import Implementation, Limits
+from models.signals import KEPT
+from models.vehicle import read_vehicle
+from sim.bump import main as bump
+from sim.inspect.__main__ import main as inspect
+from sim.recording.foxglove_layout import foxglove_layout
+from sim.recording.provenance import run_log
+from sim.recording.rerun_layout import _comparison, _page
+from sim.recording.signal_groups import MOST_ACTIVE
+from sim.roads.road import Bump
+from sim.runs.run import run_all, sample_times
+from synth.designer import Designer
+from tests.rewriting import contents, written
+from tests.test_inspect import scaled
+from tests.test_laws import REALITIES, controller
+
+
+@pytest.mark.parametrize("reality", REALITIES)
+@pytest.mark.parametrize("what", ["velocity", "acceleration"])
+@pytest.mark.parametrize("name", ["quarter_car", "full_car"])
+def test_states_in_physics_are_those_of_the_analysis(name, what, reality):
+    """Every state in MuJoCo is the exact sampled one, beside runs whose laws have more states, fewer, or none."""
+    implementation, limits = REALITIES[reality]
+    vehicle = dataclasses.replace(read_vehicle(name), implementation=implementation, limits=limits)
+    some = [controller(vehicle, what, 3), Designer(vehicle).design("passive"), controller(vehicle, what, 5)]
+    runs = run_all(vehicle, some, Bump(height=1e-3), sample_times(vehicle, 0.6, 1e-3))
+    for run, count in zip(runs, (3, 0, 5), strict=True):
+        names = [one for one in run.physics.names if one.startswith(KEPT)]
+        assert names == [f"{KEPT}{i}" for i in range(1, count + 1)]
+        assert run.physics.signals == run.sampled.signals == run.continuous.signals
+        for one in names:
+            scale = run.sampled.peak(one)
+            assert scale > 0
+            # RK4's own error is 1e-6 of a peak; geometry of the full car at 1 mm makes 1e-4.
+            off = np.abs(run.physics[one] - run.sampled[one]).max() / scale
+            assert off < (1e-6 if name == "quarter_car" else 1e-3)
+            # To first order in the sample period, against states that move within 1/300 s.
+            late = (implementation.delay + 1) * (implementation.sample_period or 1e-3)
+            assert np.abs(run.continuous[one] - run.sampled[one]).max() / scale < 200 * late
+
+
+@pytest.mark.parametrize("how", [Implementation(), Implementation(sample_period=0.004, delay=2)])
+def test_states_follow_from_the_measurements(how):
+    """At every sample of the law, the logged states are A x_c + B y of those before, and held until then."""
+    vehicle = dataclasses.replace(read_vehicle("quarter_car"), implementation=how)
+    one = controller(vehicle, "velocity", 4)
+    (run,) = run_all(vehicle, [one], Bump(), sample_times(vehicle, 0.5, 1e-3))
+    steps = round((how.sample_period or 1e-3) / 1e-3)
+    law = one.law.sampled(steps * 1e-3)
+    x = np.stack([run.physics[f"{KEPT}{i}"] for i in range(1, 5)], axis=-1)
+    y = np.stack([run.physics[name] for name in one.measured], axis=-1)[::steps]
+    due = x[::steps]
+    # Sums of a few terms, which are not taken in the same order.
+    np.testing.assert_allclose(due[1:], due[:-1] @ law.A.T + y[:-1] @ law.B.T, rtol=0, atol=1e-12 * np.abs(due).max())
+    np.testing.assert_array_equal(x, np.repeat(due, steps, axis=0)[: len(x)])
+    asked = due @ law.C.T + y @ law.D.T
+    came = np.concatenate([np.zeros((how.delay, 1)), asked])[: len(asked)]
+    np.testing.assert_allclose(run.physics["control_force"][::steps], came[:, 0], rtol=0, atol=1e-9 * np.abs(came).max())
+
+
+@pytest.mark.parametrize("period", [0.002, 0.004])
+def test_a_discrete_law_keeps_its_own_states(period):
+    """Of a law of 4 ms, run at that or another period, the logged states are in its coordinates in every response."""
+    vehicle = dataclasses.replace(read_vehicle("quarter_car"), implementation=Implementation(sample_period=period))
+    given = controller(vehicle, "velocity", 2)
+    law = given.law.sampled(0.004)
+    (run,) = run_all(vehicle, [dataclasses.replace(given, law=law)], Bump(), sample_times(vehicle, 1.0, 1e-3))
+    for name in (f"{KEPT}1", f"{KEPT}2"):
+        for other in (run.physics, run.continuous):
+            # Tustin's rule and the hold differ by half a sample or so; other coordinates by a factor of 16.
+            assert np.abs(other[name] - run.sampled[name]).max() < 0.5 * run.sampled.peak(name)
+    assert run.agreement.agrees
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    """A log of a law of two states on an accelerometer, and of a static one."""
+    folder = tmp_path_factory.mktemp("kept")
+    options = ["--vehicle", "quarter_car_accelerometer", "--duration", "0.5", "--logs", str(folder)]
+    assert bump([*options, "--controller", "I", "--controller", "accelerometer"]) == 0
+    return next(folder.glob("*.mcap"))
+
+
+def inspected(path, capsys, *options) -> tuple[int, list]:
+    """What sim.inspect says of the run of the law with states."""
+    capsys.readouterr()
+    code = inspect([str(path), "--json", *options])
+    (run,) = [one for one in json.loads(capsys.readouterr().out)["runs"] if one["name"] == "accelerometer"]
+    return code, [(one["part"], one["verdict"]) for one in run["findings"]]
+
+
+def test_inspection_proves_and_exports_them(log, tmp_path, capsys):
+    """They are proved from the log, and its CSV has them: of the static controller beside them there are none."""
+    code, found = inspected(log, capsys, "--csv", str(tmp_path / "all.csv"))
+    assert code == 0
+    assert ("states", "holds") in found
+    rows = list(csv.DictReader((tmp_path / "all.csv").open()))
+    for state in (1, 2):
+        three = [f"{KEPT}{state} {which} [own]" for which in ("mujoco", "sampled", "recomputed")]
+        mine = np.array([[float(row[key]) for key in three] for row in rows if row["run"] == "accelerometer"])
+        assert np.ptp(mine[:, 0]) > 0
+        np.testing.assert_array_equal(mine[:, 1], mine[:, 2])
+        np.testing.assert_allclose(mine[:, 0], mine[:, 1], atol=1e-6 * np.abs(mine[:, 1]).max())  # RK4's own error
+        assert all(row[key] == "" for row in rows if row["run"] == "I" for key in three)
+
+
+# By topic, the part that says so. A state is the ninth field of the message, or the tenth.
+@pytest.mark.parametrize(
+    ("topic", "part"), [("mujoco", "states"), ("linear", "linear response"), ("continuous", "linear response")]
+)
+@pytest.mark.parametrize("column", [8, 9])
+def test_another_state_is_found(topic, part, column, log, tmp_path, capsys):
+    """A state that is a hundred-thousandth off in one of the responses is found, and named as what it is."""
+    forged = scaled(f"/accelerometer/{topic}", column, 1 + 1e-5)(contents(log))
+    (tmp_path / "forged.mcap").write_bytes(written(forged))
+    code, found = inspected(tmp_path / "forged.mcap", capsys)
+    assert code == 1
+    assert (part, "FAILS") in found
+    assert ("energy", "FAILS") not in found, "the vehicle's own signals are right"
+
+
+def run_of_many_states(count: int):
+    """A run of a law with so many states, as it is logged."""
+    vehicle = dataclasses.replace(read_vehicle("quarter_car"), limits=Limits())
+    (run,) = run_all(vehicle, [controller(vehicle, "velocity", count)], Bump(height=0.01), sample_times(vehicle, 0.1, 1e-3))
+    return run, run_log(run, f"law_{count}")
+
+
+def plots(part) -> list[str]:
+    """Names of the plots of a page of Rerun, in its order."""
+    if isinstance(part, rrb.TimeSeriesView):
+        return [str(part.name)]
+    return [name for each in getattr(part, "contents", ()) if not isinstance(each, str) for name in plots(each)]
+
+
+@pytest.mark.parametrize("count", [2, 30])
+def test_viewers_show_those_that_ask_for_most(count):
+    """All states are in the log; a page of its own plots the few whose share of the force has the highest peaks."""
+    run, logged = run_of_many_states(count)
+    (_, other) = run_of_many_states(3)
+    assert sum(name.startswith(KEPT) for name in logged.responses["mujoco"].names) == count
+    asks = {f"{KEPT}{i + 1}": np.abs(run.controller.law.C[0, i]) * run.sampled.peak(f"{KEPT}{i + 1}") for i in range(count)}
+    most = sorted(asks, key=lambda name: -asks[name])[:MOST_ACTIVE]
+    shown = [name.split("   ")[0].replace(" ", "_") for name in plots(_page(logged))]
+    assert {name for name in shown if name.startswith(KEPT)} == set(most)
+    assert not any(name.startswith("controller ") for name in plots(_comparison([logged, other]))), "each has its own"
+
+    layout = json.loads(foxglove_layout([logged]))["configById"]
+    curves = [path["value"] for name, panel in layout.items() if name.startswith("Plot!") for path in panel["paths"]]
+    for topic in ("mujoco", "linear", "continuous", "difference"):
+        assert {one.split(".")[1] for one in curves if one.startswith(f"/{topic}.{KEPT}")} == set(most)
+    titles = [tab["title"] for name, panel in layout.items() if name.startswith("Tab!") for tab in panel["tabs"]]
+    assert titles[-1] == ("controller" if count == 2 else "controller: the 6 of 30 states that ask for most")
+
+
+def test_logs_that_are_older_than_states_are_logged(log, tmp_path, capsys):
+    """A log of a law with states that has none of them, as logs had not, still proves the rest, and that is said."""
+    parts = contents(log)
+    old = read_vehicle("quarter_car_accelerometer")
+    static = [channel.schema_id for channel in parts.channels if channel.topic == "/I/mujoco"]
+    thin = [channel.schema_id for channel in parts.channels if channel.topic == "/I/difference"]
+    about = {channel.topic.split("/")[-1]: channel for channel in parts.channels if channel.topic.startswith("/I/")}
+    width = {"mujoco": 9 * 8, "linear": 9 * 8, "continuous": 9 * 8, "difference": 5 * 6}
+    assert len(old.kind.signals) == 8
+    numbers, channels = {}, []
+    for channel in parts.channels:
+        what = channel.topic.split("/")[-1]
+        if channel.topic.startswith("/accelerometer/") and what in width:
+            numbers[channel.id] = width[what]
+            schema = thin[0] if what == "difference" else static[0]
+            channel = dataclasses.replace(channel, schema_id=schema, metadata=about[what].metadata)
+        channels.append(channel)
+    messages = [
+        dataclasses.replace(message, data=message.data[: numbers.get(message.channel_id, len(message.data))])
+        for message in parts.messages
+    ]
+    used = {channel.schema_id for channel in channels}
+    schemas = [schema for schema in parts.schemas if schema.id in used]
+    without = dataclasses.replace(parts, schemas=schemas, channels=channels, messages=messages)
+    (tmp_path / "old.mcap").write_bytes(written(without))
+    code, found = inspected(tmp_path / "old.mcap", capsys)
+    assert code == 0
+    assert ("states", "note") in found
