@@ -9,7 +9,7 @@ from models.vehicle import read_vehicle
 from sim.asked.drive import asked_road, parser
 from sim.command.claims import say_false_claims
 from sim.command.comparison import check_view, compared_lines, view
-from sim.command.driven import programmed
+from sim.command.driven import driven
 from sim.command.logs import log_lines, recorded
 from sim.command.outputs import check_outputs
 from sim.ride.measured import first_sample, measure_run, metric_lines, metrics_object
@@ -34,8 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     check_outputs({"logs": options.logs}, vehicle.files)
 
     together, designer = list(dict.fromkeys([*names, "passive"])), Designer(vehicle)  # with which they are compared
-    linear = vehicle.linear_names
-    controllers = [designer.design(name) if name in linear else programmed(vehicle, name) for name in together]
+    controllers = driven(vehicle, together, designer.design)
     say_false_claims(controllers)
     runs = run_all(vehicle, controllers, road, time)
     passive, runs = runs[together.index("passive")], runs[: len(names)]

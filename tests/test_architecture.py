@@ -135,6 +135,7 @@ OWNERS = {
     "contourpy": {"sim/figures/figure.py", "sim/figures/page.py"},
     "jinja2": {"sim/figures/page.py"},
     "pyopencrg": {"sim/roads/opencrg.py"},
+    "cloudpickle": {"sim/campaign/aside.py"},
     "filelock": {"sim/campaign/manifest.py"},
     "pyarrow": {"sim/campaign/store.py", "sim/campaign/verify.py"},
     "ray": {"sim/campaign/workers.py"},

@@ -370,3 +370,14 @@ def test_nothing_that_a_law_does_holds_a_command(tmp_path, body):
     (line,) = done.stderr.splitlines()
     assert line.startswith("roadproof: controller 'mine', law mine.py:step: step ")
     assert line.isprintable()
+
+
+def test_a_run_has_a_limit_too(tmp_path, monkeypatch):
+    """A law of which every call is within its limit may not take for ever: its run has one, by its time on the road."""
+    monkeypatch.setattr(running, "LONGEST", 0.2)
+    monkeypatch.setattr(running, "SLOWEST", 5.0)
+    slow = "import time\ndef step(sample, state):\n    time.sleep({})\n    return 0.0, state\n"
+    found = refusal(vehicle_of(tmp_path, slow.format(0.02)))
+    # 0.2 s, and 5 ms a call of which each takes 20 ms: over at about the thirteenth.
+    assert "step is slower than 100 times real time, and 10 s, at 0.01" in found  # the words are those of the limits as they are
+    driven(vehicle_of(tmp_path, slow.format(0.001)), duration=0.2)

@@ -14,7 +14,7 @@ import pytest
 from models.common.side_by_side import AHEAD, side_by_side
 from models.reality import Implementation
 from models.vehicle import read_vehicle
-from sim.physics.blocks import in_blocks, in_shares
+from sim.physics.blocks import Course, in_blocks, in_shares
 from sim.physics.simulate import simulate
 from sim.roads.road import Bump
 from synth.designer import Designer
@@ -53,7 +53,8 @@ def test_runs_stop_when_no_more_of_them_is_wanted(paper, designer):
     time = times(1e-3, 300.0)  # minutes of work
     heights = np.zeros((len(time), 8, 1))
     before = threading.active_count()
-    shares = in_shares([paper] * 8, [designer.design("I")] * 8, heights, heights, 1e-3, (0, 10, len(time)), HALVES)
+    course = Course([paper] * 8, [designer.design("I")] * 8, heights, heights, 1e-3, (0, 10, len(time)))
+    shares = in_shares(course, HALVES)
     begun = [threading.Event() for _ in shares]
 
     def run(number: int, stopped: Callable[[], bool]) -> int:
@@ -78,9 +79,11 @@ def test_a_run_that_is_not_wanted_stays_where_it_is(paper, designer):
     time = times(1e-3, 0.3)
     heights = np.sin(20 * time)[:, None, None] * np.linspace(0.01, 0.03, 3)[:, None]
     vehicles = [paper, replace(paper, implementation=Implementation(sample_period=4e-3, delay=2)), paper]
-    arguments = (vehicles, [designer.design("I")] * 3, heights, heights, 1e-3, (0, 100, 200, len(time)))
-    going = np.full(3, True)
-    whole, left = in_blocks(*arguments), in_blocks(*arguments, going=going)
+    course, going = (
+        Course(vehicles, [designer.design("I")] * 3, heights, heights, 1e-3, (0, 100, 200, len(time))),
+        np.full(3, True),
+    )
+    whole, left = in_blocks(course), in_blocks(replace(course, going=going))
     for k in range(3):
         all_of_them, some = next(whole), next(left)
         np.testing.assert_array_equal(some.values[:, :, going], all_of_them.values[:, :, going])

@@ -20,6 +20,7 @@ from models.common.progress import show
 
 BAD_INPUT = 2
 ALL = "all"  # in place of a controller's name
+_kept: list[TextIO] = []  # stdout, once it is kept for the command
 
 
 class Parser(argparse.ArgumentParser):
@@ -188,6 +189,8 @@ def run_command(main: Callable[[], int]) -> NoReturn:
     for stream in (sys.stdout, sys.stderr):
         if stream:  # Python flushes both at its exit, and where that fails, as after the end of the terminal, the code is 120
             _flushed(stream)
+    if _kept:
+        sys.stdout = sys.stderr  # for what is still to come, at Python's exit, of code that is not ours
     sys.exit(code)
 
 
@@ -208,6 +211,21 @@ def _ended_by(error: BaseException) -> int:
         complain(f"cannot write the output: {error.strerror or error}; mend that or write it elsewhere")
         return BAD_INPUT
     raise error
+
+
+def keep_stdout() -> None:
+    """Keeps stdout for the command: what any other code writes there, Python or not, goes to stderr from now on.
+
+    For a command whose stdout is a file or a pipe of its own; within a library nothing happens.
+    """
+    before = sys.stdout
+    if _kept or interrupt.came() is None or not isinstance(before, io.TextIOWrapper):
+        return
+    before.flush()
+    raw = os.fdopen(os.dup(before.fileno()), "wb")
+    os.dup2(sys.stderr.fileno() if sys.stderr else os.open(os.devnull, os.O_WRONLY), before.fileno())
+    sys.stdout = io.TextIOWrapper(raw, encoding=before.encoding, errors=before.errors, line_buffering=before.line_buffering)
+    _kept.append(sys.stdout)
 
 
 def complain(message: str) -> None:

@@ -12,6 +12,7 @@ from typing import Any, TextIO
 import numpy as np
 
 from models.common import interrupt
+from models.common.command import keep_stdout
 from models.common.errors import InputError, one_line
 
 _lock, _users, _stdout = threading.Lock(), [0], list[TextIO]()
@@ -79,6 +80,7 @@ def _printing_to_stderr() -> Iterator[None]:
     """What is printed goes to stderr, from whatever thread, until the last of these has ended."""
     with _lock:
         if not _users[0]:
+            keep_stdout()  # also from what does not go through Python's own
             _stdout.append(sys.stdout)
             sys.stdout = sys.stderr
         _users[0] += 1

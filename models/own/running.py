@@ -5,14 +5,18 @@ depend on those beside them. A vectorised law is executed once for all the runs 
 
 A watchdog ends a call that takes too long by an exception in its thread. Python raises that between two instructions of its own:
 a call that waits within code that is not Python (a sleep, a read, one huge product) cannot be ended so. A command is then left
-as it is, by `os._exit`; a library goes on waiting.
+as it is, by `os._exit`; a library goes on waiting, unless `leave_by` says how it is left.
+
+Over a run a law has a limit, too, which goes with what it does: `SLOWEST` times the time on the road. Else 0.9 of the limit of a
+call, ten thousand times, would be hours.
 """
 
 import ctypes
 import os
 import threading
-import time
 from collections.abc import Callable, Mapping
+from time import monotonic as clock
+from time import sleep
 from types import ModuleType
 from typing import Any
 
@@ -26,8 +30,10 @@ from models.own.code import compiled, run_own
 from models.own.python_law import Programmed
 
 LONGEST = 10.0  # s of a call; the law of a car has milliseconds
+SLOWEST = 100.0  # times as long as the vehicle is on the road its law may take over a run, and `LONGEST` beyond
 LONGEST_START = 60.0  # s that its file may take to run: it may import what is large
 GRACE = 5.0  # s from being told to end until a command that waits for it is left
+SLOW = f"is slower than {SLOWEST:g} times real time, and {LONGEST:g} s,"
 TICK = 0.05  # s between two looks of the watchdog
 JUMPS = 1000  # back in a loop; at the first of them Python raises what waits to be raised
 
@@ -78,6 +84,7 @@ class OwnLaw:
         self._path, self._forces = law.path or law.folder, forces
         self._what, self._name = f"controller {controller.name!r}, law {law.law}", law.function
         self._index = {name: i for i, name in enumerate(controller.measured)}
+        self._left = LONGEST  # s that calls may still take
         self._state: Any = None
         assert self._path is not None, "code comes from files only"
         module = ModuleType("roadproof_law")
@@ -103,10 +110,14 @@ class OwnLaw:
         """
         sample = Sample(self._index, y.copy(), time, period, preview, dict(parameters))
         shape = (*y.shape[:-1], self._forces)
+        self._left += SLOWEST * period * (len(y) if y.ndim > 1 else 1)
+        began = clock()
         try:
-            return self._run(self._name, LONGEST, lambda: self._called(sample, shape))
+            return self._run(self._name, min(LONGEST, self._left), lambda: self._called(sample, shape))
         except InputError as error:
             raise InputError(f"{str(error).removesuffix('; mend that')} at {time:.6g} s; mend that") from None
+        finally:
+            self._left -= clock() - began
 
     def _called(self, sample: Sample, shape: tuple[int, ...]) -> Array:
         """One call; whatever it gives has code of theirs as well, so it is looked at here."""
@@ -135,7 +146,8 @@ class OwnLaw:
             InputError: it fails, or takes too long.
         """
         assert self._path is not None, "code comes from files only"
-        said = f"{self._what}: {name} takes longer than {longest:g} s; mend that"
+        over = f"takes longer than {longest:g} s" if longest in (LONGEST, LONGEST_START) else SLOW
+        said = f"{self._what}: {name} {over}; mend that"
         try:
             with _watchdog.watching(said, longest) as watched:
                 try:
@@ -157,7 +169,7 @@ class _Watched:
 
     def __init__(self, watchdog: "_Watchdog", said: str, longest: float) -> None:
         self.said, self.thread = said, threading.get_ident()
-        self.deadline, self.late = time.monotonic() + longest, False
+        self.deadline, self.late = clock() + longest, False
         self._watchdog = watchdog
 
     def __enter__(self) -> "_Watched":
@@ -185,6 +197,7 @@ class _Watchdog:
     def __init__(self) -> None:
         self.calls: dict[int, _Watched] = {}
         self.lock = threading.Lock()
+        self.leave: Callable[[str], None] | None = None
         self._thread: threading.Thread | None = None
 
     def watching(self, said: str, longest: float) -> _Watched:
@@ -198,8 +211,8 @@ class _Watchdog:
 
     def _watch(self) -> None:
         while True:
-            time.sleep(TICK)
-            now = time.monotonic()
+            sleep(TICK)
+            now = clock()
             for call in list(self.calls.values()):
                 if now > call.deadline:
                     self._end(call, now)
@@ -208,14 +221,24 @@ class _Watchdog:
         with self.lock:
             if self.calls.get(call.thread) is not call:
                 return
-            if interrupt.came() is not None and now > call.deadline + GRACE:
-                complain(call.said)
-                os._exit(BAD_INPUT)
+            leave = self.leave or (_leave_command if interrupt.came() is not None else None)
+            if leave is not None and now > call.deadline + GRACE:
+                leave(call.said)
             call.late = True
             ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(call.thread), ctypes.py_object(_TooLong))
 
 
 _watchdog = _Watchdog()
+
+
+def leave_by(leave: Callable[[str], None]) -> None:
+    """Where a call cannot be ended this process is left by a function, which gets what there is to say, and does not return."""
+    _watchdog.leave = leave
+
+
+def _leave_command(said: str) -> None:
+    complain(said)
+    os._exit(BAD_INPUT)
 
 
 def _short(value: Any) -> str:

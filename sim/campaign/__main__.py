@@ -17,27 +17,31 @@ from models.common.progress import Stages
 from models.common.read_file import TEXT, read_text
 from models.common.versions import versions
 from sim.campaign.columns import columns, described
+from sim.campaign.controllers import as_begun, designed
 from sim.campaign.file import Campaign, parse_campaign, read_campaign
-from sim.campaign.manifest import ELSEWHERE, FaultError, Gains, Manifest, check_same, digest, gains_of, held, read_manifest
-from sim.campaign.plan import Plan, controller_of
+from sim.campaign.manifest import FaultError, Gains, Manifest, check_same, digest, gains_of, held, read_manifest
+from sim.campaign.plan import Plan
 from sim.campaign.samples import MOST_RUNS
 from sim.campaign.store import Store
 from sim.campaign.summary import summarise, summary_lines
 from sim.campaign.verify import Verified, verify
 from sim.campaign.workers import HERE, Rows, cluster, run_batches
-from sim.command.claims import say_false_claims
 from sim.physics.blocks import RUNS_AT_ONCE
-from synth.controller import Controller
-from synth.designer import Designer
 
 FINISHED = "give a folder of a finished campaign's results"
 MOST_WORKERS = 1024
+LEFT_OUT = (
+    "of the runs that were drawn {count} are of laws in Python and were not driven again: their code is run only for a campaign "
+    "file that you name, as in --verify DIR FILE"
+)
 NUMBERS = ("roadproof", "mujoco", "numpy", "scipy")  # packages whose versions decide the numbers
 
 LOST = 3.0  # s of a worker's time in a batch, about: what an interruption may lose
 FEWEST = 16  # runs in a batch all the same; 16 cost 11 % more than 192, each, 32 cost 5 %, 64 cost 2 %
 
 EPILOG = """
+A law in Python that fails, ends its process, or takes longer than 10 s a call or 100 times real time, fails its run: the row has
+the reason. The campaign goes on with the same file of the law only; --verify runs it only if FILE is named as well.
 Interrupted, by Ctrl-C, kill -9 or a power cut, and started again, it goes on where it was, and loses a few seconds of work.
 exit code: 0 every run is there (with --verify: the results are what the campaign comes to), 1 --verify found a fault,
 2 bad input or a full disk, 130 interrupted, 143 by SIGTERM, 129 by the end of its terminal: what is done is kept
@@ -183,12 +187,15 @@ def _found(options: argparse.Namespace, folder: Path) -> tuple[int, Verified, st
                 "campaign began"
             )
     check_same(manifest, folder, campaign.sources, _versions(), described(campaign), FINISHED)
-    plan = _planned(campaign, manifest.controllers)
+    plan = _planned(campaign, manifest.controllers, folder)
     stage = Stages("rows", "runs driven again")
     stage("rows")
     store = _store(plan, folder, manifest)
-    found = verify(plan, store, options.runs, options.seed, stage.counted("runs driven again", options.runs, "runs"))
+    own = options.file is not None  # what the folder names is no code that anybody has asked for
+    found = verify(plan, store, options.runs, options.seed, own, stage.counted("runs driven again", options.runs, "runs"))
     stage.end()
+    if found.left_out:
+        remark = "; ".join(filter(None, [remark, LEFT_OUT.format(count=found.left_out)]))
     return plan.count, found, remark
 
 
@@ -203,33 +210,16 @@ def _plan(campaign: Campaign, folder: Path, file: Path) -> tuple[Plan, Manifest]
         raise InputError(f"{count} runs are too many; at most {MOST_RUNS}")
     manifest, used = read_manifest(folder), _versions()
     if manifest is None:
-        designed: dict[str, dict[str, Controller]] = {}
-        for name, vehicle in campaign.vehicles.items():
-            designer = Designer(vehicle)
-            designed[name] = {controller: designer.design(controller) for controller in campaign.controllers}
-            say_false_claims(designed[name].values())
-        gains = gains_of(designed)
+        gains = gains_of(designed(campaign))
         about = described(campaign)
         manifest = Manifest(str(file.absolute()), digest(campaign.sources), used, campaign.text, gains, about, count)
         manifest.write(folder)
     check_same(manifest, folder, campaign.sources, used, described(campaign))
-    return _planned(campaign, manifest.controllers), manifest
+    return _planned(campaign, manifest.controllers, folder), manifest
 
 
-def _planned(campaign: Campaign, gains: Gains) -> Plan:
-    """The runs, with gains that are known.
-
-    Raises:
-        InputError: gains are missing, or are no gains.
-    """
-    try:
-        controllers = {
-            name: {each: controller_of(vehicle, each, gains[name][each]) for each in campaign.controllers}
-            for name, vehicle in campaign.vehicles.items()
-        }
-    except (KeyError, ValueError) as error:
-        raise FaultError(f"the folder's gains are not those of the campaign ({error}); {ELSEWHERE}") from error
-    return Plan(campaign, controllers)
+def _planned(campaign: Campaign, gains: Gains, folder: Path) -> Plan:
+    return Plan(campaign, as_begun(campaign, gains, folder))
 
 
 def _store(plan: Plan, folder: Path, manifest: Manifest) -> Store:

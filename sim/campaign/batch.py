@@ -1,6 +1,7 @@
 """A batch of a campaign: many runs at once, measured and compared with their sampled twins as they go, one row each."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,9 +20,13 @@ from sim.response.regime import END_NAMES
 from sim.ride.expected import Expected, expect
 from sim.ride.metrics import Meter
 from sim.ride.settled import Settled, settled
+from synth.controller import Controller
+
+Rows = list[dict[str, Any]]
+FAILED = "law: "  # how the reason begins why a run's law in Python has failed
 
 
-def run_batch(plan: Plan, start: int, stop: int, stopped: Callable[[], bool] = lambda: False) -> list[dict[str, Any]] | None:
+def run_batch(plan: Plan, start: int, stop: int, stopped: Callable[[], bool] = lambda: False) -> Rows | None:
     """The rows of some runs of one vehicle, None where it was stopped.
 
     Args:
@@ -40,34 +45,53 @@ def run_batch(plan: Plan, start: int, stop: int, stopped: Callable[[], bool] = l
         of = (key.controller, reads_out(made[key.sample], campaign.timestep), campaign.roads[key.road].random)
         alike.setdefault(of, []).append(i)
     for group in alike.values():
-        # A run alone would be summed along another axis than one among others: it gets company.
-        pair = group * 2 if len(group) == 1 else group
-        runs = [PlannedRun(plan, keys[i], made[keys[i].sample]) for i in pair]
-        found = _drive(campaign, runs, stopped)
-        if found is None:
-            return None
-        rows |= {i: {"run": start + i, **row} for i, row in zip(pair, found, strict=True)}
+        todo = [group]
+        while todo:
+            some = todo.pop()
+            # A run alone would be summed along another axis than one among others: it gets company.
+            pair = some * 2 if len(some) == 1 else some
+            runs = [PlannedRun(plan, keys[i], made[keys[i].sample]) for i in pair]
+            found = _drive(campaign, runs, stopped)
+            if found is None:
+                return None
+            rows |= {i: {"run": start + i, **row} for i, row in zip(pair, found.rows, strict=True)}
+            # Of runs whose law was called for all of them, and failed, each is tried alone: who fails must not depend on company.
+            todo += [[some[i]] for i in found.doubtful] if len(some) > 1 else []
     return [rows[i] for i in range(len(keys))]
 
 
-def _drive(campaign: Campaign, runs: Sequence[PlannedRun], stopped: Callable[[], bool]) -> list[dict[str, Any]] | None:
+@dataclass(frozen=True)
+class _Driven:
+    """Rows of runs, and which of them may have failed by the fault of another."""
+
+    rows: Rows
+    doubtful: list[int]
+
+
+def _drive(campaign: Campaign, runs: Sequence[PlannedRun], stopped: Callable[[], bool]) -> _Driven | None:
     vehicles, time = [run.vehicle for run in runs], campaign.time
     watched = Watched(vehicles, [run.controller for run in runs], [run.road for run in runs], time)
     random = runs[0].choice.random
     first = campaign.first if random else 0
     meter = Meter(vehicles, campaign.timestep, first)
-    twin = Twin(runs, watched.now, watched.midway, campaign.timestep, None if random else first)
+    linear_runs = [run for run in runs if isinstance(run.controller, Controller)]  # all, or none
+    twin = Twin(linear_runs, watched.now, watched.midway, campaign.timestep, None if random else first) if linear_runs else None
     for block in watched.blocks():
         if stopped():
             return None
         meter.update(block.values)
-        twin.update(block.start, block.values, watched.until, time[block.start : block.start + len(block.values)])
+        if twin is not None:
+            twin.update(block.start, block.values, watched.until, time[block.start : block.start + len(block.values)])
 
     ends, diverged, until = watched.ends, watched.diverged, watched.until
-    measured, errors, linear = meter.result(), twin.errors(), twin.metrics()
+    measured, errors = meter.result(), twin.errors() if twin is not None else np.full(len(runs), np.nan)
+    linear = twin.metrics() if twin is not None else {}
     expected = _Expectations(campaign)
     rows = []
     for i, run in enumerate(runs):
+        if i in watched.failures:
+            rows.append({**run.inputs, "reason": f"{FAILED}{watched.failures[i].why}"})
+            continue
         broken = bool(np.isfinite(diverged[i]))
         ended = until[i]
         row = dict(run.inputs)
@@ -89,7 +113,7 @@ def _drive(campaign: Campaign, runs: Sequence[PlannedRun], stopped: Callable[[],
         if run.choice.random:
             row |= expected(run)
         rows.append(row)
-    return rows
+    return _Driven(rows, [i for i, failure in watched.failures.items() if failure.together])
 
 
 class _Expectations:
@@ -101,14 +125,16 @@ class _Expectations:
         self.begun: dict[Any, Settled | None] = {}
 
     def __call__(self, run: PlannedRun) -> dict[str, Any]:
-        spectrum = run.road.spectrum
+        spectrum, controller = run.road.spectrum, run.controller
         assert spectrum is not None, "the road is random"
+        if not isinstance(controller, Controller):
+            return {}
         c, of = self.campaign, (*run.system, run.speed)
         key = (*of, spectrum.density)
         if key not in self.made:
-            self.made[key] = expect(run.vehicle, run.controller, spectrum, c.timestep, (len(c.time) - c.first) * c.timestep)
+            self.made[key] = expect(run.vehicle, controller, spectrum, c.timestep, (len(c.time) - c.first) * c.timestep)
         if of not in self.begun:
-            self.begun[of] = settled(run.vehicle, run.controller, spectrum, c.timestep, float(c.time[c.first]))
+            self.begun[of] = settled(run.vehicle, controller, spectrum, c.timestep, float(c.time[c.first]))
         expected, begun = self.made[key], self.begun[of]
         found: dict[str, Any] = {}
         if expected is not None:

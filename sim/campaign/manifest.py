@@ -18,6 +18,7 @@ from models.common.errors import InputError, quoted, some
 from models.common.read_file import MIB, read_text
 from models.common.whole_file import made_folder, whole_file
 from models.law import MATRICES
+from models.own.python_law import Programmed
 from synth.controller import Controller
 
 NAME, LOCK = "campaign.json", ".lock"
@@ -30,7 +31,8 @@ class FaultError(InputError):
     """What a folder holds is not what a campaign wrote there: damaged, or edited."""
 
 
-Gains = Mapping[str, Mapping[str, Mapping[str, Any]]]  # of every vehicle's controllers: what they measure, and the gain
+# Of every vehicle's controllers: what they measure, and the gain, or which law in Python, and the checksum of its file.
+Gains = Mapping[str, Mapping[str, Mapping[str, Any]]]
 
 
 @dataclass(frozen=True)
@@ -133,6 +135,8 @@ def _is_its_kind(name: str, value: Any) -> bool:
     def law(value: Any) -> bool:
         if not isinstance(value, dict) or not texts(value.get("measured")) or not row([value.get("sample_period", 0)]):
             return False
+        if "law" in value:
+            return set(value) - {"preview"} == {"measured", "law", "sha256"} and text(value["law"]) and text(value["sha256"])
         matrices = set(value) - {"measured", "sample_period"}
         return matrices in ({"gain"}, set(MATRICES)) and all(matrix(value[each]) for each in matrices)
 
@@ -181,12 +185,14 @@ def digest(sources: str) -> str:
     return hashlib.sha256(sources.encode()).hexdigest()
 
 
-def gains_of(controllers: Mapping[str, Mapping[str, Controller]]) -> dict[str, dict[str, dict[str, Any]]]:
-    """The gains, by vehicle and controller, as JSON has them, every digit of them."""
-    return {
-        vehicle: {name: {"measured": list(one.measured), **one.law.record} for name, one in some.items()}
-        for vehicle, some in controllers.items()
-    }
+def gains_of(controllers: Mapping[str, Mapping[str, Controller | Programmed]]) -> dict[str, dict[str, dict[str, Any]]]:
+    """The gains, by vehicle and controller, as JSON has them, every digit; of a law in Python its checksum, and no code."""
+
+    def record(one: Controller | Programmed) -> dict[str, Any]:
+        known = {"sha256": one.sha256} if isinstance(one, Programmed) else {}
+        return {"measured": list(one.measured), **one.law.record, **known}
+
+    return {vehicle: {name: record(one) for name, one in some.items()} for vehicle, some in controllers.items()}
 
 
 @contextlib.contextmanager

@@ -8,13 +8,12 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.law import law_of
+from models.own.python_law import Programmed
 from models.vehicle import Vehicle
 from sim.campaign.file import Campaign
 from sim.physics.blocks import runs_at_once
 from sim.roads.road import Road
 from synth.controller import Controller
-from synth.designer import given
 
 
 @dataclass(frozen=True)
@@ -35,11 +34,11 @@ class Plan:
 
     Attributes:
         campaign: the campaign.
-        gains: the controllers, by vehicle and name.
+        controllers: by vehicle and name.
     """
 
     campaign: Campaign
-    controllers: Mapping[str, Mapping[str, Controller]]
+    controllers: Mapping[str, Mapping[str, Controller | Programmed]]
 
     @cached_property
     def _blocks(self) -> list[tuple[int, int, int, int, int]]:
@@ -69,8 +68,16 @@ class Plan:
         sample, seed = divmod(run - start, seeds)
         return RunKey(v, k, r, s, sample, seed)
 
+    def programmed(self, run: int) -> bool:
+        """Whether a law in Python drives it."""
+        return self._programmed(*self._blocks[int(np.searchsorted(self._starts, run, side="right")) - 1][1:3])
+
+    def _programmed(self, vehicle: int, controller: int) -> bool:
+        c = self.campaign
+        return isinstance(self.controllers[list(c.vehicles)[vehicle]][c.controllers[controller]], Programmed)
+
     def batches(self, gaps: Iterable[tuple[int, int]], most: Callable[[], int]) -> Iterator[tuple[int, int]]:
-        """The runs of gaps (start, stop), cut into batches of one vehicle that fit into memory.
+        """The runs of gaps (start, stop), cut into batches of one vehicle, of laws in Python or none, that fit into memory.
 
         Args:
             gaps: ascending.
@@ -79,8 +86,9 @@ class Plan:
         vehicles = list(self.campaign.vehicles.values())
         for start, stop in gaps:
             while start < stop:
-                v = self.key(start).vehicle
-                same = next((block[0] for block in self._blocks if block[0] > start and block[1] != v), self.count)
+                v, own = self.key(start).vehicle, self.programmed(start)
+                later = (block for block in self._blocks[:-1] if block[0] > start)
+                same = next((first for first, u, k, *_ in later if u != v or self._programmed(u, k) != own), self.count)
                 size = runs_at_once(len(self.campaign.time), len(vehicles[v].kind.wheels))
                 end = min(stop, same, start + min(size, most()))
                 yield start, end
@@ -113,12 +121,3 @@ class PlannedRun:
         self.road: Road = self.choice.build(vehicle, self.speed, self.seed, self.speed * c.duration)
         self.system = (id(vehicle), key.controller)
         self.inputs = plan.inputs(key)
-
-
-def controller_of(vehicle: Vehicle, name: str, gain: Mapping[str, Any]) -> Controller:
-    """A controller of `sim.campaign.manifest.gains_of` again, certified.
-
-    Raises:
-        KeyError, ValueError: it is none of the vehicle.
-    """
-    return given(vehicle, name, gain["measured"], law_of(gain))

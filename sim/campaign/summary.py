@@ -9,6 +9,8 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.numbers import cell
 from models.common.printed import table
+from models.own.python_law import Programmed
+from sim.campaign.batch import FAILED
 from sim.campaign.columns import EXPECTED, LINEAR
 from sim.campaign.plan import Plan
 from sim.campaign.store import Store
@@ -36,7 +38,8 @@ def summarise(plan: Plan, store: Store) -> list[dict[str, Any]]:
     Each headline is of the column that is worst, and has its root mean square and 95th percentile over runs, and the root mean
     square of what is predicted of the same runs: expected over random roads, the linear response over others. A run counts as
     having left the linear regime where a tyre lifted, a stop was reached, an actuator saturated, or it broke off, diverged or on
-    a flat tyre; one that broke off has no metrics, and neither it nor its prediction counts.
+    a flat tyre; one that broke off has no metrics, and neither it nor its prediction counts. Of a law in Python nothing is
+    predicted; a run whose law failed has no metrics, either.
     """
     lines = {name: headlines(plan, name) for name in plan.campaign.vehicles}
     metrics = list(dict.fromkeys(name for kinds in lines.values() for names in kinds.values() for name in names))
@@ -49,7 +52,10 @@ def summarise(plan: Plan, store: Store) -> list[dict[str, Any]]:
         column = table[name].combine_chunks().dictionary_encode()
         values.append(column.dictionary.to_pylist())
         codes = codes * max(1, len(values[-1])) + column.indices.to_numpy(zero_copy_only=False)
-    ended, broken = (~table[name].is_null().to_numpy() for name in ("ended_by", "reason"))
+    ended = ~table["ended_by"].is_null().to_numpy()
+    reasons: list[str | None] = table["reason"].to_pylist()
+    failed = np.array([reason is not None and reason.startswith(FAILED) for reason in reasons], dtype=bool)
+    broken = ~table["reason"].is_null().to_numpy() & ~failed
     columns = {name: table[name].to_numpy() for name in (*metrics, *predicted)}
     order = {road.text: i for i, road in enumerate(plan.campaign.roads)}
 
@@ -63,6 +69,9 @@ def summarise(plan: Plan, store: Store) -> list[dict[str, Any]]:
             where.append(names[index])
         entry: dict[str, Any] = dict(zip(INPUTS, reversed(where), strict=True))
         entry |= {"runs": len(some), "left": int(ended[some].sum()), "broke_off": int(broken[some].sum())}
+        if isinstance(law := plan.controllers[entry["vehicle"]][entry["controller"]], Programmed):
+            why = [reason.removeprefix(FAILED) for i in some[failed[some]].tolist() if (reason := reasons[i])]
+            entry |= {"law": law.law.law, "failed": len(why), "first_failure": why[0] if why else None}
         for line, names in lines[entry["vehicle"]].items():
             entry[line] = _statistics(columns, names, some)
         found.append(entry)
@@ -104,11 +113,24 @@ def summary_lines(entries: Sequence[Mapping[str, Any]]) -> list[str]:
         every = list(here)
         counted = {"runs": "runs", "left": "left linear"}
         counted |= {"broke_off": "broke off"} if any(entry["broke_off"] for entry in every) else {}
+        counted |= {"failed": "failed"} if any(entry.get("failed") for entry in every) else {}
         rows: list[tuple[str, ...] | str] = [("", "rms", "95 %", "predicted", *counted.values())]
         for name, unit in UNITS.items():
             rows.append(f"{name} [{unit}]")
             for entry in every:
                 numbers = (cell(entry[name][key], ".4g") for key in ("rms", "p95", "predicted"))
-                rows.append((f"  {entry['controller']}", *numbers, *(str(entry[key]) for key in counted)))
-        lines += ["", f"{vehicle} over {road} at {speed:g} m/s", *table(rows)]
+                rows.append((f"  {entry['controller']}", *numbers, *(str(entry.get(key, 0)) for key in counted)))
+        lines += ["", f"{vehicle} over {road} at {speed:g} m/s", *table(rows), *_law_lines(every)]
+    return lines
+
+
+def _law_lines(entries: Sequence[Mapping[str, Any]]) -> list[str]:
+    """What there is to say of laws in Python, a sentence each."""
+    lines = []
+    for entry in entries:
+        if "law" in entry:
+            said = f"{entry['controller']} is a law in Python, {entry['law']}: no linear claim, so nothing is predicted of it"
+            if entry["failed"]:
+                said += f"; {entry['failed']} of {entry['runs']} runs failed, the first: {entry['first_failure']}"
+            lines.append(f"  {said}")
     return lines

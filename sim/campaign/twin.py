@@ -31,6 +31,7 @@ class Twin:
         systems: dict[Any, Any] = {}
         for run in runs:
             if run.system not in systems:
+                assert isinstance(run.controller, Controller), "it is linear"
                 systems[run.system] = _system(run.vehicle, run.controller, timestep)
         # By entry of the matrices, runs last: shapes (n, n, N), (n, r, N), (n, r, N), (n, r, N), (p, n, N), (p, r, N).
         self.loop, self.of_now, self.of_midway, self.jump, self.C, self.Cr = (

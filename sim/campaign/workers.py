@@ -13,10 +13,10 @@ from typing import Any
 from models.common.errors import InputError
 from models.common.side_by_side import AHEAD, side_by_side
 from models.common.threads import one_thread
-from sim.campaign.batch import run_batch
+from sim.campaign.aside import Asides, of_worker
+from sim.campaign.batch import Rows, run_batch
 from sim.campaign.plan import Plan
 
-Rows = list[dict[str, Any]]
 Done = tuple[int, Rows, float]  # first run of a batch, its rows, and the time that it took [s]
 HERE = "local"  # Ray's own name for it
 ANSWER = 3.0  # s that a cluster's head may take to answer
@@ -25,19 +25,28 @@ RETRIES = 5  # of a batch whose Ray worker dies
 
 
 @one_thread()
-def run_timed(plan: Plan, start: int, stop: int, stopped: Callable[[], bool] = lambda: False) -> tuple[Rows | None, float]:
-    """`run_batch`, and how long it took [s]."""
+def run_timed(
+    plan: Plan, start: int, stop: int, stopped: Callable[[], bool] = lambda: False, asides: Asides | None = None
+) -> tuple[Rows | None, float]:
+    """`run_batch`, and how long it took [s]; laws in Python are run aside, by default by a process of this worker's."""
     began = time.monotonic()
-    return run_batch(plan, start, stop, stopped), time.monotonic() - began
+    if plan.programmed(start):
+        rows = (asides or of_worker(plan)).rows(start, stop, stopped)
+    else:
+        rows = run_batch(plan, start, stop, stopped)
+    return rows, time.monotonic() - began
 
 
 def local(plan: Plan, batches: Iterator[tuple[int, int]], workers: int) -> Iterator[Done]:
-    """Runs batches on threads, in the order in which they are done. MuJoCo and numpy work outside Python's lock."""
+    """Runs batches on threads, in the order in which they are done. MuJoCo and numpy work outside Python's lock.
+
+    Laws in Python work within it: each thread has a process for them.
+    """
 
     def piece(batch: tuple[int, int]) -> Callable[[Callable[[], bool]], tuple[int, Rows | None, float]]:
-        return lambda stopped: (batch[0], *run_timed(plan, *batch, stopped))
+        return lambda stopped: (batch[0], *run_timed(plan, *batch, stopped, asides))
 
-    with closing(side_by_side(map(piece, batches), workers)) as done:
+    with Asides(plan) as asides, closing(side_by_side(map(piece, batches), workers)) as done:
         for _, (start, rows, took) in done:
             if rows is not None:
                 yield start, rows, took

@@ -1,8 +1,26 @@
-"""A controller that is a law in Python, as it is driven: nothing is claimed of it."""
+"""Controllers as they are driven: linear ones with what is claimed of them, laws in Python of which nothing is."""
+
+from collections.abc import Callable, Sequence
 
 from models.common.errors import InputError
 from models.own.python_law import Programmed
 from models.vehicle import Vehicle
+from synth.controller import Controller
+
+
+def driven(vehicle: Vehicle, names: Sequence[str], design: Callable[[str], Controller]) -> list[Controller | Programmed]:
+    """The controllers of these names; no law in Python is run.
+
+    Args:
+        vehicle: the vehicle.
+        names: of its controllers.
+        design: gives a linear one.
+
+    Raises:
+        InputError: one cannot be designed, or the file of a law cannot be read.
+    """
+    linear = vehicle.linear_names
+    return [design(name) if name in linear else programmed(vehicle, name) for name in names]
 
 
 def programmed(vehicle: Vehicle, name: str) -> Programmed:

@@ -16,9 +16,9 @@ from models.mjcf import build_model, quiet
 from models.own.python_law import Programmed
 from models.reality import Implementation
 from models.vehicle import Vehicle
-from sim.physics.python_laws import Again, Driven, Played, PythonLaws
+from sim.physics.python_laws import Again, Driven, Failure, Played, PythonLaws
 from sim.physics.readout import Readout, force_from_road, laws_on, mix, prepared, sensed_stage, signal_from_road
-from sim.physics.sampler import LinearLaws, Sampler
+from sim.physics.sampler import Laws, LinearLaws, Sampler
 from sim.physics.stepping import Reading, step_batch
 from synth.controller import Controller
 
@@ -67,20 +67,11 @@ def runs_at_once(samples: int, wheels: int) -> int:
     return max(1, min(RUNS_AT_ONCE, MOST_HEIGHTS // (samples * wheels)))
 
 
-def in_blocks(
-    vehicles: Sequence[Vehicle],
-    controllers: Sequence[Driven],
-    now: Array,
-    midway: Array,
-    timestep: float,
-    edges: Sequence[int],
-    undelayed: Sequence[Controller | None] | None = None,
-    going: Array | None = None,
-    beyond: Array | None = None,
-) -> Iterator[Block]:
-    """The runs of `simulate`, some samples at a time: nothing but the roads need be held whole.
+@dataclass(frozen=True, eq=False)
+class Course:
+    """N runs from rest that are to be stepped, each over its road.
 
-    Args:
+    Attributes:
         vehicles: N vehicles of the same kind that read out alike, see `reads_out`.
         controllers: N controllers, all linear, all in Python, or all played.
         now: road heights at the samples [m], shape (T, N, r).
@@ -92,23 +83,29 @@ def in_blocks(
             where it is, and what later blocks have of it means nothing. None where all are, to the end.
         beyond: road heights at the samples after the last [m], shape (E, N, r), of which laws in Python may be told; None where
             none is.
+        failures: by run, laws in Python that have failed, for the caller to read: such a run goes on without forces. None where
+            the first failure ends them all.
     """
-    (blocks,) = in_shares(vehicles, controllers, now, midway, timestep, edges, [slice(None)], undelayed, going, beyond)
+
+    vehicles: Sequence[Vehicle]
+    controllers: Sequence[Driven]
+    now: Array
+    midway: Array
+    timestep: float
+    edges: Sequence[int]
+    undelayed: Sequence[Controller | None] | None = None
+    going: Array | None = None
+    beyond: Array | None = None
+    failures: dict[int, Failure] | None = None
+
+
+def in_blocks(course: Course) -> Iterator[Block]:
+    """The runs of `simulate`, some samples at a time: nothing but the roads need be held whole."""
+    (blocks,) = in_shares(course, [slice(None)])
     yield from blocks(lambda: False)
 
 
-def in_shares(
-    vehicles: Sequence[Vehicle],
-    controllers: Sequence[Driven],
-    now: Array,
-    midway: Array,
-    timestep: float,
-    edges: Sequence[int],
-    shares: Sequence[slice],
-    undelayed: Sequence[Controller | None] | None = None,
-    going: Array | None = None,
-    beyond: Array | None = None,
-) -> list[Callable[[Callable[[], bool]], Iterator[Block]]]:
+def in_shares(course: Course, shares: Sequence[slice]) -> list[Callable[[Callable[[], bool]], Iterator[Block]]]:
     """The blocks of each of some shares of the runs, to be stepped on a thread of their own, until told to give up.
 
     A run's numbers do not depend, to the last bit, on the runs of its controller beside it, on shares, or on blocks: sums over a
@@ -117,12 +114,9 @@ def in_shares(
 
     A batch to each share, and a thread: faster than one batch on all threads, which wait while Python has its turn, and on a busy
     machine for each other.
-
-    Args:
-        shares: of the N runs.
-
-    Other arguments as for `in_blocks`.
     """
+    vehicles, controllers, timestep, edges = course.vehicles, course.controllers, course.timestep, course.edges
+    now, midway, undelayed, going = course.now, course.midway, course.undelayed, course.going
     vehicle = vehicles[0]
     model, readout = prepared(vehicle, timestep)
     hardware = [(*other.parameters.values(), other.limits) for other in vehicles]
@@ -166,20 +160,13 @@ def in_shares(
         law = None
         if not plain:
             how = [one.implementation for one in vehicles[runs]]
-            played = [one.forces for one in controllers[runs] if isinstance(one, Played)]
-            programmed = [one for one in controllers[runs] if isinstance(one, Programmed)]
-            laws = LinearLaws(K[runs], memory[runs])
-            if programmed:
-                ahead = now[:, runs] if beyond is None else np.concatenate([now, beyond])[:, runs]
-                laws = PythonLaws(programmed, vehicles[runs], readout.names, timestep, ahead)
-            samplers = [Sampler(how, laws, readout.names, timestep, len(now))]
+            samplers = [Sampler(how, _laws_of(course, runs, readout.names, K, memory), readout.names, timestep, len(now))]
             if undelayed is not None:
                 ideal = [Implementation()] * len(how)
                 laws = LinearLaws(beside[runs], beside_memory[runs])
                 samplers.append(Sampler(ideal, laws, readout.names, timestep, len(now)))
-            law = _Sampled(samplers, readout, unseen[:, runs], stage)
-            if played:
-                law = Again(np.stack(played, axis=1))
+            played = [one.forces for one in controllers[runs] if isinstance(one, Played)]
+            law = Again(np.stack(played, axis=1)) if played else _Sampled(samplers, readout, unseen[:, runs], stage)
         level, road, left = now[:, runs], midway[:, runs], before[:, runs]
         at_samples = level if felt else None
         wanted = going[runs] if going is not None else None
@@ -206,6 +193,23 @@ def in_shares(
             yield from of(runs, stopped)
 
     return [functools.partial(quietly, runs) for runs in shares]
+
+
+def _laws_of(course: Course, runs: slice, names: Sequence[str], gain: Array, memory: Array) -> Laws:
+    """What some of the runs make of what they measure, of signals of these names.
+
+    Args:
+        course: all runs.
+        runs: which.
+        names: of the signals.
+        gain, memory: of all the linear laws, as for `LinearLaws`.
+    """
+    programmed = [one for one in course.controllers[runs] if isinstance(one, Programmed)]
+    if not programmed:
+        return LinearLaws(gain[runs], memory[runs])
+    ahead = course.now if course.beyond is None else np.concatenate([course.now, course.beyond])
+    numbers = range(len(course.vehicles))[runs]
+    return PythonLaws(programmed, course.vehicles[runs], names, course.timestep, ahead[:, runs], course.failures, numbers)
 
 
 def _ideal(vehicle: Vehicle) -> Vehicle:

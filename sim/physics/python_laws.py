@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.errors import InputError
 from models.own.python_law import Programmed
 from models.own.running import OwnLaw
 from models.reality import steps_per_sample
@@ -39,6 +40,19 @@ class Again:
         return self.forces[k]
 
 
+@dataclass(frozen=True)
+class Failure:
+    """Why the law of a run failed.
+
+    Attributes:
+        why: in one line.
+        together: whether it was called for other runs as well, and the fault may be of one of those.
+    """
+
+    why: str
+    together: bool
+
+
 Driven = Controller | Programmed | Played
 
 
@@ -66,10 +80,26 @@ class PythonLaws:
         signals: Sequence[str],
         timestep: float,
         heights: Array,
+        failures: dict[int, Failure] | None,
+        numbers: Sequence[int],
     ) -> None:
-        """For signals of these names, and heights of the roads from the start to `steps_ahead` of the end, shape (.., N, r)."""
+        """Executes their files.
+
+        Args:
+            controllers: N laws.
+            vehicles: theirs.
+            signals: what there is to measure.
+            timestep: [s].
+            heights: of the roads from the start to `steps_ahead` of the end [m], shape (.., N, r).
+            failures: takes those that fail, whose runs get no forces from then on; None where they are raised.
+            numbers: of the runs in it.
+
+        Raises:
+            InputError: one fails.
+        """
         self.forces, self._timestep, self._heights = len(vehicles[0].linear_model.inputs), timestep, heights
         self.used = np.zeros((len(vehicles), 0))
+        self._failures, self._numbers = failures, numbers
         self._count, self._gone = len(controllers), np.zeros(len(controllers), dtype=bool)
         self._groups: list[_Group] = []
         together: dict[tuple[int, int], _Group] = {}
@@ -77,8 +107,13 @@ class PythonLaws:
             steps = steps_per_sample(vehicle.implementation, timestep)
             group = together.get((id(one), steps))
             if group is None or not group.law.vectorised:
+                try:
+                    law = OwnLaw(one, self.forces)
+                except InputError as error:
+                    self._failed(error, np.array([i]))
+                    continue
                 seen = [signals.index(name) for name in one.measured]
-                group = _Group(OwnLaw(one, self.forces), seen, steps, preview_samples(one, steps * timestep), [], [])
+                group = _Group(law, seen, steps, preview_samples(one, steps * timestep), [], [])
                 together[id(one), steps] = group
                 self._groups.append(group)
             group.runs.append(i)
@@ -105,10 +140,21 @@ class PythonLaws:
             heights = self._heights[k : k + (group.ahead - 1) * group.steps + 1 : group.steps][:, runs]
             preview = np.ascontiguousarray(np.moveaxis(heights, 0, 2))
         time, period = k * self._timestep, group.steps * self._timestep
-        if not group.law.vectorised:
-            return group.law(y[0], time, period, None if preview is None else preview[0], parameters)[None]
-        asked = group.law(np.where(gone[:, None], 0.0, y), time, period, preview, parameters)
+        try:
+            if not group.law.vectorised:
+                return group.law(y[0], time, period, None if preview is None else preview[0], parameters)[None]
+            asked = group.law(np.where(gone[:, None], 0.0, y), time, period, preview, parameters)
+        except InputError as error:
+            self._failed(error, runs)
+            return np.zeros((len(runs), self.forces))
         return np.where(gone[:, None], 0.0, asked)
+
+    def _failed(self, error: InputError, runs: Array) -> None:
+        """Takes down that the law of these runs has failed; raises it where nobody wants that."""
+        if self._failures is None:
+            raise error
+        self._gone[runs] = True
+        self._failures |= {self._numbers[i]: Failure(str(error), len(runs) > 1) for i in runs.tolist()}
 
 
 @dataclass(eq=False)

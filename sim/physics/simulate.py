@@ -22,7 +22,7 @@ from models.own.python_law import Programmed
 from models.reality import steps_per_sample
 from models.signals import Signal, kept_signals
 from models.vehicle import Vehicle
-from sim.physics.blocks import Block, in_shares
+from sim.physics.blocks import Block, Course, in_shares
 from sim.physics.python_laws import Driven, steps_ahead
 from sim.response.response import Response
 from sim.roads.road import Road, under_wheels
@@ -89,7 +89,8 @@ def simulate(
         beyond = on_each(vehicles, roads, "displacement", time[-1] + timestep * np.arange(1, ahead + 1))
     shares = shared(len(vehicles), 1 if Programmed in kinds else threads or cores())  # Python is run by one thread at a time
     edges = (0, len(time))
-    block = _whole(in_shares(vehicles, controllers, now, midway, timestep, edges, shares, undelayed, beyond=beyond))
+    course = Course(vehicles, controllers, now, midway, timestep, edges, undelayed, beyond=beyond)
+    block = _whole(in_shares(course, shares))
 
     recorded, names = block.values, [signal.name for signal in signals]
     velocity = on_each(vehicles, roads, "velocity", time)

@@ -6,10 +6,10 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.vehicle import Vehicle
-from sim.physics.blocks import Block, in_blocks
+from sim.physics.blocks import Block, Course, in_blocks
+from sim.physics.python_laws import Driven, Failure, steps_ahead
 from sim.response.regime import BLOCK, EndDetector
 from sim.roads.road import Road, under_wheels
-from synth.controller import Controller
 
 
 class Watched:
@@ -19,19 +19,21 @@ class Watched:
         now: heights of the roads under the wheels at the samples [m], shape (T, N, r).
         midway: the same half a step later, where MuJoCo holds them.
         ends: what ends their linear regime, and when, in the blocks so far.
+        beyond: heights of the roads at the samples after the last, as far as laws in Python are told of them.
+        failures: by run, the laws in Python that have failed; such a run goes on without forces.
         diverged: when each diverged in them [s], infinite where it did not, shape (N,).
     """
 
-    def __init__(
-        self, vehicles: Sequence[Vehicle], controllers: Sequence[Controller], roads: Sequence[Road], time: Array
-    ) -> None:
+    def __init__(self, vehicles: Sequence[Vehicle], controllers: Sequence[Driven], roads: Sequence[Road], time: Array) -> None:
         """Arguments as for `sim.physics.simulate.simulate`."""
         self.vehicles, self.controllers, self.time = vehicles, controllers, time
-        halves = np.arange(2 * len(time)) * (self.timestep / 2)
+        ahead = steps_ahead(vehicles, controllers, self.timestep)
+        halves = np.arange(2 * (len(time) + ahead)) * (self.timestep / 2)
         heights = np.empty((len(halves), len(vehicles), len(vehicles[0].kind.wheels)))
         for i, (vehicle, road) in enumerate(zip(vehicles, roads, strict=True)):
             heights[:, i] = under_wheels(road.displacement, road, vehicle, halves)
-        self.now, self.midway = heights[::2], heights[1::2]
+        self.now, self.midway = heights[: 2 * len(time) : 2], heights[1 : 2 * len(time) : 2]
+        self.beyond, self.failures = heights[2 * len(time) :: 2], dict[int, Failure]()
         self.ends, self.diverged = EndDetector(vehicles, time), np.full(len(vehicles), np.inf)
 
     @property
@@ -47,7 +49,17 @@ class Watched:
     def blocks(self) -> Iterator[Block]:
         """Every block in its turn; once a run has diverged, what is left of it is clipped."""
         edges = [*range(0, len(self.time), BLOCK), len(self.time)]
-        for block in in_blocks(self.vehicles, self.controllers, self.now, self.midway, self.timestep, edges):
+        course = Course(
+            self.vehicles,
+            self.controllers,
+            self.now,
+            self.midway,
+            self.timestep,
+            edges,
+            beyond=self.beyond,
+            failures=self.failures,
+        )
+        for block in in_blocks(course):
             self.diverged = np.minimum(self.diverged, block.diverged(self.time))
             if np.isfinite(self.diverged).any():
                 block.clip()

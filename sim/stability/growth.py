@@ -15,7 +15,7 @@ from models.common.arrays import Array
 from models.common.cores import cores
 from models.common.side_by_side import side_by_side
 from models.vehicle import Vehicle
-from sim.physics.blocks import in_blocks
+from sim.physics.blocks import Course, in_blocks
 from sim.physics.readout import stage_of
 from sim.physics.simulate import on_each, shared
 from sim.roads.road import Bump
@@ -134,7 +134,8 @@ def _watched(
         np.full(len(trials), np.inf),
         np.full(len(trials), True),
     )
-    for block in in_blocks(vehicles, controllers, now, midway, timestep, (0, *ends), undelayed, going):
+    course = Course(vehicles, controllers, now, midway, timestep, (0, *ends), undelayed, going)
+    for block in in_blocks(course):
         end = block.start + len(block.values)
         states[:, :, block.start : end] = block.values[:, rows].transpose(2, 1, 0)
         diverged = np.minimum(diverged, block.diverged(time))

@@ -1,0 +1,98 @@
+"""The controllers of a campaign: designed when it begins, and from then on those that it began with.
+
+Gains come from its folder. Laws in Python do not: their files are the user's, the same as then, and none that came with results.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from models.common.errors import InputError
+from models.law import law_of
+from models.own.python_law import Programmed
+from models.vehicle import Vehicle
+from sim.campaign.file import Campaign
+from sim.campaign.manifest import ELSEWHERE, FaultError, Gains, gains_of
+from sim.command.claims import say_false_claims
+from sim.command.driven import driven, programmed
+from synth.controller import Controller
+from synth.designer import Designer, given
+
+Controllers = Mapping[str, Mapping[str, Controller | Programmed]]  # by vehicle and name
+
+
+def designed(campaign: Campaign) -> Controllers:
+    """Those of a campaign that begins.
+
+    Raises:
+        InputError: one cannot be designed, or the file of a law cannot be read.
+    """
+    found = {}
+    for name, vehicle in campaign.vehicles.items():
+        controllers = driven(vehicle, campaign.controllers, Designer(vehicle).design)
+        say_false_claims(controllers)
+        found[name] = dict(zip(campaign.controllers, controllers, strict=True))
+    return found
+
+
+def as_begun(campaign: Campaign, gains: Gains, folder: Path) -> Controllers:
+    """Those that a campaign began with. Nothing is run.
+
+    Args:
+        campaign: the campaign.
+        gains: as its folder has them.
+        folder: of the results.
+
+    Raises:
+        FaultError: gains are missing, or are no gains.
+        InputError: the file of a law cannot be read, is not as it was, or lies in that folder.
+    """
+
+    found: dict[str, dict[str, Controller | Programmed]] = {}
+    for name, vehicle in campaign.vehicles.items():
+        found[name] = {}
+        for each in campaign.controllers:
+            entry, linear = gains.get(name, {}).get(each, {}), each in vehicle.linear_names
+            found[name][each] = _gain_of_then(vehicle, each, entry) if linear else _law_of_then(vehicle, each, entry, folder)
+    return found
+
+
+def _gain_of_then(vehicle: Vehicle, name: str, entry: Mapping[str, Any]) -> Controller:
+    """A controller of an entry of `sim.campaign.manifest.gains_of` again, certified.
+
+    Raises:
+        FaultError: it is none of the vehicle.
+    """
+    try:
+        return given(vehicle, name, entry["measured"], law_of(entry))
+    except (KeyError, ValueError) as error:
+        raise FaultError(f"the folder's gains are not those of the campaign ({error}); {ELSEWHERE}") from error
+
+
+def _law_of_then(vehicle: Vehicle, name: str, entry: Mapping[str, Any], folder: Path) -> Programmed:
+    """The law of a controller, whose file the vehicle file names, as its campaign began with it. Nothing is run.
+
+    Args:
+        vehicle: of the campaign.
+        name: of the controller.
+        entry: of `sim.campaign.manifest.gains_of`, as the folder has it.
+        folder: of the results.
+
+    Raises:
+        InputError: its file cannot be read, is not as it was, or lies in that folder.
+    """
+    law = programmed(vehicle, name)
+    path = law.law.path
+    assert path is not None, "it was read"
+    if path.resolve().is_relative_to(folder.resolve()):
+        raise InputError(
+            f"controller {name!r}: its law {path} lies in the folder of results, from which no code is run; put vehicle file and "
+            "law elsewhere"
+        )
+    now = gains_of({"": {name: law}})[""][name]
+    if now != entry:
+        raise InputError(
+            f"controller {name!r}: its law {law.law.law} has changed since the campaign began (SHA-256 of its file "
+            f"{str(entry.get('sha256'))[:16]}... then, {law.sha256[:16]}... now); restore it, or {ELSEWHERE}"
+        )
+    return law

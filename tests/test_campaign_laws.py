@@ -1,0 +1,221 @@
+"""Laws in Python in campaigns: driven like any controller, alone with their faults, and never from what came with results."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+
+from models.common.errors import InputError
+from models.kind import HERE
+from models.own import running
+from sim.campaign.__main__ import main
+from sim.campaign.batch import FAILED, run_batch
+from sim.campaign.controllers import designed
+from sim.campaign.file import read_campaign
+from sim.campaign.manifest import read_manifest
+from sim.campaign.plan import Plan
+from sim.ride.metrics import metrics_of
+from tests.commands import environment, prose
+
+FORCE = '10825.2 * sample["suspension_deflection"] - 2069.5 * sample["sprung_velocity"]'
+MASS = 'mass = sample.parameters["sprung_mass"]'
+PLAIN = f"def step(sample, state):\n    {MASS}\n{{}}    return {FORCE}, state\n"
+VECTORISED = f"def step(sample, state):\n    {MASS}\n{{}}    return ({FORCE})[:, None], state\nstep.vectorised = True\n"
+CAR = """
+[controllers.linear]
+measured = ["suspension_deflection", "sprung_velocity"]
+gain = [[10825.2, -2069.5]]
+[controllers.mine]
+measured = ["suspension_deflection", "sprung_velocity"]
+law = "mine.py:step"
+[controllers.many]
+measured = ["suspension_deflection", "sprung_velocity"]
+law = "many.py:step"
+"""
+TEXT = """
+vehicles = ["car.toml"]
+controllers = ["linear", "mine", "many"]
+roads = ["iso8608:class=B", "bump:height=0.02"]
+speeds = [20.0]
+seeds = 2
+duration = 0.3
+settle = 0.1
+timestep = 2e-3
+[samples]
+count = 4
+[samples.parameters]
+sprung_mass = { uniform = [400.0, 600.0] }
+"""
+RUNS = 4 * (2 + 1)  # of each controller: samples, seeds of one road and the other
+
+
+def campaign_of(folder: Path, mine: str = "", many: str = "", text: str = TEXT) -> Path:
+    """A campaign file whose laws do this first; `mass` is the body's."""
+    (folder / "mine.py").write_text(PLAIN.format(mine), encoding="utf-8")
+    (folder / "many.py").write_text(VECTORISED.format(many), encoding="utf-8")
+    (folder / "car.toml").write_text((HERE / "quarter_car.toml").read_text(encoding="utf-8") + CAR, encoding="utf-8")
+    (folder / "campaign.toml").write_text(text, encoding="utf-8")
+    return folder / "campaign.toml"
+
+
+def rows_of(file: Path, *arguments: str, results: str = "results") -> list[dict]:
+    """What a campaign comes to."""
+    folder = file.parent / results
+    assert main([str(file), "--results", str(folder), *arguments]) == 0
+    return pq.read_table(folder / "results.parquet").to_pylist()
+
+
+def plan_of(file: Path) -> Plan:
+    """The runs of a campaign."""
+    campaign = read_campaign(file)
+    return Plan(campaign, designed(campaign))
+
+
+def test_a_gain_in_python_has_its_metrics_and_no_claims(tmp_path, capsys):
+    """Written in Python, vectorised or not, a gain has the metrics of its linear law, and none of the columns that compare."""
+    rows = rows_of(campaign_of(tmp_path))
+    said = prose(capsys.readouterr().out)
+    assert len(rows) == 3 * RUNS
+    metrics = [metric.name for metric in metrics_of(read_campaign(tmp_path / "campaign.toml").vehicles["car.toml"])]
+    for linear, *own in zip(*(rows[k * RUNS : (k + 1) * RUNS] for k in range(3)), strict=True):
+        for row in own:
+            assert row["reason"] is None
+            # Sums are taken in another order: 1e-16 of the terms, which a stable loop does not pile up.
+            assert [row[name] for name in metrics] == pytest.approx([linear[name] for name in metrics], rel=1e-9, abs=1e-12)
+            compared = ("linear_error", "settled", "settled_signal", "expected_error")
+            assert {row[name] for name in row if name in compared or name.startswith(("linear_", "expected_"))} == {None}
+        assert linear["linear_error"] is not None
+    for name in ("mine", "many"):
+        assert f"{name} is a law in Python, {name}.py:step: no linear claim, so nothing is predicted of it" in said
+    assert main([str(tmp_path / "campaign.toml"), "--results", str(tmp_path / "results"), "--json"]) == 0
+    for entry in json.loads(capsys.readouterr().out)["summary"]:
+        own = entry["controller"] != "linear"
+        assert own == ("failed" in entry) == (entry["ride"]["predicted"] is None)
+        assert not own or (entry["failed"], entry["first_failure"]) == (0, None)
+
+
+FAULTS = {
+    "    if mass > 500: raise ValueError('too heavy')\n": "ValueError: too heavy, line 3) at 0 s",
+    "    if mass > 500 and sample.time > 0.1: return float('nan'), None\n": "its force is not finite) at 0.102 s",
+    "    if mass > 500: return [1.0, 2.0], None\n": "its force has shape (2,); expected (1,)",
+    "    while mass > 500: pass\n": "step takes longer than 0.2 s at 0 s",
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_fault_is_of_one_run(tmp_path, monkeypatch, fault):
+    """A law that raises, gives what is no force or does not come back fails its own run, with a reason; others are untouched."""
+    monkeypatch.setattr(running, "LONGEST", 0.2)
+    file = campaign_of(tmp_path, text=TEXT.replace('"linear", "mine", "many"', '"mine"').replace('"iso8608:class=B", ', ""))
+    sound = run_batch(plan_of(file), 0, 4)
+    campaign_of(tmp_path, fault, text=file.read_text(encoding="utf-8"))
+    rows = run_batch(plan_of(file), 0, 4)
+    assert rows is not None
+    assert sound is not None
+    assert 0 < sum(row["parameter_sprung_mass"] > 500 for row in rows) < 4
+    for row, untouched in zip(rows, sound, strict=True):
+        if row["parameter_sprung_mass"] > 500:
+            assert row["reason"].startswith(f"{FAILED}controller 'mine', law mine.py:step: ")
+            assert FAULTS[fault] in row["reason"]
+            assert set(row) == {name for name in untouched if name in plan_of(file).inputs(plan_of(file).key(0))} | {
+                "run",
+                "reason",
+            }
+        else:
+            assert row == untouched
+
+
+def test_the_same_whatever_runs_it(tmp_path, capsys):
+    """Workers and batches change no bit, though laws end their process, and one for many runs fails by the fault of a few.
+
+    Also said: how many failed, and the first of them.
+    """
+    file = campaign_of(
+        tmp_path,
+        "    if mass > 540 and sample.time > 0.1: __import__('os')._exit(0)\n    print('noise')\n",
+        "    if (mass > 540).any(): raise ValueError('too heavy')\n",
+    )
+    first = rows_of(file, "--workers", "1", "--batch", "5", results="a")
+    said = capsys.readouterr().out
+    rows_of(file, "--workers", "3", "--json", results="b")
+    summary = json.loads(capsys.readouterr().out)["summary"]
+    assert (tmp_path / "a" / "results.parquet").read_bytes() == (tmp_path / "b" / "results.parquet").read_bytes()
+    for row in first:
+        assert (row["reason"] is not None) == (row["controller"] != "linear" and row["parameter_sprung_mass"] > 540)
+    for entry in summary:
+        if entry["controller"] != "linear":
+            why = (
+                "its law ends its process (exit code 0); mend that" if entry["controller"] == "mine" else "ValueError: too heavy"
+            )
+            assert why in entry["first_failure"]
+            assert entry["broke_off"] == 0
+            assert f"{entry['failed']} of {entry['runs']} runs failed, the first: {entry['first_failure']}" in prose(said)
+
+
+def test_no_code_but_the_users_own(tmp_path, capsys):
+    """A results folder has checksums of laws and no code; a changed law, or one that lies in the folder, is refused in one line.
+
+    `--verify` runs a law only for a campaign file that is named; else it says how many runs it left out.
+    """
+    marks = f"    open({str(tmp_path / 'mark')!r}, 'a').close()\n"
+    file, mark, results = campaign_of(tmp_path, marks), tmp_path / "mark", tmp_path / "results"
+    rows_of(file)
+    manifest = read_manifest(results)
+    assert manifest is not None
+    assert set(manifest.controllers["car.toml"]["mine"]) == {"measured", "law", "sha256"}
+    assert not any(b"def step" in path.read_bytes() for path in results.iterdir())
+    mark.unlink()
+    capsys.readouterr()
+    assert main(["--verify", str(results), "--runs", "36", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert not mark.exists()
+    assert len(found["again"]) == RUNS
+    assert f"{2 * RUNS} are of laws in Python and were not driven again" in found["remark"]
+    assert main(["--verify", str(results), str(file), "--runs", "36"]) == 0
+    assert mark.exists()
+    assert "36 of them" in prose(capsys.readouterr().out)
+
+    (tmp_path / "mine.py").write_text(PLAIN.format(marks) + "#", encoding="utf-8")
+    for arguments in ([str(file), "--results", str(results)], ["--verify", str(results)]):
+        with pytest.raises(InputError, match=r"controller 'mine': its law mine.py:step has changed since the campaign began"):
+            main(arguments)
+    inside = tmp_path / "inside"
+    inside.mkdir()
+    campaign_of(tmp_path, text=TEXT.replace('"car.toml"', '"inside/car.toml"'))
+    campaign_of(inside)
+    assert main([str(file), "--results", str(tmp_path / "other")]) == 0
+    (inside / "campaign.toml").unlink()
+    (tmp_path / "other" / "campaign.json").rename(inside / "campaign.json")
+    with pytest.raises(InputError, match=r"mine.py lies in the folder of results, from which no code is run"):
+        main([str(file), "--results", str(inside)])
+
+
+@pytest.mark.attack  # half a minute: the limits are as they are
+def test_a_law_that_sleeps(tmp_path):
+    """A call that nothing ends costs its run, and the others go on."""
+    one = TEXT.replace('"linear", "mine", "many"', '"mine"').replace('"iso8608:class=B", ', "").replace("count = 4", "count = 2")
+    rows = rows_of(campaign_of(tmp_path, "    if mass > 500: __import__('time').sleep(1000)\n", text=one))
+    for row in rows:
+        heavy = row["parameter_sprung_mass"] > 500
+        assert row["reason"] == (
+            f"{FAILED}controller 'mine', law mine.py:step: step takes longer than 10 s; mend that" if heavy else None
+        )
+
+
+def test_nothing_it_writes_comes_into_json(tmp_path):
+    """Whatever way a law writes to stdout, also at Python's exit, it comes out on stderr."""
+    writes = (
+        "    import atexit, os, sys\n    os.write(1, b'raw ')\n    print('print', end=' ')\n    sys.__stdout__.write('own ')\n"
+    )
+    writes += "    os.system('echo shell')\n    atexit.register(print, 'exit')\n"
+    campaign_of(tmp_path, writes)
+    command = [sys.executable, "-m", "sim.bump", "--vehicle", "car.toml", "--controller", "mine", "--no-logs", "--json"]
+    done = subprocess.run(
+        [*command, "--duration", "0.01"], cwd=tmp_path, env=environment(), capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 0
+    assert json.loads(done.stdout)["runs"][0]["controller"]["law"] == "mine.py:step"
+    assert all(done.stderr.count(word) == 11 for word in ("raw", "print", "own", "shell", "exit"))
