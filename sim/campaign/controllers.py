@@ -52,7 +52,10 @@ def as_begun(campaign: Campaign, gains: Gains, folder: Path) -> Controllers:
     for name, vehicle in campaign.vehicles.items():
         found[name] = {}
         for each in campaign.controllers:
-            entry, linear = gains.get(name, {}).get(each, {}), each in vehicle.linear_names
+            try:
+                entry, linear = gains[name][each], each in vehicle.linear_names
+            except KeyError as error:
+                raise _strange(error) from error
             found[name][each] = _gain_of_then(vehicle, each, entry) if linear else _law_of_then(vehicle, each, entry, folder)
     return found
 
@@ -66,7 +69,11 @@ def _gain_of_then(vehicle: Vehicle, name: str, entry: Mapping[str, Any]) -> Cont
     try:
         return given(vehicle, name, entry["measured"], law_of(entry))
     except (KeyError, ValueError) as error:
-        raise FaultError(f"the folder's gains are not those of the campaign ({error}); {ELSEWHERE}") from error
+        raise _strange(error) from error
+
+
+def _strange(error: Exception) -> FaultError:
+    return FaultError(f"the folder's gains are not those of the campaign ({error}); {ELSEWHERE}")
 
 
 def _law_of_then(vehicle: Vehicle, name: str, entry: Mapping[str, Any], folder: Path) -> Programmed:
