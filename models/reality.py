@@ -15,6 +15,7 @@ LIMITS = (
     Parameter("actuator_bandwidth", "rad/s", "corner frequency of every actuator, a first-order lag"),
 )
 
+USUAL_TIMESTEP = 1e-3  # s, of a run, and so a controller's sample period where no other is asked for
 LONGEST_PERIOD = 1.0  # s, of a sampled controller
 MOST_DELAY = 1000  # sample periods; each is a state of the sampled loop, whose eigenvalues then take a minute
 MOST_SEED = 100_000

@@ -44,8 +44,8 @@ ROOMS = {
     "synth.fallback": "synth.certificate synth.design synth.errors synth.lmi synth.plant synth.search",
     "synth.redesign": "synth.design synth.errors synth.fallback synth.lmi synth.numerics synth.plant synth.scaling",
     "synth.controller": "models models.filters synth.certificate synth.dynamic synth.plant",
-    "synth.sampled": "",
-    "synth.implemented": "models synth.certificate synth.controller synth.sampled",
+    "synth.sampled": "synth.certificate synth.plant",
+    "synth.implemented": "models synth.certificate synth.controller synth.plant synth.sampled",
     "synth.words": "models synth.controller",
     "synth.designer": "models synth.certificate synth.controller synth.design synth.dynamic synth.errors synth.fallback "
     "synth.lmi synth.plant synth.redesign synth.search",

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from models.common.command import Parser, one_chosen
+from models.reality import USUAL_TIMESTEP
 from models.vehicle import Vehicle
 from sim.asked.asked import Asked
 from sim.command.outputs import written
@@ -38,7 +39,7 @@ def parser() -> Parser:
     parser.add_number("--speed", Bump.speed, "m/s", "forward speed, where it is not varied")
     parser.add_number("--threshold", 0.05, "-", "largest error at which linear analysis is said to hold, as a share of a peak")
     parser.add_number("--duration", 3.0, "s", "how long every run is")
-    parser.add_number("--timestep", 1e-3, "s", "integration step and sample period of the controller")
+    parser.add_number("--timestep", USUAL_TIMESTEP, "s", "integration step and sample period of the controller")
     parser.add_logs("the cells nearest to where something breaks")
     parser.add_argument("--csv", type=Path, metavar="FILE", help="write every cell's numbers")
     parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the map, as .png or .svg; needs matplotlib")

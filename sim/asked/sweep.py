@@ -7,6 +7,7 @@ from typing import Any
 
 from models.common.arrays import Array
 from models.common.command import Parser, chosen
+from models.reality import USUAL_TIMESTEP
 from models.vehicle import Vehicle
 from sim.asked.asked import Asked
 from sim.frequency.extremes import DURATION
@@ -33,7 +34,7 @@ def parser() -> Parser:
     parser.add_controller_and_vehicle("default: passive, state, I and II")
     parser.add_number("--amplitude", 1e-4, "m", "largest height of every road; larger ones meet the vehicle's limits")
     parser.add_number("--speed", 12.5, "m/s", "forward speed; only the later wheels of longer vehicles notice")
-    parser.add_number("--timestep", 1e-3, "s", "integration step and sample period of the controller")
+    parser.add_number("--timestep", USUAL_TIMESTEP, "s", "integration step and sample period of the controller")
     parser.add_logs("every controller on its worst sinusoid")
     parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the responses, as .png or .svg; needs matplotlib")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")

@@ -1,0 +1,66 @@
+"""The L2 gain of a vehicle's loop as its computer closes it, from the road's continuous velocity to the continuous z.
+
+That is the continuous counterpart of the norm (18) for what `[implementation]` and the lag of `[limits]` make of the loop: its
+force is held from sample to sample and comes late, while road and vehicle go on. What is no linear loop does not count: limits of
+force and stroke, quantisation; and noise is another disturbance.
+"""
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.reality import USUAL_TIMESTEP
+from models.vehicle import Vehicle
+from synth.controller import Controller, generalized_plant
+from synth.implemented.controlled import sampled
+from synth.plant import GeneralizedPlant
+from synth.sampled.loop import Piece, SampledLoop
+from synth.sampled.norm import SampledNorm, sampled_norm
+
+
+def norm_as_implemented(vehicle: Vehicle, controller: Controller, timestep: float = USUAL_TIMESTEP) -> SampledNorm:
+    """The L2 gain of the loop from all that disturbs it to z, infinite where it is not stable.
+
+    Args:
+        vehicle: it says how the controller is implemented.
+        controller: its controller.
+        timestep: of the runs [s]; the sample period, where the vehicle gives none.
+    """
+    ideal = controller.certificate.norm.value
+    near = ideal if 0 < ideal < np.inf else 1.0
+    return sampled_norm(sampled_loop(vehicle, controller, timestep), near)
+
+
+def sampled_loop(vehicle: Vehicle, controller: Controller, timestep: float = USUAL_TIMESTEP) -> SampledLoop:
+    """The loop as it is implemented, around the plant with its weights and its lag; arguments as for `norm_as_implemented`."""
+    how = vehicle.implementation
+    period = how.sample_period or timestep
+    cut = sampled(vehicle, controller, period)
+    plant, moving = lagged_plant(vehicle), len(cut.model.A) - len(cut.kept)
+    n, kept = len(plant.A), len(cut.kept)
+    # The vehicle's states come first in both, lagged forces last of those that move; filters, which nobody measures, between.
+    weights, forces = n - moving, moving - len(vehicle.linear_model.A)
+    own = moving - forces
+
+    def spread(rows: Array) -> Array:
+        unread = np.zeros((len(rows), weights))
+        return np.hstack([rows[:, :own], unread, rows[:, own:]])
+
+    memory = np.hstack([np.zeros((kept, n)), np.eye(kept)]) + period * spread(cut.kept)
+    pieces = (Piece(period, how.delay),)
+    return SampledLoop(plant, pieces, spread(cut.asked), memory, period * cut.hold)
+
+
+def lagged_plant(vehicle: Vehicle) -> GeneralizedPlant:
+    """The plant (15) with the actuators' lag, if they have one: the forces are its last states then."""
+    plant, bandwidth = generalized_plant(vehicle), vehicle.limits.actuator_bandwidth
+    if bandwidth is None:
+        return plant
+    (n, m), r = plant.B.shape, plant.Bw.shape[1]
+    return GeneralizedPlant(
+        A=np.block([[plant.A, plant.B], [np.zeros((m, n)), -bandwidth * np.eye(m)]]),
+        B=np.vstack([np.zeros((n, m)), bandwidth * np.eye(m)]),
+        Bw=np.vstack([plant.Bw, np.zeros((m, r))]),
+        C=np.hstack([plant.C, plant.D]),
+        D=np.zeros_like(plant.D),
+        Dw=plant.Dw,
+    )

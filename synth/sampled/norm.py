@@ -1,0 +1,239 @@
+"""The L2 gain of a loop that a computer closes, from the continuous disturbance to the continuous z, exact.
+
+A level is above the gain where the discrete plant of that level (`lifted.py`) closes to a stable loop of l2 norm below 1. By the
+bilinear image of that loop, whose gains are the same, the eigenvalues of a Hamiltonian say where on the unit circle a gain is 1,
+as they do for a continuous loop; there and between it is asked. At the angle where a level's gain is largest the level is moved
+until that gain is 1: then it is the gain of the loop for a disturbance that turns by this angle from sample to sample.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.threads import one_thread
+from synth.certificate.norm import largest_singular_values, level_crossings
+from synth.certificate.stability import balance, sampled_growth
+from synth.sampled.lifted import Lifted, lifted
+from synth.sampled.loop import SampledLoop
+from synth.sampled.reached import reached_near
+
+CLOSE = 1e-11  # relative: so near to 1 a gain is it
+ABOVE, BELOW = 1e-8, 1e-9  # relative: how far from the norm the levels are that are shown to lie on either side
+ROUNDS = 100  # of a search; a handful is what it takes
+ZOOMS = 4  # of a bracket about a peak, sevenfold, where level sets say more than a grid does; a maximum is flat
+FAR_ZOOMS = 9  # where they do not
+MOST_STATES = 400  # of a loop with its forces on their way, whose eigenvalues are asked for; beyond, frequencies alone
+SLOWEST = 1e-9  # rad per sample, where a grid of frequencies begins
+PER_TURN = 40  # of its points, per turn that a delay makes
+TURN = 0.5  # rad between two points at most, where a phase is followed
+
+
+@dataclass(frozen=True)
+class SampledNorm:
+    """The L2 gain of a sampled loop.
+
+    Attributes:
+        value: of it; infinite where the loop is not stable.
+        lower: a level that it is above.
+        upper: a level that it is below.
+        angle: by which the worst disturbance turns from sample to sample [rad], 0 to pi; NaN where there is none such.
+        reached: the gain of an actual disturbance, computed by another route (`reached.py`): it is no more than the norm.
+        inside: whether what happens within one period, which no force answers, decides: no controller at this rate does better.
+        by_sweep: whether `upper` was seen at frequencies alone, as there are too many states for eigenvalues.
+    """
+
+    value: float
+    lower: float
+    upper: float
+    angle: float
+    reached: float
+    inside: bool = False
+    by_sweep: bool = False
+
+    @property
+    def stable(self) -> bool:
+        """Whether there is one."""
+        return math.isfinite(self.value)
+
+    @property
+    def gap(self) -> float:
+        """By how much what was reached falls short of the norm, relative: the distance of two routes."""
+        return abs(self.value - self.reached) / self.value if 0 < self.value < np.inf else 0.0
+
+
+@one_thread()
+def sampled_norm(loop: SampledLoop, near: float = 1.0) -> SampledNorm:
+    """The L2 gain of a sampled loop, to 1e-8.
+
+    Args:
+        loop: whatever it is.
+        near: a guess of the norm, above 0.
+    """
+    poles = _poles(loop)
+    return SampledNorm(np.inf, np.inf, np.inf, np.nan, np.inf) if poles is None else _Search(loop, poles).run(near)
+
+
+def _poles(loop: SampledLoop) -> Array | None:
+    """Those of a loop from sample to sample; none of a large one, and None of one that is not stable."""
+    if loop.states > MOST_STATES:
+        return np.zeros(0) if _decays(loop) else None
+    change, _ = loop.closed(loop.moved)
+    transition = np.eye(len(change)) + change
+    return np.linalg.eigvals(transition) if sampled_growth(transition) < 1 else None
+
+
+def _decays(loop: SampledLoop) -> bool:
+    """Whether a loop is stable, by how often the phase of its characteristic polynomial turns around the unit circle.
+
+    With the forces on their way taken out it has as many zeros less poles as there are other states, and all within the circle
+    where it turns as often.
+    """
+    angles, change = _grid(loop), loop.moved
+
+    def sign(at: Array) -> Array:
+        matrix, _ = loop.turning(change, at)
+        turned, _ = np.linalg.slogdet(matrix * np.exp(-1j * at)[:, None, None])
+        return turned
+
+    signs = sign(angles)
+    for _ in range(ROUNDS):
+        steps = np.angle(signs[1:] / signs[:-1])
+        far = np.flatnonzero((np.abs(steps) > TURN) & (np.diff(angles) > 4 * np.spacing(angles[1:])))
+        if not len(far):
+            return not np.any(signs == 0) and bool(abs(steps.sum()) < 1)
+        between = (angles[far] + angles[far + 1]) / 2
+        angles, signs = np.insert(angles, far + 1, between), np.insert(signs, far + 1, sign(between))
+    return False
+
+
+def _grid(loop: SampledLoop) -> Array:
+    """Angles from 0 to pi that follow every turn of a delay, and what is slow."""
+    slow = np.geomspace(SLOWEST, np.pi, 400)
+    return np.unique(np.concatenate([[0.0], slow, np.linspace(0, np.pi, 100 + PER_TURN * loop.late)]))
+
+
+class _Level:
+    """A loop closed around the discrete plant of a level."""
+
+    def __init__(self, loop: SampledLoop, plant: Lifted) -> None:
+        self.loop, self.plant = loop, plant
+        self.Bd, self.Cd = plant.Bd[: len(loop.plant.A)], plant.Cd
+
+    def gains(self, angles: Array) -> Array:
+        """The largest singular value from w_d to z_d where they turn by some angles [rad], shape (F,) like these."""
+        matrix, start = self.loop.turning(self.plant.moved, angles)
+        driven = np.zeros((len(angles), matrix.shape[1], self.Bd.shape[1]), dtype=complex)
+        driven[:, : len(self.Bd)] = self.Bd
+        return largest_singular_values(self.Cd @ (start @ np.linalg.solve(matrix, driven)))
+
+    def crossings(self) -> Array:
+        """Angles [rad] among which are all at which a singular value is 1, ascending from 0."""
+        change, start = self.loop.closed(self.plant.moved)
+        T, N = self.loop.period, len(change)
+        inverse = np.linalg.inv(2 * np.eye(N) + change)
+        A, scale = balance(2 / T * change @ inverse)
+        B, C = inverse[:, : len(self.Bd)] @ self.Bd, self.Cd @ start
+        into, out = 2 / math.sqrt(T) * B / scale[:, None], 2 / math.sqrt(T) * C @ inverse * scale
+        return 2 * np.arctan(T / 2 * level_crossings(A, into, out, -C @ B, 1.0))
+
+    def climbed(self, angles: Array, widths: Array) -> tuple[float, float]:
+        """The highest gain within some widths of some angles, and where it is: all of them at once."""
+        steps = np.linspace(-1, 1, 15)[:, None]
+        for _ in range(FAR_ZOOMS if self.loop.states > MOST_STATES else ZOOMS):
+            near = np.clip(angles + widths * steps, 0.0, np.pi)
+            gains = self.gains(near.ravel()).reshape(near.shape)
+            angles, widths = near[gains.argmax(axis=0), np.arange(len(angles))], widths / 7
+        gains = self.gains(angles)
+        return float(gains.max()), float(angles[gains.argmax()])
+
+
+class _Search:
+    """For the level at which the largest gain is 1."""
+
+    def __init__(self, loop: SampledLoop, poles: Array) -> None:
+        """Of a stable loop with these poles."""
+        self.loop, self.large = loop, loop.states > MOST_STATES
+        self.poles = np.log(poles[poles != 0].astype(complex))  # as of a continuous loop, per sample
+
+    def run(self, near: float) -> SampledNorm:
+        """See `sampled_norm`."""
+        level, below, there = self._first(near)
+        _, angle = self._highest(there)
+        for _ in range(ROUNDS):
+            level, below, inside = self._gain_at(angle, level, below)
+            upper = level if inside else level * (1 + ABOVE)
+            there = self._at(upper)
+            assert there is not None, "a level above one that can be"
+            gain, higher = self._highest(there) if self.large else self._above(there)
+            if gain <= 1:
+                angle = np.nan if inside else angle
+                return SampledNorm(level, below, upper, angle, reached_near(self.loop, angle, level), inside, self.large)
+            angle, level, below = higher, upper, upper
+        raise ArithmeticError("the level sets of a sampled loop do not close in on its norm")
+
+    def _at(self, level: float) -> _Level | None:
+        found = lifted(self.loop.plant, self.loop.acting, level)
+        return None if found is None else _Level(self.loop, found)
+
+    def _first(self, level: float) -> tuple[float, float, _Level]:
+        """A level that can be, one that cannot, or 0, and what it is."""
+        below = 0.0
+        for _ in range(ROUNDS):
+            there = self._at(level)
+            if there is not None:
+                return level, below, there
+            below, level = level, 2 * level
+        raise ArithmeticError("no level is above what happens within a period")
+
+    def _highest(self, there: _Level) -> tuple[float, float]:
+        """The largest gain of a level on a grid that is dense about every pole, refined, and its angle."""
+        turn, damping = np.abs(np.imag(self.poles)), np.abs(np.real(self.poles))
+        about = (turn[:, None] + damping[:, None] * np.linspace(-3, 3, 13)).ravel()
+        everywhere = _grid(self.loop) if self.large else np.array([0.0, np.pi])
+        angles = np.unique(np.concatenate([everywhere, np.clip(about, 0.0, np.pi)]))
+        gains = there.gains(angles)
+        padded = np.concatenate([angles[:1], angles, angles[-1:]])
+        left, right = np.append(-np.inf, gains[:-1]), np.append(gains[1:], -np.inf)
+        tops = np.flatnonzero((gains >= left) & (gains >= right) & (gains >= 0.9 * gains.max()))
+        return there.climbed(angles[tops], np.maximum(padded[tops + 2] - angles[tops], angles[tops] - padded[tops]))
+
+    def _above(self, there: _Level) -> tuple[float, float]:
+        """Where the gain of a level is above 1, if it is anywhere: between two crossings of 1, or at one that touches."""
+        crossings = there.crossings()
+        proposed = np.concatenate([crossings, (crossings[:-1] + crossings[1:]) / 2, [np.pi]])
+        apart = np.concatenate([np.zeros(len(crossings)), np.diff(crossings) / 2, [0.0]])
+        gains = there.gains(proposed)
+        best = gains.argsort()[-2:]
+        return (float(gains.max()), 0.0) if gains.max() <= 1 else there.climbed(proposed[best], apart[best])
+
+    def _gain_at(self, angle: float, level: float, below: float) -> tuple[float, float, bool]:
+        """The gain of the loop at an angle: the level whose gain there is 1; one below it; and whether that one cannot be.
+
+        By secants in logarithms, held within a level that is too low and one that is high enough.
+
+        Args:
+            angle: [rad].
+            level: to start from.
+            below: a level that is too low.
+        """
+        above, last = np.inf, None
+        for _ in range(ROUNDS):
+            there = self._at(level)
+            gain = float(there.gains(np.array([angle]))[0]) if there is not None else np.inf
+            if abs(gain - 1) <= CLOSE:
+                lower = self._at(level * (1 - BELOW))
+                if lower is None or lower.gains(np.array([angle]))[0] > 1:
+                    return level, max(below, level * (1 - BELOW)), False
+            below, above = (max(below, level), above) if gain > 1 else (below, min(above, level))
+            if above <= below * (1 + BELOW):
+                return above, below, self._at(below) is None
+            at, height = math.log(level), math.log(gain) if 0 < gain < np.inf else math.nan
+            slope = (height - last[1]) / (at - last[0]) if last is not None and at != last[0] else -1.0
+            last = (at, height) if math.isfinite(height) else None
+            move = -height / slope if math.isfinite(height) and slope < 0 else math.nan
+            level = math.exp(min(at + move, at + 1.0)) if math.isfinite(move) else math.nan
+            if not below < level < above:
+                level = 2 * below if math.isinf(above) else math.sqrt(below * above) if below else above / 4
+        raise ArithmeticError(f"no level has the gain 1 at {angle:g} rad per sample")

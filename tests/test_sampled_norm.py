@@ -1,0 +1,262 @@
+"""The L2 gain of loops that a computer closes: known numbers, two routes, other ways to the same number, and its limits."""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import linalg, optimize, signal
+
+import synth.sampled.norm
+from models.common.arrays import Array
+from models.reality import Implementation, Limits
+from models.vehicle import read_vehicle
+from synth.certificate.stability import sampled_growth
+from synth.controller import generalized_plant
+from synth.designer import design
+from synth.implemented.loop import implemented_loop
+from synth.implemented.norm import norm_as_implemented, sampled_loop
+from synth.plant import GeneralizedPlant
+from synth.sampled.lifted import lifted
+from synth.sampled.loop import Piece, SampledLoop
+from synth.sampled.norm import sampled_norm
+from synth.sampled.reached import reached_gain
+
+PROVED = 2e-8  # relative: the levels on either side of the norm are 1.1e-8 apart
+
+
+def static_loop(plant: GeneralizedPlant, G: Array, *pieces: Piece) -> SampledLoop:
+    """A loop whose computer keeps nothing."""
+    return SampledLoop(plant, pieces, G, np.zeros((0, len(plant.A))), np.zeros((0, len(G))))
+
+
+def of_the_paper(period: float, *, late: int = 0) -> SampledLoop:
+    """The loop of the paper's controller I, as it is designed here."""
+    vehicle = read_vehicle("quarter_car")
+    return sampled_loop(replace(vehicle, implementation=Implementation(period, late)), design(vehicle, "I"))
+
+
+def any_loop(rng: np.random.Generator) -> SampledLoop:
+    """A stable loop of some size, with or without a law with states, Dw, a delay and a fraction of one."""
+    n, m, r, d, k = (int(rng.integers(low, high)) for low, high in ((1, 6), (1, 3), (1, 4), (1, 4), (0, 3)))
+    A = rng.standard_normal((n, n)) * 10 ** rng.uniform(-1, 2)
+    A -= (np.linalg.eigvals(A).real.max() + 10 ** rng.uniform(-2, 1)) * np.eye(n)
+    Dw = rng.standard_normal((d, r)) * rng.choice([0.0, 0.1])
+    B, Bw, C, D = (rng.standard_normal(shape) for shape in ((n, m), (n, r), (d, n), (d, m)))
+    plant = GeneralizedPlant(A, B, Bw, C, D, Dw)
+    period, late, fraction = 10 ** rng.uniform(-3, 0), int(rng.integers(0, 4)), rng.choice([0.0, rng.uniform(0.05, 0.95)])
+    pieces = (Piece(fraction * period, late + 1), Piece((1 - fraction) * period, late)) if fraction else (Piece(period, late),)
+    memory = np.hstack(
+        [rng.standard_normal((k, n)), 0.5 * np.linalg.qr(rng.standard_normal((k, k)))[0] if k else np.zeros((0, 0))]
+    )
+    asked, of_force = rng.standard_normal((m, n + k)), 0.1 * rng.standard_normal((k, m))
+    for _ in range(60):
+        loop = SampledLoop(plant, pieces, asked, memory, of_force)
+        if sampled_norm(loop).stable:
+            return loop
+        asked, of_force = asked / 2, of_force / 2
+    raise AssertionError("without a force it is stable")
+
+
+@pytest.mark.parametrize(("period", "expected"), [(1e-3, 7.8440), (1e-2, 7.8651), (5e-2, 8.3668)])
+def test_controller_i(period, expected):
+    """Controller I at 1, 10 and 50 ms has the norms that were found before."""
+    assert sampled_norm(of_the_paper(period)).value == pytest.approx(expected, rel=1e-5)  # of five digits
+
+
+@pytest.mark.parametrize(("period", "expected"), [(0.75, "3.7912"), (0.2, "1.0047")])
+def test_example_of_a_manual(period, expected):
+    """The example of MATLAB's sdhinfnorm: [1; 1] p [1 1], p = 30 / (s (s + 30)), under -k, k = 4 / (s + 4) held, as printed."""
+    A, B, C = np.array([[0.0, 1.0], [0.0, -30.0]]), np.array([[0.0], [30.0]]), np.array([[1.0, 0.0]])
+    law: Any = signal.cont2discrete((-4 * np.eye(1), 4 * np.eye(1), np.eye(1), np.zeros((1, 1))), period)
+    Ak, Bk, Ck, Dk, _ = law
+    plant = GeneralizedPlant(A, B, B, C, np.zeros((1, 1)), np.zeros((1, 1)))
+    loop = SampledLoop(plant, (Piece(period, 0),), -np.hstack([Dk @ C, Ck]), np.hstack([Bk @ C, Ak]), np.zeros((1, 1)))
+    assert f"{sampled_norm(loop).value:.5g}" == expected
+
+
+def fast_lifting(loop: SampledLoop, parts: int) -> float:
+    """The norm of a static loop with w held over parts of the period and z read at their beginnings, as textbooks have it."""
+    plant, h = loop.plant, loop.period / parts
+    n, r = len(plant.A), plant.Bw.shape[1]
+    inputs = np.hstack([plant.Bw, plant.B])
+    step = linalg.expm(h * np.block([[plant.A, inputs], [np.zeros((inputs.shape[1], n + inputs.shape[1]))]]))
+    Phi, of_w, of_u = step[:n, :n], step[:n, n : n + r], step[:n, n + r :]
+    state, driven, free, forced = np.eye(n), np.zeros((n, parts * r)), [], []
+    for i in range(parts):
+        free.append(plant.C @ state + plant.D @ loop.asked)
+        forced.append(plant.C @ driven)
+        state, driven = Phi @ state + of_u @ loop.asked, Phi @ driven
+        driven[:, i * r : (i + 1) * r] = of_w
+
+    def gain(angle: float) -> float:
+        x = np.linalg.solve(np.exp(1j * angle) * np.eye(n) - state, driven.astype(complex))
+        return float(np.linalg.norm(np.vstack(free) @ x + np.vstack(forced), 2))
+
+    start = max(np.linspace(0.5, 0.8, 61), key=gain)  # about the wheel hop's 0.636 rad
+    found: Any = optimize.minimize_scalar(lambda angle: -gain(angle), bounds=(start - 5e-3, start + 5e-3), method="bounded")
+    return -float(found.fun)
+
+
+def test_fast_lifting():
+    """Fast lifting of controller I at 10 ms gives the numbers of before, with order 1, and goes to the norm."""
+    loop = of_the_paper(1e-2)
+    found = {parts: fast_lifting(loop, parts) for parts in (20, 40, 80, 120)}
+    assert found == pytest.approx(
+        {20: 7.8139, 40: 7.8396, 80: 7.8523, 120: 7.8566}, rel=1e-5
+    )  # found on a grid, with five digits
+    norm = sampled_norm(loop).value
+    # Order 1, to a twentieth: the next term of the error is of order 2.
+    assert (norm - found[20]) / (norm - found[40]) == pytest.approx(2, rel=0.05)
+    assert (norm - found[40]) / (norm - found[80]) == pytest.approx(2, rel=0.05)
+    assert 2 * found[80] - found[40] == pytest.approx(norm, rel=1e-4)  # what is left of order 2
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2])
+def test_order_of_the_second_route(degree):
+    """What polynomials over parts of the period reach falls short by the power 2 (degree + 1) of the parts' length."""
+    loop = of_the_paper(5e-2)
+    norm = sampled_norm(loop)
+    short = [1 - reached_gain(loop, norm.angle, parts, degree) / norm.value for parts in (4, 8)]
+    assert min(short) > 0
+    assert math.log2(short[0] / short[1]) == pytest.approx(2 * (degree + 1), rel=0.03)  # of the next order, at h |A| = 0.8
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_two_routes_meet(seed):
+    """Of any loop, what an actual disturbance reaches is the norm, and no other angle's gain is above it."""
+    rng = np.random.default_rng(seed)
+    loop = any_loop(rng)
+    norm = sampled_norm(loop)
+    assert norm.lower < norm.value < norm.upper < norm.value * (1 + PROVED)
+    if norm.inside:
+        return
+    assert norm.gap < 1e-7 or loop.period * np.linalg.norm(loop.plant.A, 2) > 50  # as many time constants, by polynomials
+    others = [reached_gain(loop, angle, 4) for angle in (0.0, math.pi, *rng.uniform(0, math.pi, 20))]
+    assert max(others) < norm.upper
+
+
+@pytest.mark.attack
+def test_two_routes_meet_always():
+    """The same of 400 loops more."""
+    for seed in range(100, 500):
+        test_two_routes_meet(seed)
+
+
+def test_nothing_exceeds_it():
+    """No disturbance that is simulated, random over parts of many periods, gains more than the norm; the worst comes near."""
+    rng, loop = np.random.default_rng(5), of_the_paper(5e-2)
+    plant, norm, parts = loop.plant, sampled_norm(loop), 10
+    h = loop.period / parts
+    step = linalg.expm(h * np.block([[plant.A, plant.B, plant.Bw], [np.zeros((2, 6))]]))
+    best = 0.0
+    for shape in (*rng.standard_normal((20, 3000)), np.cos(norm.angle * (np.arange(3000) + 0.5) / parts)):
+        x, u, energy = np.zeros(4), np.zeros(1), 0.0
+        for i, w in enumerate(shape):
+            if i % parts == 0:
+                u = loop.asked @ x
+            energy += h * float(np.sum((plant.C @ x + plant.D @ u) ** 2))
+            x = step[:4] @ np.concatenate([x, u, [w]])
+        best = max(best, math.sqrt(energy / (h * float(shape @ shape))))
+    # Energy by rectangles of 5 ms: a hundredth. The worst road has a second tone beside this one.
+    assert 0.6 * norm.value < best < 1.01 * norm.value
+
+
+def test_tends_to_the_continuous_norm():
+    """At 100 to 25 kHz the norm leaves the continuous one with the first power of the period: digits are kept there."""
+    ideal = design(read_vehicle("quarter_car"), "II").certificate.norm.value
+    vehicle, controller = read_vehicle("quarter_car"), design(read_vehicle("quarter_car"), "II")
+    off = [
+        norm_as_implemented(replace(vehicle, implementation=Implementation(period)), controller).value / ideal - 1
+        for period in (1e-5, 2e-5, 4e-5)
+    ]
+    assert [off[1] / off[0], off[2] / off[1]] == pytest.approx([2, 2], rel=5e-3)  # of the second power, at 63 rad/s and 40 us
+
+
+@pytest.mark.parametrize("name", ["quarter_car", "half_car", "full_car"])
+def test_without_a_force_it_is_the_continuous_norm(name):
+    """A computer that asks for nothing changes nothing: the norm of `passive` is the continuous one, however it is built."""
+    vehicle = read_vehicle(name)
+    built = replace(vehicle, implementation=Implementation(7e-3, 2), limits=Limits(actuator_bandwidth=200.0))
+    passive = design(vehicle, "passive")
+    norm = norm_as_implemented(built, passive)
+    assert norm.value == pytest.approx(passive.certificate.norm.value, rel=PROVED)
+
+
+def test_many_states():
+    """Of a delay of so many samples that frequencies alone are asked, stability and norm are those that eigenvalues say."""
+    for late in (150, 280, 291, 292, 293, 300):
+        by_eigenvalues = sampled_norm(of_the_paper(1e-3, late=late))
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(synth.sampled.norm, "MOST_STATES", 10)
+            by_sweep = sampled_norm(of_the_paper(1e-3, late=late))
+        assert by_sweep.stable == by_eigenvalues.stable == (late < 293)  # its delay margin is 293.0 ms, half a sample of it held
+        if by_sweep.stable:
+            assert (by_sweep.by_sweep, by_eigenvalues.by_sweep) == (True, False)
+            assert by_sweep.value == pytest.approx(by_eigenvalues.value, rel=PROVED)
+
+
+def test_a_late_force_held_in_pieces():
+    """A period cut in pieces under one force is the period; a fraction of a sample lies between the whole ones."""
+    loop = of_the_paper(2e-2, late=1)
+    whole = sampled_norm(loop).value
+    cut = replace(loop, pieces=(Piece(0.007, 1), Piece(0.013, 1)))
+    assert sampled_norm(cut).value == pytest.approx(whole, rel=PROVED)
+    by_fraction = [
+        sampled_norm(replace(loop, pieces=(Piece(2e-2 * share, 2), Piece(2e-2 * (1 - share), 1)))).value
+        for share in (1e-9, 1 - 1e-9)
+    ]
+    assert by_fraction == pytest.approx([whole, sampled_norm(of_the_paper(2e-2, late=2)).value], rel=1e-7)
+
+
+def test_what_happens_within_a_period():
+    """Of an integrator, w gains 2 T / pi within T seconds: a level below that cannot be, and one above can."""
+    one = np.eye(1)
+    plant = GeneralizedPlant(0 * one, one, one, one, 0 * one, 0 * one)
+    for period in (1e-3, 1.0, 1e3):
+        inside = 2 * period / math.pi
+        acting = [(period, one)]
+        assert lifted(plant, acting, inside * (1 + 1e-9)) is not None
+        assert lifted(plant, acting, inside * (1 - 1e-9)) is None
+
+
+def test_where_it_decides():
+    """Where z is w itself, and a state that no force moves is no part of it, the norm is what happens within a period."""
+    one = np.eye(1)
+    plant = GeneralizedPlant(-one, one, one, 0 * one, 0 * one, 3 * one)
+    norm = sampled_norm(static_loop(plant, -one, Piece(0.1, 0)))
+    assert norm.inside
+    assert [norm.value, norm.reached] == pytest.approx([3.0, 3.0], rel=PROVED)
+
+
+@pytest.mark.parametrize("period", [1e-4, 1e-2, 0.1])
+def test_discrete_plant_of_a_level(period):
+    """It is what the exponential of the Hamiltonian says, where that can be computed."""
+    plant = generalized_plant(read_vehicle("quarter_car"))
+    gamma, n = 9.0, 5
+    A, Bw, C = np.zeros((n, n)), np.zeros((n, 1)), np.hstack([plant.C, plant.D])
+    A[:4], Bw[:4] = np.hstack([plant.A, plant.B]), plant.Bw
+    S = linalg.expm(period * np.block([[A, Bw @ Bw.T / gamma**2], [-C.T @ C, -A.T]]))
+    inverse = np.linalg.inv(S[n:, n:])
+    found = lifted(plant, [(period, np.eye(1))], gamma)
+    assert found is not None
+    for one, expected in ((found.Ad, inverse.T), (found.reached, S[:n, n:] @ inverse), (found.cost, -inverse @ S[n:, :n])):
+        np.testing.assert_allclose(one, expected, rtol=0, atol=1e-12 * np.abs(expected).max())  # of exp(0.1 s 65 rad/s) = 700
+    np.testing.assert_allclose(found.Bd @ found.Bd.T, found.reached, rtol=0, atol=1e-15 * np.abs(found.reached).max() * n)
+    np.testing.assert_allclose(found.Cd.T @ found.Cd, found.cost, rtol=0, atol=1e-15 * np.abs(found.cost).max() * n)
+
+
+def test_the_loop_is_the_one_that_runs():
+    """Lag, states of a law, a measured acceleration and a delay: from sample to sample it grows as the loop that `sim` runs."""
+    vehicle = read_vehicle("quarter_car_accelerometer")
+    for lag in (None, 300.0):
+        for late in (0, 2):
+            built = replace(vehicle, implementation=Implementation(5e-3, late), limits=Limits(actuator_bandwidth=lag))
+            controller = design(vehicle, "accelerometer")
+            loop = sampled_loop(built, controller)
+            change, _ = loop.closed(loop.moved)
+            growth = sampled_growth(np.eye(len(change)) + change)
+            expected = sampled_growth(implemented_loop(built, controller, 5e-3).transition)
+            assert growth == pytest.approx(expected, rel=1e-9)  # rounding of eigenvalues
+            assert sampled_norm(loop).gap < 1e-9
