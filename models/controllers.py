@@ -2,7 +2,7 @@
 
 import sys
 import unicodedata
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,14 +15,40 @@ from models.kind import LARGEST
 from models.law import MATRICES, LinearLaw, static_law
 from models.linear_model import LinearModel
 from models.own.python_law import PythonLaw, read_law
-from models.reality import LONGEST_PERIOD
+from models.reality import LONGEST_PERIOD, Implementation, Limits
 
 DESIGNS = ("lqr", "lqg", "h2")  # what `design` may be; without it the paper's two steps
 FULL = "full"  # what `order` may be
-CONTROLLER_KEYS = ("measured", "gain", *MATRICES, "sample_period", "order", "design", "certificate", "file", "law", "preview")
+CONTROLLER_KEYS = (
+    "measured",
+    "gain",
+    *MATRICES,
+    "sample_period",
+    "order",
+    "design",
+    "noise",
+    "lag",
+    "certificate",
+    "file",
+    "law",
+    "preview",
+)
 RESERVED = ("passive", "state")  # these two always exist: u = 0, and full state feedback
 LONGEST_NAME = 60  # bytes; the names of three controllers go into a file name
 SHORTEST, LONGEST = 1e-6, LONGEST_PERIOD  # s, of a discrete controller's sample period
+
+
+@dataclass(frozen=True)
+class Hardware:
+    """What of sensors and actuators a controller is designed for and judged with; nothing of either unless its section asks.
+
+    Attributes:
+        noise: rms of the noise on each signal that it measures, in that signal's unit; empty for none.
+        bandwidth: corner frequency of the lag of every actuator [rad/s]; None for forces that act at once.
+    """
+
+    noise: tuple[float, ...] = ()
+    bandwidth: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +62,7 @@ class ControllerEntry:
         certificate: what is claimed of the law, as `python -m synth --save` wrote it beside it; None without one.
         design: how: "full" for the full-order H-infinity controller, or one of `DESIGNS`; empty for the paper's two steps.
         python: the law in Python that the file names instead, of which nothing is claimed; None of all others.
+        hardware: what of sensors and actuators it is designed for and judged with.
     """
 
     name: str
@@ -44,14 +71,22 @@ class ControllerEntry:
     certificate: Mapping[str, Any] | None = None
     design: str = ""
     python: PythonLaw | None = None
+    hardware: Hardware = Hardware()
 
 
-def read_controllers(section: Mapping[str, Any], model: LinearModel, folder: Path | None = None) -> dict[str, ControllerEntry]:
+def read_controllers(
+    section: Mapping[str, Any],
+    model: LinearModel,
+    limits: Limits,
+    implementation: Implementation,
+    folder: Path | None = None,
+) -> dict[str, ControllerEntry]:
     """`[controllers]`, checked: by name, each in the one spelling (NFC) of those that look alike, letters and marks composed.
 
     Args:
         section: as it was read.
         model: of the vehicle.
+        limits, implementation: of the vehicle, for controllers that are designed for them.
         folder: of the vehicle file, where laws in Python lie; None for one that is text alone.
     """
     found: dict[str, ControllerEntry] = {}
@@ -59,7 +94,7 @@ def read_controllers(section: Mapping[str, Any], model: LinearModel, folder: Pat
         name = unicodedata.normalize("NFC", written)
         if name in found:
             raise InputError(f"[controllers.{name}] is there twice, in two spellings that look alike; rename one")
-        found[name] = _controller(name, entry, model, folder)
+        found[name] = _controller(name, entry, model, limits, implementation, folder)
     return found
 
 
@@ -69,7 +104,9 @@ def _is_name(name: str) -> bool:
     return "L" in kinds and {*kinds} <= {"L", "-", "Mn", "Mc"} and kinds[0] not in ("Mn", "Mc") and not name.startswith("-")
 
 
-def _controller(name: str, entry: Any, model: LinearModel, folder: Path | None) -> ControllerEntry:
+def _controller(
+    name: str, entry: Any, model: LinearModel, limits: Limits, implementation: Implementation, folder: Path | None
+) -> ControllerEntry:
     where = f"[controllers.{name}]"
     if name in RESERVED or name == "all":
         raise InputError(f"{where} the name {name!r} is taken: passive, state and all always exist; rename it")
@@ -110,20 +147,47 @@ def _controller(name: str, entry: Any, model: LinearModel, folder: Path | None) 
             raise InputError(
                 f"{where} {signal!r} has the road's height in it, which no sensor measures; give signals out of: {measurable}"
             )
-        if signal in model.inputs and not given and not design and python is None:
+        if signal in model.inputs and not (given or design or python or entry.get("lag")):
             raise InputError(
                 f"{where} {signal!r} says nothing of the state, so no gain is designed on it; leave it out, or give "
                 'order = "full", whose controller takes the force out of the accelerations that it measures'
             )
-    if design and set(measured) <= set(model.inputs):
+    if not given and python is None and set(measured) <= set(model.inputs):
         raise InputError(f"{where} control forces alone say nothing of the state; give measured = signals out of: {measurable}")
     if design == "lqr" and set(measured) != set(model.states):
         raise InputError(
             f'{where} measured = {quoted(measured)}: design = "lqr" is of the state, {listing(model.states)}; leave measured '
             'out, or give design = "lqg"'
         )
+    hardware = _hardware(where, entry, measured, design, limits, implementation)
     law = None if python else _law(where, entry, model, measured)
-    return ControllerEntry(name, tuple(measured), law, entry.get("certificate"), design, python)
+    return ControllerEntry(name, tuple(measured), law, entry.get("certificate"), design, python, hardware)
+
+
+def _hardware(
+    where: str, entry: Mapping[str, Any], measured: Sequence[str], design: str, limits: Limits, implementation: Implementation
+) -> Hardware:
+    """What of sensors and actuators a controller asks to be designed for."""
+    asked = {key: entry.get(key, False) for key in ("noise", "lag")}
+    for key, value in asked.items():
+        if not isinstance(value, bool):
+            raise InputError(f"{where} {key} = {quoted(value)} is not allowed; give true or false: how much stands elsewhere")
+        if value and "law" in entry:
+            raise InputError(f"{where} has {key} = true and a law in Python, of which no norm is claimed; leave {key} out")
+        if value and (design == "lqr" or (design == "lqg" and key == "noise")):
+            why = "is of the state itself" if design == "lqr" else "takes the noise of [implementation] by itself"
+            raise InputError(f'{where} has {key} = true, and design = "{design}" {why}; leave {key} out')
+    noise = tuple(implementation.noise.get(signal, 0.0) for signal in measured) if asked["noise"] else ()
+    if asked["noise"] and not any(noise):
+        raise InputError(
+            f"{where} has noise = true, and [implementation] gives no noise of what it measures; give it, as in "
+            f"noise = {{ {measured[0]} = 0.01 }}, an rms in the signal's unit, or leave noise = true out"
+        )
+    if asked["lag"] and limits.actuator_bandwidth is None:
+        raise InputError(
+            f"{where} has lag = true, and [limits] gives actuators no lag; give actuator_bandwidth [rad/s], or leave lag out"
+        )
+    return Hardware(noise, limits.actuator_bandwidth if asked["lag"] else None)
 
 
 def _design(where: str, entry: Mapping[str, Any], given: bool) -> str:

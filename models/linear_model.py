@@ -7,7 +7,7 @@ motions of the body too, Br and Cr are zero: only the road's velocity acts. Unde
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -75,6 +75,26 @@ class LinearModel:
         A control force is one of them: a controller that is told which force acts can take it out of an acceleration.
         """
         return tuple(name for name, of_road in zip(self.outputs, np.any(self.Cr, axis=1), strict=True) if not of_road)
+
+    def behind_lag(self, bandwidth: float) -> "LinearModel":
+        """The model with actuators that lag: its inputs are the forces asked for, and those that act are states.
+
+        Each follows f' = bandwidth (u - f), and what the control forces did in every signal, f does.
+
+        Args:
+            bandwidth: corner frequency of every actuator [rad/s].
+        """
+        (n, m), r = self.B.shape, self.Bw.shape[1]
+        return replace(
+            self,
+            A=np.block([[self.A, self.B], [np.zeros((m, n)), -bandwidth * np.eye(m)]]),
+            B=np.vstack([np.zeros((n, m)), bandwidth * np.eye(m)]),
+            Bw=np.vstack([self.Bw, np.zeros((m, r))]),
+            Br=np.vstack([self.Br, np.zeros((m, r))]),
+            C=np.hstack([self.C, self.D]),
+            D=np.zeros_like(self.D),
+            states=(*self.states, *(f"lagged_{name}" for name in self.inputs)),
+        )
 
     def rows(self, signals: Sequence[str]) -> tuple[Array, Array]:
         """The rows of C and D of some output signals, shapes (k, n) and (k, m).

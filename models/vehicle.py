@@ -192,8 +192,11 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
     vehicle_kind = kind(data["type"], folder)
     parameters = vehicle_kind.check(data["parameters"])
     model = vehicle_kind.linear_model(parameters)
-    implementation = read_implementation(data.get("implementation", {}), model.measurable)
-    controllers = read_controllers(data.get("controllers", {}), model, folder)
+    limits, implementation = (
+        read_limits(data.get("limits", {})),
+        read_implementation(data.get("implementation", {}), model.measurable),
+    )
+    controllers = read_controllers(data.get("controllers", {}), model, limits, implementation, folder)
     for entry in controllers.values():
         check_period(entry, implementation)
     performance, filters, road_filter = _performance(data["performance"], model)
@@ -204,7 +207,7 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
         controllers=controllers,
         text=text,
         source=source,
-        limits=read_limits(data.get("limits", {})),
+        limits=limits,
         implementation=implementation,
         filters=filters,
         road_filter=road_filter,

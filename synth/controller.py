@@ -1,4 +1,4 @@
-"""The one door through which a vehicle's named signals come in: from a vehicle and a controller's name to a certified law."""
+"""A controller of a vehicle: its law, and what is proved of it for the problem that it is for (`synth.problem`)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,17 +7,14 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, quoted
-from models.controllers import ControllerEntry
-from models.filters.filter import Filter
+from models.controllers import ControllerEntry, Hardware
 from models.law import LinearLaw
-from models.linear_model import LinearModel
 from models.vehicle import Vehicle
 from synth.certificate.certificate import Certificate, certify
 from synth.certificate.lower_bound import LowerBound
 from synth.certificate.record import false_claims, read_proof
-from synth.dynamic.loop import on_larger_plant
-from synth.dynamic.weights import System, append, gain, with_weights
-from synth.plant import Feedback, GeneralizedPlant
+from synth.plant import GeneralizedPlant
+from synth.problem.problem import Problem, problem
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +38,7 @@ class Controller:
         instead: how else the gain was found, and why the two steps did not lead to one, in words; empty where they did.
         remarks: of another design than by two steps, how near it came or what it is the best of, in words.
         false_claims: what of the certificate that came with its gain does not hold, in words.
+        hardware: what of sensors and actuators its certificate knows.
     """
 
     name: str
@@ -56,11 +54,16 @@ class Controller:
     instead: str = ""
     remarks: tuple[str, ...] = ()
     false_claims: tuple[str, ...] = ()
+    hardware: Hardware = Hardware()
 
     @property
     def gain(self) -> Array:
         """What acts at once: D_c, and K of a static controller, shape (m, q) [N per measured unit]."""
         return self.law.D
+
+    def problem(self, vehicle: Vehicle) -> Problem:
+        """What it is judged with, of a vehicle that has these signals."""
+        return problem(vehicle, self.measured, self.hardware)
 
     def law_on_states(self, vehicle: Vehicle) -> LinearLaw:
         """The law in continuous time on C_y x: a force that is in what is measured is solved for.
@@ -68,13 +71,11 @@ class Controller:
         Raises:
             InputError: it cannot be, or a discrete law has no continuous counterpart.
         """
-        return self.law.continuous().fed_back(vehicle.linear_model.rows(self.measured)[1])
+        return self.law.continuous().fed_back(self.problem(vehicle).through)
 
     def loop(self, vehicle: Vehicle) -> GeneralizedPlant:
         """The closed loop (16)-(17) with a vehicle that has these signals, from w to z."""
-        plant, G = on_larger_plant(
-            generalized_plant(vehicle), measurements(vehicle, self.measured)[0], self.law_on_states(vehicle)
-        )
+        plant, G = self.problem(vehicle).closed(self.law)
         return plant.closed_loop(G)
 
     def state_gain(self, vehicle: Vehicle) -> Array:
@@ -85,15 +86,15 @@ class Controller:
         """
         if self.law.states:
             raise ValueError(f"controller {self.name!r} has states, so no state gain; use loop(vehicle)")
-        return self.law_on_states(vehicle).D @ vehicle.linear_model.rows(self.measured)[0]
+        C, through = vehicle.linear_model.rows(self.measured)
+        return self.law.continuous().fed_back(through).D @ C
 
 
-def checked(vehicle: Vehicle, plant: GeneralizedPlant, entry: ControllerEntry) -> tuple[Certificate, tuple[str, ...]]:
+def checked(posed: Problem, entry: ControllerEntry) -> tuple[Certificate, tuple[str, ...]]:
     """What is true of a law by the proofs that its certificate brings, and what of that does not hold, in words.
 
     Args:
-        vehicle: whose it is.
-        plant: of the vehicle.
+        posed: what it is judged with.
         entry: it gives its law.
 
     Raises:
@@ -101,29 +102,27 @@ def checked(vehicle: Vehicle, plant: GeneralizedPlant, entry: ControllerEntry) -
     """
     law, record = _law(entry), entry.certificate or {}
     try:
-        X, eta, lower_bound = read_proof(record, plant, measurements(vehicle, entry.measured)[0], law.states)
-        certificate = certify(*_closed(vehicle, plant, entry), X, eta, lower_bound, by_itself=plant)
+        X, eta, lower_bound = read_proof(record, posed.plant, posed.Cy, law.states, posed.Dyw)
+        certificate = certify(*posed.closed(law), X, eta, lower_bound, by_itself=posed.plant)
     except InputError as error:
         raise InputError(f"[controllers.{entry.name}] {error}") from error
     return certificate, (*certificate.failures, *false_claims(record, certificate))
 
 
-def certified(
-    vehicle: Vehicle, plant: GeneralizedPlant, entry: ControllerEntry, lower_bound: LowerBound
-) -> tuple[Certificate, tuple[str, ...]]:
+def certified(posed: Problem, entry: ControllerEntry, lower_bound: LowerBound) -> tuple[Certificate, tuple[str, ...]]:
     """What is true of a law with no proof of its own, and what that beside it claims in vain; arguments as for `checked`.
 
     Raises:
         InputError: the law has no loop.
     """
     try:
-        certificate = certify(*_closed(vehicle, plant, entry), lower_bound=lower_bound, by_itself=plant)
+        certificate = certify(*posed.closed(_law(entry)), lower_bound=lower_bound, by_itself=posed.plant)
     except InputError as error:
         raise InputError(f"[controllers.{entry.name}] {error}") from error
     wrong: tuple[str, ...] = ()
     if entry.certificate is not None:
         try:
-            _, wrong = checked(vehicle, plant, entry)
+            _, wrong = checked(posed, entry)
         except InputError as error:
             wrong = (str(error),)
     return certificate, wrong
@@ -134,102 +133,29 @@ def _law(entry: ControllerEntry) -> LinearLaw:
     return entry.law
 
 
-def _closed(vehicle: Vehicle, plant: GeneralizedPlant, entry: ControllerEntry) -> tuple[GeneralizedPlant, Feedback]:
-    Cy, through = measurements(vehicle, entry.measured)
-    return on_larger_plant(plant, Cy, _law(entry).continuous().fed_back(through))
-
-
-def on_readings(law: LinearLaw, model: LinearModel, measured: Sequence[str]) -> LinearLaw:
+def on_readings(law: LinearLaw, posed: Problem) -> LinearLaw:
     """A law that was designed on C_y x, on what sensors read, where accelerations have the force in them.
 
     Forces that are measured are taken out of the readings; for the others the law is changed, so that its loop is the same.
 
     Args:
-        law: on those of the measured signals that are no forces.
-        model: of the vehicle.
-        measured: the q signals.
+        law: on those of the measured signals that say something of the state.
+        posed: what it was designed for, with all q signals.
 
     Raises:
         InputError: the loop through the measurements has no solution.
     """
-    through, forces = model.rows(measured)[1], model.inputs
-    others = [i for i, name in enumerate(measured) if name not in forces]
-    B, D = np.zeros((law.states, len(measured))), np.zeros((len(law.D), len(measured)))
+    through, others = posed.through, posed.of_state
+    q = len(through)
+    B, D = np.zeros((law.states, q)), np.zeros((len(law.D), q))
     B[:, others], D[:, others] = law.B, law.D
     unknown = np.zeros_like(through)
     unknown[others] = through[others]
-    for i, name in enumerate(measured):
-        if name in forces:
-            of_force = through[others, forces.index(name)]
-            B[:, i], D[:, i] = -law.B @ of_force, -law.D @ of_force
-            unknown[:, forces.index(name)] = 0.0
+    for i, force in posed.forces.items():
+        of_force = through[others, force]
+        B[:, i], D[:, i] = -law.B @ of_force, -law.D @ of_force
+        unknown[:, force] = 0.0
     return LinearLaw(law.A, B, law.C, D, law.sample_period).fed_back(-unknown)
-
-
-def generalized_plant(vehicle: Vehicle) -> GeneralizedPlant:
-    """The plant (15) of a vehicle: its linear model, and the weighted signals of `[performance]` as z (34)-(37).
-
-    Where a weight, or the road's spectrum, depends on frequency, the states of its filters follow those of the vehicle.
-    """
-    model = vehicle.linear_model
-    weighted = [signal for signal, weight in vehicle.performance.items() if weight > 0]
-    C, D = model.rows(weighted)
-    weights = np.array([vehicle.performance[signal] for signal in weighted])[:, None]
-    Br, Cr = _twist(model, weighted)
-    plant = GeneralizedPlant(
-        A=model.A,
-        B=model.B,
-        Bw=np.hstack([model.Bw, Br]),
-        C=weights * C,
-        D=weights * D,
-        Dw=np.hstack([np.zeros((len(C), model.Bw.shape[1])), weights * Cr]),
-    )
-    if not vehicle.filtered:
-        return plant
-    outputs = append(*(_system(vehicle.filters.get(signal)) for signal in weighted))
-    return with_weights(plant, outputs, append(*[_system(vehicle.road_filter)] * plant.Bw.shape[1]))
-
-
-def _system(one: Filter | None) -> System:
-    return gain(1.0) if one is None else System(*one.realisation)
-
-
-def plant_states(vehicle: Vehicle) -> tuple[str, ...]:
-    """The names of the states of a vehicle's plant: the vehicle's own, and those of its filters, in their order."""
-    signals = [signal for signal, weight in vehicle.performance.items() if weight > 0 and signal in vehicle.filters]
-    counts = {f"filter_of_{signal}": len(vehicle.filters[signal].realisation.A) for signal in signals}
-    if vehicle.road_filter is not None:
-        model = vehicle.linear_model
-        k = len(vehicle.road_filter.realisation.A)
-        counts |= {f"filter_of_{road}": k for road in model.disturbances}
-        counts |= {f"filter_of_road_twist_{i + 1}": k for i in range(_twist(model, ())[0].shape[1])}
-    filters = [f"{name}_{i + 1}" for name, count in counts.items() for i in range(count)]
-    return (*vehicle.linear_model.states, *filters)
-
-
-def measurements(vehicle: Vehicle, signals: Sequence[str]) -> tuple[Array, Array]:
-    """C_y on the states of a vehicle's plant, shape (q, n), and what the forces do at once to what is measured, shape (q, m).
-
-    No state of a filter is measured: those are of what is asked for, not of the vehicle.
-
-    Raises:
-        InputError: a signal this vehicle has not.
-    """
-    Cy, through = vehicle.linear_model.rows(signals)
-    more = len(plant_states(vehicle)) - Cy.shape[1] if vehicle.filtered else 0
-    return (np.hstack([Cy, np.zeros((len(Cy), more))]) if more else Cy), through
-
-
-def _twist(model: LinearModel, signals: Sequence[str]) -> tuple[Array, Array]:
-    """What the road's heights do where they act as such, as disturbances of their own, shapes (n, k) and (len(signals), k).
-
-    From the road's velocity a lasting twist is an integral, which no controller bounds. As a disturbance beside the velocities it
-    is bounded, and counts at the rate of wheel hop (`LinearModel.twist_rate`): a bound that holds for both together.
-    """
-    Cr = model.Cr[[model.outputs.index(signal) for signal in signals]]
-    _, sizes, directions = np.linalg.svd(np.vstack([model.Br, model.Cr]))
-    directions = directions[: int(np.sum(sizes > 1e-12 * sizes.max(initial=0.0)))] if np.any(sizes) else directions[:0]
-    return model.Br @ directions.T / model.twist_rate, Cr @ directions.T / model.twist_rate
 
 
 def alike(one: Vehicle, vehicles: Sequence[Vehicle]) -> list[Vehicle]:

@@ -142,21 +142,6 @@ def _kept(model: LinearModel, law: LinearLaw, C: Array, D: Array, rate: float = 
 
 
 def with_lag(vehicle: Vehicle) -> LinearModel:
-    """The linear model with its actuators' lag, if they have one.
-
-    With a lag the forces are states: f' = bandwidth (u - f), and what the control forces did in every signal, f does.
-    """
+    """The linear model with its actuators' lag, if they have one (`LinearModel.behind_lag`)."""
     model, bandwidth = vehicle.linear_model, vehicle.limits.actuator_bandwidth
-    if bandwidth is None:
-        return model
-    (n, m), r = model.B.shape, model.Bw.shape[1]
-    return replace(
-        model,
-        A=np.block([[model.A, model.B], [np.zeros((m, n)), -bandwidth * np.eye(m)]]),
-        B=np.vstack([np.zeros((n, m)), bandwidth * np.eye(m)]),
-        Bw=np.vstack([model.Bw, np.zeros((m, r))]),
-        Br=np.vstack([model.Br, np.zeros((m, r))]),
-        C=np.hstack([model.C, model.D]),
-        D=np.zeros_like(model.D),
-        states=(*model.states, *(f"lagged_{name}" for name in model.inputs)),
-    )
+    return model if bandwidth is None else model.behind_lag(bandwidth)

@@ -1,0 +1,1 @@
+"""What a vehicle file asks of a controller, as a plant with its measurements."""

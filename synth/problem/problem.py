@@ -1,0 +1,173 @@
+"""The door through which a vehicle's named signals come in: its plant (15), and what a controller measures of it.
+
+The plant is the linear model with the weighted signals of `[performance]` as z. A controller may ask for more than that: for the
+noise of its sensors, which then is a disturbance beside the road, and for its actuators' lag, whose states join the vehicle's.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.controllers import Hardware
+from models.filters.filter import Filter
+from models.law import LinearLaw
+from models.linear_model import LinearModel
+from models.vehicle import Vehicle
+from synth.dynamic.loop import on_larger_plant
+from synth.dynamic.weights import System, append, gain, with_weights
+from synth.plant import Feedback, GeneralizedPlant
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What a controller of a vehicle is designed for and judged with: y = C_y x + `through` u + Dyw w.
+
+    Attributes:
+        plant: n states, m inputs, r disturbances; the noises of what is measured are the last of these.
+        Cy: shape (q, n).
+        through: what the forces do at once to what is measured, shape (q, m).
+        Dyw: shape (q, r); None without noise.
+        forces: which of the measurements are forces that act at once, and so say nothing of the state; each by its input.
+    """
+
+    plant: GeneralizedPlant
+    Cy: Array
+    through: Array
+    Dyw: Array | None = None
+    forces: Mapping[int, int] = field(default_factory=dict)
+
+    @property
+    def of_state(self) -> list[int]:
+        """Which of the measurements are no such forces."""
+        return [i for i in range(len(self.Cy)) if i not in self.forces]
+
+    def rows(self, kept: Sequence[int]) -> tuple[Array, Array | None]:
+        """C_y and Dyw of some of the measurements."""
+        return self.Cy[kept], self.Dyw[kept] if self.Dyw is not None else None
+
+    def closed(self, law: LinearLaw) -> tuple[GeneralizedPlant, Feedback]:
+        """A law as a gain on the plant with its states; a discrete one as its continuous counterpart (Tustin).
+
+        Raises:
+            InputError: the loop through what is measured has no solution, or the law no counterpart.
+        """
+        return on_larger_plant(self.plant, self.Cy, law.continuous().fed_back(self.through), self.Dyw)
+
+
+def problem(vehicle: Vehicle, measured: Sequence[str], hardware: Hardware, plant: GeneralizedPlant | None = None) -> Problem:
+    """What a controller that measures these signals is designed for and judged with.
+
+    Args:
+        vehicle: the vehicle.
+        measured: the q signals.
+        hardware: what of sensors and actuators counts.
+        plant: `generalized_plant` for its actuators, if it is there already.
+
+    Raises:
+        InputError: a signal this vehicle has not.
+    """
+    plant = plant or generalized_plant(vehicle, hardware.bandwidth)
+    Cy, through = measurements(vehicle, measured, hardware.bandwidth)
+    inputs = vehicle.linear_model.inputs
+    at_once = hardware.bandwidth is None
+    forces = {i: inputs.index(name) for i, name in enumerate(measured) if at_once and name in inputs}
+    if not any(hardware.noise):
+        return Problem(plant, Cy, through, forces=forces)
+    (q, _), (d, r) = Cy.shape, plant.Dw.shape
+    noisy = [i for i, rms in enumerate(hardware.noise) if rms]
+    k = len(noisy)
+    Dyw = np.hstack([np.zeros((q, r)), np.diag(hardware.noise)[:, noisy]])
+    wide = replace(
+        plant, Bw=np.hstack([plant.Bw, np.zeros((len(plant.A), k))]), Dw=np.hstack([plant.Dw, np.zeros((d, k))])
+    )
+    return Problem(wide, Cy, through, Dyw, forces)
+
+
+def generalized_plant(vehicle: Vehicle, bandwidth: float | None = None) -> GeneralizedPlant:
+    """The plant (15) of a vehicle: its linear model, and the weighted signals of `[performance]` as z (34)-(37).
+
+    Where a weight, or the road's spectrum, depends on frequency, the states of its filters follow those of the vehicle. Behind a
+    lag the weight of a control force is of the force that is asked for, as that is what a controller decides.
+
+    Args:
+        vehicle: the vehicle.
+        bandwidth: corner frequency of its actuators' lag [rad/s]; None for forces that act at once.
+    """
+    model = _model(vehicle, bandwidth)
+    weighted = [signal for signal, weight in vehicle.performance.items() if weight > 0]
+    C, D = model.rows(weighted)
+    if bandwidth is not None:
+        asked = np.array([[signal in model.inputs] for signal in weighted])
+        C, D = np.where(asked, 0.0, C), np.where(asked, vehicle.linear_model.rows(weighted)[1], D)
+    weights = np.array([vehicle.performance[signal] for signal in weighted])[:, None]
+    Br, Cr = _twist(model, weighted)
+    plant = GeneralizedPlant(
+        A=model.A,
+        B=model.B,
+        Bw=np.hstack([model.Bw, Br]),
+        C=weights * C,
+        D=weights * D,
+        Dw=np.hstack([np.zeros((len(C), model.Bw.shape[1])), weights * Cr]),
+    )
+    if not vehicle.filtered:
+        return plant
+    outputs = append(*(_system(vehicle.filters.get(signal)) for signal in weighted))
+    return with_weights(plant, outputs, append(*[_system(vehicle.road_filter)] * plant.Bw.shape[1]))
+
+
+def _model(vehicle: Vehicle, bandwidth: float | None) -> LinearModel:
+    return vehicle.linear_model if bandwidth is None else vehicle.linear_model.behind_lag(bandwidth)
+
+
+def _system(one: Filter | None) -> System:
+    return gain(1.0) if one is None else System(*one.realisation)
+
+
+def plant_states(vehicle: Vehicle, bandwidth: float | None = None) -> tuple[str, ...]:
+    """The names of the states of a vehicle's plant: the vehicle's own, and those of its filters, in their order.
+
+    Args:
+        vehicle: the vehicle.
+        bandwidth: as for `generalized_plant`.
+    """
+    model = _model(vehicle, bandwidth)
+    signals = [signal for signal, weight in vehicle.performance.items() if weight > 0 and signal in vehicle.filters]
+    counts = {f"filter_of_{signal}": len(vehicle.filters[signal].realisation.A) for signal in signals}
+    if vehicle.road_filter is not None:
+        k = len(vehicle.road_filter.realisation.A)
+        counts |= {f"filter_of_{road}": k for road in model.disturbances}
+        counts |= {f"filter_of_road_twist_{i + 1}": k for i in range(_twist(model, ())[0].shape[1])}
+    filters = [f"{name}_{i + 1}" for name, count in counts.items() for i in range(count)]
+    return (*model.states, *filters)
+
+
+def measurements(vehicle: Vehicle, signals: Sequence[str], bandwidth: float | None = None) -> tuple[Array, Array]:
+    """C_y on the states of a vehicle's plant, shape (q, n), and what the forces do at once to what is measured, shape (q, m).
+
+    No state of a filter is measured: those are of what is asked for, not of the vehicle.
+
+    Args:
+        vehicle: the vehicle.
+        signals: the q signals.
+        bandwidth: as for `generalized_plant`; behind a lag forces do nothing at once.
+
+    Raises:
+        InputError: a signal this vehicle has not.
+    """
+    Cy, through = _model(vehicle, bandwidth).rows(signals)
+    more = len(plant_states(vehicle, bandwidth)) - Cy.shape[1] if vehicle.filtered else 0
+    return (np.hstack([Cy, np.zeros((len(Cy), more))]) if more else Cy), through
+
+
+def _twist(model: LinearModel, signals: Sequence[str]) -> tuple[Array, Array]:
+    """What the road's heights do where they act as such, as disturbances of their own, shapes (n, k) and (len(signals), k).
+
+    From the road's velocity a lasting twist is an integral, which no controller bounds. As a disturbance beside the velocities it
+    is bounded, and counts at the rate of wheel hop (`LinearModel.twist_rate`): a bound that holds for both together.
+    """
+    Cr = model.Cr[[model.outputs.index(signal) for signal in signals]]
+    _, sizes, directions = np.linalg.svd(np.vstack([model.Br, model.Cr]))
+    directions = directions[: int(np.sum(sizes > 1e-12 * sizes.max(initial=0.0)))] if np.any(sizes) else directions[:0]
+    return model.Br @ directions.T / model.twist_rate, Cr @ directions.T / model.twist_rate
