@@ -51,6 +51,9 @@ class Hardware:
     bandwidth: float | None = None
 
 
+IDEAL = Hardware()
+
+
 @dataclass(frozen=True, eq=False)
 class ControllerEntry:
     """One `[controllers.NAME]` of a vehicle file.
@@ -71,7 +74,7 @@ class ControllerEntry:
     certificate: Mapping[str, Any] | None = None
     design: str = ""
     python: PythonLaw | None = None
-    hardware: Hardware = Hardware()
+    hardware: Hardware = IDEAL
 
 
 def read_controllers(
@@ -159,21 +162,25 @@ def _controller(
             f'{where} measured = {quoted(measured)}: design = "lqr" is of the state, {listing(model.states)}; leave measured '
             'out, or give design = "lqg"'
         )
-    hardware = _hardware(where, entry, measured, design, limits, implementation)
+    hardware = _hardware(where, entry, measured, design, model.inputs, limits, implementation)
     law = None if python else _law(where, entry, model, measured)
     return ControllerEntry(name, tuple(measured), law, entry.get("certificate"), design, python, hardware)
 
 
 def _hardware(
-    where: str, entry: Mapping[str, Any], measured: Sequence[str], design: str, limits: Limits, implementation: Implementation
+    where: str,
+    entry: Mapping[str, Any],
+    measured: Sequence[str],
+    design: str,
+    inputs: Sequence[str],
+    limits: Limits,
+    implementation: Implementation,
 ) -> Hardware:
     """What of sensors and actuators a controller asks to be designed for."""
     asked = {key: entry.get(key, False) for key in ("noise", "lag")}
     for key, value in asked.items():
         if not isinstance(value, bool):
             raise InputError(f"{where} {key} = {quoted(value)} is not allowed; give true or false: how much stands elsewhere")
-        if value and "law" in entry:
-            raise InputError(f"{where} has {key} = true and a law in Python, of which no norm is claimed; leave {key} out")
         if value and (design == "lqr" or (design == "lqg" and key == "noise")):
             why = "is of the state itself" if design == "lqr" else "takes the noise of [implementation] by itself"
             raise InputError(f'{where} has {key} = true, and design = "{design}" {why}; leave {key} out')
@@ -182,6 +189,12 @@ def _hardware(
         raise InputError(
             f"{where} has noise = true, and [implementation] gives no noise of what it measures; give it, as in "
             f"noise = {{ {measured[0]} = 0.01 }}, an rms in the signal's unit, or leave noise = true out"
+        )
+    forces = [signal for signal, rms in zip(measured, noise, strict=bool(noise)) if rms and signal in inputs]
+    if forces and design and not asked["lag"]:
+        raise InputError(
+            f"{where} has noise = true, and [implementation] a noise on {forces[0]!r}, which a design takes out of what is "
+            "measured and knows no noise of; leave that noise out"
         )
     if asked["lag"] and limits.actuator_bandwidth is None:
         raise InputError(

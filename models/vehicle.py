@@ -12,7 +12,7 @@ from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
 from models.common.read_file import TEXT, read_text
 from models.common.toml import parse_toml
-from models.controllers import RESERVED, ControllerEntry, is_number, read_controllers
+from models.controllers import IDEAL, RESERVED, ControllerEntry, Hardware, is_number, read_controllers
 from models.filters.filter import KEYS, Filter, read_filter
 from models.formats.law_file import with_laws
 from models.kind import HERE, VehicleKind
@@ -127,6 +127,10 @@ class Vehicle:
     def linear_names(self) -> tuple[str, ...]:
         """Those of them of which linear analysis speaks: all but laws in Python."""
         return (*RESERVED, *(name for name, entry in self.controllers.items() if entry.python is None))
+
+    def hardware(self, name: str) -> Hardware:
+        """What of sensors and actuators a controller of that name is designed for; of `passive` and `state` nothing."""
+        return self.controllers[name].hardware if name in self.controllers else IDEAL
 
     def linear_entry(self, name: str) -> ControllerEntry:
         """What the file says of a controller, of which linear analysis speaks.

@@ -18,9 +18,9 @@ from synth.command.check import check
 from synth.command.save import check_save, save
 from synth.command.table import Row, detail_lines, refine_lines, row_object, table_lines, verdict_lines
 from synth.command.witness import cross_check
-from synth.controller import measurements
 from synth.designer import Designer
 from synth.errors import DesignError
+from synth.problem.problem import measurements
 from synth.search.flat import free_moves
 from synth.words import filter_lines, ideal_lines, notes
 
@@ -93,7 +93,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         lines += refine_lines(rows, options.vehicle)
         if options.save:
             lines += ["", "saved", Whole(f"  {options.save}")]
-        say([*lines, "", *table_lines(rows), *ideal_lines(vehicle), *filter_lines(vehicle), "", *verdict_lines(rows)])
+        of = [*ideal_lines(vehicle, [row.controller for row in rows if row.controller is not None]), *filter_lines(vehicle)]
+        say([*lines, "", *table_lines(rows), *of, "", *verdict_lines(rows)])
     return 1 if any(row.failures for row in rows) else 0
 
 
@@ -126,7 +127,7 @@ def _names(vehicle: Vehicle, options: Namespace) -> list[str]:
         InputError: `chosen` says so, or what is asked of them does not go with them.
     """
     linear = [vehicle.controllers[name] for name in vehicle.linear_names if name in vehicle.controllers]
-    designed = [entry.name for entry in linear if entry.law is None and not entry.design]
+    designed = [entry.name for entry in linear if entry.law is None and not entry.design and not entry.hardware.noise]
     everything = designed if options.zero_l else vehicle.linear_names
     if options.zero_l and not designed:
         raise InputError(f"--zero-l is of a design from measurements, and {vehicle.source} asks for none; leave it out")

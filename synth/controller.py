@@ -7,7 +7,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, quoted
-from models.controllers import ControllerEntry, Hardware
+from models.controllers import IDEAL, ControllerEntry, Hardware
 from models.law import LinearLaw
 from models.vehicle import Vehicle
 from synth.certificate.certificate import Certificate, certify
@@ -54,7 +54,7 @@ class Controller:
     instead: str = ""
     remarks: tuple[str, ...] = ()
     false_claims: tuple[str, ...] = ()
-    hardware: Hardware = Hardware()
+    hardware: Hardware = IDEAL
 
     @property
     def gain(self) -> Array:

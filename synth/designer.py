@@ -2,29 +2,31 @@
 
 import unicodedata
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 
 import numpy as np
 
 from models.common.errors import InputError
-from models.controllers import ControllerEntry
+from models.controllers import IDEAL, ControllerEntry, Hardware
 from models.law import LinearLaw, static_law
 from models.vehicle import Vehicle
 from synth.certificate.bounding import certify_tightly
 from synth.certificate.certificate import Certificate
 from synth.certificate.lower_bound import LowerBound
-from synth.controller import Controller, alike, certified, checked, generalized_plant, measurements, on_readings, plant_states
-from synth.design import Design, state_design, state_path, zero_l_design
+from synth.controller import Controller, alike, certified, checked, on_readings
+from synth.design import Design, state_design, zero_l_design
+from synth.designs.refined import Refined
+from synth.designs.shared import Shared
+from synth.dynamic.loop import on_larger_plant
 from synth.dynamic.named import named_design
 from synth.errors import BatchError, DesignError
 from synth.fallback import two_steps_or_descent
 from synth.lmi.central import CentralPoint
-from synth.lmi.full_order import bound_beyond_control, find_lower_bound
 from synth.lmi.output_feedback import independent_rows
-from synth.plant import Feedback
+from synth.plant import GeneralizedPlant
+from synth.problem.problem import Problem, generalized_plant, measurements, plant_states
 from synth.redesign import state_designs, two_step_designs
-from synth.search.refine import SEEN, Refinement, from_some, refine, worth_refining
+from synth.search.refine import SEEN, from_some, refine, worth_refining
 from synth.search.static import static_output_feedback
 
 STATE_ALONE = (
@@ -33,67 +35,46 @@ STATE_ALONE = (
 )
 
 
-@dataclass(frozen=True, eq=False)
-class Refined:
-    """A controller whose norm was lowered, and what that took.
-
-    Attributes:
-        controller: the refined one, with its certificate.
-        start: what it was refined from; None where the two steps find no gain.
-        origin: where the descent began instead, in words; empty where at `start`.
-        refinement: the norms before and after, the growth of the gain, and what was refused.
-    """
-
-    controller: Controller
-    start: Controller | None
-    origin: str
-    refinement: Refinement
-
-    @property
-    def traded(self) -> str:
-        """What was traded, in words."""
-        return f"refined: {f'from {self.origin}; ' if self.origin else ''}{self.refinement.traded}"
-
-
 class Designer:
     """Designs the controllers of one vehicle. The state-feedback step (22) is shared by them all, and done when first needed."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         self.vehicle = vehicle
-        self.plant = generalized_plant(vehicle)
+        self._shared: dict[float | None, Shared] = {None: Shared(vehicle)}
 
-    @cached_property
+    def shared(self, hardware: Hardware = IDEAL) -> Shared:
+        """What designs for such actuators share."""
+        if hardware.bandwidth not in self._shared:
+            self._shared[hardware.bandwidth] = Shared(self.vehicle, hardware.bandwidth)
+        return self._shared[hardware.bandwidth]
+
+    @property
+    def plant(self) -> GeneralizedPlant:
+        """The plant of forces that act at once, without noise."""
+        return self.shared().plant
+
+    @property
     def state_path(self) -> list[CentralPoint]:
         """The central path of (22)."""
-        return state_path(self.plant, plant_states(self.vehicle))
+        return self.shared().state_path
 
     @property
     def state_feedback(self) -> CentralPoint:
         """The optimum of (22)."""
         return self.state_path[-1]
 
-    @cached_property
+    @property
     def beyond_control(self) -> LowerBound:
         """What no control force changes, whatever is measured."""
-        return bound_beyond_control(self.plant)
+        return self.shared().beyond_control
 
-    @cached_property
-    def _bounds(self) -> dict[tuple[str, ...], LowerBound]:
-        return {}
+    def problem(self, measured: Sequence[str], hardware: Hardware = IDEAL) -> Problem:
+        """What a controller that measures these signals is designed for and judged with."""
+        return self.shared(hardware).problem(measured, hardware.noise)
 
-    def lower_bound(self, measured: Sequence[str]) -> LowerBound:
+    def lower_bound(self, measured: Sequence[str], hardware: Hardware = IDEAL) -> LowerBound:
         """What no controller that measures these signals beats, of whatever order; for none of them, full state feedback."""
-        key = tuple(measured)
-        if key not in self._bounds:
-            of_state = [signal for signal in key if signal not in self.vehicle.linear_model.inputs]
-            everything = not of_state or key == plant_states(self.vehicle)
-            Cy = None if everything else measurements(self.vehicle, of_state)[0]
-            try:
-                path = self.state_path
-            except DesignError:  # what cannot be designed may be checked
-                path = []
-            self._bounds[key] = find_lower_bound(self.plant, Cy, path, self.beyond_control)
-        return self._bounds[key]
+        return self.shared(hardware).lower_bound(measured, hardware.noise)
 
     def design(self, name: str, zero_l: bool = False) -> Controller:
         """The controller of that name: `passive`, `state`, or one of the vehicle file, designed unless the file gives its gain.
@@ -110,41 +91,47 @@ class Designer:
         entry = self._entry(name)
         if entry.law is not None:
             return self._given(entry, entry.law)
-        if entry.design and zero_l:
-            raise InputError(f"controller {name!r} is not designed in two steps, so that there is no L; design it as it is")
-        Cy, _ = measurements(self.vehicle, entry.measured)
+        hardware, shared = entry.hardware, self.shared(entry.hardware)
+        if (entry.design or hardware.noise) and zero_l:
+            why = "is designed for noise, which (25) does not know," if hardware.noise else "is not designed in two steps"
+            raise InputError(f"controller {name!r} {why} so that there is no L; design it as it is")
+        posed = self.problem(entry.measured, hardware)
         try:
-            lower_bound = self.lower_bound(entry.measured)
+            lower_bound = self.lower_bound(entry.measured, hardware)
             if entry.design:
-                return self._named(entry, lower_bound)
+                return self._named(entry, posed, lower_bound)
             if name == "state" and not self.vehicle.filtered:
                 design = state_design(self.plant, self.state_path, lower_bound)
             elif zero_l:
-                design = zero_l_design(self.plant, Cy, lower_bound)
+                design = zero_l_design(posed.plant, posed.Cy, lower_bound)
             else:
-                states, always = plant_states(self.vehicle), name == "state"
-                design = two_steps_or_descent(self.plant, Cy, lambda: self.state_path, lower_bound, states, always)
+                always = name == "state" or posed.Dyw is not None
+                design = two_steps_or_descent(
+                    posed.plant, posed.Cy, lambda: shared.state_path, lower_bound, shared.states, always, posed.Dyw
+                )
         except DesignError as error:
             raise type(error)(f"controller {name!r}: {error}") from error
         return _designed(self.vehicle, entry, design)
 
     def _given(self, entry: ControllerEntry, law: LinearLaw) -> Controller:
-        certificate, wrong = certified(self.vehicle, self.plant, entry, self.lower_bound(entry.measured))
-        return Controller(entry.name, entry.measured, law, designed=False, certificate=certificate, false_claims=wrong)
+        posed, hardware = self.problem(entry.measured, entry.hardware), entry.hardware
+        certificate, wrong = certified(posed, entry, self.lower_bound(entry.measured, hardware))
+        return Controller(
+            entry.name, entry.measured, law, designed=False, certificate=certificate, false_claims=wrong, hardware=hardware
+        )
 
-    def _named(self, entry: ControllerEntry, lower_bound: LowerBound) -> Controller:
+    def _named(self, entry: ControllerEntry, posed: Problem, lower_bound: LowerBound) -> Controller:
         """A controller that is designed in another way than by two steps."""
-        vehicle, how = self.vehicle, self.vehicle.implementation
-        model = vehicle.linear_model
-        of_state = [signal for signal in entry.measured if signal not in model.inputs]
-        Cy, _ = measurements(vehicle, of_state)
+        how, hardware = self.vehicle.implementation, entry.hardware
+        Cy, Dyw = posed.rows(posed.of_state)
         # Drawn every T seconds, noise of rms sigma is white noise of sigma sqrt(T).
+        of_state = [entry.measured[i] for i in posed.of_state]
         rms = [how.noise.get(signal, 0.0) * (how.sample_period or 0.0) ** 0.5 for signal in of_state]
         noise = rms if any(rms) else None
-        found = named_design(entry.design, self.plant, Cy, lower_bound, plant_states(vehicle), noise)
+        found = named_design(entry.design, posed.plant, Cy, lower_bound, self.shared(hardware).states, noise, Dyw)
+        law = on_readings(found.law, posed)
         certificate = replace(found.certificate, below=lower_bound)
-        law = on_readings(found.law, model, entry.measured)
-        return Controller(entry.name, entry.measured, law, True, certificate, remarks=found.remarks)
+        return Controller(entry.name, entry.measured, law, True, certificate, remarks=found.remarks, hardware=hardware)
 
     def refine(self, name: str, zero_l: bool = False) -> Refined:
         """The controller of that name with a lower norm, as far as it is worth a larger gain (`synth.search.refine`).
@@ -169,20 +156,21 @@ class Designer:
             start = self.design(name, zero_l)
         except DesignError:
             start = None
-        rows, through = measurements(self.vehicle, measured)
-        kept = independent_rows(self.plant, rows)
-        Cy, origin, lower_bound = rows[kept], "", self.lower_bound(measured)
+        posed = self.problem(measured, entry.hardware)
+        kept = independent_rows(posed.plant, posed.Cy)
+        (Cy, Dyw), origin, lower_bound = posed.rows(kept), "", self.lower_bound(measured, entry.hardware)
         if start is None:
-            found = static_output_feedback(self.plant, Cy, lower_bound=lower_bound)
+            found = static_output_feedback(posed.plant, Cy, lower_bound=lower_bound, Dyw=Dyw)
             K, origin = found.gain, found.origin
         else:
-            K = from_some(start.law_on_states(self.vehicle).D, rows, kept)
-        refinement = refine(self.plant, Cy, K)
+            K = from_some(start.law_on_states(self.vehicle).D, posed.Cy, kept)
+        refinement = refine(posed.plant, Cy, K, Dyw)
         gain = np.zeros((len(K), len(measured)))
         gain[:, kept] = refinement.gain
-        certificate = certify_tightly(self.plant, Feedback(refinement.gain, Cy), lower_bound)
-        law = static_law(gain).fed_back(-through)
-        return Refined(Controller(name, measured, law, True, certificate), start, origin, refinement)
+        certificate = certify_tightly(*on_larger_plant(posed.plant, Cy, static_law(refinement.gain), Dyw), lower_bound)
+        law = static_law(gain).fed_back(-posed.through)
+        refined = Controller(name, measured, law, True, certificate, hardware=entry.hardware)
+        return Refined(refined, start, origin, refinement)
 
     def worth_refining(self, controller: Controller) -> float:
         """By how much `refine` lowers a designed controller's norm at least, relative; 0 where not by what seven digits show."""
@@ -195,9 +183,11 @@ class Designer:
             or (gap is not None and gap <= SEEN)
         ):
             return 0.0
-        rows, _ = measurements(self.vehicle, controller.measured)
-        kept = independent_rows(self.plant, rows)
-        share = worth_refining(self.plant, rows[kept], from_some(controller.law_on_states(self.vehicle).D, rows, kept))
+        posed = self.problem(controller.measured, controller.hardware)
+        kept = independent_rows(posed.plant, posed.Cy)
+        Cy, Dyw = posed.rows(kept)
+        K = from_some(controller.law_on_states(self.vehicle).D, posed.Cy, kept)
+        share = worth_refining(posed.plant, Cy, K, Dyw)
         return share if share > SEEN else 0.0
 
     def redesign(self, vehicles: Sequence[Vehicle], name: str) -> list[Controller]:
@@ -225,8 +215,8 @@ class Designer:
         entry = self._entry(name)
         if entry.law is not None:
             raise InputError(f"controller {name!r} has its law and is not designed; `design` certifies it for a vehicle")
-        if entry.design:
-            raise InputError(f"controller {name!r} is not designed in two steps; design it for each vehicle by itself")
+        if entry.design or entry.hardware != IDEAL:
+            raise InputError(f"controller {name!r} is not designed in two steps alone; design it for each vehicle by itself")
         sound = alike(self.vehicle, vehicles)
         plants = [generalized_plant(vehicle) for vehicle in sound]
         states = plant_states(self.vehicle)
@@ -249,7 +239,7 @@ class Designer:
         Raises:
             InputError: the certificate is malformed.
         """
-        return checked(self.vehicle, self.plant, entry)
+        return checked(self.problem(entry.measured, entry.hardware), entry)
 
     def _entry(self, name: str) -> ControllerEntry:
         """What is to be designed or certified under a name."""
@@ -263,7 +253,7 @@ class Designer:
 
 def _designed(vehicle: Vehicle, entry: ControllerEntry, design: Design) -> Controller:
     """The controller of a gain on C_y x; a force that is in what is measured is taken out of it."""
-    through = vehicle.linear_model.rows(entry.measured)[1]
+    through = measurements(vehicle, entry.measured, entry.hardware.bandwidth)[1]
     beside = STATE_ALONE if entry.name == "state" and vehicle.filtered else ""
     redundant = tuple(entry.measured[i] for i in design.redundant)
     return Controller(
@@ -278,10 +268,11 @@ def _designed(vehicle: Vehicle, entry: ControllerEntry, design: Design) -> Contr
         redundant=redundant,
         case="; ".join(said for said in (design.case, beside) if said),
         instead=design.instead,
+        hardware=entry.hardware,
     )
 
 
-def given(vehicle: Vehicle, name: str, measured: Sequence[str], law: LinearLaw) -> Controller:
+def given(vehicle: Vehicle, name: str, measured: Sequence[str], law: LinearLaw, hardware: Hardware = IDEAL) -> Controller:
     """A controller whose law is known, from what is measured to the forces, whatever its name, certified as it is.
 
     Raises:
@@ -291,7 +282,7 @@ def given(vehicle: Vehicle, name: str, measured: Sequence[str], law: LinearLaw) 
     if law.D.shape != expected:
         raise InputError(f"controller {name!r} has a D of shape {law.D.shape}; expected {expected}: forces, measured signals")
     designer = Designer(vehicle)
-    entry = ControllerEntry(name, tuple(measured), law)
+    entry = ControllerEntry(name, tuple(measured), law, hardware=hardware)
     return designer._given(entry, law)
 
 

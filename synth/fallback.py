@@ -7,6 +7,7 @@ too: that is what others are held against, and is to be there.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 from models.common.arrays import Array
 from synth.certificate.lower_bound import LowerBound
@@ -16,6 +17,8 @@ from synth.lmi.central import CentralPoint
 from synth.plant import GeneralizedPlant
 from synth.search.static import LARGEST_GAIN, descended
 
+KNOW_NO_NOISE = "they know no noise on what is measured"
+
 
 def two_steps_or_descent(
     plant: GeneralizedPlant,
@@ -24,6 +27,7 @@ def two_steps_or_descent(
     lower_bound: LowerBound | None = None,
     states: Sequence[str] = (),
     always: bool = False,
+    Dyw: Array | None = None,
 ) -> Design:
     """What `two_step_design` finds; where that cannot be followed to its end, what descent does, with the reason.
 
@@ -31,21 +35,27 @@ def two_steps_or_descent(
         plant, Cy, lower_bound, states: as for `two_step_design`.
         path: gives that of (22) if it is there already, or says why there is none.
         always: descend where the second problem has no solution, too.
+        Dyw: shape (q, r), where noise is measured: the two steps know none, and are one of the starts of a descent.
 
     Raises:
         InputError, InfeasibleError: as `two_step_design`.
         DesignError: neither finds a gain whose certificate holds; the message says why. A certificate may be without a bound,
             where rounding leaves no proof of one, as for the large gains of 60 states; then the result says so.
     """
+    two_steps = None
     try:
-        return two_step_design(plant, Cy, path(), lower_bound, states)
+        two_steps, reason = two_step_design(plant, Cy, path(), lower_bound, states), KNOW_NO_NOISE
+        if Dyw is None:
+            return two_steps
     except DesignError as error:
         if isinstance(error, InfeasibleError) and not always:
             raise
         reason = error
     rows, kept = measurement(plant, Cy)
+    start = replace(two_steps, gain=two_steps.gain[:, kept]) if two_steps is not None else str(reason)
+    noise = Dyw[kept] if Dyw is not None else None
     try:
-        found = descended(plant, rows[kept], str(reason), lower_bound=lower_bound)
+        found = descended(plant, rows[kept], start, lower_bound=lower_bound, Dyw=noise)
     except DesignError as error:
         raise DesignError(f"{reason}; descent on the norm: {error}") from error
     certificate = found.certificate

@@ -9,12 +9,13 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
-from models.controllers import read_controllers
+from models.controllers import IDEAL, read_controllers
 from models.law import LinearLaw
 from models.vehicle import Vehicle, check_period
-from synth.controller import Controller, plant_states
+from synth.controller import Controller
 from synth.designer import given
 from synth.plant import GeneralizedPlant
+from synth.problem.problem import plant_states
 
 if TYPE_CHECKING:
     import control
@@ -95,7 +96,8 @@ def controller_from(vehicle: Vehicle, name: str, measured: Sequence[str], system
     rows = _order(system, "output_labels", vehicle.linear_model.inputs)
     if law.D.shape == (len(rows), len(columns)):
         law = LinearLaw(law.A, law.B[:, columns], law.C[rows], law.D[np.ix_(rows, columns)], law.sample_period)
-    entry = read_controllers({name: {"measured": list(measured), **law.record}}, vehicle.linear_model)[name]
+    section = {name: {"measured": list(measured), **law.record}}
+    entry = read_controllers(section, vehicle.linear_model, vehicle.limits, vehicle.implementation)[name]
     check_period(entry, vehicle.implementation)
     return given(vehicle, entry.name, entry.measured, law)
 
@@ -170,19 +172,20 @@ def vehicle_system(vehicle: Vehicle) -> "control.StateSpace":
 def closed_loop(vehicle: Vehicle, controller: Controller) -> "control.StateSpace":
     """The closed loop (16), continuous, from the roads to every output of the vehicle, each by its name and in its unit.
 
-    The first inputs are the road velocities [m/s]. Where the road's height acts as such, as in a full car, its twists follow,
-    each as a velocity: its height times the model's `twist_rate`.
+    Sensors are without noise and actuators without lag. The first inputs are the road velocities [m/s]. Where the road's height
+    acts as such, as in a full car, its twists follow, each as a velocity: its height times the model's `twist_rate`.
     """
     outputs = vehicle.linear_model.outputs
     plain = replace(vehicle, performance=dict.fromkeys(outputs, 1.0), filters={}, road_filter=None)
-    return _loop(plain, controller, outputs)
+    return _loop(plain, replace(controller, hardware=IDEAL), outputs)
 
 
 def weighted_loop(vehicle: Vehicle, controller: Controller) -> "control.StateSpace":
     """The same to the weighted output z (34) alone: its norm is the certificate's.
 
     Each output is a signal times its weight in `[performance]`, behind its filter if it has one, and is called `z[signal]`. Where
-    the road has a filter, each input is what comes into it, and is called `w[road]`.
+    the road has a filter, each input is what comes into it, and is called `w[road]`. The noise of a sensor that the controller is
+    judged with is an input, too, of its rms, and is called `noise[signal]`.
     """
     return _loop(vehicle, controller, [f"z[{signal}]" for signal, weight in vehicle.performance.items() if weight > 0])
 
@@ -191,9 +194,10 @@ def _loop(vehicle: Vehicle, controller: Controller, outputs: Sequence[str]) -> "
     """The closed loop to a vehicle's z, whose entries are called so."""
     from control import StateSpace, ss
 
-    loop = controller.loop(vehicle)
+    loop, hardware = controller.loop(vehicle), controller.hardware
     roads = [wheel.road_velocity for wheel in vehicle.kind.wheels]
-    more = [f"road_twist_{k}" for k in range(1, loop.Bw.shape[1] - len(roads) + 1)]
+    noise = [f"noise[{name}]" for name, rms in zip(controller.measured, hardware.noise, strict=bool(hardware.noise)) if rms]
+    more = [f"road_twist_{k}" for k in range(1, loop.Bw.shape[1] - len(roads) - len(noise) + 1)]
     inputs = [*roads, *more]
     system = ss(
         loop.A,
@@ -201,8 +205,8 @@ def _loop(vehicle: Vehicle, controller: Controller, outputs: Sequence[str]) -> "
         loop.C,
         loop.Dw,
         name=f"{vehicle.kind.name}_{controller.name}",
-        states=[*plant_states(vehicle), *(f"controller_{k}" for k in range(1, controller.law.states + 1))],
-        inputs=inputs if vehicle.road_filter is None else [f"w[{name}]" for name in inputs],
+        states=[*plant_states(vehicle, hardware.bandwidth), *(f"controller_{k}" for k in range(1, controller.law.states + 1))],
+        inputs=[*(inputs if vehicle.road_filter is None else [f"w[{name}]" for name in inputs]), *noise],
         outputs=list(outputs),
     )
     assert isinstance(system, StateSpace)

@@ -1,9 +1,12 @@
 """A controller, and what there is to say of its design, in words."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from models.common.arrays import Array
 from models.common.printed import matrix
+from models.controllers import IDEAL
 from models.law import LinearLaw
 from models.vehicle import Vehicle
 from synth.controller import Controller
@@ -48,9 +51,11 @@ def gain_lines(gain: Array, start: str) -> list[str]:
     return matrix(start, [[f"{entry:.6g}" for entry in row] for row in gain])
 
 
-def ideal_lines(vehicle: Vehicle) -> list[str]:
-    """Which loop the numbers are of, where the vehicle file has another one, too."""
-    return [] if vehicle.ideal else [f"bound, norm and poles are {IDEAL_LOOP}"]
+def ideal_lines(vehicle: Vehicle, controllers: Sequence[Controller]) -> list[str]:
+    """Which loop the numbers of these controllers are of, where the vehicle file has another one, too."""
+    asked = [one.name for one in controllers if one.hardware != IDEAL]
+    but = f", but for the noise and lag that {', '.join(asked)} {'ask' if len(asked) > 1 else 'asks'} for" if asked else ""
+    return [] if vehicle.ideal else [f"bound, norm and poles are {IDEAL_LOOP}{but}"]
 
 
 def filter_lines(vehicle: Vehicle) -> list[str]:
@@ -62,9 +67,28 @@ def filter_lines(vehicle: Vehicle) -> list[str]:
     return [f"norms are of {', '.join(found)}; the poles of these are in every loop, and no control moves them"]
 
 
+def hardware_lines(controller: Controller) -> list[str]:
+    """What of sensors and actuators is in a controller's norm and bounds, where there is any of it."""
+    measured, hardware = controller.measured, controller.hardware
+    pairs = zip(measured, hardware.noise, strict=bool(hardware.noise))
+    noise = ", ".join(f"{rms:g} on {name}" for name, rms in pairs if rms)
+    found = []
+    if noise:
+        found.append(
+            f"norm and bounds are of road and noise together: a noise of {noise} counts as much as 1 m/s of w, which is the "
+            "road's velocity, or what its filter shapes it from"
+        )
+    if hardware.bandwidth is not None:
+        found.append(
+            f"norm, bounds and poles are with the actuators' lag, {hardware.bandwidth:g} rad/s; the force that z weighs is the "
+            "one asked for"
+        )
+    return found
+
+
 def notes(controller: Controller) -> tuple[str, ...]:
     """What is the case where there is no one optimum, what was done instead, how far from it a design is, what is in vain."""
-    found = [text for text in (controller.case, controller.instead, *controller.remarks) if text]
+    found = [*hardware_lines(controller), *(text for text in (controller.case, controller.instead, *controller.remarks) if text)]
     if controller.state_step_gap > SHORT:
         gap = percent(controller.state_step_gap)
         found.append(f"from an X {gap} short of the best state feedback; from the best there is no design")

@@ -43,18 +43,19 @@ ROOMS = {
     "synth.scaling",
     "synth.fallback": "synth.certificate synth.design synth.errors synth.lmi synth.plant synth.search",
     "synth.redesign": "synth.design synth.errors synth.fallback synth.lmi synth.numerics synth.plant synth.scaling",
-    "synth.controller": "models models.filters synth.certificate synth.dynamic synth.plant",
+    "synth.problem": "models models.filters synth.dynamic synth.plant",
+    "synth.controller": "models synth.certificate synth.plant synth.problem",
     "synth.sampled": "synth.certificate synth.plant",
     "synth.implemented": "models synth.certificate synth.controller synth.plant synth.sampled",
     "synth.words": "models synth.controller",
-    "synth.designer": "models synth.certificate synth.controller synth.design synth.dynamic synth.errors synth.fallback "
-    "synth.lmi synth.plant synth.redesign synth.search",
-    "synth.state_space": "models synth.controller synth.designer synth.plant",
+    "synth.designs": "models synth.certificate synth.controller synth.design synth.errors synth.lmi synth.problem synth.search",
+    "synth.designer": "models synth.certificate synth.controller synth.design synth.designs synth.dynamic synth.errors "
+    "synth.fallback synth.lmi synth.plant synth.problem synth.redesign synth.search",
+    "synth.state_space": "models synth.controller synth.designer synth.plant synth.problem",
     "synth.paper": "models synth.certificate synth.designer synth.lmi",
     "synth.command": "models synth.certificate synth.controller synth.design synth.designer synth.errors synth.lmi synth.plant "
     "synth.posed synth.scaling synth.words",
-    "synth.__main__": "models synth.certificate synth.command synth.controller synth.designer synth.errors synth.search "
-    "synth.words",
+    "synth.__main__": "models synth.certificate synth.command synth.designer synth.errors synth.problem synth.search synth.words",
     # sim: what a run is
     "sim": "",
     "sim.figures": "",
@@ -66,11 +67,11 @@ ROOMS = {
     "sim.ride": "models.filters sim.linear sim.response sim.roads sim.runs",
     "sim.validity": "sim.figures sim.linear sim.physics sim.response sim.roads",
     "sim.stability": "sim.figures sim.linear sim.physics sim.roads sim.runs",
-    "sim.frequency": "models.filters sim.figures sim.linear sim.physics sim.response sim.roads sim.runs",
+    "sim.frequency": "models.filters sim.figures sim.linear sim.physics sim.response sim.roads sim.runs synth.words",
     "sim.recording": "sim.figures sim.physics sim.response sim.roads sim.runs",
     "sim.command": "sim.figures sim.recording sim.runs",
     "sim.asked": "sim.command sim.frequency sim.response sim.roads sim.runs sim.stability sim.validity",
-    "sim.inspect": "sim.asked sim.linear sim.physics sim.recording sim.response sim.ride sim.roads sim.runs synth.dynamic "
+    "sim.inspect": "sim.asked sim.linear sim.physics sim.recording sim.response sim.ride sim.roads sim.runs synth.problem "
     "synth.words",
     "sim.campaign": "sim.command sim.physics sim.response sim.ride sim.roads sim.runs synth.designer",
     "sim.report": "sim.command sim.figures sim.frequency sim.linear sim.physics sim.response sim.ride sim.roads "

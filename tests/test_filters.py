@@ -18,9 +18,9 @@ from sim.linear.frequency import continuous_frequency_response
 from sim.ride.weighting import wk
 from synth.__main__ import main
 from synth.certificate.norm import hinf_norm
-from synth.controller import generalized_plant, measurements, plant_states
 from synth.designer import Designer
 from synth.plant import Feedback
+from synth.problem.problem import generalized_plant, measurements, plant_states
 from synth.scaling import speed
 from synth.state_space import closed_loop, weighted_loop
 from tests.pages import section

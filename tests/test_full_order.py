@@ -13,12 +13,12 @@ from models.vehicle import read_vehicle
 from synth.certificate.certificate import FASTEST
 from synth.certificate.norm import hinf_norm
 from synth.certificate.stability import is_stable
-from synth.controller import generalized_plant
 from synth.dynamic.central import central_law
 from synth.dynamic.full_order import WITHIN, FullOrderDesign, full_order_design
 from synth.dynamic.loop import on_larger_plant
 from synth.errors import DesignError, InfeasibleError
 from synth.plant import GeneralizedPlant
+from synth.problem.problem import generalized_plant
 from tests.active_suspension import PRINTED, SCENARIOS, active_suspension
 from tests.test_bounds_hold import KINDS, a_plant
 from tests.test_units import Moved, any_plant, in_other_units

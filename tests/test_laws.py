@@ -22,8 +22,9 @@ from sim.stability.cut import cut, cut_sampled
 from sim.stability.growth import Trial, grow
 from sim.stability.loop import gain_crossings, largest_sample_period, margins, sampled_gain_crossings
 from synth.certificate.certificate import certify
-from synth.controller import Controller, generalized_plant
+from synth.controller import Controller
 from synth.designer import Designer
+from synth.problem.problem import generalized_plant
 from synth.words import law_lines, states_text
 
 REALITIES = {

@@ -27,9 +27,9 @@ from sim.stability.robustness import robustness, varied_text
 from sim.stability.slowest_mode import slowest_rate
 from synth.certificate.certificate import certify
 from synth.certificate.norm import hinf_norm
-from synth.controller import generalized_plant
 from synth.designer import Designer, design
 from synth.implemented.loop import sampled_radius
+from synth.problem.problem import generalized_plant
 from tests import pages
 from tests.conftest import recorded_runs
 

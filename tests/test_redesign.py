@@ -7,7 +7,6 @@ import pytest
 
 from models.common.errors import InputError
 from models.vehicle import read_vehicle
-from synth.controller import generalized_plant
 from synth.design import two_step_design
 from synth.designer import Designer
 from synth.errors import BatchError
@@ -16,6 +15,7 @@ from synth.lmi.barrier_batch import cholesky, inverse, minimise
 from synth.lmi.central import central_path
 from synth.lmi.central_batch import path_limits
 from synth.plant import GeneralizedPlant
+from synth.problem.problem import generalized_plant
 from synth.redesign import two_step_designs
 from tests.conftest import plant_with_feedthrough, random_vehicles
 

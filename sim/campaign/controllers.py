@@ -67,7 +67,7 @@ def _gain_of_then(vehicle: Vehicle, name: str, entry: Mapping[str, Any]) -> Cont
         FaultError: it is none of the vehicle.
     """
     try:
-        return given(vehicle, name, entry["measured"], law_of(entry))
+        return given(vehicle, name, entry["measured"], law_of(entry), vehicle.hardware(name))
     except (KeyError, ValueError) as error:
         raise _strange(error) from error
 

@@ -14,6 +14,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError, listing
 from models.common.read_file import TEXT
+from models.controllers import ControllerEntry
 from models.kind import LARGEST
 from models.kinds import kinds as kind_names
 from models.law import MATRICES, LinearLaw, static_law
@@ -29,10 +30,8 @@ from sim.roads.description import described_road
 from sim.roads.road import Road
 from sim.runs.forces import read_forces
 from sim.runs.prediction import Prediction, predict, predict_forced
-from synth.certificate.certificate import certify
-from synth.certificate.record import read_proof
-from synth.controller import Controller, generalized_plant, measurements
-from synth.dynamic.loop import on_larger_plant
+from synth.controller import Controller, checked
+from synth.problem.problem import problem
 
 MOST_VEHICLE = TEXT  # bytes of a vehicle file: what a command reads, its log may hold
 MOST_STATES = 1000  # of a loop with all its delayed forces; its eigenvalues take seconds
@@ -103,16 +102,16 @@ def recorded_controller(log: Recorded, vehicle: Vehicle, run: RecordedRun) -> Co
     if given is not None and law.record != given.record:
         raise InputError("its gain or law is not that of vehicle.toml")
 
-    plant, (Cy, through) = generalized_plant(vehicle), measurements(vehicle, signals)
     record = run.claim("certificate")
     if not isinstance(record, dict):
         raise InputError("its certificate is none")
     if given is None and "X" not in record:
         raise InputError("it was designed, and its certificate proves no bound")
-    X, eta, lower_bound = read_proof(record, plant, Cy, law.states)
-    on_states = law.continuous().fed_back(through)
-    certificate = certify(*on_larger_plant(plant, Cy, on_states), X, eta, lower_bound, by_itself=plant)
-    return Controller(name, signals, law, given is None, certificate)
+    hardware = vehicle.hardware(name)
+    certificate, _ = checked(
+        problem(vehicle, signals, hardware), ControllerEntry(name, tuple(signals), law, record, hardware=hardware)
+    )
+    return Controller(name, signals, law, given is None, certificate, hardware=hardware)
 
 
 def _programmed(log: Recorded, run: RecordedRun, name: str, signals: Sequence[str], law: PythonLaw) -> Programmed:

@@ -12,7 +12,7 @@ from sim.frequency.identification import Lines
 from sim.frequency.sweep import Sweep
 from sim.report.scope import AMPLITUDE, Scope, joined, number
 from synth.controller import Controller
-from synth.words import percent, states_text
+from synth.words import hardware_lines, percent, states_text
 
 FREQUENCIES = (0.1, 1.0, 3.0, 10.0, 25.0)  # Hz, from a body's to above a wheel's
 
@@ -54,6 +54,8 @@ def design_section(scope: Scope) -> Section:
     )
     if not scope.plain:
         text = (*text, "All of this is of the ideal loop: continuous, with no limits and no computer.")
+    said = [(one.name, line) for one in scope.controllers for line in hardware_lines(one)]
+    text = (*text, *(f"But of controller {name}, {line}." for name, line in said))
     tables = [Table("designs", "Every controller, how good it is, and whether that is proved.", headings, tuple(rows), words=2)]
     if scope.built_norms:
         rows = [

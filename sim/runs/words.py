@@ -114,7 +114,7 @@ def _found(vehicle: Vehicle, controller: Controller | Programmed) -> list[str]:
         lines += [f"{proof}norm {norm.value:.7g}{where}", certificate.stability.words]
     return [
         *lines,
-        *ideal_lines(vehicle),
+        *ideal_lines(vehicle, [controller]),
         *filter_lines(vehicle),
         *notes(controller),
         *certificate.remarks,

@@ -8,6 +8,7 @@ from models.vehicle import ControllerEntry
 from synth.command.table import Row
 from synth.controller import Controller
 from synth.designer import Designer
+from synth.words import hardware_lines
 
 
 def check(designer: Designer, names: Sequence[str] | None) -> list[Row]:
@@ -31,4 +32,5 @@ def _checked(designer: Designer, entry: ControllerEntry) -> Row:
     certificate, failures = designer.checked(entry)
     note = "checked: every claim of its certificate holds" if entry.certificate and not failures else ""
     note = note or ("its certificate does not hold" if entry.certificate else "came without a certificate")
-    return Row(entry.name, Controller(entry.name, entry.measured, entry.law, False, certificate), (note,), failures)
+    controller = Controller(entry.name, entry.measured, entry.law, False, certificate, hardware=entry.hardware)
+    return Row(entry.name, controller, (*hardware_lines(controller), note), failures)

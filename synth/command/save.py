@@ -55,6 +55,8 @@ def _entry(name: str, controller: Controller) -> list[str]:
         f"[controllers.{key}]",
         f"measured = {_toml(list(controller.measured))}",
         *(f"{key} = {_toml(value)}" for key, value in controller.law.record.items()),
+        *(["noise = true"] if controller.hardware.noise else []),
+        *(["lag = true"] if controller.hardware.bandwidth is not None else []),
         "",
         f"[controllers.{key}.certificate]    # checked by: python -m synth --check THIS_FILE",
         *(f"{key} = {_toml(value)}" for key, value in record.items()),

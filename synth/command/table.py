@@ -48,6 +48,7 @@ def row_object(row: Row) -> dict[str, Any]:
         "name": row.name,
         "measured": list(controller.measured),
         **controller.law.record,
+        **_hardware_object(controller),
         "designed": controller.designed,
         "bound": certificate.bound,
         "norm": finite(norm.value),
@@ -64,6 +65,13 @@ def row_object(row: Row) -> dict[str, Any]:
         "refine_lowers_by_at_least": row.worth or None,
         "cross_check": _witness_object(row.witness) if row.witness is not None else None,
     }
+
+
+def _hardware_object(controller: Controller) -> dict[str, Any]:
+    """What of sensors and actuators a norm is with; nothing where it is with none."""
+    hardware = controller.hardware
+    noise = {"noise": dict(zip(controller.measured, hardware.noise, strict=True))} if hardware.noise else {}
+    return noise | ({"actuator_bandwidth": hardware.bandwidth} if hardware.bandwidth is not None else {})
 
 
 def table_lines(rows: Sequence[Row]) -> list[str]:

@@ -82,7 +82,8 @@ def cross_check(designer: Designer, controller: Controller, zero_l: bool = False
         zero_l: whether with L = 0.
     """
     bound = controller.certificate.bound
-    problem = posed(designer.plant)
+    shared = designer.shared(controller.hardware)
+    problem = posed(shared.plant)
     if (
         not controller.designed
         or controller.instead
@@ -92,18 +93,18 @@ def cross_check(designer: Designer, controller: Controller, zero_l: bool = False
         or (problem.best is not None and problem.best_case in controller.case)
     ):
         return None
-    if designer.plant.weights:
+    if shared.plant.weights:
         said = "with filters (25) has rates too far apart for Clarabel, whose answers are then off without its saying so"
         return Witness("(25)", bound / (1 + controller.optimum_gap), controller.optimum_gap, None, None, said)
-    Cy, kept = measurement(designer.plant, designer.vehicle.linear_model.rows(controller.measured)[0])
-    units = own_units(designer.plant, Cy[kept])
+    Cy, kept = measurement(shared.plant, designer.problem(controller.measured, controller.hardware).Cy)
+    units = own_units(shared.plant, Cy[kept])
     rows, measured = units.rows(Cy[kept])
     K = controller.gain[:, kept] @ measured / units.inputs[:, None]
     if controller.name == "state":
         which, Q, R = "(22)", np.zeros((len(rows), 0)), np.linalg.inv(rows)
     else:
         which, Q = "(25)", nullspace(rows)
-        path = designer.state_path
+        path = shared.state_path
         start = min(path, key=lambda point: abs(point.gamma / path[-1].gamma - 1 - controller.state_step_gap))
         X = start.X / np.outer(units.states, units.states)
         R = r_matrix(rows, Q, np.zeros((Q.shape[1], len(rows))) if zero_l else l_matrix(X, rows, Q))

@@ -37,6 +37,7 @@ def named_design(
     lower_bound: LowerBound,
     states: Sequence[str],
     noise: Sequence[float] | None = None,
+    Dyw: Array | None = None,
 ) -> NamedDesign:
     """A controller designed as one of these names says.
 
@@ -47,13 +48,14 @@ def named_design(
         lower_bound: what no controller from these measurements beats.
         states: names of the states, for messages.
         noise: of each measurement, for "lqg", see `lqg_design`; None where there is none.
+        Dyw: shape (q, r), for "full" and "h2"; None for zero.
 
     Raises:
         DesignError: LQR is asked for where not every state is measured.
         InputError, InfeasibleError, DesignError: as `full_order_design`, `lqr_design`, `lqg_design` and `h2_design`.
     """
     if name == "full":
-        full = full_order_design(plant, Cy, None, lower_bound, states)
+        full = full_order_design(plant, Cy, Dyw, lower_bound, states)
         return NamedDesign(full.law, full.certificate, (full.remark,) if full.remark else ())
     if name == "lqr":
         if len(Cy) < len(plant.A):
@@ -64,7 +66,7 @@ def named_design(
         found = lqr_design(plant, states)
         law = LinearLaw(found.law.A, np.zeros((0, len(Cy))), found.law.C, np.linalg.solve(Cy.T, found.law.D.T).T)
     else:
-        found = lqg_design(plant, Cy, noise, states) if name == "lqg" else h2_design(plant, Cy, None, states)
+        found = lqg_design(plant, Cy, noise, states) if name == "lqg" else h2_design(plant, Cy, Dyw, states)
         law = found.law
     best = f"the best in the mean: H2 norm {found.h2_norm:.7g}, the rms of z where road velocity is white noise of intensity one"
     return NamedDesign(law, found.certificate, (best, *([found.remark] if found.remark else [])))

@@ -79,9 +79,7 @@ def problem(vehicle: Vehicle, measured: Sequence[str], hardware: Hardware, plant
     noisy = [i for i, rms in enumerate(hardware.noise) if rms]
     k = len(noisy)
     Dyw = np.hstack([np.zeros((q, r)), np.diag(hardware.noise)[:, noisy]])
-    wide = replace(
-        plant, Bw=np.hstack([plant.Bw, np.zeros((len(plant.A), k))]), Dw=np.hstack([plant.Dw, np.zeros((d, k))])
-    )
+    wide = replace(plant, Bw=np.hstack([plant.Bw, np.zeros((len(plant.A), k))]), Dw=np.hstack([plant.Dw, np.zeros((d, k))]))
     return Problem(wide, Cy, through, Dyw, forces)
 
 

@@ -93,15 +93,16 @@ def refine(plant: GeneralizedPlant, Cy: Array, K: Array, Dyw: Array | None = Non
 
 
 @numerics()
-def worth_refining(plant: GeneralizedPlant, Cy: Array, K: Array) -> float:
+def worth_refining(plant: GeneralizedPlant, Cy: Array, K: Array, Dyw: Array | None = None) -> float:
     """What `refine` lowers the norm by at least, relative: as far as its first rounds go, which are quick.
 
     Args:
         plant: n states, m inputs.
         Cy: shape (q, n).
         K: a stabilising gain, shape (m, q).
+        Dyw: shape (q, r); zero where it is not given.
     """
-    landscape = Landscape(plant, Cy)
+    landscape = Landscape(plant, Cy, Dyw)
     x = landscape.point(K)
     before, _ = landscape.norm(x)
     if not 0 < before < np.inf:
@@ -111,7 +112,7 @@ def worth_refining(plant: GeneralizedPlant, Cy: Array, K: Array) -> float:
     if reached < before * (1 - SEEN):
         return 1 - reached / before
     # Nothing without growth: then what the first twofold growth buys, where it is worth it.
-    landscape = Landscape(plant, Cy)
+    landscape = Landscape(plant, Cy, Dyw)
     x, norm = along_edges(landscape, x, np.full(len(x), size), ROUNDS)
     _, reached = along_edges(landscape, x, np.full(len(x), 2 * float(np.abs(x).max())), GLANCE)
     return 1 - reached / before if reached < norm * (1 - WORTH) else 1 - norm / before

@@ -37,10 +37,10 @@ from sim.roads.road import Bump
 from sim.validity.cells import validity
 from sim.validity.grid import grid, read_axes
 from synth.certificate.norm import hinf_norm
-from synth.controller import generalized_plant
 from synth.design import two_step_design
 from synth.designer import Designer
 from synth.lmi.clarabel import solve_lmi
+from synth.problem.problem import generalized_plant
 from tests.benchmarks.states import chain
 from tests.conftest import random_vehicles
 
