@@ -46,7 +46,7 @@ ROOMS = {
     "synth.problem": "models models.filters synth.dynamic synth.plant",
     "synth.controller": "models synth.certificate synth.plant synth.problem",
     "synth.sampled": "synth.certificate synth.plant",
-    "synth.implemented": "models synth.certificate synth.controller synth.plant synth.sampled",
+    "synth.implemented": "models synth.certificate synth.controller synth.plant synth.problem synth.sampled",
     "synth.words": "models synth.controller",
     "synth.designs": "models synth.certificate synth.controller synth.design synth.errors synth.lmi synth.problem synth.search",
     "synth.designer": "models synth.certificate synth.controller synth.design synth.designs synth.dynamic synth.errors "

@@ -13,11 +13,11 @@ from models.common.arrays import Array
 from models.reality import Implementation, Limits
 from models.vehicle import read_vehicle
 from synth.certificate.stability import sampled_growth
-from synth.controller import generalized_plant
 from synth.designer import design
 from synth.implemented.loop import implemented_loop
 from synth.implemented.norm import norm_as_implemented, sampled_loop
 from synth.plant import GeneralizedPlant
+from synth.problem.problem import generalized_plant
 from synth.sampled.lifted import lifted
 from synth.sampled.loop import Piece, SampledLoop
 from synth.sampled.norm import sampled_norm

@@ -10,9 +10,10 @@ import numpy as np
 from models.common.arrays import Array
 from models.reality import USUAL_TIMESTEP
 from models.vehicle import Vehicle
-from synth.controller import Controller, generalized_plant
+from synth.controller import Controller
 from synth.implemented.controlled import sampled
 from synth.plant import GeneralizedPlant
+from synth.problem.problem import generalized_plant
 from synth.sampled.loop import Piece, SampledLoop
 from synth.sampled.norm import SampledNorm, sampled_norm
 
