@@ -22,6 +22,7 @@ MODULES = {name: path for path, name in NAMES.items()}
 ROOMS = {
     # models: what a vehicle is
     "models.common": "",
+    "models.figures": "models.common",
     "models.filters": "models.common",
     "models.formats": "models.common",
     "models.own": "models.common",
@@ -58,30 +59,29 @@ ROOMS = {
     "synth.__main__": "models synth.certificate synth.command synth.designer synth.errors synth.problem synth.search synth.words",
     # sim: what a run is
     "sim": "",
-    "sim.figures": "",
     "sim.roads": "",
     "sim.response": "",
     "sim.linear": "sim.response sim.roads",
     "sim.physics": "sim.response sim.roads",
     "sim.runs": "sim.linear sim.physics sim.response sim.roads synth.words",
     "sim.ride": "models.filters sim.linear sim.response sim.roads sim.runs",
-    "sim.validity": "sim.figures sim.linear sim.physics sim.response sim.roads",
-    "sim.stability": "sim.figures sim.linear sim.physics sim.roads sim.runs",
-    "sim.frequency": "models.filters sim.figures sim.linear sim.physics sim.response sim.roads sim.runs synth.words",
-    "sim.recording": "sim.figures sim.physics sim.response sim.roads sim.runs",
-    "sim.command": "sim.figures sim.recording sim.runs",
+    "sim.validity": "models.figures sim.linear sim.physics sim.response sim.roads",
+    "sim.stability": "models.figures sim.linear sim.physics sim.roads sim.runs",
+    "sim.frequency": "models.filters models.figures sim.linear sim.physics sim.response sim.roads sim.runs synth.words",
+    "sim.recording": "models.figures sim.physics sim.response sim.roads sim.runs",
+    "sim.command": "models.figures sim.recording sim.runs",
     "sim.asked": "sim.command sim.frequency sim.response sim.roads sim.runs sim.stability sim.validity",
     "sim.inspect": "sim.asked sim.linear sim.physics sim.recording sim.response sim.ride sim.roads sim.runs synth.problem "
     "synth.words",
     "sim.campaign": "sim.command sim.physics sim.response sim.ride sim.roads sim.runs synth.designer",
-    "sim.report": "sim.command sim.figures sim.frequency sim.linear sim.physics sim.response sim.ride sim.roads "
+    "sim.report": "sim.command models.figures sim.frequency sim.linear sim.physics sim.response sim.ride sim.roads "
     "sim.runs sim.stability sim.validity synth.designer synth.paper synth.words",
     "sim.bump": "sim.asked sim.command sim.roads sim.runs synth.designer",
     "sim.drive": "sim.asked sim.command sim.ride sim.runs synth.designer",
-    "sim.sweep": "sim.asked sim.command sim.figures sim.frequency sim.runs synth.designer",
-    "sim.margins": "sim.asked sim.command sim.figures sim.runs sim.stability synth.designer",
+    "sim.sweep": "sim.asked sim.command models.figures sim.frequency sim.runs synth.designer",
+    "sim.margins": "sim.asked sim.command models.figures sim.runs sim.stability synth.designer",
     "sim.__main__": "",
-    "sim.envelope": "sim.asked sim.command sim.figures sim.response sim.roads sim.runs sim.validity synth.designer",
+    "sim.envelope": "sim.asked sim.command models.figures sim.response sim.roads sim.runs sim.validity synth.designer",
 }
 OF_ALL = "models.common"
 OF_SIM = {
@@ -132,9 +132,9 @@ OWNERS = {
     },
     "control": {"sim/response/export.py", "synth/state_space.py"},
     "pandas": {"sim/response/export.py"},
-    "matplotlib": {"sim/figures/picture.py"},
-    "contourpy": {"sim/figures/figure.py", "sim/figures/page.py"},
-    "jinja2": {"sim/figures/page.py"},
+    "matplotlib": {"models/figures/picture.py"},
+    "contourpy": {"models/figures/figure.py", "models/figures/page.py"},
+    "jinja2": {"models/figures/page.py"},
     "pyopencrg": {"sim/roads/opencrg.py"},
     "cloudpickle": {"sim/campaign/aside.py"},
     "filelock": {"sim/campaign/manifest.py"},

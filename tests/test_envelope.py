@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
+from models.figures.figure import Classes
 from models.kind import MOST_SQUEEZE
 from models.reality import Limits
 from models.vehicle import read_vehicle
 from sim.envelope import main
-from sim.figures.figure import Classes
 from sim.linear.loop import sampled_response
 from sim.physics.simulate import simulate
 from sim.response.regime import (

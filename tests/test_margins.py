@@ -11,10 +11,10 @@ import pytest
 from scipy import optimize
 
 from models.common.errors import InputError
+from models.figures.figure import Curve
 from models.kind import Variation
 from models.reality import Implementation, Limits
 from models.vehicle import parse_vehicle, read_vehicle
-from sim.figures.figure import Curve
 from sim.margins import _which_loop, main
 from sim.stability.bisection import Search, run_searches
 from sim.stability.cut import Loop, cut, cut_sampled

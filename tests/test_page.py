@@ -12,15 +12,15 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
+from models.figures.axis import Axis, axis_of
+from models.figures.contrast import GRAPHICS, TEXT, contrast, readable
+from models.figures.describe import about
+from models.figures.figure import OTHERS, STYLES, Bars, Classes, Curve, Figure, Panel, Shades, styles, thinned
+from models.figures.names import page_text
+from models.figures.page import DARK, LIGHT, Page, Section, Table, by_night, render
+from models.figures.svg import svg
 from models.law import static_law
 from models.vehicle import read_vehicle
-from sim.figures.axis import Axis, axis_of
-from sim.figures.contrast import GRAPHICS, TEXT, contrast, readable
-from sim.figures.describe import about
-from sim.figures.figure import OTHERS, STYLES, Bars, Classes, Curve, Figure, Panel, Shades, styles, thinned
-from sim.figures.names import page_text
-from sim.figures.page import DARK, LIGHT, Page, Section, Table, by_night, render
-from sim.figures.svg import svg
 from sim.report.designs import gain_table
 from tests.commands import ROOT
 
@@ -186,7 +186,7 @@ def test_nothing_leaves_a_picture(tmp_path, monkeypatch):
     """With long names, and many, everything that a picture says is inside it, and no number beside a bar lies over a name."""
     from matplotlib.figure import Figure as Canvas
 
-    from sim.figures.picture import write_picture
+    from models.figures.picture import write_picture
 
     drawn = []
     save = Canvas.savefig

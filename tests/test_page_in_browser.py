@@ -37,7 +37,7 @@ def wrong(pages: list[Path], node_modules: Path) -> list[dict[str, list[str]]]:
 @pytest.mark.attack
 def test_pages_can_be_read(node_modules, tmp_path):
     """Nothing is inaccessible, cut off, drawn over something else, missing on paper, or different without JavaScript."""
-    from sim.figures.page import render
+    from models.figures.page import render
 
     pages = [tmp_path / f"{name}.html" for name in PAGES]
     for path, names in zip(pages, PAGES.values(), strict=True):
@@ -54,7 +54,7 @@ def test_pages_can_be_read(node_modules, tmp_path):
 @pytest.mark.attack
 def test_the_check_can_fail(node_modules, tmp_path):
     """A page with what the test above looks for is complained of, each thing where it is."""
-    from sim.figures.page import render
+    from models.figures.page import render
 
     text = render(everything(("passive", "I")))
     text = text.replace(' scope="row"', ' role="nothing"').replace('lang="en"', "")

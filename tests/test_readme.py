@@ -9,12 +9,12 @@ import pytest
 from scipy.io import savemat
 
 from models.common.errors import InputError
+from models.figures.figure import styles
 from models.vehicle import parse_vehicle, read_vehicle
 from sim.__main__ import COMMANDS
 from sim.__main__ import main as commands_main
 from sim.bump import main
 from sim.campaign.file import read_campaign
-from sim.figures.figure import styles
 from sim.linear.loop import sampled_response, taylor4
 from sim.physics.simulate import simulate
 from sim.report import ride

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
+from models.figures.figure import styles
 from models.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main as bump
 from sim.drive import main as drive
 from sim.envelope import main as envelope
-from sim.figures.figure import styles
 from sim.margins import main as margins
 from sim.report.__main__ import main as report
 from sim.report.agreement import bump_section

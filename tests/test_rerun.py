@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import rerun.blueprint as rrb
 
+from models.figures.figure import STYLES, rgb
 from models.vehicle import read_vehicle
-from sim.figures.figure import STYLES, rgb
 from sim.recording.appearance import LIFTED, LONGEST, ROAD
 from sim.recording.drawing import AHEAD, BEHIND, SPACING
 from sim.recording.provenance import run_log

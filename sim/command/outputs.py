@@ -6,7 +6,7 @@ from pathlib import Path
 from models.common.errors import InputError
 from models.common.printed import Whole
 from models.common.whole_file import STDOUT, check_file, check_folder, identity
-from sim.figures.picture import check_picture
+from models.figures.picture import check_picture
 
 OPTIONS = {"report": "out"}  # where an option is not called as what it writes
 FOLDERS = ("logs", "figures")

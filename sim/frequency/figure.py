@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from models.common.arrays import Array
+from models.figures.figure import Curve, Dash, Figure, Panel
 from models.vehicle import Vehicle
-from sim.figures.figure import Curve, Dash, Figure, Panel
 from sim.frequency.identification import HIGHEST, LOWEST, Lines
 from sim.linear.frequency import as_met, continuous_frequency_response, sampled_frequency_response
 from sim.response.response import SILENT

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from models.figures.figure import styles, tint
 from models.signals import Signal
-from sim.figures.figure import styles, tint
 from sim.recording.format import MUJOCO, SAMPLED
 from sim.recording.foxglove_scene import WORLD, frame
 from sim.recording.mcap_writer import topic

@@ -18,8 +18,8 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import Writer
 
 from models.common.arrays import Array
+from models.figures.figure import rgb, styles
 from models.signals import Signal
-from sim.figures.figure import rgb, styles
 from sim.recording.appearance import largest_force
 from sim.recording.format import MUJOCO, SAMPLED
 from sim.recording.run_log import RunLog

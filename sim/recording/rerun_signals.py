@@ -6,7 +6,7 @@ import numpy as np
 import rerun as rr
 
 from models.common.arrays import Array
-from sim.figures.figure import rgb, styles, tint
+from models.figures.figure import rgb, styles, tint
 from sim.recording.format import MUJOCO, SAMPLED
 from sim.recording.run_log import RunLog
 from sim.recording.signal_groups import PALETTE, RESPONSES, groups, plotted, shown

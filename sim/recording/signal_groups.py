@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
+from models.figures.figure import OTHERS, STYLES
 from models.signals import Signal, is_kept
-from sim.figures.figure import OTHERS, STYLES
 from sim.recording.format import CONTINUOUS, MUJOCO, SAMPLED
 from sim.recording.run_log import RunLog
 

@@ -14,11 +14,11 @@ from models.common.errors import InputError
 from models.common.printed import Whole, say
 from models.common.progress import Stages
 from models.common.whole_file import made_folder, together, whole_file
+from models.figures.page import Page, check_page, write_page
+from models.figures.picture import check_drawing, write_picture
 from models.vehicle import read_vehicle
 from sim.command.claims import say_false_claims
 from sim.command.outputs import check_outputs, written, written_lines
-from sim.figures.page import Page, check_page, write_page
-from sim.figures.picture import check_drawing, write_picture
 
 USUAL = ("passive", "state", "I", "II")
 

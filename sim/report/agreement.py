@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.arrays import Array
-from sim.figures.axis import axis_of
-from sim.figures.figure import Curve, Figure, Marker, Panel, thinned
-from sim.figures.page import Section, Table
+from models.figures.axis import axis_of
+from models.figures.figure import Curve, Figure, Marker, Panel, thinned
+from models.figures.page import Section, Table
 from sim.physics.energy import BALANCED
 from sim.report.scope import BUMP_DURATION, Scope, number
 from sim.roads.road import Bump

@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from sim.figures.page import State
+from models.figures.page import State
 from sim.frequency.identification import Lines
 from sim.frequency.sweep import Sweep, failures
 from sim.report.regime_end import REACHES, RegimeEnd

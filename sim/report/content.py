@@ -5,7 +5,7 @@ import math
 from dataclasses import asdict
 from typing import Any
 
-from sim.figures.page import Page, Section, Table
+from models.figures.page import Page, Section, Table
 from sim.frequency.identification import ideal_measurements, identify
 from sim.frequency.sweep import sweep
 from sim.report import answer as report_answer

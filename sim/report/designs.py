@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from models.figures.page import Section, Table
 from models.vehicle import Vehicle
-from sim.figures.page import Section, Table
 from sim.frequency.figure import sweep_figure
 from sim.frequency.identification import Lines
 from sim.frequency.sweep import Sweep

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from models.figures.page import Section, Table
 from models.reality import Implementation
-from sim.figures.page import Section, Table
 from sim.frequency.identification import ideal_measurements
 from sim.report.answer import Finding, unclaimed_words
 from sim.report.regime_end import RegimeEnd

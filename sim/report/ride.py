@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from models.figures.figure import Curve, Dash, Figure, Panel
+from models.figures.page import Section, Table
 from models.vehicle import Vehicle
-from sim.figures.figure import Curve, Dash, Figure, Panel
-from sim.figures.page import Section, Table
 from sim.physics.simulate import simulate
 from sim.report.scope import joined, number
 from sim.response.regime import FLAT, REGIME_ENDS, reached

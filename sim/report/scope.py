@@ -7,9 +7,9 @@ from functools import cached_property
 
 import numpy as np
 
+from models.figures.figure import Dash, styles
 from models.reality import Limits, steps_per_sample
 from models.vehicle import Vehicle
-from sim.figures.figure import Dash, styles
 from sim.frequency.identification import check
 from sim.linear.frequency import Worst, sampled_frequency_response, worst_sinusoid
 from sim.roads.road import Bump

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sim.figures.figure import Bars, Curve, Figure, Panel
-from sim.figures.page import Section, Table
+from models.figures.figure import Bars, Curve, Figure, Panel
+from models.figures.page import Section, Table
 from sim.report.answer import unclaimed
 from sim.report.regime_end import RegimeEnd
 from sim.report.ride import SPEED, Ride

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from models.common.arrays import Array
+from models.figures.figure import Curve, Figure, Marker, Panel, Shades
 from models.reality import Implementation
 from models.vehicle import Vehicle
-from sim.figures.figure import Curve, Figure, Marker, Panel, Shades
 from sim.stability.bisection import Search
 from sim.stability.delayed import delayed_rate
 from sim.stability.margins import LoopMargins

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from models.figures.figure import Classes, Curve, Figure, Panel, level
 from models.vehicle import Vehicle
-from sim.figures.figure import Classes, Curve, Figure, Panel, level
 from sim.response.regime import REGIME_ENDS, End
 from sim.validity.cells import Cells
 from synth.controller import Controller

@@ -1,6 +1,6 @@
 """Colours that can be told from their background, whatever a figure asks for: WCAG 2.2, contrast of text and of graphics."""
 
-from sim.figures.figure import rgb
+from models.figures.figure import rgb
 
 TEXT, GRAPHICS = 4.5, 3.0  # least contrasts, success criteria 1.4.3 and 1.4.11
 STEPS = 50

@@ -8,7 +8,7 @@ import numpy as np
 
 from models.common.errors import InputError
 from models.common.whole_file import check_file, whole_file
-from sim.figures.figure import Bars, Classes, Figure, Panel, Shades
+from models.figures.figure import Bars, Classes, Figure, Panel, Shades
 
 SUFFIXES = (".png", ".svg")
 LONGEST = 24  # letters of a name in a legend

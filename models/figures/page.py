@@ -15,11 +15,11 @@ from typing import Any, Literal
 
 from models.common.errors import InputError
 from models.common.whole_file import whole_file
-from sim.figures.contrast import GRAPHICS, contrast, readable
-from sim.figures.figure import Bars, Classes, Figure, Panel, Shades
-from sim.figures.ground import levels, shade_colors
-from sim.figures.names import page_text
-from sim.figures.svg import DASHES, MARKERS, on_paper, svg
+from models.figures.contrast import GRAPHICS, contrast, readable
+from models.figures.figure import Bars, Classes, Figure, Panel, Shades
+from models.figures.ground import levels, shade_colors
+from models.figures.names import page_text
+from models.figures.svg import DASHES, MARKERS, on_paper, svg
 
 LIGHT, DARK = "#ffffff", "#16181b"  # behind figures, as in page.css
 VERDICTS = {
@@ -145,7 +145,7 @@ def write_page(page: Page, path: Path) -> None:
 
 
 def _resource(name: str) -> str:
-    return resources.files("sim.figures").joinpath(name).read_text(encoding="utf-8")
+    return resources.files("models.figures").joinpath(name).read_text(encoding="utf-8")
 
 
 def _digest(text: str) -> str:

@@ -7,10 +7,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from models.common.arrays import Array
-from sim.figures.area import BAR, FINE, ROW, Area, line_path
-from sim.figures.axis import Axis, nice_step
-from sim.figures.figure import Bars, Classes, Panel, Shades, bands
-from sim.figures.names import drawn_text
+from models.figures.area import BAR, FINE, ROW, Area, line_path
+from models.figures.axis import Axis, nice_step
+from models.figures.figure import Bars, Classes, Panel, Shades, bands
+from models.figures.names import drawn_text
 
 # From light to dark: ColorBrewer's YlOrBr.
 SEQUENCE = ("#ffffe5", "#fff7bc", "#fee391", "#fec44f", "#fe9929", "#ec7014", "#cc4c02", "#993404", "#662506")

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.arrays import Array
-from sim.figures.axis import Axis, axis_of
-from sim.figures.figure import Bars, Classes, Panel, Shades
+from models.figures.axis import Axis, axis_of
+from models.figures.figure import Bars, Classes, Panel, Shades
 
 LETTER = 9.6  # width of a digit, at the size that narrow screens have
 ROW, BAR = 40, 12  # of bars, and their thickness; above each its name

@@ -10,12 +10,12 @@ from html import escape
 
 import numpy as np
 
-from sim.figures.area import FINE, ROW, Area, area_of, line_path
-from sim.figures.axis import Axis
-from sim.figures.describe import about, quantity
-from sim.figures.figure import Bars, Classes, Curve, Panel, Shades
-from sim.figures.ground import ground_parts
-from sim.figures.names import drawn_text
+from models.figures.area import FINE, ROW, Area, area_of, line_path
+from models.figures.axis import Axis
+from models.figures.describe import about, quantity
+from models.figures.figure import Bars, Classes, Curve, Panel, Shades
+from models.figures.ground import ground_parts
+from models.figures.names import drawn_text
 
 WIDTH, HEIGHT = 420, 280
 WIDE = (600, 360)  # of a figure of one panel

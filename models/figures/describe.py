@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sim.figures.figure import Bars, Classes, Panel, Shades
+from models.figures.figure import Bars, Classes, Panel, Shades
 
 
 def quantity(label: str) -> tuple[str, str]:
