@@ -28,7 +28,7 @@ pytest.importorskip("jinja2", reason="a report needs the extra [report]")
 pytest.importorskip("contourpy", reason="a report needs the extra [report]")
 
 SVG = "{http://www.w3.org/2000/svg}"
-CSS = (ROOT / "sim" / "figures" / "page.css").read_text(encoding="utf-8")
+CSS = (ROOT / "models" / "figures" / "page.css").read_text(encoding="utf-8")
 VOID = {"meta", "link", "br", "img", "input", "hr"}
 PLAIN = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 POWER = re.compile(r"(?:(\d)·)?10([⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)")
