@@ -1,11 +1,12 @@
-"""The generalized plant (15): x' = A x + B u + Bw w, z = C x + D u + Dw w."""
+"""The generalized plant (15): x' = A x + B u + Bw w, z = C x + D u + Dw w; or x[k+1] = A x[k] + ..., every dt seconds."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError
+from models.common.errors import InputError, quoted
 from synth.extended import added, product
 
 MOST = 2000  # states, inputs, disturbances, outputs or measurements; more needs methods for large sparse systems
@@ -45,10 +46,11 @@ class GeneralizedPlant:
             of a plant that is what its floats say.
         weights: how many of its states, the last ones, are those of weights: no control moves their poles, so that they say
             nothing of how fast the plant is.
+        dt: of a discrete plant, the seconds from x[k] to x[k + 1]; None of a continuous one.
 
     Raises:
         InputError: a matrix is not one of real finite numbers, has the wrong shape, more than `MOST` rows or columns, or entries
-            beyond `SMALLEST` or `LARGEST`; the message names it.
+            beyond `SMALLEST` or `LARGEST`; or dt is no such number. The message names it.
     """
 
     A: Array
@@ -59,8 +61,11 @@ class GeneralizedPlant:
     Dw: Array
     beyond: Array | None = None
     weights: int = 0
+    dt: float | None = None
 
     def __post_init__(self) -> None:
+        if self.dt is not None:
+            object.__setattr__(self, "dt", _sample_period(self.dt))
         for name in SHAPES:
             matrix, size = _real_matrix(getattr(self, name), name, str(SHAPES[name]))
             if 0 < size < SMALLEST:
@@ -83,6 +88,17 @@ class GeneralizedPlant:
         """[A B Bw; C D Dw], shape (n + d, n + m + r)."""
         return np.vstack([np.hstack([self.A, self.B, self.Bw]), np.hstack([self.C, self.D, self.Dw])])
 
+    @cached_property
+    def differences(self) -> "GeneralizedPlant":
+        """(x[k+1] - x[k]) / dt in the place of x': the same loop in numbers that tend to the continuous ones as dt falls.
+
+        It is held as a continuous plant, and is one only as far as what asks for it says; a continuous plant is its own.
+        """
+        if self.dt is None:
+            return self
+        A = (self.A - np.eye(len(self.A))) / self.dt
+        return GeneralizedPlant(A, self.B / self.dt, self.Bw / self.dt, self.C, self.D, self.Dw, weights=self.weights)
+
     def closed_loop(self, G: Array | Feedback) -> "GeneralizedPlant":
         """The plant under u = G x + (a new u), equations (16)-(17): A + B G and C + D G, rounded once, and what that took.
 
@@ -98,7 +114,7 @@ class GeneralizedPlant:
         high, off = added(open_loop, moved)
         high, beyond = added(high, off + low if self.beyond is None else off + (low + self.beyond))
         n = len(self.A)
-        return GeneralizedPlant(high[:n], self.B, self.Bw, high[n:], self.D, self.Dw, beyond)
+        return GeneralizedPlant(high[:n], self.B, self.Bw, high[n:], self.D, self.Dw, beyond, dt=self.dt)
 
     def in_coordinates(self, T: Array) -> "GeneralizedPlant":
         """The same plant with state T^-1 x.
@@ -107,7 +123,8 @@ class GeneralizedPlant:
             T: shape (n, n), regular.
         """
         inverse = np.linalg.inv(T)
-        return GeneralizedPlant(inverse @ self.A @ T, inverse @ self.B, inverse @ self.Bw, self.C @ T, self.D, self.Dw)
+        A, B, Bw = inverse @ self.A @ T, inverse @ self.B, inverse @ self.Bw
+        return GeneralizedPlant(A, B, Bw, self.C @ T, self.D, self.Dw, dt=self.dt)
 
     def with_inputs(self, W: Array) -> "GeneralizedPlant":
         """The plant whose inputs v act as u = W v.
@@ -115,7 +132,7 @@ class GeneralizedPlant:
         Args:
             W: shape (m, k).
         """
-        return GeneralizedPlant(self.A, self.B @ W, self.Bw, self.C, self.D @ W, self.Dw)
+        return GeneralizedPlant(self.A, self.B @ W, self.Bw, self.C, self.D @ W, self.Dw, dt=self.dt)
 
     def independent_inputs(self) -> Array:
         """W, shape (m, k), whose orthonormal columns are the combinations of inputs that do something; I where all inputs do."""
@@ -131,14 +148,33 @@ class GeneralizedPlant:
         return np.linalg.qr((directions[:k] / columns).T)[0]
 
     def frequency_response(self, omega: Array) -> Array:
-        """T(j omega) from w to z without control, complex, shape (F, d, r), by (19).
+        """T(j omega) from w to z without control, complex, shape (F, d, r), by (19); of a discrete plant T(e^(j omega dt)).
 
         Args:
             omega: angular frequencies [rad/s], shape (F,).
         """
         s = 1j * np.asarray(omega, dtype=float)[:, None, None]
+        s = s if self.dt is None else np.exp(s * self.dt)
         resolvent = np.linalg.solve(s * np.eye(len(self.A)) - self.A, self.Bw.astype(complex)[None])
         return self.C @ resolvent + self.Dw
+
+
+def _sample_period(dt: object) -> float:
+    """The seconds between samples, checked.
+
+    Raises:
+        InputError: they are no number above zero in range.
+    """
+    allowed = f"give the seconds between samples, from {SMALLEST:g} to {LARGEST:g}, or None for a continuous plant"
+    if isinstance(dt, bool | np.bool_):
+        raise InputError(f"dt = {dt} does not say how often the plant is sampled; {allowed}")
+    try:
+        period = float(dt)  # pyright: ignore[reportArgumentType]
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"dt = {quoted(dt)} is no number; {allowed}") from None
+    if not SMALLEST <= period <= LARGEST:
+        raise InputError(f"dt = {period:g} is no sample period; {allowed}")
+    return period
 
 
 def real_matrix(value: object, name: str, expected: str) -> Array:
@@ -187,6 +223,14 @@ def check_states(n: int) -> None:
     """
     if not n:
         raise InputError("A has shape (0, 0), a plant without a state, where gains have nothing to act on; give it one")
+
+
+def check_continuous(plant: GeneralizedPlant) -> None:
+    """Raises an InputError for a discrete plant, where a formula is that of continuous ones."""
+    if plant.dt is not None:
+        raise InputError(
+            f"the plant is discrete (dt = {plant.dt:g}), and this is done for continuous ones alone; give such a one"
+        )
 
 
 def check_posed(plant: GeneralizedPlant) -> None:

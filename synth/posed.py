@@ -9,7 +9,7 @@ The gain is certified for the plant as it is: an X that proves a bound with more
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -55,17 +55,18 @@ def posed(plant: GeneralizedPlant) -> Posed:
     if not (np.any(plant.Bw) or np.any(plant.Dw)) or not (np.any(plant.C) or np.any(plant.D)):
         return Posed(plant)  # bad input, and the central path says so
     scale, forces = own_units(plant).exact
-    own, nothing = plant.in_coordinates(np.diag(scale)).with_inputs(np.diag(forces)), np.zeros_like(plant.B.T)
+    step, form = plant.dt or 0.0, plant.differences
+    own, nothing = form.in_coordinates(np.diag(scale)).with_inputs(np.diag(forces)), np.zeros_like(plant.B.T)
     blind = hidden(own, nothing)[1]  # what z does not see without control
-    alone = nothing if is_stable(plant.A) else None
-    strength = size(own.Bw)
+    alone = nothing if is_stable(plant.A, plant.dt) else None
+    strength = size(own.Bw) * (plant.dt or 1.0)
     everything = _counting(_disturbed(plant, strength * np.diag(scale)), own, scale, forces)
 
     if not np.any(plant.D) and not _leaves(own.B, blind):
         said = "no control force reaches z: its norm is the same for every gain"
         return Posed(everything, f"{said} that stabilises the plant", alone, f"{said}; none is applied")
 
-    kept, rest, F = _seen(own)
+    kept, rest, F = _seen(own, step)
     direct = bool(np.any(plant.Dw))
     if len(rest.A) and (direct or _leaves(own.Bw, blind, kept @ rest.Bw)):
         return Posed(plant)
@@ -75,15 +76,15 @@ def posed(plant: GeneralizedPlant) -> Posed:
         said = f"without control w reaches z {how}"
         return Posed(beside, f"{said}, but the plant is not stable; {INSTEAD}", alone, f"{said}; none is applied")
     best = forces[:, None] * F / scale
-    stable = is_stable(plant.closed_loop(best).A)
+    stable = is_stable(plant.closed_loop(best).A, plant.dt)
     said = f"with the right state feedback w reaches z {how}; {INSTEAD}"
     return Posed(beside, said, best if stable else None, f"with this gain w reaches z {how}")
 
 
 def free_force(plant: GeneralizedPlant) -> list[str]:
     """Why (22) has no optimum where a control force costs nothing, in words; empty where each does."""
-    plant = own_units(plant).into(plant)
-    _, rest, _ = _seen(plant.in_coordinates(np.diag(balance(plant.A)[1])))
+    step, plant = plant.dt or 0.0, own_units(plant).into(plant.differences)
+    _, rest, _ = _seen(plant.in_coordinates(np.diag(balance(plant.A)[1])), step)
     W = rest.independent_inputs()
     rank = int(np.linalg.matrix_rank(rest.D @ W, RANK * size(rest.D))) if W.shape[1] else 0
     if rank < W.shape[1]:
@@ -101,32 +102,40 @@ def standing(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[str]:
         plant: n states, m inputs.
         states: names of the states; x1, x2, ... without them.
     """
-    plant = own_units(plant).into(plant)
+    dt, plant = plant.dt, own_units(plant).into(plant.differences)
     scale = balance(plant.A)[1]
     balanced, names = plant.in_coordinates(np.diag(scale)), list(states) or [f"x{i + 1}" for i in range(len(plant.A))]
     for F in nulling(balanced):
         V, A = hidden(balanced, F)[1], balanced.closed_loop(F).A
         poles, vectors = np.linalg.eig(V.T @ A @ V) if V.shape[1] else (np.zeros(0), V)
         rounding = RANK * size(A)
-        still = [
-            (abs(pole.imag) if abs(pole.imag) > rounding else 0.0, vector)
-            for pole, vector in zip(poles, vectors.T, strict=True)
-            if abs(pole.real) <= rounding
-        ]
+        if dt is None:
+            still = [
+                (abs(pole.imag) if abs(pole.imag) > rounding else 0.0, vector)
+                for pole, vector in zip(poles, vectors.T, strict=True)
+                if abs(pole.real) <= rounding
+            ]
+        else:  # |1 + dt pole| = 1
+            still = [
+                (pole if abs(pole) > rounding else 0.0, vector)
+                for pole, vector in zip(poles, vectors.T, strict=True)
+                if abs(pole.real + dt * abs(pole) ** 2 / 2) <= rounding
+            ]
         if still:  # the slowest of them: which comes first is rounding's choice
-            omega, vector = min(still, key=lambda pair: pair[0])
+            at, vector = min(still, key=lambda pair: abs(pair[0]))
+            where = complex(0.0, at.real) if dt is None else complex(1 + dt * at)
             return [
-                f"z does not see the mode at {pole_text(complex(0.0, omega))}, which does not decay and moves most in "
+                f"z does not see the mode at {pole_text(where, dt)}, which does not decay and moves most in "
                 f"{largest(scale * (V @ vector), names)}: the optimum would let it be, and is not stable; weigh a signal that it "
                 "is seen in, or take it out of the model"
             ]
     return []
 
 
-def _seen(plant: GeneralizedPlant) -> tuple[Array, GeneralizedPlant, Array]:
+def _seen(plant: GeneralizedPlant, step: float) -> tuple[Array, GeneralizedPlant, Array]:
     """What `unseen` leaves of a plant for (22): its coordinates, shape (n, k), its plant; and the gain that hides the rest."""
     kept, parts = np.eye(len(plant.A)), []
-    while (part := unseen(plant, np.zeros((len(plant.A), 0)), np.eye(len(plant.A)))) is not None:
+    while (part := unseen(plant, np.zeros((len(plant.A), 0)), np.eye(len(plant.A)), step)) is not None:
         kept, plant, parts = kept @ part.Z[:, : len(part.rest.A)], part.rest, [*parts, part]
     F = np.zeros_like(plant.B.T)
     for part in reversed(parts):
@@ -143,7 +152,7 @@ def _leaves(inputs: Array, inside: Array, what: Array | None = None) -> bool:
 def _disturbed(plant: GeneralizedPlant, where: Array) -> GeneralizedPlant:
     """With disturbances that act on the states as the columns of `where` say."""
     Bw, Dw = np.hstack([plant.Bw, where]), np.hstack([plant.Dw, np.zeros((len(plant.C), where.shape[1]))])
-    return GeneralizedPlant(plant.A, plant.B, Bw, plant.C, plant.D, Dw)
+    return replace(plant, Bw=Bw, Dw=Dw)
 
 
 def _counting(plant: GeneralizedPlant, own: GeneralizedPlant, scale: Array, forces: Array) -> GeneralizedPlant:
@@ -153,4 +162,4 @@ def _counting(plant: GeneralizedPlant, own: GeneralizedPlant, scale: Array, forc
     states, inputs = weight * np.diag(1 / scale), weight * size(own.B) / size(own.A) * np.diag(1 / forces)
     C = np.vstack([plant.C, states, np.zeros((m, n))])
     D = np.vstack([plant.D, np.zeros((n, m)), inputs])
-    return GeneralizedPlant(plant.A, plant.B, plant.Bw, C, D, np.vstack([plant.Dw, np.zeros((n + m, plant.Dw.shape[1]))]))
+    return replace(plant, C=C, D=D, Dw=np.vstack([plant.Dw, np.zeros((n + m, plant.Dw.shape[1]))]))

@@ -4,9 +4,9 @@ A gain is that of `design.py` to where the central path is stopped (`central.LIM
 proof is another one, too, and where rounding leaves a proof little room the bounds of both may differ by up to a tenth.
 
 All is done in the own units of the one that is designed. Where that does not lead to the limit of the central path and a
-certificate that holds, a plant is designed by itself: if it has another shape, if its weights have states, which leave the X of
-(22) unsettled at its limit and so all that comes after, if (25) is infeasible from the optimal X of (22), or if the optimum is
-reached only by gains beyond any actuator.
+certificate that holds, a plant is designed by itself: if it has another shape or is discrete, if its weights have states, which
+leave the X of (22) unsettled at its limit and so all that comes after, if (25) is infeasible from the optimal X of (22), or if
+the optimum is reached only by gains beyond any actuator.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -153,8 +153,11 @@ def _output_limits(
 def _limits(
     plants: Sequence[GeneralizedPlant], which: Sequence[int], Q: Array, R: Array, nominal_path: Path
 ) -> dict[int, CentralPoint]:
-    """`path_limits` of some of the plants, by their index among all; of none where the nominal one shows z only some states."""
-    if any(point.proof is not None for point in nominal_path):
+    """`path_limits` of some of the plants, by their index among all.
+
+    Of none where the nominal one shows z only some states, or where they are discrete.
+    """
+    if any(point.proof is not None for point in nominal_path) or any(plants[i].dt is not None for i in which):
         return {}
     nominal = min(nominal_path, key=lambda point: abs(np.log(point.mu / SHORT)))
     with suppress(DesignError), numerics():

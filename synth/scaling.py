@@ -103,16 +103,16 @@ def own_units(plant: GeneralizedPlant, Cy: Array | None = None) -> OwnUnits:
     other units, each a power of two, is the same in its own to the last bit.
 
     Args:
-        plant: n states.
+        plant: n states; a discrete one has those of its differences.
         Cy: shape (q, n); of no rows where it is not given.
     """
-    return _alone(plant) if Cy is None else _measured(plant, Cy)
+    return _alone(plant) if Cy is None else _measured(plant.differences, Cy)
 
 
 @functools.lru_cache(maxsize=2)
 def _alone(plant: GeneralizedPlant) -> OwnUnits:
     """Of a plant without measurements: a design asks for them at every door, and plants do not change."""
-    return _measured(plant, np.zeros((0, len(plant.A))))
+    return _measured(plant.differences, np.zeros((0, len(plant.A))))
 
 
 def _measured(plant: GeneralizedPlant, Cy: Array) -> OwnUnits:
@@ -161,8 +161,9 @@ def _with_pivots(normal: Array, right: Array) -> Array:
 def speed(plant: GeneralizedPlant) -> tuple[float, bool]:
     """How fast a plant is by itself [rad/s]: its fastest pole, and True; the rate of its own and False where all lie at 0.
 
-    Poles of weights do not count.
+    Poles of weights do not count. How fast a mode of a discrete plant is, says its change in a sample over dt.
     """
+    plant = plant.differences
     n = len(plant.A) - plant.weights
     if plant.weights:
         return _speed(GeneralizedPlant(plant.A[:n, :n], plant.B[:n], plant.Bw[:n], plant.C[:, :n], plant.D, plant.Dw))
@@ -188,7 +189,13 @@ def are_integrators(A: Array) -> bool:
 def _in_units(plant: GeneralizedPlant, states: Array, inputs: Array) -> GeneralizedPlant:
     each = states[:, None]
     return GeneralizedPlant(
-        plant.A * states / each, plant.B * inputs / each, plant.Bw / each, plant.C * states, plant.D * inputs, plant.Dw
+        plant.A * states / each,
+        plant.B * inputs / each,
+        plant.Bw / each,
+        plant.C * states,
+        plant.D * inputs,
+        plant.Dw,
+        dt=plant.dt,
     )
 
 

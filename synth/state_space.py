@@ -26,10 +26,10 @@ NUMBERED = re.compile(r"[uy]\[\d+\]")  # what python-control calls a signal that
 def from_state_space(
     system: Any, disturbances: Sequence[str], performance: Mapping[str, float], measured: Sequence[str]
 ) -> tuple[GeneralizedPlant, Array]:
-    """The plant (15) and C_y of a continuous-time system whose signals have names.
+    """The plant (15) and C_y of a system whose signals have names, continuous or discrete as it is.
 
     Args:
-        system: `control.StateSpace`: A, B, C, D, input_labels, output_labels.
+        system: `control.StateSpace`: A, B, C, D, input_labels, output_labels, and dt if it is sampled: seconds.
         disturbances: the inputs that are w; all others are u.
         performance: weights of the outputs that make z, by name.
         measured: the outputs that make y. None of them may contain u or w.
@@ -38,11 +38,10 @@ def from_state_space(
         The plant, and C_y of shape (q, n).
 
     Raises:
-        InputError: an unknown signal, no disturbance, no weight above zero, nothing measured, a sampled system, or a measurement
-            that contains u or w.
+        InputError: an unknown signal, no disturbance, no weight above zero, nothing measured, a system that is sampled and does
+            not say how often, or a measurement that contains u or w.
     """
-    if getattr(system, "dt", 0):
-        raise InputError(f"the system is sampled (dt = {system.dt}); give a continuous-time one")
+    dt = _sample_period(system)
     inputs, outputs = list(system.input_labels), list(system.output_labels)
     for what, asked, there in (
         ("disturbance", disturbances, inputs),
@@ -67,8 +66,20 @@ def from_state_space(
         if np.any(row):
             raise InputError(f"measured signal {name!r} contains an input directly; a static controller measures states only")
     weight = np.array(list(weights.values()))[:, None]
-    plant = GeneralizedPlant(A, B[:, u], B[:, w], weight * C[z], weight * D[np.ix_(z, u)], weight * D[np.ix_(z, w)])
-    return plant, C[y]
+    direct = weight * D[z]
+    return GeneralizedPlant(A, B[:, u], B[:, w], weight * C[z], direct[:, u], direct[:, w], dt=dt), C[y]
+
+
+def _sample_period(system: Any) -> float | None:
+    """The seconds between samples of a system; None of a continuous one.
+
+    Raises:
+        InputError: it is sampled, and does not say how often.
+    """
+    period = getattr(system, "dt", None)
+    if period is True:
+        raise InputError("the system is sampled, and does not say how often (dt = True); give dt in seconds")
+    return period or None
 
 
 def controller_from(vehicle: Vehicle, name: str, measured: Sequence[str], system: Any) -> Controller:
@@ -88,10 +99,7 @@ def controller_from(vehicle: Vehicle, name: str, measured: Sequence[str], system
         A, B, C, D = (np.asarray(getattr(system, matrix)) for matrix in "ABCD")
     except AttributeError as error:
         raise InputError(f"{quoted(system)} has no A, B, C and D; give a state-space system") from error
-    period = getattr(system, "dt", None)
-    if period is True:
-        raise InputError("the system is sampled, and does not say how often (dt = True); give dt in seconds")
-    law = LinearLaw(A, B, C, D, period or None)  # shapes that do not fit together are its to name
+    law = LinearLaw(A, B, C, D, _sample_period(system))  # shapes that do not fit together are its to name
     columns = _order(system, "input_labels", measured)
     rows = _order(system, "output_labels", vehicle.linear_model.inputs)
     if law.D.shape == (len(rows), len(columns)):

@@ -34,14 +34,16 @@ ROOMS = {
     "synth.numerics": "synth.errors",
     "synth.plant": "synth.extended",
     "synth.scaling": "synth.plant",
-    "synth.certificate": "synth.extended synth.numerics synth.plant synth.scaling",
+    "synth.discrete": "synth.extended synth.plant",
+    "synth.certificate": "synth.discrete synth.extended synth.numerics synth.plant synth.scaling",
     "synth.modes": "synth.certificate synth.plant synth.scaling",
-    "synth.lmi": "synth.certificate synth.errors synth.numerics synth.plant synth.scaling",
-    "synth.dynamic": "models synth.certificate synth.errors synth.lmi synth.modes synth.numerics synth.plant synth.scaling",
+    "synth.lmi": "synth.certificate synth.discrete synth.errors synth.numerics synth.plant synth.scaling",
+    "synth.dynamic": "models synth.certificate synth.discrete synth.errors synth.lmi synth.modes synth.numerics synth.plant "
+    "synth.scaling",
     "synth.posed": "synth.certificate synth.lmi synth.modes synth.plant synth.scaling",
     "synth.design": "synth.certificate synth.errors synth.lmi synth.modes synth.numerics synth.plant synth.posed synth.scaling",
-    "synth.search": "models synth.certificate synth.design synth.dynamic synth.errors synth.lmi synth.numerics synth.plant "
-    "synth.scaling",
+    "synth.search": "models synth.certificate synth.design synth.discrete synth.dynamic synth.errors synth.lmi synth.numerics "
+    "synth.plant synth.scaling",
     "synth.fallback": "synth.certificate synth.design synth.errors synth.lmi synth.plant synth.search",
     "synth.redesign": "synth.design synth.errors synth.fallback synth.lmi synth.numerics synth.plant synth.scaling",
     "synth.problem": "models models.filters synth.dynamic synth.plant",

@@ -10,6 +10,7 @@ from models.common.arrays import Array
 from synth.certificate.certificate import Certificate, certify, eta_of, prove_bound
 from synth.certificate.lower_bound import LowerBound
 from synth.certificate.stability import balance
+from synth.discrete.bilinear import continuous_loop
 from synth.numerics import numerics
 from synth.plant import Feedback, GeneralizedPlant
 from synth.scaling import size
@@ -46,16 +47,19 @@ def certify_tightly(
     plain = certify(plant, G, lower_bound=lower_bound, by_itself=by_itself)
     if not plain.stable or not np.isfinite(plain.norm.value):
         return plain
-    loop = plant.closed_loop(G)
+    # Of a discrete loop the peak is mapped near 0, for next to infinity no weight is left that is regular.
+    late, over = plain.norm.peak_frequency * (plant.dt or 0.0) > np.pi / 2, plant.dt or 1.0
+    loop = continuous_loop(plant.closed_loop(G), turned=late)
     above = [(plain.norm.value * (1 + margin), margin) for margin in (*MARGINS, *LOOSE) if plain.norm.value > 0]
-    unit = float(np.linalg.norm(plant.Dw, 2)) + size(plant.C) * size(plant.Bw) / size(plant.A)
+    own = plant.differences
+    unit = float(np.linalg.norm(own.Dw, 2)) + size(own.C) * size(own.Bw) / size(own.A)
     # Of a norm that is zero to rounding an absolute bound can be proved.
     small = [(least * unit, 1.0) for least in SMALL if least * unit > 2 * plain.norm.value]
     close = above[: len(MARGINS)]
     for levels, everywhere, least_seen in ((close, EVERYWHERE, False), (above, LEAST_SEEN, True), (small, EVERYWHERE, False)):
         for (gamma, margin), share, strength in product(levels, TO_SPARE, everywhere):
             try:
-                X = bounding_x(loop, gamma, share * margin, strength, least_seen)
+                X = over * bounding_x(loop, gamma, share * margin, strength, least_seen)
             except (np.linalg.LinAlgError, ValueError):  # too close to the norm for the Riccati solver
                 continue
             certificate = replace(plain, proof=prove_bound(plant, G, X, eta_of(gamma)))  # the rest is as it was
@@ -72,7 +76,7 @@ def bounding_x(loop: GeneralizedPlant, gamma: float, more: float, everywhere: fl
     where the states under white noise are uncorrelated and of one size, so that no unit and no cancellation costs digits.
 
     Args:
-        loop: stable.
+        loop: continuous and stable.
         gamma: above its norm.
         more: relative; small against how far gamma lies above the norm.
         everywhere: of the disturbance's power, what disturbs states that w does not reach.

@@ -28,7 +28,7 @@ PEAKS_AGREE = 1e-9  # relative; how far from the norm the gain at its peak may l
 
 @dataclass(frozen=True, eq=False)
 class LmiProof:
-    """The proof of a bound: X > 0 and LMI (20) < 0.
+    """The proof of a bound: X > 0 and LMI (20) < 0, or that of a discrete loop (`bounded_real.py`).
 
     Attributes:
         X: shape (n, n), symmetric.
@@ -112,12 +112,12 @@ class Certificate:
 
     @property
     def poles(self) -> Array:
-        """Eigenvalues of A + B K C_y [rad/s], complex, shape (n,)."""
+        """Eigenvalues of A + B K C_y [rad/s], complex, shape (n,); of a discrete loop z."""
         return self.stability.poles
 
     @property
     def stable(self) -> bool:
-        """Whether all poles lie left of the imaginary axis, by more than rounding."""
+        """Whether all poles lie left of the imaginary axis, or within the unit circle, by more than rounding."""
         return self.stability.stable
 
     @property
@@ -196,13 +196,13 @@ def certify(
         InputError: eta or X is out of range.
     """
     loop = plant.closed_loop(G)
-    found, norm, (fastest, moves) = stability(loop.A), hinf_norm(loop), speed(by_itself or plant)
+    found, norm, (fastest, moves) = stability(loop.A, loop.dt), hinf_norm(loop), speed(by_itself or plant)
     return Certificate(
         loop=loop,
         stability=found,
         norm=norm,
         proof=prove_bound(plant, G, X, eta) if X is not None and eta is not None else None,
-        speed_up=float(np.abs(found.poles).max()) / fastest,
+        speed_up=float(found.rates.max()) / fastest,
         moves=moves,
         norm_rounding=_norm_rounding(loop, norm.peak_frequency) if found.stable else 0.0,
         below=lower_bound,
@@ -255,7 +255,8 @@ def _inverse_root(eta: float) -> float:
 def _norm_rounding(loop: GeneralizedPlant, at: float) -> float:
     """What rounding makes of a transfer function that is zero, near a frequency [rad/s]: the parts that are 0 are not quite."""
     A, scale = balance(loop.A)
-    rates = np.array([0.0, at if np.isfinite(at) else 0.0])
-    R = np.abs(np.linalg.inv(1j * rates[:, None, None] * np.eye(len(A)) - A))
+    points = 1j * np.array([0.0, at if np.isfinite(at) else 0.0])
+    points = points if loop.dt is None else np.exp(points * loop.dt)
+    R = np.abs(np.linalg.inv(points[:, None, None] * np.eye(len(A)) - A))
     passes = np.abs(loop.C * scale) @ R @ np.abs(loop.Bw / scale[:, None])
     return float(100 * np.finfo(float).eps * np.linalg.norm(passes, axis=(1, 2)).max(initial=0.0))

@@ -23,7 +23,7 @@ from models.common.arrays import Array
 from synth.certificate.exact import Nullspace, floats, identity, integers, product, root_below, without_factors
 from synth.certificate.norm import largest_singular_values, transfer_matrix
 from synth.certificate.stability import balance, stability
-from synth.plant import GeneralizedPlant
+from synth.plant import GeneralizedPlant, check_continuous
 from synth.scaling import own_units
 
 PEAKS = 6  # local maxima that are looked at closely
@@ -59,7 +59,8 @@ def invariant_limit(plant: GeneralizedPlant) -> tuple[float, float] | None:
 
 @np.errstate(all="ignore")  # what is not finite proves nothing
 def limit_at(plant: GeneralizedPlant, omega: float) -> float:
-    """A norm at a frequency [rad/s] that no control changes, proved; 0 where none is."""
+    """A norm of a continuous plant at a frequency [rad/s] that no control changes, proved; 0 where none is."""
+    check_continuous(plant)
     n, d, m = len(plant.A), len(plant.C), plant.B.shape[1]
     still = plant.system_matrix[:, : n + m]
     turning = np.zeros_like(still)

@@ -25,7 +25,9 @@ from scipy import linalg
 
 from models.common.arrays import Array
 from models.common.threads import one_thread
-from synth.certificate.stability import balance, stability_of_balanced
+from synth.certificate.stability import balance, stability, stability_of_balanced
+from synth.discrete.bilinear import continuous_loop, mapped_frequency, true_frequency
+from synth.discrete.response import response_closely
 from synth.extended import transfer_matrix_closely
 from synth.plant import GeneralizedPlant
 
@@ -68,6 +70,8 @@ class Norm:
 @one_thread()
 def hinf_norm(system: GeneralizedPlant) -> Norm:
     """The H-infinity norm from w to z with u = 0, by both routes."""
+    if system.dt is not None:
+        return _discrete_norm(system, system.dt)
     gain = _Gain(system)
     if not gain.stable:
         return Norm(np.inf, np.nan, np.inf, np.inf)
@@ -85,8 +89,29 @@ def hinf_norm(system: GeneralizedPlant) -> Norm:
     return Norm(value, at, level, sweep, rounding / value + beside(at) + gain.last if value else 0.0)
 
 
+def _discrete_norm(system: GeneralizedPlant, dt: float) -> Norm:
+    """The same of a discrete system: both routes on the continuous one for it, and what they find measured on the system itself.
+
+    So the map only says where to look, and what it and rounding did to the values is seen.
+    """
+    if not stability(system.A, dt).stable:
+        return Norm(np.inf, np.nan, np.inf, np.inf)
+    gain = _Gain(continuous_loop(system))
+    found = []
+    for route in (_by_level_sets, _by_sweep):
+        value, at = route(gain)
+        T, missing = response_closely(system, at * dt / 2)
+        true = float(np.linalg.norm(T, 2))
+        found.append((true, at, (abs(true - value) + missing) / true if true else 0.0))
+    (level, _, _), (sweep, _, _) = found
+    value, at, rounding = max(found)
+    return Norm(value, true_frequency(at, dt), level, sweep, rounding + gain.beside(at) + gain.last if value else 0.0)
+
+
 def gain_at(system: GeneralizedPlant, omega: float) -> float:
     """The largest singular value at a frequency [rad/s], with twice the digits."""
+    if system.dt is not None:
+        return float(np.linalg.norm(response_closely(system, mapped_frequency(omega, system.dt) * system.dt / 2)[0], 2))
     return float(_Gain(system).closely(np.array([omega]))[0][0])
 
 
@@ -245,7 +270,7 @@ def _climbed(gain: Callable[[Array], Array], omega: Array, width: Array, zooms: 
 
 
 def level_set_norm(system: GeneralizedPlant) -> tuple[float, float]:
-    """The largest gain on the imaginary axis by level sets, and the frequency [rad/s] where it is reached.
+    """The largest gain of a continuous system on the imaginary axis by level sets, and the frequency [rad/s] where it is reached.
 
     The eigenvalues only propose frequencies, whatever their real parts; the transfer function decides. So no tolerance has to
     tell an imaginary eigenvalue from one that rounding moved off the axis.

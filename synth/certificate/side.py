@@ -22,7 +22,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from synth.certificate.exact import Nullspace, floats, identity, integers, product, without_factors
-from synth.plant import GeneralizedPlant
+from synth.plant import GeneralizedPlant, check_continuous
 
 GROWTH = 1e-9  # of |A|; less is rounding
 
@@ -49,7 +49,12 @@ class Side:
 
     @classmethod
     def of(cls, plant: GeneralizedPlant) -> "Side":
-        """The side of state feedback; of the transposed plant that of the observer."""
+        """The side of state feedback; of the transposed plant that of the observer.
+
+        Raises:
+            InputError: the plant is discrete; then it is the one that it is mapped to that has a side.
+        """
+        check_continuous(plant)
         n, (system, unit) = len(plant.A), integers(plant.system_matrix)
         m = plant.B.shape[1]
         states, inputs = system[:, :n], system[:, n : n + m]

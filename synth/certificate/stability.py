@@ -23,38 +23,61 @@ class Stability:
     """The poles of a loop, and where they lie.
 
     Attributes:
-        poles: eigenvalues of A [rad/s], complex, shape (n,), sorted.
-        on_axis: which of them lie on the imaginary axis to rounding, shape (n,).
-        rounding: size of E [rad/s].
+        poles: eigenvalues of A [rad/s], complex, shape (n,), sorted; of a discrete loop, z without a unit.
+        on_axis: which of them lie on the imaginary axis to rounding, or on the unit circle, shape (n,).
+        rounding: size of E [rad/s], or without a unit.
         vectors: right eigenvectors of the balanced A, of length one, complex, shape (n, n).
+        dt: seconds between samples of a discrete loop; None of a continuous one.
     """
 
     poles: Array
     on_axis: Array
     rounding: float
     vectors: Array
+    dt: float | None = None
+
+    @property
+    def growth(self) -> Array:
+        """What is below zero of poles that decay, shape (n,): the real part, or by how much z exceeds one in size."""
+        return np.real(self.poles) if self.dt is None else np.abs(self.poles) - 1
+
+    @property
+    def rates(self) -> Array:
+        """How fast each pole moves its mode [rad/s], shape (n,): its size, or that of the change in a sample over dt."""
+        return np.abs(self.poles) if self.dt is None else np.abs(self.poles - 1) / self.dt
 
     @property
     def verdict(self) -> str:
         """`STABLE`, `MARGINAL` (nothing grows faster than rounding, but something does not decay) or `UNSTABLE`."""
-        if np.any(np.real(self.poles[~self.on_axis]) > 0):
+        if np.any(self.growth[~self.on_axis] > 0):
             return UNSTABLE
         return MARGINAL if np.any(self.on_axis) else STABLE
 
     @property
     def stable(self) -> bool:
-        """Whether every pole lies left of the imaginary axis by more than rounding."""
+        """Whether every pole lies left of the imaginary axis, or within the unit circle, by more than rounding."""
         return self.verdict == STABLE
 
     @property
     def worst(self) -> complex:
-        """The pole that decides: furthest to the right, of those on the axis where none lies beyond. -inf where there is none."""
-        deciding = self.poles[self.on_axis] if self.verdict == MARGINAL else self.poles
-        return complex(deciding[np.argmax(np.real(deciding))]) if len(deciding) else complex(-np.inf)
+        """The pole that decides: which grows most, of those on the axis where none grows. -inf, or 0, where there is none."""
+        deciding, growth = self.poles, self.growth
+        if self.verdict == MARGINAL:
+            deciding, growth = deciding[self.on_axis], growth[self.on_axis]
+        if not len(deciding):
+            return complex(-np.inf) if self.dt is None else 0j
+        return complex(deciding[np.argmax(growth)])
 
     @property
     def words(self) -> str:
         """The verdict and the pole that decides, on one line."""
+        if self.dt is not None:
+            where = pole_text(self.worst, self.dt)
+            if self.verdict == STABLE:
+                return f"stable, slowest pole at {where}"
+            if self.verdict == MARGINAL:
+                return f"marginal: a pole at {where} lies on the unit circle, to rounding, and does not decay"
+            return f"unstable: a pole at {where}"
         if self.verdict == STABLE:
             return f"stable, slowest pole {self.worst.real:.4g} 1/s"
         if self.verdict == MARGINAL:
@@ -64,13 +87,18 @@ class Stability:
         return f"unstable: a pole at {pole_text(self.worst)}"
 
 
-def stability(A: Array) -> Stability:
-    """Where the poles of x' = A x lie.
+def stability(A: Array, dt: float | None = None) -> Stability:
+    """Where the poles of x' = A x lie, or of x[k+1] = A x[k].
 
     Args:
         A: shape (n, n), finite.
+        dt: seconds between samples; None of a continuous loop.
     """
-    return stability_of_balanced(balance(A)[0])
+    balanced = balance(A)[0]
+    if dt is None:
+        return stability_of_balanced(balanced)
+    poles, conditions, vectors = _eigen(balanced)
+    return Stability(poles, _on_circle(balanced, poles, conditions), rounding(balanced), vectors, dt)
 
 
 def stability_of_balanced(A: Array) -> Stability:
@@ -88,16 +116,15 @@ def sampled_growth(Phi: Array) -> float:
     """
     Phi, _ = balance(Phi)
     poles, conditions, _ = _eigen(Phi)
-    size = np.abs(poles)
-    on_circle = _reached(Phi, conditions, np.exp(1j * np.angle(poles)), np.abs(size - 1))
+    size, on_circle = np.abs(poles), _on_circle(Phi, poles, conditions)
     if np.any(size[~on_circle] > 1):
         return float(size.max())
     return 1.0 if np.any(on_circle) else float(size.max(initial=0.0))
 
 
-def is_stable(A: Array) -> bool:
-    """Whether every eigenvalue lies left of the imaginary axis, by more than rounding."""
-    return stability(A).stable
+def is_stable(A: Array, dt: float | None = None) -> bool:
+    """Whether every eigenvalue lies left of the imaginary axis, or within the unit circle, by more than rounding."""
+    return stability(A, dt).stable
 
 
 def balance(A: Array) -> tuple[Array, Array]:
@@ -113,8 +140,16 @@ def rounding(A: Array) -> float:
     return 10 * np.finfo(float).eps * float(np.linalg.norm(A)) if len(A) else 0.0
 
 
-def pole_text(pole: complex) -> str:
-    """A pole, or a pair, with four digits and its unit: a real one is a rate of growth or decay, and turns nothing."""
+def pole_text(pole: complex, dt: float | None = None) -> str:
+    """A pole, or a pair, with four digits and its unit: a real one is a rate of growth or decay, and turns nothing.
+
+    Of a discrete loop z, with as many digits as tell it from the unit circle.
+    """
+    if dt is not None:
+        size = abs(pole)
+        digits = 4 if size == 1 else int(np.clip(2 - np.floor(np.log10(abs(size - 1))), 4, 12))
+        turning = f"{abs(pole.imag):+.{digits}g}j, |z| = {size:.{digits}g}" if pole.imag else ""
+        return f"z = {pole.real:.{digits}g}{turning}"
     if pole.imag:
         return f"{pole.real:.4g}{abs(pole.imag):+.4g}j rad/s"
     return f"{pole.real:.4g} {'1/s' if pole.real else 'rad/s'}"
@@ -129,6 +164,11 @@ def _eigen(A: Array) -> tuple[Array, Array, Array]:
         conditions = 1 / np.abs(np.sum(left.conj() * right, axis=0))  # both have length one
     order = np.lexsort((np.imag(poles), np.real(poles)))
     return poles[order].astype(complex), conditions[order], right[:, order].astype(complex)
+
+
+def _on_circle(A: Array, poles: Array, conditions: Array) -> Array:
+    """Which eigenvalues of a balanced matrix lie on the unit circle to rounding, shape (n,)."""
+    return _reached(A, conditions, np.exp(1j * np.angle(poles)), np.abs(np.abs(poles) - 1))
 
 
 def _reached(A: Array, conditions: Array, points: Array, distances: Array) -> Array:

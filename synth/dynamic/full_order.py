@@ -14,7 +14,7 @@ walked: for each share the smallest gamma that its problem allows.
 
 import contextlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -27,7 +27,9 @@ from synth.certificate.certificate import FASTEST, Certificate
 from synth.certificate.lower_bound import LowerBound
 from synth.certificate.norm import level_set_norm
 from synth.certificate.stability import is_stable, stability
+from synth.discrete.bilinear import mapped
 from synth.dynamic.central import central_law
+from synth.dynamic.discrete import discrete_law
 from synth.dynamic.loop import on_larger_plant
 from synth.dynamic.measured import Measured, missing
 from synth.dynamic.reduction import reduced_law
@@ -89,6 +91,7 @@ class FullOrderDesign:
         law: on y = C_y x + Dyw w; as many states as the plant, but for those that would do next to nothing.
         certificate: what is true of its loop; its matrices are those of the plant with the law's states (`on_larger_plant`).
         trade: the controllers that no other beats in norm and speed, the slowest first; empty where what was asked for was found.
+            Of a discrete plant they are those for the continuous one that it is mapped to.
         remark: how near it came and why no nearer, in words; empty where it is as near as was asked for.
         stable: whether the law is, by itself; one that is not grows while its loop is open, as when a force is at its limit.
     """
@@ -129,6 +132,13 @@ def full_order_design(
     if reasons := "; ".join(obstacles(plant, Cy, states)):
         raise InfeasibleError(reasons)
     below = find_lower_bound(plant, Cy, Dyw=Dyw) if lower_bound is None else lower_bound
+    if plant.dt is not None:
+        where = mapped(plant, Cy, Dyw)
+        found = full_order_design(where.plant, where.Cy, where.Dyw, below, states, fastest)
+        law = discrete_law(found.law, where, plant.dt)
+        larger, G = on_larger_plant(plant, Cy, law, Dyw)
+        certificate = _without_failures(certify_tightly(larger, G, below, by_itself=plant))
+        return replace(found, law=law, certificate=certificate, stable=is_stable(law.A, plant.dt))
     search = _Search(plant, Cy, Dyw, below.gamma)
     near = search.near(fastest)
     trade = () if near is not None else tuple(search.trade())
@@ -140,10 +150,15 @@ def full_order_design(
         )
     best = search.reduced(best)
     larger, G = on_larger_plant(plant, Cy, best.law, Dyw)
-    certificate = certify_tightly(larger, G, below, by_itself=plant)
+    certificate = _without_failures(certify_tightly(larger, G, below, by_itself=plant))
+    return FullOrderDesign(best.law, certificate, trade, _remark(best, trade, below.gamma, fastest), best.stable)
+
+
+def _without_failures(certificate: Certificate) -> Certificate:
+    """The certificate, or a DesignError for what of it does not hold."""
     if certificate.failures:
         raise DesignError(f"its certificate fails: {'; '.join(certificate.failures)}")
-    return FullOrderDesign(best.law, certificate, trade, _remark(best, trade, below.gamma, fastest), best.stable)
+    return certificate
 
 
 def _remark(best: Traded, trade: Sequence[Traded], bound: float, limit: float) -> str:

@@ -4,6 +4,8 @@ The law's states x_c become integrators with inputs of their own (El Ghaoui, Ous
 
     [u; v] = [D_c, C_c; B_c, A_c] [C_y x; x_c].
 
+Of a discrete plant the law is discrete, too, x_c[k+1] = v[k], and all else is the same.
+
 What of the disturbance is measured goes through the law at once, and is part of how w enters the larger plant.
 """
 
@@ -22,7 +24,7 @@ def on_larger_plant(
     Args:
         plant: n states, m inputs, r disturbances.
         Cy: shape (q, n).
-        law: continuous, k states, on y = C_y x + Dyw w.
+        law: continuous as the plant, or discrete, k states, on y = C_y x + Dyw w.
         Dyw: shape (q, r); zero where it is not given.
 
     Returns:
@@ -43,6 +45,7 @@ def on_larger_plant(
         C=np.hstack([plant.C, np.zeros((len(plant.C), k))]),
         D=np.hstack([plant.D, np.zeros((len(plant.D), k))]),
         Dw=Dw,
+        dt=plant.dt,
     )
     rows = np.block([[Cy, np.zeros((len(Cy), k))], [np.zeros((k, n)), np.eye(k)]])
     return larger, Feedback(np.block([[law.D, law.C], [law.B, law.A]]), rows)

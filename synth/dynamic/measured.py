@@ -14,7 +14,7 @@ from scipy import linalg
 from models.common.arrays import Array
 from models.law import LinearLaw
 from synth.lmi.output_feedback import independent
-from synth.plant import GeneralizedPlant
+from synth.plant import GeneralizedPlant, check_continuous
 from synth.scaling import OwnUnits, orthonormal_rows, own_units, size
 
 
@@ -54,7 +54,11 @@ class Measured:
             plant: n states, some disturbance and some output.
             Cy: shape (q, n).
             Dyw: shape (q, r).
+
+        Raises:
+            InputError: the plant is discrete.
         """
+        check_continuous(plant)
         units = own_units(plant, Cy)
         own = units.into(plant)
         W = own.independent_inputs()

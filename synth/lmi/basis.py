@@ -17,25 +17,27 @@ class Basis:
     Args:
         system: [A B Bw; C D Dw], shape (..., k, n + m + r).
         n, m, free: number of states, of inputs, and of columns of Q.
+        step: of a plant in differences; 0 of a continuous one.
 
     Attributes:
         places: where the unknowns but the last stand in [X; Y], those of X above its diagonal: rows and columns, shapes (N - 1,).
         size: N.
     """
 
-    def __init__(self, system: Array, n: int, m: int, free: int) -> None:
-        self.system, self.n, self.m, self.free = system, n, m, free
+    def __init__(self, system: Array, n: int, m: int, free: int, step: float = 0.0) -> None:
+        self.system, self.n, self.m, self.free, self.step = system, n, m, free, step
         self.places = places(n, m, free)
         self.size = len(self.places[0]) + 1
         k = system.shape[-2]
-        self.F0 = np.zeros((k, k))
-        self.F0[n:, n:] = -np.eye(k - n)
+        bordered = k + n if step else k
+        self.F0 = np.zeros((bordered, bordered))
+        self.F0[n:k, n:k] = -np.eye(k - n)
 
     @classmethod
-    def of(cls, plant: GeneralizedPlant, free: int) -> "Basis":
+    def of(cls, plant: GeneralizedPlant, free: int, step: float = 0.0) -> "Basis":
         """The unknowns of one plant."""
         n, m = plant.B.shape
-        return cls(plant.system_matrix, n, m, free)
+        return cls(plant.system_matrix, n, m, free, step)
 
     @property
     def X(self) -> Array:
@@ -49,15 +51,19 @@ class Basis:
 
     @functools.cached_property
     def F(self) -> Array:
-        """The matrix (24) is F0 + sum_i p_i F_i, with F0 of shape (k, k) and F of (..., N, k, k)."""
+        """The matrix (24) is F0 + sum_i p_i F_i, with F0 of shape (k, k) and F of (..., N, k, k); k + n with a step, see (21)."""
         n, m, k = self.n, self.m, self.system.shape[-2]
         # [A B; C D] [X; Y] for every unknown: the left columns of (24), and its upper rows.
         left = self.system[..., None, :, : n + m] @ np.concatenate([self.X, self.Y], axis=1)
-        F = np.zeros((*self.system.shape[:-2], self.size, k, k))
-        F[..., :n] = left
-        F[..., :n, :] += left.swapaxes(-1, -2)
+        F = np.zeros((*self.system.shape[:-2], self.size, *self.F0.shape))
+        F[..., :k, :n] = left
+        F[..., :n, :k] += left.swapaxes(-1, -2)
         disturbance = self.system[..., n + m :]
-        F[..., -1, :, :] = disturbance @ disturbance.swapaxes(-1, -2)
+        F[..., -1, :k, :k] = disturbance @ disturbance.swapaxes(-1, -2)
+        if self.step:
+            F[..., :k, k:] = self.step**0.5 * left
+            F[..., k:, :k] = self.step**0.5 * left.swapaxes(-1, -2)
+            F[..., k:, k:] = -self.X
         return F
 
     def pack(self, X: Array, Y: Array, last: float) -> Array:

@@ -12,6 +12,9 @@ It is followed by Newton's method (Boyd, Vandenberghe, Convex Optimization, chap
 mu. Two changes of coordinates keep every number of order one. In the state coordinates T = [Q R], equation (12) reads
 X = diag(X_Q, X_R) and Y = [0 Y_R]; state feedback is the case of an empty Q and R = I. And at every stage the coordinates are
 moved to the current point, where X = I and, with the current gain absorbed in the plant, Y = 0.
+
+Of a discrete plant log det of the bordered matrix of `bounded_real.py` takes the place of the last two logarithms, for it holds X
+already: log det(-F) of the continuous limit, and log det X. So as the step falls this path becomes that of the continuous plant.
 """
 
 from collections.abc import Iterator
@@ -49,6 +52,7 @@ FAR = 1e5  # condition of X from which the coordinates, in which it was I, no lo
 MOST_MOVES = 12  # to other coordinates off the path; a larger X grows without end, and there is no centre
 DENSE = 200  # unknowns; up to so many a dense basis is quicker, for it takes fewer calls
 MOST = 2000  # unknowns, 62 states with one input: half a minute for a path; time grows with the cube, memory with the square
+MOST_BORDERED = 600  # likewise of a discrete plant, whose matrices are larger and have no structure that is made use of
 LARGEST_Y = 10.0  # in the search for a feasible point
 INSIDE = 0.95  # of the way to the boundary, where a step along the path would leave
 
@@ -95,7 +99,7 @@ def central_path(plant: GeneralizedPlant, Q: Array, R: Array, mu: float = LIMIT)
     """Points along the central path of (25), or of (22) with an empty Q and R = I. The last, at mu, is the design.
 
     Args:
-        plant: n states, m inputs.
+        plant: n states, m inputs; continuous or discrete.
         Q: shape (n, n - q).
         R: shape (n, q); [Q R] is regular.
         mu: where the path ends, relative to eta. The default is its limit; a larger one stays short of the optimum.
@@ -114,28 +118,42 @@ def central_path(plant: GeneralizedPlant, Q: Array, R: Array, mu: float = LIMIT)
 
 def along_path(plant: GeneralizedPlant, Q: Array, R: Array, mu: float = LIMIT) -> Iterator[CentralPoint]:
     """The same points one by one, for those who can use the first where the last cannot be reached."""
+    if plant.dt is None:
+        yield from _in_differences(plant, Q, R, mu, 0.0)
+    else:
+        for point in _in_differences(plant.differences, Q, R, mu, plant.dt):
+            yield replace(point, X=plant.dt * point.X, proof=None if point.proof is None else plant.dt * point.proof)
+
+
+def _in_differences(plant: GeneralizedPlant, Q: Array, R: Array, mu: float, step: float) -> Iterator[CentralPoint]:
+    """The same of a plant in differences over a step; over a step of 0 of a continuous one."""
     check_posed(plant)
     if not len(plant.A):
         raise DesignError("z sees no state that a gain does not keep out of it: every such gain is an optimum")
-    part = unseen(plant, Q, R)
+    part = unseen(plant, Q, R, step)
     if part is not None:  # X may grow there without bound: the path is that of the rest
-        for point in along_path(part.rest, part.Q, part.R, mu):
+        for point in _in_differences(part.rest, part.Q, part.R, mu, step):
             yield _put_back(part, point)
         return
-    fits(unknowns(plant, Q.shape[1]), MOST, "the central path is followed")
+    fits(unknowns(plant, Q.shape[1]), MOST_BORDERED if step else MOST, "the central path is followed")
     with one_thread():
         try:
-            path = _Path(plant, Q, R)
+            path = _Path(plant, Q, R, step)
             path.find_feasible_point()
         except np.linalg.LinAlgError as error:
             raise InfeasibleError(
                 f"the LMI problem has no feasible point that is one beyond rounding ({error}): at best a mode stays on the "
-                "imaginary axis; measure more signals, or give other units"
+                f"{_border(step)}; measure more signals, or give other units"
             ) from error
         try:
             yield from path.follow(mu)
         except np.linalg.LinAlgError as error:
             raise DesignError(f"the central path could not be followed: rounding ends it ({error}); give other units") from error
+
+
+def _border(step: float) -> str:
+    """Where modes lie that neither decay nor grow."""
+    return "unit circle" if step else "imaginary axis"
 
 
 def _put_back(part: Unseen, point: CentralPoint) -> CentralPoint:
@@ -167,7 +185,7 @@ def fits(count: int, most: int, what: str) -> None:
 class _Path:
     """A point that walks along the path. The only mutable thing in this package; it lives inside `central_path`."""
 
-    def __init__(self, plant: GeneralizedPlant, Q: Array, R: Array) -> None:
+    def __init__(self, plant: GeneralizedPlant, Q: Array, R: Array, step: float) -> None:
         self.free = Q.shape[1]  # a = n - q
         T = np.hstack([Q, R])
         # Inputs that do nothing are left at zero, and those that do the same share it.
@@ -178,6 +196,7 @@ class _Path:
         plant = plant.in_coordinates(scaling)
         # Without dynamics of its own a plant has the rate at which motion and force weigh alike in z.
         self.rate = size(plant.A) if plant.A.any() else size(plant.B) * size(plant.C) / size(plant.D)
+        self.step = step * self.rate
         self.input_unit = self.rate / size(plant.B)
         self.disturbance_unit = self.rate / size(plant.Bw)
         self.output_unit = 1 / size(plant.C)
@@ -206,7 +225,8 @@ class _Path:
         """
         basis, n, m = self.basis, len(self.plant.A), self.plant.B.shape[1]
         p = basis.pack(np.eye(n) / 2, np.zeros((m, n)), 0.0)
-        s = np.linalg.eigvalsh((self.plant.A + self.plant.A.T) / 2)[-1]
+        A = self.plant.A
+        s = np.linalg.eigvalsh((A + A.T) / 2 + self.step / 2 * A @ A.T if self.step else (A + A.T) / 2)[-1]
         mu = max(abs(s), 1e-3)
         p[-1] = s + mu
         barrier, here = self._start_barrier(), None
@@ -223,7 +243,8 @@ class _Path:
                     + (
                         ". The measured signals may not suffice, or L does not fit the problem; measure more signals"
                         if self.free
-                        else ": no gain from what is measured moves every mode off the imaginary axis by more than rounding"
+                        else f": no gain from what is measured moves every mode off the {_border(self.step)} by more than "
+                        "rounding"
                     )
                 )
 
@@ -236,12 +257,22 @@ class _Path:
 
     def _scaled(self, X: Array, Y: Array) -> tuple[Array, Array, float]:
         """A pair with He(A X + B Y) < 0, scaled to fit (24), and the largest eta that it then allows."""
-        n = len(self.plant.A)
-        F = bounded_real_matrix(self.plant, X, Y, 0.0)
+        n, k = len(self.plant.A), len(self.plant.A) + len(self.plant.C)
+
+        def inner() -> Array:
+            """(24) without the border of a step, which is taken out by its Schur complement."""
+            F = bounded_real_matrix(self.plant, X, Y, 0.0, self.step)
+            return F[:k, :k] - F[:k, k:] @ np.linalg.solve(F[k:, k:], F[k:, :k]) if self.step else F
+
+        F = inner()
         low = F[n:, :n]
-        shrink = 0.5 / max(linalg.eigh(low.T @ low, -F[:n, :n], eigvals_only=True)[-1], 1e-12)
+        if self.step:
+            needed = np.linalg.eigvalsh(F[n:, n:] + np.eye(k - n) - low @ np.linalg.solve(F[:n, :n], low.T))[-1]
+        else:
+            needed = linalg.eigh(low.T @ low, -F[:n, :n], eigvals_only=True)[-1]
+        shrink = 0.5 / max(needed, 1e-12)
         X, Y = shrink * X, shrink * Y
-        F = bounded_real_matrix(self.plant, X, Y, 0.0)
+        F = inner()
         disturbance = np.vstack([self.plant.Bw, self.plant.Dw])
         return X, Y, 1 / linalg.eigh(disturbance @ disturbance.T, -F, eigvals_only=True)[-1]
 
@@ -309,7 +340,7 @@ class _Path:
         except (np.linalg.LinAlgError, InputError):  # or where numbers leave all range
             return False
         m, n = Y.shape
-        if lapack.dpotrf(-bounded_real_matrix(self.plant, np.eye(n), np.zeros((m, n)), eta))[1] != 0:  # pyright: ignore[reportAttributeAccessIssue]
+        if lapack.dpotrf(-bounded_real_matrix(self.plant, np.eye(n), np.zeros((m, n)), eta, self.step))[1] != 0:  # pyright: ignore[reportAttributeAccessIssue]
             self.plant, self.V, self.K, self.basis = before
             return False
         self.eta = eta
@@ -323,6 +354,8 @@ class _Path:
     def _barrier(self) -> Derivatives:
         """The barrier of (24) and X > 0."""
         basis, n = self.basis, len(self.plant.A)
+        if self.step:
+            return Barrier([(-basis.F0, -basis.F)])
         if basis.size > DENSE:
             return self._structured(path_constraints(self.plant))
         return Barrier([(-basis.F0, -basis.F), (np.zeros((n, n)), basis.X)])
@@ -330,15 +363,17 @@ class _Path:
     def _start_barrier(self) -> Derivatives:
         """The barrier of the search for a feasible point, in which the last unknown is s."""
         basis, n, m = self.basis, len(self.plant.A), self.plant.B.shape[1]
-        if basis.size > DENSE:
+        if basis.size > DENSE and not self.step:
             return self._structured(start_constraints(self.plant, LARGEST_Y))
-        lyapunov = basis.F[:, :n, :n].copy()
-        lyapunov[-1] = -np.eye(n)
+        inside = np.r_[:n, len(self.plant.system_matrix) : len(basis.F0)]  # all but z
+        lyapunov = np.ascontiguousarray(basis.F[:, inside[:, None], inside])
+        lyapunov[-1] = 0.0
+        lyapunov[-1, :n, :n] = -np.eye(n)
         box = np.zeros((basis.size, m + n, m + n))
         box[:, :m, m:], box[:, m:, :m] = basis.Y, basis.Y.transpose(0, 2, 1)
         return Barrier(
             [
-                (np.zeros((n, n)), -lyapunov),
+                (np.zeros((len(inside), len(inside))), -lyapunov),
                 (np.zeros((n, n)), basis.X),
                 (np.eye(n), -basis.X),
                 (LARGEST_Y * np.eye(m + n), box),
@@ -368,7 +403,7 @@ class _Path:
         self.basis = self._basis()
 
     def _basis(self) -> "Basis":
-        return Basis.of(self.plant, self.free)
+        return Basis.of(self.plant, self.free, self.step)
 
     def _gain(self, X: Array, Y: Array) -> Array:
         """Y_R X_R^-1 with all the gain absorbed before, in the coordinates of the beginning."""

@@ -38,7 +38,8 @@ class LmiSolution:
 def solve_lmi(plant: GeneralizedPlant, Q: Array, R: Array, gain: Array | None = None) -> LmiSolution:
     """Solves (25): maximise eta subject to (24) with X = Q X_Q Q' + R X_R R', Y = Y_R R' (12), X_Q > 0, X_R > 0.
 
-    With an empty Q and R = I it is (22); if the plant is a closed loop whose B is zero, it is (27).
+    With an empty Q and R = I it is (22); if the plant is a closed loop whose B is zero, it is (27). Of a discrete plant it is the
+    bordered matrix of `bounded_real.py` that is to be negative.
 
     Args:
         plant: n states, m inputs.
@@ -52,6 +53,7 @@ def solve_lmi(plant: GeneralizedPlant, Q: Array, R: Array, gain: Array | None = 
     """
     import cvxpy as cp  # 0.9 s, and only this function needs it
 
+    step, plant = plant.dt, plant.differences
     m = plant.B.shape[1]
     d = len(plant.C)
     X_R = cp.Variable((R.shape[1], R.shape[1]), symmetric=True)
@@ -67,6 +69,9 @@ def solve_lmi(plant: GeneralizedPlant, Q: Array, R: Array, gain: Array | None = 
     low = plant.C @ X + plant.D @ Y
     disturbance = np.vstack([plant.Bw, plant.Dw])
     F = cp.bmat([[top + top.T, low.T], [low, -np.eye(d)]]) + eta * (disturbance @ disturbance.T)
+    if step is not None:
+        border = step**0.5 * cp.vstack([top, low])
+        F = cp.bmat([[F, border], [border.T, -X]])
     problem = cp.Problem(cp.Maximize(eta), [F << 0, *positive])
     try:
         with warnings.catch_warnings():
@@ -82,4 +87,5 @@ def solve_lmi(plant: GeneralizedPlant, Q: Array, R: Array, gain: Array | None = 
         raise InfeasibleError(
             f"the LMI problem has no solution with eta > 0: Clarabel reports {problem.status!r} with eta = {eta_value:.1e}"
         )
-    return LmiSolution(X_value, Y_value, eta_value, problem.status)
+    per_step = 1.0 if step is None else step  # (21) in differences has X over it
+    return LmiSolution(per_step * X_value, per_step * Y_value, eta_value, problem.status)

@@ -9,6 +9,7 @@ X = S = I. For state feedback the second side is absent.
 
 import contextlib
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
@@ -22,6 +23,7 @@ from synth.certificate.lower_bound import LowerBound, Witness, prove_from_sides
 from synth.certificate.side import Side, meeting, transposed
 from synth.certificate.stability import balance
 from synth.certificate.zeros import zero_limit
+from synth.discrete.bilinear import mapped, true_frequency
 from synth.lmi.barrier import Barrier, Block, boundary, newton
 from synth.lmi.central import CENTRED, INSIDE, CentralPoint, along_path
 from synth.numerics import numerics
@@ -33,6 +35,7 @@ ENOUGH = 1e-8  # relative; closer to what state feedback reaches no bound need b
 END = 1e-6  # mu over t; the bound is then within (2 n + d + n - q) mu / 2 of the best
 SHARP = 1e-3  # relative; a proof this close to its point of the path has lost nothing to rounding
 MOST = 1200  # unknowns of the joint path, 33 states: minutes, and a fifth of a gigabyte; beyond, state feedback's bound counts
+MAPPED = 1e-9  # relative; what a discrete plant's bound is lowered by for the rounding of the map
 ENTER = 1e2  # mu over t at the entry of the joint path, which starts far from its centre
 
 
@@ -47,6 +50,9 @@ def find_lower_bound(
     """A norm that no controller reaches: the largest of what the dual, what no control force changes, and zeros prove.
 
     Where stable zeros let X grow at no price the dual problem has no point inside, and no path: then the zeros count.
+
+    Of a discrete plant it is that of the continuous one that it is mapped to (`bilinear.py`), and less by MAPPED: what is proved
+    in exact arithmetic is proved of that one's numbers. So are witnesses and zeros.
 
     Args:
         plant: n states, m inputs.
@@ -64,6 +70,11 @@ def find_lower_bound(
     """
     if Cy is not None and len(Cy):  # of no row at all: a bound for what measures nothing
         Cy, Dyw = measurement_matrices(plant, Cy, Dyw)
+    if plant.dt is not None:
+        where = mapped(plant, np.eye(len(plant.A)) if Cy is None else Cy, Dyw)
+        found = find_lower_bound(where.plant) if Cy is None else find_lower_bound(where.plant, where.Cy, Dyw=where.Dyw)
+        at = None if found.limit_at is None else true_frequency(found.limit_at, plant.dt)
+        return replace(found, gamma=found.gamma * (1 - MAPPED), limit_at=at)
     best = bound_beyond_control(plant) if beyond_control is None else beyond_control
     dual = transposed(plant, Cy, Dyw) if Cy is not None else None
     other = Side.of(dual) if dual is not None else None

@@ -18,6 +18,7 @@ from scipy import linalg
 from models.common.arrays import Array
 from synth.certificate.bounded_real import bounded_real_matrix
 from synth.certificate.stability import balance
+from synth.discrete.bilinear import from_differences
 from synth.plant import GeneralizedPlant
 from synth.scaling import own_units
 
@@ -38,6 +39,7 @@ class Unseen:
         whole: the plant in them, with F in the loop.
         narrow: from the coordinates that R spans to those that the rest's R does, shape (q', q).
         F: the gain on the former, shape (m, q).
+        step: of a plant in differences; 0 of a continuous one.
     """
 
     rest: GeneralizedPlant
@@ -47,6 +49,7 @@ class Unseen:
     whole: GeneralizedPlant
     narrow: Array
     F: Array
+    step: float = 0.0
 
     def gain(self, K: Array) -> Array:
         """The gain of the whole plant from one of the rest, shape (m, q)."""
@@ -81,25 +84,26 @@ class Unseen:
         return self.Z @ whole @ self.Z.T
 
     def _loop(self, K: Array) -> GeneralizedPlant:
-        """The closed loop in the coordinates of Z."""
+        """The closed loop in the coordinates of Z; a continuous one, of which X says the same."""
         gain = np.hstack([K @ self.R.T, np.zeros((len(K), len(self.whole.A) - len(self.rest.A)))])
-        return self.whole.closed_loop(gain)
+        return from_differences(self.whole.closed_loop(gain), self.step)
 
 
-def unseen(plant: GeneralizedPlant, Q: Array, R: Array) -> Unseen | None:
+def unseen(plant: GeneralizedPlant, Q: Array, R: Array, step: float = 0.0) -> Unseen | None:
     """What z need not see of a plant, without changing (12); None where it is nothing.
 
     Args:
         plant: n states, m inputs.
         Q: shape (n, n - q).
         R: shape (n, q); [Q R] is regular.
+        step: of a plant in differences; 0 of a continuous one.
     """
     a = Q.shape[1]
     T = np.hstack([Q, R])
     lengths = np.linalg.norm(T / balance(plant.A)[1][:, None], axis=0)  # ranks are decided in balanced coordinates
     moved = plant.in_coordinates(T / lengths)
     for F in nulling(moved):
-        V = hidden(moved, F)[0]
+        V = hidden(moved, F, step)[0]
         in_q, in_r = _structured(moved, F, V, a)
         out_q, out_r = _complement(in_q[:a]), _complement(in_r[a:])
         k, left = out_q.shape[1], in_q.shape[1] + in_r.shape[1]
@@ -117,7 +121,8 @@ def unseen(plant: GeneralizedPlant, Q: Array, R: Array) -> Unseen | None:
         A = np.where(np.abs(whole.A[:n, :n]) > ROUNDING * turned, whole.A[:n, :n], 0.0)
         rest = GeneralizedPlant(A, whole.B[:n], whole.Bw[:n], whole.C[:, :n], whole.D, whole.Dw)
         kept = np.eye(n)
-        return Unseen(rest, kept[:, :k], kept[:, k:], T / lengths @ Z, whole, out_r.T * lengths[a:], F_r[:, a:] * lengths[a:])
+        narrow, F_k = out_r.T * lengths[a:], F_r[:, a:] * lengths[a:]
+        return Unseen(rest, kept[:, :k], kept[:, k:], T / lengths @ Z, whole, narrow, F_k, step)
     return None
 
 
@@ -132,7 +137,7 @@ def nulling(plant: GeneralizedPlant) -> Iterator[Array]:
             yield F
 
 
-def hidden(plant: GeneralizedPlant, F: Array) -> tuple[Array, Array]:
+def hidden(plant: GeneralizedPlant, F: Array, step: float = 0.0) -> tuple[Array, Array]:
     """Bases of the states that (C + D F) never shows under u = F x: of those that decay, and of all, each orthonormal, (n, k)."""
     n = len(plant.A)
     loop = plant.closed_loop(F)
@@ -152,7 +157,11 @@ def hidden(plant: GeneralizedPlant, F: Array) -> tuple[Array, Array]:
     if not V.shape[1]:
         return V, V
     slow = RANK * size  # to rounding such a mode does not decay
-    _, vectors, count = linalg.schur(V.T @ loop.A @ V, sort=lambda real, imaginary: real < -slow)  # pyright: ignore[reportAssignmentType]
+
+    def decays(real: float, imaginary: float) -> bool:  # |1 + step s| < 1
+        return real + step * (real**2 + imaginary**2) / 2 < -slow
+
+    _, vectors, count = linalg.schur(V.T @ loop.A @ V, sort=decays)  # pyright: ignore[reportAssignmentType]
     return V @ vectors[:, :count], V
 
 

@@ -30,7 +30,8 @@ def alike(landscape: Landscape, x: Array) -> Array:
     """
     A, C = landscape.loop(x)
     triangle, basis = linalg.schur(A)  # pyright: ignore[reportAssignmentType]
-    w, y, u, z = basis.T @ landscape.disturbed(x)[0], landscape.Cy @ basis, basis.T @ landscape.B, C @ basis
+    ports = landscape.ports(x)
+    w, y, u, z = basis.T @ landscape.disturbed(x)[0], ports.Cy @ basis, basis.T @ ports.B, C @ basis
     # Gramians: what w reaches, and what z sees. On the border of stability LAPACK moves the poles a little: as good a scale.
     reached, scale, _ = lapack.dtrsyl(triangle, triangle, -w @ w.T, trana="N", tranb="T")
     seen, other, _ = lapack.dtrsyl(triangle, triangle, -z.T @ z, trana="T", tranb="N")

@@ -4,10 +4,12 @@ A gain K is a point x of m q numbers, K_ij = x_ij scale_ij, with scales that mak
 the H-infinity norm is continuous, but it has an edge wherever two frequencies or two singular values peak alike, and minima lie
 on edges. For all unit vectors u, v the largest singular value is at least Re u' T(j omega) v, with equality at the peak: so every
 (omega, u, v) is a smooth function that supports the norm from below, a cut (Apkarian, Noll 2006).
+
+Of a discrete plant it is the landscape of the continuous one that it is mapped to, over the same gains: frequencies are those of
+the map. What is measured there contains the force, and the gain that acts is (I - K Dyu)^-1 K.
 """
 
 import contextlib
-from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg
@@ -15,12 +17,13 @@ from scipy import linalg
 from models.common.arrays import Array
 from synth.certificate.norm import ILL_CONDITIONED, highest, largest_singular_values, level_crossings, transfer_matrix
 from synth.certificate.stability import balance
+from synth.discrete.bilinear import mapped
 from synth.plant import GeneralizedPlant
 from synth.search.cuts import Cuts
+from synth.search.loop import Loop, Ports
 
 NEAR = 1e-9  # relative; a level set this much higher that is empty ends the search for the peak
 ALIKE = 0.02  # relative; eigenvalues closer than this count as one
-FAR = 1e4  # times the fastest pole
 MOST_ALIKE = 3  # singular values of one frequency that are looked at
 
 
@@ -33,18 +36,20 @@ class Landscape:
         Cy: shape (q, n).
         Dyw: shape (q, r); zero where it is not given.
         """
+        where = mapped(plant, Cy, Dyw)
+        plant, Cy, self.Dyw, self.Dyu, self.before = where.plant, where.Cy, where.Dyw, where.Dyu, where.before
+        self.through = bool(np.any(self.Dyu))
         self.A, balancing = balance(plant.A)
         self.B, self.Bw = plant.B / balancing[:, None], plant.Bw / balancing[:, None]
         self.C, self.Cy = plant.C * balancing, Cy * balancing
         self.D, self.Dw = plant.D, plant.Dw
-        self.Dyw = np.zeros((len(Cy), plant.Bw.shape[1])) if Dyw is None else Dyw
         self.noisy = bool(np.any(self.Dyw))
         self.shape = (self.B.shape[1], len(self.Cy))
         columns, rows = np.linalg.norm(self.B, axis=0), np.linalg.norm(self.Cy, axis=1)
         rate = float(np.linalg.norm(self.A, 2)) or 1.0
         self.scale = rate / np.outer(np.where(columns > 0, columns, 1.0), np.where(rows > 0, rows, 1.0))
         self.peaks: list[float] = []
-        self.last: tuple[bytes, _Loop] | None = None
+        self.last: tuple[bytes, Loop] | None = None
 
     def gain(self, x: Array) -> Array:
         """K of a point, shape (m, q)."""
@@ -54,17 +59,41 @@ class Landscape:
         """The point of a gain, shape (m q,)."""
         return (K / self.scale).ravel()
 
+    def acting(self, x: Array) -> Array:
+        """K of a point, or of many, as it acts where y is without Dyu: (I - K Dyu)^-1 K, (..., m, q); NaN where it cannot."""
+        K = x.reshape(*x.shape[:-1], *self.shape) * self.scale - self.before
+        if not self.through:
+            return K
+        try:
+            return np.linalg.solve(np.eye(self.shape[0]) - K @ self.Dyu, K)
+        except np.linalg.LinAlgError:  # the loop has no answer
+            return np.full_like(K, np.nan)
+
+    def point_acting(self, K: Array) -> Array:
+        """The point of a gain that acts so, shape (m q,)."""
+        if self.through:
+            K = np.linalg.solve(np.eye(self.shape[0]) + K @ self.Dyu, K)
+        return self.point(K + self.before)
+
     def loop(self, x: Array) -> tuple[Array, Array]:
         """A + B K C_y and C + D K C_y."""
-        G = self.gain(x) @ self.Cy
+        G = self.acting(x) @ self.Cy
         return self.A + self.B @ G, self.C + self.D @ G
 
     def disturbed(self, x: Array) -> tuple[Array, Array]:
         """Bw + B K Dyw and Dw + D K Dyw."""
         if not self.noisy:
             return self.Bw, self.Dw
-        through = self.gain(x) @ self.Dyw
+        through = self.acting(x) @ self.Dyw
         return self.Bw + self.B @ through, self.Dw + self.D @ through
+
+    def ports(self, x: Array) -> Ports:
+        """What a change of the gain at a point acts through."""
+        if not self.through:
+            return Ports(self.B, self.D, self.Cy, self.Dyw, self.Dyu)
+        K = self.gain(x) - self.before
+        after, before = np.linalg.inv(np.eye(len(K)) - K @ self.Dyu), np.linalg.inv(np.eye(K.shape[1]) - self.Dyu @ K)
+        return Ports(self.B @ after, self.D @ after, before @ self.Cy, before @ self.Dyw, self.Dyu @ after)
 
     def abscissa(self, x: Array) -> tuple[float, Array]:
         """Largest real part of a pole [rad/s], and its slope, shape (m q,); infinite where the loop is not finite itself."""
@@ -74,16 +103,17 @@ class Landscape:
         poles, left, right = (np.asarray(part) for part in linalg.eig(A, left=True, right=True))
         i = int(np.argmax(np.real(poles)))
         left, right = left[:, i].conj(), right[:, i]
-        slope = np.real(np.outer(left @ self.B, self.Cy @ right) / (left @ right))
+        ports = self.ports(x)
+        slope = np.real(np.outer(left @ ports.B, ports.Cy @ right) / (left @ right))
         return float(np.real(poles[i])), (slope * self.scale).ravel()
 
-    def _closed(self, x: Array) -> "_Loop":
+    def _closed(self, x: Array) -> Loop:
         """The loop of a point; the last one is remembered."""
         key = x.tobytes()
         if self.last is None or self.last[0] != key:
             (A, C), (Bw, Dw) = self.loop(x), self.disturbed(x)
             if not all(np.all(np.isfinite(part)) for part in (A, C, Bw, Dw)):
-                return _Loop(A, Bw, C, Dw, np.full(len(A), np.nan), None)
+                return Loop(A, Bw, C, Dw, np.full(len(A), np.nan), None)
             poles, V = np.linalg.eig(A)
             residues = None
             with contextlib.suppress(np.linalg.LinAlgError):
@@ -91,7 +121,7 @@ class Landscape:
                 if np.linalg.norm(V) * np.linalg.norm(inverse) < ILL_CONDITIONED:
                     seen, driven = (C @ V).T, inverse @ Bw
                     residues = (seen[:, :, None] * driven[:, None, :]).reshape(len(poles), -1)
-            self.last = key, _Loop(A, Bw, C, Dw, poles, residues)
+            self.last = key, Loop(A, Bw, C, Dw, poles, residues)
         return self.last[1]
 
     def norm(self, x: Array, above: float = np.inf) -> tuple[float, float]:
@@ -108,11 +138,12 @@ class Landscape:
         upper = poles[np.imag(poles) >= 0]
         omega = np.concatenate([[0.0], np.imag(upper), np.abs(upper), self.peaks, loop.far[: self.noisy]])
         best, at = loop.at_infinity, np.inf
-        for _ in range(30):
+        for turn in range(30):
             gain, i = highest(self._responses(loop, omega), best * (1 + NEAR))
-            if gain <= best * (1 + NEAR):
+            if gain > best * (1 + NEAR):
+                best, at = gain, float(omega[i])
+            elif turn or best == 0:  # a peak may stand where no pole says, above the gain at infinity
                 break
-            best, at = gain, float(omega[i])
             if best > above:
                 break
             omega = level_crossings(loop.A, loop.Bw, loop.C, loop.Dw, best * (1 + NEAR))
@@ -123,17 +154,17 @@ class Landscape:
 
     def slope(self, x: Array, at: float) -> Array:
         """Slope of the largest singular value at a frequency, shape (m q,)."""
-        (A, C), (Bw, Dw) = self.loop(x), self.disturbed(x)
+        (A, C), (Bw, Dw), ports = self.loop(x), self.disturbed(x), self.ports(x)
         if not np.isfinite(at):
             U, _, Vh = np.linalg.svd(Dw, full_matrices=False)
-            return (np.outer(U[:, 0] @ self.D, self.Dyw @ Vh[0]) * self.scale).ravel()
+            return (np.outer(U[:, 0] @ ports.D, ports.Dyw @ Vh[0]) * self.scale).ravel()
         shifted = 1j * at * np.eye(len(A)) - A
         reached = np.linalg.solve(shifted, Bw)
         U, _, Vh = np.linalg.svd(C @ reached + Dw, full_matrices=False)
         adjoint, v = U[:, 0].conj(), Vh[0].conj()
         seen = np.linalg.solve(shifted.T, adjoint @ C)
-        measured = (self.Cy @ reached + self.Dyw) @ v
-        return np.real(np.outer(seen @ self.B + adjoint @ self.D, measured) * self.scale).ravel()
+        measured = (ports.Cy @ reached + ports.Dyw) @ v
+        return np.real(np.outer(seen @ ports.B + adjoint @ ports.D, measured) * self.scale).ravel()
 
     def cuts(self, x: Array, omega: Array, floor: float) -> Cuts:
         """The cuts that touch the singular values >= floor at some frequencies, and those between values that are alike.
@@ -161,7 +192,7 @@ class Landscape:
 
     def heights(self, x: Array, cuts: Cuts) -> tuple[Array, Array]:
         """Values of cuts at a point, shape (F,), and slopes, shape (F, m q)."""
-        (A, C), (Bw, Dw) = self.loop(x), self.disturbed(x)
+        (A, C), (Bw, Dw), ports = self.loop(x), self.disturbed(x), self.ports(x)
         n = len(A)
         shifted = np.broadcast_to(-A, (len(cuts.omega), n, n)).astype(complex)
         shifted[:, np.arange(n), np.arange(n)] += 1j * cuts.omega[:, None]
@@ -169,8 +200,8 @@ class Landscape:
         driven = np.linalg.solve(shifted, (cuts.v @ Bw.T)[:, :, None])[:, :, 0]  # (j omega - A)^-1 Bw v
         seen = np.linalg.solve(shifted.transpose(0, 2, 1), (adjoint @ C)[:, :, None])[:, :, 0]  # u' C (j omega - A)^-1
         values = np.real(np.sum(adjoint * (driven @ C.T + cuts.v @ Dw.T), axis=1))
-        measured = driven @ self.Cy.T + cuts.v @ self.Dyw.T
-        slopes = np.real((seen @ self.B + adjoint @ self.D)[:, :, None] * measured[:, None, :])
+        measured = driven @ ports.Cy.T + cuts.v @ ports.Dyw.T
+        slopes = np.real((seen @ ports.B + adjoint @ ports.D)[:, :, None] * measured[:, None, :])
         return values, (slopes * self.scale).reshape(len(values), self.scale.size)
 
     def curvature(self, x: Array, cuts: Cuts, weights: Array) -> Array:
@@ -180,13 +211,14 @@ class Landscape:
         of J = [0 T; T' 0] that belongs to q, and perturbation theory has its second derivatives over x and omega; omega follows
         its maximum, which takes out one rank. Eigenvalues nearly alike are not divided by: mixed cuts stand for them.
         """
-        (A, C), (Bw, Dw) = self.loop(x), self.disturbed(x)
+        (A, C), (Bw, Dw), ports = self.loop(x), self.disturbed(x), self.ports(x)
         n, size, (d, r) = len(A), x.size, self.Dw.shape
         omega, adjoint, v = cuts.omega, cuts.u.conj()[:, None, :], cuts.v[:, :, None]
         R = np.linalg.inv(1j * omega[:, None, None] * np.eye(n) - A)
         left, right = C @ R, R @ Bw
-        T, Tu, Tw, Ty = left @ Bw + Dw, left @ self.B + self.D, self.Cy @ right + self.Dyw, self.Cy @ R @ self.B
-        Tu_rate, Tw_rate = -1j * (left @ R @ self.B), -1j * (self.Cy @ R @ right)
+        T, Tu, Tw = left @ Bw + Dw, left @ ports.B + ports.D, ports.Cy @ right + ports.Dyw
+        Ty = ports.Cy @ R @ ports.B + ports.Dyu
+        Tu_rate, Tw_rate = -1j * (left @ R @ ports.B), -1j * (ports.Cy @ R @ right)
         # First derivatives of T v and T' u over the entries of x, then over omega.
         seen, driven = (adjoint @ Tu)[:, 0], (Tw @ v)[:, :, 0]
         along = Tu[:, :, :, None] * driven[:, None, None, :] * self.scale
@@ -245,42 +277,13 @@ class Landscape:
             left, right = middle - width, middle + width
         return np.unique(np.concatenate([np.abs(middle), beyond]))
 
-    def _gains(self, loop: "_Loop", omega: Array) -> Array:
+    def _gains(self, loop: Loop, omega: Array) -> Array:
         """Largest singular values at frequencies, shape (F,)."""
         return largest_singular_values(self._responses(loop, omega))
 
-    def _responses(self, loop: "_Loop", omega: Array) -> Array:
+    def _responses(self, loop: Loop, omega: Array) -> Array:
         """T at frequencies, shape (F, d, r)."""
         if loop.residues is None:
             return transfer_matrix(loop.A, loop.Bw, loop.C, loop.Dw, omega)
         T = (1 / (1j * omega[:, None] - loop.poles)) @ loop.residues
         return T.reshape(len(omega), *loop.Dw.shape) + loop.Dw
-
-
-@dataclass(frozen=True, eq=False)
-class _Loop:
-    """A closed loop.
-
-    Attributes:
-        A, Bw, C, Dw: A + B K C_y, Bw + B K Dyw, C + D K C_y and Dw + D K Dyw.
-        poles: shape (n,).
-        residues: C v w' Bw of every mode, with its right and left eigenvectors v and w, shape (n, d r), which make frequency
-            responses cheap; None where eigenvectors lose too many digits.
-    """
-
-    A: Array
-    Bw: Array
-    C: Array
-    Dw: Array
-    poles: Array
-    residues: Array | None
-
-    @property
-    def far(self) -> Array:
-        """A frequency at which the gain is next to that at infinity, for cuts stand at finite ones [rad/s], shape (1,)."""
-        return FAR * np.abs(self.poles).max(keepdims=True)
-
-    @property
-    def at_infinity(self) -> float:
-        """The gain at an infinite frequency."""
-        return float(np.linalg.norm(self.Dw, 2))

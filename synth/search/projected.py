@@ -41,5 +41,5 @@ def projected_starts(landscape: Landscape) -> list[Array]:
         except (np.linalg.LinAlgError, ValueError):
             continue
         if np.all(np.isfinite(K)):
-            found.append(landscape.point(K))
+            found.append(landscape.point_acting(K))
     return found

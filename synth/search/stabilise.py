@@ -78,5 +78,5 @@ def shifted(landscape: Landscape, shift: float) -> Landscape:
     eye, nothing = np.eye(n), np.zeros((n, n))
     plant = GeneralizedPlant(landscape.A - shift * eye, landscape.B, eye, eye, np.zeros((n, m)), nothing)
     moved = Landscape(plant, landscape.Cy)
-    moved.scale = landscape.scale
+    moved.scale, moved.Dyu, moved.before, moved.through = landscape.scale, landscape.Dyu, landscape.before, landscape.through
     return moved

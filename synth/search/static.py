@@ -159,7 +159,8 @@ class _Search:
         self.limit = self.landscape.point(np.full(self.landscape.shape, largest_gain))
         self.symmetry = Symmetry(self.landscape)
         self.nothing = ZERO * (
-            float(np.linalg.norm(plant.Dw, 2)) + size(self.landscape.C) * size(self.landscape.Bw) / size(self.landscape.A)
+            float(np.linalg.norm(self.landscape.Dw, 2))
+            + size(self.landscape.C) * size(self.landscape.Bw) / size(self.landscape.A)
         )
 
     def refined(self, two_steps: Design) -> list[Candidate]:

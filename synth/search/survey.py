@@ -60,7 +60,7 @@ def lowest(landscape: Landscape, points: Array) -> Array | None:
     """
     stable = points[:0]
     for some in np.split(points, range(AT_ONCE, len(points), AT_ONCE)):
-        loops = landscape.A + landscape.B @ (some.reshape(-1, *landscape.shape) * landscape.scale) @ landscape.Cy
+        loops = landscape.A + landscape.B @ landscape.acting(some) @ landscape.Cy
         stable = np.concatenate([stable, some[np.real(np.linalg.eigvals(loops)).max(axis=1) < 0]])
         if len(stable) >= CLOSER:
             break
