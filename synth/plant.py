@@ -160,15 +160,11 @@ class GeneralizedPlant:
 
 
 def _sample_period(dt: object) -> float:
-    """The seconds between samples, checked.
-
-    Raises:
-        InputError: they are no number above zero in range.
-    """
+    """The seconds between samples, checked: a number above zero, in range."""
     allowed = f"give the seconds between samples, from {SMALLEST:g} to {LARGEST:g}, or None for a continuous plant"
-    if isinstance(dt, bool | np.bool_):
-        raise InputError(f"dt = {dt} does not say how often the plant is sampled; {allowed}")
     try:
+        if isinstance(dt, bool | np.bool_):
+            raise TypeError
         period = float(dt)  # pyright: ignore[reportArgumentType]
     except (TypeError, ValueError, OverflowError):
         raise InputError(f"dt = {quoted(dt)} is no number; {allowed}") from None
