@@ -5,6 +5,7 @@ from dataclasses import replace
 import control
 import numpy as np
 import pytest
+from scipy import linalg
 
 from models.common.errors import InputError
 from models.vehicle import parse_vehicle, read_vehicle
@@ -388,10 +389,14 @@ def test_state_space_that_does_not_fit(space, change, message):
         from_state_space(space, **{**good, **change})
 
 
-def test_sampled_state_space_is_refused(space):
-    """The LMIs are those of continuous time."""
-    with pytest.raises(InputError, match="the system is sampled"):
-        from_state_space(control.c2d(space, 0.01), ["road_velocity"], {"tyre_deflection": 1.0}, ["tyre_deflection"])
+def test_sampled_state_space_is_a_discrete_plant(space):
+    """python-control's system with its inputs held comes in as the discrete plant that it is, and is designed as such."""
+    asked = ["road_velocity"], {"sprung_acceleration": 1.0, "control_force": 1e-4}, ["suspension_deflection", "sprung_velocity"]
+    plant, Cy = from_state_space(control.c2d(space, 0.01), *asked)
+    continuous, _ = from_state_space(space, *asked)
+    assert plant.dt == 0.01
+    np.testing.assert_allclose(plant.A, linalg.expm(0.01 * continuous.A), rtol=1e-12, atol=1e-14)  # two exponentials
+    assert two_step_design(plant, Cy).certificate.failures == ()
 
 
 @pytest.mark.parametrize(
