@@ -98,6 +98,14 @@ def test_any_plant(capsys):
     assert capsys.readouterr().out.endswith("()\n")
 
 
+def test_a_discrete_plant(capsys):
+    """The discrete plant is designed, and not below what no controller beats."""
+    (snippet,) = section("synth/README.md", "A discrete plant").blocks("python")
+    exec(snippet, {})
+    norm, bound = map(float, capsys.readouterr().out.split()[-2:])
+    assert 0 < bound <= norm
+
+
 def test_many_vehicles(capsys):
     """The hundred vehicles are redesigned."""
     (snippet,) = section("synth/README.md", "Many vehicles").blocks("python")
