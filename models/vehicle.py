@@ -143,8 +143,8 @@ class Vehicle:
         entry = self.controllers[name]
         if entry.python is not None:
             raise InputError(
-                f"controller {name!r} is a law in Python, {entry.python.law}, of which there is no linear claim; sim.bump and "
-                "sim.drive drive it; name another one here"
+                f"controller {name!r} is a law in Python, {entry.python.law}, of which there is no linear claim, and here "
+                "is nothing else; sim.bump, sim.drive, sim.sweep and sim.campaign drive it: name another one here"
             )
         return entry
 

@@ -10,16 +10,28 @@ from models.common.command import run_command
 from models.common.errors import InputError
 from models.common.printed import say, titled
 from models.common.progress import Stages
+<<<<<<< HEAD
 from models.figures.figure import styles
 from models.figures.picture import write_picture
+=======
+from models.own.python_law import Programmed
+>>>>>>> b4ab934 (A sweep measures what a law in Python makes of sinusoids, and how much of it lies outside the fundamental)
 from models.vehicle import Vehicle, read_vehicle
 from sim.asked.sweep import asked_names, parser, worst_road, worst_times
 from sim.command.claims import say_false_claims
+from sim.command.driven import driven
 from sim.command.logs import log_lines, recorded
 from sim.command.outputs import check_outputs, written, written_lines
+<<<<<<< HEAD
+=======
+from sim.figures.figure import styles
+from sim.figures.picture import write_picture
+from sim.frequency.describing_function import DescribingFunction, describing_function
+>>>>>>> b4ab934 (A sweep measures what a law in Python makes of sinusoids, and how much of it lies outside the fundamental)
 from sim.frequency.identification import ideal_measurements
-from sim.frequency.sweep import EXTREMES, LINES, Sweep, failures, summary_lines, sweep, sweep_lines, sweep_object
+from sim.frequency.sweep import EXTREMES, LINES, OWN, Sweep, failures, summary_lines, sweep, sweep_lines, sweep_object
 from sim.runs.run import Run, run_all
+from synth.controller import Controller
 from synth.designer import Designer
 
 
@@ -38,19 +50,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
         raise InputError(f"--speed matters to rear wheels only, and a {vehicle.kind.name} has none; leave it out")
     outputs = {"picture": options.picture}
     check_outputs(outputs | {"logs": options.logs}, vehicle.files)
-    stage = Stages("designs", LINES, EXTREMES, "picture and logs")
+    stage = Stages("designs", LINES, EXTREMES, OWN, "picture and logs")
     stage("designs")
     designer = Designer(vehicle)
-    controllers = [designer.design(name) for name in names]
+    controllers, how = driven(vehicle, names, designer.design), (options.amplitude, options.timestep, options.speed)
     say_false_claims(controllers)
-    sweeps = sweep(vehicle, controllers, options.amplitude, options.timestep, options.speed, stage)
+    linear = [one for one in controllers if isinstance(one, Controller)]
+    swept = sweep(vehicle, linear, *how, stage) if linear else []
+    stage(OWN)
+    own = [describing_function(vehicle, one, *how) for one in controllers if isinstance(one, Programmed)]
     stage("picture and logs")
     if options.picture is not None:
         from sim.frequency.figure import sweep_figure
 
-        lines, style = [one.lines for one in sweeps], styles(tuple(names))
-        write_picture(sweep_figure(vehicle, lines, options.amplitude, options.timestep, options.speed, style), options.picture)
+        figure = sweep_figure(vehicle, [one.lines for one in swept], *how, styles(tuple(names)), own)
+        write_picture(figure, options.picture)
 
+    sweeps: list[Sweep | DescribingFunction] = sorted([*swept, *own], key=lambda one: names.index(one.controller.name))
     result = {
         "sweeps": [sweep_object(one) for one in sweeps],
         "amplitude": options.amplitude,
@@ -62,7 +78,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.json:
         print(json.dumps({**result, **written(outputs), "logs": logs}, allow_nan=False))
     else:
-        hertz = sweeps[0].lines.omega / (2 * np.pi)
+        hertz = (swept or own)[0].omega / (2 * np.pi)
         lines = titled(
             f"{vehicle.kind.name} at {len(hertz)} frequencies from {hertz[0]:.4g} to {hertz[-1]:.4g} Hz, "
             f"on roads of {options.amplitude:g} m, with steps of {options.timestep:g} s",
@@ -74,13 +90,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0 if all(one.ended or not failures(one) for one in sweeps) else 1
 
 
-def _worst_runs(vehicle: Vehicle, sweeps: Sequence[Sweep], options: Any) -> dict[str, Run]:
+def _worst_runs(vehicle: Vehicle, sweeps: Sequence[Sweep | DescribingFunction], options: Any) -> dict[str, Run]:
     """Every controller on its worst sinusoid, from rest, to be recorded."""
     vehicle, found = ideal_measurements(vehicle), {}
     time = worst_times(vehicle, options)
     for one in sweeps:
-        road = worst_road(one.extremes.tried, options)
-        (found[one.lines.controller.name],) = run_all(vehicle, [one.lines.controller], road, time)
+        road = worst_road(one.worst_omega, options)
+        (found[one.controller.name],) = run_all(vehicle, [one.controller], road, time)
     return found
 
 

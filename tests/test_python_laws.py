@@ -321,7 +321,7 @@ def test_prints_go_to_stderr(tmp_path, capsys):
 def test_linear_commands_leave_it_out(tmp_path, capsys):
     """Commands that are about linear claims say in one line why they cannot have it, and `all` is the others."""
     path = vehicle_of(tmp_path, GAIN)
-    for command in ("synth", "sim.sweep", "sim.margins", "sim.report"):
+    for command in ("synth", "sim.margins", "sim.envelope", "sim.report"):
         assert "is a law in Python, mine.py:step, of which there is no linear claim" in refusal(path, command)
     assert main_of("synth")(["--vehicle", str(path), "--controller", "all", "--json"]) == 0
     assert "mine" not in [one["name"] for one in json.loads(capsys.readouterr().out)["controllers"]]

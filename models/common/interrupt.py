@@ -37,6 +37,11 @@ def came() -> int | None:
     return len(_raised) if signal.getsignal(signal.SIGINT) is _raise else None
 
 
+def raised() -> int:
+    """How often it has been told to end so that a KeyboardInterrupt was raised; at once, where `came` takes microseconds."""
+    return len(_raised)
+
+
 def quiet_start() -> None:
     """While `python -m` is still importing a command nothing has begun, so the process may simply end.
 

@@ -3,8 +3,7 @@
 import sys
 import threading
 import traceback
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from types import CodeType
 from typing import Any, TextIO
@@ -49,12 +48,12 @@ def run_own(what: str, path: Path, name: str, code: Callable[[], Any], refuses: 
     Raises:
         InputError: it failed. The message has the last line of theirs that ran.
     """
-    came = interrupt.came()
+    before = interrupt.raised()
     try:
-        with np.errstate(all="ignore"), _printing_to_stderr():  # what is not finite is found in the result
+        with np.errstate(all="ignore"), _PrintingToStderr():  # what is not finite is found in the result
             return code()
     except BaseException as error:  # SystemExit too, and what a user derives from BaseException
-        if isinstance(error, KeyboardInterrupt) and (came is None or interrupt.came() != came):
+        if isinstance(error, KeyboardInterrupt) and interrupt.came() != before:  # also where nobody counts
             raise
         if refuses and isinstance(error, InputError):
             raise
@@ -75,18 +74,18 @@ def _reason(error: BaseException, path: Path) -> str:
     return ": ".join(text for text in (kind, said) if text) + where
 
 
-@contextmanager
-def _printing_to_stderr() -> Iterator[None]:
-    """What is printed goes to stderr, from whatever thread, until the last of these has ended."""
-    with _lock:
-        if not _users[0]:
-            keep_stdout()  # also from what does not go through Python's own
-            _stdout.append(sys.stdout)
-            sys.stdout = sys.stderr
-        _users[0] += 1
-    try:
-        yield
-    finally:
+class _PrintingToStderr:
+    """What is printed goes to stderr, from whatever thread, until the last of these has ended. Entered at every call."""
+
+    def __enter__(self) -> None:
+        with _lock:
+            if not _users[0]:
+                keep_stdout()  # also from what does not go through Python's own
+                _stdout.append(sys.stdout)
+                sys.stdout = sys.stderr
+            _users[0] += 1
+
+    def __exit__(self, *error: object) -> None:
         with _lock:
             _users[0] -= 1
             if not _users[0]:

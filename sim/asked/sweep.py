@@ -19,6 +19,8 @@ from sim.runs.run import sample_times
 FIGURE_3 = ("passive", "state", "I", "II")
 
 EPILOG = """
+A law in Python has no line of analysis: it is driven over one sinusoid at a time, and of each there are the fundamental and the
+energy outside it.
 exit code: 0 every claim holds, or physics has left the linear regime and the text says how; 1 a claim fails, 2 bad input
 
 examples:
@@ -56,8 +58,7 @@ def asked(vehicle: Vehicle, options: argparse.Namespace) -> Asked:
 
 def asked_names(vehicle: Vehicle, options: argparse.Namespace) -> list[str]:
     """Names of the controllers that were asked for."""
-    usual = [name for name in FIGURE_3 if name in vehicle.linear_names]
-    return chosen(vehicle.controller_names, options.controller, usual, vehicle.linear_names)
+    return chosen(vehicle.controller_names, options.controller, [name for name in FIGURE_3 if name in vehicle.controller_names])
 
 
 def worst_times(vehicle: Vehicle, options: argparse.Namespace) -> Array:

@@ -10,6 +10,11 @@ import numpy as np
 from models.common.arrays import Array
 from models.figures.figure import Curve, Dash, Figure, Panel
 from models.vehicle import Vehicle
+<<<<<<< HEAD
+=======
+from sim.figures.figure import Curve, Dash, Figure, Panel
+from sim.frequency.describing_function import DescribingFunction
+>>>>>>> b4ab934 (A sweep measures what a law in Python makes of sinusoids, and how much of it lies outside the fundamental)
 from sim.frequency.identification import HIGHEST, LOWEST, Lines
 from sim.linear.frequency import as_met, continuous_frequency_response, sampled_frequency_response
 from sim.response.response import SILENT
@@ -27,6 +32,7 @@ def sweep_figure(
     timestep: float,
     speed: float,
     style: Mapping[str, tuple[str, Dash]],
+    own: Sequence[DescribingFunction] = (),
 ) -> Figure:
     """Magnitudes of all weighted signals that answer over frequency, one panel each.
 
@@ -37,6 +43,7 @@ def sweep_figure(
         timestep: [s], for the caption.
         speed: forward velocity [m/s].
         style: colour and line style of every controller.
+        own: of laws in Python, which have points and no line.
     """
     how = vehicle.implementation
     signals = [name for name, weight in vehicle.performance.items() if weight > 0]
@@ -53,6 +60,15 @@ def sweep_figure(
             curves[signal].append(Curve(fine / (2 * np.pi), predicted[:, i], name, color, dash))
             points = np.abs(one.measured[:, i])
             curves[signal].append(Curve(one.omega / (2 * np.pi), points, "", color, "none", "o", name=f"{name}, MuJoCo"))
+    for one in own:
+        name = one.controller.name
+        for signal in signals:
+            i = one.outputs.index(signal)
+            if np.any(moves := ~np.isnan(one.outside[:, i])):
+                hertz, points = one.omega[moves] / (2 * np.pi), np.abs(one.measured[moves, i])
+                curves[signal].append(
+                    Curve(hertz, points, name, style[name][0], "none", "x", name=f"{name}, fundamental in MuJoCo")
+                )
     signals = [name for name in signals if curves[name]]
     curves[signals[0]].append(Curve(np.zeros(0), np.zeros(0), "MuJoCo", "#666666", "none", "o"))
 
@@ -72,13 +88,14 @@ def sweep_figure(
                 xlim=(LOWEST, HIGHEST),
             )
         )
-    ended = sorted({name for one in sweeps for name in one.ended})
+    ended = sorted({name for one in (*sweeps, *own) for name in one.ended})
     regime = f"; outside the linear regime: {', '.join(ended)}" if ended else ""
     loop = "continuous" if how.prompt else f"as built, {', '.join(how.clear.words)}"
     without = f" without its {how.blur}" if how.blurred else ""
+    crosses = "; crosses: the fundamental that a law in Python makes of one sinusoid at a time" if own else ""
     title = (
         f"{vehicle.kind.name.replace('_', ' ')}: response to road velocity. Lines: linear analysis, {loop}. Points: MuJoCo "
-        f"at {1e3 * timestep:g} ms,\nidentified{without} on roads of {1e3 * amplitude:g} mm{regime}"
+        f"at {1e3 * timestep:g} ms,\nidentified{without} on roads of {1e3 * amplitude:g} mm{crosses}{regime}"
     )
     return Figure("sweep", title, tuple(panels), columns=2 if len(signals) <= 4 else 3 if len(signals) <= 9 else 4)
 

@@ -7,16 +7,18 @@ from typing import Any
 
 import numpy as np
 
+from models.common.arrays import Array
 from models.common.numbers import finite
 from models.common.printed import table, wrapped
 from models.vehicle import Vehicle
+from sim.frequency.describing_function import DescribingFunction, describing_lines, describing_object, describing_verdict
 from sim.frequency.extremes import Extremes, extremes
 from sim.frequency.identification import Lines, difference, identify
 from sim.runs.agreement import COARSEST, SLACK
 from synth.controller import Controller
 from synth.words import hardware_lines
 
-LINES, EXTREMES = "frequency responses", "norms"
+LINES, EXTREMES, OWN = "frequency responses", "norms", "laws in Python"
 # Beside RK4's own error, which is known:
 TOLERANCE = 1e-4  # of the response at a line: what turning makes of higher roads; on those of 0.1 mm 3e-7 is left
 ABOVE = 1e-5  # above the norm, relative: free motion that is left when a gain is read
@@ -30,6 +32,21 @@ class Sweep:
     lines: Lines
     extremes: Extremes
     without: str  # what the vehicle file has of noise and quantisation, and these runs had not, in words; empty for neither
+
+    @property
+    def controller(self) -> Controller:
+        """Its controller."""
+        return self.lines.controller
+
+    @property
+    def omega(self) -> Array:
+        """Its lines [rad/s], shape (F,)."""
+        return self.lines.omega
+
+    @property
+    def worst_omega(self) -> float:
+        """The worst sinusoid that was driven [rad/s]."""
+        return self.extremes.tried
 
     @property
     def ended(self) -> tuple[str, ...]:
@@ -61,8 +78,10 @@ def sweep(
     return [Sweep(*pair, vehicle.implementation.blur) for pair in zip(lines, most, strict=True)]
 
 
-def failures(one: Sweep) -> list[str]:
-    """The claims that do not hold of a sweep, in words."""
+def failures(one: Sweep | DescribingFunction) -> list[str]:
+    """The claims that do not hold of a sweep, in words. A law in Python has none."""
+    if isinstance(one, DescribingFunction):
+        return []
     failed, found, norm = [], one.lines, one.extremes.worst.gain
     off = difference(found.measured, found.sampled, found.units)
     integrator = SLACK * difference(found.integrated, found.sampled, found.units)
@@ -87,8 +106,10 @@ def failures(one: Sweep) -> list[str]:
     return failed
 
 
-def sweep_lines(one: Sweep) -> list[str]:
+def sweep_lines(one: Sweep | DescribingFunction) -> list[str]:
     """A sweep in words and numbers."""
+    if isinstance(one, DescribingFunction):
+        return describing_lines(one)
     norm, failed, found = one.extremes.worst, failures(one), one.lines
     sampled, continuous = found.error(found.sampled), found.error(found.continuous)
     errors = zip(found.outputs, sampled.tolist(), continuous.tolist(), strict=True)
@@ -119,14 +140,16 @@ def sweep_lines(one: Sweep) -> list[str]:
     return lines
 
 
-def summary_lines(sweeps: Sequence[Sweep]) -> list[str]:
+def summary_lines(sweeps: Sequence[Sweep | DescribingFunction]) -> list[str]:
     """The verdict on every sweep, a line each."""
-    width = max(len(one.lines.controller.name) for one in sweeps)
-    return [line for one in sweeps for line in wrapped(_verdict(one), f"{one.lines.controller.name:{width}}  ", 4)]
+    width = max(len(one.controller.name) for one in sweeps)
+    return [line for one in sweeps for line in wrapped(_verdict(one), f"{one.controller.name:{width}}  ", 4)]
 
 
-def _verdict(one: Sweep) -> str:
+def _verdict(one: Sweep | DescribingFunction) -> str:
     """What a sweep came to, in a sentence."""
+    if isinstance(one, DescribingFunction):
+        return describing_verdict(one)
     if one.ended:
         return f"outside the linear regime: {', '.join(one.ended)}; what physics does there is shown, and is no disagreement"
     failed = failures(one)
@@ -138,8 +161,10 @@ def _verdict(one: Sweep) -> str:
     return f"agrees{without}: every line, {invariants}{norm}"
 
 
-def sweep_object(one: Sweep) -> dict[str, Any]:
+def sweep_object(one: Sweep | DescribingFunction) -> dict[str, Any]:
     """A sweep as JSON has it: SI units, complex numbers as [real, imaginary], None for what does not exist."""
+    if isinstance(one, DescribingFunction):
+        return describing_object(one)
 
     def pairs(values) -> list[list[float | None]]:
         return [[finite(value.real), finite(value.imag)] for value in values]

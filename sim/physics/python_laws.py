@@ -1,6 +1,6 @@
 """What drives a run beside a linear law: laws in Python, called at their samples, and forces that are known, played again."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -101,53 +101,53 @@ class PythonLaws:
         self.used = np.zeros((len(vehicles), 0))
         self._failures, self._numbers = failures, numbers
         self._count, self._gone = len(controllers), np.zeros(len(controllers), dtype=bool)
-        self._groups: list[_Group] = []
-        together: dict[tuple[int, int], _Group] = {}
+        self._measured = np.array([[name in one.measured for name in signals] for one in controllers])
+        members: list[tuple[OwnLaw, Programmed, int, list[int]]] = []
+        together: dict[tuple[int, int], tuple[OwnLaw, list[int]]] = {}
         for i, (one, vehicle) in enumerate(zip(controllers, vehicles, strict=True)):
             steps = steps_per_sample(vehicle.implementation, timestep)
-            group = together.get((id(one), steps))
-            if group is None or not group.law.vectorised:
-                try:
-                    law = OwnLaw(one, self.forces)
-                except InputError as error:
-                    self._failed(error, np.array([i]))
-                    continue
-                seen = [signals.index(name) for name in one.measured]
-                group = _Group(law, seen, steps, preview_samples(one, steps * timestep), [], [])
-                together[id(one), steps] = group
-                self._groups.append(group)
-            group.runs.append(i)
-            group.vehicles.append(vehicle)
+            if (id(one), steps) in together:
+                together[id(one), steps][1].append(i)
+                continue
+            try:
+                law = OwnLaw(one, self.forces)
+            except InputError as error:
+                self._failed(error, np.array([i]))
+                continue
+            members.append((law, one, steps, [i]))
+            if law.vectorised:
+                together[id(one), steps] = law, members[-1][3]
+        self._groups = []
+        for law, one, steps, runs in members:
+            seen, ahead = np.array([signals.index(name) for name in one.measured]), preview_samples(one, steps * timestep)
+            self._groups.append(_Group(law, seen, steps, ahead, np.array(runs), _parameters(law, [vehicles[i] for i in runs])))
 
     def __call__(self, due: Array | slice, which: Array, k: int, seen: Array) -> Array:
         """The forces that those that are due ask for at step k, shape (len(which), m), from the signals (len(which), S)."""
-        forces = np.zeros((len(which), self.forces))
+        forces, everybody = np.zeros((len(which), self.forces)), len(which) == self._count
+        self._gone[which] |= np.any(self._measured[which] & ~(np.abs(seen) <= WILD), axis=1)
         for group in self._groups:
             if k % group.steps == 0:
-                runs = np.array(group.runs)
-                rows = runs if len(which) == self._count else np.searchsorted(which, runs)
-                forces[rows] = self._asked(group, runs, k, seen[rows][:, group.seen])
+                rows = group.runs if everybody else np.searchsorted(which, group.runs)
+                if not self._gone[group.runs].all():
+                    forces[rows] = self._asked(group, k, seen[rows[:, None], group.seen])
         return forces
 
-    def _asked(self, group: "_Group", runs: Array, k: int, y: Array) -> Array:
+    def _asked(self, group: "_Group", k: int, y: Array) -> Array:
         """What the runs of a group ask for, shape (n, m), from what they measure, shape (n, q)."""
-        self._gone[runs] |= ~np.all(np.abs(y) <= WILD, axis=1)
-        gone = self._gone[runs]
-        if gone.all():
-            return np.zeros((len(runs), self.forces))
-        preview, parameters = None, group.parameters
+        preview, many, runs = None, group.law.vectorised, group.runs
         if group.ahead:
             heights = self._heights[k : k + (group.ahead - 1) * group.steps + 1 : group.steps][:, runs]
             preview = np.ascontiguousarray(np.moveaxis(heights, 0, 2))
         time, period = k * self._timestep, group.steps * self._timestep
         try:
-            if not group.law.vectorised:
-                return group.law(y[0], time, period, None if preview is None else preview[0], parameters)[None]
-            asked = group.law(np.where(gone[:, None], 0.0, y), time, period, preview, parameters)
+            if not many:
+                return group.law(y[0], time, period, None if preview is None else preview[0], group.parameters)[None]
+            gone = self._gone[runs, None]
+            return np.where(gone, 0.0, group.law(np.where(gone, 0.0, y), time, period, preview, group.parameters))
         except InputError as error:
             self._failed(error, runs)
             return np.zeros((len(runs), self.forces))
-        return np.where(gone[:, None], 0.0, asked)
 
     def _failed(self, error: InputError, runs: Array) -> None:
         """Takes down that the law of these runs has failed; raises it where nobody wants that."""
@@ -157,7 +157,7 @@ class PythonLaws:
         self._failures |= {self._numbers[i]: Failure(str(error), len(runs) > 1) for i in runs.tolist()}
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class _Group:
     """Runs that one execution of a law drives.
 
@@ -167,19 +167,18 @@ class _Group:
         steps: timesteps between two of its samples.
         ahead: heights of the road that it is told under each wheel.
         runs: which of the runs; one of a law that is not vectorised.
-        vehicles: theirs.
+        parameters: of the vehicle or, of a vectorised law, of the vehicles, by name.
     """
 
     law: OwnLaw
-    seen: list[int]
+    seen: Array
     steps: int
     ahead: int
-    runs: list[int]
-    vehicles: list[Vehicle]
+    runs: Array
+    parameters: Mapping[str, Array | float]
 
-    @property
-    def parameters(self) -> dict[str, Array | float]:
-        """Of the vehicle or, of a vectorised law, of the vehicles, by name."""
-        if not self.law.vectorised:
-            return dict(self.vehicles[0].parameters)
-        return {name: np.array([vehicle.parameters[name] for vehicle in self.vehicles]) for name in self.vehicles[0].parameters}
+
+def _parameters(law: OwnLaw, vehicles: Sequence[Vehicle]) -> Mapping[str, Array | float]:
+    if not law.vectorised:
+        return vehicles[0].parameters
+    return {name: np.array([vehicle.parameters[name] for vehicle in vehicles]) for name in vehicles[0].parameters}

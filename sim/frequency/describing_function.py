@@ -1,0 +1,177 @@
+"""What a loop with a law in Python makes of one sinusoid at a time, measured in MuJoCo: its describing function.
+
+Nobody knows whether such a law is linear, so that no chirp can be taken apart into its lines, and there is no response to hold
+this against. Of every output there is the fundamental, which is at the road's own frequency, and the share of its energy that is
+elsewhere: at harmonics, in a mean, or in what has not settled. Another height of the road may have other ones.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.numbers import cell, finite
+from models.common.printed import table
+from models.own.python_law import Programmed
+from models.reality import steps_per_sample
+from models.vehicle import Vehicle
+from sim.frequency.gain import settled_gain
+from sim.frequency.identification import ALIASED, HIGHEST, LOWEST, check, ideal_measurements
+from sim.physics.simulate import simulate
+from sim.response.regime import ended_by
+from sim.response.response import SILENT, Response
+from sim.roads.sinusoids import sinusoid
+from sim.runs.run import sample_times
+
+SINUSOIDS = 20  # of the chirp's lines, from its first to its last
+ENTRIES = 2e7  # numbers in a batch's record
+ROUNDING = 1e-9  # of an energy
+STEADY = 1e-3  # of a fundamental: what it may still change from one period of the lowest to the next, unsaid
+
+
+@dataclass(frozen=True, eq=False)
+class DescribingFunction:
+    """Of one controller, per road velocity under the first wheel.
+
+    Attributes:
+        controller: the controller.
+        outputs: names of the p output signals.
+        units: their units.
+        omega: frequencies [rad/s], shape (F,), a run each.
+        measured: the fundamental, complex, shape (F, p).
+        outside: share of an output's energy that is not in it, shape (F, p); NaN where the output does not move.
+        gains: L2 gains from w to z, shape (F,).
+        drift: by how much a fundamental still changed from one period of the lowest frequency to the next, relative, at most.
+        without: what the vehicle file has of noise and quantisation, and these runs had not, in words; empty for neither.
+        ended: what ended the linear regime, in whichever run.
+    """
+
+    controller: Programmed
+    outputs: tuple[str, ...]
+    units: tuple[str, ...]
+    omega: Array
+    measured: Array
+    outside: Array
+    gains: Array
+    drift: float
+    without: str
+    ended: tuple[str, ...]
+
+    @property
+    def worst(self) -> int:
+        """Which of the frequencies has the largest gain."""
+        return int(np.argmax(np.nan_to_num(self.gains)))
+
+    @property
+    def worst_omega(self) -> float:
+        """That frequency [rad/s]."""
+        return float(self.omega[self.worst])
+
+
+def describing_function(
+    vehicle: Vehicle, controller: Programmed, amplitude: float, timestep: float, speed: float
+) -> DescribingFunction:
+    """Drives a controller over one sinusoid after another, three periods of the lowest each, of which the first is for settling.
+
+    Arguments and errors as for `sim.frequency.identification.identify`; and the law may fail.
+    """
+    check(vehicle, (), amplitude, timestep)
+    without, vehicle = vehicle.implementation.blur, ideal_measurements(vehicle)
+    steps = steps_per_sample(vehicle.implementation, timestep)
+    period = round(1 / LOWEST / timestep / steps) * steps  # as that of the chirp
+    omega = 2 * np.pi / (period * timestep) * np.unique(np.round(np.geomspace(1, HIGHEST / LOWEST, SINUSOIDS)))
+    omega = omega[omega < ALIASED * np.pi / (steps * timestep)]
+    time = sample_times(vehicle, 3 * period * timestep, timestep)[:-1]
+    outputs = vehicle.linear_model.outputs
+    units = tuple(vehicle.kind.signal(name).unit for name in outputs)
+    together = max(1, int(ENTRIES / (len(time) * len(vehicle.kind.signals))))
+    parts, ended = [], dict[str, None]()
+    for some in np.split(omega, range(together, len(omega), together)):
+        roads = [sinusoid(each, speed).scaled(amplitude / 2) for each in some.tolist()]
+        runs = simulate([vehicle] * len(some), [controller] * len(some), roads, time).response
+        for i, each in enumerate(some.tolist()):
+            run = runs.run(i)
+            ended |= dict.fromkeys(ended_by(vehicle, run))
+            before, last = (Response(time[:period], run.signals, run.values[k * period : (k + 1) * period]) for k in (1, 2))
+            parts.append((*_found(vehicle, last, each), _found(vehicle, before, each)[0], settled_gain(vehicle, last, each)))
+    measured, outside, earlier, gains = (np.stack(column) for column in zip(*parts, strict=True))
+    size = np.abs(measured)
+    scale = np.maximum(size, SILENT * size.max(axis=0))  # where it is next to nothing it need not be steady
+    change = np.divide(np.abs(measured - earlier), scale, out=np.zeros_like(scale), where=scale > 0)
+    drift = float(np.where(np.isnan(outside), 0.0, change).max())
+    return DescribingFunction(controller, outputs, units, omega, measured, outside, gains, drift, without, tuple(ended))
+
+
+def _found(vehicle: Vehicle, response: Response, omega: float) -> tuple[Array, Array]:
+    """The fundamental of every output per road velocity, and the share of its energy outside, shapes (p,), from whole periods."""
+    turning = 2 * np.exp(-1j * omega * response.time) / len(response.time)
+    signals = np.stack([response[name] for name in vehicle.linear_model.outputs], axis=-1)
+    units = [vehicle.kind.signal(name).unit for name in vehicle.linear_model.outputs]
+    lines, energy = turning @ signals, np.mean(signals**2, axis=0)
+    loudest = np.array([max(e for e, u in zip(energy, units, strict=True) if u == unit) for unit in units])
+    moves = energy > SILENT**2 * loudest
+    inside = np.divide(np.abs(lines) ** 2 / 2, energy, out=np.full(len(energy), np.nan), where=moves)
+    return lines / (turning @ response[vehicle.kind.wheels[0].road_velocity]), np.maximum(1 - inside, 0.0)
+
+
+def describing_lines(one: DescribingFunction) -> list[str]:
+    """It in words and numbers."""
+    hertz, law = one.omega / (2 * np.pi), one.controller.law.law
+    lines = [
+        f"controller {one.controller.name}",
+        f"  law in Python {law}: no linear claim, and no line of analysis beside it. Its describing function, from {len(hertz)} "
+        "sinusoids, one at a time; a road of another height may have another one",
+    ]
+    if one.without:
+        lines.append(f"  its loop as built, but without its {one.without}")
+    rows: list[tuple[str, ...]] = [("per road velocity, over the sinusoids:", "largest", "at Hz", "energy outside", "at Hz")]
+    for i, name in enumerate(one.outputs):
+        if np.all(np.isnan(one.outside[:, i])):
+            continue
+        most, least = int(np.argmax(np.abs(one.measured[:, i]))), int(np.nanargmax(one.outside[:, i]))
+        share = _percent(float(one.outside[least, i]))
+        rows.append((name, cell(abs(one.measured[most, i]), ".4g"), f"{hertz[most]:.3g}", share, f"{hertz[least]:.3g}"))
+    lines += table(rows)
+    gain = f"{cell(one.gains[one.worst], '.5g')} at {hertz[one.worst]:.3g} Hz"
+    lines.append(f"  largest L2 gain of these sinusoids: {gain}; no norm, as another road may be amplified more")
+    if one.drift > STEADY:
+        lines.append(
+            f"  not all has settled: from one period of {hertz[0]:.3g} Hz to the next a fundamental still changed by "
+            f"{_percent(one.drift)}"
+        )
+    return lines
+
+
+def describing_verdict(one: DescribingFunction) -> str:
+    """What it came to, in a sentence."""
+    if one.ended:
+        return f"no linear claim; outside the linear regime: {', '.join(one.ended)}"
+    return f"no linear claim: at most {_percent(float(np.nanmax(one.outside)))} of a signal's energy is outside its fundamental"
+
+
+def _percent(share: float) -> str:
+    """A share of an energy in percent; what rounding leaves is 0."""
+    return f"{100 * share:.2g} %" if share > ROUNDING else "0 %"
+
+
+def describing_object(one: DescribingFunction) -> dict[str, Any]:
+    """It as JSON has it: SI units, complex numbers as [real, imaginary], None for what does not exist."""
+    return {
+        "controller": one.controller.name,
+        **one.controller.law.record,
+        "without": one.without or None,
+        "omega": one.omega.tolist(),
+        "signals": {
+            name: {
+                "measured": [[finite(value.real), finite(value.imag)] for value in one.measured[:, i]],
+                "outside": [finite(share) for share in one.outside[:, i]],
+            }
+            for i, name in enumerate(one.outputs)
+        },
+        "norm": None,
+        "gains": [finite(gain) for gain in one.gains],
+        "drift": finite(one.drift),
+        "ended": list(one.ended),
+        "failures": [],
+    }

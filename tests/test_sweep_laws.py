@@ -1,0 +1,124 @@
+"""Laws in Python in `python -m sim.sweep`: what they make of a sinusoid, and how much of it is elsewhere."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from models.common.errors import InputError
+from models.own.python_law import Programmed
+from models.reality import Implementation
+from models.vehicle import read_vehicle
+from sim.command.driven import driven
+from sim.frequency.describing_function import DescribingFunction, describing_function
+from sim.inspect.log import read_log
+from sim.inspect.proof import prove
+from sim.linear.frequency import as_met, sampled_frequency_response
+from sim.sweep import main
+from synth.designer import Designer
+from tests.commands import prose
+from tests.test_python_laws import vehicle_of
+
+STEP, AMPLITUDE, SPEED = 2e-3, 1e-4, 12.5  # s, m, m/s; half the work of the command's own step
+# For all of a frequency's runs at once: 300 000 calls are seconds.
+SQUARE = """
+import numpy as np
+def step(sample, state):
+    return np.full((len(sample.y), 1), 0.1 if sample.time % 2.0 < 1.0 else -0.1), state
+step.vectorised = True
+"""
+RELAY = """
+import numpy as np
+def step(sample, state):
+    return np.where(sample.preview[:, 0, 1] > sample.preview[:, 0, 0], 0.05, -0.05)[:, None], state
+step.vectorised = True
+"""
+GAIN = """
+def step(sample, state):
+    return (10825.2 * sample["suspension_deflection"] - 2069.5 * sample["sprung_velocity"])[:, None], state
+step.vectorised = True
+"""
+
+
+def found_of(folder, law: str, how: Implementation | None = None, more: str = ""):
+    """What a law makes of sinusoids, and its vehicle."""
+    vehicle = read_vehicle(vehicle_of(folder, law, more=more))
+    vehicle = replace(vehicle, implementation=how or Implementation())
+    (mine,) = driven(vehicle, ["mine"], Designer(vehicle).design)
+    assert isinstance(mine, Programmed)
+    return describing_function(vehicle, mine, AMPLITUDE, STEP, SPEED), vehicle
+
+
+@pytest.mark.parametrize("how", [None, Implementation(sample_period=4e-3, delay=1)], ids=["prompt", "slow"])
+def test_of_a_gain_it_is_its_frequency_response(tmp_path, how):
+    """Of a gain in Python it is the sampled loop's exact response, and nothing but the images of a slow hold is outside."""
+    found, vehicle = found_of(tmp_path, GAIN, how)
+    linear = Designer(vehicle).design("I_printed")
+    linear = replace(linear, law=replace(linear.law, D=np.array([[10825.2, -2069.5]])))
+    met = as_met(vehicle, found.omega, SPEED)[..., None]
+    exact = (sampled_frequency_response(vehicle, linear, found.omega, STEP) @ met)[..., 0]
+    # RK4's own error at 2 ms is 4e-5 (test_sweep); of free motion of -1.2 1/s nothing is left after 20 s.
+    np.testing.assert_allclose(found.measured, exact, rtol=1e-4)
+    assert found.drift < 1e-4
+    if how is None:
+        assert np.nanmax(found.outside) < 1e-8
+    else:
+        low = found.omega < 2 * np.pi  # a hold of 4 ms: its images have (omega h)^2 / 12 of the force's energy, some 5e-5
+        assert 1e-9 < np.nanmax(found.outside[low, -1]) < 1e-4
+
+
+def test_what_is_outside_is_measured(tmp_path):
+    """A force that is switched as the road rises and falls has a fundamental of 4 / pi; 1 - 8 / pi^2 of its energy is outside."""
+    found, _ = found_of(tmp_path, RELAY, more=f"preview = {STEP}")
+    force = found.outputs.index("control_force")
+    slow = found.omega < 2 * np.pi  # in whole samples: a step of 2 ms is at most 0.2 % of a period
+    assert np.sum(slow) > 3
+    np.testing.assert_allclose(found.outside[slow, force], 1 - 8 / np.pi**2, atol=1e-5)
+    driven_by = AMPLITUDE / 2 * found.omega[slow]  # the road's velocity
+    np.testing.assert_allclose(np.abs(found.measured[slow, force]) * driven_by, 0.05 * 4 / np.pi, rtol=1e-4)
+    acceleration = found.outputs.index("sprung_acceleration")
+    assert 0 < found.outside[slow, acceleration].min() < found.outside[slow, acceleration].max() < 1
+
+
+@pytest.mark.slow  # both kinds of sweep, and a log
+def test_a_law_that_does_not_follow_the_road(tmp_path, capsys):
+    """A force that goes its own way is energy outside; words and numbers say the same, and claim no norm."""
+    path = vehicle_of(tmp_path, SQUARE)
+    options = ["--vehicle", str(path), "--controller", "I", "--controller", "mine", "--timestep", "2e-3"]
+    assert main([*options, "--logs", str(tmp_path / "logs")]) == 0
+    said = prose(capsys.readouterr().out)
+    (log,) = (tmp_path / "logs").glob("*.mcap")
+    recorded = read_log(log)
+    linear, mine = recorded.result["sweeps"]
+    assert linear["controller"] == "I"
+    assert linear["norm"]["sampled"] > 0
+    assert (mine["controller"], mine["law"], mine["norm"], mine["failures"]) == ("mine", "mine.py:step", None, [])
+    assert max(mine["signals"]["control_force"]["outside"]) > 0.99
+    outside = max(share for signal in mine["signals"].values() for share in signal["outside"] if share is not None)
+    assert f"mine no linear claim: at most {100 * outside:.2g} % of a signal's energy is outside its fundamental" in said
+    worst = int(np.argmax(mine["gains"]))
+    largest, hertz = mine["gains"][worst], mine["omega"][worst] / (2 * np.pi)
+    assert f"largest L2 gain of these sinusoids: {largest:.5g} at {hertz:.3g} Hz; no norm" in said
+    force = [abs(complex(*pair)) for pair in mine["signals"]["control_force"]["measured"]]
+    assert f"control_force {max(force):.4g} {mine['omega'][int(np.argmax(force))] / (2 * np.pi):.3g} " in said
+    assert prove(recorded).holds
+
+
+def test_a_law_that_fails_ends_the_sweep(tmp_path):
+    """A law that fails is one line."""
+    path = vehicle_of(tmp_path, "def step(sample, state):\n    return float('nan'), state\n")
+    with pytest.raises(InputError, match=r"^controller 'mine', law mine.py:step: step fails \(its force is not finite\) at 0 s"):
+        main(["--vehicle", str(path), "--controller", "mine"])
+
+
+def test_a_picture_has_points_and_no_line(tmp_path):
+    """Where analysis has no response none is drawn: a law's points stand alone."""
+    from sim.figures.figure import styles
+    from sim.frequency.figure import sweep_figure
+
+    found, vehicle = found_of(tmp_path, GAIN)
+    assert isinstance(found, DescribingFunction)
+    figure = sweep_figure(vehicle, [], AMPLITUDE, STEP, SPEED, styles(("mine",)), [found])
+    curves = [curve for panel in figure.panels for curve in panel.curves if len(curve.x)]
+    assert len(curves) == len(vehicle.performance)
+    assert {(curve.dash, curve.marker) for curve in curves} == {("none", "x")}
