@@ -10,24 +10,16 @@ from models.common.command import run_command
 from models.common.errors import InputError
 from models.common.printed import say, titled
 from models.common.progress import Stages
-<<<<<<< HEAD
 from models.figures.figure import styles
 from models.figures.picture import write_picture
-=======
 from models.own.python_law import Programmed
->>>>>>> b4ab934 (A sweep measures what a law in Python makes of sinusoids, and how much of it lies outside the fundamental)
 from models.vehicle import Vehicle, read_vehicle
 from sim.asked.sweep import asked_names, parser, worst_road, worst_times
 from sim.command.claims import say_false_claims
 from sim.command.driven import driven
 from sim.command.logs import log_lines, recorded
 from sim.command.outputs import check_outputs, written, written_lines
-<<<<<<< HEAD
-=======
-from sim.figures.figure import styles
-from sim.figures.picture import write_picture
 from sim.frequency.describing_function import DescribingFunction, describing_function
->>>>>>> b4ab934 (A sweep measures what a law in Python makes of sinusoids, and how much of it lies outside the fundamental)
 from sim.frequency.identification import ideal_measurements
 from sim.frequency.sweep import EXTREMES, LINES, OWN, Sweep, failures, summary_lines, sweep, sweep_lines, sweep_object
 from sim.runs.run import Run, run_all

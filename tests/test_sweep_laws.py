@@ -113,7 +113,7 @@ def test_a_law_that_fails_ends_the_sweep(tmp_path):
 
 def test_a_picture_has_points_and_no_line(tmp_path):
     """Where analysis has no response none is drawn: a law's points stand alone."""
-    from sim.figures.figure import styles
+    from models.figures.figure import styles
     from sim.frequency.figure import sweep_figure
 
     found, vehicle = found_of(tmp_path, GAIN)

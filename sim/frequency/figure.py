@@ -10,11 +10,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.figures.figure import Curve, Dash, Figure, Panel
 from models.vehicle import Vehicle
-<<<<<<< HEAD
-=======
-from sim.figures.figure import Curve, Dash, Figure, Panel
 from sim.frequency.describing_function import DescribingFunction
->>>>>>> b4ab934 (A sweep measures what a law in Python makes of sinusoids, and how much of it lies outside the fundamental)
 from sim.frequency.identification import HIGHEST, LOWEST, Lines
 from sim.linear.frequency import as_met, continuous_frequency_response, sampled_frequency_response
 from sim.response.response import SILENT
