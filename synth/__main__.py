@@ -4,6 +4,7 @@ import json
 import math
 from argparse import Namespace
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from synth.command.table import Row, detail_lines, refine_lines, row_object, tab
 from synth.command.witness import cross_check
 from synth.designer import Designer
 from synth.errors import DesignError
+from synth.implemented.claims import norm_failures, norm_if_implemented, sampled_lines
 from synth.problem.problem import measurements
 from synth.search.flat import free_moves
 from synth.words import filter_lines, ideal_lines, notes
@@ -64,7 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         rows = []
         for name in names:
             stage(f"controller {name}")
-            rows.append(_row(designer, name, options))
+            rows.append(_built(vehicle, _row(designer, name, options)))
     if options.cross_check and not any(row.witness for row in rows) and not any(row.controller is None for row in rows):
         raise InputError("--cross-check has nothing to solve: no controller asked for comes from an LMI problem; ask for one")
     if options.save:
@@ -85,7 +87,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     else:
         lines = titled(vehicle.kind.name, vehicle.source)
         for row in rows:
-            lines += ["", *detail_lines(row)]
+            lines += ["", *detail_lines(row, vehicle)]
         lines += ["", _limit(limit)]
         if moved:
             lines.append(f"flat: for {FLAT:g} more of gamma each state's largest gain, by itself, may be")
@@ -93,8 +95,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         lines += refine_lines(rows, options.vehicle)
         if options.save:
             lines += ["", "saved", Whole(f"  {options.save}")]
-        of = [*ideal_lines(vehicle, [row.controller for row in rows if row.controller is not None]), *filter_lines(vehicle)]
-        say([*lines, "", *table_lines(rows), *of, "", *verdict_lines(rows)])
+        designs = [row.controller for row in rows if row.controller is not None]
+        about = [*ideal_lines(vehicle, designs), *sampled_lines(vehicle), *filter_lines(vehicle)]
+        say([*lines, "", *table_lines(rows), *about, "", *verdict_lines(rows)])
     return 1 if any(row.failures for row in rows) else 0
 
 
@@ -160,6 +163,12 @@ def _row(designer: Designer, name: str, options: Namespace) -> Row:
         witness = cross_check(designer, controller, options.zero_l)
         failures += witness.failures if witness is not None else ()
     return Row(name, controller, notes(controller), failures, designer.worth_refining(controller), witness)
+
+
+def _built(vehicle: Vehicle, row: Row) -> Row:
+    """A row with the norm as implemented, where the vehicle file says how."""
+    norm = norm_if_implemented(vehicle, row.controller) if row.controller is not None else None
+    return replace(row, sampled=norm, failures=(*row.failures, *norm_failures(norm)))
 
 
 def _refined_row(designer: Designer, name: str, zero_l: bool) -> Row:

@@ -21,6 +21,7 @@ from synth.dynamic.loop import on_larger_plant
 from synth.dynamic.named import named_design
 from synth.errors import BatchError, DesignError
 from synth.fallback import two_steps_or_descent
+from synth.implemented.claims import held_to_its_norm
 from synth.lmi.central import CentralPoint
 from synth.lmi.output_feedback import independent_rows
 from synth.plant import GeneralizedPlant
@@ -116,9 +117,8 @@ class Designer:
     def _given(self, entry: ControllerEntry, law: LinearLaw) -> Controller:
         posed, hardware = self.problem(entry.measured, entry.hardware), entry.hardware
         certificate, wrong = certified(posed, entry, self.lower_bound(entry.measured, hardware))
-        return Controller(
-            entry.name, entry.measured, law, designed=False, certificate=certificate, false_claims=wrong, hardware=hardware
-        )
+        found = Controller(entry.name, entry.measured, law, False, certificate, false_claims=wrong, hardware=hardware)
+        return held_to_its_norm(found, entry.certificate, self.vehicle)
 
     def _named(self, entry: ControllerEntry, posed: Problem, lower_bound: LowerBound) -> Controller:
         """A controller that is designed in another way than by two steps."""
@@ -281,9 +281,7 @@ def given(vehicle: Vehicle, name: str, measured: Sequence[str], law: LinearLaw, 
     expected = len(vehicle.linear_model.inputs), len(measured)
     if law.D.shape != expected:
         raise InputError(f"controller {name!r} has a D of shape {law.D.shape}; expected {expected}: forces, measured signals")
-    designer = Designer(vehicle)
-    entry = ControllerEntry(name, tuple(measured), law, hardware=hardware)
-    return designer._given(entry, law)
+    return Designer(vehicle)._given(ControllerEntry(name, tuple(measured), law, hardware=hardware), law)
 
 
 def design(vehicle: Vehicle, name: str) -> Controller:

@@ -49,16 +49,17 @@ ROOMS = {
     "synth.problem": "models models.filters synth.dynamic synth.plant",
     "synth.controller": "models synth.certificate synth.plant synth.problem",
     "synth.sampled": "synth.certificate synth.plant",
-    "synth.implemented": "models synth.certificate synth.controller synth.plant synth.problem synth.sampled",
     "synth.words": "models synth.controller",
+    "synth.implemented": "models synth.certificate synth.controller synth.plant synth.problem synth.sampled synth.words",
     "synth.designs": "models synth.certificate synth.controller synth.design synth.errors synth.lmi synth.problem synth.search",
     "synth.designer": "models synth.certificate synth.controller synth.design synth.designs synth.dynamic synth.errors "
-    "synth.fallback synth.lmi synth.plant synth.problem synth.redesign synth.search",
+    "synth.fallback synth.implemented synth.lmi synth.plant synth.problem synth.redesign synth.search",
     "synth.state_space": "models synth.controller synth.designer synth.plant synth.problem",
     "synth.paper": "models synth.certificate synth.designer synth.lmi",
-    "synth.command": "models synth.certificate synth.controller synth.design synth.designer synth.errors synth.lmi synth.plant "
-    "synth.posed synth.scaling synth.words",
-    "synth.__main__": "models synth.certificate synth.command synth.designer synth.errors synth.problem synth.search synth.words",
+    "synth.command": "models synth.certificate synth.controller synth.design synth.designer synth.errors synth.implemented "
+    "synth.lmi synth.plant synth.posed synth.sampled synth.scaling synth.words",
+    "synth.__main__": "models synth.certificate synth.command synth.designer synth.errors synth.implemented synth.problem "
+    "synth.search synth.words",
     # sim: what a run is
     "sim": "",
     "sim.roads": "",

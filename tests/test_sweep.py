@@ -103,7 +103,7 @@ def test_what_is_no_error_of_the_integrator_disagrees(coarse):
     (line,) = failures(dataclasses.replace(coarse, lines=off))
     assert line.startswith("a line of ")
     assert "coarse" not in line
-    for factor, words in ((1 + 1e-4, "above the norm"), (1 - 2e-3, "of the norm")):
+    for factor, words in ((1 + 1e-4, "above the held-road norm"), (1 - 2e-3, "of the held-road norm")):
         gains = {name: factor * gain for name, gain in coarse.extremes.gains.items()}
         (line,) = failures(dataclasses.replace(coarse, extremes=dataclasses.replace(coarse.extremes, gains=gains)))
         assert words in line

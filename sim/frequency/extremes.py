@@ -61,7 +61,8 @@ class Extremes:
     """What one controller lets through at most.
 
     Attributes:
-        worst: gain and frequency of the worst sinusoid of the sampled loop: its H-infinity norm.
+        worst: gain and frequency of the worst sinusoid of the sampled loop over a road that is held over every step, as MuJoCo
+            holds it: its held-road norm, which `synth.sampled.norm` does not hold it for.
         integrated: gain of the worst sinusoid of the loop as RK4 makes it.
         tried: the frequency that was driven [rad/s], next to it.
         gains: L2 gains from w to z, measured in MuJoCo, by road; of the worst sinusoid alone where the road has a filter.

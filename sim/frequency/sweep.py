@@ -100,9 +100,9 @@ def failures(one: Sweep | DescribingFunction) -> list[str]:
     own = min(SLACK * abs(one.extremes.integrated - norm), COARSEST * norm)
     for name, gain in one.gains.items():
         if not gain <= norm * (1 + ABOVE) + own:
-            failed.append(f"the {name} has an L2 gain of {gain:.7g}, above the norm {norm:.7g}")
+            failed.append(f"the {name} has an L2 gain of {gain:.7g}, above the held-road norm {norm:.7g}")
     if not one.gains["worst sinusoid"] >= norm * (1 - REACHED) - own:
-        failed.append(f"the worst sinusoid reaches {one.gains['worst sinusoid']:.7g} of the norm {norm:.7g} only")
+        failed.append(f"the worst sinusoid reaches {one.gains['worst sinusoid']:.7g} of the held-road norm {norm:.7g} only")
     return failed
 
 
@@ -126,15 +126,15 @@ def sweep_lines(one: Sweep | DescribingFunction) -> list[str]:
             f"suspension ({invariant.error:.1e} off)"
         )
     lines.append(
-        f"  norm of the sampled loop, one road under all wheels: {norm.gain:.7g} at {norm.omega:.5g} rad/s; of the "
-        f"continuous one, any road under any wheel: {_norm(one):.7g}"
+        f"  held-road norm of the sampled loop, one road under all wheels: {norm.gain:.7g} at {norm.omega:.5g} rad/s; norm of "
+        f"the continuous one, any road under any wheel: {_norm(one):.7g}"
     )
     lines += [f"  of the continuous one, {text}" for text in hardware_lines(found.controller)]
     gains = "".join(f", {name} {gain:.5g}" for name, gain in one.gains.items() if name != "worst sinusoid")
     shares = one.gains["worst sinusoid"] / norm.gain
     lines.append(f"  L2 gains in MuJoCo: worst sinusoid {one.gains['worst sinusoid']:.7g} ({100 * shares:.4f} %){gains}")
     if not one.extremes.lti:
-        lines.append("  the controller is slower than the timestep, so its loop has harmonics: the norm is without them")
+        lines.append("  the controller is slower than the timestep, so its loop has harmonics: this norm is without them")
     if failed and not one.ended:
         lines += [f"  DOES NOT AGREE: {text}" for text in failed]
     return lines

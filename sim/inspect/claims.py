@@ -11,6 +11,7 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.numbers import finite
 from models.signals import is_kept
+from models.vehicle import Vehicle
 from sim.inspect.findings import FAILS, HOLDS, MISSING, NOTE, SAME, Finding, apart, count, different, folded, off, same
 from sim.inspect.log import Recorded, RecordedRun, read_json
 from sim.inspect.reproduction import FEWEST, as_response, kept
@@ -23,6 +24,7 @@ from sim.runs.run import Run
 from sim.runs.words import energy_lines, energy_object, half_step_object, run_object, verdict_lines
 from synth.certificate.record import false_claims, to_record
 from synth.controller import Controller
+from synth.implemented.claims import false_norm, norm_failures, norm_if_implemented
 
 
 def claimed_samples(recorded: RecordedRun, otherwise: int) -> int:
@@ -47,10 +49,13 @@ def check_samples(recorded: RecordedRun, samples: int, h: float) -> Iterator[Fin
         yield Finding("samples", MISSING, "too few to compare anything")
 
 
-def check_certificate(controller: Controller, recorded: RecordedRun, current: bool) -> Iterator[Finding]:
-    """The certificate, from the gain and its proof."""
+def check_certificate(
+    vehicle: Vehicle, controller: Controller, recorded: RecordedRun, h: float, current: bool
+) -> Iterator[Finding]:
+    """The certificate, from the gain and its proof; and the norm of the loop as it was implemented."""
     certificate, record = controller.certificate, recorded.claim("certificate")
-    wrong = false_claims(record, certificate)
+    norm = norm_if_implemented(vehicle, controller, h)
+    wrong = [*false_claims(record, certificate), *false_norm(record, vehicle, norm), *norm_failures(norm)]
     absent = [key for key in to_record(certificate) if key not in record]
     if current and absent:
         wrong.append(f"it claims no {absent[0]}, which its proof gives")
@@ -79,7 +84,8 @@ def check_certificate(controller: Controller, recorded: RecordedRun, current: bo
     bound = f", bound {certificate.bound:.7g} by LMI (20)" if certificate.bound is not None else ""
     below = f", lower bound {certificate.lower_bound:.7g}" if certificate.lower_bound is not None else ""
     at = f" at {certificate.norm.peak_frequency:.5g} rad/s" if math.isfinite(certificate.norm.peak_frequency) else ""
-    yield Finding("certificate", HOLDS, f"stable, norm {certificate.norm.value:.7g}{at}{bound}{below}")
+    sampled = f", sampled norm {norm.value:.7g}" if norm is not None and norm.stable else ""
+    yield Finding("certificate", HOLDS, f"stable, norm {certificate.norm.value:.7g}{at}{bound}{below}{sampled}")
 
 
 def check_linear(again: Prediction, recorded: RecordedRun, samples: int) -> Iterator[Finding]:

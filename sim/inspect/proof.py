@@ -203,7 +203,7 @@ def _inspect(log: Recorded, vehicle: Vehicle, recorded: RecordedRun, h: float, c
         findings.append(Finding("controller", FAILS, str(error)))
         return inspected()
     if isinstance(controller, Controller):
-        findings += _guarded("certificate", FAILS, lambda: check_certificate(controller, recorded, current))
+        findings += _guarded("certificate", FAILS, lambda: check_certificate(own, controller, recorded, h, current))
     else:
         findings.append(Finding("certificate", NOTE, f"{NO_CLAIM}; {NOT_RUN}"))
     if samples < FEWEST:

@@ -25,6 +25,7 @@ from sim.runs.run import Run
 from sim.runs.words import controller_object, energy_object, events, half_step_object, summary, verdict
 from synth.certificate.record import to_record
 from synth.controller import Controller
+from synth.implemented.claims import norm_if_implemented, norm_record
 
 
 def stem(command: str, vehicle: Vehicle, controllers: Sequence[str]) -> str:
@@ -133,11 +134,12 @@ def run_log(run: Run, name: str) -> RunLog:
             files[named[f"{what}_file"]] = (media_type, content)
     else:
         certificate = controller.certificate
+        norm = norm_if_implemented(vehicle, controller, run.prediction.timestep)
         proved = {
             "designed": controller.designed,
             "stable": certificate.stable,
             "poles": [[float(pole.real), float(pole.imag)] for pole in certificate.poles],
-            "certificate": to_record(certificate),
+            "certificate": to_record(certificate) | norm_record(norm),
         }
     claims = {
         **controller_object(controller),

@@ -60,7 +60,7 @@ def norms(scope: Scope) -> list[Finding]:
         share = values[least] / passive - 1
         text += f" The least is {least}'s, {percents(share)} % {'below' if share < 0 else 'above'} the passive suspension's."
     if scope.built_norms:
-        built = ", ".join(f"{name} {value.gain:.4g}" for name, value in scope.built_norms.items())
+        built = ", ".join(f"{name} {value.value:.4g}" for name, value in scope.built_norms.items())
         text += f" As built{scope.without}, at a step of {1e3 * scope.timestep:g} ms: {built}."
     return [Finding(text)]
 

@@ -5,19 +5,17 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
-import numpy as np
-
 from models.figures.figure import Dash, styles
 from models.reality import Limits, steps_per_sample
 from models.vehicle import Vehicle
 from sim.frequency.identification import check
-from sim.linear.frequency import Worst, sampled_frequency_response, worst_sinusoid
-from sim.roads.road import Bump
 from sim.runs.run import sample_times
 from sim.stability.growth import TIMESTEP
 from synth.controller import Controller
 from synth.designer import Designer
 from synth.implemented.loop import sampled_radius
+from synth.implemented.norm import norm_as_implemented
+from synth.sampled.norm import SampledNorm
 
 BUMP_DURATION = 3.0  # s
 AMPLITUDE = 1e-4  # m, of the roads that frequency responses are identified on
@@ -101,23 +99,12 @@ class Scope:
         ]
 
     @cached_property
-    def built_norms(self) -> dict[str, Worst]:
-        """The H-infinity norms as built, by controller, where the vehicle file makes them differ; of one wheel only.
-
-        With more wheels the ideal norm is of any road under any wheel, and of the sampled loop there is only one road's.
-        """
-        vehicle, timestep = self.vehicle, self.timestep
-        if (vehicle.limits.actuator_bandwidth is None and vehicle.implementation.prompt) or len(vehicle.kind.wheels) > 1:
+    def built_norms(self) -> dict[str, SampledNorm]:
+        """The L2 gains of the loops as built, by controller, where the vehicle file makes them differ."""
+        vehicle = self.vehicle
+        if vehicle.limits.actuator_bandwidth is None and vehicle.implementation.prompt:
             return {}
-        return {
-            one.name: worst_sinusoid(
-                vehicle,
-                lambda omega, one=one: sampled_frequency_response(vehicle, one, omega, timestep),
-                np.pi / timestep,
-                Bump.speed,
-            )
-            for one in self.stable
-        }
+        return {one.name: norm_as_implemented(vehicle, one, self.timestep) for one in self.stable}
 
     @cached_property
     def styles(self) -> dict[str, tuple[str, Dash]]:

@@ -17,9 +17,10 @@ from synth.certificate.lower_bound import LowerBound, Witness, prove_lower_bound
 from synth.certificate.zeros import Zeros, limit_at_zeros
 from synth.plant import GeneralizedPlant
 
-CLAIMS = ("norm", "peak_frequency", "bound", "lower_bound")
+SAMPLED_NORM = "sampled_norm"  # of the loop as its computer closes it, which is checked where that is known
+CLAIMS = ("norm", "peak_frequency", "bound", "lower_bound", SAMPLED_NORM)
 PROOFS = ("X", "limit_at", "zeros", "state", "observer")
-MAY_BE_ZERO = ("norm", "peak_frequency", "limit_at")
+MAY_BE_ZERO = ("norm", "peak_frequency", "limit_at", SAMPLED_NORM)
 SMALLEST, LARGEST = 1e-60, 1e60  # of the numbers in a certificate, in SI units: no vehicle has others
 MOST_ZEROS = 200  # in a certificate; there are as many as states at most, and Pick's matrix has a row for each
 SAME = 1e-9  # relative: how far rounding, on another machine, may move a number
@@ -69,7 +70,7 @@ def read_proof(
         if record[key] is None:
             raise InputError(f"{key} in a certificate is null; what does not exist is left out, so save it again")
     n = len(plant.A)
-    for key in ("norm", "peak_frequency", "lower_bound"):
+    for key in ("norm", "peak_frequency", "lower_bound", SAMPLED_NORM):
         _number(record, key)
     X = _matrix(record, "X", (n + kept, n + kept))
     if X is not None:

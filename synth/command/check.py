@@ -8,6 +8,7 @@ from models.vehicle import ControllerEntry
 from synth.command.table import Row
 from synth.controller import Controller
 from synth.designer import Designer
+from synth.implemented.claims import false_norm, norm_failures, norm_if_implemented
 from synth.words import hardware_lines
 
 
@@ -30,7 +31,9 @@ def check(designer: Designer, names: Sequence[str] | None) -> list[Row]:
 def _checked(designer: Designer, entry: ControllerEntry) -> Row:
     assert entry.law is not None
     certificate, failures = designer.checked(entry)
+    controller = Controller(entry.name, entry.measured, entry.law, False, certificate, hardware=entry.hardware)
+    norm = norm_if_implemented(designer.vehicle, controller)
+    failures += (*norm_failures(norm), *false_norm(entry.certificate or {}, designer.vehicle, norm))
     note = "checked: every claim of its certificate holds" if entry.certificate and not failures else ""
     note = note or ("its certificate does not hold" if entry.certificate else "came without a certificate")
-    controller = Controller(entry.name, entry.measured, entry.law, False, certificate, hardware=entry.hardware)
-    return Row(entry.name, controller, (*hardware_lines(controller), note), failures)
+    return Row(entry.name, controller, (*hardware_lines(controller), note), failures, sampled=norm)

@@ -10,6 +10,7 @@ from models.common.whole_file import check_file, identity, whole_file
 from models.vehicle import Vehicle, parse_vehicle
 from synth.certificate.record import to_record
 from synth.controller import Controller
+from synth.implemented.claims import norm_if_implemented, norm_record
 
 SUFFIX = "_designed"
 
@@ -42,14 +43,14 @@ def save(path: Path, vehicle: Vehicle, controllers: Sequence[Controller]) -> Non
     check_save(path, vehicle, [controller.name for controller in designed])
     text = vehicle.text.rstrip("\n") + "\n"
     for controller in designed:
-        text += "\n" + "\n".join(_entry(controller.name + SUFFIX, controller)) + "\n"
+        text += "\n" + "\n".join(_entry(controller.name + SUFFIX, vehicle, controller)) + "\n"
     parse_vehicle(text, folder=path.parent)  # what is written can be read
     with whole_file(path, "--save") as beside:
         beside.write_text(text, encoding="utf-8", newline="\n")
 
 
-def _entry(name: str, controller: Controller) -> list[str]:
-    record = to_record(controller.certificate)
+def _entry(name: str, vehicle: Vehicle, controller: Controller) -> list[str]:
+    record = to_record(controller.certificate) | norm_record(norm_if_implemented(vehicle, controller))
     key = name if name.isascii() else json.dumps(name, ensure_ascii=False)
     return [
         f"[controllers.{key}]",

@@ -10,10 +10,13 @@ import numpy as np
 from models.common.numbers import finite
 from models.common.printed import command, table, wrapped
 from models.common.shell import option
-from synth.certificate.certificate import LmiProof
+from models.vehicle import Vehicle
+from synth.certificate.certificate import Certificate, LmiProof
 from synth.certificate.record import to_record
 from synth.command.witness import Witness
 from synth.controller import Controller
+from synth.implemented.claims import norm_lines, norm_object, norm_record
+from synth.sampled.norm import SampledNorm
 from synth.words import heading_lines, percent
 
 
@@ -28,6 +31,7 @@ class Row:
         failures: claims that do not hold, or why there is no design; empty where all is well.
         worth: what `--refine` lowers the norm by at least, relative; 0 where it is nothing to speak of.
         witness: what a second solver says of the design, where it was asked.
+        sampled: the norm as implemented, where the vehicle file says how.
     """
 
     name: str
@@ -36,6 +40,7 @@ class Row:
     failures: tuple[str, ...]
     worth: float = 0.0
     witness: Witness | None = None
+    sampled: SampledNorm | None = None
 
 
 def row_object(row: Row) -> dict[str, Any]:
@@ -52,6 +57,7 @@ def row_object(row: Row) -> dict[str, Any]:
         "designed": controller.designed,
         "bound": certificate.bound,
         "norm": finite(norm.value),
+        **norm_object(row.sampled),
         "routes_gap": norm.gap if certificate.stable else None,
         "peak_frequency": finite(norm.peak_frequency),
         "poles": [[float(pole.real), float(pole.imag)] for pole in certificate.poles],
@@ -59,7 +65,7 @@ def row_object(row: Row) -> dict[str, Any]:
         "gap": certificate.gap,
         "stability": certificate.stability.verdict,
         "lmi": _lmi_object(certificate.proof),
-        "certificate": to_record(certificate),
+        "certificate": to_record(certificate) | norm_record(row.sampled),
         "notes": [*row.notes, *certificate.remarks],
         "failures": list(row.failures),
         "refine_lowers_by_at_least": row.worth or None,
@@ -75,26 +81,39 @@ def _hardware_object(controller: Controller) -> dict[str, Any]:
 
 
 def table_lines(rows: Sequence[Row]) -> list[str]:
-    """All controllers, one line each."""
-    lines: list[tuple[str, ...]] = [("controller", "bound", "norm", "at rad/s", "lower bound", "above it", "slowest pole")]
+    """All controllers, one line each; where they have norms as implemented, in place of what stands above of each in full."""
+    built = any(row.sampled is not None for row in rows)
+    beside = ("sampled", "at rad/s", "lower bound") if built else ("at rad/s", "lower bound", "above it")
+    headings = ("bound", "norm", *beside, "slowest pole")
+    lines: list[tuple[str, ...]] = [("controller", *headings)]
+    empty = ("",) * (len(headings) - 1)
     for row in rows:
-        if row.controller is None:
-            lines.append((row.name, "NOT DESIGNED", *5 * ("",)))
-            continue
-        certificate = row.controller.certificate
-        if not certificate.stable:
-            lines.append((row.name, certificate.stability.verdict.upper(), *5 * ("",)))
-            continue
-        bound = f"{certificate.bound:.7g}" if certificate.bound is not None else "-"
-        at = f"{certificate.norm.peak_frequency:.5g}" if np.isfinite(certificate.norm.peak_frequency) else "-"
-        lower_bound = f"{certificate.lower_bound:.7g}" if certificate.lower_bound is not None else "-"
-        gap = percent(certificate.gap) if certificate.gap is not None else "-"
-        slowest = f"{certificate.stability.worst.real:.4g}"
-        lines.append((row.name, bound, f"{certificate.norm.value:.7g}", at, lower_bound, gap, slowest))
+        certificate = row.controller.certificate if row.controller is not None else None
+        if certificate is None:
+            lines.append((row.name, "NOT DESIGNED", *empty))
+        elif not certificate.stable:
+            lines.append((row.name, certificate.stability.verdict.upper(), *empty))
+        else:
+            cells = _cells(certificate, row.sampled)
+            lines.append((row.name, *(cells[heading] for heading in headings)))
     return table(lines, indent="")
 
 
-def detail_lines(row: Row) -> list[str]:
+def _cells(certificate: Certificate, sampled: SampledNorm | None) -> dict[str, str]:
+    """What stands under each heading of a stable loop."""
+    norm, bound, below = certificate.norm, certificate.bound, certificate.lower_bound
+    return {
+        "bound": f"{bound:.7g}" if bound is not None else "-",
+        "norm": f"{norm.value:.7g}",
+        "sampled": "-" if sampled is None else f"{sampled.value:.7g}" if sampled.stable else "UNSTABLE",
+        "at rad/s": f"{norm.peak_frequency:.5g}" if np.isfinite(norm.peak_frequency) else "-",
+        "lower bound": f"{below:.7g}" if below is not None else "-",
+        "above it": percent(certificate.gap) if certificate.gap is not None else "-",
+        "slowest pole": f"{certificate.stability.worst.real:.4g}",
+    }
+
+
+def detail_lines(row: Row, vehicle: Vehicle) -> list[str]:
     """One controller in full."""
     if row.controller is None:
         return [f"controller {row.name}", *(f"  NOT DESIGNED: {failure}" for failure in row.failures)]
@@ -113,6 +132,7 @@ def detail_lines(row: Row) -> list[str]:
             lines.append(f"  {by}, {'both ' * (len(proved) > 1)}balanced; rounding is at most {rounding}")
     if certificate.gap is not None:
         lines.append(f"  norm {percent(certificate.gap)} above the lower bound")
+    lines += [f"  {line}" for line in norm_lines(vehicle, controller, row.sampled)]
     if row.witness is not None:
         lines.append(f"  {row.witness.text}")
     said = (*row.notes, *certificate.remarks)

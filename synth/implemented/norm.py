@@ -1,8 +1,8 @@
 """The L2 gain of a vehicle's loop as its computer closes it, from the road's continuous velocity to the continuous z.
 
 That is the continuous counterpart of the norm (18) for what `[implementation]` and the lag of `[limits]` make of the loop: its
-force is held from sample to sample and comes late, while road and vehicle go on. What is no linear loop does not count: limits of
-force and stroke, quantisation; and noise is another disturbance.
+force is held from sample to sample and comes late, while road and vehicle go on. What is not linear does not count: limits of
+force and stroke, quantisation; nor does noise, which no road makes. Behind a lag the force that z weighs is the one that acts.
 """
 
 import numpy as np

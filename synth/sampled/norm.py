@@ -27,6 +27,8 @@ FAR_ZOOMS = 9  # where they do not
 MOST_STATES = 400  # of a loop with its forces on their way, whose eigenvalues are asked for; beyond, frequencies alone
 SLOWEST = 1e-9  # rad per sample, where a grid of frequencies begins
 PER_TURN = 40  # of its points, per turn that a delay makes
+NOTHING = 1e-15  # of the first level: a gain below is none
+AT_ONCE = 4096  # frequencies; more take memory by the hundred megabytes
 TURN = 0.5  # rad between two points at most, where a phase is followed
 
 
@@ -93,6 +95,8 @@ def _decays(loop: SampledLoop) -> bool:
     angles, change = _grid(loop), loop.moved
 
     def sign(at: Array) -> Array:
+        if len(at) > AT_ONCE:
+            return np.concatenate([sign(some) for some in np.array_split(at, len(at) // AT_ONCE + 1)])
         matrix, _ = loop.turning(change, at)
         turned, _ = np.linalg.slogdet(matrix * np.exp(-1j * at)[:, None, None])
         return turned
@@ -123,6 +127,8 @@ class _Level:
 
     def gains(self, angles: Array) -> Array:
         """The largest singular value from w_d to z_d where they turn by some angles [rad], shape (F,) like these."""
+        if len(angles) > AT_ONCE:
+            return np.concatenate([self.gains(some) for some in np.array_split(angles, len(angles) // AT_ONCE + 1)])
         matrix, start = self.loop.turning(self.plant.moved, angles)
         driven = np.zeros((len(angles), matrix.shape[1], self.Bd.shape[1]), dtype=complex)
         driven[:, : len(self.Bd)] = self.Bd
@@ -163,6 +169,8 @@ class _Search:
         _, angle = self._highest(there)
         for _ in range(ROUNDS):
             level, below, inside = self._gain_at(angle, level, below)
+            if not level:
+                return SampledNorm(0.0, 0.0, 0.0, np.nan, 0.0)
             upper = level if inside else level * (1 + ABOVE)
             there = self._at(upper)
             assert there is not None, "a level above one that can be"
@@ -218,7 +226,7 @@ class _Search:
             level: to start from.
             below: a level that is too low.
         """
-        above, last = np.inf, None
+        above, last, first = np.inf, None, level
         for _ in range(ROUNDS):
             there = self._at(level)
             gain = float(there.gains(np.array([angle]))[0]) if there is not None else np.inf
@@ -229,6 +237,8 @@ class _Search:
             below, above = (max(below, level), above) if gain > 1 else (below, min(above, level))
             if above <= below * (1 + BELOW):
                 return above, below, self._at(below) is None
+            if above <= NOTHING * first:
+                return 0.0, 0.0, False
             at, height = math.log(level), math.log(gain) if 0 < gain < np.inf else math.nan
             slope = (height - last[1]) / (at - last[0]) if last is not None and at != last[0] else -1.0
             last = (at, height) if math.isfinite(height) else None

@@ -1,0 +1,111 @@
+"""The norm of a loop as it is implemented, among what is claimed of a controller: in words, in records, and held against them."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from models.common.numbers import finite
+from models.reality import USUAL_TIMESTEP, Limits
+from models.vehicle import Vehicle
+from synth.certificate.record import SAMPLED_NORM
+from synth.controller import Controller
+from synth.implemented.norm import norm_as_implemented
+from synth.sampled.norm import ABOVE, SampledNorm
+from synth.words import percent
+
+SAME = 10 * ABOVE  # relative: two machines agree in a norm that lies between two levels so close
+ROUTES_AGREE = 1e-6  # relative: a norm, and what an actual disturbance reaches of it
+
+
+def norm_if_implemented(vehicle: Vehicle, controller: Controller, timestep: float = USUAL_TIMESTEP) -> SampledNorm | None:
+    """The norm of a loop as it is implemented, where `[implementation]` says of its computer how often or how late it acts."""
+    return None if vehicle.implementation.prompt else norm_as_implemented(vehicle, controller, timestep)
+
+
+def norm_record(norm: SampledNorm | None) -> dict[str, float]:
+    """The norm as certificates hold it; empty where there is none, or it is infinite."""
+    return {SAMPLED_NORM: norm.value} if norm is not None and norm.stable else {}
+
+
+def norm_object(norm: SampledNorm | None) -> dict[str, Any]:
+    """The norm as JSON has it, with what proves it; empty where there is none."""
+    if norm is None:
+        return {}
+    proof = None
+    if norm.stable:
+        proof = {"above": norm.lower, "below": norm.upper, "reached": norm.reached, "angle": finite(norm.angle)}
+        proof |= {"decided_within_a_period": norm.inside, "by_sweep": norm.by_sweep}
+    return {SAMPLED_NORM: finite(norm.value), f"{SAMPLED_NORM}_proof": proof}
+
+
+def norm_lines(vehicle: Vehicle, controller: Controller, norm: SampledNorm | None) -> list[str]:
+    """The norm in words, beside that of the ideal loop; nothing where there is none."""
+    if norm is None:
+        return []
+    built = built_words(vehicle)
+    if not norm.stable:
+        return [f"sampled norm infinite: UNSTABLE with {built}"]
+    ideal, noisy = controller.certificate.norm.value, any(controller.hardware.noise)
+    alike = math.isfinite(ideal) and ideal and not noisy  # with its noise that norm is of another w
+    more = f", {against(norm.value, ideal)} the ideal loop's" if alike else ""
+    seen = "frequencies" if norm.by_sweep else "level sets"
+    lines = [
+        f"sampled norm {norm.value:.7g}{more}: {built}, while road and car go on",
+        f"it is less than {norm.upper:.9g} by {seen}, and a road reaches {norm.reached:.9g} of it",
+    ]
+    if norm.inside:
+        lines.append("it is decided within one sample period: no controller at this rate has less")
+    return lines
+
+
+def built_words(vehicle: Vehicle) -> str:
+    """What of a loop as built counts in its norm: what is linear of it."""
+    lag = Limits(actuator_bandwidth=vehicle.limits.actuator_bandwidth)
+    return ", ".join((*vehicle.implementation.clear.words, *lag.words))
+
+
+def sampled_lines(vehicle: Vehicle) -> list[str]:
+    """What "sampled" is in a table of norms, where there is such a column."""
+    if vehicle.implementation.prompt:
+        return []
+    return [f"sampled is the norm of the loop as built, road and car going on between its samples: {built_words(vehicle)}"]
+
+
+def norm_failures(norm: SampledNorm | None) -> tuple[str, ...]:
+    """What does not hold of a norm, in words."""
+    if norm is None or not norm.stable or norm.gap <= ROUTES_AGREE:
+        return ()
+    return (f"the sampled norm {norm.value:.9g} and what a road reaches of it differ by {norm.gap:.0e}",)
+
+
+def against(value: float, other: float) -> str:
+    """How far a value lies above or below another, in percent."""
+    share = value / other - 1
+    return "equal to" if abs(share) <= SAME else f"{percent(abs(share))} {'below' if share < 0 else 'above'}"
+
+
+def false_norm(record: Mapping[str, Any], vehicle: Vehicle, norm: SampledNorm | None) -> tuple[str, ...]:
+    """What a record claims in vain of the norm as implemented, in words.
+
+    Args:
+        record: a certificate, whose numbers are numbers.
+        vehicle: it says how the controller is implemented.
+        norm: as it is found.
+    """
+    said = record.get(SAMPLED_NORM)
+    if said is None or (norm is not None and abs(norm.value - said) <= SAME * said):
+        return ()
+    claimed = f"the sampled norm is claimed to be {said:.10g}"
+    if norm is None:
+        return (f"{claimed}, and [implementation] has neither sample_period nor delay",)
+    is_now = f"{norm.value:.10g}" if norm.stable else "infinite"
+    return (f"{claimed}, and is {is_now} with {built_words(vehicle)}",)
+
+
+def held_to_its_norm(controller: Controller, record: Mapping[str, Any] | None, vehicle: Vehicle) -> Controller:
+    """A controller, its false claims with those that its record makes of the norm as implemented."""
+    if record is None or record.get(SAMPLED_NORM) is None:
+        return controller
+    wrong = false_norm(record, vehicle, norm_if_implemented(vehicle, controller))
+    return replace(controller, false_claims=(*controller.false_claims, *wrong))
