@@ -30,7 +30,7 @@ from tests.reading import PageRead
 
 pytest.importorskip("jinja2", reason="a report needs the extra [report]")
 
-(REALITY,) = section("models/README.md", "Limits").blocks("toml")
+REALITY, *_ = section("models/README.md", "Limits").blocks("toml")
 NAMES = ("passive", "state", "I", "II")
 STEP = ("--timestep", "0.0025")  # divides the README's sample period, and a run takes less than half the time of one at 1 ms
 
