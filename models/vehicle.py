@@ -144,7 +144,7 @@ class Vehicle:
         if entry.python is not None:
             raise InputError(
                 f"controller {name!r} is a law in Python, {entry.python.law}, of which there is no linear claim, and here "
-                "is nothing else; sim.bump, sim.drive, sim.sweep and sim.campaign drive it: name another one here"
+                "is nothing else; sim.bump, sim.drive, sim.sweep, sim.campaign and sim.report drive it: name another one here"
             )
         return entry
 

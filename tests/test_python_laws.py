@@ -322,7 +322,7 @@ def test_linear_commands_leave_it_out(tmp_path, capsys):
     """Commands that are about linear claims say in one line why they cannot have it, and `all` is the others."""
     path = vehicle_of(tmp_path, GAIN)
     axes = ["--vary", "height:0.02:0.1:3", "--vary", "speed:5:20:3"]
-    for command, options in {"synth": [], "sim.margins": [], "sim.envelope": axes, "sim.report": []}.items():
+    for command, options in {"synth": [], "sim.margins": [], "sim.envelope": axes}.items():
         said = "controller 'mine' is a law in Python, mine.py:step, of which there is no linear claim"
         assert refusal(path, command, *options).startswith(said)
     assert main_of("synth")(["--vehicle", str(path), "--controller", "all", "--json"]) == 0

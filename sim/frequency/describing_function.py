@@ -30,6 +30,18 @@ ROUNDING = 1e-9  # of an energy
 STEADY = 1e-3  # of a fundamental: what it may still change from one period of the lowest to the next, unsaid
 
 
+@dataclass(frozen=True)
+class Moving:
+    """An output that moves: its largest fundamental per road velocity, the largest share of energy outside it, and where [Hz]."""
+
+    name: str
+    unit: str
+    largest: float
+    largest_at: float
+    outside: float
+    outside_at: float
+
+
 @dataclass(frozen=True, eq=False)
 class DescribingFunction:
     """Of one controller, per road velocity under the first wheel.
@@ -62,6 +74,18 @@ class DescribingFunction:
     def worst(self) -> int:
         """Which of the frequencies has the largest gain."""
         return int(np.argmax(np.nan_to_num(self.gains)))
+
+    @property
+    def moving(self) -> list[Moving]:
+        """Its outputs that move, in short."""
+        found, hertz = [], self.omega / (2 * np.pi)
+        for i, name in enumerate(self.outputs):
+            size, outside = np.abs(self.measured[:, i]), self.outside[:, i]
+            if not np.all(np.isnan(outside)):
+                most, least = int(np.nanargmax(size)), int(np.nanargmax(outside))
+                places = float(size[most]), float(hertz[most]), float(outside[least]), float(hertz[least])
+                found.append(Moving(name, self.units[i], *places))
+        return found
 
     @property
     def worst_omega(self) -> float:
@@ -126,19 +150,16 @@ def describing_lines(one: DescribingFunction) -> list[str]:
     if one.without:
         lines.append(f"  its loop as built, but without its {one.without}")
     rows: list[tuple[str, ...]] = [("per road velocity, over the sinusoids:", "largest", "at Hz", "energy outside", "at Hz")]
-    for i, name in enumerate(one.outputs):
-        if np.all(np.isnan(one.outside[:, i])):
-            continue
-        most, least = int(np.argmax(np.abs(one.measured[:, i]))), int(np.nanargmax(one.outside[:, i]))
-        share = _percent(float(one.outside[least, i]))
-        rows.append((name, cell(abs(one.measured[most, i]), ".4g"), f"{hertz[most]:.3g}", share, f"{hertz[least]:.3g}"))
+    for each in one.moving:
+        places = f"{each.largest_at:.3g}", percent(each.outside), f"{each.outside_at:.3g}"
+        rows.append((each.name, f"{each.largest:.4g}", *places))
     lines += table(rows)
     gain = f"{cell(one.gains[one.worst], '.5g')} at {hertz[one.worst]:.3g} Hz"
     lines.append(f"  largest L2 gain of these sinusoids: {gain}; no norm, as another road may be amplified more")
     if one.drift > STEADY:
         lines.append(
             f"  not all has settled: from one period of {hertz[0]:.3g} Hz to the next a fundamental still changed by "
-            f"{_percent(one.drift)}"
+            f"{percent(one.drift)}"
         )
     return lines
 
@@ -147,10 +168,10 @@ def describing_verdict(one: DescribingFunction) -> str:
     """What it came to, in a sentence."""
     if one.ended:
         return f"no linear claim; outside the linear regime: {', '.join(one.ended)}"
-    return f"no linear claim: at most {_percent(float(np.nanmax(one.outside)))} of a signal's energy is outside its fundamental"
+    return f"no linear claim: at most {percent(float(np.nanmax(one.outside)))} of a signal's energy is outside its fundamental"
 
 
-def _percent(share: float) -> str:
+def percent(share: float) -> str:
     """A share of an energy in percent; what rounding leaves is 0."""
     return f"{100 * share:.2g} %" if share > ROUNDING else "0 %"
 

@@ -16,9 +16,12 @@ from models.common.progress import Stages
 from models.common.whole_file import made_folder, together, whole_file
 from models.figures.page import Page, check_page, write_page
 from models.figures.picture import check_drawing, write_picture
+from models.own.python_law import Programmed
 from models.vehicle import read_vehicle
 from sim.command.claims import say_false_claims
+from sim.command.driven import driven
 from sim.command.outputs import check_outputs, written, written_lines
+from synth.controller import Controller
 
 USUAL = ("passive", "state", "I", "II")
 
@@ -42,7 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     check_page()
     vehicle = read_vehicle(options.vehicle)
     usual = [name for name in USUAL if name in vehicle.linear_names]
-    names = chosen(vehicle.controller_names, options.controller, usual, vehicle.linear_names)
+    names = chosen(vehicle.controller_names, options.controller, usual)
     if options.out.suffix.lower() not in (".html", ".htm"):
         raise InputError(f"report {options.out}: a report is HTML; give a name that ends in .html")
     outputs = {"report": options.out, "figures": options.figures}
@@ -50,7 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.figures is not None:
         check_drawing()
     from models.common.versions import versions
-    from sim.frequency.sweep import EXTREMES, LINES
+    from sim.frequency.sweep import EXTREMES, LINES, OWN
     from sim.report.content import page, report_object
     from sim.report.scope import Scope, check_scope
     from synth.designer import Designer
@@ -59,13 +62,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     first, then = ("designs", "a bump", LINES), ("where the linear regime ends",)
     if not options.quick:
-        first, then = (*first, EXTREMES), (*then, "margins", "map", "random roads")
+        first, then = (*first, EXTREMES, OWN), (*then, "margins", "map", "random roads")
     stage = Stages(*first, *then, "the page")
     stage("designs")
     designer = Designer(vehicle)
-    controllers = tuple(designer.design(name) for name in names)
+    controllers = driven(vehicle, names, designer.design)
     say_false_claims(controllers)
-    scope = Scope(vehicle, designer, controllers, options.timestep, options.quick, stage)
+    linear = tuple(one for one in controllers if isinstance(one, Controller))
+    laws = tuple(one for one in controllers if isinstance(one, Programmed))
+    scope = Scope(vehicle, designer, linear, options.timestep, options.quick, stage, laws)
     about = {
         "written": datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC"),
         "command": shlex.join(["python", *sys.orig_argv[1:]]),

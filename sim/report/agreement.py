@@ -105,7 +105,7 @@ class _Drawn:
 
 def _bounded(scope: Scope, run: Run) -> bool:
     """Whether what a run does after its linear regime has ended is a vehicle's, and its line's size that of a response."""
-    return run.controller in scope.stable and run.broke_off is None
+    return not scope.unstable(run.controller) and run.broke_off is None
 
 
 def _drawn(scope: Scope, run: Run, name: str) -> _Drawn | None:
@@ -222,7 +222,7 @@ def _energy(runs: Sequence[Run]) -> Table:
 
 def _settles(scope: Scope, run: Run) -> bool:
     """Whether a run's sampled response tends to the continuous one with the step."""
-    return scope.prompt or (isinstance(run.controller, Controller) and not run.controller.law.acts)
+    return isinstance(run.controller, Controller) and (scope.prompt or not run.controller.law.acts)
 
 
 def _order(coarse: float, fine: float) -> str:

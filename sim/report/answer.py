@@ -45,6 +45,15 @@ def loops(scope: Scope) -> list[Finding]:
         elif one not in scope.stable:
             text = f"{one.name} is stable ideally and UNSTABLE as built, so only its design and its bump are reported."
             found.append(Finding(text, "ends"))
+    if scope.laws:
+        found.append(
+            Finding(
+                f"Of {joined([one.name for one in scope.laws])} there is no linear claim, as "
+                f"{'each is a law' if len(scope.laws) > 1 else 'it is a law'} in Python: no norm, bound or margin, and no height "
+                "up to which analysis is true. MuJoCo drives it as it drives the others, and is held against the linear "
+                "vehicle's response to the forces that it asked for."
+            )
+        )
     return found
 
 

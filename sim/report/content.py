@@ -6,8 +6,9 @@ from dataclasses import asdict
 from typing import Any
 
 from models.figures.page import Page, Section, Table
+from sim.frequency.describing_function import DescribingFunction, describing_function
 from sim.frequency.identification import ideal_measurements, identify
-from sim.frequency.sweep import sweep
+from sim.frequency.sweep import OWN, sweep
 from sim.report import answer as report_answer
 from sim.report.agreement import agreement_section, bump_section
 from sim.report.designs import design_section, frequency_section
@@ -31,14 +32,18 @@ def page(scope: Scope, provenance: dict[str, str]) -> Page:
     vehicle, road, h = scope.vehicle, Bump(), scope.timestep
     scope.progress("a bump")
     time, halves = (sample_times(vehicle, BUMP_DURATION, step) for step in (h, h / 2))
-    runs = run_all(vehicle, scope.controllers, road, time)
-    finer = run_all(vehicle, scope.controllers, road, halves)
+    runs = run_all(vehicle, scope.driven, road, time)
+    finer = run_all(vehicle, scope.driven, road, halves)
     scope.progress("frequency responses")
     if scope.quick:
         sweeps, lines = [], identify(vehicle, scope.stable, AMPLITUDE, h, road.speed) if scope.stable else []
     else:
         sweeps = sweep(vehicle, scope.stable, AMPLITUDE, h, road.speed, scope.progress) if scope.stable else []
         lines = [one.lines for one in sweeps]
+    own: list[DescribingFunction] = []
+    if not scope.quick and scope.laws:
+        scope.progress(OWN)
+        own = [describing_function(vehicle, one, AMPLITUDE, h, road.speed) for one in scope.laws]
     scope.progress("where the linear regime ends")
     ends = [(one, regime_end(ideal_measurements(vehicle), one, road, time)) for one in scope.stable]
 
@@ -50,8 +55,8 @@ def page(scope: Scope, provenance: dict[str, str]) -> Page:
         *report_answer.regime(scope, road, ends, runs),
     ]
     sections = [design_section(scope)]
-    if lines:
-        sections.append(frequency_section(scope, lines, sweeps, road.speed))
+    if lines or own:
+        sections.append(frequency_section(scope, lines, sweeps, road.speed, own))
     sections += [bump_section(scope, runs, road), agreement_section(scope, runs, finer)]
     if ends:
         sections.append(regime_section(scope, road, ends, runs))
@@ -60,9 +65,9 @@ def page(scope: Scope, provenance: dict[str, str]) -> Page:
             sections.append(section)
             answer += findings
     rides: list[Ride] = []
-    if not scope.quick and scope.stable:
+    if not scope.quick and (scope.stable or scope.laws):
         scope.progress("random roads")
-        rides = rides_of(vehicle, scope.stable, h)
+        rides = rides_of(vehicle, [*scope.stable, *scope.laws], h)
         sections.append(ride_section(vehicle, rides, scope.styles))
     if is_the_papers(vehicle):
         sections.append(_paper(scope))

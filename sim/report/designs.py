@@ -1,20 +1,24 @@
 """The sections of a report on what was designed: gains and certificates, and their frequency responses, measured."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from models.figures.page import Section, Table
 from models.vehicle import Vehicle
+from sim.frequency.describing_function import DescribingFunction
+from sim.frequency.describing_function import percent as percent_outside
 from sim.frequency.figure import sweep_figure
 from sim.frequency.identification import Lines
 from sim.frequency.sweep import Sweep
 from sim.report.scope import AMPLITUDE, Scope, number
+from sim.runs.words import python_text
 from synth.controller import Controller
 from synth.implemented.claims import against
 from synth.words import hardware_lines, percent, states_text
 
+OWN_HEADINGS = ("controller", "signal", "unit", "fundamental", "at [Hz]", "energy outside", "at, in Hz")
 FREQUENCIES = (0.1, 1.0, 3.0, 10.0, 25.0)  # Hz, from a body's to above a wheel's
 
 
@@ -36,6 +40,8 @@ def design_section(scope: Scope) -> Section:
                 "; ".join(certificate.failures) or "holds",
             )
         )
+    for one in scope.laws:
+        rows.append((one.name, ", ".join(one.measured).replace("_", " "), *["-"] * 6, "no linear claim: a law in Python"))
     headings = (
         "controller",
         "measures",
@@ -53,6 +59,13 @@ def design_section(scope: Scope) -> Section:
         "checked without the solver that found it. No controller of its kind, of whatever order, can have a norm below "
         "its lower bound.",
     )
+    if scope.laws:
+        laws = "; ".join(f"{one.name}: {python_text(one)}" for one in scope.laws)
+        text = (
+            *text,
+            f"What a law in Python asks for is known only of the measurements that it was called with, so that nothing is proved "
+            f"of it, and its columns are empty. {laws}.",
+        )
     if not scope.plain:
         text = (*text, "All of this is of the ideal loop: continuous, with no limits and no computer.")
     said = [(one.name, line) for one in scope.controllers for line in hardware_lines(one)]
@@ -119,10 +132,20 @@ def per_unit(unit: str, other: str) -> str:
     return f"{unit}·{under}/{over}" if under else f"{unit}/{other}"
 
 
-def frequency_section(scope: Scope, lines: Sequence[Lines], sweeps: Sequence[Sweep], speed: float) -> Section:
-    """The paper's Fig. 3, points of MuJoCo on its lines; and the norm as a fact, where there are sweeps."""
+def frequency_section(
+    scope: Scope, lines: Sequence[Lines], sweeps: Sequence[Sweep], speed: float, own: Sequence[DescribingFunction]
+) -> Section:
+    """The paper's Fig. 3, points of MuJoCo on its lines; and the norm as a fact, where there are sweeps.
+
+    Args:
+        scope: what the report is about.
+        lines: of linear controllers.
+        sweeps: of the same; none in a quick report.
+        speed: [m/s].
+        own: of laws in Python.
+    """
     figure = replace(
-        sweep_figure(scope.vehicle, lines, AMPLITUDE, scope.timestep, speed, scope.styles), name="frequency-responses"
+        sweep_figure(scope.vehicle, lines, AMPLITUDE, scope.timestep, speed, scope.styles, own), name="frequency-responses"
     )
     rows = [
         (
@@ -170,5 +193,24 @@ def frequency_section(scope: Scope, lines: Sequence[Lines], sweeps: Sequence[Swe
         names = ("controller", "held-road norm", "worst sinusoid", "of that norm", "bump", "chirp", "random")
         caption = "How much a road is amplified in MuJoCo: the worst sinusoid, beside the held-road norm, and other roads."
         tables.append(Table("gains", caption, names, gains))
+    if own:
+        text.append(
+            "A law in Python has no line of analysis. It is driven over one sinusoid at a time: the fundamental of every signal "
+            "is its describing function, and beside it stands how much of the signal's energy is not in that. On other roads, "
+            "or higher ones, it may be otherwise."
+        )
+        caption = (
+            "Laws in Python over sinusoids: the fundamental per road velocity where it is largest, and the energy outside it."
+        )
+        tables.append(Table("describing-functions", caption, OWN_HEADINGS, tuple(_fundamentals(own)), words=3))
     title = "Which shaking is damped, and which is not?"
     return Section(title, "frequency responses and the norm, measured", tuple(text), tuple(tables), (figure,))
+
+
+def _fundamentals(own: Sequence[DescribingFunction]) -> Iterator[tuple[str, ...]]:
+    """A row per law and signal that moves."""
+    for one in own:
+        for signal in one.moving:
+            largest, outside = f"{signal.largest:.4g}", percent_outside(signal.outside)
+            at = f"{signal.largest_at:.3g}", f"{signal.outside_at:.3g}"
+            yield one.controller.name, signal.name.replace("_", " "), f"{signal.unit} per m/s", largest, at[0], outside, at[1]

@@ -8,6 +8,7 @@ import numpy as np
 
 from models.figures.figure import Curve, Dash, Figure, Panel
 from models.figures.page import Section, Table
+from models.own.python_law import Programmed
 from models.vehicle import Vehicle
 from sim.physics.simulate import simulate
 from sim.report.scope import joined, number
@@ -82,8 +83,12 @@ def ride_figure(rides: Sequence[Ride], style: Mapping[str, tuple[str, Dash]]) ->
             x, predicted, measured = (
                 np.array([(places[one.road_class], one.predicted, one.measured) for one in some], dtype=float).reshape(-1, 3).T
             )
+            seen = f"{name}, MuJoCo"
+            if some and not np.isfinite(predicted).any():  # a law in Python
+                curves.append(Curve(x, measured, name, color, "none", "x", name=seen))
+                continue
             curves.append(Curve(x, predicted, name if len(some) else "", color, dash))
-            curves.append(Curve(x, measured, "", color, "none", "o", name=f"{name}, MuJoCo"))
+            curves.append(Curve(x, measured, "", color, "none", "o", name=seen))
         if not panels:
             curves.append(Curve(np.zeros(0), np.zeros(0), "MuJoCo", "#666666", "none", "o"))
         label = f"{metric} [{unit.replace('s2', 's²')}]" if unit != "-" else f"{metric} [of the static load]"
@@ -113,13 +118,14 @@ def ride_text(vehicle: Vehicle) -> str:
     )
 
 
-def rides_of(vehicle: Vehicle, controllers: Sequence[Controller], timestep: float) -> list[Ride]:
+def rides_of(vehicle: Vehicle, controllers: Sequence[Controller | Programmed], timestep: float) -> list[Ride]:
     """Drives every controller over every class."""
     return [ride for one in controllers for ride in _rides(vehicle, one, timestep)]
 
 
-def _rides(vehicle: Vehicle, controller: Controller, timestep: float) -> Iterator[Ride]:
-    start = min(settling_time(vehicle, controller), LONGEST)
+def _rides(vehicle: Vehicle, controller: Controller | Programmed, timestep: float) -> Iterator[Ride]:
+    linear = isinstance(controller, Controller)
+    start = min(settling_time(vehicle, controller), LONGEST) if linear else LONGEST  # how long a law in Python takes is not known
     time = sample_times(vehicle, start + WINDOW, timestep)
     first = round(start / timestep)
     length, width = long_enough(SPEED * float(time[-1])), track_width(vehicle)
@@ -135,11 +141,13 @@ def _rides(vehicle: Vehicle, controller: Controller, timestep: float) -> Iterato
     metrics = [(f"{name}_weighted", "m/s2") for name in where.accelerations]
     metrics += [(f"{name}_rms", "m") for name in where.suspensions]
     metrics += [(dynamic_load(name), "-") for name in where.tyres]
-    metrics += [(f"{name}_rms", "N") for name, *_ in where.actuators if controller.law.acts]
+    metrics += [
+        (f"{name}_rms", "N") for name, *_ in where.actuators if not isinstance(controller, Controller) or controller.law.acts
+    ]
     for k, road_class in enumerate(CLASSES):
         runs = range(k * len(SEEDS), (k + 1) * len(SEEDS))
         some = [measured[i] for i in runs if np.isinf(ended[i])]
-        expected = expect(ideal, controller, roads[k * len(SEEDS)].spectrum, timestep, WINDOW)
+        expected = expect(ideal, controller, roads[k * len(SEEDS)].spectrum, timestep, WINDOW) if linear else None
         lifted = max((one[off_ground(tyre)] for one in some for tyre in where.tyres), default=0.0)
         events = f"{100 * lifted:.2f} %" if lifted else "none"
         if len(some) < len(SEEDS):

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from models.figures.figure import Dash, styles
+from models.own.python_law import Programmed
 from models.reality import Limits, steps_per_sample
 from models.vehicle import Vehicle
 from sim.frequency.identification import check
@@ -31,10 +32,11 @@ class Scope:
     Attributes:
         vehicle: the vehicle.
         designer: its designs.
-        controllers: those that are reported.
+        controllers: those that are reported, of which linear analysis speaks.
         timestep: of the physics [s].
         quick: without margins, map and ride.
         progress: is told what is being done.
+        laws: those in Python, of which it does not.
     """
 
     vehicle: Vehicle
@@ -43,6 +45,16 @@ class Scope:
     timestep: float
     quick: bool
     progress: Callable[[str], None]
+    laws: tuple[Programmed, ...] = ()
+
+    @property
+    def driven(self) -> tuple[Controller | Programmed, ...]:
+        """All that MuJoCo runs."""
+        return (*self.controllers, *self.laws)
+
+    def unstable(self, controller: Controller | Programmed) -> bool:
+        """Whether a loop is known not to be stable, ideal or as built."""
+        return isinstance(controller, Controller) and controller not in self.stable
 
     @property
     def plain(self) -> bool:
@@ -109,7 +121,7 @@ class Scope:
     @cached_property
     def styles(self) -> dict[str, tuple[str, Dash]]:
         """How each controller is drawn, in every figure of the page alike."""
-        return styles(tuple(one.name for one in self.controllers))
+        return styles(tuple(one.name for one in self.driven))
 
     @property
     def active(self) -> list[Controller]:

@@ -15,6 +15,7 @@ from sim.runs.run import Run
 from synth.controller import Controller
 
 CLASS = "C"  # of the roads that the summary compares rides on: an average one
+NO_CLAIM = "no linear claim"
 LEAST = 1e-4  # relative; less is below the digits that stand beside it
 
 
@@ -36,11 +37,17 @@ def summary(
     heights = {one.name: _height(end) for one, end in ends if end is not None and one.name not in wrong}
 
     shake = _bars(scope, norms, {}, {name: f"{value:.4g}{_against(value, passive)}" for name, value in norms.items()}, "unstable")
+    words = {
+        name: f"{number(pair[0], '.3g')} {unit}{_against(pair[0], _passive(roughness))}"
+        if math.isfinite(pair[0])
+        else f"{number(pair[1], '.3g')} {unit} in MuJoCo"
+        for name, pair in roughness.items()
+    }
     rough = _bars(
         scope,
         {name: pair[0] for name, pair in roughness.items()},
         {name: pair[1] for name, pair in roughness.items()},
-        {name: f"{number(pair[0], '.3g')} {unit}{_against(pair[0], _passive(roughness))}" for name, pair in roughness.items()},
+        words,
         "unstable",
     )
     panels = [
@@ -93,8 +100,14 @@ def _roughness(scope: Scope, runs: Sequence[Run], rides: Sequence[Ride]) -> tupl
         return found, metric, unit.replace("s2", "s²"), f"road of class {CLASS} at {SPEED:g} m/s"
     vehicle = scope.vehicle
     name = next((name for name in vehicle.performance if name.endswith("acceleration")), next(iter(vehicle.performance)))
-    some = [run for run in runs if run.controller in scope.stable]
-    found = {run.controller.name: (float(run.sampled.rms(name)), float(run.physics.rms(name))) for run in some}
+    found = {
+        run.controller.name: (
+            float(run.sampled.rms(name)) if isinstance(run.controller, Controller) else math.nan,
+            float(run.physics.rms(name)),
+        )
+        for run in runs
+        if not scope.unstable(run.controller)
+    }
     unit = vehicle.kind.signal(name).unit.replace("s2", "s²")
     return found, f"{name.replace('_', ' ')}, rms", unit, "over the paper's bump"
 
@@ -129,7 +142,8 @@ def _bars(
     names = tuple(scope.styles)
     lengths = np.array([values.get(name, math.nan) for name in names], dtype=float)
     lengths[~np.isfinite(lengths)] = math.nan
-    bars = Bars(names, lengths, tuple(words.get(name, none) for name in names), tuple(scope.styles[name][0] for name in names))
+    said = {one.name: NO_CLAIM for one in scope.laws} | words
+    bars = Bars(names, lengths, tuple(said.get(name, none) for name in names), tuple(scope.styles[name][0] for name in names))
     points = tuple(
         Curve(np.array([seen[name]]), np.array([float(k)]), "", "#000000", "none", "o", name=f"{name}, MuJoCo")
         for k, name in enumerate(names)
@@ -142,5 +156,5 @@ def _verdict(scope: Scope, run: Run) -> str:
     """What physics says of the analysis, in a few words."""
     until = run.agreement.until
     agrees = "agrees throughout" if until == math.inf else f"agrees until {until:.3g} s"
-    unstable = "" if run.controller in scope.stable else "; the loop is UNSTABLE"
+    unstable = "; the loop is UNSTABLE" if scope.unstable(run.controller) else ""
     return f"{agrees if run.holds else 'DOES NOT AGREE'}{unstable}"

@@ -1,0 +1,97 @@
+"""Laws in Python in a report: what physics says of them, and a dash where only analysis would know."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from models.common.errors import InputError
+from models.vehicle import read_vehicle
+from sim.command.driven import programmed
+from sim.frequency.describing_function import describing_function
+from sim.report.__main__ import main
+from sim.report.ride import CLASSES
+from sim.roads.road import Bump
+from sim.runs.run import run_all, sample_times
+from tests.test_python_laws import vehicle_of
+
+pytest.importorskip("jinja2", reason="a report needs the extra [report]")
+pytest.importorskip("matplotlib", reason="a report needs the extra [report]")
+
+STEP = 2e-3  # s
+SKYHOOK = """
+import numpy as np
+def step(sample, state):
+    body, wheel = sample["sprung_velocity"], sample["unsprung_velocity"]
+    return np.where(body * (body - wheel) > 0, -3000.0 * body, 0.0)[:, None], state
+step.vectorised = True
+"""
+MEASURED = ("sprung_velocity", "unsprung_velocity")
+
+
+def report_of(folder: Path, capsys, *options: str) -> tuple[dict, str, Path]:
+    """A report of a skyhook law: its JSON, its page, its vehicle file."""
+    path, page = vehicle_of(folder, SKYHOOK, measured=MEASURED), folder / "report.html"
+    arguments = ["--vehicle", str(path), "--timestep", str(STEP), "--out", str(page), "--json", *options]
+    assert main(arguments) == 0
+    return json.loads(capsys.readouterr().out), page.read_text(encoding="utf-8"), path
+
+
+def rows_of(found: dict, table: str, name: str = "mine") -> list[dict]:
+    """Those rows of a table that are of a controller."""
+    return [row for row in found["tables"][table] if row["controller"] == name]
+
+
+def test_a_law_stands_beside_the_others(tmp_path, capsys):
+    """A quick report has a law's bump and agreement as physics makes them, and dashes, with a reason, for what nobody proves."""
+    found, page, path = report_of(tmp_path, capsys, "--quick", "--controller", "passive", "--controller", "mine")
+    assert found["verdict"] == "holds"
+    (design,) = rows_of(found, "designs")
+    assert [design[key] for key in ("bound", "norm", "lower bound", "slowest pole [1/s]")] == ["-"] * 4
+    assert design["certificate"] == "no linear claim: a law in Python"
+    assert any(said.startswith("Of mine there is no linear claim, as it is a law in Python") for said in found["answer"])
+    assert "What a law in Python asks for is known only of the measurements that it was called with" in page
+    vehicle = read_vehicle(path)
+    (run,) = run_all(vehicle, [programmed(vehicle, "mine")], Bump(), sample_times(vehicle, 3.0, STEP))
+    for row in rows_of(found, "bump"):
+        signal = row["signal"].replace(" ", "_")
+        assert row["peak, MuJoCo"] == f"{float(run.physics.peak(signal)):.5g}"
+        assert row["rms, sampled"] == f"{float(run.sampled.rms(signal)):.5g}"
+    orders = {row["its order"] for row in rows_of(found, "agreement")}
+    assert all(abs(float(order) - 4) < 0.1 for order in orders - {"-"})  # RK4's, beside the response to its own forces
+    assert {row["order of that"] for row in rows_of(found, "agreement")} == {"-"}
+    (short,) = rows_of(found, "summary")
+    assert (short["H-infinity norm"], short["analysis true up to"]) == ("-", "-")
+    assert short["in MuJoCo"] == f"{float(run.physics.rms('sprung_acceleration')):.3g}"
+    assert short["over the paper's bump"] == "agrees throughout"
+    assert not rows_of(found, "regime")
+
+
+@pytest.mark.slow  # sinusoids and random roads
+def test_a_report_of_nothing_else(tmp_path, capsys):
+    """A whole report of a law alone has its describing function and its ride from physics, and no margins, norms or map."""
+    found, _, path = report_of(tmp_path, capsys, "--controller", "mine")
+    assert {"margins", "gains", "regime", "validity", "robustness"}.isdisjoint(found["tables"])
+    vehicle = read_vehicle(path)
+    own = describing_function(vehicle, programmed(vehicle, "mine"), 1e-4, STEP, Bump().speed)
+    rows = {row["signal"].replace(" ", "_"): row for row in rows_of(found, "describing-functions")}
+    assert set(rows) == set(own.outputs)
+    for i, name in enumerate(own.outputs):
+        assert rows[name]["fundamental"] == f"{np.abs(own.measured[:, i]).max():.4g}"
+        assert rows[name]["energy outside"] == f"{100 * np.nanmax(own.outside[:, i]):.2g} %"
+    ride = rows_of(found, "ride")
+    assert len(ride) == len(CLASSES) * 4  # body, suspension, tyre, force
+    assert {row["predicted"] for row in ride} == {row["road to road"] for row in ride} == {"-"}
+    load = [float(row["MuJoCo"]) for row in ride if row["metric"] == "dynamic load"]
+    assert load == sorted(load)  # a class is twice as rough as the one before
+    assert 1.9 < load[1] / load[0] < 2.1  # and a skyhook that is switched by signs alone is homogeneous
+
+
+def test_a_law_that_fails_is_one_line(tmp_path):
+    """No page is written of a law that fails."""
+    path = vehicle_of(tmp_path, "def step(sample, state):\n    return 1 / 0, state\n")
+    page = tmp_path / "report.html"
+    with pytest.raises(InputError, match=r"^controller 'mine', law mine.py:step: step fails \(ZeroDivisionError"):
+        main(["--vehicle", str(path), "--controller", "mine", "--quick", "--out", str(page)])
+    assert not page.exists()
