@@ -18,6 +18,7 @@ from sim.command.claims import say_false_claims
 from sim.command.logs import log_lines, recorded
 from sim.command.outputs import check_outputs, written, written_lines
 from sim.runs.run import Run, run_all, sample_times
+from sim.stability.cut import cut
 from sim.stability.growth import BUMP, LONGEST, SHORTEST
 from sim.stability.margins import LoopMargins, find_margins
 from sim.stability.robustness import robustness
@@ -82,6 +83,12 @@ def _with_loop(vehicle: Vehicle, name: str, timestep: float) -> Controller:
         raise InputError(
             f"controller {name!r} has no margin, for its loop is not stable as it is ({controller.certificate.stability.words}); "
             "give one that makes it stable"
+        )
+    times = cut(vehicle, controller, range(len(vehicle.linear_model.inputs))).comes_back
+    if times >= 1:
+        raise InputError(
+            f"controller {name!r} bears no delay at all, and no computer: what it measures at once has {times:.4g} times its own "
+            "force in it, which grows from sample to sample; lower its gain on accelerations, or filter them"
         )
     radius = sampled_radius(vehicle, controller, timestep)
     if radius >= 1:

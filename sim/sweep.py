@@ -19,6 +19,7 @@ from sim.command.claims import say_false_claims
 from sim.command.driven import driven
 from sim.command.logs import log_lines, recorded
 from sim.command.outputs import check_outputs, written, written_lines
+from sim.command.usual import left_out, left_out_lines
 from sim.frequency.describing_function import DescribingFunction, describing_function
 from sim.frequency.identification import ideal_measurements
 from sim.frequency.sweep import EXTREMES, LINES, OWN, Sweep, failures, summary_lines, sweep, sweep_lines, sweep_object
@@ -78,7 +79,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         )
         for one in sweeps:
             lines += ["", *sweep_lines(one)]
-        say([*lines, *written_lines(outputs), *log_lines(logs), "", *summary_lines(sweeps)])
+        say(
+            [
+                *lines,
+                *written_lines(outputs),
+                *log_lines(logs),
+                "",
+                *summary_lines(sweeps),
+                *left_out_lines(left_out(vehicle, options.controller, names)),
+            ]
+        )
     return 0 if all(one.ended or not failures(one) for one in sweeps) else 1
 
 

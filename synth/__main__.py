@@ -14,8 +14,10 @@ from models.common.errors import InputError, listing
 from models.common.printed import Whole, say, table, titled
 from models.common.progress import Stages
 from models.vehicle import Vehicle, read_vehicle
+from synth.certificate.invariant import is_pole
 from synth.certificate.lower_bound import LowerBound
 from synth.command.check import check
+from synth.command.prove import proved
 from synth.command.save import check_save, save
 from synth.command.table import Row, detail_lines, refine_lines, row_object, table_lines, verdict_lines
 from synth.command.witness import cross_check
@@ -52,7 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.cross_check and (options.check or options.refine):
         why = "--check designs nothing" if options.check else "--refine leaves their optima"
         raise InputError(f"--cross-check solves the LMI problems of designs anew, and {why}; leave one of them out")
-    if options.check and options.given & {"zero_l", "refine", "save", "vehicle"}:
+    if options.check and options.given & {"zero_l", "refine", "save", "vehicle", "prove"}:
         raise InputError("--check reads its own file and designs nothing; it goes with --controller and --json only")
     vehicle = read_vehicle(options.check or options.vehicle)
     names = [] if options.check else _names(vehicle, options)
@@ -88,7 +90,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         lines = titled(vehicle.kind.name, vehicle.source)
         for row in rows:
             lines += ["", *detail_lines(row, vehicle)]
-        lines += ["", _limit(limit)]
+        held = limit.limit_at is not None and is_pole(designer.plant, limit.limit_at)
+        lines += ["", _limit(limit, held)]
         if moved:
             lines.append(f"flat: for {FLAT:g} more of gamma each state's largest gain, by itself, may be")
             lines += table([(state, *_range(*values)) for state, values in moved.items()])
@@ -117,6 +120,9 @@ def _parser() -> Parser:
     )
     parser.add_argument(
         "--save", type=Path, metavar="FILE", help="write the vehicle file with each designed gain added, as NAME_designed"
+    )
+    parser.add_argument(
+        "--prove", action="store_true", help="prove a bound for every law that the vehicle file gives, too, as for designed ones"
     )
     parser.add_argument("--check", type=Path, metavar="FILE", help="verify the gains of a vehicle file and their certificates")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
@@ -158,11 +164,14 @@ def _row(designer: Designer, name: str, options: Namespace) -> Row:
         controller = designer.design(name, options.zero_l)
     except DesignError as error:
         return Row(name, None, (), (str(error),))
+    said: tuple[str, ...] = ()
+    if options.prove:
+        controller, said = proved(designer, controller)
     failures, witness = controller.certificate.failures, None
     if options.cross_check:
         witness = cross_check(designer, controller, options.zero_l)
         failures += witness.failures if witness is not None else ()
-    return Row(name, controller, notes(controller), failures, designer.worth_refining(controller), witness)
+    return Row(name, controller, (*notes(controller), *said), failures, designer.worth_refining(controller), witness)
 
 
 def _built(vehicle: Vehicle, row: Row) -> Row:
@@ -204,10 +213,15 @@ def _flatness(designer: Designer, rows: Sequence[Row]) -> dict[str, list[float |
     }
 
 
-def _limit(limit: LowerBound) -> str:
-    """What no control force changes, in words."""
+def _limit(limit: LowerBound, held: bool) -> str:
+    """What no control force changes, in words; or, where a mode is there that has to be held, none that makes the loop stable."""
     if not limit.gamma:
         return "limit: none; at every frequency control forces can change all of z's response to the road"
+    if held:  # beside the mode a force may change all
+        return (
+            f"limit: at {limit.limit_at:.5g} rad/s, where a mode does not decay by itself, no control force that holds it brings "
+            f"z's response to the road below {limit.gamma:.7g}"
+        )
     return (
         f"limit: at {limit.limit_at:.5g} rad/s no control force changes z's response to the road, {limit.gamma:.7g} "
         "(invariant point)"

@@ -113,6 +113,7 @@ OWNERS = {
         "sim/physics/blocks.py",
         "sim/physics/stepping.py",
         "sim/physics/energy.py",
+        "sim/physics/geometry.py",
         "sim/recording/drawing.py",
     },
     "mcap": {

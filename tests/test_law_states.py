@@ -19,6 +19,7 @@ from sim.recording.rerun_layout import _comparison, _page
 from sim.recording.signal_groups import MOST_ACTIVE
 from sim.roads.road import Bump
 from sim.runs.run import run_all, sample_times
+from synth.controller import Controller
 from synth.designer import Designer
 from tests.rewriting import contents, written
 from tests.test_inspect import scaled
@@ -149,6 +150,7 @@ def test_viewers_show_those_that_ask_for_most(count):
     run, logged = run_of_many_states(count)
     (_, other) = run_of_many_states(3)
     assert sum(name.startswith(KEPT) for name in logged.responses["mujoco"].names) == count
+    assert isinstance(run.controller, Controller)
     asks = {f"{KEPT}{i + 1}": np.abs(run.controller.law.C[0, i]) * run.sampled.peak(f"{KEPT}{i + 1}") for i in range(count)}
     most = sorted(asks, key=lambda name: -asks[name])[:MOST_ACTIVE]
     shown = [name.split("   ")[0].replace(" ", "_") for name in plots(_page(logged))]

@@ -15,6 +15,9 @@ from models.reality import Implementation, Limits
 from models.vehicle import Vehicle, read_vehicle
 from sim.campaign.__main__ import main as campaign
 from sim.linear.frequency import continuous_frequency_response
+from sim.margins import main
+from sim.physics.blocks import Course, in_blocks
+from sim.physics.simulate import on_each
 from sim.report.designs import gain_table
 from sim.roads.road import Bump
 from sim.runs.run import run_all, sample_times
@@ -267,3 +270,55 @@ def test_no_crossover_is_missed(bandwidth, unit):
         crossings = omega[1:][np.diff(above)]
         found = sorted(crossover.frequency for crossover in margins(loop).crossovers)
         np.testing.assert_allclose(found, crossings, rtol=1e-4)  # the grid's step
+
+
+@pytest.mark.parametrize("share", [0.9, 1.1, 5.0])
+def test_a_force_that_comes_back_larger_bears_no_delay(share, tmp_path):
+    """From once its own size on, a force in its own measurement has a delay margin of zero, as the sampled loop shows."""
+    vehicle = read_vehicle("quarter_car")
+    gain = share * vehicle.parameters["sprung_mass"]
+    one = replace(controller(vehicle, "velocity"), measured=("sprung_acceleration",), law=static_law(np.array([[-gain]])))
+    loop = cut(vehicle, one, [0])
+    found = margins(loop)
+    assert loop.comes_back == pytest.approx(share, rel=1e-12)
+    radii = [
+        np.abs(np.linalg.eigvals(Phi + Gamma @ G)).max() for Phi, Gamma, G in (cut_sampled(vehicle, one, h) for h in (1e-3, 1e-6))
+    ]
+    if share < 1:
+        assert found.delay > 0
+        assert found.gain == pytest.approx(1 / share, rel=1e-9)
+        assert radii[1] < 1
+        return
+    assert found.delay == found.sample_period == 0
+    assert found.gain_lower == 0, "the loop on paper is stable at any lower gain"
+    assert min(radii) > 1
+    (tmp_path / "car.toml").write_text(
+        f"{vehicle.text}\n[controllers.mine]\nmeasured = ['sprung_acceleration']\ngain = [[-{gain}]]\n"
+    )
+    with pytest.raises(InputError, match=rf"bears no delay at all.*has {share:.4g} times its own force in it") as said:
+        main(["--vehicle", str(tmp_path / "car.toml"), "--controller", "mine"])
+    assert "smaller timestep" not in str(said.value), "none would help"
+
+
+@pytest.mark.parametrize("how", [Implementation(), Implementation(sample_period=0.004, delay=1)])
+def test_runs_without_accelerations_are_the_same_runs(how):
+    """Where an accelerometer is measured and accelerations and forces are not recorded, all else is the same to the last bit.
+
+    So they are where one of the runs is not wanted any more.
+    """
+    vehicle = replace(read_vehicle("half_car"), implementation=how)
+    time, some = sample_times(vehicle, 0.2, 1e-3), [controller(vehicle, "acceleration", 2)] * 2
+    now, midway = (on_each([vehicle] * 2, [Bump()] * 2, "displacement", times) for times in (time, time + 5e-4))
+    edges = (0, 50, len(time))
+    plain = list(in_blocks(Course([vehicle] * 2, some, now, midway, 1e-3, edges)))
+    going, fewer = np.array([True, True]), []
+    for block in in_blocks(Course([vehicle] * 2, some, now, midway, 1e-3, edges, going=going, accelerations=False)):
+        fewer.append(block)
+        going[1] = False
+    late = ("acceleration", "control_force")
+    lasting = [i for i, signal in enumerate(vehicle.kind.signals) if not any(one in signal.name for one in late)]
+    assert len(lasting) < len(vehicle.kind.signals)
+    for one, other in zip(plain, fewer, strict=True):
+        np.testing.assert_array_equal(other.values[:, lasting, 0], one.values[:, lasting, 0])
+        np.testing.assert_array_equal(other.kept[:, 0], one.kept[:, 0])
+    assert np.any(fewer[0].values[1:, :, 0] != plain[0].values[1:, :, 0]), "an evaluation is saved"

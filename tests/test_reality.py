@@ -4,18 +4,20 @@ import dataclasses
 
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import linalg, stats
 
 from models.common.errors import InputError
 from models.kind import GRAVITY
+from models.law import static_law
 from models.reality import Implementation, Limits
 from models.vehicle import parse_vehicle, read_vehicle
-from sim.linear.loop import continuous_response, noise_spread, noise_spreads, sampled_response, taylor4
+from sim.linear.blur import most_quantised, noise_rms
+from sim.linear.loop import continuous_response, sampled_response, taylor4
 from sim.physics.simulate import simulate
 from sim.roads.road import Bump
 from sim.runs.run import run_all, sample_times
 from sim.runs.words import verdict_lines
-from synth.designer import Designer
+from synth.designer import Designer, given
 from synth.implemented.loop import sampled_radius
 
 
@@ -112,7 +114,7 @@ def test_noise_has_its_predicted_variance(paper, designer):
     time, runs = sample_times(paper, 6.0, step), 64
     vehicles = [with_reality(paper, None, Implementation(noise={"sprung_velocity": rms}, seed=seed)) for seed in range(runs)]
     response = simulate(vehicles, [controller] * runs, [Bump(height=0.0)] * runs, time).response
-    predicted = noise_rms(paper, controller, step, {"sprung_velocity": rms})["suspension_deflection"]
+    predicted = lyapunov_rms(paper, controller, step, {"sprung_velocity": rms})["suspension_deflection"]
     measured = np.sqrt(np.mean(response["suspension_deflection"][:, len(time) // 2 :] ** 2))
     assert measured == pytest.approx(predicted, rel=0.1)  # 64 runs of a slow mode, a dozen independent values each: 4 %
     again = simulate(vehicles[:1], [controller], [Bump(height=0.0)], time).response
@@ -123,7 +125,7 @@ def test_noise_of_what_symmetry_keeps_silent():
     """A full car's gains are symmetric to eight digits, so noise on heave makes it roll: hardly, and as much as is predicted."""
     car = with_reality(read_vehicle("full_car"), None, Implementation(noise={"heave_velocity": 0.005}))
     controller, time = Designer(car).design("I"), sample_times(car, 3.0, 2e-3)
-    spread = noise_spread(car, controller, 2e-3)
+    spread = stationary(car, controller, 2e-3)
     assert 0 < spread["roll_rate"] < 1e-6 * spread["heave_velocity"]
     predicted = sampled_response(car, controller, Bump(height=0.0), time)
     assert predicted.peak("roll_rate") == 0
@@ -141,11 +143,64 @@ def test_noise_and_geometry_together():
     assert "exact" not in line
 
 
-def test_spread_is_the_lyapunov_equation(paper, designer):
-    """The covariance summed by doubling is that of SciPy's solver."""
+def stationary(vehicle, controller, step):
+    """What the rms of every output comes to under noise, the largest of any timestep of a sample."""
+    last = noise_rms(vehicle, controller, step, 20_000)[-100:].max(axis=0)
+    return dict(zip(vehicle.linear_model.outputs, last.tolist(), strict=True))
+
+
+@pytest.mark.parametrize("gain", [-2000.0, 9000.0])
+def test_rms_from_rest_is_the_covariance_step_by_step(paper, gain):
+    """At every timestep it is that of the covariance, whether the loop decays or grows."""
     vehicle = with_reality(paper, None, Implementation(noise={"sprung_velocity": 0.01}))
-    found = noise_spread(vehicle, designer.design("II"), 2e-3)
-    expected = noise_rms(paper, designer.design("II"), 2e-3, {"sprung_velocity": 0.01})
+    controller = given(vehicle, "mine", ("sprung_velocity",), static_law(np.array([[gain]])))
+    found = noise_rms(vehicle, controller, 2e-3, 400)
+    model = vehicle.linear_model
+    augmented = np.zeros((5, 5))
+    augmented[:4] = np.hstack([model.A, model.B])
+    held = linalg.expm(2e-3 * augmented)
+    drive, D = 0.01 * gain * held[:4, 4:], 0.01 * gain * model.D
+    K = controller.state_gain(vehicle)
+    loop, closed = held[:4, :4] + held[:4, 4:] @ K, model.C + model.D @ K
+    assert (np.abs(np.linalg.eigvals(loop)).max() > 1) == (gain > 0)
+    P = np.zeros((4, 4))
+    for row in found:
+        np.testing.assert_allclose(row**2, np.diag(closed @ P @ closed.T + D @ D.T), rtol=1e-9)  # the same sums, otherwise put
+        P = loop @ P @ loop.T + drive @ drive.T
+
+
+@pytest.mark.parametrize(
+    "how", [Implementation(), Implementation(sample_period=0.01), Implementation(sample_period=6e-3, delay=2)]
+)
+def test_the_worst_rounding_is_the_sum_of_what_every_sample_does(paper, how):
+    """What quantisation does at most is half a resolution times the sum of |h|, where noise of that size makes the sum of h^2."""
+    quantised = with_reality(paper, None, dataclasses.replace(how, quantisation={"sprung_velocity": 0.002}))
+    noisy = with_reality(paper, None, dataclasses.replace(how, noise={"sprung_velocity": 0.001}))
+    controller = given(paper, "mine", ("sprung_velocity",), static_law(np.array([[-9000.0]])))
+    steps = round((how.sample_period or 2e-3) / 2e-3)
+    most = most_quantised(quantised, controller, 2e-3, 200)[::steps]
+    rms = noise_rms(noisy, controller, 2e-3, 200)[::steps]
+    of_each = np.sqrt(np.maximum(np.diff(rms**2, axis=0), 0.0))  # beside what a sample does at once, the same in all of them
+    np.testing.assert_allclose(most[1:], rms[0] + np.cumsum(of_each, axis=0), rtol=1e-6)  # differences of sums lose digits
+
+
+@pytest.mark.parametrize("resolution", [1e-3, 0.02])
+@pytest.mark.parametrize("gain", [-2000.0, -20000.0, 1500.0])
+def test_no_rounding_moves_a_signal_further_than_is_said(paper, gain, resolution):
+    """A quantised loop stays within the bound of the one that is not, with a dead zone that no white noise has, and unstable."""
+    vehicle = with_reality(paper, None, Implementation(quantisation={"sprung_velocity": resolution}))
+    controller = given(vehicle, "mine", ("sprung_velocity",), static_law(np.array([[gain]])))
+    for run in run_all(vehicle, [controller], Bump(height=0.02), sample_times(vehicle, 2.0, 1e-3)):
+        off = {name: one.sampled / one.allowed for name, one in run.agreement.signals.items()}
+        assert run.agreement.agrees
+        assert max(off.values()) > 1e-3, "and it is a bound that is seen"
+
+
+def test_spread_is_the_lyapunov_equation(paper, designer):
+    """What the rms comes to is what SciPy's solver says."""
+    vehicle = with_reality(paper, None, Implementation(noise={"sprung_velocity": 0.01}))
+    found = stationary(vehicle, designer.design("II"), 2e-3)
+    expected = lyapunov_rms(paper, designer.design("II"), 2e-3, {"sprung_velocity": 0.01})
     for name in ("suspension_deflection", "tyre_deflection", "sprung_velocity"):
         assert found[name] == pytest.approx(expected[name], rel=1e-9)  # rounding of a solve, and of 14 doublings
 
@@ -157,7 +212,7 @@ def test_noise_between_samples(implementation):
     half = read_vehicle("half_car")
     controller, noise = Designer(half).design("II"), {"heave_velocity": rms, "pitch_rate": rms}
     vehicles = [with_reality(half, None, dataclasses.replace(implementation, noise=noise, seed=seed)) for seed in range(runs)]
-    predicted = noise_spreads(vehicles[0], controller, step)
+    predicted = noise_rms(vehicles[0], controller, step, 20_000)[-10:]  # a period, from its sample on
     time = sample_times(half, 2.4, step)  # the slowest mode has e^-14 of its variance to come
     response = simulate(vehicles, [controller] * runs, [Bump(height=0.0)] * runs, time).response
     last = (len(time) - 1) // 10 * 10 - 10  # the first step of the last whole period
@@ -168,17 +223,14 @@ def test_noise_between_samples(implementation):
     low, high = stats.chi2.ppf([5e-7 / predicted.size, 1 - 5e-7 / predicted.size], runs) / runs
     assert np.all(measured >= low * predicted**2)
     assert np.all(measured <= high * predicted**2)
-    spread = noise_spread(vehicles[0], controller, step)
-    assert list(spread.values()) == predicted.max(axis=0).tolist()
+    spread = stationary(vehicles[0], controller, step)
     assert spread["unsprung_velocity_front"] > 2 * predicted[0, names.index("unsprung_velocity_front")]  # measured: 3
     (run,) = run_all(vehicles[0], [controller], Bump(height=1e-4), sample_times(half, 1.0, step))
     assert run.agreement.agrees
 
 
-def noise_rms(vehicle, controller, step, noise):
+def lyapunov_rms(vehicle, controller, step, noise):
     """Stationary rms of every output under white measurement noise, by the discrete Lyapunov equation."""
-    from scipy import linalg
-
     model = vehicle.linear_model
     augmented = np.zeros((5, 5))
     augmented[:4] = np.hstack([model.A, model.B])

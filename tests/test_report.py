@@ -22,6 +22,7 @@ from sim.ride.metrics import measure
 from sim.roads.iso8608 import Iso8608
 from sim.runs.run import sample_times
 from synth.designer import Designer
+from tests.commands import prose
 
 pytest.importorskip("jinja2", reason="a report needs the extra [report]")
 pytest.importorskip("matplotlib", reason="a report needs the extra [report]")
@@ -289,3 +290,42 @@ def test_ride_is_of_runs_that_came_through(monkeypatch):
         rms = np.sqrt(np.mean([one[metric] ** 2 for one in found]))
         printed = float(rows["I_printed", metric.replace("_", " ")][4])
         assert printed == pytest.approx(rms, rel=2e-3)  # 4 digits, RK4, moments in which the wheel lifts
+
+
+OTHERS = """
+[controllers.accelerated]
+measured = ["suspension_deflection", "sprung_acceleration"]
+A = [[-300.0]]
+B = [[0.0, 300.0]]
+C = [[-50.0]]
+D = [[8000.0, 0.0]]
+[implementation.noise]
+sprung_acceleration = 0.01
+"""
+
+
+def test_what_is_left_out_is_said(tmp_path, capsys):
+    """Of a file with I and II beside others the four are reported, and one line names the rest and how to have them."""
+    paper = read_vehicle("quarter_car")
+    (tmp_path / "car.toml").write_text(paper.text + OTHERS)
+    options = ["--vehicle", str(tmp_path / "car.toml"), "--quick", "--timestep", "0.002", "--out", str(tmp_path / "car.html")]
+    assert main(options) == 0, "nor is noise refused that only one of the others measures"
+    rest = [name for name in read_vehicle(tmp_path / "car.toml").controller_names if name not in ("passive", "state", "I", "II")]
+    assert "accelerated" in rest
+    said = prose(capsys.readouterr().out)
+    assert f"left out: {', '.join(rest)}; to have one, name it with --controller, which may be all" in said
+    assert main([*options, "--json", "--controller", "passive", "--controller", "accelerated"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["left_out"] == []
+    assert [row["controller"] for row in found["tables"]["designs"]] == ["passive", "accelerated"]
+
+
+def test_a_file_without_the_papers_controllers_is_reported_whole(tmp_path, capsys):
+    """Where neither I nor II is in the file, all that is there is reported."""
+    text = read_vehicle("quarter_car").text.partition("[controllers")[0] + OTHERS
+    (tmp_path / "car.toml").write_text(text)
+    out = str(tmp_path / "car.html")
+    assert main(["--vehicle", str(tmp_path / "car.toml"), "--quick", "--timestep", "0.002", "--out", out, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["left_out"] == []
+    assert [row["controller"] for row in found["tables"]["designs"]] == ["passive", "state", "accelerated"]

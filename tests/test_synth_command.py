@@ -7,18 +7,21 @@ import shlex
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 import synth.command.witness
 from models.common.errors import InputError
 from models.vehicle import read_vehicle
 from sim.bump import main as bump
-from synth.__main__ import main
-from synth.certificate.invariant import invariant_limit
+from synth.__main__ import _limit, main
+from synth.certificate.invariant import invariant_limit, is_pole
 from synth.command.witness import cross_check
 from synth.designer import Designer
 from synth.errors import DesignError
 from synth.lmi import full_order
+from synth.lmi.full_order import bound_beyond_control
+from synth.plant import GeneralizedPlant
 from tests.commands import prose
 from tests.pages import hopper
 
@@ -84,6 +87,21 @@ def test_text_names_the_flat_optimum_and_the_limit(capsys):
     text = prose(capsys.readouterr().out)
     assert "flat: for 0.0001 more of gamma each state's largest gain, by itself, may be" in text
     assert "limit: at 63.757 rad/s no control force changes z's response to the road, 7.836458 (invariant point)" in text
+
+
+def test_the_limit_of_a_mode_that_has_to_be_held_is_no_invariant_point():
+    """Of an integrator that z does not see, the limit at 0 rad/s is of forces that hold it; others could change all of z."""
+    one = np.ones((1, 1))
+    plant = GeneralizedPlant(A=0 * one, B=one, Bw=one, C=0 * one, D=2 * one, Dw=0 * one)  # z = 2 u, and x' = u + w
+    limit = bound_beyond_control(plant)
+    assert limit.gamma == pytest.approx(2, rel=1e-12)  # it is rounded down
+    assert limit.limit_at == 0.0
+    text = (
+        "limit: at 0 rad/s, where a mode does not decay by itself, no control force that holds it brings z's response to the road"
+    )
+    assert _limit(limit, held=is_pole(plant, 0.0)) == f"{text} below 2"
+    assert not is_pole(plant, 1.0)
+    assert "(invariant point)" in _limit(limit, held=False)
 
 
 def test_the_case_is_said(capsys, tmp_path):

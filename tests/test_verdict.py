@@ -5,9 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from models.reality import Implementation
+from models.law import static_law
+from models.reality import Implementation, Limits
 from models.vehicle import Vehicle, read_vehicle
 from sim.linear.rounding import roundings
+from sim.physics.geometry import has_geometry
 from sim.physics.simulate import simulate
 from sim.response.response import Response
 from sim.roads.iso8608 import Iso8608
@@ -17,7 +19,8 @@ from sim.runs.prediction import Prediction, predict
 from sim.runs.run import Run, judge, run_all, sample_times
 from sim.runs.words import verdict, verdict_lines
 from synth.controller import Controller
-from synth.designer import Designer
+from synth.designer import Designer, given
+from tests.pages import hopper
 
 KINDS = ["quarter_car", "half_car", "full_car"]
 NAMES = ["passive", "state", "I", "II"]
@@ -98,6 +101,65 @@ def test_a_wrong_vehicle_does_not_agree(vehicle, controllers, height, duration):
         run = judged(prediction, wrong)
         assert not run.agreement.agrees
         _says_what_is_wrong(run)
+
+
+@pytest.mark.parametrize("height", [0.1, 1e-3])
+def test_a_quarter_car_has_no_geometry_to_excuse_it(height):
+    """Forces that are a thousandth too large, over the full height alone, are no geometry of a car that only goes up and down."""
+    paper = read_vehicle("quarter_car")
+    controller, road, time = Designer(paper).design("I"), Bump(height=height), sample_times(paper, 1.0, 1e-3)
+    prediction = predict(paper, controller, road, time)
+    stronger = dataclasses.replace(controller, law=controller.law.scaled(1.001))
+    (run,) = judge([prediction], [simulate([paper], [stronger], [road], time).response.run(0)])
+    assert not run.agreement.agrees
+    assert all(signal.small is None for signal in run.agreement.signals.values())
+    assert "first order" not in _says_what_is_wrong(run)
+
+
+def test_geometry_is_asked_of_the_model(tmp_path):
+    """Cars that pitch or roll have it, cars that go up and down have not, of kinds that ship and of one's own."""
+    limited = dataclasses.replace(read_vehicle("quarter_car"), limits=Limits(suspension_stroke=0.01, actuator_bandwidth=30.0))
+    for plain in (read_vehicle("quarter_car"), limited, read_vehicle(hopper(tmp_path))):
+        assert not has_geometry(plain)
+    for turning in (read_vehicle("half_car"), read_vehicle("full_car")):
+        assert has_geometry(turning)
+
+
+NOISY = {
+    "noise": Implementation(noise={"sprung_velocity": 1e-3}),
+    "quantisation": Implementation(quantisation={"sprung_velocity": 1e-3}),
+    "slow": Implementation(sample_period=0.05, noise={"sprung_velocity": 1e-3}),
+    "late": Implementation(sample_period=0.01, delay=2, noise={"sprung_velocity": 1e-3, "suspension_deflection": 1e-4}),
+}
+
+
+@pytest.mark.parametrize("how", NOISY)
+@pytest.mark.parametrize("height", [0.1, 1e-3])
+def test_noise_in_an_unstable_loop_agrees(how, height):
+    """What noise makes grows with an unstable loop; physics that is right stays within that, a heavier body does not."""
+    paper = dataclasses.replace(read_vehicle("quarter_car"), implementation=NOISY[how])
+    controller = given(paper, "wild", ("suspension_deflection", "sprung_velocity"), static_law(np.array([[20000.0, 2000.0]])))
+    prediction = predict(paper, controller, Bump(height=height), sample_times(paper, 2.0, 1e-3))
+    assert prediction.radius > 1
+    run = judged(prediction, paper)
+    assert run.agreement.agrees, verdict_lines(run)
+    assert run.agreement.blurred
+    assert not judged(predict(paper, controller, Bump(height=0.1), prediction.time), heavier(paper, 1.0)).agreement.agrees
+
+
+@pytest.mark.parametrize("height", [1e-4, 1e-9, 0.0])
+@pytest.mark.parametrize("how", [Implementation(), Implementation(sample_period=0.004, delay=30)])
+def test_rounding_grows_with_an_unstable_loop(how, height):
+    """Over a road that does next to nothing an unstable loop makes much of rounding, and that is no disagreement."""
+    paper = dataclasses.replace(read_vehicle("quarter_car"), implementation=how)
+    controller = given(paper, "wild", ("suspension_deflection", "sprung_velocity"), static_law(np.array([[20000.0, 2000.0]])))
+    time = sample_times(paper, 4.0, 1e-3)
+    prediction = predict(paper, controller, Bump(height=height), time)
+    assert prediction.radius > 1
+    run = judged(prediction, paper)
+    assert run.agreement.agrees, verdict_lines(run)
+    if height == 1e-4:
+        assert not judged(prediction, heavier(paper, 1e-4)).agreement.agrees
 
 
 def _says_what_is_wrong(run: Run) -> str:

@@ -10,13 +10,12 @@ from models.common.command import Parser, chosen
 from models.reality import USUAL_TIMESTEP
 from models.vehicle import Vehicle
 from sim.asked.asked import Asked
+from sim.command.usual import USUAL
 from sim.frequency.extremes import DURATION
 from sim.frequency.identification import ideal_measurements
 from sim.roads.description import described_road
 from sim.roads.sinusoids import Multisine, sinusoid
 from sim.runs.run import sample_times
-
-FIGURE_3 = ("passive", "state", "I", "II")
 
 EPILOG = """
 A law in Python has no line of analysis: it is driven over one sinusoid at a time, and of each there are the fundamental and the
@@ -58,7 +57,8 @@ def asked(vehicle: Vehicle, options: argparse.Namespace) -> Asked:
 
 def asked_names(vehicle: Vehicle, options: argparse.Namespace) -> list[str]:
     """Names of the controllers that were asked for."""
-    return chosen(vehicle.controller_names, options.controller, [name for name in FIGURE_3 if name in vehicle.controller_names])
+    usual = [name for name in USUAL if name in vehicle.controller_names]
+    return chosen(vehicle.controller_names, options.controller, usual)
 
 
 def worst_times(vehicle: Vehicle, options: argparse.Namespace) -> Array:

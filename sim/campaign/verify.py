@@ -12,8 +12,10 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.threads import one_thread
+from models.law import LinearLaw, law_of
 from sim.campaign.aside import Asides
 from sim.campaign.manifest import FaultError, Gains, gains_of
 from sim.campaign.plan import Plan
@@ -22,6 +24,9 @@ from sim.campaign.workers import run_timed
 from synth.designer import Designer
 
 SAME_GAIN = 1e-9  # relative: how far rounding on another machine may move a designed gain
+SAME_RESPONSE = 1e-6  # and a response of one with states, whose coordinates cost digits
+FREQUENCIES = 100
+ASIDE = 0.987  # so that none is that of a pole which stands on the axis
 
 
 @dataclass(frozen=True)
@@ -97,13 +102,29 @@ def _gains(plan: Plan) -> list[str]:
 
 
 def _same_law(there: Mapping[str, Any], here: Mapping[str, Any]) -> bool:
-    """Whether two of `gains_of` measure the same, and are the same to rounding."""
+    """Whether two of `gains_of` measure the same, and do the same to rounding: states have no coordinates of their own."""
     if set(there) != set(here) or there["measured"] != here["measured"]:
         return False
-    pairs = [(np.array(there[name]), np.array(here[name])) for name in here if name != "measured"]
-    return all(
-        one.shape == two.shape and np.all(np.abs(one - two) <= SAME_GAIN * np.abs(two).max(initial=0.0)) for one, two in pairs
-    )
+    one, two = law_of(there), law_of(here)
+    if (one.D.shape, one.states, one.sample_period) != (two.D.shape, two.states, two.sample_period):
+        return False
+    if not _near(one.D, two.D, SAME_GAIN):
+        return False
+    return not two.states or all(_near(one.response(omega), two.response(omega), SAME_RESPONSE) for omega in _asked(two))
+
+
+def _near(one: Array, two: Array, share: float) -> bool:
+    return bool(np.all(np.abs(one - two) <= share * np.abs(two).max(initial=0.0)))
+
+
+def _asked(law: LinearLaw) -> list[float]:
+    """Frequencies at which a law with states is told from another [rad/s], from below its slowest pole to above its fastest."""
+    poles = np.linalg.eigvals(law.A)
+    if law.sample_period is None:
+        rates = np.abs(poles)
+        fastest, slowest = float(rates.max(initial=0.0)) or 1.0, float(rates[rates > 0].min(initial=1.0))
+        return np.geomspace(ASIDE * slowest / 10, 10 * fastest, FREQUENCIES).tolist()
+    return (np.geomspace(1e-4, 1.0, FREQUENCIES) * ASIDE * np.pi / law.sample_period).tolist()
 
 
 def _shape(plan: Plan, store: Store, table: pa.Table) -> list[str]:

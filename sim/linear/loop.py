@@ -32,10 +32,8 @@ from sim.response.response import Response
 from sim.roads.road import Road, delays, under_wheels
 from synth.controller import Controller
 from synth.implemented.controlled import continuous, sampled
-from synth.implemented.loop import implemented_loop, sampled_radius
 from synth.sampled.hold import held_inputs
 
-DECAYED = 1e-12  # of a loop's transition: its square counts in a variance
 SLOWEST_RATE = 1e-12  # rad/s; a mode that is slower does not move within any run, and a step for it would be beyond numbers
 
 
@@ -185,58 +183,3 @@ def largest_timestep(vehicle: Vehicle) -> float:
         if np.abs(np.linalg.eigvals(taylor4(A * h))).max() <= 1:
             return float(h)
     return math.nan
-
-
-def noise_spread(vehicle: Vehicle, controller: Controller, timestep: float) -> dict[str, float]:
-    """Stationary rms of every output signal under noise and quantisation of the measurements, the largest of any timestep.
-
-    Quantisation counts as white noise of a twelfth of its resolution squared. Empty where there is none, or the loop is unstable.
-    """
-    if not _measured_rms(vehicle, controller).any() or sampled_radius(vehicle, controller, timestep) >= 1:
-        return {}
-    spread = np.max(noise_spreads(vehicle, controller, timestep), axis=0)
-    return dict(zip(vehicle.linear_model.outputs, spread.tolist(), strict=True))
-
-
-def noise_spreads(vehicle: Vehicle, controller: Controller, timestep: float) -> Array:
-    """The same of every timestep of the controller's sample period, from its sample on, shape (steps, p); of a stable loop.
-
-    From one sample to the next the loop is time-invariant, and between them its state follows from that at the sample and the
-    force that is held: rms repeat with the period.
-    """
-    how = vehicle.implementation
-    loop = implemented_loop(vehicle, controller, timestep)
-    read = loop.cut.reading * _measured_rms(vehicle, controller)
-    model, root = loop.cut.model, _stationary(loop.transition, loop.added @ read)
-    # What of a sample's noise acts at once is not in the state yet.
-    held = loop.at_once @ read
-
-    Phi, Gamma = held_inputs(model.A, timestep, linalg.expm, model.B)
-    # The vehicle's state, from the loop's and from the sample's noise.
-    of_state, of_noise = np.eye(len(model.A), len(loop.transition)), np.zeros_like(model.B @ held)
-    found = []
-    for _ in range(steps_per_sample(how, timestep)):
-        rows, direct = model.C @ of_state + model.D @ loop.inputs, model.C @ of_noise + model.D @ held
-        found.append(np.sqrt(np.sum((rows @ root) ** 2, axis=1) + np.sum(direct**2, axis=1)))
-        of_state, of_noise = Phi @ of_state + Gamma @ loop.inputs, Phi @ of_noise + Gamma @ held
-    return np.stack(found)
-
-
-def _measured_rms(vehicle: Vehicle, controller: Controller) -> Array:
-    """Of what comes to every signal that a controller measures, shape (q,)."""
-    how = vehicle.implementation
-    rms = [np.hypot(how.noise.get(name, 0.0), how.quantisation.get(name, 0.0) / math.sqrt(12)) for name in controller.measured]
-    return np.array(rms)
-
-
-def _stationary(loop: Array, shock: Array) -> Array:
-    """A root L of the covariance L L' of x[k+1] = loop x[k] + shock v[k] under white v of unit covariance; the loop decays.
-
-    By doubling (Smith 1968), and on the root, as a deviation keeps the digits that symmetry makes tiny, such as roll's beside
-    heave's: of the covariance itself, solvers lose what is 1e-8 of the largest.
-    """
-    root, step = shock, loop
-    while np.abs(step).max() > DECAYED:
-        _, upper = np.linalg.qr(np.hstack([root, step @ root]).T)
-        root, step = upper.T, step @ step
-    return root

@@ -85,6 +85,8 @@ class Course:
             none is.
         failures: by run, laws in Python that have failed, for the caller to read: such a run goes on without forces. None where
             the first failure ends them all.
+        accelerations: whether they and forces are recorded as of their sample; else, where an accelerometer is measured, as of
+            the one before, which saves an evaluation of it.
     """
 
     vehicles: Sequence[Vehicle]
@@ -97,6 +99,7 @@ class Course:
     going: Array | None = None
     beyond: Array | None = None
     failures: dict[int, Failure] | None = None
+    accelerations: bool = True
 
 
 def in_blocks(course: Course) -> Iterator[Block]:
@@ -170,7 +173,7 @@ def in_shares(course: Course, shares: Sequence[slice]) -> list[Callable[[Callabl
         level, road, left = now[:, runs], midway[:, runs], before[:, runs]
         at_samples = level if felt else None
         wanted = going[runs] if going is not None else None
-        reading = Reading(gain[runs], memory[runs], offset[:, runs], stage, fresh)
+        reading = Reading(gain[runs], memory[runs], offset[:, runs], stage, fresh, fresh and not course.accelerations)
         steps = step_batch(batch, readout.mocap, reading, road, at_samples, law, edges, wanted, stopped)
         for start, sensed, qpos, qvel, asked, kept in steps:
             some = slice(start, start + len(sensed))

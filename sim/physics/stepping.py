@@ -25,6 +25,7 @@ class Reading:
         offset: what else comes to them, shape (T, N, m + k).
         stage: mjtStage up to which sensors are evaluated before a step.
         fresh: whether they are evaluated there by themselves, with the road at the samples, so that accelerations count.
+        once: whether what is recorded is read there, too, so that accelerations and forces are those until then.
     """
 
     gain: Array
@@ -32,6 +33,7 @@ class Reading:
     offset: Array
     stage: int
     fresh: bool
+    once: bool
 
 
 class Law(Protocol):
@@ -108,7 +110,7 @@ def step_batch(
             moving[...] = motion
             if fresh and at_samples is not None:
                 heights[:, mocap] = at_samples[k]
-                batch.forward()
+                batch.forward(some)
             if stage:
                 sensing[...] = sensors.T
             if law is None and not kept:
@@ -124,8 +126,9 @@ def step_batch(
                     all_seen[:, width:] = law.used
             ctrl[...] = forces
             if at_samples is not None:
-                heights[:, mocap] = at_samples[k]
-                batch.forward()
+                if not reading.once:
+                    heights[:, mocap] = at_samples[k]
+                    batch.forward(some)
                 result[...] = sensors
             heights[...] = road
             batch.step(some, stage=0 if fresh else stage)

@@ -17,13 +17,12 @@ from models.common.whole_file import made_folder, together, whole_file
 from models.figures.page import Page, check_page, write_page
 from models.figures.picture import check_drawing, write_picture
 from models.own.python_law import Programmed
-from models.vehicle import read_vehicle
+from models.vehicle import Vehicle, read_vehicle
 from sim.command.claims import say_false_claims
 from sim.command.driven import driven
 from sim.command.outputs import check_outputs, written, written_lines
+from sim.command.usual import USUAL, left_out, left_out_lines
 from synth.controller import Controller
-
-USUAL = ("passive", "state", "I", "II")
 
 EPILOG = """
 exit code: 0 the report is written, 2 bad input
@@ -44,8 +43,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     check_page()
     vehicle = read_vehicle(options.vehicle)
-    usual = [name for name in USUAL if name in vehicle.linear_names]
-    names = chosen(vehicle.controller_names, options.controller, usual)
+    names = chosen(vehicle.controller_names, options.controller, _usual(vehicle))
+    others = left_out(vehicle, options.controller, names)
     if options.out.suffix.lower() not in (".html", ".htm"):
         raise InputError(f"report {options.out}: a report is HTML; give a name that ends in .html")
     outputs = {"report": options.out, "figures": options.figures}
@@ -86,19 +85,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
         write_page(result, options.out)
         if options.figures is not None:
             _write_figures(result, options.figures)
-    others = _others(result, options.figures) if options.figures is not None else []
+    older = _others(result, options.figures) if options.figures is not None else []
     stage.end()
     if options.json:
-        print(json.dumps({**report_object(result), **written(outputs), "not_of_this_report": others}, allow_nan=False))
+        found = {**report_object(result), **written(outputs), "not_of_this_report": older, "left_out": others}
+        print(json.dumps(found, allow_nan=False))
     else:
-        left = ["not of this report, and left in figures", *(Whole(f"  {name}") for name in others)] if others else []
-        say([*written_lines(outputs)[1:], *left, "", *result.answer])
+        left = ["not of this report, and left in figures", *(Whole(f"  {name}") for name in older)] if older else []
+        say([*written_lines(outputs)[1:], *left, *left_out_lines(others), "", *result.answer])
     return 0
+
+
+def _usual(vehicle: Vehicle) -> list[str]:
+    """Those that are reported where none is asked for: the paper's four, or all of a vehicle file that has others instead."""
+    names = vehicle.controller_names
+    return [name for name in USUAL if name in names] if set(USUAL) & {*vehicle.controllers} else list(names)
 
 
 def _parser() -> Parser:
     parser = Parser("sim.report", "Writes one HTML page about a vehicle file and its controllers.", EPILOG)
-    parser.add_controller_and_vehicle("default: passive, state, I and II")
+    parser.add_controller_and_vehicle("default: passive, state, I and II, or all of a vehicle file without I and II")
     parser.add_argument("--out", type=Path, default=Path("report.html"), metavar="FILE", help="the page (default: report.html)")
     parser.add_argument("--figures", type=Path, metavar="DIR", help="also write every figure as SVG and PNG, every table as CSV")
     parser.add_argument("--quick", action="store_true", help="without margins, map and ride: seconds instead of a minute")

@@ -5,10 +5,11 @@ known: on a linear system RK4 is the Taylor polynomial of degree 4, so its respo
 analysis agree where they differ by no more than that.
 
 A body that pitches and rolls is not linear, and there physics leaves the analysis with the amplitude. Then the same road is
-driven at a hundredth of its height: what is geometry has gone there, in proportion or faster, and what is wrong has not.
+driven at a hundredth of its height: what is geometry has gone there, in proportion or faster, and what is wrong has not. A
+vehicle that has no such geometry (`sim.physics.geometry`), as a quarter-car, is not excused by it.
 
 Rounding does not go with the road: it is that of the vehicle's weight and lengths, and beside a hundredth of the road it counts a
-hundred times as much.
+hundred times as much. An unstable loop makes more and more of it, as of everything.
 """
 
 from collections.abc import Mapping
@@ -17,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from models.vehicle import Vehicle
-from sim.linear.rounding import roundings
+from sim.linear.rounding import grown, roundings
 from sim.response.regime import AT, END_NAMES, LIFT_OFF, reached
 from sim.response.response import Response
 from sim.runs.prediction import Prediction
@@ -26,7 +27,6 @@ from synth.controller import Controller
 ROUNDING = 1e-9  # of a peak, over thousands of steps
 COARSEST = 1e-2  # of a peak; physics that is further off confirms nothing, even if the integrator has to be
 SMALL = 1e-2  # the share of the road's height at which geometry has to have gone
-SIGMAS = 6.0  # of noise: thousands of samples stay within it
 SLACK = 1.5  # on the predicted integrator error: it is a maximum over time of one of two nearly equal curves
 
 
@@ -101,13 +101,17 @@ def compare(prediction: Prediction, physics: Response) -> Agreement:
     physics, sampled, integrated, continuous = (r.until(until) for r in (physics, sampled, integrated, continuous))
     signals = {}
     controller = prediction.controller if isinstance(prediction.controller, Controller) else None
-    for name, rounded in roundings(vehicle, controller).items():
+    rounding = roundings(vehicle, controller)
+    if controller is not None and prediction.radius > 1:
+        rounding = grown(rounding, vehicle, controller, prediction.timestep, len(physics.time))
+    for name, rounded in rounding.items():
         scale = _scale(sampled, name)
+        blur = float(spread[name][: len(physics.time)].max(initial=0.0)) if spread else 0.0
         integrator = min(SLACK * _difference(integrated, sampled, name) + ROUNDING, COARSEST)
         signals[name] = SignalAgreement(
             sampled=_difference(physics, sampled, name),
             continuous=_difference(physics, continuous, name),
-            allowed=integrator + (SIGMAS * spread.get(name, 0.0) + rounded) / scale,
+            allowed=integrator + (blur + rounded) / scale,
             rounding=rounded / scale,
         )
     return Agreement(signals, lift_off, ended, until, blurred=bool(spread))

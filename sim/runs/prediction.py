@@ -10,13 +10,16 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.own.python_law import Programmed
 from models.vehicle import Vehicle
+from sim.linear.blur import most_quantised, noise_rms
 from sim.linear.forced import forced_continuous_response, forced_response
-from sim.linear.loop import continuous_response, noise_spread, sampled_response, taylor4
+from sim.linear.loop import continuous_response, sampled_response, taylor4
 from sim.response.response import Response
 from sim.roads.road import Road
 from synth.controller import Controller
 from synth.implemented.controlled import sampled
 from synth.implemented.loop import sampled_radius
+
+SIGMAS = 6.0  # of noise: thousands of samples stay within it
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +35,8 @@ class Prediction:
         sampled: exact linear response of the sampled loop.
         integrated: the same as RK4 makes it.
         continuous: exact linear response of the continuous closed loop.
-        spread: rms that noise and quantisation of the measurements give each signal; empty without them.
+        spread: how far noise (in `SIGMAS` deviations) and quantisation of the measurements move each output signal at most, at
+            every sample, shape (T,); empty without them.
         radius: growth per timestep of the sampled loop: above 1 it is unstable; NaN where it is too large to be asked, or there
             is no linear loop.
         asked: forces that a law in Python asked for [N], shape (T, m); empty of a linear controller, from which they follow.
@@ -44,7 +48,7 @@ class Prediction:
     sampled: Response
     integrated: Response
     continuous: Response
-    spread: Mapping[str, float]
+    spread: Mapping[str, Array]
     radius: float
     asked: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
@@ -85,9 +89,19 @@ def predict(vehicle: Vehicle, controller: Controller, road: Road, time: Array, m
         sampled=sampled_response(vehicle, controller, road, time),
         integrated=sampled_response(vehicle, controller, road, time, exponential=taylor4),
         continuous=continuous_response(vehicle, controller, road, time),
-        spread=noise_spread(vehicle, controller, timestep) if noisy else {},
+        spread=_spread(vehicle, controller, timestep, len(time)) if noisy else {},
         radius=sampled_radius(vehicle, controller, timestep) if small else math.nan,
     )
+
+
+def _spread(vehicle: Vehicle, controller: Controller, timestep: float, samples: int) -> dict[str, Array]:
+    """What blurs the measurements, as it moves each output signal; empty where it is of nothing that is measured."""
+    how = vehicle.implementation
+    if not {*how.noise, *how.quantisation} & {*controller.measured}:
+        return {}
+    arguments = vehicle, controller, timestep, samples
+    far = SIGMAS * noise_rms(*arguments) + most_quantised(*arguments)
+    return dict(zip(vehicle.linear_model.outputs, far.T, strict=True))
 
 
 def predict_forced(vehicle: Vehicle, controller: Programmed, road: Road, time: Array, asked: Array) -> Prediction:

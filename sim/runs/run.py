@@ -12,6 +12,7 @@ from models.own.python_law import Programmed
 from models.vehicle import Vehicle
 from sim.linear.loop import largest_timestep
 from sim.physics.energy import Energy, energy
+from sim.physics.geometry import has_geometry
 from sim.physics.python_laws import Driven, Played
 from sim.physics.simulate import PhysicsRuns, simulate
 from sim.response.regime import FLAT
@@ -126,12 +127,12 @@ def sample_times(vehicle: Vehicle, duration: float, timestep: float) -> Array:
 
 
 def _check_noise(vehicle: Vehicle, controllers: Sequence[Controller | Programmed]) -> None:
-    """Refuses noise or quantisation of a signal that none of the controllers measures.
+    """Refuses noise or quantisation of a signal that no controller measures, of these or of the vehicle file.
 
     Raises:
         InputError: it names the signal, and those that are measured.
     """
-    measured = {name for controller in controllers for name in controller.measured}
+    measured = {name for controller in (*controllers, *vehicle.controllers.values()) for name in controller.measured}
     how = vehicle.implementation
     for kind, values in {"noise": how.noise, "quantisation": how.quantisation}.items():
         for name in values:
@@ -168,7 +169,7 @@ def judge(predictions: Sequence[Prediction], physics: Sequence[Response]) -> lis
     """
     pairs = list(zip(predictions, physics, strict=True))
     runs = [Run(prediction, response, compare(prediction, response)) for prediction, response in pairs]
-    doubtful = [i for i, run in enumerate(runs) if not run.agreement.agrees]
+    doubtful = [i for i, run in enumerate(runs) if not run.agreement.agrees and has_geometry(run.vehicle)]
     if doubtful:
         again = [predictions[i] for i in doubtful]
         small = _simulated(again, again[0].time, _with_small_noise, SMALL).response

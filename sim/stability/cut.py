@@ -43,6 +43,11 @@ class Loop:
         """What closing the loop adds to A where H is zero, shape (n, n)."""
         return self.B @ self.G
 
+    @property
+    def comes_back(self) -> float:
+        """How many times as large a force comes back at once through its own measurement: from 1 on it bears no delay at all."""
+        return float(np.abs(np.linalg.eigvals(self.H)).max(initial=0.0))
+
     def balanced(self) -> "Loop":
         """The same with its states in units that make its numbers of a like size, powers of two."""
         _, (scale, _) = linalg.matrix_balance(np.abs(self.A) + np.abs(self.M), permute=False, separate=True)

@@ -134,7 +134,7 @@ def _watched(
         np.full(len(trials), np.inf),
         np.full(len(trials), True),
     )
-    course = Course(vehicles, controllers, now, midway, timestep, (0, *ends), undelayed, going)
+    course = Course(vehicles, controllers, now, midway, timestep, (0, *ends), undelayed, going, accelerations=False)
     for block in in_blocks(course):
         end = block.start + len(block.values)
         states[:, :, block.start : end] = block.values[:, rows].transpose(2, 1, 0)

@@ -40,7 +40,7 @@ class Crossover:
     """Where an eigenvalue of L(j w) has magnitude one.
 
     Attributes:
-        frequency: w [rad/s].
+        frequency: w [rad/s]; infinite of a force that is in its own measurement and grows with any delay.
         phase: the lag that makes it 1, between 0 and 2 pi [rad].
     """
 
@@ -104,11 +104,12 @@ def margins(loop: Loop) -> Margins:
 def gain_crossings(loop: Loop) -> list[float]:
     """Factors on the gain, between 0 and `LARGEST_FACTOR`, at which the loop changes between stable and unstable.
 
-    Beyond the factor that makes the spectral radius of H one no loop that is built is stable, as the least delay shows.
+    Beyond the factor that makes the spectral radius of H one no loop that is built is stable, as the least delay shows. Where
+    that is below 1 the loop is one on paper only, and factors are of that.
     """
     if np.any(loop.H):
         # A force that is in its own measurement, k H of it, grows by that at every turn once this takes any time at all.
-        turned = 1 / float(np.abs(np.linalg.eigvals(loop.H)).max(initial=1 / LARGEST_FACTOR))
+        turned = 1 / max(loop.comes_back, 1 / LARGEST_FACTOR) if loop.comes_back < 1 else math.inf
         changes = _sign_changes(lambda k: float(np.linalg.eigvals(loop.closed(k)).real.max()), FACTORS)
         return [*(k for k in changes if k < turned), *([turned] if turned < LARGEST_FACTOR else [])]
     # From the closed loop, which is stable: with k = 1 + d, S + d T is singular where -1 / d is an eigenvalue of S^-1 T.
@@ -142,7 +143,8 @@ def crossovers(loop: Loop) -> tuple[Crossover, ...]:
     # asked too.
     quadratic = not np.any(loop.H) and len(loop.A) <= MOST_QUADRATIC
     found = [*_of_the_pencil(loop), *_of_the_pencil(loop.balanced())] if quadratic else []
-    return _by_delay([*found, *_crossings_on_a_grid(loop)])
+    beyond = [Crossover(math.inf, 0.0)] if loop.comes_back >= 1 else []
+    return _by_delay([*beyond, *found, *_crossings_on_a_grid(loop)])
 
 
 def _of_the_pencil(loop: Loop) -> list[Crossover | None]:
@@ -206,8 +208,11 @@ def _refined(loop: Loop, theta: float, pole: complex) -> Crossover | None:
 def largest_sample_period(loop: Loop) -> float:
     """The shortest sample period at which the loop is unstable [s]; infinite where there is none.
 
-    Looked for in steps that no pole turns by more than a twentieth of a radian in, as long as anything is left of it.
+    Looked for in steps that no pole turns by more than a twentieth of a radian in, as long as anything is left of it. A force
+    that comes back as large through its own measurement bears none.
     """
+    if loop.comes_back >= 1:
+        return 0.0
     poles = np.linalg.eigvals(loop.A)
     at_period = loop.at_period
     if at_period is not None:

@@ -84,7 +84,7 @@ def limit_at(plant: GeneralizedPlant, omega: float) -> float:
 
     p, q = _guess(plant, omega)
     best = proved(np.concatenate([np.real(q), np.real(p), np.imag(q), np.imag(p)])[solutions.free])
-    if not _is_pole(plant, omega):
+    if not is_pole(plant, omega):
         return best
     whole, over = without_factors(solutions.complete(identity(len(solutions.free))))
     basis = floats(whole, Fraction(1, over))
@@ -92,7 +92,7 @@ def limit_at(plant: GeneralizedPlant, omega: float) -> float:
     return max(best, proved(basis[solutions.free] @ _strongest(basis[outputs].T, to_w)))
 
 
-def _is_pole(plant: GeneralizedPlant, omega: float) -> bool:
+def is_pole(plant: GeneralizedPlant, omega: float) -> bool:
     """Whether j omega is a pole to the last digit, as 0 is that of an integrator."""
     return bool(np.linalg.matrix_rank(balance(plant.A)[0] - 1j * omega * np.eye(len(plant.A))) < len(plant.A))
 
@@ -101,7 +101,7 @@ def _standing(plant: GeneralizedPlant) -> list[float]:
     """Frequencies [rad/s] of the poles that lie on the axis to the last digit."""
     found = stability(plant.A)
     there = np.unique(np.append(np.abs(np.imag(found.poles[found.on_axis])), 0.0))
-    return [omega for omega in there.tolist() if _is_pole(plant, omega)]
+    return [omega for omega in there.tolist() if is_pole(plant, omega)]
 
 
 def _strongest(own: Array, answer: Array) -> Array:
