@@ -10,13 +10,13 @@ from models.common.command import one_chosen, run_command
 from models.common.errors import InputError
 from models.common.printed import say, titled
 from models.common.progress import Stages
+from models.figures.outputs import check_outputs, written, written_lines
 from models.figures.picture import write_picture
 from models.reality import Implementation
 from models.vehicle import Vehicle, read_vehicle
 from sim.asked.margins import late_run, parser
 from sim.command.claims import say_false_claims
 from sim.command.logs import log_lines, recorded
-from sim.command.outputs import check_outputs, written, written_lines
 from sim.runs.run import Run, run_all, sample_times
 from sim.stability.cut import cut
 from sim.stability.growth import BUMP, LONGEST, SHORTEST

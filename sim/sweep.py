@@ -11,6 +11,7 @@ from models.common.errors import InputError
 from models.common.printed import say, titled
 from models.common.progress import Stages
 from models.figures.figure import styles
+from models.figures.outputs import check_outputs, written, written_lines
 from models.figures.picture import write_picture
 from models.own.python_law import Programmed
 from models.vehicle import Vehicle, read_vehicle
@@ -18,7 +19,6 @@ from sim.asked.sweep import asked_names, parser, worst_road, worst_times
 from sim.command.claims import say_false_claims
 from sim.command.driven import driven
 from sim.command.logs import log_lines, recorded
-from sim.command.outputs import check_outputs, written, written_lines
 from sim.command.usual import left_out, left_out_lines
 from sim.frequency.describing_function import DescribingFunction, describing_function
 from sim.frequency.identification import ideal_measurements

@@ -25,6 +25,7 @@ from synth.designer import Designer
 from synth.errors import DesignError
 from synth.implemented.claims import norm_failures, norm_if_implemented, sampled_lines
 from synth.problem.problem import measurements
+from synth.rates.answer import answer
 from synth.search.flat import free_moves
 from synth.words import filter_lines, ideal_lines, notes
 
@@ -41,6 +42,7 @@ examples:
   python -m synth --check my_car.toml
   python -m synth --zero-l
   python -m synth --vehicle full_car --cross-check
+  python -m synth --rates 1 2 5 10 20 50 100 --picture rates.png
 """
 
 
@@ -56,8 +58,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         raise InputError(f"--cross-check solves the LMI problems of designs anew, and {why}; leave one of them out")
     if options.check and options.given & {"zero_l", "refine", "save", "vehicle", "prove"}:
         raise InputError("--check reads its own file and designs nothing; it goes with --controller and --json only")
+    if options.rates and options.given & {"zero_l", "refine", "save", "check", "cross_check"}:
+        raise InputError("--rates takes designs as they are; it goes with --controller, --vehicle, --picture and --json only")
+    if options.picture and not options.rates:
+        raise InputError("--picture draws what --rates asks for; give sample periods with --rates, or leave it out")
     vehicle = read_vehicle(options.check or options.vehicle)
     names = [] if options.check else _names(vehicle, options)
+    if options.rates:
+        return answer(vehicle, names if options.controller else [name for name in names if name != "passive"], options)
     if options.save:
         check_save(options.save, vehicle, [name for name in names if _designs(vehicle, name, options)])
     designer = Designer(vehicle)
@@ -125,6 +133,8 @@ def _parser() -> Parser:
         "--prove", action="store_true", help="prove a bound for every law that the vehicle file gives, too, as for designed ones"
     )
     parser.add_argument("--check", type=Path, metavar="FILE", help="verify the gains of a vehicle file and their certificates")
+    parser.add_numbers("--rates", "ms", "what computers of these sample periods cost: norms of the loops as they run them")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw that, as .png or .svg; needs matplotlib")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     return parser
 

@@ -50,7 +50,7 @@ ROOMS = {
     "synth.controller": "models synth.certificate synth.plant synth.problem",
     "synth.sampled": "synth.certificate synth.plant",
     "synth.words": "models synth.controller",
-    "synth.implemented": "models synth.certificate synth.controller synth.plant synth.problem synth.sampled synth.words",
+    "synth.implemented": "models synth.certificate synth.controller synth.dynamic synth.plant synth.problem synth.sampled synth.words",
     "synth.designs": "models synth.certificate synth.controller synth.design synth.errors synth.lmi synth.problem synth.search",
     "synth.designer": "models synth.certificate synth.controller synth.design synth.designs synth.dynamic synth.errors "
     "synth.fallback synth.implemented synth.lmi synth.plant synth.problem synth.redesign synth.search",
@@ -58,8 +58,10 @@ ROOMS = {
     "synth.paper": "models synth.certificate synth.designer synth.lmi",
     "synth.command": "models synth.certificate synth.controller synth.design synth.designer synth.errors synth.implemented "
     "synth.lmi synth.plant synth.posed synth.sampled synth.scaling synth.words",
+    "synth.rates": "models models.figures synth.controller synth.designer synth.designs synth.errors synth.implemented synth.sampled "
+    "synth.words",
     "synth.__main__": "models synth.certificate synth.command synth.designer synth.errors synth.implemented synth.problem "
-    "synth.search synth.words",
+    "synth.rates synth.search synth.words",
     # sim: what a run is
     "sim": "",
     "sim.roads": "",

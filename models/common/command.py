@@ -85,6 +85,10 @@ class Parser(argparse.ArgumentParser):
         """An option that takes a finite number."""
         self.add_argument(option, type=_number, default=default, metavar=unit, help=f"{meaning} [{unit}] (default: {default:g})")
 
+    def add_numbers(self, option: str, unit: str, meaning: str) -> None:
+        """An option that takes one finite number or more, in any order."""
+        self.add_argument(option, type=_number, nargs="+", metavar=unit, help=f"{meaning} [{unit}]")
+
     def add_count(self, option: str, meaning: str, default: str, low: int, high: int, unset: int | None = None) -> None:
         """An option that takes a whole number from `low` to `high`; `unset` is what it is where it is not given."""
 

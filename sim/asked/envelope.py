@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from models.common.command import Parser, one_chosen
+from models.figures.outputs import written
 from models.reality import USUAL_TIMESTEP
 from models.vehicle import Vehicle
 from sim.asked.asked import Asked
-from sim.command.outputs import written
 from sim.response.regime import END_NAMES
 from sim.roads.road import Bump
 from sim.runs.run import sample_times

@@ -14,13 +14,13 @@ from models.common.errors import InputError
 from models.common.printed import Whole, say
 from models.common.progress import Stages
 from models.common.whole_file import made_folder, together, whole_file
+from models.figures.outputs import check_outputs, written, written_lines
 from models.figures.page import Page, check_page, write_page
 from models.figures.picture import check_drawing, write_picture
 from models.own.python_law import Programmed
 from models.vehicle import Vehicle, read_vehicle
 from sim.command.claims import say_false_claims
 from sim.command.driven import driven
-from sim.command.outputs import check_outputs, written, written_lines
 from sim.command.usual import USUAL, left_out, left_out_lines
 from synth.controller import Controller
 

@@ -8,10 +8,13 @@ force and stroke, quantisation; nor does noise, which no road makes. Behind a la
 import numpy as np
 
 from models.common.arrays import Array
+from models.controllers import IDEAL
 from models.reality import USUAL_TIMESTEP
 from models.vehicle import Vehicle
+from synth.certificate.norm import hinf_norm
 from synth.controller import Controller
-from synth.implemented.controlled import sampled
+from synth.dynamic.loop import on_larger_plant
+from synth.implemented.controlled import readings, sampled
 from synth.plant import GeneralizedPlant
 from synth.problem.problem import generalized_plant
 from synth.sampled.loop import Piece, SampledLoop
@@ -36,19 +39,27 @@ def sampled_loop(vehicle: Vehicle, controller: Controller, timestep: float = USU
     how = vehicle.implementation
     period = how.sample_period or timestep
     cut = sampled(vehicle, controller, period)
-    plant, moving = lagged_plant(vehicle), len(cut.model.A) - len(cut.kept)
+    plant = lagged_plant(vehicle)
     n, kept = len(plant.A), len(cut.kept)
-    # The vehicle's states come first in both, lagged forces last of those that move; filters, which nobody measures, between.
-    weights, forces = n - moving, moving - len(vehicle.linear_model.A)
-    own = moving - forces
-
-    def spread(rows: Array) -> Array:
-        unread = np.zeros((len(rows), weights))
-        return np.hstack([rows[:, :own], unread, rows[:, own:]])
-
-    memory = np.hstack([np.zeros((kept, n)), np.eye(kept)]) + period * spread(cut.kept)
+    memory = np.hstack([np.zeros((kept, n)), np.eye(kept)]) + period * _spread(cut.kept, vehicle, n + kept)
     pieces = (Piece(period, how.delay),)
-    return SampledLoop(plant, pieces, spread(cut.asked), memory, period * cut.hold)
+    return SampledLoop(plant, pieces, _spread(cut.asked, vehicle, n + kept), memory, period * cut.hold)
+
+
+def norm_in_continuous_time(vehicle: Vehicle, controller: Controller) -> float:
+    """What the norms of faster and faster computers tend to: of the loop with its actuators' lag, and the road alone."""
+    if controller.hardware == IDEAL and vehicle.limits.actuator_bandwidth is None:
+        return controller.certificate.norm.value
+    plant, (C, D) = lagged_plant(vehicle), readings(vehicle, controller)
+    Cy = _spread(C, vehicle, len(plant.A))
+    plant, G = on_larger_plant(plant, Cy, controller.law.continuous().fed_back(D))
+    return hinf_norm(plant.closed_loop(G)).value
+
+
+def _spread(rows: Array, vehicle: Vehicle, states: int) -> Array:
+    """Of so many states of a plant with filters, of which nobody measures any: they lie behind the vehicle's own."""
+    own = len(vehicle.linear_model.A)
+    return np.hstack([rows[:, :own], np.zeros((len(rows), states - rows.shape[1])), rows[:, own:]])
 
 
 def lagged_plant(vehicle: Vehicle) -> GeneralizedPlant:

@@ -77,6 +77,11 @@ def sampled_norm(loop: SampledLoop, near: float = 1.0) -> SampledNorm:
     return SampledNorm(np.inf, np.inf, np.inf, np.nan, np.inf) if poles is None else _Search(loop, poles).run(near)
 
 
+def stable(loop: SampledLoop) -> bool:
+    """Whether all that moves in a sampled loop decays."""
+    return _poles(loop) is not None
+
+
 def _poles(loop: SampledLoop) -> Array | None:
     """Those of a loop from sample to sample; none of a large one, and None of one that is not stable."""
     if loop.states > MOST_STATES:

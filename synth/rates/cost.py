@@ -1,0 +1,96 @@
+"""What slower computers cost a controller: the exact norm of its loop over the sample period, at once and late; and its end."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from models.controllers import IDEAL
+from models.reality import Implementation
+from models.vehicle import Vehicle
+from synth.controller import Controller
+from synth.designs.shared import Shared
+from synth.implemented.norm import norm_in_continuous_time, sampled_loop
+from synth.rates.lost import lost_from
+from synth.sampled.norm import SampledNorm, sampled_norm
+
+
+@dataclass(frozen=True)
+class AtRate:
+    """A controller on one computer.
+
+    Attributes:
+        period: of its samples [s].
+        prompt: the norm of the loop whose forces act at the sample.
+        late: of the one whose forces act `Cost.delay` samples late.
+    """
+
+    period: float
+    prompt: SampledNorm
+    late: SampledNorm
+
+
+@dataclass(frozen=True, eq=False)
+class Cost:
+    """A controller on computers of several rates.
+
+    Attributes:
+        controller: the controller.
+        ideal: the norm of its continuous loop, with its actuators' lag and without noise; infinite where that is not stable.
+        lower_bound: a norm that no controller with these measurements beats, whatever its rate; None where none is known. It is
+            proved for time-invariant controllers, and no time-varying one does better (Khargonekar, Poolla 1986).
+        delay: in samples, of the forces that are late.
+        rates: ascending by period.
+        lost: the shortest sample period at which the loop is not stable [s], see `lost_from`.
+        lost_late: the same where forces are late.
+    """
+
+    controller: Controller
+    ideal: float
+    lower_bound: float | None
+    delay: int
+    rates: tuple[AtRate, ...]
+    lost: float
+    lost_late: float
+
+    def loss(self, norm: SampledNorm) -> float:
+        """By how much a norm is above the continuous loop's, relative; below 0 where it is less, infinite where it is lost."""
+        return norm.value / self.ideal - 1 if 0 < self.ideal < np.inf else np.nan if norm.stable else np.inf
+
+
+def cost(
+    vehicle: Vehicle, controller: Controller, periods: Sequence[float], done: Callable[[int], None] = lambda count: None
+) -> Cost:
+    """What these sample periods cost a controller.
+
+    Args:
+        vehicle: its `[implementation]` says how many samples forces are late, one if it says nothing of that, and no more.
+        controller: its controller.
+        periods: ascending [s].
+        done: told how many periods are done.
+    """
+    delay, ideal = vehicle.implementation.delay or 1, norm_in_continuous_time(vehicle, controller)
+    near, found = [ideal if 0 < ideal < np.inf else 1.0] * 2, []
+    for i, period in enumerate(periods):
+        both = []
+        for k, samples in enumerate((0, delay)):
+            norm = norm_at(vehicle, controller, period, samples, near[k])
+            near[k] = norm.value if norm.stable and norm.value else near[k]  # the next is not far
+            both.append(norm)
+        found.append(AtRate(period, *both))
+        done(i + 1)
+    lost = (lost_from(vehicle, controller, samples) for samples in (0, delay))
+    return Cost(controller, ideal, _lower_bound(vehicle, controller), delay, tuple(found), *lost)
+
+
+def norm_at(vehicle: Vehicle, controller: Controller, period: float, delay: int, near: float) -> SampledNorm:
+    """The norm of a loop at another sample period [s] and delay [samples] than the vehicle file says; it is near a guess."""
+    built = replace(vehicle, implementation=Implementation(period, delay))
+    return sampled_norm(sampled_loop(built, controller), near)
+
+
+def _lower_bound(vehicle: Vehicle, controller: Controller) -> float | None:
+    """What no controller beats that acts at once on what is: of those one that is late, or lags, is one."""
+    if controller.hardware == IDEAL:
+        return controller.certificate.lower_bound
+    return Shared(vehicle).lower_bound(controller.measured).gamma or None

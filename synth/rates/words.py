@@ -1,0 +1,128 @@
+"""What slower computers cost, in words and as `--json` has it."""
+
+import math
+from typing import Any
+
+from models.common.numbers import finite
+from models.common.printed import table, wrapped
+from models.reality import LONGEST_PERIOD
+from synth.implemented.claims import norm_failures
+from synth.rates.cost import AtRate, Cost
+from synth.rates.lost import SHORTEST
+from synth.sampled.norm import SampledNorm
+from synth.words import percent
+
+LITTLE = 1e-2  # relative: the slowest rate that costs no more is spoken of
+SAME = 5e-9  # relative: what is nearer to the continuous norm is it
+
+
+def cost_lines(one: Cost) -> list[str]:
+    """A controller at all rates, a line each."""
+    ideal = f"norm {one.ideal:.7g}" if math.isfinite(one.ideal) else "UNSTABLE"
+    bound = f", lower bound {one.lower_bound:.7g}" if one.lower_bound is not None else ""
+    rows: list[tuple[str, ...]] = [("sample period", "rate", "at once", "loses", late(one), "loses")]
+    for at in one.rates:
+        cells = [text for norm in (at.prompt, at.late) for text in _cells(one, norm)]
+        rows.append((f"{1e3 * at.period:g} ms", f"{1 / at.period:.4g} Hz", *cells))
+    return [f"controller {one.controller.name}: in continuous time {ideal}{bound}", *table(rows)]
+
+
+def late(one: Cost) -> str:
+    """How late forces are that are late, in words."""
+    return f"{one.delay} sample{'s' * (one.delay > 1)} late"
+
+
+def sentence(one: Cost) -> list[str]:
+    """What it comes to, in a sentence that goes over some lines."""
+    name = one.controller.name
+    if not math.isfinite(one.ideal):
+        return wrapped(f"controller {name} is unstable even in continuous time", hang=4)
+    if not one.controller.law.acts:
+        return wrapped(f"controller {name} asks for no force, so that no rate changes anything", hang=4)
+    at = _spoken(one)
+    said = f"at {1 / at.period:.4g} Hz controller {name} {_costs(one, at.prompt)}, {late(one)} {_costs(one, at.late)}"
+    return wrapped(f"{said}; {_ends(one)}", hang=4)
+
+
+def failures(one: Cost) -> list[str]:
+    """What does not hold of the norms, in words."""
+    name = one.controller.name
+    return [
+        f"controller {name} at {1e3 * at.period:g} ms, {how}: {text}"
+        for at in one.rates
+        for norm, how in ((at.prompt, "at once"), (at.late, late(one)))
+        for text in norm_failures(norm)
+    ]
+
+
+def cost_object(one: Cost) -> dict[str, Any]:
+    """A controller at all rates as JSON has it: SI units, None for what is infinite or does not exist."""
+    return {
+        "name": one.controller.name,
+        "norm": finite(one.ideal),
+        "lower_bound": one.lower_bound,
+        "delay": one.delay,
+        "rates": [
+            {
+                "sample_period": at.period,
+                "sampled_norm": _object(one, at.prompt),
+                "late_norm": _object(one, at.late),
+            }
+            for at in one.rates
+        ],
+        "unstable_from": finite(one.lost),
+        "late_unstable_from": finite(one.lost_late),
+    }
+
+
+def _object(one: Cost, norm: SampledNorm) -> dict[str, Any] | None:
+    """A norm, what proves it, and what it loses; None where the loop is not stable."""
+    if not norm.stable:
+        return None
+    return {
+        "value": norm.value,
+        "above": norm.lower,
+        "below": norm.upper,
+        "reached": norm.reached,
+        "loss": finite(one.loss(norm)),
+        "decided_within_a_period": norm.inside,
+    }
+
+
+def _cells(one: Cost, norm: SampledNorm) -> tuple[str, str]:
+    """A norm, and by how much it is above the continuous one."""
+    if not norm.stable:
+        return "UNSTABLE", ""
+    loss = one.loss(norm)
+    if not math.isfinite(loss):
+        return f"{norm.value:.7g}", ""
+    return f"{norm.value:.7g}", f"{'-' if loss < -SAME else '+'}{percent(abs(loss))}" if abs(loss) > SAME else "0 %"
+
+
+def _spoken(one: Cost) -> AtRate:
+    """The slowest rate that costs little, or else the fastest."""
+    cheap = [at for at in one.rates if at.prompt.stable and one.loss(at.prompt) <= LITTLE]
+    return cheap[-1] if cheap else one.rates[0]
+
+
+def _costs(one: Cost, norm: SampledNorm) -> str:
+    if not norm.stable:
+        return "is unstable"
+    loss = one.loss(norm)
+    return f"{'loses' if loss >= 0 else 'gains'} {percent(abs(loss) if abs(loss) > SAME else 0.0)}"
+
+
+def _ends(one: Cost) -> str:
+    """Where the loop is lost, at once and late."""
+    if math.isinf(one.lost) and math.isinf(one.lost_late):
+        return f"late or not it is stable at every rate down to {1 / LONGEST_PERIOD:g} Hz"
+    if math.isinf(one.lost):
+        return f"at once it is stable at every rate, {late(one)} unstable {_below(one.lost_late)}"
+    again = any(at.period > one.lost and at.prompt.stable for at in one.rates)
+    first = f"{_below(one.lost)} it is unstable{', but not at all slower rates' if again else ''}"
+    return f"{first}, {late(one)} {_below(one.lost_late) if math.isfinite(one.lost_late) else 'at none'}"
+
+
+def _below(period: float) -> str:
+    """The rates of longer sample periods."""
+    return f"below {1 / period:.3g} Hz" if period else f"even at {1e-3 / SHORTEST:g} kHz"

@@ -1,0 +1,243 @@
+"""`python -m synth --rates`: what slower computers cost a controller, and where its loop is lost."""
+
+import json
+import math
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import synth.rates.cost
+from models.common.errors import InputError
+from models.reality import LONGEST_PERIOD, Implementation
+from models.vehicle import parse_vehicle, read_vehicle
+from sim.stability.cut import cut
+from sim.stability.loop import largest_sample_period
+from synth.__main__ import main
+from synth.certificate.stability import sampled_growth
+from synth.designer import Designer, design
+from synth.implemented.loop import implemented_loop
+from synth.implemented.norm import norm_as_implemented
+from synth.rates.cost import Cost, cost
+from synth.rates.figure import drawn_periods, rates_figure
+from synth.rates.lost import lost_from
+from synth.rates.words import LITTLE
+from tests.commands import prose
+
+RATES = ("1", "10", "50", "100")  # ms; II is lost before the last where forces are late
+
+
+def asked(capsys, *arguments: str) -> tuple[int, dict]:
+    code = main(["--rates", *arguments, "--json"])
+    return code, json.loads(capsys.readouterr().out)
+
+
+@pytest.mark.parametrize("car", ["quarter_car", "half_car", "full_car"])
+@pytest.mark.parametrize("name", ["state", "I", "II"])
+def test_it_is_lost_where_the_margins_say(car, name):
+    """The rate at which a loop is lost is the margin of its sample period, which another way finds."""
+    vehicle = read_vehicle(car)
+    controller = design(vehicle, name)
+    margin = largest_sample_period(cut(vehicle, controller, range(len(vehicle.linear_model.inputs))))
+    # Either is found to 1e-12 of it, or there is none up to a second.
+    assert lost_from(vehicle, controller, 0) == pytest.approx(margin if margin < LONGEST_PERIOD else math.inf, rel=1e-9)
+
+
+@pytest.mark.parametrize("car", ["quarter_car", "half_car"])
+@pytest.mark.parametrize("delay", [0, 1, 3])
+def test_it_is_lost_there_and_not_before(car, delay):
+    """The loop that is driven grows just beyond the period at which it is lost, and at none of many before."""
+    vehicle = read_vehicle(car)
+    controller = design(vehicle, "II")
+
+    def growth(period: float) -> float:
+        built = replace(vehicle, implementation=Implementation(delay=delay))
+        return sampled_growth(implemented_loop(built, controller, period).transition)
+
+    lost = lost_from(vehicle, controller, delay)
+    assert growth(lost * (1 + 1e-6)) > 1
+    assert max(growth(share * lost) for share in (*np.linspace(0.01, 0.99, 200), 1 - 1e-6)) < 1
+
+
+def test_no_rate_keeps_what_no_computer_runs():
+    """A loop that is unstable at 100 kHz is lost at once, and the text says so."""
+    vehicle = parse_vehicle(
+        read_vehicle("quarter_car").text + '\n[controllers.mad]\nmeasured = ["sprung_velocity"]\ngain = [[2e4]]\n'
+    )
+    assert lost_from(vehicle, design(vehicle, "mad"), 0) == 0
+
+
+@pytest.mark.parametrize("car", ["quarter_car", "half_car"])
+def test_every_norm_is_that_of_the_loop_as_built(car):
+    """Each norm is that of a vehicle file with this sample period and delay, whichever rates are asked for beside it."""
+    vehicle = replace(read_vehicle(car), implementation=Implementation(delay=2))
+    controller = design(vehicle, "I")
+    found = cost(vehicle, controller, [1e-3, 1e-2, 2e-2])
+    assert found.delay == 2
+    for at in found.rates:
+        for norm, delay in ((at.prompt, 0), (at.late, 2)):
+            own = norm_as_implemented(replace(vehicle, implementation=Implementation(at.period, delay)), controller)
+            assert norm.value == pytest.approx(own.value, rel=2e-8)  # each lies within 1.1e-8 of its levels
+
+
+def test_the_continuous_norm_is_what_fast_rates_tend_to():
+    """With a lag, and of a design that knows the noise of its sensors, it is the norm of the road alone, with the lag."""
+    text = read_vehicle("quarter_car").text + (
+        '\n[controllers.quiet]\nmeasured = ["suspension_deflection", "sprung_velocity"]\nnoise = true\n'
+        "[limits]\nactuator_bandwidth = 100.0\n[implementation]\nnoise = { sprung_velocity = 0.01 }\nsample_period = 0.01\n"
+    )
+    vehicle = parse_vehicle(text)
+    for name in ("I", "quiet"):
+        found = cost(vehicle, design(vehicle, name), [1e-5, 2e-5])
+        off = [found.loss(at.prompt) for at in found.rates]
+        assert 0 < abs(off[0]) < 6e-4  # rad, what 63 rad/s turns by in 10 us
+        assert off[1] / off[0] == pytest.approx(2, rel=1e-2)  # the first power of the period
+        assert found.lower_bound is not None
+        assert found.lower_bound <= min(at.prompt.value for at in found.rates)
+
+
+def test_table(capsys):
+    """What is printed of every controller and rate is what JSON says, and no controller beats the lower bound."""
+    code, found = asked(capsys, *RATES)
+    assert code == 0
+    assert main(["--rates", *reversed(RATES)]) == 0
+    printed = capsys.readouterr().out
+    rows = {row["name"]: row for row in found["controllers"]}
+    assert set(rows) == {"state", "I", "II", "state_printed", "I_printed", "II_printed"}  # but passive, which no rate changes
+    for name, row in rows.items():
+        (block,) = re.findall(rf"^controller {name}: (.*?)\n\n", printed, re.M | re.S)
+        assert block.startswith(f"in continuous time norm {row['norm']:.7g}, lower bound {row['lower_bound']:.7g}\n")
+        lines = re.findall(r"^  (\S+) ms +(\S+) Hz +(.*)$", block, re.M)
+        assert [line[0] for line in lines] == list(RATES)
+        for (_, rate, rest), at in zip(lines, row["rates"], strict=True):
+            assert float(rate) == pytest.approx(1 / at["sample_period"], rel=1e-3)
+            cells = re.findall(r"UNSTABLE|(\S+) +(0|[+-]\S+) %", rest)
+            for cell, norm in zip(cells, (at["sampled_norm"], at["late_norm"]), strict=True):
+                if norm is None:
+                    assert cell == ("", "")
+                    continue
+                assert float(cell[0]) == pytest.approx(norm["value"], rel=1e-6)  # seven digits
+                assert float(cell[1]) / 100 == pytest.approx(norm["loss"], rel=0.05, abs=1e-8)  # two digits
+                assert norm["loss"] == pytest.approx(norm["value"] / row["norm"] - 1, abs=1e-12)
+                assert row["lower_bound"] < norm["above"] < norm["value"] < norm["below"]
+    assert rows["II"]["rates"][3]["late_norm"] is None
+    assert "UNSTABLE" in printed
+
+
+def test_sentence(capsys):
+    """In words stand the slowest rate that costs little, what it costs, late too, and where the loop is lost."""
+    code, found = asked(capsys, *RATES, "--controller", "II")
+    assert code == 0
+    (row,) = found["controllers"]
+    main(["--rates", *RATES, "--controller", "II"])
+    said = prose(capsys.readouterr().out)
+    words = re.search(
+        r"at (\S+) Hz controller II gains (\S+) %, 1 sample late loses (\S+) %; below (\S+) Hz it is unstable, 1 sample late "
+        r"below (\S+) Hz$",
+        said,
+    )
+    assert words
+    (at,) = [at for at in row["rates"] if at["sample_period"] == 1e-2]
+    assert at["sampled_norm"]["loss"] < LITTLE < row["rates"][2]["sampled_norm"]["loss"]
+    numbers = [100, -100 * at["sampled_norm"]["loss"], 100 * at["late_norm"]["loss"]]
+    numbers += [1 / row["unstable_from"], 1 / row["late_unstable_from"]]
+    assert [float(word) for word in words.groups()] == pytest.approx(numbers, rel=0.05)  # of two digits
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("state", "at once it is stable at every rate, 1 sample late unstable below 3.73 Hz"),
+        ("passive", "controller passive asks for no force, so that no rate changes anything"),
+        ("mad", "controller mad is unstable even in continuous time"),
+    ],
+)
+def test_other_sentences(name, words, tmp_path, capsys):
+    """A loop that no rate ends, one without a force, and one that was never stable have words of their own."""
+    car = tmp_path / "car.toml"
+    car.write_text(read_vehicle("quarter_car").text + '\n[controllers.mad]\nmeasured = ["sprung_velocity"]\ngain = [[2e4]]\n')
+    assert main(["--vehicle", str(car), "--controller", name, "--rates", "10"]) == 0
+    assert prose(capsys.readouterr().out).endswith(words)
+
+
+@pytest.mark.parametrize(
+    ("rates", "words"),
+    [
+        (["0"], "--rates 0 ms is not allowed; give sample periods from 0.01 to 1000 ms"),
+        (["5", "-5"], "--rates -5 ms is not allowed"),
+        (["nan"], "'nan' is not a finite number"),
+        (["inf"], "'inf' is not a finite number"),
+        (["1001"], "--rates 1001 ms is not allowed"),
+        (["1e-3"], "--rates 0.001 ms is not allowed"),
+        (["5", "6", "5"], "--rates 5 ms is given twice"),
+        (["fast"], "'fast' is not a number"),
+        ([], "expected at least one argument"),
+        ([str(1 + k / 100) for k in range(1001)], "at most 1000"),
+        (["5", "--refine"], "--rates takes designs as they are"),
+        (["5", "--picture", "rates.gif"], "not a kind of picture"),
+    ],
+)
+def test_bad_rates(rates, words, monkeypatch):
+    """A rate that no computer has, one given twice and an option that does not go with it are one line, before the work."""
+    monkeypatch.setattr(Designer, "design", lambda *arguments: pytest.fail("the work was begun"))
+    with pytest.raises(InputError) as caught:
+        main(["--rates", *rates])
+    assert words in str(caught.value)
+
+
+def test_a_picture_is_of_rates(monkeypatch):
+    """Without rates there is nothing to draw."""
+    with pytest.raises(InputError, match="give sample periods with --rates"):
+        main(["--picture", "rates.png"])
+
+
+def test_what_does_not_hold_is_said(monkeypatch, capsys):
+    """Where two routes to a norm differ, that is said, and the exit code is 1."""
+    true = synth.rates.cost.sampled_norm
+    monkeypatch.setattr(
+        synth.rates.cost, "sampled_norm", lambda *arguments: replace(true(*arguments), reached=0.9 * true(*arguments).value)
+    )
+    assert main(["--rates", "10", "--controller", "I"]) == 1
+    assert "DOES NOT HOLD: controller I at 10 ms, at once: the sampled norm 7.86506444 and what a road" in prose(
+        capsys.readouterr().out
+    )
+
+
+def test_what_is_not_designed_is_said(tmp_path, capsys):
+    """A controller that cannot be designed has a reason in its place, and the others their rates; the exit code is 1."""
+    car = tmp_path / "car.toml"
+    heavy = '\n[controllers.blind]\nmeasured = ["suspension_deflection"]\n'
+    car.write_text(read_vehicle("quarter_car").text.replace("suspension_damping = 400.0", "suspension_damping = 1e-9") + heavy)
+    code, found = asked(capsys, "10", "--vehicle", str(car), "--controller", "blind", "--controller", "II")
+    assert code == 1
+    rows = {row["name"]: row for row in found["controllers"]}
+    assert rows["II"]["rates"]
+    assert rows["blind"]["reason"]
+    main(["--rates", "10", "--vehicle", str(car), "--controller", "blind", "--controller", "II"])
+    assert f"NOT DESIGNED: {rows['blind']['reason']}" in prose(capsys.readouterr().out)
+
+
+def drawn(one: Cost, label: str) -> tuple[list[float], list[float]]:
+    periods = [at.period for at in one.rates]
+    (panel,) = rates_figure(read_vehicle("quarter_car"), [one], periods[::2]).panels
+    assert panel.title == f"controller {one.controller.name}"
+    (curve,) = [curve for curve in panel.curves if curve.label == label]
+    return list(curve.x), list(curve.y)
+
+
+def test_picture(tmp_path):
+    """The curves are the norms, which end where the loop is unstable; every rate that was asked for is one of theirs."""
+    vehicle = read_vehicle("quarter_car")
+    found = cost(vehicle, design(vehicle, "II"), [1e-2, 3e-2, 6e-2, 0.1])
+    for label, kind in (("at once", "prompt"), ("1 sample late", "late")):
+        norms = [getattr(at, kind) for at in found.rates]
+        x, y = drawn(found, label)
+        assert x == pytest.approx([10, 30, 60, 100], rel=1e-12)
+        assert [math.isnan(value) for value in y] == [not norm.stable for norm in norms]
+        assert [value for value in y if value == value] == [norm.value for norm in norms if norm.stable]
+    assert {0.01, 0.02, 0.1} <= set(drawn_periods([0.01, 0.02, 0.1]))
+    assert drawn_periods([0.01]) == [0.01]
+    picture = tmp_path / "rates.png"
+    assert main(["--rates", "10", "20", "--controller", "I", "--picture", str(picture)]) == 0
+    assert picture.read_bytes().startswith(b"\x89PNG")
