@@ -50,7 +50,8 @@ ROOMS = {
     "synth.controller": "models synth.certificate synth.plant synth.problem",
     "synth.sampled": "synth.certificate synth.plant",
     "synth.words": "models synth.controller",
-    "synth.implemented": "models synth.certificate synth.controller synth.dynamic synth.plant synth.problem synth.sampled synth.words",
+    "synth.implemented": "models synth.certificate synth.controller synth.dynamic synth.plant synth.problem synth.sampled "
+    "synth.words",
     "synth.designs": "models synth.certificate synth.controller synth.design synth.errors synth.lmi synth.problem synth.search",
     "synth.designer": "models synth.certificate synth.controller synth.design synth.designs synth.dynamic synth.errors "
     "synth.fallback synth.implemented synth.lmi synth.plant synth.problem synth.redesign synth.search",
@@ -58,8 +59,8 @@ ROOMS = {
     "synth.paper": "models synth.certificate synth.designer synth.lmi",
     "synth.command": "models synth.certificate synth.controller synth.design synth.designer synth.errors synth.implemented "
     "synth.lmi synth.plant synth.posed synth.sampled synth.scaling synth.words",
-    "synth.rates": "models models.figures synth.controller synth.designer synth.designs synth.errors synth.implemented synth.sampled "
-    "synth.words",
+    "synth.rates": "models models.figures synth.controller synth.designer synth.designs synth.errors synth.implemented "
+    "synth.sampled synth.words",
     "synth.__main__": "models synth.certificate synth.command synth.designer synth.errors synth.implemented synth.problem "
     "synth.rates synth.search synth.words",
     # sim: what a run is
@@ -74,15 +75,15 @@ ROOMS = {
     "sim.stability": "models.figures sim.linear sim.physics sim.roads sim.runs",
     "sim.frequency": "models.filters models.figures sim.linear sim.physics sim.response sim.roads sim.runs synth.words",
     "sim.recording": "models.figures sim.physics sim.response sim.roads sim.runs",
-    "sim.command": "models.figures sim.recording sim.runs",
-    "sim.asked": "sim.command sim.frequency sim.response sim.roads sim.runs sim.stability sim.validity",
+    "sim.command": "sim.recording sim.runs",
+    "sim.asked": "models.figures sim.frequency sim.response sim.roads sim.runs sim.stability sim.validity",
     "sim.inspect": "sim.asked sim.linear sim.physics sim.recording sim.response sim.ride sim.roads sim.runs synth.problem "
     "synth.words",
     "sim.campaign": "sim.command sim.physics sim.response sim.ride sim.roads sim.runs synth.designer",
     "sim.report": "sim.command models.figures sim.frequency sim.linear sim.physics sim.response sim.ride sim.roads "
     "sim.runs sim.stability sim.validity synth.designer synth.paper synth.words",
-    "sim.bump": "sim.asked sim.command sim.roads sim.runs synth.designer",
-    "sim.drive": "sim.asked sim.command sim.ride sim.runs synth.designer",
+    "sim.bump": "models.figures sim.asked sim.command sim.roads sim.runs synth.designer",
+    "sim.drive": "models.figures sim.asked sim.command sim.ride sim.runs synth.designer",
     "sim.sweep": "sim.asked sim.command models.figures sim.frequency sim.runs synth.designer",
     "sim.margins": "sim.asked sim.command models.figures sim.runs sim.stability synth.designer",
     "sim.__main__": "",

@@ -199,7 +199,8 @@ def test_what_does_not_hold_is_said(monkeypatch, capsys):
         synth.rates.cost, "sampled_norm", lambda *arguments: replace(true(*arguments), reached=0.9 * true(*arguments).value)
     )
     assert main(["--rates", "10", "--controller", "I"]) == 1
-    assert "DOES NOT HOLD: controller I at 10 ms, at once: the sampled norm 7.86506444 and what a road" in prose(
+    said = prose(capsys.readouterr().out)
+    assert "DOES NOT HOLD: controller I at 10 ms, at once: the sampled norm 7.86506444 and what a road" in said
         capsys.readouterr().out
     )
 
