@@ -76,7 +76,7 @@ ROOMS = {
     "sim.frequency": "models.filters models.figures sim.linear sim.physics sim.response sim.roads sim.runs synth.words",
     "sim.recording": "models.figures sim.physics sim.response sim.roads sim.runs",
     "sim.command": "sim.recording sim.runs",
-    "sim.asked": "models.figures sim.frequency sim.response sim.roads sim.runs sim.stability sim.validity",
+    "sim.asked": "models.figures sim.command sim.frequency sim.response sim.roads sim.runs sim.stability sim.validity",
     "sim.inspect": "sim.asked sim.linear sim.physics sim.recording sim.response sim.ride sim.roads sim.runs synth.problem "
     "synth.words",
     "sim.campaign": "sim.command sim.physics sim.response sim.ride sim.roads sim.runs synth.designer",
