@@ -241,13 +241,16 @@ def _law(where: str, entry: Mapping[str, Any], model: LinearModel, measured: lis
         raise InputError(
             f"{where} sample_period = {quoted(period)} is not allowed; give seconds from {SHORTEST:g} to {LONGEST:g}"
         )
-    k, m, q = len(entry["A"]), len(model.inputs), len(measured)
+    k, m, q = len(entry["A"]) if any(entry["A"]) else 0, len(model.inputs), len(measured)
     shapes = {"A": (k, k), "B": (k, q), "C": (m, k), "D": (m, q)}
     for key, (rows, columns) in shapes.items():
-        if len(entry[key]) != rows or any(len(row) != columns for row in entry[key]):
+        there = entry[key]
+        if not any(there) and not rows * columns:
+            continue  # of a law without states, however it is written down
+        if len(there) != rows or any(len(row) != columns for row in there):
             raise InputError(
-                f"{where} {key} is no matrix of {rows} row(s) of {columns} number(s), as A has {k} row(s), this vehicle {m} "
-                f"actuator(s), and {q} signal(s) are measured"
+                f"{where} {key} has {_size(there)}; give {rows} row(s) of {columns} number(s), as A has {k} row(s), this vehicle "
+                f"{m} actuator(s), and {q} signal(s) are measured"
             )
     try:
         return LinearLaw(*(np.array(entry[key], dtype=float).reshape(shapes[key]) for key in MATRICES), sample_period=period)
@@ -266,11 +269,16 @@ def _gain(where: str, gain: Any, model: LinearModel, measured: list[str]) -> Arr
     if not all(isinstance(row, list) and all(is_number(entry) for entry in row) for row in rows):
         raise InputError(f"{where} gain = {quoted(gain)} is not a matrix of numbers; {allowed}")
     if len(rows) != m or any(len(row) != q for row in rows):
-        lengths = " or ".join(str(length) for length in sorted({len(row) for row in rows})) or "no"
-        raise InputError(f"{where} gain has {len(rows)} row(s) of {lengths} number(s); {allowed}")
+        raise InputError(f"{where} gain has {_size(rows)}; {allowed}")
     matrix = np.array(rows, dtype=float)
     matrix.flags.writeable = False
     return matrix
+
+
+def _size(rows: list[Any]) -> str:
+    """How many rows there are, and how long they are."""
+    lengths = " or ".join(str(length) for length in sorted({len(row) for row in rows})) or "no"
+    return f"{len(rows)} row(s) of {lengths} number(s)"
 
 
 def _is_real(value: Any) -> bool:

@@ -128,7 +128,7 @@ class LinearLaw:
         """The law in continuous time: of a discrete one that whose bilinear transform (Tustin) it is.
 
         Raises:
-            InputError: it has none, as there is a pole at -1.
+            InputError: it has none, as there is a pole at -1, or one that has entries beyond `LARGEST`.
         """
         if self.sample_period is None:
             return self
@@ -138,12 +138,17 @@ class LinearLaw:
         if np.linalg.svd(shifted, compute_uv=False)[-1] < SINGULAR * max(1.0, np.abs(self.A).max()):
             raise InputError("a discrete controller with a pole at -1 has no continuous counterpart; move that pole")
         inverse = np.linalg.inv(shifted)
-        return LinearLaw(
-            2 / self.sample_period * (self.A - np.eye(self.states)) @ inverse,
-            2 / root * inverse @ self.B,
-            2 / root * self.C @ inverse,
-            self.D - self.C @ inverse @ self.B,
-        )
+        try:
+            return LinearLaw(
+                2 / self.sample_period * (self.A - np.eye(self.states)) @ inverse,
+                2 / root * inverse @ self.B,
+                2 / root * self.C @ inverse,
+                self.D - self.C @ inverse @ self.B,
+            )
+        except InputError as error:
+            raise InputError(
+                f"of its continuous counterpart (Tustin), {error}; scale its states, so that B and C are of one size"
+            ) from error
 
     def sampled(self, period: float) -> "LinearLaw":
         """The law as a computer runs it, every so many seconds.

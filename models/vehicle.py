@@ -128,6 +128,10 @@ class Vehicle:
         """Those of them of which linear analysis speaks: all but laws in Python."""
         return (*RESERVED, *(name for name, entry in self.controllers.items() if entry.python is None))
 
+    def found_wrong(self, error: InputError) -> InputError:
+        """What was found wrong of it when it was worked with, with the file that it stands in, as where it is read."""
+        return InputError(f"vehicle file {self.source}: {error}" if self.source else str(error))
+
     def hardware(self, name: str) -> Hardware:
         """What of sensors and actuators a controller of that name is designed for; of `passive` and `state` nothing."""
         return self.controllers[name].hardware if name in self.controllers else IDEAL

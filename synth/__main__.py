@@ -78,7 +78,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             stage(f"controller {name}")
             rows.append(_built(vehicle, _row(designer, name, options)))
     if options.cross_check and not any(row.witness for row in rows) and not any(row.controller is None for row in rows):
-        raise InputError("--cross-check has nothing to solve: no controller asked for comes from an LMI problem; ask for one")
+        raise InputError(
+            "--cross-check has nothing to solve: no controller asked for comes from an LMI problem without filters; ask for one"
+        )
     if options.save:
         save(options.save, vehicle, [row.controller for row in rows if row.controller is not None])
     stage(FREE)

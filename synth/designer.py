@@ -14,7 +14,8 @@ from synth.certificate.bounding import certify_tightly
 from synth.certificate.certificate import Certificate
 from synth.certificate.lower_bound import LowerBound
 from synth.controller import Controller, alike, certified, checked, on_readings
-from synth.design import Design, state_design, zero_l_design
+from synth.design import state_design, zero_l_design
+from synth.designs.designed import designed, one_by_one
 from synth.designs.refined import Refined
 from synth.designs.shared import Shared
 from synth.dynamic.loop import on_larger_plant
@@ -29,11 +30,6 @@ from synth.problem.problem import Problem, generalized_plant, measurements, plan
 from synth.redesign import state_designs, two_step_designs
 from synth.search.refine import SEEN, from_some, refine, worth_refining
 from synth.search.static import static_output_feedback
-
-STATE_ALONE = (
-    "filters have states that nothing measures: this is a static gain on the vehicle's own, found by the two steps as any other "
-    "output feedback is"
-)
 
 
 class Designer:
@@ -112,11 +108,15 @@ class Designer:
                 )
         except DesignError as error:
             raise type(error)(f"controller {name!r}: {error}") from error
-        return _designed(self.vehicle, entry, design)
+        return designed(self.vehicle, entry, design)
 
     def _given(self, entry: ControllerEntry, law: LinearLaw) -> Controller:
         posed, hardware = self.problem(entry.measured, entry.hardware), entry.hardware
-        certificate, wrong = certified(posed, entry, self.lower_bound(entry.measured, hardware))
+        below = self.lower_bound(entry.measured, hardware)
+        try:
+            certificate, wrong = certified(posed, entry, below)
+        except InputError as error:
+            raise self.vehicle.found_wrong(error) from error
         found = Controller(entry.name, entry.measured, law, False, certificate, false_claims=wrong, hardware=hardware)
         return held_to_its_norm(found, entry.certificate, self.vehicle)
 
@@ -167,7 +167,9 @@ class Designer:
         refinement = refine(posed.plant, Cy, K, Dyw)
         gain = np.zeros((len(K), len(measured)))
         gain[:, kept] = refinement.gain
-        certificate = certify_tightly(*on_larger_plant(posed.plant, Cy, static_law(refinement.gain), Dyw), lower_bound)
+        certificate = certify_tightly(
+            *on_larger_plant(posed.plant, Cy, static_law(refinement.gain), Dyw), lower_bound, by_itself=posed.plant
+        )
         law = static_law(gain).fed_back(-posed.through)
         refined = Controller(name, measured, law, True, certificate, hardware=entry.hardware)
         return Refined(refined, start, origin, refinement)
@@ -218,20 +220,23 @@ class Designer:
         if entry.design or entry.hardware != IDEAL:
             raise InputError(f"controller {name!r} is not designed in two steps alone; design it for each vehicle by itself")
         sound = alike(self.vehicle, vehicles)
+        if any(vehicle.filtered for vehicle in (self.vehicle, *sound)):  # there the two steps are not the end of a design
+            named = [replace(vehicle, controllers=self.vehicle.controllers) for vehicle in sound]
+            return one_by_one(name, [lambda each=each: Designer(each).design(name) for each in named])
         plants = [generalized_plant(vehicle) for vehicle in sound]
         states = plant_states(self.vehicle)
         try:
-            if name == "state" and not any(vehicle.filtered for vehicle in (self.vehicle, *sound)):
+            if name == "state":
                 designs = state_designs(self.plant, self.state_path, plants, states)
             else:
                 Cy, *Cys = (measurements(each, entry.measured)[0] for each in (self.vehicle, *sound))
-                designs = two_step_designs(self.plant, self.state_path, Cy, plants, Cys, states, name == "state")
+                designs = two_step_designs(self.plant, self.state_path, Cy, plants, Cys, states)
         except BatchError as error:
-            controllers = {i: _designed(sound[i], entry, design) for i, design in error.designs.items()}
+            controllers = {i: designed(sound[i], entry, design) for i, design in error.designs.items()}
             raise BatchError(f"controller {name!r}: {error}", controllers, error.failures) from error
         except DesignError as error:
             raise type(error)(f"controller {name!r}: {error}") from error
-        return [_designed(vehicle, entry, design) for vehicle, design in zip(sound, designs, strict=True)]
+        return [designed(vehicle, entry, design) for vehicle, design in zip(sound, designs, strict=True)]
 
     def checked(self, entry: ControllerEntry) -> tuple[Certificate, tuple[str, ...]]:
         """What is true of a law of the file by the proofs that its certificate brings, and what of that does not hold, in words.
@@ -239,7 +244,10 @@ class Designer:
         Raises:
             InputError: the certificate is malformed.
         """
-        return checked(self.problem(entry.measured, entry.hardware), entry)
+        try:
+            return checked(self.problem(entry.measured, entry.hardware), entry)
+        except InputError as error:
+            raise self.vehicle.found_wrong(error) from error
 
     def _entry(self, name: str) -> ControllerEntry:
         """What is to be designed or certified under a name."""
@@ -249,27 +257,6 @@ class Designer:
         if name == "state":
             return ControllerEntry(name, model.states)
         return self.vehicle.linear_entry(name)
-
-
-def _designed(vehicle: Vehicle, entry: ControllerEntry, design: Design) -> Controller:
-    """The controller of a gain on C_y x; a force that is in what is measured is taken out of it."""
-    through = measurements(vehicle, entry.measured, entry.hardware.bandwidth)[1]
-    beside = STATE_ALONE if entry.name == "state" and vehicle.filtered else ""
-    redundant = tuple(entry.measured[i] for i in design.redundant)
-    return Controller(
-        entry.name,
-        entry.measured,
-        static_law(design.gain).fed_back(-through),
-        designed=True,
-        certificate=design.certificate,
-        state_step_gap=design.state_step_gap,
-        optimum_gap=design.optimum_gap,
-        moved=design.moved,
-        redundant=redundant,
-        case="; ".join(said for said in (design.case, beside) if said),
-        instead=design.instead,
-        hardware=entry.hardware,
-    )
 
 
 def given(vehicle: Vehicle, name: str, measured: Sequence[str], law: LinearLaw, hardware: Hardware = IDEAL) -> Controller:

@@ -3,7 +3,8 @@
 A central path may break off, or have no end at a finite gain, and problems may be too large for it. That says nothing against a
 gain: the strategy of `static.py` needs no path. Where there is no solution, as the second problem proves from every X, it is left
 at that: that is an answer, and the descent has its own door. But for feedback of a vehicle's states where filters have states,
-too: that is what others are held against, and is to be there.
+too: that is what others are held against, and is to be there. And where there is a solution that filters or noise leave far from
+what could be had, the descent goes on from it.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,6 +19,20 @@ from synth.plant import GeneralizedPlant
 from synth.search.static import LARGEST_GAIN, descended
 
 KNOW_NO_NOISE = "they know no noise on what is measured"
+FAR = 0.01  # relative; how far above what no controller beats the two steps may end where filters have states
+
+
+def _lost(plant: GeneralizedPlant, found: Design) -> str:
+    """Why a design of the two steps is not left at that, in words; empty where it is.
+
+    The X of (22) feeds back every state, those of filters too, which y does not have and no control moves; L (14) ties a gain
+    to that X all the same. So with filters, and with them alone, the two steps are mended rather than believed.
+    """
+    gap = found.certificate.gap
+    if not plant.weights or (gap is not None and gap <= FAR):
+        return ""
+    far = f", {100 * gap:.3g} % above the lower bound" if gap is not None else ""
+    return f"they come to {found.certificate.norm.value:.7g}{far}, as their X feeds back the states of filters, which y has not"
 
 
 def two_steps_or_descent(
@@ -44,8 +59,9 @@ def two_steps_or_descent(
     """
     two_steps = None
     try:
-        two_steps, reason = two_step_design(plant, Cy, path(), lower_bound, states), KNOW_NO_NOISE
-        if Dyw is None:
+        two_steps = two_step_design(plant, Cy, path(), lower_bound, states)
+        reason = KNOW_NO_NOISE if Dyw is not None else _lost(plant, two_steps)
+        if not reason:
             return two_steps
     except DesignError as error:
         if isinstance(error, InfeasibleError) and not always:

@@ -63,7 +63,6 @@ def two_step_designs(
     plants: Sequence[GeneralizedPlant],
     Cys: Sequence[Array],
     states: Sequence[str] = (),
-    always: bool = False,
 ) -> list[Design]:
     """What `two_steps_or_descent` finds for each plant, without a lower bound.
 
@@ -74,7 +73,6 @@ def two_step_designs(
         plants: any number of them.
         Cys: the C_y of each, shape (q, n).
         states: names of the states, for messages.
-        always: as for `two_steps_or_descent`.
 
     Raises:
         InputError: the nominal C_y does not fit its plant, or is empty.
@@ -112,7 +110,7 @@ def two_step_designs(
         len(plants),
         {alike[i]: point.in_units(units.states, units.inputs, measured) for i, point in limits.items()},
         at,
-        lambda i: two_steps_or_descent(plants[i], Cys[i], states=states, always=always),
+        lambda i: two_steps_or_descent(plants[i], Cys[i], states=states),
     )
 
 

@@ -64,11 +64,11 @@ def filter_lines(vehicle: Vehicle) -> list[str]:
         return []
     found = [f"{signal} through {one.words}" for signal, one in vehicle.filters.items()]
     found += [f"the road's velocity from w through {vehicle.road_filter.words}"] if vehicle.road_filter is not None else []
-    return [f"norms are of {', '.join(found)}; the poles of these are in every loop, and no control moves them"]
+    return [f"norms are of {', '.join(found)}; their poles are in every loop, no control moves them, and they are left out"]
 
 
-def hardware_lines(controller: Controller) -> list[str]:
-    """What of sensors and actuators is in a controller's norm and bounds, where there is any of it."""
+def judged_lines(controller: Controller) -> list[str]:
+    """What a controller's norm and bounds are of, where that is more than its law on the vehicle."""
     measured, hardware = controller.measured, controller.hardware
     pairs = zip(measured, hardware.noise, strict=bool(hardware.noise))
     noise = ", ".join(f"{rms:g} on {name}" for name, rms in pairs if rms)
@@ -78,6 +78,8 @@ def hardware_lines(controller: Controller) -> list[str]:
             f"norm and bounds are of road and noise together: a noise of {noise} counts as much as 1 m/s of w, which is the "
             "road's velocity, or what its filter shapes it from"
         )
+    if controller.law.states and controller.law.sample_period is not None:
+        found.append("norm, bounds and poles are of its continuous counterpart, whose bilinear transform (Tustin) it is")
     if hardware.bandwidth is not None:
         found.append(
             f"norm, bounds and poles are with the actuators' lag, {hardware.bandwidth:g} rad/s; the force that z weighs is the "
@@ -88,7 +90,7 @@ def hardware_lines(controller: Controller) -> list[str]:
 
 def notes(controller: Controller) -> tuple[str, ...]:
     """What is the case where there is no one optimum, what was done instead, how far from it a design is, what is in vain."""
-    found = [*hardware_lines(controller), *(text for text in (controller.case, controller.instead, *controller.remarks) if text)]
+    found = [*judged_lines(controller), *(text for text in (controller.case, controller.instead, *controller.remarks) if text)]
     if controller.state_step_gap > SHORT:
         gap = percent(controller.state_step_gap)
         found.append(f"from an X {gap} short of the best state feedback; from the best there is no design")

@@ -93,7 +93,7 @@ def test_where_there_is_no_path_descent_goes_on(performance, reason, best):
 def test_a_gain_without_a_proof_is_said_to_be(designer, monkeypatch):
     """Where rounding leaves no proof of a bound the gain comes with its norm, and that there is no bound is said."""
     monkeypatch.setattr(design, "MOST", 14)
-    monkeypatch.setattr(static, "certify_tightly", lambda plant, G, lower_bound: certify(plant, G, lower_bound=lower_bound))
+    monkeypatch.setattr(static, "certify_tightly", lambda plant, G, below, by_itself: certify(plant, G, lower_bound=below))
     found = Designer(designer.vehicle).design("II")
     assert found.certificate.bound is None
     assert found.certificate.failures == ()

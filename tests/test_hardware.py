@@ -1,6 +1,7 @@
 """Controllers that are designed for their sensors' noise and their actuators' lag: `noise = true` and `lag = true`."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +16,10 @@ from synth.__main__ import main
 from synth.certificate.norm import hinf_norm
 from synth.designer import Designer, given
 from synth.dynamic.loop import on_larger_plant
-from synth.implemented.controlled import continuous
+from synth.implemented.controlled import continuous, sampled
 from synth.problem.problem import generalized_plant, plant_states, problem
 from synth.state_space import closed_loop, weighted_loop
+from synth.words import judged_lines
 from tests.active_suspension import PRINTED, SCENARIOS, active_suspension
 
 EXAMPLE = Path(__file__).with_suffix("").with_name("active_suspension.toml")
@@ -258,3 +260,51 @@ def test_others_stay_as_they_are():
         assert one.certificate.bound == other.certificate.bound
         assert one.certificate.lower_bound == other.certificate.lower_bound
     assert generalized_plant(built()).Bw.shape == (4, 1)
+
+
+SHAPES = {
+    "A = [[1.0]]\nB = [[1.0, 2.0]]\nC = [[1.0]]\nD = [[1.0]]\n": "B has 1 row(s) of 2 number(s); give 1 row(s) of 1 number(s)",
+    "A = [[1.0]]\nB = [[1.0]]\nC = []\nD = [[1.0]]\n": "C has 0 row(s) of no number(s); give 1 row(s) of 1 number(s)",
+}
+
+
+@pytest.mark.parametrize("law", SHAPES)
+def test_a_matrix_that_does_not_fit_is_described(law):
+    """What does not fit is said as it was found, and what would fit."""
+    with pytest.raises(InputError, match=re.escape(SHAPES[law])):
+        built(law, section='[controllers.one]\nmeasured = ["sprung_velocity"]\n')
+
+
+@pytest.mark.parametrize("none", ["A = []\nB = []\nC = []\n", "A = []\nB = []\nC = [[]]\n", "A = [[]]\nB = [[]]\nC = [[]]\n"])
+def test_a_law_without_states_however_written(none):
+    """A law whose A, B and C hold no number is its D, as one of a MATLAB file is."""
+    law = built(none + "D = [[-7.0]]", section='[controllers.one]\nmeasured = ["sprung_velocity"]\n').controllers["one"].law
+    assert law is not None
+    assert law.record == {"gain": [[-7.0]]}
+
+
+def test_messages_name_the_file(tmp_path):
+    """What is found wrong at the design, as where it is read, is said with the file that it stands in; a NUL is in quotes."""
+    file = tmp_path / "car.toml"
+    alone = '[controllers.one]\nmeasured = ["sprung_acceleration"]\ngain = [[504.5]]\n'  # I - D_c D is zero
+    file.write_text(built(section=alone).text)
+    with pytest.raises(InputError, match=re.escape(f"vehicle file {file}: [controllers.one] its force acts on what it")):
+        main(["--vehicle", str(file), "--controller", "one"])
+    with pytest.raises(InputError, match=re.escape("vehicle file 'a\\x00b.toml': cannot be read")):
+        read_vehicle("a\0b.toml")
+
+
+def test_a_law_too_fast_for_its_period():
+    """A B that is allowed, over a period, may be no number that is: one line says of what, and what to do."""
+    law = "A = [[0.5]]\nB = [[5e13]]\nC = [[1e-15]]\nD = [[0.0]]\nsample_period = 0.01\n"
+    section = '[controllers.one]\nmeasured = ["sprung_velocity"]\n'
+    vehicle = built(law, section=section, with_what="[implementation]\nsample_period = 0.01\n")
+    controller = Designer(vehicle).design("one")
+    with pytest.raises(
+        InputError, match=r"controller 'one' changes its states too fast to be run every 0.01 s: .*B has an entry"
+    ):
+        sampled(vehicle, controller, 0.01)
+    assert any("bilinear transform (Tustin)" in line for line in judged_lines(controller))
+    faster = built(law.replace("5e13", "1e15"), section=section, with_what="[implementation]\nsample_period = 0.01\n")
+    with pytest.raises(InputError, match=r"\[controllers.one\] of its continuous counterpart \(Tustin\), B has an entry"):
+        Designer(faster).design("one")

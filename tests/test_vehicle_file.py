@@ -51,14 +51,14 @@ CHANGES = [
     ("weight that rounds away", WEIGHT, "sprung_acceleration = 1e-300", ["sprung_acceleration = 1e-300", "1e-12 to 1e+12"]),
     ("weight NaN", WEIGHT, "sprung_acceleration = nan", ["sprung_acceleration = nan", "1e-12 to 1e+12"]),
     ("weight in words", WEIGHT, 'sprung_acceleration = "much"', ["sprung_acceleration = 'much'", "1e-12 to 1e+12"]),
-    ("unknown controller key", MINE, f"{MINE}\ngains = [[1.0, 2.0]]", ["[controllers.I]", "'gains'", "gain, law, measured"]),
+    ("unknown controller key", MINE, f"{MINE}\ngains = [[1.0, 2.0]]", ["[controllers.I]", "'gains'", "gain, lag, law, measured"]),
     ("half a law", MINE, f"{MINE}\nA = [[1.0]]", ["[controllers.I] B, C, D is missing", "x_c' = A x_c + B y"]),
     ("a law and a gain", MINE, f"{MINE}\nA = [[1.0]]\ngain = [[1.0, 1.0]]", ["has a gain and A", "whole by itself"]),
     (
         "a law that does not fit",
         MINE,
         f"{MINE}\n{LAW}".replace("C = [[1.0]]", "C = [[1.0, 2.0]]"),
-        ["C is no matrix of 1 row(s) of 1"],
+        ["C has 1 row(s) of 2 number(s); give 1 row(s) of 1"],
     ),
     (
         "a law without end",

@@ -61,7 +61,7 @@ def open_plain(path: Path, what: str, give: str) -> BufferedReader:
     except InputError:
         raise
     except ValueError as error:  # a NUL character in the name
-        raise InputError(f"{what} {path!r}: cannot be read ({error}); {give}") from error
+        raise InputError(f"{what} {str(path)!r}: cannot be read ({error}); {give}") from error
 
 
 def read_text(path: Path, what: str, most: int, give: str) -> str:

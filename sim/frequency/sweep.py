@@ -16,7 +16,7 @@ from sim.frequency.extremes import Extremes, extremes
 from sim.frequency.identification import Lines, difference, identify
 from sim.runs.agreement import COARSEST, SLACK
 from synth.controller import Controller
-from synth.words import hardware_lines
+from synth.words import judged_lines
 
 LINES, EXTREMES, OWN = "frequency responses", "norms", "laws in Python"
 # Beside RK4's own error, which is known:
@@ -129,7 +129,7 @@ def sweep_lines(one: Sweep | DescribingFunction) -> list[str]:
         f"  held-road norm of the sampled loop, one road under all wheels: {norm.gain:.7g} at {norm.omega:.5g} rad/s; norm of "
         f"the continuous one, any road under any wheel: {_norm(one):.7g}"
     )
-    lines += [f"  of the continuous one, {text}" for text in hardware_lines(found.controller)]
+    lines += [f"  of the continuous one, {text}" for text in judged_lines(found.controller)]
     gains = "".join(f", {name} {gain:.5g}" for name, gain in one.gains.items() if name != "worst sinusoid")
     shares = one.gains["worst sinusoid"] / norm.gain
     lines.append(f"  L2 gains in MuJoCo: worst sinusoid {one.gains['worst sinusoid']:.7g} ({100 * shares:.4f} %){gains}")

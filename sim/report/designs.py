@@ -16,7 +16,7 @@ from sim.report.scope import AMPLITUDE, Scope, number
 from sim.runs.words import python_text
 from synth.controller import Controller
 from synth.implemented.claims import against
-from synth.words import hardware_lines, percent, states_text
+from synth.words import judged_lines, percent, states_text
 
 OWN_HEADINGS = ("controller", "signal", "unit", "fundamental", "at [Hz]", "energy outside", "at, in Hz")
 FREQUENCIES = (0.1, 1.0, 3.0, 10.0, 25.0)  # Hz, from a body's to above a wheel's
@@ -36,7 +36,7 @@ def design_section(scope: Scope) -> Section:
                 number(norm.peak_frequency / (2 * np.pi), ".5g"),
                 number(certificate.lower_bound, ".7g"),
                 percent(certificate.gap) if certificate.gap is not None else "-",
-                number(certificate.stability.worst.real, ".4g") if certificate.stable else certificate.stability.verdict,
+                number(certificate.own.worst.real, ".4g") if certificate.stable else certificate.stability.verdict,
                 "; ".join(certificate.failures) or "holds",
             )
         )
@@ -68,7 +68,7 @@ def design_section(scope: Scope) -> Section:
         )
     if not scope.plain:
         text = (*text, "All of this is of the ideal loop: continuous, with no limits and no computer.")
-    said = [(one.name, line) for one in scope.controllers for line in hardware_lines(one)]
+    said = [(one.name, line) for one in scope.controllers for line in judged_lines(one)]
     text = (*text, *(f"But of controller {name}, {line}." for name, line in said))
     tables = [Table("designs", "Every controller, how good it is, and whether that is proved.", headings, tuple(rows), words=2)]
     if scope.built_norms:

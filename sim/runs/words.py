@@ -111,7 +111,7 @@ def _found(vehicle: Vehicle, controller: Controller | Programmed) -> list[str]:
     if certificate.stable:
         proof = f"bound {certificate.bound:.7g}, " if certificate.bound is not None else ""
         where = f" at {norm.peak_frequency:.5g} rad/s" if math.isfinite(norm.peak_frequency) else ""
-        lines += [f"{proof}norm {norm.value:.7g}{where}", certificate.stability.words]
+        lines += [f"{proof}norm {norm.value:.7g}{where}", certificate.own.words]
     return [
         *lines,
         *ideal_lines(vehicle, [controller]),

@@ -82,9 +82,10 @@ class Certificate:
     Attributes:
         loop: the closed loop itself.
         stability: its poles, and where they lie.
+        own: the same of those that are not of filters in z and w, which no control moves.
         norm: the H-infinity norm by two routes, and where it peaks.
         proof: of the bound; None for a gain that came without one.
-        speed_up: magnitude of the fastest pole, over the plant's speed without control.
+        speed_up: magnitude of the fastest of its own poles, over the plant's speed without control.
         moves: whether the plant moves by itself: that speed is its fastest pole's. Where all its poles lie at 0 it is the rate at
             which its motion and the force that drives it weigh alike in z (`scaling.own_units`).
         norm_rounding: a norm below this is zero to rounding, and its routes need not agree.
@@ -93,6 +94,7 @@ class Certificate:
 
     loop: GeneralizedPlant
     stability: Stability
+    own: Stability
     norm: Norm
     proof: LmiProof | None
     speed_up: float
@@ -190,19 +192,23 @@ def certify(
         X: the matrix of (20), shape (n, n).
         eta: gamma^-2 of (20); given with X.
         lower_bound: what no controller of the gain's kind can beat.
-        by_itself: the plant without the states of a controller, whose speed an actuator's is compared to; None: the plant.
+        by_itself: the plant without the states of a controller, whose speed an actuator's is compared to, and which says which
+            states are those of filters; None: the plant.
 
     Raises:
         InputError: eta or X is out of range.
     """
     loop = plant.closed_loop(G)
-    found, norm, (fastest, moves) = stability(loop.A, loop.dt), hinf_norm(loop), speed(by_itself or plant)
+    base = by_itself or plant
+    found, norm, (fastest, moves) = stability(loop.A, loop.dt), hinf_norm(loop), speed(base)
+    own = stability(base.beside_weights(loop.A), loop.dt) if base.weights else found
     return Certificate(
         loop=loop,
         stability=found,
+        own=own,
         norm=norm,
         proof=prove_bound(plant, G, X, eta) if X is not None and eta is not None else None,
-        speed_up=float(found.rates.max()) / fastest,
+        speed_up=float(own.rates.max()) / fastest,
         moves=moves,
         norm_rounding=_norm_rounding(loop, norm.peak_frequency) if found.stable else 0.0,
         below=lower_bound,

@@ -1,4 +1,4 @@
-"""`python -m synth --check`: the gains of a vehicle file against what is claimed of them. No solver, no design."""
+"""`python -m synth --check`: the gains and laws of a vehicle file against what is claimed of them. No solver, no design."""
 
 from collections.abc import Sequence
 
@@ -9,22 +9,22 @@ from synth.command.table import Row
 from synth.controller import Controller
 from synth.designer import Designer
 from synth.implemented.claims import false_norm, norm_failures, norm_if_implemented
-from synth.words import hardware_lines
+from synth.words import judged_lines
 
 
 def check(designer: Designer, names: Sequence[str] | None) -> list[Row]:
-    """A row for every gain of the vehicle file, or for those asked for.
+    """A row for every gain or law of the vehicle file, or for those asked for.
 
     Raises:
-        InputError: a name is unknown or has no gain, there is no gain at all, or a certificate is malformed.
+        InputError: a name is unknown or has none, there is none at all, or a certificate is malformed.
     """
     vehicle = designer.vehicle
     gains = [name for name, entry in vehicle.controllers.items() if entry.law is not None]
     if not gains:
-        raise InputError(f"{vehicle.source} holds no controller with a gain to check; write one with --save")
+        raise InputError(f"{vehicle.source} holds no controller with a gain or law to check; write one with --save")
     for name in names or ():
         if name in vehicle.controller_names and name not in gains:
-            raise InputError(f"--check: {name!r} has no gain in {vehicle.source}; with a gain there are {listing(gains)}")
+            raise InputError(f"--check: {name!r} has no gain or law in {vehicle.source}; with one there are {listing(gains)}")
     return [_checked(designer, vehicle.controllers[name]) for name in chosen(gains, names, gains)]
 
 
@@ -36,4 +36,4 @@ def _checked(designer: Designer, entry: ControllerEntry) -> Row:
     failures += (*norm_failures(norm), *false_norm(entry.certificate or {}, designer.vehicle, norm))
     note = "checked: every claim of its certificate holds" if entry.certificate and not failures else ""
     note = note or ("its certificate does not hold" if entry.certificate else "came without a certificate")
-    return Row(entry.name, controller, (*hardware_lines(controller), note), failures, sampled=norm)
+    return Row(entry.name, controller, (*judged_lines(controller), note), failures, sampled=norm)

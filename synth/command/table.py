@@ -109,7 +109,7 @@ def _cells(certificate: Certificate, sampled: SampledNorm | None) -> dict[str, s
         "at rad/s": f"{norm.peak_frequency:.5g}" if np.isfinite(norm.peak_frequency) else "-",
         "lower bound": f"{below:.7g}" if below is not None else "-",
         "above it": percent(certificate.gap) if certificate.gap is not None else "-",
-        "slowest pole": f"{certificate.stability.worst.real:.4g}",
+        "slowest pole": f"{certificate.own.worst.real:.4g}",
     }
 
 
@@ -119,7 +119,7 @@ def detail_lines(row: Row, vehicle: Vehicle) -> list[str]:
         return [f"controller {row.name}", *(f"  NOT DESIGNED: {failure}" for failure in row.failures)]
     controller, certificate = row.controller, row.controller.certificate
     lines = heading_lines(controller)
-    lines += wrapped("  ".join(_poles(certificate.poles)), "  poles ", len("  poles "))
+    lines += wrapped("  ".join(_poles(certificate.own.poles)), "  poles ", len("  poles "))
     if certificate.stable:
         lines.append(f"  norm by level sets and by a sweep, {certificate.norm.gap:.0e} apart")
     if certificate.proof is not None:

@@ -180,7 +180,7 @@ class _Search:
     """The search for one plant."""
 
     def __init__(self, plant: GeneralizedPlant, Cy: Array, Dyw: Array, bound: float) -> None:
-        self.own = Measured.of(plant, Cy, Dyw)
+        self.given, self.own = plant, Measured.of(plant, Cy, Dyw)
         self.bound = bound * self.own.norm
         self.fastest, _ = speed(plant)
 
@@ -259,7 +259,8 @@ class _Search:
         found = stability(loop.A)
         if not found.stable:
             return None
-        speed_up = own.rate * float(np.abs(found.poles).max()) / self.fastest
+        poles = np.linalg.eigvals(self.given.beside_weights(loop.A)) if self.given.weights else found.poles
+        speed_up = own.rate * float(np.abs(poles).max()) / self.fastest
         return Traded(share, back, law, level_set_norm(loop)[0] / own.norm, speed_up, is_stable(law.A))
 
     def reduced(self, best: Traded) -> Traded:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.errors import InputError
 from models.law import LinearLaw
 from models.linear_model import LinearModel
 from models.signals import KEPT
@@ -89,7 +90,13 @@ def sampled(vehicle: Vehicle, controller: Controller, period: float) -> Controll
     """
     C, D = readings(vehicle, controller)
     law = controller.law.sampled(period)
-    rates = LinearLaw((law.A - np.eye(law.states)) / period, law.B / period, law.C, law.D)
+    try:
+        rates = LinearLaw((law.A - np.eye(law.states)) / period, law.B / period, law.C, law.D)
+    except InputError as error:
+        raise InputError(
+            f"controller {controller.name!r} changes its states too fast to be run every {period:g} s: of their rates, "
+            f"(A - I) / T and B / T, {error}; scale its states, so that B is smaller and C larger"
+        ) from error
     return _kept(with_lag(vehicle), rates, C, D if np.any(D) else np.zeros((len(C), 0)), 1 / period)
 
 

@@ -144,7 +144,7 @@ def descended(
     best = search.best(candidates)
     K = search.landscape.gain(best.x)
     found, without = (two_steps, "") if isinstance(two_steps, Design) else (None, two_steps)
-    certificate = certify_tightly(*on_larger_plant(plant, Cy, static_law(K), Dyw), lower_bound)
+    certificate = certify_tightly(*on_larger_plant(plant, Cy, static_law(K), Dyw), lower_bound, by_itself=plant)
     return StaticDesign(K, certificate, found, without, best.origin, starts)
 
 
