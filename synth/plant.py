@@ -83,16 +83,6 @@ class GeneralizedPlant:
                     f"says r = {size['r']} and C says d = {size['d']}"
                 )
 
-    def beside_weights(self, A: Array) -> Array:
-        """What of a closed loop's A is not the weights': no control moves the poles of those, and nothing feeds back from z.
-
-        Args:
-            A: of a loop with this plant, whose states come first, shape (n + k, n + k).
-        """
-        n = len(self.A)
-        own = np.r_[: n - self.weights, n : len(A)]
-        return A[np.ix_(own, own)] if self.weights else A
-
     @property
     def system_matrix(self) -> Array:
         """[A B Bw; C D Dw], shape (n + d, n + m + r)."""

@@ -15,7 +15,7 @@ from synth.certificate.bounded_real import bounded_real_exactly
 from synth.certificate.definite import SMALLEST, Definiteness, definiteness
 from synth.certificate.lower_bound import LowerBound
 from synth.certificate.norm import Norm, gain_at, hinf_norm
-from synth.certificate.stability import Stability, balance, stability
+from synth.certificate.stability import Stability, balance, beside_weights, stability
 from synth.numerics import numerics
 from synth.plant import Feedback, GeneralizedPlant
 from synth.scaling import speed
@@ -201,7 +201,7 @@ def certify(
     loop = plant.closed_loop(G)
     base = by_itself or plant
     found, norm, (fastest, moves) = stability(loop.A, loop.dt), hinf_norm(loop), speed(base)
-    own = stability(base.beside_weights(loop.A), loop.dt) if base.weights else found
+    own = stability(beside_weights(base, loop.A), loop.dt) if base.weights else found
     return Certificate(
         loop=loop,
         stability=found,

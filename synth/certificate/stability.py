@@ -13,6 +13,7 @@ import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
+from synth.plant import GeneralizedPlant
 
 STABLE, MARGINAL, UNSTABLE = "stable", "marginal", "unstable"
 FAR = 1e3  # times what the first order says of rounding: a pole further from the axis than that is not on it
@@ -193,3 +194,15 @@ def _nearly_singular(matrix: Array, distance: float) -> bool:
     except np.linalg.LinAlgError:
         return True
     return bool(np.linalg.svd(matrix, compute_uv=False)[-1] <= distance)
+
+
+def beside_weights(plant: GeneralizedPlant, A: Array) -> Array:
+    """What of a closed loop's A is not the weights': no control moves the poles of those, and nothing feeds back from z.
+
+    Args:
+        plant: without control, n states.
+        A: of a loop with it, whose states come first, shape (n + k, n + k).
+    """
+    n = len(plant.A)
+    own = np.r_[: n - plant.weights, n : len(A)]
+    return A[np.ix_(own, own)] if plant.weights else A

@@ -26,7 +26,7 @@ from synth.certificate.bounding import certify_tightly
 from synth.certificate.certificate import FASTEST, Certificate
 from synth.certificate.lower_bound import LowerBound
 from synth.certificate.norm import level_set_norm
-from synth.certificate.stability import is_stable, stability
+from synth.certificate.stability import beside_weights, is_stable, stability
 from synth.discrete.bilinear import mapped
 from synth.dynamic.central import central_law
 from synth.dynamic.discrete import discrete_law
@@ -259,7 +259,7 @@ class _Search:
         found = stability(loop.A)
         if not found.stable:
             return None
-        poles = np.linalg.eigvals(self.given.beside_weights(loop.A)) if self.given.weights else found.poles
+        poles = np.linalg.eigvals(beside_weights(self.given, loop.A)) if self.given.weights else found.poles
         speed_up = own.rate * float(np.abs(poles).max()) / self.fastest
         return Traded(share, back, law, level_set_norm(loop)[0] / own.norm, speed_up, is_stable(law.A))
 
