@@ -58,14 +58,14 @@ class Implementation:
 
     Attributes:
         sample_period: of the controller [s], a multiple of the timestep; None: the timestep itself.
-        delay: from a measurement to the force computed from it, in samples of the controller.
+        delay: from a measurement to the force computed from it, in samples of the controller; a whole number of them is an int.
         noise: rms of the white noise on a measured signal, by signal, in its unit.
         quantisation: resolution of a measured signal, by signal, in its unit.
         seed: of the noise.
     """
 
     sample_period: float | None = None
-    delay: int = 0
+    delay: float = 0
     noise: Mapping[str, float] = field(default_factory=dict)
     quantisation: Mapping[str, float] = field(default_factory=dict)
     seed: int = 0
@@ -79,6 +79,18 @@ class Implementation:
     def prompt(self) -> bool:
         """Whether the controller acts at every timestep, at once."""
         return self.sample_period is None and self.delay == 0
+
+    @property
+    def waiting(self) -> int:
+        """How many forces that are computed have not acted yet when another is, at most."""
+        return math.ceil(self.delay)
+
+    @property
+    def held(self) -> tuple[tuple[float, int], ...]:
+        """The parts of a sample period, each under one force: its share of the period, and by how many samples that is late."""
+        late = math.floor(self.delay)
+        share = self.delay - late
+        return ((share, late + 1), (1 - share, late)) if share else ((1.0, late),)
 
     @property
     def blurred(self) -> bool:
@@ -108,7 +120,7 @@ class Implementation:
         if self.sample_period is not None:
             found.append(f"a sample every {1e3 * self.sample_period:g} ms")
         if self.delay:
-            found.append(f"forces that act {self.delay} sample{'s' if self.delay > 1 else ''} late")
+            found.append(f"forces that act {self.delay:g} sample{'s' if self.delay != 1 else ''} late")
         found += [f"noise of {rms:g} rms on {name}" for name, rms in self.noise.items() if rms]
         found += [f"{name} read in steps of {step:g}" for name, step in self.quantisation.items() if step]
         return tuple(found)
@@ -155,11 +167,11 @@ def read_implementation(section: Mapping[str, Any], measurable: tuple[str, ...])
                 "controlled so slowly"
             )
         found["sample_period"] = period
-    for name, most in (("delay", MOST_DELAY), ("seed", MOST_SEED)):
+    for name, most, kinds, what in (("delay", MOST_DELAY, (int, float), "number"), ("seed", MOST_SEED, (int,), "whole number")):
         value = section.get(name, 0)
-        if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= most:
-            raise InputError(f"[implementation] {name} = {quoted(value)} is not allowed; give a whole number from 0 to {most}")
-        found[name] = value
+        if isinstance(value, bool) or not isinstance(value, kinds) or not 0 <= value <= most:
+            raise InputError(f"[implementation] {name} = {quoted(value)} is not allowed; give a {what} from 0 to {most}")
+        found[name] = int(value) if value == int(value) else value
     for name in ("noise", "quantisation"):
         values = section.get(name, {})
         if not isinstance(values, dict):
@@ -178,13 +190,25 @@ def steps_per_sample(implementation: Implementation, timestep: float) -> int:
     """How many timesteps the controller holds its force.
 
     Raises:
-        InputError: the sample period is no multiple of the timestep.
+        InputError: the sample period is no multiple of the timestep, or the delay none.
     """
-    if implementation.sample_period is None:
-        return 1
-    steps = round(implementation.sample_period / timestep)
-    if steps < 1 or abs(steps * timestep / implementation.sample_period - 1) > 1e-9:
+    period, delay = implementation.sample_period, implementation.delay
+    steps = 1 if period is None else round(period / timestep)
+    if period is not None and (steps < 1 or abs(steps * timestep / period - 1) > 1e-9):
+        raise InputError(f"sample_period = {period:g} s is no multiple of the timestep, {timestep:g} s; give such a one")
+    if abs(delay * steps - round(delay * steps)) > 1e-6:
         raise InputError(
-            f"sample_period = {implementation.sample_period:g} s is no multiple of the timestep, {timestep:g} s; give such a one"
+            f"delay = {delay:g} samples, {delay * steps * timestep:g} s, is no multiple of the timestep, {timestep:g} s, and no "
+            f"force changes within a step; give a multiple of {timestep:g} s or a smaller timestep"
         )
     return steps
+
+
+def steps_held(implementation: Implementation, timestep: float) -> tuple[tuple[int, int], ...]:
+    """The parts of a sample period, each under one force: its timesteps, and how many samples late that force is.
+
+    Raises:
+        InputError: as `steps_per_sample`.
+    """
+    steps = steps_per_sample(implementation, timestep)
+    return tuple((round(share * steps), late) for share, late in implementation.held)

@@ -1,6 +1,8 @@
 """What ride metrics are expected to be over random roads, from the spectrum: by closed forms, covariances and sums over lines."""
 
 import dataclasses
+import functools
+import math
 
 import numpy as np
 import pytest
@@ -133,12 +135,11 @@ def held_variances(vehicle, designed, h, steps, delay):
     augmented = np.zeros((n + m, n + m))
     augmented[:n] = np.hstack([model.A, model.B])
     moves = linalg.expm(augmented * h)[:n]
-    size = n + (delay + 1) * m  # x, the force that acts, those that wait
-    computes, passes = np.eye(size), np.eye(size)
-    computes[n:] = 0.0
-    if delay:
-        computes[n : size - m, n + m :] = np.eye(delay * m)
-    computes[size - m :, :n] = G
+    late, between = math.ceil(delay), round(delay % 1 * steps)  # the step at which a force acts, 0 for the sample's own
+    size = n + (late + 1) * m  # x, the force that acts, those that wait
+    computes, moves_on, passes = np.eye(size), np.eye(size), np.eye(size)
+    moves_on[n : size - m, n:] = np.eye(late * m, (late + 1) * m, m)
+    computes[size - m :] = np.hstack([G, np.zeros((m, size - n))])
     passes[:n, : n + m] = moves
     kicks = np.zeros((size, 2))
     kicks[:n] = np.hstack([moves[:, :n] @ model.Bw, model.Bw])
@@ -149,8 +150,10 @@ def held_variances(vehicle, designed, h, steps, delay):
     weigh, row = sampled_wk(h), reads[[model.outputs.index("sprung_acceleration")]]
     taps, filters = weigh.numerators.shape[1] - 1, len(weigh.denominators)
     whole = size + taps + 2 * filters
-    step, sample = np.zeros((whole, whole)), np.zeros((whole, whole))
-    step[:size, :size], sample[:size, :size], sample[size:, size:] = passes, computes, np.eye(whole - size)
+    step, changes = np.zeros((whole, whole)), [np.eye(whole) for _ in range(steps)]
+    step[:size, :size] = passes
+    changes[between][:size, :size] = moves_on
+    changes[0][:size, :size] = computes @ changes[0][:size, :size]
     step[size : size + 1, :size] = row
     step[size + 1 : size + taps, size : size + taps - 1] = np.eye(taps - 1)
     output = np.zeros((1, whole))
@@ -164,13 +167,13 @@ def held_variances(vehicle, designed, h, steps, delay):
     noise[:size, :size] = kicks @ kicks.T * h / 2
 
     def over_a_step(P, i):
-        acting = sample @ P @ sample.T if i == 0 else P
+        acting = changes[i] @ P @ changes[i].T
         return acting, step @ acting @ step.T + noise
 
     P = np.zeros((whole, whole))
     for i in range(steps):
         P = over_a_step(P, i)[1]
-    P = linalg.solve_discrete_lyapunov(np.linalg.matrix_power(step, steps) @ sample, P)
+    P = linalg.solve_discrete_lyapunov(functools.reduce(lambda so_far, change: step @ change @ so_far, changes, np.eye(whole)), P)
     found, weighted = [], []
     for i in range(steps):
         acting, P = over_a_step(P, i)
@@ -187,6 +190,8 @@ def held_variances(vehicle, designed, h, steps, delay):
         ("II", 1e-3, 5, 2, Limits()),
         ("state", 1e-3, 7, 0, Limits(actuator_bandwidth=60.0)),
         ("I", 1e-3, 1, 1, Limits()),
+        ("II", 1e-3, 20, 1.3, Limits()),
+        ("I", 1e-3, 10, 0.5, Limits(actuator_bandwidth=60.0)),
     ],
 )
 def test_held_over_several_steps(paper, monkeypatch, controller, h, steps, delay, limits):

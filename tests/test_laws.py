@@ -34,6 +34,7 @@ REALITIES = {
     "ideal": (Implementation(), Limits()),
     "slow": (Implementation(sample_period=0.004), Limits()),
     "late": (Implementation(sample_period=0.002, delay=3), Limits()),
+    "between": (Implementation(sample_period=0.002, delay=1.5), Limits()),
     "lagging": (Implementation(delay=1), Limits(actuator_bandwidth=60.0)),
 }
 

@@ -36,6 +36,8 @@ LINEAR = {
     "delay": (None, Implementation(delay=7)),
     "sample period": (None, Implementation(sample_period=5e-3)),
     "sample period and delay": (None, Implementation(sample_period=4e-3, delay=3)),
+    "delay of a fraction": (None, Implementation(sample_period=4e-3, delay=0.25)),
+    "delay and a fraction": (Limits(actuator_bandwidth=60.0), Implementation(sample_period=5e-3, delay=2.6)),
     "lag": (Limits(actuator_bandwidth=60.0), None),
     "all": (Limits(actuator_bandwidth=60.0), Implementation(sample_period=4e-3, delay=3)),
 }
@@ -205,7 +207,7 @@ def test_spread_is_the_lyapunov_equation(paper, designer):
         assert found[name] == pytest.approx(expected[name], rel=1e-9)  # rounding of a solve, and of 14 doublings
 
 
-@pytest.mark.parametrize("implementation", [Implementation(sample_period=0.04), Implementation(sample_period=0.04, delay=1)])
+@pytest.mark.parametrize("implementation", [Implementation(sample_period=0.04, delay=delay) for delay in (0, 1, 0.3)])
 def test_noise_between_samples(implementation):
     """Between the samples of a slow controller noise moves wheels by more than at them, at every step by what is predicted."""
     runs, step, rms = 200, 4e-3, 1e-5  # m/s: small, so that turning makes nothing
@@ -224,7 +226,8 @@ def test_noise_between_samples(implementation):
     assert np.all(measured >= low * predicted**2)
     assert np.all(measured <= high * predicted**2)
     spread = stationary(vehicles[0], controller, step)
-    assert spread["unsprung_velocity_front"] > 2 * predicted[0, names.index("unsprung_velocity_front")]  # measured: 3
+    larger = spread["unsprung_velocity_front"] / predicted[0, names.index("unsprung_velocity_front")]
+    assert larger > (2 if implementation.delay % 1 == 0 else 1.1)  # measured: 3, and 1.13
     (run,) = run_all(vehicles[0], [controller], Bump(height=1e-4), sample_times(half, 1.0, step))
     assert run.agreement.agrees
 
@@ -256,7 +259,10 @@ def test_delay_margin_of_ii(paper, designer):
         ("[limits]\nsuspension_stroke = -0.1\nstop_stiffness = 1e5", ["suspension_stroke = -0.1", "from 1e-06"]),
         ("[limits]\nsuspension_stroke = 0.1", ["suspension_stroke", "stop_stiffness", "both"]),
         ("[limits]\nstroke = 0.1", ["unknown key 'stroke'", "suspension_stroke"]),
-        ("[implementation]\ndelay = 1.5", ["delay = 1.5", "whole number"]),
+        ("[implementation]\ndelay = -0.5", ["delay = -0.5", "number from 0 to 1000"]),
+        ("[implementation]\ndelay = nan", ["delay = nan", "number from 0 to 1000"]),
+        ("[implementation]\ndelay = true", ["delay = True", "number from 0 to 1000"]),
+        ("[implementation]\nseed = 1.5", ["seed = 1.5", "whole number"]),
         ("[implementation]\ndelay = 1001", ["delay = 1001", "from 0 to 1000"]),
         ("[implementation]\nnoise = { speed = 1.0 }", ["unknown signal 'speed'", "sprung_velocity"]),
         ("[implementation]\nnoise = 1.0", ["noise is not a table"]),
@@ -268,6 +274,37 @@ def test_bad_reality_is_refused(paper, section, words):
         parse_vehicle(f"{paper.text}\n{section}\n")
     for word in words:
         assert word in str(refusal.value)
+
+
+@pytest.mark.parametrize("h", [1e-3, 2e-3])
+def test_delay_fits_the_timestep(paper, designer, h):
+    """A delay that ends within a step of physics is refused, with the step; one that ends at one is not."""
+    vehicle = with_reality(paper, None, Implementation(sample_period=0.01, delay=1.5))
+    if h == 1e-3:
+        simulate([vehicle], [designer.design("I")], [Bump()], sample_times(paper, 0.1, h))
+    else:
+        with pytest.raises(InputError, match=r"delay = 1.5 samples, 0.015 s, is no multiple of the timestep, 0.002 s"):
+            simulate([vehicle], [designer.design("I")], [Bump()], sample_times(paper, 0.1, h))
+
+
+def test_delays_of_all_kinds_in_one_batch(paper, designer):
+    """Runs side by side, each with its own delay, are what each is by itself."""
+    delays, time = (0, 1, 0.5, 2.25, 1.75, 3), sample_times(paper, 0.5, 1e-3)
+    vehicles = [with_reality(paper, None, Implementation(sample_period=4e-3, delay=delay)) for delay in delays]
+    controller = designer.design("II")
+    together = simulate(vehicles, [controller] * len(delays), [Bump()] * len(delays), time).response
+    for i, vehicle in enumerate(vehicles):
+        alone = simulate([vehicle], [controller], [Bump()], time).response
+        np.testing.assert_array_equal(together.values[i], alone.values[0])
+
+
+def test_a_fraction_in_words(paper):
+    """A delay is said as it is given: whole numbers as such."""
+    found = [
+        parse_vehicle(f"{paper.text}\n[implementation]\nsample_period = 0.01\ndelay = {delay}\n").implementation.words[1]
+        for delay in ("1", "2.0", "0.5", "1.25")
+    ]
+    assert found == [f"forces that act {late} late" for late in ("1 sample", "2 samples", "0.5 samples", "1.25 samples")]
 
 
 def test_sample_period_fits_the_timestep(paper, designer):

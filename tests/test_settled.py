@@ -37,6 +37,7 @@ class Line:
         ("quarter_car", "passive", {}),
         ("quarter_car", "I", {}),  # its force follows the body's slow velocity, and has more at 0.5 s than it comes to
         ("quarter_car", "II", {"sample_period": 8e-3, "delay": 2}),
+        ("quarter_car", "II", {"sample_period": 8e-3, "delay": 1.5}),
         ("half_car", "passive", {}),
     ],
 )

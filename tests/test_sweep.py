@@ -129,7 +129,8 @@ def test_cars(name):
 
 
 @pytest.mark.parametrize(
-    "implementation", [Implementation(delay=3), Implementation(sample_period=8e-3), Implementation(sample_period=8e-3, delay=1)]
+    "implementation",
+    [Implementation(delay=3), *(Implementation(sample_period=8e-3, delay=delay) for delay in (0, 1, 0.5))],
 )
 def test_implemented(paper, designer, implementation):
     """So does a controller that computes for a while, samples less often, or both, through a slow actuator."""
@@ -147,8 +148,10 @@ def test_slower_than_the_lines(paper, designer, period):
     assert 0.88 < one.lines.omega.max() * period / np.pi < 0.99  # all lines there are, spaced by 10 %
 
 
-def test_sampled_response_is_the_same(paper, designer):
+@pytest.mark.parametrize("how", [Implementation(), Implementation(sample_period=0.01, delay=1.3)])
+def test_sampled_response_is_the_same(paper, designer, how):
     """The frequency response is what the time response of `sim.linear.loop` settles to: the same claim by another route."""
+    paper = dataclasses.replace(paper, implementation=how)
     controller, h, omega = designer.design("I"), 1e-3, 2 * np.pi * 2
     time = np.arange(20_000) * h
     response = sampled_response(paper, controller, sinusoid(omega, 12.5), time)

@@ -53,7 +53,7 @@ def _summed(loop: ImplementedLoop, size: Array, power: int, timestep: float, veh
     if not size.any():
         return found.reshape(-1, p)[:samples]
     read = loop.cut.reading * size
-    rows, direct = _between(loop, loop.at_once @ read, timestep, steps)
+    rows, direct = _between(loop, read, timestep)
     response, total, at_once = loop.added @ read, np.zeros(steps * p), _sum(direct, power)
     lasts = _lasts(loop.transition)
     for k in range(len(found)):
@@ -69,16 +69,17 @@ def _summed(loop: ImplementedLoop, size: Array, power: int, timestep: float, veh
     return found.reshape(-1, p)[:samples]
 
 
-def _between(loop: ImplementedLoop, held: Array, timestep: float, steps: int) -> tuple[Array, Array]:
-    """The outputs at every timestep up to the next sample, shape (steps p, ...), from the loop's state, and from what is held."""
+def _between(loop: ImplementedLoop, read: Array, timestep: float) -> tuple[Array, Array]:
+    """The outputs at every timestep up to the next sample, shape (steps p, ...), from the loop's state, and from what is read."""
     model = loop.cut.model
     Phi, Gamma = held_inputs(model.A, timestep, linalg.expm, model.B)
-    of_state, of_held = np.eye(len(model.A), len(loop.transition)), np.zeros_like(model.B @ held)
+    of_state, of_held = np.eye(len(model.A), len(loop.transition)), np.zeros((len(model.A), read.shape[1]))
     rows, direct = [], []
-    for _ in range(steps):
-        rows.append(model.C @ of_state + model.D @ loop.inputs)
+    for part in loop.by_step:
+        held = part.at_once @ read
+        rows.append(model.C @ of_state + model.D @ part.inputs)
         direct.append(model.C @ of_held + model.D @ held)
-        of_state, of_held = Phi @ of_state + Gamma @ loop.inputs, Phi @ of_held + Gamma @ held
+        of_state, of_held = Phi @ of_state + Gamma @ part.inputs, Phi @ of_held + Gamma @ held
     return np.concatenate(rows), np.concatenate(direct)
 
 

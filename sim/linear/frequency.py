@@ -22,7 +22,7 @@ import numpy as np
 from scipy import linalg, optimize
 
 from models.common.arrays import Array
-from models.reality import steps_per_sample
+from models.reality import steps_held, steps_per_sample
 from models.vehicle import Vehicle
 from synth.controller import Controller
 from synth.implemented.controlled import Controlled, continuous, sampled
@@ -76,7 +76,7 @@ def sampled_states(vehicle: Vehicle, controller: Controller, omega: Array, times
     how = vehicle.implementation
     cut, x, _, _ = _harmonic(vehicle, controller, omega, timestep, linalg.expm)
     period = timestep * steps_per_sample(how, timestep)
-    waiting = [np.exp(-s * period * late) * (cut.asked @ x) for late in range(how.delay, 0, -1)]
+    waiting = [np.exp(-s * period * late) * (cut.asked @ x) for late in range(how.waiting, 0, -1)]
     return np.concatenate([x, *waiting], axis=1) / s
 
 
@@ -94,12 +94,15 @@ def stepwise_frequency_response(vehicle: Vehicle, controller: Controller, omega:
     cut, x, _, _ = _harmonic(vehicle, controller, omega, timestep, linalg.expm)
     model, steps = cut.model, steps_per_sample(how, h)
     Phi, Gamma, Gamma_r = held_inputs(model.A, h, linalg.expm, model.B, model.A @ model.Bw + model.Br)
-    inputs = cut.inputs(np.exp(-s * h * steps * how.delay) * (cut.asked @ x), cut.kept @ x)
+    held = steps_held(how, h)
+    forces, kept = [np.exp(-s * h * steps * late) * (cut.asked @ x) for _, late in held], cut.kept @ x
+    of_parts = [cut.inputs(one, kept, forces[-1]) for one in forces]
+    by_step = [one for (count, _), one in zip(held, of_parts, strict=True) for _ in range(count)]
     xi, found = x - model.Bw, []
     for i in range(steps + 1):
         road = np.exp(s * h * i)
-        held = inputs if i < steps else inputs * road
-        found.append((model.C @ (xi + model.Bw * road) + model.D @ held + model.Cr * road) / s)
+        inputs = by_step[i] if i < steps else by_step[0] * road
+        found.append((model.C @ (xi + model.Bw * road) + model.D @ inputs + model.Cr * road) / s)
         xi = Phi @ xi + Gamma @ inputs + Gamma_r * np.exp(s * h * (i + 0.5))
     return np.stack(found)
 
@@ -116,15 +119,19 @@ def _harmonic(
     Phi, Gamma, Gamma_r = held_inputs(model.A, h, exponential, model.B, model.A @ model.Bw + model.Br)
 
     # From xi at a sample of the controller and Z to xi after i steps, P xi + Q Z, under the inputs F (xi + Bw Z) it asks for.
-    F = cut.inputs(np.exp(-s * h * steps * how.delay) * cut.asked)
+    held = steps_held(how, h)
+    forces = [np.exp(-s * h * steps * late) * cut.asked for _, late in held]
+    of_parts = [cut.inputs(one, last=forces[-1]) for one in forces]
     P, Q = np.broadcast_to(np.eye(len(model.A)), (len(s), *model.A.shape)), np.zeros((len(s), *model.Bw.shape))
-    mean_P, mean_Q, mean_held = 0.0, 0.0, 0.0  # what of them, and of a held force, oscillates with omega itself
-    for i in range(steps):
-        turn = np.exp(-s * h * i) / steps
-        mean_P, mean_Q, mean_held = mean_P + turn * P, mean_Q + turn * Q, mean_held + turn
+    # What of them, and of held forces, oscillates with omega itself.
+    mean_P, mean_Q, mean_held = 0.0, 0.0, [np.zeros_like(s) for _ in held]
+    for i, part in enumerate(part for part, (count, _) in enumerate(held) for _ in range(count)):
+        turn, F = np.exp(-s * h * i) / steps, of_parts[part]
+        mean_P, mean_Q, mean_held[part] = mean_P + turn * P, mean_Q + turn * Q, mean_held[part] + turn
         P, Q = Phi @ P + Gamma @ F, Phi @ Q + Gamma @ F @ model.Bw + Gamma_r * np.exp(s * h * (i + 0.5))
     xi = np.linalg.solve(np.exp(s * h * steps) * np.eye(len(model.A)) - P, Q)
-    return cut, xi + model.Bw, mean_P @ xi + mean_Q + model.Bw, mean_held * (F @ (xi + model.Bw))
+    mean_inputs = sum(mean * (F @ (xi + model.Bw)) for mean, F in zip(mean_held, of_parts, strict=True))
+    return cut, xi + model.Bw, mean_P @ xi + mean_Q + model.Bw, np.asarray(mean_inputs)
 
 
 def as_met(vehicle: Vehicle, omega: Array, speed: float) -> Array:

@@ -25,7 +25,7 @@ from scipy import linalg
 
 from models.common.arrays import Array
 from models.linear_model import LinearModel
-from models.reality import steps_per_sample
+from models.reality import steps_held, steps_per_sample
 from models.signals import kept_signals
 from models.vehicle import Vehicle
 from sim.response.response import Response
@@ -89,15 +89,18 @@ def sampled_responses(
         inputs = states @ G.T
     else:
         states, inputs = np.zeros_like(jump), np.zeros((*jump.shape[:2], model.B.shape[1]))
-        # By the sample at which they act.
-        computed = np.zeros((len(time) // period + 1 + how.delay, len(roads), cut.forces))
-        xi, acting = np.zeros((len(roads), len(model.A))), inputs[:, 0]
+        # By the sample at which they are computed, after as many as were on their way before the first.
+        computed = np.zeros((len(time) // period + 1 + how.waiting, len(roads), cut.forces))
+        xi, acting, held = np.zeros((len(roads), len(model.A))), [], steps_held(how, h)
         for k in range(len(time)):
             states[:, k] = xi + jump[:, k]
             if k % period == 0:
-                computed[k // period + how.delay] = states[:, k] @ cut.asked.T
-                acting = cut.inputs(computed[k // period].T, cut.kept @ states[:, k].T).T
-            inputs[:, k] = acting
+                newest = k // period + how.waiting
+                computed[newest] = states[:, k] @ cut.asked.T
+                forces, kept = [computed[newest - late].T for _, late in held], cut.kept @ states[:, k].T
+                of_parts = [cut.inputs(one, kept, forces[-1]).T for one in forces]
+                acting = [one for (steps, _), one in zip(held, of_parts, strict=True) for _ in range(steps)]
+            inputs[:, k] = acting[k % period]
             xi = xi @ Phi.T + inputs[:, k] @ Gamma.T + push[:, k]
     runs = [response_of(vehicle, model, road, time, states[i], inputs[i]).values for i, road in enumerate(roads)]
     last = np.arange(len(time)) // period * period

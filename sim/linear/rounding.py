@@ -50,7 +50,7 @@ def grown(
     loop = implemented_loop(vehicle, controller, timestep)
     model, shaken = loop.cut.model, _shaken(vehicle)[1]
     rows = np.eye(len(model.A), len(loop.transition))
-    rows = model.C @ rows + model.D @ loop.inputs
+    rows = model.C @ rows + model.D @ loop.parts[0].inputs
     state = np.eye(len(loop.transition), len(shaken)) * shaken
     most = np.zeros(len(rows))
     with np.errstate(over="ignore", invalid="ignore"):

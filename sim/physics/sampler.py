@@ -56,14 +56,15 @@ class Sampler:
     """N controllers that each sample, compute and hold as an `[implementation]` says.
 
     A measurement is read as quantisation * round((signal + noise) / quantisation), and the force computed from it acts `delay`
-    samples later. Before the first one arrives the force is zero. Its own states are never late.
+    samples later, between two of them where that is a fraction. Before the first one arrives the force is zero. Its own states
+    are never late.
     """
 
     def __init__(self, how: Sequence[Implementation], laws: Laws, names: Sequence[str], timestep: float, samples: int) -> None:
         """For laws on the signals of these names."""
         self.laws = laws
         self.period = np.array([steps_per_sample(one, timestep) for one in how])
-        self.delay = np.array([one.delay for one in how])
+        self.late = np.array([round(one.delay * steps) for one, steps in zip(how, self.period, strict=True)])  # steps
         self.resolution = np.array([[one.quantisation.get(name, 0.0) for name in names] for one in how])
         rms = np.array([[one.noise.get(name, 0.0) for name in names] for one in how])
         self.noise = np.zeros((samples if np.any(rms) else 0, *rms.shape))
@@ -71,10 +72,11 @@ class Sampler:
             if np.any(rms[i]):
                 self.noise[:, i] = rms[i] * np.random.default_rng(one.seed).standard_normal((samples, len(names)))
         self.coarse = bool(np.any(self.resolution))
-        self.queue = np.zeros((int(self.delay.max()) + 1, len(how), laws.forces))  # forces by sample, in a ring
+        self.queue = np.zeros((max(one.waiting for one in how) + 1, len(how), laws.forces))  # forces by sample, in a ring
         self.force = np.zeros((len(how), laws.forces))
         self.all = np.arange(len(how))
         self.together = bool(np.all(self.period == 1))
+        self.between = (self.late % self.period).nonzero()[0]  # those whose forces change between their samples
 
     def __call__(self, k: int, signals: Array) -> Array:
         """The forces of step k, shape (N, m), from the signals at its start, shape (N, S)."""
@@ -84,6 +86,9 @@ class Sampler:
             self._sample(slice(None), due, k, signals)
         elif len(due):
             self._sample(due, due, k, signals[due])
+        if len(self.between):
+            some = self.between[(k - self.late[self.between]) % self.period[self.between] == 0]
+            self._act(some, some, k)
         return self.force
 
     def _sample(self, due: Array | slice, which: Array, k: int, seen: Array) -> None:
@@ -98,7 +103,13 @@ class Sampler:
         if len(self.queue) == 1:
             self.force[due] = computed
             return
-        sample = k // self.period[due]
-        self.queue[sample % len(self.queue), which] = computed
-        # Before the first force arrives it is a place in the ring that is still zero.
-        self.force[due] = self.queue[(sample - self.delay[due]) % len(self.queue), which]
+        self.queue[(k // self.period[due]) % len(self.queue), which] = computed
+        if not len(self.between):
+            self._act(due, which, k)
+        else:
+            some = which[self.late[which] % self.period[which] == 0]
+            self._act(some, some, k)
+
+    def _act(self, due: Array | slice, which: Array, k: int) -> None:
+        """The forces of those act whose time is come; before the first arrives it is a place in the ring that is still zero."""
+        self.force[due] = self.queue[(k - self.late[due]) // self.period[due] % len(self.queue), which]

@@ -69,9 +69,9 @@ def settled_shares(vehicle: Vehicle, controller: Controller, road: Spectrum, tim
         return {}
     implemented = implemented_loop(vehicle, controller, timestep)
     loop, cut, model = implemented.transition, implemented.cut, implemented.cut.model
-    C = np.hstack([model.C, np.zeros((len(model.C), len(loop) - model.C.shape[1]))]) + model.D @ implemented.inputs
+    C = np.hstack([model.C, np.zeros((len(model.C), len(loop) - model.C.shape[1]))]) + model.D @ implemented.parts[0].inputs
     raised = -np.linalg.solve(model.A + model.B @ cut.inputs(cut.asked), model.Br)
-    raised = np.vstack([raised, *([cut.asked @ raised] * vehicle.implementation.delay)])
+    raised = np.vstack([raised, *([cut.asked @ raised] * vehicle.implementation.waiting)])
 
     period = timestep * steps_per_sample(vehicle.implementation, timestep)
     sample = round(start / period)

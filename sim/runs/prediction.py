@@ -78,7 +78,7 @@ def predict(vehicle: Vehicle, controller: Controller, road: Road, time: Array, m
     """
     timestep = float(time[1] - time[0])
     cut = sampled(vehicle, controller, timestep)
-    small = len(cut.model.A) + vehicle.implementation.delay * cut.forces <= most_states
+    small = len(cut.model.A) + vehicle.implementation.waiting * cut.forces <= most_states
     noisy = vehicle.implementation.blurred
     if noisy and not small:
         raise InputError(f"the spread of its {vehicle.implementation.blur} is not computed: its loop has too many delayed forces")

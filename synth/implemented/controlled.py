@@ -56,17 +56,18 @@ class Controlled:
         """From the states to the rates of what is kept, but for what the forces that act add, shape (k, n)."""
         return self.G[self.forces :]
 
-    def inputs(self, acting: Array, kept: Array | None = None) -> Array:
+    def inputs(self, acting: Array, kept: Array | None = None, last: Array | None = None) -> Array:
         """All inputs, from the forces that act: both per the same, shape (..., m, c) to (..., m + k, c).
 
         Args:
             acting: the forces, shape (..., m, c).
             kept: the rates, but for what those add, shape (..., k, c); those of the states where none are given.
+            last: the forces that act at the period's end, where those are others: they are what has acted then.
         """
         kept = self.kept if kept is None else kept
         if not len(self.hold):
             return acting
-        rates = kept + self.hold @ acting
+        rates = kept + self.hold @ (acting if last is None else last)
         return np.concatenate([acting, rates], axis=-2)
 
 

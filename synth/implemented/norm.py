@@ -42,7 +42,7 @@ def sampled_loop(vehicle: Vehicle, controller: Controller, timestep: float = USU
     plant = lagged_plant(vehicle)
     n, kept = len(plant.A), len(cut.kept)
     memory = np.hstack([np.zeros((kept, n)), np.eye(kept)]) + period * _spread(cut.kept, vehicle, n + kept)
-    pieces = (Piece(period, how.delay),)
+    pieces = tuple(Piece(share * period, late) for share, late in how.held)
     return SampledLoop(plant, pieces, _spread(cut.asked, vehicle, n + kept), memory, period * cut.hold)
 
 
