@@ -48,7 +48,7 @@ class Cost:
     controller: Controller
     ideal: float
     lower_bound: float | None
-    delay: int
+    delay: float
     rates: tuple[AtRate, ...]
     lost: float
     lost_late: float
@@ -83,7 +83,7 @@ def cost(
     return Cost(controller, ideal, _lower_bound(vehicle, controller), delay, tuple(found), *lost)
 
 
-def norm_at(vehicle: Vehicle, controller: Controller, period: float, delay: int, near: float) -> SampledNorm:
+def norm_at(vehicle: Vehicle, controller: Controller, period: float, delay: float, near: float) -> SampledNorm:
     """The norm of a loop at another sample period [s] and delay [samples] than the vehicle file says; it is near a guess."""
     built = replace(vehicle, implementation=Implementation(period, delay))
     return sampled_norm(sampled_loop(built, controller), near)

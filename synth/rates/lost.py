@@ -24,7 +24,7 @@ GONE = 25.0  # time constants, after which e^-25 is left of a mode
 CLOSE = 1e-12  # relative, of two periods
 
 
-def lost_from(vehicle: Vehicle, controller: Controller, delay: int) -> float:
+def lost_from(vehicle: Vehicle, controller: Controller, delay: float) -> float:
     """The shortest sample period at which a loop is not stable [s]; infinite where there is none up to `LONGEST_PERIOD`.
 
     Args:

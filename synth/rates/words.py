@@ -29,7 +29,7 @@ def cost_lines(one: Cost) -> list[str]:
 
 def late(one: Cost) -> str:
     """How late forces are that are late, in words."""
-    return f"{one.delay} sample{'s' * (one.delay > 1)} late"
+    return f"{one.delay:g} sample{'s' * (one.delay != 1)} late"
 
 
 def sentence(one: Cost) -> list[str]:
