@@ -3,7 +3,7 @@
 import sys
 import unicodedata
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,23 +15,13 @@ from models.kind import LARGEST
 from models.law import MATRICES, LinearLaw, static_law
 from models.linear_model import LinearModel
 from models.own.python_law import PythonLaw, read_law
-from models.reality import LONGEST_PERIOD, Implementation, Limits
+from models.reality import LONGEST_PERIOD, Implementation, Limits, designed_for_samples
 
 DESIGNS = ("lqr", "lqg", "h2")  # what `design` may be; without it the paper's two steps
 FULL = "full"  # what `order` may be
 CONTROLLER_KEYS = (
-    "measured",
-    "gain",
-    *MATRICES,
-    "sample_period",
-    "order",
-    "design",
-    "noise",
-    "lag",
-    "certificate",
-    "file",
-    "law",
-    "preview",
+    *("measured", "gain", *MATRICES, "sample_period", "file", "law", "preview", "certificate"),  # what it is
+    *("order", "design", "noise", "lag", "sampled"),  # how it is designed
 )
 RESERVED = ("passive", "state")  # these two always exist: u = 0, and full state feedback
 LONGEST_NAME = 60  # bytes; the names of three controllers go into a file name
@@ -66,6 +56,7 @@ class ControllerEntry:
         design: how: "full" for the full-order H-infinity controller, or one of `DESIGNS`; empty for the paper's two steps.
         python: the law in Python that the file names instead, of which nothing is claimed; None of all others.
         hardware: what of sensors and actuators it is designed for and judged with.
+        sampled: whether it is designed for the loop that the computer closes.
     """
 
     name: str
@@ -75,6 +66,7 @@ class ControllerEntry:
     design: str = ""
     python: PythonLaw | None = None
     hardware: Hardware = IDEAL
+    sampled: bool = False
 
 
 def read_controllers(
@@ -83,6 +75,7 @@ def read_controllers(
     limits: Limits,
     implementation: Implementation,
     folder: Path | None = None,
+    sampled: bool = False,
 ) -> dict[str, ControllerEntry]:
     """`[controllers]`, checked: by name, each in the one spelling (NFC) of those that look alike, letters and marks composed.
 
@@ -91,13 +84,17 @@ def read_controllers(
         model: of the vehicle.
         limits, implementation: of the vehicle, for controllers that are designed for them.
         folder: of the vehicle file, where laws in Python lie; None for one that is text alone.
+        sampled: whether designs are for the loop that the computer closes, unless a section says otherwise.
     """
     found: dict[str, ControllerEntry] = {}
     for written, entry in section.items():
         name = unicodedata.normalize("NFC", written)
         if name in found:
             raise InputError(f"[controllers.{name}] is there twice, in two spellings that look alike; rename one")
-        found[name] = _controller(name, entry, model, limits, implementation, folder)
+        one = _controller(name, entry, model, limits, implementation, folder)
+        two_steps = one.law is None and not (one.design or one.python or one.hardware.noise)
+        asked = designed_for_samples(f"[controllers.{name}]", entry, two_steps, implementation, sampled)
+        found[name] = replace(one, sampled=asked)
     return found
 
 

@@ -154,7 +154,7 @@ def read_implementation(section: Mapping[str, Any], measurable: tuple[str, ...])
     Raises:
         InputError: a key or signal that is unknown, a value that is not allowed.
     """
-    keys = ("sample_period", "delay", "noise", "quantisation", "seed")
+    keys = ("sample_period", "delay", "noise", "quantisation", "seed", "sampled")
     for name in section:
         if name not in keys:
             raise InputError(f"[implementation] unknown key {name!r}; known: {listing(keys)}")
@@ -184,6 +184,50 @@ def read_implementation(section: Mapping[str, Any], measurable: tuple[str, ...])
             for signal, value in values.items()
         }
     return Implementation(**found)
+
+
+def read_sampled(section: Mapping[str, Any]) -> bool:
+    """Whether `[implementation]` asks for designs for the loop that its computer closes.
+
+    Raises:
+        InputError: the value is none, or the section gives no sample period.
+    """
+    return _sampled("[implementation]", section.get("sampled", False), section.get("sample_period"))
+
+
+def designed_for_samples(
+    where: str, entry: Mapping[str, Any], two_steps: bool, implementation: Implementation, usual: bool
+) -> bool:
+    """Whether a controller's section asks for a design for the loop that the computer closes.
+
+    Args:
+        where: the section, for messages.
+        entry: the section.
+        two_steps: whether it is designed in two steps, without noise.
+        implementation: of the vehicle.
+        usual: what `[implementation]` asks for, where the section does not say.
+
+    Raises:
+        InputError: it asks for one, and there is none of it.
+    """
+    asked = _sampled(where, entry.get("sampled", usual and two_steps), implementation.sample_period)
+    if asked and not two_steps:
+        raise InputError(
+            f"{where} has sampled = true, which is of static gains that are designed in two steps, without noise; leave sampled "
+            "out, or its law, order, design or noise"
+        )
+    return asked
+
+
+def _sampled(where: str, value: Any, period: Any) -> bool:
+    if not isinstance(value, bool):
+        raise InputError(f"{where} sampled = {quoted(value)} is not allowed; give true or false")
+    if value and period is None:
+        raise InputError(
+            f"{where} has sampled = true, and [implementation] gives no sample period; give it, as in sample_period = 0.01, "
+            "seconds, or leave sampled out"
+        )
+    return value
 
 
 def steps_per_sample(implementation: Implementation, timestep: float) -> int:

@@ -18,7 +18,7 @@ from models.formats.law_file import with_laws
 from models.kind import HERE, VehicleKind
 from models.kinds import kind, kinds, shipped
 from models.linear_model import LinearModel
-from models.reality import Implementation, Limits, read_implementation, read_limits
+from models.reality import Implementation, Limits, read_implementation, read_limits, read_sampled
 
 SECTIONS = ("type", "parameters", "performance", "controllers", "limits", "implementation")
 ROAD = "road"  # in [performance]: the filter from the disturbance w to the road's velocity
@@ -43,6 +43,7 @@ class Vehicle:
         filters: what a weighted signal goes through on its way into z, by signal; those of a constant weight are not in it.
         road_filter: what the disturbance w goes through on its way to the road's velocity under every wheel, where that is not
             w itself: its spectrum.
+        sampled: whether designs are for the loop that the computer closes, `state` and all whose sections do not say otherwise.
     """
 
     kind: VehicleKind
@@ -56,6 +57,7 @@ class Vehicle:
     law_files: tuple[Path, ...] = ()
     filters: Mapping[str, Filter] = field(default_factory=dict)
     road_filter: Filter | None = None
+    sampled: bool = False
 
     @cached_property
     def linear_model(self) -> LinearModel:
@@ -204,7 +206,8 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
         read_limits(data.get("limits", {})),
         read_implementation(data.get("implementation", {}), model.measurable),
     )
-    controllers = read_controllers(data.get("controllers", {}), model, limits, implementation, folder)
+    sampled = read_sampled(data.get("implementation", {}))
+    controllers = read_controllers(data.get("controllers", {}), model, limits, implementation, folder, sampled)
     for entry in controllers.values():
         check_period(entry, implementation)
     performance, filters, road_filter = _performance(data["performance"], model)
@@ -219,6 +222,7 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
         implementation=implementation,
         filters=filters,
         road_filter=road_filter,
+        sampled=sampled,
     )
 
 

@@ -148,7 +148,9 @@ def _names(vehicle: Vehicle, options: Namespace) -> list[str]:
         InputError: `chosen` says so, or what is asked of them does not go with them.
     """
     linear = [vehicle.controllers[name] for name in vehicle.linear_names if name in vehicle.controllers]
-    designed = [entry.name for entry in linear if entry.law is None and not entry.design and not entry.hardware.noise]
+    designed = [
+        entry.name for entry in linear if not (entry.law is not None or entry.design or entry.hardware.noise or entry.sampled)
+    ]
     everything = designed if options.zero_l else vehicle.linear_names
     if options.zero_l and not designed:
         raise InputError(f"--zero-l is of a design from measurements, and {vehicle.source} asks for none; leave it out")

@@ -39,6 +39,7 @@ class Controller:
         remarks: of another design than by two steps, how near it came or what it is the best of, in words.
         false_claims: what of the certificate that came with its gain does not hold, in words.
         hardware: what of sensors and actuators its certificate knows.
+        sampled: whether it was designed for the loop that the computer closes; its certificate is of the ideal one.
     """
 
     name: str
@@ -55,6 +56,7 @@ class Controller:
     remarks: tuple[str, ...] = ()
     false_claims: tuple[str, ...] = ()
     hardware: Hardware = IDEAL
+    sampled: bool = False
 
     @property
     def gain(self) -> Array:

@@ -17,6 +17,7 @@ from synth.controller import Controller, alike, certified, checked, on_readings
 from synth.design import state_design, zero_l_design
 from synth.designs.designed import designed, one_by_one
 from synth.designs.refined import Refined
+from synth.designs.sampled import sampled_design
 from synth.designs.shared import Shared
 from synth.dynamic.loop import on_larger_plant
 from synth.dynamic.named import named_design
@@ -89,14 +90,17 @@ class Designer:
         if entry.law is not None:
             return self._given(entry, entry.law)
         hardware, shared = entry.hardware, self.shared(entry.hardware)
-        if (entry.design or hardware.noise) and zero_l:
+        if (entry.design or entry.sampled or hardware.noise) and zero_l:
             why = "is designed for noise, which (25) does not know," if hardware.noise else "is not designed in two steps"
+            why = "is designed for the sampled loop" if entry.sampled else why
             raise InputError(f"controller {name!r} {why} so that there is no L; design it as it is")
         posed = self.problem(entry.measured, hardware)
         try:
             lower_bound = self.lower_bound(entry.measured, hardware)
             if entry.design:
                 return self._named(entry, posed, lower_bound)
+            if entry.sampled:
+                return sampled_design(self.vehicle, entry, posed, lower_bound, lower_bound.gamma or 1.0)
             if name == "state" and not self.vehicle.filtered:
                 design = state_design(self.plant, self.state_path, lower_bound)
             elif zero_l:
@@ -150,6 +154,10 @@ class Designer:
         measured = entry.measured
         if not measured:
             raise InputError(f"controller {name!r} measures nothing, so that it has no gain to refine; give one that does")
+        if entry.sampled:
+            raise DesignError(
+                f"controller {name!r} is designed for the sampled loop, and it is the ideal one's norm that is refined"
+            )
         if entry.design or (entry.law is not None and entry.law.states):
             raise DesignError(f"controller {name!r} is no static gain of the least norm, which is what is refined")
         try:
@@ -181,6 +189,7 @@ class Designer:
             not controller.designed
             or not controller.measured
             or self._entry(controller.name).design
+            or controller.sampled
             or not controller.certificate.stable
             or (gap is not None and gap <= SEEN)
         ):
@@ -217,7 +226,7 @@ class Designer:
         entry = self._entry(name)
         if entry.law is not None:
             raise InputError(f"controller {name!r} has its law and is not designed; `design` certifies it for a vehicle")
-        if entry.design or entry.hardware != IDEAL:
+        if entry.design or entry.sampled or entry.hardware != IDEAL:
             raise InputError(f"controller {name!r} is not designed in two steps alone; design it for each vehicle by itself")
         sound = alike(self.vehicle, vehicles)
         if any(vehicle.filtered for vehicle in (self.vehicle, *sound)):  # there the two steps are not the end of a design
@@ -255,7 +264,7 @@ class Designer:
         if name == "passive":
             return ControllerEntry(name, (), static_law(np.zeros((len(model.inputs), 0))))
         if name == "state":
-            return ControllerEntry(name, model.states)
+            return ControllerEntry(name, model.states, sampled=self.vehicle.sampled)
         return self.vehicle.linear_entry(name)
 
 

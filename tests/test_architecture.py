@@ -52,7 +52,10 @@ ROOMS = {
     "synth.words": "models synth.controller",
     "synth.implemented": "models synth.certificate synth.controller synth.dynamic synth.plant synth.problem synth.sampled "
     "synth.words",
-    "synth.designs": "models synth.certificate synth.controller synth.design synth.errors synth.lmi synth.problem synth.search",
+    "synth.held": "synth.design synth.errors synth.lmi synth.modes synth.numerics synth.plant synth.sampled synth.scaling "
+    "synth.search",
+    "synth.designs": "models synth.certificate synth.controller synth.design synth.errors synth.held synth.implemented synth.lmi "
+    "synth.problem synth.search",
     "synth.designer": "models synth.certificate synth.controller synth.design synth.designs synth.dynamic synth.errors "
     "synth.fallback synth.implemented synth.lmi synth.plant synth.problem synth.redesign synth.search",
     "synth.state_space": "models synth.controller synth.designer synth.plant synth.problem",

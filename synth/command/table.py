@@ -55,6 +55,7 @@ def row_object(row: Row) -> dict[str, Any]:
         **controller.law.record,
         **_hardware_object(controller),
         "designed": controller.designed,
+        **({"design": "sampled"} if controller.sampled else {}),
         "bound": certificate.bound,
         "norm": finite(norm.value),
         **norm_object(row.sampled),

@@ -1,17 +1,21 @@
 """The COMPleib plants (Leibfritz), one row each, from a file that is not part of this repository.
 
-    python -m tests.benchmarks.compleib PLANTS.json [--json] [--only NAME...]
+    python -m tests.benchmarks.compleib PLANTS.json [--dt SECONDS] [--json] [--only NAME...]
 
 PLANTS.json maps names to the matrices of x' = A x + B1 w + B u, z = C1 x + D11 w + D12 u, y = C x + D21 w. Plants with D21 != 0
 are left out: the two-step method needs y = C x. The refined norm is the complete strategy's, with gains bounded by 1e5, confirmed
 by both routes and proved by the bound beside it. The gap is what it leaves to a lower bound for controllers of any order; `from`
 names the start that led to the gain.
 
+With --dt each plant is sampled, its u and w held for so many seconds, and designed as a discrete plant: all numbers are then
+those of the discrete norm. What a force held so long cannot stabilise has no gain.
+
 A lower bound of 0 has no gap. Of AC1, NN10 and UWV the gain beside it reaches 0, to rounding. Of PAS and ROC5 none is above it: y
 and its derivatives show the whole state, and the norm of an LQ state feedback falls with the root of the force's weight. Of ROC4
 and ROC10 only their zeros in the right half plane count: stable or undamped zeros leave the full-order LMIs no point inside.
 """
 
+import functools
 import json
 import multiprocessing
 import os
@@ -26,6 +30,7 @@ from typing import Any
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
+from scipy import linalg
 
 from models.common.errors import InputError
 from synth.errors import DesignError
@@ -57,23 +62,24 @@ class Row:
     reason: str | None = None
 
 
-def solve(task: tuple[str, dict[str, Any]]) -> Row:
-    """The row of one plant. Whatever fails is its reason: one plant must not cost the others their rows."""
+def solve(task: tuple[str, dict[str, Any]], dt: float | None = None) -> Row:
+    """The row of one plant, held over dt if that is given. Whatever fails is its reason: others must not lose their rows."""
     name, data = task
     start, cpu_start = time.perf_counter(), time.process_time()
     found: dict[str, Any] = {}
     try:
-        for part in _findings(data):
+        for part in _findings(data, dt):
             found |= part
     except Exception as error:
         found["reason"] = str(error) if isinstance(error, DesignError | InputError) else f"{type(error).__name__}: {error}"
     return Row(name, len(data["A"]), time.perf_counter() - start, time.process_time() - cpu_start, **found)
 
 
-def _findings(data: dict[str, Any]) -> Iterator[dict[str, Any]]:
+def _findings(data: dict[str, Any], dt: float | None) -> Iterator[dict[str, Any]]:
     """Cells of a row, as they are found."""
     A, B, Bw, C, D, Dw, Cy = (np.array(data[key], dtype=float) for key in MATRICES[:-1])
     plant = GeneralizedPlant(A, B, Bw, C, D, Dw)
+    plant = plant if dt is None else held(plant, dt)
     lower_bound = find_lower_bound(plant, Cy)
     yield {"lower_bound": lower_bound.gamma}
     design = static_output_feedback(plant, Cy, LARGEST_GAIN, lower_bound)
@@ -103,6 +109,14 @@ def read_tasks(path: str, only: list[str]) -> list[tuple[str, dict[str, Any]]]:
     return [(name, data) for name, data in plants.items() if not np.any(data["D21"]) and (not only or name in only)]
 
 
+def held(plant: GeneralizedPlant, dt: float) -> GeneralizedPlant:
+    """The discrete plant of a continuous one whose u and w are held over dt [s]."""
+    n, inputs = len(plant.A), np.hstack([plant.B, plant.Bw])
+    k, m = inputs.shape[1], plant.B.shape[1]
+    moved = linalg.expm(dt * np.block([[plant.A, inputs], [np.zeros((k, n + k))]]))
+    return GeneralizedPlant(moved[:n, :n], moved[:n, n : n + m], moved[:n, n + m :], plant.C, plant.D, plant.Dw, dt=dt)
+
+
 def line(row: Row) -> str:
     """One row of the table."""
 
@@ -121,17 +135,38 @@ def line(row: Row) -> str:
     )
 
 
+def _seconds(words: list[str]) -> float:
+    """What stands behind --dt.
+
+    Raises:
+        InputError: no number of seconds above zero does.
+    """
+    try:
+        dt = float(words[0])
+    except (IndexError, ValueError):
+        dt = 0.0
+    if not 0 < dt < np.inf:
+        raise InputError(f"--dt {' '.join(words)} is no sample period; give seconds above 0, such as --dt 0.02")
+    return dt
+
+
 def main(arguments: list[str]) -> int:
     """The command; 1 if a plant is left without a certified gain."""
     as_json = "--json" in arguments
     words = [word for word in arguments if word != "--json"]
+    dt = None
+    if "--dt" in words:
+        at = words.index("--dt")
+        dt, words = _seconds(words[at + 1 : at + 2]), words[:at] + words[at + 2 :]
     if "--only" in words:
         at = words.index("--only")
         words, only = words[:at], words[at + 1 :]
     else:
         only = []
     if len(words) != 1:
-        raise InputError("give one file: python -m tests.benchmarks.compleib PLANTS.json [--json] [--only NAME...]")
+        raise InputError(
+            "give one file: python -m tests.benchmarks.compleib PLANTS.json [--dt SECONDS] [--json] [--only NAME...]"
+        )
     tasks = read_tasks(words[0], only)
     order = sorted(range(len(tasks)), key=lambda i: -len(tasks[i][1]["A"]))
     start = time.perf_counter()
@@ -140,7 +175,7 @@ def main(arguments: list[str]) -> int:
         headings = ("two-step bound", "two-step norm", "refined norm", "bound", "lower bound", "gap", "largest gain", "seconds")
         print(f"{'plant':10s} {'states':>6s} " + " ".join(f"{heading:>14s}" for heading in headings))
     with multiprocessing.Pool(os.cpu_count()) as pool:
-        for row in pool.imap_unordered(solve, [tasks[i] for i in order], chunksize=1):
+        for row in pool.imap_unordered(functools.partial(solve, dt=dt), [tasks[i] for i in order], chunksize=1):
             rows[row.plant] = row
             if not as_json:
                 print(line(row), flush=True)

@@ -1,0 +1,66 @@
+"""A controller of a vehicle file that is designed for the loop that its computer closes (`synth.held`)."""
+
+import numpy as np
+
+from models.common.errors import InputError
+from models.controllers import ControllerEntry
+from models.law import static_law
+from models.vehicle import Vehicle
+from synth.certificate.bounding import certify_tightly
+from synth.certificate.lower_bound import LowerBound
+from synth.controller import Controller
+from synth.held.design import held_design
+from synth.held.problem import HeldProblem
+from synth.implemented.norm import lagged_plant
+from synth.problem.problem import Problem, measurements
+
+
+def held_problem(vehicle: Vehicle, entry: ControllerEntry) -> HeldProblem:
+    """What such a controller is designed for: the vehicle with its filters and its actuators' lag, and what is read of it.
+
+    Raises:
+        InputError: the vehicle has no sample period.
+    """
+    how = vehicle.implementation
+    if how.sample_period is None:
+        raise InputError(
+            f"controller {entry.name!r} is designed for the loop that a computer closes, and [implementation] gives no sample "
+            "period; give it, as in sample_period = 0.01, seconds"
+        )
+    plant, (Cy, through) = lagged_plant(vehicle), measurements(vehicle, entry.measured)
+    if vehicle.limits.actuator_bandwidth is not None:  # behind a lag a force is a state, the last, and no longer acts at once
+        Cy, through = np.hstack([Cy, through]), np.zeros_like(through)
+    return HeldProblem(plant, Cy, through, how.sample_period, how.delay)
+
+
+def sampled_design(vehicle: Vehicle, entry: ControllerEntry, posed: Problem, lower_bound: LowerBound, near: float) -> Controller:
+    """The gain, with the certificate of its ideal loop and a word on that of the sampled one.
+
+    Args:
+        vehicle: it says how often its computer acts, and how late.
+        entry: what is measured.
+        posed: what its ideal loop is judged with.
+        lower_bound: of that loop.
+        near: its best norm, or so.
+
+    Raises:
+        InputError: the vehicle has no sample period.
+        DesignError: there is none.
+    """
+    found = held_design(held_problem(vehicle, entry), near)
+    law = static_law(found.gain)
+    level = f", whose norm the LMI promises to be at most {found.level:.7g}" if found.level is not None else ""
+    reads = ", of which forces on their way are not measured" if vehicle.implementation.delay else ""
+    remark = f"designed for the sampled loop{reads}{level}"
+    return Controller(
+        entry.name,
+        entry.measured,
+        law,
+        designed=True,
+        certificate=certify_tightly(*posed.closed(law), lower_bound, by_itself=posed.plant),
+        redundant=tuple(signal for i, signal in enumerate(entry.measured) if i not in found.kept),
+        instead=f"not by the two steps but by descent on the sampled norm, for {found.instead}" if found.instead else "",
+        remarks=(remark,),
+        hardware=entry.hardware,
+        sampled=True,
+    )
