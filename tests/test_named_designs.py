@@ -136,3 +136,19 @@ def test_pages_example():
     vehicle = parse_vehicle(f"{read_vehicle('quarter_car').text}\n[controllers.best]{block}")
     for name in ("best", "lqg", "leaky"):
         assert Designer(vehicle).design(name).certificate.stable
+
+
+@pytest.mark.parametrize("kind", ['design = "lqg"', 'design = "h2"\nnoise = true', 'design = "lqg"\nlag = true'])
+def test_what_is_saved_of_noise_is_checked(kind, tmp_path, capsys):
+    """However loud the measurements, a design's claims are those of the matrices that are saved; its mean counts the noise."""
+    said = "[implementation]\nsample_period = 0.005\nnoise = { sprung_velocity = 0.5, suspension_deflection = 0.5 }\n"
+    said += "[limits]\nactuator_bandwidth = 60.0\n"
+    said += f'[controllers.best]\nmeasured = ["suspension_deflection", "sprung_velocity"]\n{kind}\n'
+    loud = tmp_path / "loud.toml"
+    loud.write_text(f"{read_vehicle('quarter_car').text}\n{said}")
+    saved = tmp_path / "saved.toml"
+    assert main(["--vehicle", str(loud), "--controller", "best", "--save", str(saved)]) == 0
+    words = " ".join(capsys.readouterr().out.split())
+    assert ("intensity one, and what is measured has its noise" in words) == ("lqg" in kind)
+    assert ("intensity one, and the noise in what is measured as w counts it" in words) == ("h2" in kind)
+    assert main(["--check", str(saved)]) == 0

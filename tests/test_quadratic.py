@@ -21,10 +21,15 @@ from tests.test_noise import noisy
 from tests.test_units import Moved
 
 
+def loop_of(plant: GeneralizedPlant, Cy: np.ndarray, law: LinearLaw, Dyw: np.ndarray | None = None) -> GeneralizedPlant:
+    """The closed loop."""
+    larger, G = on_larger_plant(plant, Cy, law, Dyw)
+    return larger.closed_loop(G)
+
+
 def norm_of(plant: GeneralizedPlant, Cy: np.ndarray, law: LinearLaw, Dyw: np.ndarray | None = None) -> float:
     """The H2 norm of a loop by its Gramian; infinite where it is not stable."""
-    larger, G = on_larger_plant(plant, Cy, law, Dyw)
-    loop = larger.closed_loop(G)
+    loop = loop_of(plant, Cy, law, Dyw)
     return h2_norm(loop) if np.all(np.linalg.eigvals(loop.A).real < 0) else np.inf
 
 
@@ -90,6 +95,9 @@ def test_lqg_and_h2(seed):
     same = lqg_design(alone, Cy, [0.4] * len(Cy))
     assert same.h2_norm == pytest.approx(found.h2_norm, rel=1e-9)
     assert not same.remark
+    # What it is the best against is none of what it is certified against: w is the plant's alone.
+    assert same.certificate.norm.value == pytest.approx(hinf_norm(loop_of(alone, Cy, found.law)).value, rel=1e-9)
+    assert same.certificate.norm.value < found.certificate.norm.value
     assert lqr_design(plant).h2_norm <= found.h2_norm
     assert hinf_norm(found.certificate.loop).value == pytest.approx(found.certificate.norm.value, rel=1e-9)
 

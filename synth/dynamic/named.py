@@ -68,5 +68,11 @@ def named_design(
     else:
         found = lqg_design(plant, Cy, noise, states) if name == "lqg" else h2_design(plant, Cy, Dyw, states)
         law = found.law
-    best = f"the best in the mean: H2 norm {found.h2_norm:.7g}, the rms of z where road velocity is white noise of intensity one"
+    # Noise in D_yw is part of w, in the scale in which that counts it; LQG's has its own intensity.
+    heard = {"lqg": noise, "h2": Dyw}.get(name)
+    beside = {"lqg": ", and what is measured has its noise", "h2": ", and the noise in what is measured as w counts it"}
+    best = (
+        f"the best in the mean: H2 norm {found.h2_norm:.7g}, the rms of z where road velocity is white noise of intensity one"
+        f"{beside[name] if heard is not None and np.any(heard) else ''}"
+    )
     return NamedDesign(law, found.certificate, (best, *([found.remark] if found.remark else [])))

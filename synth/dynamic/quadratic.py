@@ -38,8 +38,8 @@ class QuadraticDesign:
 
     Attributes:
         law: static on the state for LQR; else as many states as the plant, a Kalman filter's estimate.
-        h2_norm: root of the mean square of z under white noise w, with what was given alone; Dw left out.
-        certificate: what is true of its loop in the worst case.
+        h2_norm: root of the mean square of z under white noise w, and LQG's noise, with what was given alone; Dw left out.
+        certificate: what is true of its loop in the worst case of w. LQG's noise is none of it: in the worst case it has no rms.
         remark: what had to be assumed, in words; empty where nothing had.
     """
 
@@ -86,12 +86,11 @@ def lqg_design(
     Cy, none = measurement_matrices(plant, Cy)
     if noise is None:
         return h2_design(plant, Cy, none, states)
-    q, (n, r) = len(Cy), plant.Bw.shape
+    q, r = none.shape
     sizes = real_matrix([list(noise)], "noise", f"(1, {q})")[0]
     if sizes.shape != (q,) or np.any(sizes < 0):
         raise InputError(f"noise has shape {sizes.shape}; expected {q} numbers from 0 upwards, one for each measurement")
-    wide = replace(plant, Bw=np.hstack([plant.Bw, np.zeros((n, q))]), Dw=np.hstack([plant.Dw, np.zeros((len(plant.C), q))]))
-    return h2_design(wide, Cy, np.hstack([np.zeros((q, r)), np.diag(sizes)]), states)
+    return _design(plant, Cy, none, states, False, np.hstack([np.zeros((q, r)), np.diag(sizes)]))
 
 
 def h2_design(plant: GeneralizedPlant, Cy: Array, Dyw: Array | None = None, states: Sequence[str] = ()) -> QuadraticDesign:
@@ -118,28 +117,48 @@ def h2_norm(loop: GeneralizedPlant) -> float:
 
 
 @numerics()
-def _design(plant: GeneralizedPlant, Cy: Array, Dyw: Array, states: Sequence[str], all_known: bool) -> QuadraticDesign:
+def _design(
+    plant: GeneralizedPlant, Cy: Array, Dyw: Array, states: Sequence[str], all_known: bool, noise: Array | None = None
+) -> QuadraticDesign:
+    """The best in the mean.
+
+    Args:
+        plant: n states, r disturbances.
+        Cy: shape (q, n).
+        Dyw: shape (q, r).
+        states: their names, for messages.
+        all_known: whether y is the whole state, and the law a gain.
+        noise: what y has of w and of more white noise behind it, shape (q, r + k), which counts in the mean alone.
+    """
     check_posed(plant)
     if reasons := "; ".join(obstacles(plant, Cy, states)):
         raise InfeasibleError(reasons)
-    own = Measured.of(plant, Cy, Dyw)
+    shaken = plant if noise is None else _widened(plant, noise.shape[1])
+    own = Measured.of(shaken, Cy, Dyw if noise is None else noise)
     A, B, C, D = own.plant.A, own.plant.B, own.plant.C, own.plant.D
-    cost, noise = missing(D, ASSUMED), missing(own.Dyw.T, ASSUMED)
+    cost, unheard = missing(D, ASSUMED), missing(own.Dyw.T, ASSUMED)
     assumed = ["a cost of the forces that cost next to nothing"] if np.any(cost) else []
     K = _regulator(A, B, C, D, cost, "z does not see a mode that neither decays nor grows; weigh a signal that it is in")
     if all_known:
         law = own.back(static_law(K @ np.linalg.inv(own.Cy)))
     else:
         unreached = "w does not reach a mode that neither decays nor grows; let w disturb it"
-        L = _regulator(A.T, own.Cy.T, own.plant.Bw.T, own.Dyw.T, noise, unreached).T
+        L = _regulator(A.T, own.Cy.T, own.plant.Bw.T, own.Dyw.T, unheard, unreached).T
         law = own.back(LinearLaw(A + B @ K + L @ own.Cy, -L, K, np.zeros((len(K), len(own.Cy)))))
-        assumed += ["noise on what is measured almost without"] if np.any(noise) else []
-    larger, G = on_larger_plant(plant, Cy, law, Dyw)
-    certificate = certify_tightly(larger, G, by_itself=plant)
+        assumed += ["noise on what is measured almost without"] if np.any(unheard) else []
+    certificate = certify_tightly(*on_larger_plant(plant, Cy, law, Dyw), by_itself=plant)
     if certificate.failures:
         raise DesignError(f"its certificate fails: {'; '.join(certificate.failures)}")
     remark = f"it needs {' and '.join(assumed)}: {ASSUMED:g} of the plant's own size was assumed" if assumed else ""
-    return QuadraticDesign(law, h2_norm(certificate.loop), certificate, remark)
+    larger, G = on_larger_plant(shaken, Cy, law, Dyw if noise is None else noise)
+    return QuadraticDesign(law, h2_norm(larger.closed_loop(G)), certificate, remark)
+
+
+def _widened(plant: GeneralizedPlant, r: int) -> GeneralizedPlant:
+    """The plant with so many disturbances; those that it has not got do nothing to it."""
+    more = r - plant.Bw.shape[1]
+    Bw, Dw = (np.hstack([matrix, np.zeros((len(matrix), more))]) for matrix in (plant.Bw, plant.Dw))
+    return replace(plant, Bw=Bw, Dw=Dw)
 
 
 def _regulator(A: Array, B: Array, C: Array, D: Array, more: Array, advice: str) -> Array:
