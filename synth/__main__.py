@@ -27,7 +27,7 @@ from synth.implemented.claims import norm_failures, norm_if_implemented, sampled
 from synth.problem.problem import measurements
 from synth.rates.answer import answer
 from synth.search.flat import free_moves
-from synth.words import filter_lines, ideal_lines, notes
+from synth.words import filter_lines, ideal_lines, notes, twist_lines
 
 FREE = "what no controller decides"  # the stage after the designs: a limit for all, and gains that may be others
 FLAT = 1e-4  # of gamma: how far the gains may move for it is printed
@@ -109,7 +109,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if options.save:
             lines += ["", "saved", Whole(f"  {options.save}")]
         designs = [row.controller for row in rows if row.controller is not None]
-        about = [*ideal_lines(vehicle, designs), *sampled_lines(vehicle), *filter_lines(vehicle)]
+        about = [*ideal_lines(vehicle, designs), *sampled_lines(vehicle), *filter_lines(vehicle), *twist_lines(vehicle)]
         say([*lines, "", *table_lines(rows), *about, "", *verdict_lines(rows)])
     return 1 if any(row.failures for row in rows) else 0
 

@@ -51,6 +51,17 @@ def gain_lines(gain: Array, start: str) -> list[str]:
     return matrix(start, [[f"{entry:.6g}" for entry in row] for row in gain])
 
 
+def twist_lines(vehicle: Vehicle) -> list[str]:
+    """What else than the road's velocity a norm is of, where a road acts by its height, too."""
+    model = vehicle.linear_model
+    if not np.any(model.Br) and not np.any(model.Cr):
+        return []
+    return [
+        "w is the road's velocity under every wheel and, as no car forgets it, the height of its twist, of which 1 m counts as "
+        f"{model.twist_rate:.4g} m/s (models/README.md)"
+    ]
+
+
 def ideal_lines(vehicle: Vehicle, controllers: Sequence[Controller]) -> list[str]:
     """Which loop the numbers of these controllers are of, where the vehicle file has another one, too."""
     asked = [one.name for one in controllers if one.hardware != IDEAL]

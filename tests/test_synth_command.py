@@ -22,6 +22,7 @@ from synth.errors import DesignError
 from synth.lmi import full_order
 from synth.lmi.full_order import bound_beyond_control
 from synth.plant import GeneralizedPlant
+from synth.problem.problem import generalized_plant
 from tests.commands import prose
 from tests.pages import hopper
 
@@ -276,6 +277,16 @@ def test_which_loop_is_said(capsys, tmp_path, section):
     assert (said in prose(capsys.readouterr().out)) == bool(section)
     bump(["--vehicle", str(file), "--controller", "I", "--no-logs", "--duration", "0.2"])
     assert (said in prose(capsys.readouterr().out)) == bool(section)
+
+
+@pytest.mark.parametrize("name", ["quarter_car", "half_car", "full_car"])
+def test_what_is_disturbed_is_said(name, capsys):
+    """That a twist counts beside the road's velocity is said of the car that does not forget it, with what it counts for."""
+    vehicle = read_vehicle(name)
+    main(["--vehicle", name, "--controller", "passive"])
+    said = f"the height of its twist, of which 1 m counts as {vehicle.linear_model.twist_rate:.4g} m/s"
+    more = generalized_plant(vehicle).Bw.shape[1] - len(vehicle.kind.wheels)
+    assert (said in prose(capsys.readouterr().out)) == (more > 0) == (name == "full_car")
 
 
 def test_save_and_check(capsys, tmp_path):
