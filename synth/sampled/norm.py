@@ -181,6 +181,9 @@ class _Search:
             assert there is not None, "a level above one that can be"
             gain, higher = self._highest(there) if self.large else self._above(there)
             if gain <= 1:
+                lower = self._at(level * (1 - BELOW))
+                if lower is None or lower.gains(np.array([angle]))[0] > 1:
+                    below = max(below, level * (1 - BELOW))
                 angle = np.nan if inside else angle
                 return SampledNorm(level, below, upper, angle, reached_near(self.loop, angle, level), inside, self.large)
             angle, level, below = higher, upper, upper
@@ -236,9 +239,7 @@ class _Search:
             there = self._at(level)
             gain = float(there.gains(np.array([angle]))[0]) if there is not None else np.inf
             if abs(gain - 1) <= CLOSE:
-                lower = self._at(level * (1 - BELOW))
-                if lower is None or lower.gains(np.array([angle]))[0] > 1:
-                    return level, max(below, level * (1 - BELOW)), False
+                return level, below, False
             below, above = (max(below, level), above) if gain > 1 else (below, min(above, level))
             if above <= below * (1 + BELOW):
                 return above, below, self._at(below) is None

@@ -29,12 +29,13 @@ SHORT = 1e-7  # relative: what falls short by more may be said more closely
 def reached_near(loop: SampledLoop, angle: float, norm: float) -> float:
     """What is reached at an angle by as many parts of the period as it takes to come near a norm, or as there can be."""
     fastest = np.abs(np.linalg.eigvals(balance(loop.plant.A)[0])).max(initial=0.0)
-    parts = int(min(max(FEWEST, np.ceil(loop.period * fastest / LONGEST)), MOST))
+    each = len(loop.pieces) * (DEGREE + 1) * loop.plant.Bw.shape[1]
+    most = max(FEWEST, MOST_COLUMNS // each)
+    parts = int(min(max(FEWEST, np.ceil(loop.period * fastest / LONGEST)), MOST, most))
     found = 0.0
     while True:
         found = max(found, reached_gain(loop, angle, parts))
-        columns = 2 * parts * len(loop.pieces) * (DEGREE + 1) * loop.plant.Bw.shape[1]
-        if found >= norm * (1 - SHORT) or columns > MOST_COLUMNS:
+        if found >= norm * (1 - SHORT) or 2 * parts > most:
             return found
         parts *= 2
 

@@ -24,6 +24,7 @@ import pytest
 
 from models.law import LinearLaw
 from models.mjcf import build_model
+from models.reality import Implementation
 from models.vehicle import read_vehicle
 from sim.campaign.__main__ import FEWEST
 from sim.campaign.columns import columns
@@ -39,6 +40,7 @@ from sim.validity.grid import grid, read_axes
 from synth.certificate.norm import hinf_norm
 from synth.design import two_step_design
 from synth.designer import Designer
+from synth.implemented.norm import norm_as_implemented
 from synth.lmi.clarabel import solve_lmi
 from synth.problem.problem import generalized_plant
 from tests.benchmarks.states import chain
@@ -161,6 +163,23 @@ def test_norm_of_a_large_system(benchmark):
     plant, _ = chain(100)
     hamiltonian = np.block([[plant.A, plant.Bw @ plant.Bw.T], [-plant.C.T @ plant.C, -plant.A.T]])
     assert paired_ratio(benchmark, lambda: hinf_norm(plant), lambda: np.linalg.eigvals(hamiltonian), 15) <= 5
+
+
+@pytest.mark.parametrize("how", [Implementation(0.001), Implementation(0.01), Implementation(0.005, 1.5)])
+def test_norm_of_a_sampled_loop(benchmark, how):
+    """A sampled loop of 8 states has its norm, proved from both sides, in 15 ms of processor time."""
+    vehicle = read_vehicle("half_car")
+    controller = Designer(vehicle).design("I")
+    built, times = replace(vehicle, implementation=how), []
+
+    def norm():
+        start = time.process_time()
+        norm_as_implemented(built, controller)
+        times.append(time.process_time() - start)
+
+    benchmark.pedantic(norm, rounds=20, iterations=1, warmup_rounds=1)
+    print(f"{1e3 * statistics.median(times):.1f} ms")
+    assert statistics.median(times) <= 0.015
 
 
 def test_design_of_the_full_car(benchmark):
