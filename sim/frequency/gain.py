@@ -45,6 +45,33 @@ def settled_gain(vehicle: Vehicle, response: Response, omega: float) -> float:
     return float(shape * np.linalg.norm(z) / np.linalg.norm(_roads(vehicle, response)))
 
 
+def mean_square(vehicle: Vehicle, response: Response) -> float:
+    """Of z over the whole periods of a run's last samples, exact to the square of the step where forces are held.
+
+    Args:
+        vehicle: the vehicle.
+        response: whole periods and one sample before them, which tells the first leap.
+    """
+    model = vehicle.linear_model
+    signals = np.stack([response[name] for name in model.outputs], axis=-1)
+    forces = np.stack([response[name] for name in model.inputs], axis=-1)
+    at_once = model.D if vehicle.limits.actuator_bandwidth is None else np.zeros_like(model.D)
+    sides = beside_leaps(vehicle, signals[1:], signals[1:] - np.diff(forces, axis=0) @ at_once.T)
+    count, period = len(response.time) - 1, float(response.time[1] - response.time[0])
+    weights = vehicle.weights(2 * np.pi * np.abs(np.fft.fftfreq(count, period)))
+    return float(np.mean([np.sum(np.abs(weights * np.fft.fft(side, axis=0) / count) ** 2) for side in sides]))
+
+
+def beside_leaps(vehicle: Vehicle, after: Array, before: Array) -> tuple[Array, Array]:
+    """Signals on either side of the leaps that they make where forces are replaced, as the mean square of z needs them.
+
+    A filter smooths a leap, and goes over what lies midway; shapes (..., p) of both.
+    """
+    through = np.array([name in vehicle.filters for name in vehicle.linear_model.outputs])
+    midway = (after + before) / 2
+    return np.where(through, midway, after), np.where(through, midway, before)
+
+
 def _weights(vehicle: Vehicle) -> list[tuple[str, float]]:
     return [(name, vehicle.performance.get(name, 0.0)) for name in vehicle.linear_model.outputs]
 

@@ -107,6 +107,19 @@ def stepwise_frequency_response(vehicle: Vehicle, controller: Controller, omega:
     return np.stack(found)
 
 
+def jumps_at_samples(vehicle: Vehicle, controller: Controller, omega: Array, timestep: float) -> Array:
+    """What the output signals leap by at a sample of the controller, where a force is replaced by the next, shape (F, p, r).
+
+    Of a road as for `stepwise_frequency_response`, at the period's start: behind a lag nothing leaps.
+    """
+    s = 1j * np.asarray(omega, dtype=float)[:, None, None]
+    how = vehicle.implementation
+    cut, x, _, _ = _harmonic(vehicle, controller, omega, timestep, linalg.expm)
+    turn = np.exp(-s * timestep * steps_per_sample(how, timestep))
+    inputs = cut.inputs(turn**how.delay * (cut.asked @ x), cut.kept @ x)
+    return cut.model.D @ inputs * (1 - turn) / s
+
+
 def _harmonic(
     vehicle: Vehicle, controller: Controller, omega: Array, timestep: float, exponential: Callable[[Array], Array]
 ) -> tuple[Controlled, Array, Array, Array]:

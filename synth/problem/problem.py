@@ -166,6 +166,11 @@ def _twist(model: LinearModel, signals: Sequence[str]) -> tuple[Array, Array]:
     is bounded, and counts at the rate of wheel hop (`LinearModel.twist_rate`): a bound that holds for both together.
     """
     Cr = model.Cr[[model.outputs.index(signal) for signal in signals]]
-    _, sizes, directions = np.linalg.svd(np.vstack([model.Br, model.Cr]))
-    directions = directions[: int(np.sum(sizes > 1e-12 * sizes.max(initial=0.0)))] if np.any(sizes) else directions[:0]
+    directions = twists(model)
     return model.Br @ directions.T / model.twist_rate, Cr @ directions.T / model.twist_rate
+
+
+def twists(model: LinearModel) -> Array:
+    """Which combinations of the road's heights under the wheels act as such, orthonormal, shape (k, r)."""
+    _, sizes, directions = np.linalg.svd(np.vstack([model.Br, model.Cr]))
+    return directions[: int(np.sum(sizes > 1e-12 * sizes.max(initial=0.0)))] if np.any(sizes) else directions[:0]
