@@ -4,11 +4,14 @@ A weight that is a filter goes over the run from rest, on the straight lines bet
 is what comes in there; of a sinusoid it is known, and of another road it would take the inverse of the filter, which may not be.
 """
 
+import math
+
 import numpy as np
 
 from models.common.arrays import Array
 from models.filters.filter import Filter
 from models.law import LinearLaw
+from models.reality import steps_per_sample
 from models.vehicle import Vehicle
 from sim.response.response import Response
 
@@ -18,11 +21,15 @@ def l2_gain(vehicle: Vehicle, response: Response) -> float | None:
     if vehicle.road_filter is not None:
         return None
     period = float(response.time[1] - response.time[0])
-    weighted = [
-        weight * (_filtered(vehicle.filters[name], response[name], period) if name in vehicle.filters else response[name])
-        for name, weight in _weights(vehicle)
-    ]
-    return float(np.linalg.norm(np.stack(weighted, axis=-1)) / np.linalg.norm(_roads(vehicle, response)))
+    signals = np.stack([response[name] for name in vehicle.linear_model.outputs], axis=-1)
+    sides = [signals]
+    if steps_per_sample(vehicle.implementation, period) > 1:  # between leaps there are steps, over which z goes on
+        forces = np.stack([response[name] for name in vehicle.linear_model.inputs], axis=-1)
+        leaps = np.diff(forces, axis=0, prepend=np.zeros((1, forces.shape[1]))) @ _at_once(vehicle).T
+        sides = beside_leaps(vehicle, signals, signals - leaps)
+    sizes = [np.linalg.norm(_weighted(vehicle, side, period)) for side in sides]
+    size = sizes[0] if len(sizes) == 1 else math.hypot(*sizes) / math.sqrt(2)
+    return float(size / np.linalg.norm(_roads(vehicle, response)))
 
 
 def settled_gain(vehicle: Vehicle, response: Response, omega: float) -> float:
@@ -55,8 +62,7 @@ def mean_square(vehicle: Vehicle, response: Response) -> float:
     model = vehicle.linear_model
     signals = np.stack([response[name] for name in model.outputs], axis=-1)
     forces = np.stack([response[name] for name in model.inputs], axis=-1)
-    at_once = model.D if vehicle.limits.actuator_bandwidth is None else np.zeros_like(model.D)
-    sides = beside_leaps(vehicle, signals[1:], signals[1:] - np.diff(forces, axis=0) @ at_once.T)
+    sides = beside_leaps(vehicle, signals[1:], signals[1:] - np.diff(forces, axis=0) @ _at_once(vehicle).T)
     count, period = len(response.time) - 1, float(response.time[1] - response.time[0])
     weights = vehicle.weights(2 * np.pi * np.abs(np.fft.fftfreq(count, period)))
     return float(np.mean([np.sum(np.abs(weights * np.fft.fft(side, axis=0) / count) ** 2) for side in sides]))
@@ -72,8 +78,19 @@ def beside_leaps(vehicle: Vehicle, after: Array, before: Array) -> tuple[Array, 
     return np.where(through, midway, after), np.where(through, midway, before)
 
 
-def _weights(vehicle: Vehicle) -> list[tuple[str, float]]:
-    return [(name, vehicle.performance.get(name, 0.0)) for name in vehicle.linear_model.outputs]
+def _weighted(vehicle: Vehicle, signals: Array, period: float) -> Array:
+    """z of the output signals, shape (T, p) both."""
+    rows = []
+    for name, values in zip(vehicle.linear_model.outputs, signals.T, strict=True):
+        one = vehicle.filters.get(name)
+        rows.append(vehicle.performance.get(name, 0.0) * (_filtered(one, values, period) if one is not None else values))
+    return np.stack(rows, axis=-1)
+
+
+def _at_once(vehicle: Vehicle) -> Array:
+    """What the forces that are asked for do at once to the output signals, shape (p, m): nothing behind a lag."""
+    D = vehicle.linear_model.D
+    return D if vehicle.limits.actuator_bandwidth is None else np.zeros_like(D)
 
 
 def _roads(vehicle: Vehicle, response: Response) -> Array:

@@ -10,7 +10,6 @@ force is replaced by the next: its mean square is then exact to the square of th
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
@@ -28,7 +27,6 @@ from sim.roads.apart import Apart
 from sim.runs.run import sample_times
 from synth.controller import Controller
 from synth.implemented.loop import sampled_radius
-from synth.implemented.norm import norm_as_implemented
 from synth.problem.problem import twists
 from synth.sampled.norm import SampledNorm
 
@@ -44,7 +42,6 @@ class WorstRoad:
     """The worst road of a sampled loop.
 
     Attributes:
-        norm: of the loop, exact.
         angle: by which the road turns from sample to sample [rad].
         predicted: its gain, by analysis, held at its height midway through each step as MuJoCo holds it.
         gain: in MuJoCo.
@@ -53,7 +50,6 @@ class WorstRoad:
         ended: what ended the linear regime.
     """
 
-    norm: SampledNorm
     angle: float
     predicted: float
     gain: float
@@ -62,23 +58,24 @@ class WorstRoad:
     ended: tuple[str, ...]
 
 
-def worst_roads(vehicle: Vehicle, controllers: Sequence[Controller], amplitude: float, timestep: float) -> list[WorstRoad | None]:
-    """The worst road of every controller, driven; None where what happens within one sample decides, which no such road does.
+def worst_road(
+    vehicle: Vehicle, controller: Controller, norm: SampledNorm, amplitude: float, timestep: float
+) -> WorstRoad | None:
+    """The worst road of a loop, driven; None where what happens within one sample decides, which no such road does.
 
     Args:
         vehicle: the vehicle, without noise and quantisation.
-        controllers: its controllers, whose loops are stable.
-        amplitude: largest height of the roads [m].
-        timestep: longest of the runs [s]; the sample period, where the vehicle gives none.
+        controller: its controller, whose loop is stable.
+        norm: of that loop as it is implemented.
+        amplitude: largest height of the road [m].
+        timestep: longest of the run [s]; the sample period, where the vehicle gives none.
     """
+    if norm.inside:
+        return None
     period = vehicle.implementation.sample_period or timestep
     steps = math.ceil(period / max(min(timestep, FINE, period / FEWEST), FINEST) * (1 - 1e-9))
     built = replace(vehicle, implementation=replace(vehicle.implementation, sample_period=period))
-    found: list[WorstRoad | None] = []
-    for controller in controllers:
-        norm = norm_as_implemented(vehicle, controller, timestep)
-        found.append(None if norm.inside else _driven(built, controller, norm, amplitude, period / steps))
-    return found
+    return _driven(built, controller, norm, amplitude, period / steps)
 
 
 def _driven(vehicle: Vehicle, controller: Controller, norm: SampledNorm, amplitude: float, h: float) -> WorstRoad:
@@ -97,7 +94,7 @@ def _driven(vehicle: Vehicle, controller: Controller, norm: SampledNorm, amplitu
     size = scale * (1.0 if turn == Fraction(1, 2) else math.sqrt(0.5))
     gain = math.sqrt(mean_square(vehicle, last)) / size
     twisted = len(twists(vehicle.linear_model)) > 0
-    return WorstRoad(norm, angle, predicted, gain, h, twisted, ended_by(vehicle, response))
+    return WorstRoad(angle, predicted, gain, h, twisted, ended_by(vehicle, response))
 
 
 def _turn(angle: float) -> Fraction:
@@ -133,7 +130,7 @@ def _worst(vehicle: Vehicle, controller: Controller, angle: float, h: float) -> 
     twist = model.twist_rate / positive[:, None, None] * twists(model)
     roots = np.linalg.cholesky(np.eye(wheels) + np.swapaxes(twist, 1, 2) @ twist)
     whitened = np.einsum("zlr,lrs->zls", np.concatenate(rows), np.swapaxes(np.linalg.inv(roots), 1, 2))
-    _, sizes, best = np.linalg.svd(whitened.reshape(len(whitened), -1) / math.sqrt(2))
+    _, sizes, best = np.linalg.svd(whitened.reshape(len(whitened), -1) / math.sqrt(2), full_matrices=False)
     w = np.swapaxes(np.linalg.inv(roots), 1, 2) @ best[0].conj().reshape(len(omega), wheels, 1)
     w = w[..., 0]
     if math.isclose(angle, math.pi):  # every sinusoid is there twice, and the two must not cancel

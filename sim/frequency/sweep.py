@@ -13,9 +13,12 @@ from models.common.printed import table, wrapped
 from models.vehicle import Vehicle
 from sim.frequency.describing_function import DescribingFunction, describing_lines, describing_object, describing_verdict
 from sim.frequency.extremes import Extremes, extremes
-from sim.frequency.identification import Lines, difference, identify
+from sim.frequency.identification import Lines, difference, ideal_measurements, identify
+from sim.frequency.periodic import WorstRoad, worst_road
 from sim.runs.agreement import COARSEST, SLACK
 from synth.controller import Controller
+from synth.implemented.claims import norm_if_implemented
+from synth.sampled.norm import SampledNorm
 from synth.words import judged_lines
 
 LINES, EXTREMES, OWN = "frequency responses", "norms", "laws in Python"
@@ -23,6 +26,8 @@ LINES, EXTREMES, OWN = "frequency responses", "norms", "laws in Python"
 TOLERANCE = 1e-4  # of the response at a line: what turning makes of higher roads; on those of 0.1 mm 3e-7 is left
 ABOVE = 1e-5  # above the norm, relative: free motion that is left when a gain is read
 REACHED = 1e-3  # below the norm
+LEAPS = 1e-3  # above the norm of a slower controller: energies between leaps are exact to the square of the timestep
+DRIVEN = 1e-4  # above it, of its worst road, whose steps are shorter: 3e-5 is found
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +36,8 @@ class Sweep:
 
     lines: Lines
     extremes: Extremes
+    sampled: SampledNorm | None  # of the loop as it is implemented, exact; None where the vehicle file says nothing of that
+    road: WorstRoad | None  # the one that reaches it; None where there is none such
     without: str  # what the vehicle file has of noise and quantisation, and these runs had not, in words; empty for neither
 
     @property
@@ -51,7 +58,8 @@ class Sweep:
     @property
     def ended(self) -> tuple[str, ...]:
         """What ended the linear regime, in whichever run."""
-        return tuple(dict.fromkeys((*self.lines.ended, *self.extremes.ended)))
+        on_road = self.road.ended if self.road is not None else ()
+        return tuple(dict.fromkeys((*self.lines.ended, *self.extremes.ended, *on_road)))
 
     @property
     def gains(self) -> dict[str, float]:
@@ -75,7 +83,12 @@ def sweep(
     lines = identify(vehicle, controllers, amplitude, timestep, speed)
     progress(EXTREMES)
     most = extremes(vehicle, controllers, amplitude, timestep, speed)
-    return [Sweep(*pair, vehicle.implementation.blur) for pair in zip(lines, most, strict=True)]
+    ideal, found = ideal_measurements(vehicle), []
+    for controller, line, extreme in zip(controllers, lines, most, strict=True):
+        norm = norm_if_implemented(ideal, controller, timestep)
+        road = worst_road(ideal, controller, norm, amplitude, timestep) if norm is not None else None
+        found.append(Sweep(line, extreme, norm, road, vehicle.implementation.blur))
+    return found
 
 
 def failures(one: Sweep | DescribingFunction) -> list[str]:
@@ -95,8 +108,12 @@ def failures(one: Sweep | DescribingFunction) -> list[str]:
     for invariant in one.extremes.invariants:
         if not invariant.error <= invariant.allowed:
             failed.append(f"{invariant.name} is {invariant.error:.1e} off its invariant; {invariant.allowed:.1e} is allowed")
+    failed += _road_failures(one)
     if not one.extremes.lti:
-        return failed
+        assert one.sampled is not None, "it is slower than the timestep"
+        most = one.sampled.value
+        above = [(name, gain) for name, gain in one.gains.items() if not gain <= most * (1 + LEAPS)]
+        return failed + [f"the {name} has an L2 gain of {gain:.7g}, above the norm {most:.7g}" for name, gain in above]
     own = min(SLACK * abs(one.extremes.integrated - norm), COARSEST * norm)
     for name, gain in one.gains.items():
         if not gain <= norm * (1 + ABOVE) + own:
@@ -104,6 +121,35 @@ def failures(one: Sweep | DescribingFunction) -> list[str]:
     if not one.gains["worst sinusoid"] >= norm * (1 - REACHED) - own:
         failed.append(f"the worst sinusoid reaches {one.gains['worst sinusoid']:.7g} of the held-road norm {norm:.7g} only")
     return failed
+
+
+def _road_failures(one: Sweep) -> list[str]:
+    """The claims that do not hold of the worst road of a sampled loop."""
+    if one.road is None or one.sampled is None:
+        return []
+    said, gain, norm = f"the worst road has an L2 gain of {one.road.gain:.7g}", one.road.gain, one.sampled.value
+    failed = [] if abs(gain - one.road.predicted) <= ABOVE * gain else [f"{said}; {one.road.predicted:.7g} is predicted"]
+    if not gain <= norm * (1 + DRIVEN):
+        failed.append(f"{said}, above the norm {norm:.7g} of the sampled loop")
+    if not one.road.twisted and not gain >= norm * (1 - REACHED):
+        failed.append(f"{said} only; the norm of the sampled loop is {norm:.7g}")
+    return failed
+
+
+def _road_lines(one: Sweep) -> list[str]:
+    """The worst road of a sampled loop, in words and numbers."""
+    if one.sampled is None:
+        return []
+    if one.road is None:
+        return [
+            f"  norm of the sampled loop: {one.sampled.value:.7g}, decided within one sample, where no periodic road is worst"
+        ]
+    share, norm = one.road.gain / one.sampled.value, one.sampled.value
+    twisted = "; that is of twists of the road beside its velocity, too" if one.road.twisted else ""
+    return [
+        f"  worst road of the sampled loop: gain {one.road.gain:.7g}, norm {norm:.7g} ({100 * share:.4f} %), in steps of "
+        f"{1e3 * one.road.timestep:.4g} ms{twisted}"
+    ]
 
 
 def sweep_lines(one: Sweep | DescribingFunction) -> list[str]:
@@ -135,6 +181,7 @@ def sweep_lines(one: Sweep | DescribingFunction) -> list[str]:
     lines.append(f"  L2 gains in MuJoCo: worst sinusoid {one.gains['worst sinusoid']:.7g} ({100 * shares:.4f} %){gains}")
     if not one.extremes.lti:
         lines.append("  the controller is slower than the timestep, so its loop has harmonics: this norm is without them")
+    lines += _road_lines(one)
     if failed and not one.ended:
         lines += [f"  DOES NOT AGREE: {text}" for text in failed]
     return lines
@@ -157,8 +204,8 @@ def _verdict(one: Sweep | DescribingFunction) -> str:
         return f"DOES NOT AGREE in {len(failed)} claim{'s' * (len(failed) != 1)}"
     invariants = "the invariants, " if one.extremes.invariants else ""
     without = f" without its {one.without}" if one.without else ""
-    norm = "and the norm as the largest gain" if one.extremes.lti else "without the norm"
-    return f"agrees{without}: every line, {invariants}{norm}"
+    norm = "the norm as the largest gain" if one.extremes.lti or one.road is not None else "nothing above the norm"
+    return f"agrees{without}: every line, {invariants}and {norm}"
 
 
 def sweep_object(one: Sweep | DescribingFunction) -> dict[str, Any]:
@@ -190,10 +237,21 @@ def sweep_object(one: Sweep | DescribingFunction) -> dict[str, Any]:
             for i in one.extremes.invariants
         ],
         "norm": {"sampled": norm.gain, "peak_frequency": norm.omega, "continuous": finite(_norm(one))},
+        **_road_object(one),
         "gains": {name: finite(gain) for name, gain in one.gains.items()},
         "ended": list(one.ended),
         "failures": failures(one),
     }
+
+
+def _road_object(one: Sweep) -> dict[str, Any]:
+    """The exact norm of a sampled loop and the road that reaches it; nothing where the vehicle file has no such loop."""
+    if one.sampled is None:
+        return {}
+    road, found = one.road, None
+    if road is not None:
+        found = {"gain": finite(road.gain), "predicted": road.predicted, "angle": road.angle, "timestep": road.timestep}
+    return {"sampled_norm": one.sampled.value, "worst_road": found}
 
 
 def _norm(one: Sweep) -> float:
