@@ -76,7 +76,8 @@ ROOMS = {
     "sim.ride": "models.filters sim.linear sim.response sim.roads sim.runs",
     "sim.validity": "models.figures sim.linear sim.physics sim.response sim.roads",
     "sim.stability": "models.figures sim.linear sim.physics sim.roads sim.runs",
-    "sim.frequency": "models.filters models.figures sim.linear sim.physics sim.response sim.roads sim.runs synth.words",
+    "sim.frequency": "models.figures models.filters sim.linear sim.physics sim.response sim.roads sim.runs synth.problem "
+    "synth.words",
     "sim.recording": "models.figures sim.physics sim.response sim.roads sim.runs",
     "sim.command": "sim.recording sim.runs",
     "sim.asked": "models.figures sim.command sim.frequency sim.response sim.roads sim.runs sim.stability sim.validity",

@@ -43,6 +43,7 @@ def driven(vehicle: Vehicle, name: str):
         ("quarter_car", "II", Implementation(1e-2, 1), 60.0),
         ("quarter_car", "I", Implementation(delay=1), None),
         ("quarter_car_accelerometer", "accelerometer", Implementation(1e-2), None),
+        ("quarter_car", "state", Implementation(2e-2, 1.3), None),
         ("half_car", "I", Implementation(1e-2, 1), None),
         ("half_car", "state", Implementation(1e-2), None),
         pytest.param("half_car", "state", Implementation(5e-2), None, marks=pytest.mark.slow),  # it turns by pi
@@ -143,7 +144,11 @@ def test_without_an_implementation_there_is_none(capsys, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("factor", "words"), [(0.99, "only; the norm of the sampled loop is 7.865064"), (1.001, "above the norm 7.865064 of the")]
+    ("factor", "words"),
+    [
+        (0.99, "only; the norm of the sampled loop is 7.865064"),
+        pytest.param(1.001, "above the norm 7.865064 of the", marks=pytest.mark.slow),
+    ],
 )
 def test_a_false_norm_is_said(capsys, tmp_path, monkeypatch, factor, words):
     """A gain that is not what is predicted, below the norm or above it, is a disagreement."""

@@ -19,7 +19,7 @@ from models.common.arrays import Array
 from models.reality import steps_per_sample
 from models.vehicle import Vehicle
 from sim.frequency.gain import beside_leaps, mean_square
-from sim.linear.frequency import jumps_at_samples, stepwise_frequency_response
+from sim.linear.frequency import leaps_by_step, stepwise_frequency_response
 from sim.physics.simulate import simulate
 from sim.response.regime import ended_by
 from sim.response.response import Response
@@ -72,8 +72,9 @@ def worst_road(
     """
     if norm.inside:
         return None
-    period = vehicle.implementation.sample_period or timestep
-    steps = math.ceil(period / max(min(timestep, FINE, period / FEWEST), FINEST) * (1 - 1e-9))
+    period, own = vehicle.implementation.sample_period or timestep, steps_per_sample(vehicle.implementation, timestep)
+    wanted = period / max(min(timestep, FINE, period / FEWEST), FINEST) * (1 - 1e-9)
+    steps = own * math.ceil(wanted / own)  # a delay that ends with a step does so with a part of one
     built = replace(vehicle, implementation=replace(vehicle.implementation, sample_period=period))
     return _driven(built, controller, norm, amplitude, period / steps)
 
@@ -120,8 +121,7 @@ def _worst(vehicle: Vehicle, controller: Controller, angle: float, h: float) -> 
     omega = (angle + 2 * np.pi * sides) / (steps * h)
     positive, shape = np.abs(omega), vehicle.road_shape(np.abs(omega))[:, None]
     after = shape[..., None] * np.swapaxes(stepwise_frequency_response(vehicle, controller, positive, h)[:-1], 2, 3)
-    before = after.copy()
-    before[0] -= shape[..., None] * np.swapaxes(jumps_at_samples(vehicle, controller, positive, h), 1, 2)
+    before = after - shape[..., None] * np.swapaxes(leaps_by_step(vehicle, controller, positive, h), 2, 3)
     negative, around = (omega < 0)[:, None, None], beside_leaps(vehicle, after, before)
     rows = [_lines(vehicle, angle, np.where(negative, z.conj(), z), h) for z in around]
 

@@ -22,7 +22,7 @@ import numpy as np
 from scipy import linalg, optimize
 
 from models.common.arrays import Array
-from models.reality import steps_held, steps_per_sample
+from models.reality import Implementation, steps_held, steps_per_sample
 from models.vehicle import Vehicle
 from synth.controller import Controller
 from synth.implemented.controlled import Controlled, continuous, sampled
@@ -94,11 +94,7 @@ def stepwise_frequency_response(vehicle: Vehicle, controller: Controller, omega:
     cut, x, _, _ = _harmonic(vehicle, controller, omega, timestep, linalg.expm)
     model, steps = cut.model, steps_per_sample(how, h)
     Phi, Gamma, Gamma_r = held_inputs(model.A, h, linalg.expm, model.B, model.A @ model.Bw + model.Br)
-    held = steps_held(how, h)
-    forces, kept = [np.exp(-s * h * steps * late) * (cut.asked @ x) for _, late in held], cut.kept @ x
-    of_parts = [cut.inputs(one, kept, forces[-1]) for one in forces]
-    by_step = [one for (count, _), one in zip(held, of_parts, strict=True) for _ in range(count)]
-    xi, found = x - model.Bw, []
+    by_step, xi, found = _inputs_by_step(cut, how, s, h, x), x - model.Bw, []
     for i in range(steps + 1):
         road = np.exp(s * h * i)
         inputs = by_step[i] if i < steps else by_step[0] * road
@@ -107,17 +103,28 @@ def stepwise_frequency_response(vehicle: Vehicle, controller: Controller, omega:
     return np.stack(found)
 
 
-def jumps_at_samples(vehicle: Vehicle, controller: Controller, omega: Array, timestep: float) -> Array:
-    """What the output signals leap by at a sample of the controller, where a force is replaced by the next, shape (F, p, r).
+def leaps_by_step(vehicle: Vehicle, controller: Controller, omega: Array, timestep: float) -> Array:
+    """What the output signals leap by at every timestep of a period of the controller, where a force is replaced by the next.
 
-    Of a road as for `stepwise_frequency_response`, at the period's start: behind a lag nothing leaps.
+    Of a road as for `stepwise_frequency_response`; behind a lag nothing leaps.
+
+    Returns:
+        Shape (steps, F, p, r), complex.
     """
     s = 1j * np.asarray(omega, dtype=float)[:, None, None]
-    how = vehicle.implementation
+    how, h = vehicle.implementation, timestep
     cut, x, _, _ = _harmonic(vehicle, controller, omega, timestep, linalg.expm)
-    turn = np.exp(-s * timestep * steps_per_sample(how, timestep))
-    inputs = cut.inputs(turn**how.delay * (cut.asked @ x), cut.kept @ x)
-    return cut.model.D @ inputs * (1 - turn) / s
+    by_step, turn = _inputs_by_step(cut, how, s, h, x), np.exp(-s * h * steps_per_sample(how, h))
+    before = [by_step[-1] * turn, *by_step[:-1]]
+    return np.stack([cut.model.D @ (now - last) / s for now, last in zip(by_step, before, strict=True)])
+
+
+def _inputs_by_step(cut: Controlled, how: Implementation, s: Array, h: float, x: Array) -> list[Array]:
+    """All inputs at every timestep of a period that begins with a state, per unit of Z."""
+    held, steps = steps_held(how, h), steps_per_sample(how, h)
+    forces, kept = [np.exp(-s * h * steps * late) * (cut.asked @ x) for _, late in held], cut.kept @ x
+    of_parts = [cut.inputs(one, kept, forces[-1]) for one in forces]
+    return [one for (count, _), one in zip(held, of_parts, strict=True) for _ in range(count)]
 
 
 def _harmonic(
