@@ -8,7 +8,7 @@ import pytest
 from models.common.errors import InputError
 from synth.certificate.bounding import certify_tightly
 from synth.certificate.certificate import certify
-from synth.certificate.norm import level_set_norm
+from synth.certificate.norm import hinf_norm, level_set_norm
 from synth.errors import DesignError
 from synth.lmi.central import central_path
 from synth.lmi.output_feedback import l_matrix, nullspace, r_matrix
@@ -18,6 +18,7 @@ from synth.search.landscape import Landscape
 from synth.search.refine import refine
 from synth.search.stabilise import stabilise
 from synth.search.static import static_output_feedback
+from tests.benchmarks.compleib import held
 from tests.benchmarks.compleib import main as compleib
 
 CY = {"I": np.eye(4)[[0, 2]], "II": np.eye(4)[[2]]}
@@ -251,6 +252,24 @@ def test_table_of_plants(tmp_path, capsys):
     assert f"from {rows[1]['origin']}" in printed
     with pytest.raises(InputError, match="unknown plant 'third'"):
         compleib([str(file), "--only", "third"])
+
+
+def test_table_of_held_plants(tmp_path, capsys):
+    """With --dt a plant is held and designed as a discrete one: the norm is that of its gain there, bad periods are refused."""
+    plant, _ = random_plant(3, n=3, m=1)
+    named = {"A": plant.A, "B": plant.B, "B1": plant.Bw, "C1": plant.C, "D12": plant.D, "D11": plant.Dw, "C": np.eye(3)[:2]}
+    data = {key: matrix.tolist() for key, matrix in named.items()} | {"D21": np.zeros((2, plant.Bw.shape[1])).tolist()}
+    file = tmp_path / "plants.json"
+    file.write_text(json.dumps({"one": data}))
+    assert compleib([str(file), "--dt", "0.02", "--json"]) == 0
+    (row,) = json.loads(capsys.readouterr().out)["plants"]
+    loop = held(plant, 0.02).closed_loop(np.array(row["gain"]) @ np.eye(3)[:2])
+    assert loop.dt == 0.02
+    assert hinf_norm(loop).value == pytest.approx(row["norm"], rel=1e-9)
+    assert row["lower_bound"] * (1 - 1e-9) <= row["norm"] <= row["bound"]
+    for bad in (["0"], ["-1"], ["nan"], ["often"], []):
+        with pytest.raises(InputError, match=r"is no sample period; give seconds above 0"):
+            compleib([str(file), "--dt", *bad])
 
 
 def test_plant_that_fails_is_a_row(tmp_path, capsys):

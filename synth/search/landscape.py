@@ -50,6 +50,8 @@ class Landscape:
         self.scale = rate / np.outer(np.where(columns > 0, columns, 1.0), np.where(rows > 0, rows, 1.0))
         self.peaks: list[float] = []
         self.last: tuple[bytes, Loop] | None = None
+        self.last_ports: tuple[bytes, Ports] | None = None
+        self.straight = Ports(self.B, self.D, self.Cy, self.Dyw, self.Dyu, np.eye(self.shape[0]))
 
     def gain(self, x: Array) -> Array:
         """K of a point, shape (m, q)."""
@@ -64,10 +66,11 @@ class Landscape:
         K = x.reshape(*x.shape[:-1], *self.shape) * self.scale - self.before
         if not self.through:
             return K
-        try:
+        if x.ndim == 1:
+            return self.ports(x).after @ K
+        with contextlib.suppress(np.linalg.LinAlgError):  # a loop has no answer
             return np.linalg.solve(np.eye(self.shape[0]) - K @ self.Dyu, K)
-        except np.linalg.LinAlgError:  # the loop has no answer
-            return np.full_like(K, np.nan)
+        return np.full_like(K, np.nan)
 
     def point_acting(self, K: Array) -> Array:
         """The point of a gain that acts so, shape (m q,)."""
@@ -88,12 +91,19 @@ class Landscape:
         return self.Bw + self.B @ through, self.Dw + self.D @ through
 
     def ports(self, x: Array) -> Ports:
-        """What a change of the gain at a point acts through."""
+        """What a change of the gain at a point acts through; the last is remembered."""
         if not self.through:
-            return Ports(self.B, self.D, self.Cy, self.Dyw, self.Dyu)
-        K = self.gain(x) - self.before
-        after, before = np.linalg.inv(np.eye(len(K)) - K @ self.Dyu), np.linalg.inv(np.eye(K.shape[1]) - self.Dyu @ K)
-        return Ports(self.B @ after, self.D @ after, before @ self.Cy, before @ self.Dyw, self.Dyu @ after)
+            return self.straight
+        key = x.tobytes()
+        if self.last_ports is None or self.last_ports[0] != key:
+            K = self.gain(x) - self.before
+            after = np.full((len(K), len(K)), np.nan)
+            with contextlib.suppress(np.linalg.LinAlgError):  # the loop has no answer
+                after = np.linalg.inv(np.eye(len(K)) - K @ self.Dyu)
+            before = np.eye(K.shape[1]) + self.Dyu @ after @ K
+            ports = Ports(self.B @ after, self.D @ after, before @ self.Cy, before @ self.Dyw, self.Dyu @ after, after)
+            self.last_ports = key, ports
+        return self.last_ports[1]
 
     def abscissa(self, x: Array) -> tuple[float, Array]:
         """Largest real part of a pole [rad/s], and its slope, shape (m q,); infinite where the loop is not finite itself."""

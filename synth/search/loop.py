@@ -1,6 +1,7 @@
 """A closed loop as the landscape keeps it, and what a change of its gain acts through."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -15,6 +16,7 @@ class Ports:
 
     Attributes:
         B, D, Cy, Dyw, Dyu: shapes (n, m), (d, m), (q, n), (q, r) and (q, m).
+        after: (I - K Dyu)^-1, shape (m, m).
     """
 
     B: Array
@@ -22,6 +24,7 @@ class Ports:
     Cy: Array
     Dyw: Array
     Dyu: Array
+    after: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,12 +45,12 @@ class Loop:
     poles: Array
     residues: Array | None
 
-    @property
+    @cached_property
     def far(self) -> Array:
         """A frequency at which the gain is next to that at infinity, for cuts stand at finite ones [rad/s], shape (1,)."""
         return FAR * np.abs(self.poles).max(keepdims=True)
 
-    @property
+    @cached_property
     def at_infinity(self) -> float:
         """The gain at an infinite frequency."""
         return float(np.linalg.norm(self.Dw, 2))
