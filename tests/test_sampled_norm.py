@@ -137,6 +137,19 @@ def test_two_routes_meet(seed):
     assert max(others) < norm.upper
 
 
+@pytest.mark.parametrize("seed", range(12))
+def test_forces_on_their_way(seed):
+    """A delay as a power of zeta is the delay whose forces are states: what both routes rest on is the loop sample by sample."""
+    rng = np.random.default_rng(seed)
+    loop, angle = any_loop(rng), float(rng.uniform(0, math.pi))
+    matrix, start = loop.turning(loop.moved, np.array([angle]))
+    change, from_states = loop.closed(loop.moved)
+    n = len(loop.plant.A)
+    by_powers = start[0] @ np.linalg.solve(matrix[0], np.eye(len(matrix[0]), n))
+    by_states = from_states @ np.linalg.solve((np.exp(1j * angle) - 1) * np.eye(len(change)) - change, np.eye(len(change), n))
+    np.testing.assert_allclose(by_powers, by_states, rtol=0, atol=1e-9 * np.abs(by_states).max())  # rounding of near poles
+
+
 @pytest.mark.attack
 def test_two_routes_meet_always():
     """The same of 400 loops more."""
@@ -251,12 +264,12 @@ def test_the_loop_is_the_one_that_runs():
     """Lag, states of a law, a measured acceleration and a delay: from sample to sample it grows as the loop that `sim` runs."""
     vehicle = read_vehicle("quarter_car_accelerometer")
     for lag in (None, 300.0):
-        for late in (0, 2):
+        for late in (0, 2, 1.4):
             built = replace(vehicle, implementation=Implementation(5e-3, late), limits=Limits(actuator_bandwidth=lag))
             controller = design(vehicle, "accelerometer")
             loop = sampled_loop(built, controller)
             change, _ = loop.closed(loop.moved)
             growth = sampled_growth(np.eye(len(change)) + change)
-            expected = sampled_growth(implemented_loop(built, controller, 5e-3).transition)
+            expected = sampled_growth(implemented_loop(built, controller, 1e-3).transition)
             assert growth == pytest.approx(expected, rel=1e-9)  # rounding of eigenvalues
             assert sampled_norm(loop).gap < 1e-9
