@@ -155,8 +155,12 @@ class Vehicle:
         return entry
 
 
-def read_vehicle(file: str | Path) -> Vehicle:
+def read_vehicle(file: str | Path, own_kinds: bool = True) -> Vehicle:
     """Reads a vehicle file, or a vehicle that ships, by name (`quarter_car`).
+
+    Args:
+        file: its path, or name.
+        own_kinds: whether it may be of a kind that does not ship, whose Python is then run.
 
     Raises:
         InputError: the file is not there, not TOML, or something in it is missing, unknown or not allowed. The message names
@@ -167,6 +171,10 @@ def read_vehicle(file: str | Path) -> Vehicle:
         path = HERE / f"{file}.toml"
     text = read_text(path, "vehicle file", TEXT, f"give a TOML file or one of: {listing(shipped())}")
     try:
+        if not own_kinds and (name := parse_toml(text).get("type")) not in kinds():
+            raise InputError(
+                f"type = {quoted(name)} is a kind of somebody's own, whose Python would be run, and that is not asked for"
+            )
         whole, files = with_laws(text, path.parent)
         return replace(parse_vehicle(whole, source=str(path), folder=path.parent), law_files=files)
     except InputError as error:

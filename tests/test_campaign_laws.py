@@ -19,6 +19,7 @@ from sim.campaign.manifest import read_manifest
 from sim.campaign.plan import Plan
 from sim.ride.metrics import metrics_of
 from tests.commands import environment, prose
+from tests.pages import hopper
 
 FORCE = '10825.2 * sample["suspension_deflection"] - 2069.5 * sample["sprung_velocity"]'
 MASS = 'mass = sample.parameters["sprung_mass"]'
@@ -191,6 +192,25 @@ def test_no_code_but_the_users_own(tmp_path, capsys):
     (tmp_path / "other" / "campaign.json").rename(inside / "campaign.json")
     with pytest.raises(InputError, match=r"mine.py lies in the folder of results, from which no code is run"):
         main([str(file), "--results", str(inside)])
+
+
+def test_no_kind_that_came_with_results(tmp_path, capsys):
+    """The Python of a kind of vehicle is run by --verify for a campaign file that is named, not for a folder's own text."""
+    hopper(tmp_path)
+    equations = tmp_path / "hopper.py"
+    mark = tmp_path / "mark"
+    equations.write_text(f"open({str(mark)!r}, 'a').close()\n{equations.read_text(encoding='utf-8')}", encoding="utf-8")
+    file = tmp_path / "campaign.toml"
+    text = TEXT.replace("car.toml", "hopper.toml").replace('"linear", "mine", "many"', '"passive"')
+    file.write_text(text.partition("[samples.parameters]")[0], encoding="utf-8")
+    results = tmp_path / "results"
+    assert main([str(file), "--results", str(results)]) == 0
+    mark.unlink()
+    with pytest.raises(InputError, match=r"'hopper' is a kind of somebody's own.*; where you trust what it names, .*--verify"):
+        main(["--verify", str(results)])
+    assert not mark.exists()
+    assert main(["--verify", str(results), str(file)]) == 0
+    assert mark.exists()
 
 
 @pytest.mark.attack  # half a minute: the limits are as they are

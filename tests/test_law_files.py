@@ -89,6 +89,29 @@ def test_a_sample_period_comes_with_it(tmp_path):
         read_vehicle(vehicle_with(tmp_path, mat(LAW | {"Ts": 0.002}), slow))
 
 
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ({"E": np.array([[2.0, 0.0], [0.0, 1.0]])}, "has an E that is not the identity"),
+        ({"InputDelay": np.array([[0.0, 0.1]])}, "has InputDelay above 0, and a law has no delay"),
+        ({"OutputDelay": 0.1, "IODelay": np.array([[0.1, 0.0]])}, "has OutputDelay, IODelay above 0"),
+        ({"TimeUnit": "minutes"}, "TimeUnit is 'minutes'; give seconds"),
+    ],
+)
+@pytest.mark.parametrize("compressed", [False, True])
+def test_a_struct_of_a_system_says_more_than_its_matrices(tmp_path, more, said, compressed):
+    """What get(sys) writes beside A, B, C and D is read too: what changes the law is refused, what says nothing is not."""
+    nothing = {"E": np.zeros((0, 0)), "InputDelay": np.zeros((2, 1)), "OutputDelay": 0.0, "TimeUnit": "seconds", "Name": "mine"}
+    law = read_vehicle(vehicle_with(tmp_path, mat({"s": LAW | nothing}, do_compression=compressed))).controllers["mine"].law
+    assert law is not None
+    assert law.record == {name: value.tolist() for name, value in LAW.items()}
+    read_vehicle(vehicle_with(tmp_path, mat({"s": LAW | {"E": np.eye(len(LAW["A"]))}})))
+    with pytest.raises(InputError, match=said):
+        read_vehicle(vehicle_with(tmp_path, mat({"s": LAW | nothing | more}, do_compression=compressed)))
+    with pytest.raises(InputError, match="a struct whose A is text"):
+        read_vehicle(vehicle_with(tmp_path, mat({"s": LAW | {"A": "ab"}}, do_compression=compressed)))
+
+
 def test_what_is_recorded_is_whole(tmp_path, capsys):
     """The text that goes into logs has the matrices and says where they are from; the log proves itself when the file is gone."""
     file = vehicle_with(tmp_path, mat(LAW))
@@ -146,7 +169,7 @@ def test_what_is_saved_is_whole(tmp_path, capsys):
         (LAW | {"A": np.array([1, "a"], dtype=object)}, "A is a cell array"),
         ({"s": LAW | {"A": np.array([1, "a"], dtype=object)}}, "it has s, a struct whose A is a cell array"),
         ({"K": np.ones((2, 2, 2))}, "K is no matrix but an array of shape (2, 2, 2)"),
-        (LAW | {"B": B.T[:1]}, "B is no matrix of 2 row(s) of 2 number(s)"),
+        (LAW | {"B": B.T[:1]}, "give 2 row(s) of 2 number(s), as A has 2 row(s)"),
         (LAW | {"A": -np.eye(201), "B": np.ones((201, 2)), "C": np.ones((1, 201))}, "a controller of 201 states is too large"),
         (LAW | {"A": 1e300 * A}, "A has an entry that is not finite, or beyond 1e+15"),
         ({"A": np.ones((400, 400))}, "A is a matrix of 1.6e+05 numbers"),

@@ -22,6 +22,8 @@ from models.formats.mat_file import SAVE, Variable, read_mat
 MATRICES = ("A", "B", "C", "D")
 PERIODS = ("Ts", "sample_period")
 NAMES = (*MATRICES, "K", *PERIODS)
+DELAYS = ("InputDelay", "OutputDelay", "IODelay", "ioDelay", "InternalDelay")
+FIELDS = ("E", *DELAYS, "TimeUnit")  # of a struct made by get(sys): what it says beside its matrices
 MOST = 64 * MIB  # of a file: who saves a whole workspace saves more than a controller
 GIVE = "give a MATLAB file with A, B, C, D, or K"
 LINE = re.compile(r"^[ \t]*file[ \t]*=[^\n]*$", re.M)
@@ -89,7 +91,7 @@ def _read(entry: Mapping[str, Any], folder: Path) -> tuple[dict[str, Any], str, 
     path = folder / file
     content = read_bytes(path, "file", MOST, GIVE)
     try:
-        variables, others = read_mat(content, NAMES)
+        variables, others = read_mat(content, NAMES, FIELDS)
         record, period = _law(variables, others, path.name)
     except InputError as error:
         raise InputError(f"file {path}: {error}") from error
@@ -127,6 +129,7 @@ def _law(variables: Mapping[str, Variable], others: Mapping[str, str], file: str
             raise InputError(f"{listing(missing)} is missing in {where}; give A, B, C and D, or K alone")
     if "K" in held and {*MATRICES} & {*held}:
         raise InputError(f"{where} has K beside {listing({*MATRICES} & {*held})}; keep K, a static gain, or A, B, C and D")
+    _check_plain(held)
     static = "A" not in held or not held["A"].size
     if static:
         return {"gain": _numbers(gains[0], held[gains[0]]).tolist()}, None
@@ -148,6 +151,25 @@ def _numbers(name: str, value: Array) -> Array:
     if not np.all(np.isfinite(value)):
         raise InputError(f"{name} has an entry that is not finite; give numbers")
     return value
+
+
+def _check_plain(held: Mapping[str, Array]) -> None:
+    """A struct of a system says more than its matrices, and what of it would change the law is not left out in silence.
+
+    Raises:
+        InputError: it has a descriptor matrix E, a delay, or another unit of time than seconds.
+    """
+    E = held.get("E", np.zeros((0, 0)))
+    if E.size and not np.array_equal(E, np.eye(len(E))):
+        raise InputError("has an E that is not the identity; give x' = A x + B y without one, by ss(sys, 'explicit') in MATLAB")
+    delayed = [name for name in DELAYS if np.any(held.get(name, 0))]
+    if delayed:
+        raise InputError(
+            f"has {', '.join(delayed)} above 0, and a law has no delay; give one to [implementation], or take pade(sys, 3)"
+        )
+    unit = "".join(chr(int(code)) for code in np.real(held.get("TimeUnit", np.zeros(0))).ravel())
+    if unit not in ("", "seconds"):
+        raise InputError(f"TimeUnit is {quoted(unit)}; give seconds, by chgTimeUnit(sys, 'seconds') in MATLAB")
 
 
 def _period(held: Mapping[str, Array]) -> float | None:

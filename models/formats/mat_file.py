@@ -69,12 +69,13 @@ class _Header:
     object: str = ""
 
 
-def read_mat(content: bytes, names: Collection[str]) -> tuple[dict[str, Variable], dict[str, str]]:
+def read_mat(content: bytes, names: Collection[str], fields: Collection[str] = ()) -> tuple[dict[str, Variable], dict[str, str]]:
     """The variables of these names: numbers, or structs of numbers.
 
     Args:
         content: of the file.
         names: those that are read; a struct is read whatever its name, and of its fields these.
+        fields: more fields that are read of a struct; of text, the numbers of its characters.
 
     Returns:
         By name, arrays of real or complex numbers, structs as mappings of such; and, by name, what else there is, in words.
@@ -85,12 +86,12 @@ def read_mat(content: bytes, names: Collection[str]) -> tuple[dict[str, Variable
     if HDF5 in (content[:8], content[512:520]):
         raise InputError("is of version 7.3, which is HDF5 and not read; save it in MATLAB with '-v7'")
     try:
-        return _version_5(content, names) if content[126:128] in (b"IM", b"MI") else _version_4(content, names)
+        return _version_5(content, names, fields) if content[126:128] in (b"IM", b"MI") else _version_4(content, names)
     except DamagedError as error:
         raise InputError(f"is no MATLAB file, or damaged: {error}; {SAVE}") from error
 
 
-def _version_5(content: bytes, names: Collection[str]) -> tuple[dict[str, Variable], dict[str, str]]:
+def _version_5(content: bytes, names: Collection[str], fields: Collection[str]) -> tuple[dict[str, Variable], dict[str, str]]:
     """Versions 5 to 7: variables are elements, compressed or not, whose parts are elements too."""
     order = "<" if content[126:128] == b"IM" else ">"
     found: dict[str, Variable] = {}
@@ -114,7 +115,8 @@ def _version_5(content: bytes, names: Collection[str]) -> tuple[dict[str, Variab
         if known.name in found:
             raise DamagedError(f"{known.name} is there twice")
         try:
-            found[known.name] = _value(_of_matrix(inflated, order, whole=True) if kind == COMPRESSED else matrix, order, names)
+            plain = _of_matrix(inflated, order, whole=True) if kind == COMPRESSED else matrix
+            found[known.name] = _value(plain, order, names, fields)
         except UnreadError as error:
             if known.name in names:
                 raise InputError(f"{known.name} is {error}, and a controller is full matrices of numbers: {SAVE}") from error
@@ -213,8 +215,8 @@ def _header(matrix: memoryview, order: str) -> _Header:
     return _Header(name, kind, _text(next(parts, None)) if kind in (OBJECT, OPAQUE) else "")
 
 
-def _value(matrix: memoryview, order: str, names: Collection[str]) -> Variable:
-    """Plain numbers, or a struct of such, of whose fields those of these names are kept.
+def _value(matrix: memoryview, order: str, names: Collection[str], more: Collection[str]) -> Variable:
+    """Plain numbers, or a struct of such, of whose fields those of these names are kept, and more that may be text.
 
     Raises:
         DamagedError: it is not formed well.
@@ -240,16 +242,21 @@ def _value(matrix: memoryview, order: str, names: Collection[str]) -> Variable:
         name = bytes(fields[1][i * longest : (i + 1) * longest]).split(b"\0")[0].decode("latin-1")
         if name in found:
             raise DamagedError(f"a struct has {name} twice")
-        if name in names:
+        if name in names or name in more:
             try:
-                found[name] = _numbers(value, order)
+                found[name] = _numbers(value, order, (*NUMBERS, CHAR) if name in more else NUMBERS)
             except UnreadError as error:
                 raise UnreadError(f"a struct whose {name} is {error}") from error
     return found
 
 
-def _numbers(matrix: memoryview, order: str) -> Array:
+def _numbers(matrix: memoryview, order: str, kinds: Collection[int] = NUMBERS) -> Array:
     """Plain numbers, of as many dimensions as they have.
+
+    Args:
+        matrix: what they are of.
+        order: of the bytes.
+        kinds: the classes of arrays that will do.
 
     Raises:
         DamagedError: they are not formed well.
@@ -259,7 +266,7 @@ def _numbers(matrix: memoryview, order: str) -> Array:
         return np.zeros((0, 0))  # an empty field may be written as nothing at all
     parts = _elements(matrix, order)
     kind, is_complex = _flags(next(parts, None), order)
-    if kind not in NUMBERS:
+    if kind not in kinds:
         raise UnreadError(WORDS.get(kind, f"of class {kind}"))
     shape = _dimensions(next(parts, None), order)
     count = math.prod(shape)
@@ -268,9 +275,10 @@ def _numbers(matrix: memoryview, order: str) -> Array:
     _text(next(parts, None))
     read = []
     for element, data in parts:
-        if element not in TYPES or len(data) != count * np.dtype(TYPES[element]).itemsize:
+        number = TYPES.get(INT8 if element == UTF8 and kind == CHAR else element)
+        if number is None or len(data) != count * np.dtype(number).itemsize:
             raise DamagedError("a matrix does not have the numbers that it says")
-        read.append(np.frombuffer(data, order + TYPES[element]).astype(float).reshape(shape, order="F"))
+        read.append(np.frombuffer(data, order + number).astype(float).reshape(shape, order="F"))
     if len(read) != 1 + is_complex:
         raise DamagedError("a matrix has more parts, or fewer, than a matrix has")
     return read[0] + 1j * read[1] if is_complex else read[0]

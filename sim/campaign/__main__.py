@@ -41,7 +41,8 @@ FEWEST = 16  # runs in a batch all the same; 16 cost 11 % more than 192, each, 3
 
 EPILOG = """
 A law in Python that fails, ends its process, or takes longer than 10 s a call or 100 times real time, fails its run: the row has
-the reason. The campaign goes on with the same file of the law only; --verify runs it only if FILE is named as well.
+the reason. The campaign goes on with the same file of the law only; --verify runs it, and the Python of a kind of
+vehicle of your own, only if FILE is named as well.
 Interrupted, by Ctrl-C, kill -9 or a power cut, and started again, it goes on where it was, and loses a few seconds of work.
 exit code: 0 every run is there (with --verify: the results are what the campaign comes to), 1 --verify found a fault,
 2 bad input or a full disk, 130 interrupted, 143 by SIGTERM, 129 by the end of its terminal: what is done is kept
@@ -175,7 +176,10 @@ def _found(options: argparse.Namespace, folder: Path) -> tuple[int, Verified, st
         file = Path(manifest.file)
         if not file.is_absolute() or not file.parent.is_dir():  # the folder was copied to another machine
             file = folder.absolute().parent / file.name
-        campaign = parse_campaign(manifest.campaign, file)
+        try:  # what the folder names is no code that anybody has asked for, be it a law or a kind of vehicle
+            campaign = parse_campaign(manifest.campaign, file, own_kinds=False)
+        except InputError as error:
+            raise InputError(f"{error}; where you trust what it names, give the file too: --verify {folder} FILE") from error
         try:
             same = read_text(file, "campaign file", TEXT, "") == manifest.campaign
             remark = "" if same else f"campaign file {file} is another one by now; the folder's own text of it counts"
@@ -191,7 +195,7 @@ def _found(options: argparse.Namespace, folder: Path) -> tuple[int, Verified, st
     stage = Stages("rows", "runs driven again")
     stage("rows")
     store = _store(plan, folder, manifest)
-    own = options.file is not None  # what the folder names is no code that anybody has asked for
+    own = options.file is not None
     found = verify(plan, store, options.runs, options.seed, own, stage.counted("runs driven again", options.runs, "runs"))
     stage.end()
     if found.left_out:

@@ -79,25 +79,30 @@ def read_campaign(path: Path) -> Campaign:
     return parse_campaign(read_text(path, "campaign file", TEXT, "give a TOML file"), path)
 
 
-def parse_campaign(text: str, path: Path) -> Campaign:
+def parse_campaign(text: str, path: Path, own_kinds: bool = True) -> Campaign:
     """A campaign from the text of its file, wherever that is kept; what it names lies beside `path`.
+
+    Args:
+        text: TOML.
+        path: of its file.
+        own_kinds: as for `read_vehicle`.
 
     Raises:
         InputError: see `read_campaign`.
     """
     try:
-        return _parse(text, path.parent)
+        return _parse(text, path.parent, own_kinds)
     except InputError as error:
         raise InputError(f"campaign file {path}: {error}") from error
 
 
-def _parse(text: str, folder: Path) -> Campaign:
+def _parse(text: str, folder: Path, own_kinds: bool) -> Campaign:
     data = parse_toml(text)
     for key in data:
         if key not in KEYS:
             raise InputError(f"unknown key {key!r}; known: {listing(KEYS)}")
     names = _texts(data, "vehicles", "quarter_car")
-    vehicles = {name: read_vehicle(name if not (folder / name).is_file() else folder / name) for name in names}
+    vehicles = {name: read_vehicle(folder / name if (folder / name).is_file() else name, own_kinds) for name in names}
     _check_once("vehicles", names, [Path(vehicles[name].source).resolve() for name in names])
     controllers = tuple(unicodedata.normalize("NFC", name) for name in _texts(data, "controllers", "I"))
     _check_once("controllers", controllers, controllers)
