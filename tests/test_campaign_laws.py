@@ -202,7 +202,7 @@ def test_no_kind_that_came_with_results(tmp_path, capsys):
     equations.write_text(f"open({str(mark)!r}, 'a').close()\n{equations.read_text(encoding='utf-8')}", encoding="utf-8")
     file = tmp_path / "campaign.toml"
     text = TEXT.replace("car.toml", "hopper.toml").replace('"linear", "mine", "many"', '"passive"')
-    file.write_text(text.partition("[samples.parameters]")[0], encoding="utf-8")
+    file.write_text(text.partition("[samples]")[0], encoding="utf-8")
     results = tmp_path / "results"
     assert main([str(file), "--results", str(results)]) == 0
     mark.unlink()

@@ -42,8 +42,8 @@ WORDS = {
     OPAQUE: "a MATLAB object",
 }
 
-
 Variable = Array | dict[str, Array]
+Contents = tuple[dict[str, Variable], dict[str, str]]
 
 
 class DamagedError(Exception):
@@ -69,7 +69,7 @@ class _Header:
     object: str = ""
 
 
-def read_mat(content: bytes, names: Collection[str], fields: Collection[str] = ()) -> tuple[dict[str, Variable], dict[str, str]]:
+def read_mat(content: bytes, names: Collection[str], fields: Collection[str] = ()) -> Contents:
     """The variables of these names: numbers, or structs of numbers.
 
     Args:
@@ -91,18 +91,16 @@ def read_mat(content: bytes, names: Collection[str], fields: Collection[str] = (
         raise InputError(f"is no MATLAB file, or damaged: {error}; {SAVE}") from error
 
 
-def _version_5(content: bytes, names: Collection[str], fields: Collection[str]) -> tuple[dict[str, Variable], dict[str, str]]:
+def _version_5(content: bytes, names: Collection[str], fields: Collection[str]) -> Contents:
     """Versions 5 to 7: variables are elements, compressed or not, whose parts are elements too."""
     order = "<" if content[126:128] == b"IM" else ">"
     found: dict[str, Variable] = {}
     others: dict[str, str] = {}
     left = MOST_INSIDE
     for kind, data in _elements(content[128:], order):
-        matrix = data
-        if kind == COMPRESSED:
-            matrix = _of_matrix(_inflated(data, HEADER), order)
-        elif kind != MATRIX:
+        if kind not in (MATRIX, COMPRESSED):
             raise DamagedError(f"an element of type {kind} where a variable should be")
+        matrix = _of_matrix(_inflated(data, HEADER), order) if kind == COMPRESSED else data
         known = _header(matrix, order)
         if known.kind in (OBJECT, OPAQUE) or (known.name not in names and known.kind != STRUCT):
             if known.name:
@@ -124,7 +122,7 @@ def _version_5(content: bytes, names: Collection[str], fields: Collection[str]) 
     return found, others
 
 
-def _version_4(content: bytes, names: Collection[str]) -> tuple[dict[str, Variable], dict[str, str]]:
+def _version_4(content: bytes, names: Collection[str]) -> Contents:
     """Version 4: matrices one after the other, each with how it is made, its rows, its columns, and the length of its name."""
     at = 0
     found: dict[str, Variable] = {}
@@ -251,12 +249,7 @@ def _value(matrix: memoryview, order: str, names: Collection[str], more: Collect
 
 
 def _numbers(matrix: memoryview, order: str, kinds: Collection[int] = NUMBERS) -> Array:
-    """Plain numbers, of as many dimensions as they have.
-
-    Args:
-        matrix: what they are of.
-        order: of the bytes.
-        kinds: the classes of arrays that will do.
+    """Plain numbers, of as many dimensions as they have, of an array of one of these classes.
 
     Raises:
         DamagedError: they are not formed well.
