@@ -9,6 +9,7 @@ import pytest
 from scipy import linalg, optimize
 
 from models.common.errors import InputError
+from models.law import static_law
 from synth.certificate.bounded_real import bounded_real_exactly
 from synth.certificate.bounding import certify_tightly
 from synth.certificate.certificate import Certificate, certify, prove_bound
@@ -18,6 +19,7 @@ from synth.certificate.stability import is_stable, stability
 from synth.design import state_design, state_path, two_step_design, zero_l_design
 from synth.designer import Designer
 from synth.dynamic.full_order import full_order_design
+from synth.dynamic.loop import on_larger_plant
 from synth.errors import DesignError, InfeasibleError
 from synth.lmi.clarabel import solve_lmi
 from synth.lmi.full_order import find_lower_bound
@@ -213,14 +215,20 @@ def test_conditioning_at_a_megahertz(paper):
 def test_slopes_are_those_of_the_norm(seed):
     """The landscape's norm is the certificate's, and its slope that of the norm over the discrete plant's own gain."""
     plant, Cy = random_plant(seed, radius=0.9)
-    landscape = Landscape(plant, Cy)
+    Dyw = seed % 2 * np.random.default_rng(seed).standard_normal((len(Cy), plant.Bw.shape[1]))
+    landscape = Landscape(plant, Cy, Dyw)
+
+    def exact(K: np.ndarray) -> float:
+        larger, G = on_larger_plant(plant, Cy, static_law(K), Dyw)
+        return hinf_norm(larger.closed_loop(G)).value
+
     K = 0.02 * np.random.default_rng(seed).standard_normal(landscape.shape)
     x = landscape.point(K)
     norm, at = landscape.norm(x)
-    assert norm == pytest.approx(hinf_norm(plant.closed_loop(K @ Cy)).value, rel=1e-8)  # NEAR, the landscape's own
+    assert norm == pytest.approx(exact(K), rel=1e-8)  # NEAR, the landscape's own
     slope, numeric = landscape.slope(x, at), np.zeros(len(x))
     for i, step in enumerate(1e-5 * np.eye(len(x))):
-        gains = [hinf_norm(plant.closed_loop(landscape.gain(x + sign * step) @ Cy)).value for sign in (1, -1)]
+        gains = [exact(landscape.gain(x + sign * step)) for sign in (1, -1)]
         numeric[i] = (gains[0] - gains[1]) / 2e-5
     np.testing.assert_allclose(slope, numeric, rtol=1e-4, atol=1e-4 * np.abs(numeric).max())  # the step squared, and edges
 
@@ -305,6 +313,15 @@ def test_states_that_z_does_not_see(kept):
     assert found.certificate.failures == ()
     np.testing.assert_allclose(found.gain[:, :n], alone.gain, rtol=1e-5)  # the path's own distance from its limit
     np.testing.assert_allclose(found.gain[:, n:], 0, atol=1e-8)
+
+
+def test_a_mode_that_z_does_not_see_and_that_grows():
+    """A mode at z = -1.2, which in differences is far left of the axis, is not left to itself where z does not see it."""
+    A, B = np.array([[0.8, 0.0], [0.0, -1.2]]), np.array([[1.0], [1.0]])
+    C, D = np.array([[1.0, 0.0], [0.0, 0.0]]), np.array([[0.0], [1.0]])
+    design = state_design(GeneralizedPlant(A, B, np.eye(2), C, D, np.zeros((2, 2)), dt=0.1))
+    assert design.certificate.failures == ()
+    assert np.abs(design.certificate.poles).max() < 1
 
 
 def test_a_pole_at_minus_one():

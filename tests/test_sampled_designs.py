@@ -10,6 +10,7 @@ import pytest
 
 from models.common.errors import InputError
 from models.vehicle import parse_vehicle, read_vehicle
+from synth.certificate.norm import hinf_norm
 from synth.design import state_path
 from synth.designer import Designer
 from synth.designs.sampled import held_problem
@@ -139,6 +140,7 @@ FELT = '[controllers.felt]\nmeasured = ["suspension_deflection", "sprung_acceler
         ("quarter_car", 1, "", ("state", "I", "II")),
         ("quarter_car", 2, LAG, ("state", "II")),
         ("quarter_car", 0, FELT, ("felt",)),
+        ("quarter_car", 1, FELT, ("felt",)),
         ("quarter_car", 0, LAG, ("I",)),
         ("half_car", 0, "", ("I",)),
     ],
@@ -148,7 +150,12 @@ def test_the_loop_as_built_is_that_designed_for(name, delay, more, controllers):
     vehicle = asked(name, delay=delay, more=more)
     designer = Designer(vehicle)
     for each in controllers:
-        found = held_design(held_problem(vehicle, designer._entry(each)), 7.8)
+        problem = held_problem(vehicle, designer._entry(each))
+        found = held_design(problem, 7.8)
+        plant = problem.at(found.norm)
+        assert plant is not None
+        # The plant of the level that is the norm closes to a norm of one: what is remembered stands where it is read.
+        assert hinf_norm(plant.closed_loop(found.gain @ problem.rows)).value == pytest.approx(1, rel=1e-6)
         built = norm_as_implemented(vehicle, designer.design(each))
         assert built.stable
         assert built.value == pytest.approx(found.norm, rel=1e-7)  # the levels of a norm lie that close
