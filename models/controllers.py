@@ -145,7 +145,8 @@ def _controller(
             raise InputError(f"{where} measures {signal!r} twice; name it once")
         if signal not in model.measurable:
             raise InputError(
-                f"{where} {signal!r} has the road's height in it, which no sensor measures; give signals out of: {measurable}"
+                f"{where} {signal!r} has the road's height in it beside the state, and loops are closed through the state alone; "
+                f"give signals out of: {measurable}"
             )
         if signal in model.inputs and not (given or design or python or entry.get("lag")):
             raise InputError(

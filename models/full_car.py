@@ -69,6 +69,7 @@ OUTPUTS = (
     *_at_corners(signals.SPRUNG_ACCELERATION),
     *FORCES,
 )
+ON_DEMAND = _at_corners(signals.UNSPRUNG_ACCELERATION)
 ROAD_VELOCITIES = _at_corners(signals.ROAD_VELOCITY)
 
 
@@ -95,12 +96,12 @@ def _side(side: str, p: Parameters) -> float:
 
 
 def linear_model(p: Parameters) -> LinearModel:
-    """The linear model: 14 states, 4 inputs [N], 4 disturbances (road velocities) [m/s], 33 output signals.
+    """The linear model: 14 states, 4 inputs [N], 4 disturbances (road velocities) [m/s], 37 output signals.
 
     Args:
         p: parameters by name [SI].
     """
-    return rigid_body.linear_model(_body(p), STATES, FORCES, ROAD_VELOCITIES, OUTPUTS)
+    return rigid_body.linear_model(_body(p), STATES, FORCES, ROAD_VELOCITIES, (*OUTPUTS, *ON_DEMAND))
 
 
 def check(p: Parameters) -> None:
@@ -137,4 +138,5 @@ KIND = VehicleKind(
         mode.name: {f"tyre_deflection_{corner}": float(share) for corner, share in zip(CORNERS, pattern, strict=True)}
         for mode, pattern in zip(TYRE_MODES, MODES.values(), strict=True)
     },
+    on_demand=ON_DEMAND,
 )

@@ -47,6 +47,7 @@ OUTPUTS = (
     *_at_corners(signals.SPRUNG_ACCELERATION),
     *FORCES,
 )
+ON_DEMAND = _at_corners(signals.UNSPRUNG_ACCELERATION)
 ROAD_VELOCITIES = _at_corners(signals.ROAD_VELOCITY)
 
 
@@ -68,12 +69,12 @@ def _body(p: Parameters) -> RigidBody:
 
 
 def linear_model(p: Parameters) -> LinearModel:
-    """The linear model: 8 states, 2 inputs [N], 2 disturbances (road velocities) [m/s], 16 output signals.
+    """The linear model: 8 states, 2 inputs [N], 2 disturbances (road velocities) [m/s], 18 output signals.
 
     Args:
         p: parameters by name [SI].
     """
-    return rigid_body.linear_model(_body(p), STATES, FORCES, ROAD_VELOCITIES, OUTPUTS)
+    return rigid_body.linear_model(_body(p), STATES, FORCES, ROAD_VELOCITIES, (*OUTPUTS, *ON_DEMAND))
 
 
 def check(p: Parameters) -> None:
@@ -103,4 +104,5 @@ KIND = VehicleKind(
     static_tyre_deflection=lambda p: _body(p).static_tyre_deflection(),
     write_mjcf=lambda spec, p: rigid_body.write_mjcf(spec, _body(p)),
     check_together=check,
+    on_demand=ON_DEMAND,
 )

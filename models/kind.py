@@ -1,7 +1,7 @@
 """A kind of vehicle: what `models/<name>.py` must say so that everything after it works unchanged."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -143,9 +143,9 @@ class VehicleKind:
     Attributes:
         name: `type` in a vehicle file, and the stem of the `.py`, `.xml` and `.toml` files.
         parameters: what a vehicle file must give.
-        signals: every signal: outputs of the linear model and, by the same names, sensors of the MJCF.
+        signals: of every vehicle of the kind: outputs of the linear model and, by the same names, sensors of the MJCF.
         wheels: in the order of the linear model's disturbances.
-        linear_model: parameters -> LinearModel.
+        linear_model: parameters -> LinearModel, of all signals, those on demand too; a vehicle's own is `model`.
         static_tyre_deflection: parameters -> how far each tyre is squeezed at rest [m], by tyre deflection signal. A tyre
             deflection above it means that the wheel is off the road.
         write_mjcf: writes the parameters into an `MjSpec` of the kind's `.xml`. It edits what it is given: no import of MuJoCo.
@@ -155,6 +155,8 @@ class VehicleKind:
         suspended: its suspensions. None: one for every signal `suspension_deflection...`, whose tendon is `suspension...` and
             whose force is `control_force...`, if there is one, all of one ending.
         invariants: what no suspension force can change.
+        on_demand: signals that only a vehicle has whose file names them: outputs and sensors like the others, which cost nothing
+            where nobody asks for them.
     """
 
     name: str
@@ -169,6 +171,21 @@ class VehicleKind:
     combined: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     suspended: tuple[Suspension, ...] | None = None
     invariants: tuple[Invariant, ...] = ()
+    on_demand: tuple[Signal, ...] = ()
+
+    def naming(self, names: Collection[str]) -> "VehicleKind":
+        """The kind whose vehicles have those of the signals on demand that are named, after their other signals."""
+        named = tuple(signal for signal in self.on_demand if signal.name in names and signal.name in self.unnamed)
+        return replace(self, signals=(*self.signals, *named)) if named else self
+
+    @property
+    def unnamed(self) -> tuple[str, ...]:
+        """The signals on demand that its vehicles do not have."""
+        return tuple(signal.name for signal in self.on_demand if signal not in self.signals)
+
+    def model(self, parameters: Parameters) -> LinearModel:
+        """The linear model of a vehicle of the kind: of the signals that it has."""
+        return self.linear_model(parameters).without(self.unnamed)
 
     @property
     def suspensions(self) -> tuple[Suspension, ...]:

@@ -6,7 +6,7 @@ with the road's heights z_r under the wheels and their velocities w = z_r'. In t
 motions of the body too, Br and Cr are zero: only the road's velocity acts. Under four wheels its twist acts as a displacement.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -75,6 +75,12 @@ class LinearModel:
         A control force is one of them: a controller that is told which force acts can take it out of an acceleration.
         """
         return tuple(name for name, of_road in zip(self.outputs, np.any(self.Cr, axis=1), strict=True) if not of_road)
+
+    def without(self, outputs: Collection[str]) -> "LinearModel":
+        """The same model without some of its output signals."""
+        kept = [i for i, name in enumerate(self.outputs) if name not in outputs]
+        names = tuple(self.outputs[i] for i in kept)
+        return replace(self, C=self.C[kept], D=self.D[kept], Cr=self.Cr[kept], outputs=names)
 
     def behind_lag(self, bandwidth: float) -> "LinearModel":
         """The model with actuators that lag: its inputs are the forces asked for, and those that act are states.

@@ -51,6 +51,9 @@ def build_spec(vehicle: Vehicle, timestep: float) -> mujoco.MjSpec:
     if vehicle.kind.mjcf.stat().st_size > TEXT:
         raise InputError(f"MJCF {vehicle.kind.mjcf}: is too large; at most {TEXT / MIB:g} MiB is read: {GIVE}")
     spec = _drawn(vehicle)
+    for sensor in spec.sensors:
+        if sensor.name in vehicle.kind.unnamed:
+            spec.delete(sensor)
     spec.option.timestep = timestep
     spec.option.gravity = [0.0, 0.0, -GRAVITY]
     vehicle.kind.write_mjcf(spec, vehicle.parameters)

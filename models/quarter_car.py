@@ -28,6 +28,7 @@ STATES = (
     signals.UNSPRUNG_VELOCITY,
 )
 OUTPUTS = (*STATES, signals.SPRUNG_ACCELERATION, signals.CONTROL_FORCE)
+ON_DEMAND = (signals.UNSPRUNG_ACCELERATION,)
 
 
 def linear_model(p: Parameters) -> LinearModel:
@@ -37,7 +38,7 @@ def linear_model(p: Parameters) -> LinearModel:
         p: parameters by name [SI].
 
     Returns:
-        The model: 4 states (30), 1 input [N], 1 disturbance (road velocity) [m/s], 6 output signals.
+        The model: 4 states (30), 1 input [N], 1 disturbance (road velocity) [m/s], 7 output signals.
     """
     m_s, m_u = p["sprung_mass"], p["unsprung_mass"]
     k_s, c_s = p["suspension_stiffness"], p["suspension_damping"]
@@ -54,9 +55,9 @@ def linear_model(p: Parameters) -> LinearModel:
     B = np.array([[0], [0], [1 / m_s], [-1 / m_u]])  # (32)
     Bw = np.array([[0], [-1], [0], [0]])  # (32)
 
-    # Signals: the four states, then z_s'' by the first line of (28), then u itself.
-    C = np.vstack([np.eye(4), A[2], np.zeros(4)])
-    D = np.vstack([np.zeros((4, 1)), B[2], [[1]]])
+    # Signals: the four states, then z_s'' by the first line of (28), then u itself, then z_u'' by the second line.
+    C = np.vstack([np.eye(4), A[2], np.zeros(4), A[3]])
+    D = np.vstack([np.zeros((4, 1)), B[2], [[1]], B[3]])
 
     return LinearModel(
         A=A,
@@ -67,9 +68,9 @@ def linear_model(p: Parameters) -> LinearModel:
         states=tuple(signal.name for signal in STATES),
         inputs=(signals.CONTROL_FORCE.name,),
         disturbances=(signals.ROAD_VELOCITY.name,),
-        outputs=tuple(signal.name for signal in OUTPUTS),
+        outputs=tuple(signal.name for signal in (*OUTPUTS, *ON_DEMAND)),
         Br=np.zeros((4, 1)),
-        Cr=np.zeros((6, 1)),
+        Cr=np.zeros((7, 1)),
     )
 
 
@@ -132,4 +133,5 @@ KIND = VehicleKind(
     static_tyre_deflection=static_tyre_deflection,
     write_mjcf=write_mjcf,
     invariants=INVARIANTS,
+    on_demand=ON_DEMAND,
 )

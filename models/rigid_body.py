@@ -113,7 +113,7 @@ def linear_model(
         inputs: the control forces, c of them.
         disturbances: the road velocities, c of them.
         outputs: in this order: the states, the tyre deflections where they are no states, q'', the body's velocity and
-            acceleration above each corner, the control forces.
+            acceleration above each corner, the control forces, the wheels' accelerations.
     """
     S, M, P = body.shape, body.inertia, body.tyre_modes
     c, k, p = len(S), len(M), len(P)
@@ -137,12 +137,14 @@ def linear_model(
     Br = np.vstack([np.zeros((c + p + k, c)), push @ corner["tyre_stiffness"] @ N])
 
     q_ddot, q_ddot_u = A[c + p : c + p + k], B[c + p : c + p + k]
+    z_u_ddot, z_u_ddot_u = A[c + p + k :], B[c + p + k :]
     extra_t = t if p < c else t[:0]
-    C = np.vstack([np.eye(n), extra_t, q_ddot, S @ q_dot, S @ q_ddot, np.zeros((c, n))])
+    C = np.vstack([np.eye(n), extra_t, q_ddot, S @ q_dot, S @ q_ddot, np.zeros((c, n)), z_u_ddot])
     silent = np.zeros((n + len(extra_t), c))
-    D = np.vstack([silent, q_ddot_u, np.zeros((c, c)), S @ q_ddot_u, np.eye(c)])
+    D = np.vstack([silent, q_ddot_u, np.zeros((c, c)), S @ q_ddot_u, np.eye(c), z_u_ddot_u])
     Cr = np.zeros((len(C), c))
     Cr[n : n + len(extra_t)] = -N[: len(extra_t)]
+    Cr[-c:] = Br[c + p + k :]
     rate = np.sqrt(np.mean(np.diag(corner["tyre_stiffness"]) / np.diag(corner["unsprung_mass"])))
     return LinearModel(
         A=A,

@@ -21,14 +21,16 @@ SIDES = ("", "left", "right")
 
 def wrong_parts(kind: VehicleKind) -> str:
     """What is wrong with the parts of a kind that are no functions: parameters, signals, wheels, sums of sensors."""
-    for what, of in {"parameters": Parameter, "signals": Signal, "wheels": Wheel}.items():
+    for what, of in {"parameters": Parameter, "signals": Signal, "on_demand": Signal, "wheels": Wheel}.items():
         parts = getattr(kind, what)
         if not isinstance(parts, (tuple, list)) or not all(isinstance(part, of) for part in parts):
             return f"its {what} are {quoted(parts)}; give a tuple of {of.__name__}s"
-        if what != "parameters" and not parts:
+        if what in ("signals", "wheels") and not parts:
             return f"it has no {what}; give at least one"
-    for what, texts in {"parameter": ("unit", "meaning"), "signal": ("symbol", "unit", "meaning")}.items():
-        parts = getattr(kind, f"{what}s")
+    for what, parts, texts in (
+        ("parameter", kind.parameters, ("unit", "meaning")),
+        ("signal", (*kind.signals, *kind.on_demand), ("symbol", "unit", "meaning")),
+    ):
         if wrong := _wrong_names(what, [part.name for part in parts]):
             return wrong
         for part in parts:
@@ -64,7 +66,7 @@ def _wrong_wheels(kind: VehicleKind) -> str:
 def _wrong_sums(kind: VehicleKind) -> str:
     if not isinstance(kind.combined, Mapping):
         return f"its combined is {quoted(kind.combined)}; give {{signal: {{other signal: factor}}}}"
-    names = {signal.name for signal in kind.signals}
+    names = {signal.name for signal in (*kind.signals, *kind.on_demand)}
     for name, parts in kind.combined.items():
         if name not in names:
             return f"combined {quoted(name)} is none of its signals; add it to them"
@@ -133,7 +135,7 @@ def wrong_linear_model(model: Any, kind: VehicleKind) -> str:
     if tuple(model.disturbances) != roads:
         return f"the disturbances {some(model.disturbances)}; its wheels' road velocities, in their order, are {some(roads)}"
     driven = {*roads, *(wheel.road_displacement for wheel in kind.wheels)}
-    own = [signal.name for signal in kind.signals if signal.name not in driven]
+    own = [signal.name for signal in (*kind.signals, *kind.on_demand) if signal.name not in driven]
     for name in own:
         if name not in model.outputs:
             return f"no output {name!r}, which is one of the kind's signals; add it, or take it out of them"
@@ -147,6 +149,8 @@ def wrong_linear_model(model: Any, kind: VehicleKind) -> str:
         for i, name in enumerate(names):
             if name not in model.outputs:
                 return f"the {what} {name!r}, which is none of its outputs; add it to them, it can then be measured"
+            if name in kind.unnamed:
+                return f"the {what} {name!r}, a signal on demand; every vehicle has its states and inputs: add it to signals"
             row, unit = model.outputs.index(name), np.eye(len(names))[i]
             if not np.array_equal(own_part[row], unit) or any(other[row].any() for other in others):
                 return f"an output {name!r} that is not the {what} of that name; mend its rows of C, D and Cr"

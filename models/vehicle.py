@@ -62,7 +62,7 @@ class Vehicle:
     @cached_property
     def linear_model(self) -> LinearModel:
         """The linear model of these parameters."""
-        return self.kind.linear_model(self.parameters)
+        return self.kind.model(self.parameters)
 
     @property
     def filtered(self) -> bool:
@@ -115,8 +115,9 @@ class Vehicle:
         Raises:
             InputError: one is missing, unknown or not allowed.
         """
-        sound = replace(self, parameters=self.kind.check(self.parameters))
-        performance, filters, road_filter = _performance(self.performance, sound.linear_model)
+        parameters = self.kind.check(self.parameters)
+        performance, filters, road_filter = _performance(self.performance, self.kind.linear_model(parameters))
+        sound = replace(self, kind=self.kind.naming(performance), parameters=parameters)
         filters = {signal: one for signal, one in {**self.filters, **filters}.items() if performance.get(signal)}
         return replace(sound, performance=performance, filters=filters, road_filter=road_filter or self.road_filter)
 
@@ -219,8 +220,9 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
     for entry in controllers.values():
         check_period(entry, implementation)
     performance, filters, road_filter = _performance(data["performance"], model)
+    measured = {signal for entry in controllers.values() for signal in entry.measured}
     return Vehicle(
-        kind=vehicle_kind,
+        kind=vehicle_kind.naming(measured.union(performance, implementation.noise, implementation.quantisation)),
         parameters=parameters,
         performance=performance,
         controllers=controllers,

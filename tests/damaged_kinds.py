@@ -67,6 +67,15 @@ def _names() -> Iterator[Damage]:
     yield Damage("outputs in another order", "py", "linear_model gives an output", _of_linear_model("outputs", "M[::-1]"))
     yield Damage("states in another order", "py", "linear_model gives an output", _of_linear_model("states", "M[::-1]"))
 
+    for row, name in ((1, "state"), (3, "input")):  # which only some vehicles would have
+        less = f"(*OTHER['signals'][:{row + 2}], *OTHER['signals'][{row + 3}:])"
+        yield Damage(
+            f"{name} on demand",
+            "py",
+            "a signal on demand; every vehicle has its states and inputs",
+            _changed(on_demand=f"OTHER['signals'][{row + 2}:{row + 3}]", signals=less),
+        )
+
 
 def _rests() -> Iterator[Damage]:
     values = (
@@ -90,6 +99,9 @@ def _parts() -> Iterator[Damage]:
                     "(*OTHER['signals'], signals.Signal('x', None, 'm', 'x'))",
                     "(*OTHER['signals'], signals.Signal('a\\nb', 'x', 'm', 'x'))",
                     "(*OTHER['signals'], signals.Signal('controller_1', 'x', 'm', 'x'))"),
+        "on_demand": ("None", "3", "signals.PITCH_RATE", "('pitch_rate',)", "(signals.PITCH_RATE,)",
+                      "(OTHER['signals'][-1],)", "(signals.ROLL_RATE,) * 2",
+                      "(signals.Signal('tyre_deflection', 'x', 'm', 'x'),)", "(signals.Signal('x', None, 'm', 'x'),)"),
         "wheels": ("None", "()", "OTHER['wheels'] * 2", "('road',)", "OTHER['wheels'][0]",
                    f"(Wheel(**{wheel} | {{'road_body': None}}),)", f"(Wheel(**{wheel} | {{'road_velocity': 'x'}}),)",
                    f"(Wheel(**{wheel} | {{'road_displacement': 'road_velocity'}}),)",

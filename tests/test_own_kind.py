@@ -175,7 +175,7 @@ def test_those_that_ship_are_sound(name):
     vehicle = read_vehicle(name)
     kind = vehicle.kind
     assert not wrong_parts(kind)
-    assert not wrong_linear_model(vehicle.linear_model, kind)
+    assert not wrong_linear_model(kind.linear_model(vehicle.parameters), kind)
     assert not wrong_rest(kind.static_tyre_deflection(vehicle.parameters), kind)
     assert not any(wrong_distance(wheel.behind(vehicle.parameters)) for wheel in kind.wheels)
     assert not any(wrong_place(wheel.lateral(vehicle.parameters)) for wheel in kind.wheels)

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.arrays import Array
-from models.signals import CONTROL_FORCE, TYRE_DEFLECTION, Signal
+from models.signals import CONTROL_FORCE, TYRE_DEFLECTION, UNSPRUNG_ACCELERATION, Signal
 from models.vehicle import Vehicle
 from sim.response.response import Response
 from sim.ride.weighting import sampled_wk
@@ -51,7 +51,7 @@ class Points:
     """Where a vehicle is measured, as names of its signals.
 
     Attributes:
-        accelerations: of the body.
+        accelerations: of the body, where people sit; nobody rides on a wheel.
         suspensions: deflections.
         tyres: deflections.
         actuators: (force, deflection that it pushes along); of one that has no such suspension, (force,).
@@ -67,7 +67,9 @@ def points(vehicle: Vehicle) -> Points:
     """The points of a vehicle: by unit, by suspension, by wheel, by actuator."""
     model, kind = vehicle.linear_model, vehicle.kind
     return Points(
-        accelerations=tuple(name for name in model.outputs if kind.signal(name).unit == "m/s2"),
+        accelerations=tuple(
+            name for name in model.outputs if kind.signal(name).unit == "m/s2" and not name.startswith(UNSPRUNG_ACCELERATION.name)
+        ),
         suspensions=tuple(one.deflection for one in kind.suspensions),
         tyres=tuple(wheel.tyre_deflection for wheel in kind.wheels),
         actuators=tuple((force, kind.pushed(force)) if kind.pushed(force) else (force,) for force in model.inputs),
