@@ -62,8 +62,8 @@ ROOMS = {
     "synth.paper": "models synth.certificate synth.designer synth.lmi",
     "synth.command": "models synth.certificate synth.controller synth.design synth.designer synth.errors synth.implemented "
     "synth.lmi synth.plant synth.posed synth.sampled synth.scaling synth.words",
-    "synth.rates": "models models.figures synth.controller synth.designer synth.designs synth.errors synth.implemented "
-    "synth.sampled synth.words",
+    "synth.rates": "models models.figures synth.controller synth.designer synth.designs synth.errors synth.held "
+    "synth.implemented synth.sampled synth.words",
     "synth.__main__": "models synth.certificate synth.command synth.designer synth.errors synth.implemented synth.problem "
     "synth.rates synth.search synth.words",
     # sim: what a run is

@@ -113,7 +113,8 @@ def test_table(capsys):
         for (_, rate, rest), at in zip(lines, row["rates"], strict=True):
             assert float(rate) == pytest.approx(1 / at["sample_period"], rel=1e-3)
             cells = re.findall(r"UNSTABLE|(\S+) +(0|[+-]\S+) %", rest)
-            for cell, norm in zip(cells, (at["sampled_norm"], at["late_norm"]), strict=True):
+            norms = [at["sampled_norm"], at["late_norm"], *([at["designed_norm"]] if name in ("state", "I", "II") else [])]
+            for cell, norm in zip(cells, norms, strict=True):
                 if norm is None:
                     assert cell == ("", "")
                     continue
@@ -125,6 +126,18 @@ def test_table(capsys):
     assert "UNSTABLE" in printed
 
 
+def test_designed_for_the_rate():
+    """At 10 ms designs for the sampled loop have at most the norms that were found before, and below those of the others."""
+    vehicle = read_vehicle("quarter_car")
+    for name, most in (("state", 7.857), ("I", 7.8613), ("II", 7.881)):
+        (at,) = cost(vehicle, design(vehicle, name), [1e-2], [1e-2]).rates
+        assert at.designed is not None
+        assert at.designed.value <= most
+        assert at.designed.value < at.prompt.value
+    given = cost(vehicle, design(vehicle, "I_printed"), [1e-2], [1e-2])
+    assert given.rates[0].designed is None  # its gain is given, and not designed
+
+
 def test_sentence(capsys):
     """In words stand the slowest rate that costs little, what it costs, late too, and where the loop is lost."""
     code, found = asked(capsys, *RATES, "--controller", "II")
@@ -133,14 +146,15 @@ def test_sentence(capsys):
     main(["--rates", *RATES, "--controller", "II"])
     said = prose(capsys.readouterr().out)
     words = re.search(
-        r"at (\S+) Hz controller II gains (\S+) %, 1 sample late loses (\S+) %; below (\S+) Hz it is unstable, 1 sample late "
+        r"at (\S+) Hz controller II gains (\S+) %, 1 sample late loses (\S+) %; designed for it gains (\S+) %; "
+        r"below (\S+) Hz it is unstable, 1 sample late "
         r"below (\S+) Hz$",
         said,
     )
     assert words
     (at,) = [at for at in row["rates"] if at["sample_period"] == 1e-2]
     assert at["sampled_norm"]["loss"] < LITTLE < row["rates"][2]["sampled_norm"]["loss"]
-    numbers = [100, -100 * at["sampled_norm"]["loss"], 100 * at["late_norm"]["loss"]]
+    numbers = [100, -100 * at["sampled_norm"]["loss"], 100 * at["late_norm"]["loss"], -100 * at["designed_norm"]["loss"]]
     numbers += [1 / row["unstable_from"], 1 / row["late_unstable_from"]]
     assert [float(word) for word in words.groups()] == pytest.approx(numbers, rel=0.05)  # of two digits
 

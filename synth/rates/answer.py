@@ -15,7 +15,7 @@ from synth.errors import DesignError
 from synth.rates.asked import periods_of
 from synth.rates.cost import Cost, cost
 from synth.rates.figure import drawn_periods, rates_figure
-from synth.rates.words import cost_lines, cost_object, failures, sentence
+from synth.rates.words import about_lines, cost_lines, cost_object, failures, sentence
 
 
 def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
@@ -32,7 +32,7 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
     for name in names:
         done = stage.counted(f"controller {name}", len(tried), "rates")
         try:
-            found.append(cost(vehicle, designer.design(name), tried, done))
+            found.append(cost(vehicle, designer.design(name), tried, periods, done))
         except DesignError as error:
             undesigned[name] = str(error)
     stage.end()
@@ -50,7 +50,7 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
             lines += ["", *cost_lines(one)]
         for name, reason in undesigned.items():
             lines += ["", f"controller {name}", f"  NOT DESIGNED: {reason}"]
-        lines += [*written_lines(outputs), "", *(line for one in asked for line in sentence(one))]
+        lines += ["", *about_lines(asked), *written_lines(outputs), "", *(line for one in asked for line in sentence(one))]
         say([*lines, *(f"DOES NOT HOLD: {text}" for text in failed)])
     return 1 if failed or undesigned else 0
 

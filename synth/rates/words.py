@@ -1,6 +1,7 @@
 """What slower computers cost, in words and as `--json` has it."""
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 from models.common.numbers import finite
@@ -20,11 +21,20 @@ def cost_lines(one: Cost) -> list[str]:
     """A controller at all rates, a line each."""
     ideal = f"norm {one.ideal:.7g}" if math.isfinite(one.ideal) else "UNSTABLE"
     bound = f", lower bound {one.lower_bound:.7g}" if one.lower_bound is not None else ""
-    rows: list[tuple[str, ...]] = [("sample period", "rate", "at once", "loses", late(one), "loses")]
+    designs = any(at.designed is not None for at in one.rates)
+    rows: list[tuple[str, ...]] = [("sample", "rate", "at once", "loses", "late", "loses", *("designed", "loses")[: 2 * designs])]
     for at in one.rates:
-        cells = [text for norm in (at.prompt, at.late) for text in _cells(one, norm)]
+        norms = [at.prompt, at.late, *[at.designed][: int(designs)]]
+        cells = [text for norm in norms for text in (_cells(one, norm) if norm is not None else ("-", ""))]
         rows.append((f"{1e3 * at.period:g} ms", f"{1 / at.period:.4g} Hz", *cells))
     return [f"controller {one.controller.name}: in continuous time {ideal}{bound}", *table(rows)]
+
+
+def about_lines(costs: Sequence[Cost]) -> list[str]:
+    """What the columns are."""
+    designs = any(at.designed is not None for one in costs for at in one.rates)
+    more = "; designed: anew, for the loop of that rate" if designs else ""
+    return [f"late: the forces act {late(one)}{more}" for one in costs[:1]]
 
 
 def late(one: Cost) -> str:
@@ -41,6 +51,8 @@ def sentence(one: Cost) -> list[str]:
         return wrapped(f"controller {name} asks for no force, so that no rate changes anything", hang=4)
     at = _spoken(one)
     said = f"at {1 / at.period:.4g} Hz controller {name} {_costs(one, at.prompt)}, {late(one)} {_costs(one, at.late)}"
+    if at.designed is not None:
+        said += f"; designed for it {_costs(one, at.designed)}"
     return wrapped(f"{said}; {_ends(one)}", hang=4)
 
 
@@ -50,7 +62,7 @@ def failures(one: Cost) -> list[str]:
     return [
         f"controller {name} at {1e3 * at.period:g} ms, {how}: {text}"
         for at in one.rates
-        for norm, how in ((at.prompt, "at once"), (at.late, late(one)))
+        for norm, how in ((at.prompt, "at once"), (at.late, late(one)), (at.designed, "designed for it"))
         for text in norm_failures(norm)
     ]
 
@@ -67,6 +79,7 @@ def cost_object(one: Cost) -> dict[str, Any]:
                 "sample_period": at.period,
                 "sampled_norm": _object(one, at.prompt),
                 "late_norm": _object(one, at.late),
+                "designed_norm": _object(one, at.designed) if at.designed is not None else None,
             }
             for at in one.rates
         ],

@@ -43,6 +43,7 @@ from synth.designer import Designer
 from synth.implemented.norm import norm_as_implemented
 from synth.lmi.clarabel import solve_lmi
 from synth.problem.problem import generalized_plant
+from synth.rates.cost import cost
 from tests.benchmarks.states import chain
 from tests.conftest import random_vehicles
 
@@ -138,6 +139,22 @@ def test_controller_with_states(benchmark, name, runs, samples, claim):
     sample_times, vehicles, roads = np.arange(samples) * 1e-3, [vehicle] * runs, [Bump()] * runs
     calls = [partial(simulate, vehicles, [one] * runs, roads, sample_times) for one in (replace(static, law=law), static)]
     assert paired_ratio(benchmark, calls[0], calls[1], 9) <= claim
+
+
+def test_rates(benchmark):
+    """A curve of 40 rates for three controllers, at once and late, takes at most 5 s of processor time, without anew designs."""
+    vehicle, spent = read_vehicle("quarter_car"), []
+    controllers = [Designer(vehicle).design(name) for name in ("state", "I", "II")]
+
+    def curves():
+        start = time.process_time()
+        for controller in controllers:
+            cost(vehicle, controller, np.geomspace(1e-3, 0.1, 40).tolist())
+        spent.append(time.process_time() - start)
+
+    benchmark.pedantic(curves, rounds=3, iterations=1)
+    print(f"\nrates: {min(spent):.1f} s")
+    assert min(spent) <= 5
 
 
 def test_envelope(benchmark):
