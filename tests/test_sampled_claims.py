@@ -63,6 +63,22 @@ def test_nothing_without_a_computer(capsys):
     assert "sampled" not in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("asked", ["noise", "lag"])
+def test_norms_of_other_goals_are_not_compared(built, asked, capsys):
+    """A controller that is designed for its noise or lag has an ideal norm of another w or z: no share of it is printed."""
+    plain = 'measured = ["sprung_velocity"]\ngain = [[-8000.0]]\n'
+    built.write_text(
+        f"{built.read_text()}noise = {{ sprung_velocity = 0.005 }}\n[limits]\nactuator_bandwidth = 60.0\n"
+        f"[controllers.plain]\n{plain}[controllers.asked]\n{plain}{asked} = true\n"
+    )
+    synth(["--vehicle", str(built), "--controller", "plain", "--controller", "asked"])
+    text = prose(capsys.readouterr().out)
+    norms = [part.partition("while road")[0] for part in text.split("sampled norm ")[1:3]]
+    assert norms[0].split(",")[0] == norms[1].split(":")[0]  # the loops as built are the same
+    assert "the ideal loop's" in norms[0]
+    assert "the ideal loop's" not in norms[1]
+
+
 def test_unstable_as_built(built, capsys):
     """At a rate that the loop does not bear, that is said, and no number stands there."""
     built.write_text(built.read_text().replace("0.01", "0.3"))

@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from models.common.numbers import finite
+from models.controllers import IDEAL
 from models.reality import USUAL_TIMESTEP, Limits
 from models.vehicle import Vehicle
 from synth.certificate.record import SAMPLED_NORM
@@ -46,8 +47,9 @@ def norm_lines(vehicle: Vehicle, controller: Controller, norm: SampledNorm | Non
     built = built_words(vehicle)
     if not norm.stable:
         return [f"sampled norm infinite: UNSTABLE with {built}"]
-    ideal, noisy = controller.certificate.norm.value, any(controller.hardware.noise)
-    alike = math.isfinite(ideal) and ideal and not noisy  # with its noise that norm is of another w
+    ideal = controller.certificate.norm.value
+    # With its noise that norm is of another w, and with its lag of another z, which weighs the force asked for.
+    alike = math.isfinite(ideal) and ideal and controller.hardware == IDEAL
     more = f", {against(norm.value, ideal)} the ideal loop's" if alike else ""
     seen = "frequencies" if norm.by_sweep else "level sets"
     lines = [
