@@ -9,6 +9,7 @@ import shutil
 import threading
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
@@ -125,6 +126,27 @@ def another_row(parts):
     pq.write_table(table.slice(0, 3), parts[1])
 
 
+def other_runs(parts):  # rows of others under its name, with their checksum
+    table = pq.read_table(parts[1])
+    table = table.set_column(0, table.schema.field(0), pa.array(table["run"].to_numpy() + 1))
+    sealed(parts, table)
+
+
+def no_runs(parts):
+    sealed(parts, pq.read_table(parts[1]).drop_columns(["run"]))
+
+
+def sealed(parts, table):
+    """Writes a table as the second part, with a checksum that is right."""
+    path = parts[1]
+    manifest = read_manifest(path.parent)
+    assert manifest is not None
+    pq.write_table(table, path)
+    start, stop = path.name.split("-")[1:3]
+    made = hashlib.sha256(f"{manifest.seal} {int(start)} {int(stop)} ".encode() + path.read_bytes()).hexdigest()[:32]
+    path.rename(path.with_name(f"part-{start}-{stop}-{made}.parquet"))
+
+
 def stray(parts):
     parts[1].with_name("part-notes.txt").write_text("mine")
 
@@ -136,7 +158,10 @@ def a_pipe(parts):
     os.mkfifo(parts[1])
 
 
-@pytest.mark.parametrize("damage", [cut, emptied, renamed, copied, another_row, stray, a_pipe], ids=lambda one: one.__name__)
+DAMAGES = [cut, emptied, renamed, copied, another_row, other_runs, no_runs, stray, a_pipe]
+
+
+@pytest.mark.parametrize("damage", DAMAGES, ids=lambda one: one.__name__)
 def test_a_bad_part_is_run_again_and_said(whole, begun, tmp_path, capsys, damage):
     """Whatever happened to a part, the finished file is the same to the last byte, and what was found is named."""
     damage(again(begun, tmp_path))

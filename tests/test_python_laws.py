@@ -269,6 +269,12 @@ def test_text_of_a_vehicle_file_runs_nothing(tmp_path):
         ("def step(sample, state): return None, state", "its force is not finite"),
         ("def step(sample, state): return sample['nothing'], state", "it measures no 'nothing', but suspension_deflection"),
         ("def step(sample, state): raise SystemExit('bye')", "SystemExit: bye, line 1"),
+        ("async def step(sample, state): return 0.0, state", "step is async, or yields, and is called once a sample"),
+        ("def step(sample, state): yield 0.0, state", "step is async, or yields, and is called once a sample"),
+        ("class A:\n  async def __call__(self, sample, state): pass\nstep = A()", "step is async, or yields, and is called once"),
+        ("async def a(): pass\ndef step(sample, state): return a()", "it gives a coroutine, and not two things"),
+        ("def step(sample, state): return 0.0, state\nstep.vectorised = 'no'", "step.vectorised is neither true nor false"),
+        ("def step(sample, state): return 0.0, state\nstep.vectorised = 1", "step.vectorised is neither true nor false"),
         ("def step(sample): return 0.0, None", "TypeError: step() takes 1 positional argument but 2 were given"),
         ("def step(sample, state): raise BaseException('two\\nlines')", "BaseException: two lines, line 1"),
     ],
@@ -287,6 +293,9 @@ def test_what_is_wrong_with_it_is_one_line(tmp_path, law, said):
         ('law = "/etc/mine.py:step"', "is no law in Python"),
         ('law = "mine.py"', "is no law in Python"),
         ("law = 3", "is no law in Python"),
+        ('law = "mi\\u0007ne.py:step"', "is no law in Python"),
+        ('law = "mi\\nne.py:step"', "is no law in Python"),
+        ('law = "mi\\u2028ne.py:step"', "is no law in Python"),
         ('law = "other.py:step"', "there is no such file"),
         ('law = "mine.py:step"\ngain = [[1.0, 2.0]]', "has a law in Python and gain"),
         ('law = "mine.py:step"\npreview = -1', "preview = -1 is not allowed"),
@@ -298,6 +307,17 @@ def test_what_the_file_may_say(tmp_path, line, said):
     path = vehicle_of(tmp_path, GAIN)
     path.write_text(path.read_text(encoding="utf-8").replace('law = "mine.py:step"', line), encoding="utf-8")
     assert said in refusal(path)
+
+
+@pytest.mark.parametrize("one_way", ["mine.py", "other.py", "folder/../mine.py"])
+def test_a_loop_of_links(tmp_path, one_way):
+    """A law that is a loop of links is one line, as any other file."""
+    path = vehicle_of(tmp_path, GAIN)
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "mine.py").unlink()
+    (tmp_path / "mine.py").symlink_to(one_way)
+    (tmp_path / "other.py").symlink_to("mine.py")
+    assert "mine.py: is a loop of links; give a file" in refusal(path)
 
 
 def test_no_link_leads_out_of_the_folder(tmp_path):

@@ -7,6 +7,7 @@ import os
 import re
 import shlex
 import sys
+import threading
 import unicodedata
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -195,6 +196,8 @@ def run_command(main: Callable[[], int]) -> NoReturn:
             _flushed(stream)
     if _kept:
         sys.stdout = sys.stderr  # for what is still to come, at Python's exit, of code that is not ours
+    if any(not one.daemon for one in threading.enumerate() if one is not threading.main_thread()):
+        os._exit(code)  # threads of a user's own code: ours have ended, and Python would wait for those, for ever
     sys.exit(code)
 
 

@@ -1,5 +1,9 @@
-"""Python of the user's own, run: whatever is wrong with it is one line that names its file, and what it prints goes to stderr."""
+"""Python of the user's own, run: whatever is wrong with it is one line that names its file, and what it prints goes to stderr.
 
+It has no second way back: a child that it forks ends where it would return, and being told to end is heard though it caught that.
+"""
+
+import os
 import sys
 import threading
 import traceback
@@ -47,18 +51,33 @@ def run_own(what: str, path: Path, name: str, code: Callable[[], Any], refuses: 
 
     Raises:
         InputError: it failed. The message has the last line of theirs that ran.
+        KeyboardInterrupt: the command was told to end, whatever their code made of it.
     """
-    before = interrupt.raised()
+    before, failed, found = interrupt.raised(), "", None
     try:
         with np.errstate(all="ignore"), _PrintingToStderr():  # what is not finite is found in the result
-            return code()
+            found = _without_children(code)
     except BaseException as error:  # SystemExit too, and what a user derives from BaseException
-        if isinstance(error, KeyboardInterrupt) and interrupt.came() != before:  # also where nobody counts
+        if isinstance(error, KeyboardInterrupt) and interrupt.came() is None:  # nobody counts: it may be the user's
             raise
-        if refuses and isinstance(error, InputError):
+        if refuses and isinstance(error, InputError) and interrupt.raised() == before:
             raise
         failed = f"{what}: {name} fails ({_reason(error, path)}); mend that"
-    raise InputError(failed)  # outside, so that a KeyboardInterrupt of theirs does not look as if it were the user's
+    if interrupt.raised() != before:
+        raise KeyboardInterrupt
+    if failed:
+        raise InputError(failed)  # outside, so that a KeyboardInterrupt of theirs does not look as if it were the user's
+    return found
+
+
+def _without_children(code: Callable[[], Any]) -> Any:
+    """Runs code; a child that it forks ends here, where it would go on as a second command, with the first one's files."""
+    process = os.getpid()
+    try:
+        return code()
+    finally:
+        if os.getpid() != process:
+            os._exit(0)  # no lock can be waited for: whoever held it is not in the child
 
 
 def _reason(error: BaseException, path: Path) -> str:

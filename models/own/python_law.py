@@ -5,6 +5,7 @@ vehicle file can name another one.
 """
 
 import hashlib
+import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ from typing import Any
 from models.common.errors import InputError, quoted
 from models.common.read_file import MIB, read_text
 
-LAW = re.compile(r"(?P<file>[^:\\\0]+\.py):(?P<function>[^\W\d]\w*)")
+LAW = re.compile(r"(?P<file>[^:\\\x00-\x1f\x7f-\x9f\u2028\u2029]+\.py):(?P<function>[^\W\d]\w*)")
 GIVE = 'give a file beside the vehicle file and a function in it, as in law = "my_law.py:step"'
 MOST_TEXT = MIB  # bytes of its file
 FURTHEST = 60.0  # s of the road ahead
@@ -63,7 +64,8 @@ class PythonLaw:
         path = self.path
         if self.folder is None or path is None:
             raise InputError(f"law {self.law}: the vehicle file was read from text alone, and no code comes with that")
-        if not path.resolve().is_relative_to(self.folder.resolve()):
+        where, folder = (Path(os.path.realpath(one)) for one in (path, self.folder))  # of a loop of links it says nothing
+        if not where.is_relative_to(folder):
             raise InputError(f"law {self.law}: is a link out of the folder of the vehicle file; {GIVE}")
         return read_text(path, "law", MOST_TEXT, GIVE)
 

@@ -5,13 +5,15 @@ depend on those beside them. A vectorised law is executed once for all the runs 
 
 A watchdog ends a call that takes too long by an exception in its thread. Python raises that between two instructions of its own:
 a call that waits within code that is not Python (a sleep, a read, one huge product) cannot be ended so. A command is then left
-as it is, by `os._exit`; a library goes on waiting, unless `leave_by` says how it is left.
+as it is, by `os._exit`; a library goes on waiting, unless `leave_by` says how it is left. A call that goes on though the command
+was told to end has taken too long from then on.
 
 Over a run a law has a limit, too, which goes with what it does: `SLOWEST` times the time on the road. Else 0.9 of the limit of a
 call, ten thousand times, would be hours.
 """
 
 import ctypes
+import inspect
 import os
 import threading
 from collections.abc import Callable, Mapping
@@ -34,6 +36,7 @@ SLOWEST = 100.0  # times as long as the vehicle is on the road its law may take 
 LONGEST_START = 60.0  # s that its file may take to run: it may import what is large
 GRACE = 5.0  # s from being told to end until a command that waits for it is left
 SLOW = f"is slower than {SLOWEST:g} times real time, and {LONGEST:g} s,"
+PLAIN = "write it as def step(sample, state), with return force, state at its end"
 TICK = 0.05  # s between two looks of the watchdog
 JUMPS = 1000  # back in a loop; at the first of them Python raises what waits to be raised
 
@@ -97,7 +100,13 @@ class OwnLaw:
                 f"{self._what}: the file has no function {law.function!r}; give it one: def {law.function}(sample, state)"
             )
         self._step: Callable[[Sample, Any], Any] = found
-        self.vectorised = self._run(f"{law.function}.vectorised", LONGEST, lambda: bool(getattr(found, "vectorised", False)))
+        name = f"{law.function}.vectorised"
+        vectorised, returns = self._run(name, LONGEST, lambda: (_flag(getattr(found, "vectorised", False)), _returns(found)))
+        if not returns:
+            raise InputError(f"{self._what}: {law.function} is async, or yields, and is called once a sample; {PLAIN}")
+        if vectorised is None:
+            raise InputError(f"{self._what}: {name} is neither true nor false; give {name} = True, or leave it out")
+        self.vectorised = vectorised
 
     def __call__(self, y: Array, time: float, period: float, preview: Array | None, parameters: Mapping[str, Any]) -> Array:
         """The forces that it asks for [N], shape (m,) or, of a vectorised one, (N, m).
@@ -122,6 +131,8 @@ class OwnLaw:
     def _called(self, sample: Sample, shape: tuple[int, ...]) -> Array:
         """One call; whatever it gives has code of theirs as well, so it is looked at here."""
         given = self._step(sample, self._state)
+        if inspect.iscoroutine(given):
+            given.close()  # else Python complains that nobody has awaited it
         if not isinstance(given, tuple) or len(given) != 2:
             raise InputError(f"it gives {_short(given)}, and not two things; end it with: return force, state")
         force, self._state = given
@@ -148,6 +159,7 @@ class OwnLaw:
         assert self._path is not None, "code comes from files only"
         over = f"takes longer than {longest:g} s" if longest in (LONGEST, LONGEST_START) else SLOW
         said = f"{self._what}: {name} {over}; mend that"
+        told = interrupt.raised()
         try:
             with _watchdog.watching(said, longest) as watched:
                 try:
@@ -157,6 +169,8 @@ class OwnLaw:
                         raise
         except _TooLong:  # raised a moment after their code had ended
             pass
+        if interrupt.raised() != told:
+            raise KeyboardInterrupt
         raise InputError(said)
 
 
@@ -169,7 +183,7 @@ class _Watched:
 
     def __init__(self, watchdog: "_Watchdog", said: str, longest: float) -> None:
         self.said, self.thread = said, threading.get_ident()
-        self.deadline, self.late = clock() + longest, False
+        self.deadline, self.late, self.told = clock() + longest, False, interrupt.raised()
         self._watchdog = watchdog
 
     def __enter__(self) -> "_Watched":
@@ -214,6 +228,8 @@ class _Watchdog:
             sleep(TICK)
             now = clock()
             for call in list(self.calls.values()):
+                if interrupt.raised() != call.told:  # and their code caught it, or was about to end
+                    call.deadline = min(call.deadline, now)
                 if now > call.deadline:
                     self._end(call, now)
 
@@ -237,8 +253,20 @@ def leave_by(leave: Callable[[str], None]) -> None:
 
 
 def _leave_command(said: str) -> None:
-    complain(said)
-    os._exit(BAD_INPUT)
+    told = interrupt.raised() > 0
+    complain(interrupt.word() if told else said)
+    os._exit(interrupt.code() if told else BAD_INPUT)
+
+
+def _flag(value: Any) -> bool | None:
+    """A value of theirs that should be true or false; None for anything else."""
+    return bool(value) if isinstance(value, (bool, np.bool_)) else None
+
+
+def _returns(function: Any) -> bool:
+    """Whether a call of a function of theirs is done when it comes back."""
+    kinds = (inspect.iscoroutinefunction, inspect.isgeneratorfunction, inspect.isasyncgenfunction)
+    return not any(kind(one) for one in (function, type(function).__call__) for kind in kinds)
 
 
 def _short(value: Any) -> str:

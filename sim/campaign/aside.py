@@ -1,8 +1,9 @@
 """Runs of laws in Python, in a process of their own: whatever such a law does, ends that process at most, and no campaign.
 
 `python -m sim.campaign.aside` is that process. It reads the plan, then the first run of a batch and that behind its last, line by
-line, and writes the rows as JSON. Its stdout is kept for them: what a law prints, by whatever way, goes to stderr. Of a batch
-whose process ends every run is done again alone, so that only those are lost that end theirs.
+line, and writes the rows as JSON, with what was asked: an answer to anything else is none, and ends it. A child that a law forks
+answers nothing. Its stdout is kept for the answers: what a law prints, by whatever way, goes to stderr. Of a batch whose process
+ends every run is done again alone, so that only those are lost that end theirs.
 """
 
 import io
@@ -10,6 +11,7 @@ import json
 import os
 import pickle
 import queue
+import signal
 import subprocess
 import sys
 import threading
@@ -27,6 +29,7 @@ from sim.campaign.plan import Plan
 ROOT = Path(__file__).parent.parent.parent
 TICK = 0.1  # s between two looks whether to give up
 LEFT = 3  # exit code of a process that was left because a call could not be ended
+STRAY = "makes its process answer what it was not asked; mend that"
 
 
 class EndedError(Exception):
@@ -119,22 +122,37 @@ class _Process:
         """
         self._tell(f"{start} {stop}\n".encode())
         while not stopped():
-            with suppress(queue.Empty):
+            over = self._process.poll() is not None  # what it has said by then is heard within a tick
+            try:
                 line = self._said.get(timeout=TICK)
-                whole = line.endswith(b"\n")
-                said: dict[str, Any] = json.loads(line) if whole else {"left": self._how()}
-                if "rows" in said:
-                    return said["rows"]
+            except queue.Empty:
+                if not over:
+                    continue
+                line = b""  # a child of it has its stdout, too, which so has no end
+            if not line:
+                how = self._how()
                 self.end()
-                if "left" in said:
-                    raise EndedError(said["left"], named=whole)
+                raise EndedError(how, named=False)
+            said = answer_to(line, start, stop)
+            if "rows" in said:
+                return said["rows"]
+            self.end()
+            if "left" in said:
+                raise EndedError(said["left"], named=True)
+            if "error" in said:
                 raise RuntimeError(f"a batch failed, and not by its law: {said['error']}")
+            raise EndedError(STRAY, named=False)
         self.end()
         return None
 
     def end(self) -> None:
-        """Ends it."""
+        """Ends it, and what its laws have begun beside it."""
+        if self.ended:
+            return
         self.ended = True
+        with suppress(OSError):
+            if hasattr(os, "killpg"):
+                os.killpg(self._process.pid, signal.SIGKILL)  # it leads a session of its own
         self._process.kill()
         self._process.wait()
         for pipe in (self._process.stdin, self._process.stdout):
@@ -160,13 +178,27 @@ class _Process:
         return f"ends its process ({f'signal {-code}' if code < 0 else f'exit code {code}'}); mend that"
 
 
+def answer_to(line: bytes, start: int, stop: int) -> dict[str, Any]:
+    """What a line says of a batch; nothing where it is no answer to that question."""
+    try:
+        said = json.loads(line)
+        asked, runs = said["batch"] == [start, stop], [row["run"] for row in said.get("rows", [])]
+    except (ValueError, RecursionError, LookupError, TypeError, AttributeError):  # no JSON, or other
+        return {}
+    return said if asked and runs in ([], list(range(start, stop))) and said.get("rows") != [] else {}
+
+
 def main() -> None:
     """The process: batches until there is no more to be done."""
     asked, answers = _kept(0, os.O_RDONLY), _kept(1, os.O_WRONLY)
     sys.stdin, sys.stdout = io.StringIO(), sys.stderr
 
-    def answer(said: Any) -> None:
-        answers.write(json.dumps(said, allow_nan=False).encode() + b"\n")
+    process, batch = os.getpid(), list[int]()
+
+    def answer(said: dict[str, Any]) -> None:
+        if os.getpid() != process:  # forked by what no call guards, as where an object of a law's goes
+            os._exit(0)
+        answers.write(json.dumps({"batch": batch, **said}, allow_nan=False).encode() + b"\n")
         answers.flush()
 
     def leave(said: str) -> None:
@@ -176,13 +208,14 @@ def main() -> None:
     leave_by(leave)
     plan: Plan = pickle.load(asked)
     for line in asked:
-        start, stop = map(int, line.split())
+        batch[:] = start, stop = [int(number) for number in line.split()]
         try:
             rows = run_batch(plan, start, stop)
         except Exception as error:
             answer({"error": f"{type(error).__name__}: {error}"})
             raise
         answer({"rows": rows})
+    os._exit(0)  # threads that a law has begun may go on for ever
 
 
 def _kept(number: int, mode: int) -> BinaryIO:

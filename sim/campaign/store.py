@@ -2,7 +2,8 @@
 
 A part's name says which runs it holds and, in a checksum of campaign, runs and content, that it is what was written: what has a
 name is whole, whatever ended the campaign, `kill -9` or a power cut. A part that is damaged, cut, copied or of another campaign
-has a name that is not its own, and its runs are run again. The finished checksum stands in the manifest.
+has a name that is not its own, and its runs are run again; so are those of one with other runs in it. The finished checksum
+stands in the manifest.
 """
 
 import hashlib
@@ -187,13 +188,9 @@ class Store:
         for path in sorted(self.folder.glob("part-*")):
             match = PART.fullmatch(path.name)
             start, stop = (int(match[1]), int(match[2])) if match else (0, 0)
-            try:
-                content = read_bytes(path, "results", LARGEST, "")
-                sound = match is not None and match[3] == self._checksum(start, stop, content)
-            except InputError:
-                sound = False
-            if sound:
-                found.append(Part(start, stop, path))
+            part = Part(start, stop, path)
+            if match and self._table(part, ["run"]) is not None:
+                found.append(part)
             else:
                 self.damaged.append(f"{path.name} is damaged, or not of this campaign: its runs are run again")
                 self._useless.append(path)
@@ -215,15 +212,25 @@ class Store:
         Raises:
             InputError: they are not what was written; it happened while the campaign was running.
         """
+        table = self._table(part, self.schema.names)
+        if table is None:
+            raise InputError(f"results {part.path}: was damaged while the campaign ran; start it again, and it goes on")
+        return table
+
+    def _table(self, part: Part, names: Sequence[str]) -> pa.Table | None:
+        """Columns of a part, with the number of the run; None where it is not what its name says."""
         try:
             content = read_bytes(part.path, "results", LARGEST, "")
         except InputError:
-            content = b""
+            return None
         if self._checksum(part.start, part.stop, content) != part.path.stem.rpartition("-")[2]:
-            raise InputError(f"results {part.path}: was damaged while the campaign ran; start it again, and it goes on")
-        table = pq.read_table(pa.BufferReader(content), schema=self.schema)
-        assert np.array_equal(table["run"].to_numpy(), np.arange(part.start, part.stop)), "as they were written"
-        return table
+            return None
+        try:
+            schema = pa.schema([self.schema.field(name) for name in names], metadata=self.schema.metadata)
+            table = pq.read_table(pa.BufferReader(content), schema=schema, columns=list(names))
+        except (pa.ArrowException, OSError):
+            return None
+        return table if np.array_equal(table["run"].to_numpy(), np.arange(part.start, part.stop)) else None
 
     def _groups(self) -> Iterator[pa.Table]:
         """All rows in groups of one size, as how they are cut shows in a file's bytes."""

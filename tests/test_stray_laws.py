@@ -1,0 +1,171 @@
+"""Laws in Python that leave something behind, a child, a thread, a swallowed Ctrl-C: a command gives one answer, and ends."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from models.common import interrupt
+from models.common.errors import InputError
+from models.own.code import run_own
+from sim.campaign.aside import STRAY, answer_to
+from sim.campaign.batch import FAILED
+from tests.commands import environment
+from tests.test_campaign_laws import TEXT, campaign_of, rows_of
+from tests.test_python_laws import GAIN, vehicle_of
+
+pytestmark = pytest.mark.skipif(os.name == "nt", reason="forks, and Ctrl-C as POSIX sends it")
+
+ENOUGH = 60.0  # s that a command may take on a busy machine; three on an idle one
+ONE = TEXT.replace('"linear", "mine", "many"', '"mine"').replace('"iso8608:class=B", ', "")
+
+
+def bump(path, *options: str) -> list[str]:
+    """The command that drives a law for a moment."""
+    return [sys.executable, "-m", "sim.bump", "--vehicle", str(path), "--controller", "mine", "--no-logs", *options]
+
+
+BODIES = {
+    "forks": "    if sample.time == 0.005: os.fork()\n",
+    "forks, and its child raises": "    if sample.time == 0.005 and not os.fork(): raise ValueError('of the child')\n",
+    "forks past Python": "    if sample.time == 0.005: ctypes.CDLL(None).fork()\n",
+    "begins a thread": "    if sample.time == 0.005: threading.Thread(target=wait).start()\n",
+}
+
+
+@pytest.mark.parametrize("body", BODIES.values(), ids=BODIES)
+def test_a_command_has_one_end(tmp_path, body):
+    """A law that forks, or begins a thread without an end, changes nothing: one answer, one exit code, and the command ends."""
+    imports = "import ctypes, os, threading\ndef wait(): threading.Event().wait()\n"
+    found = {}
+    for name, more in {"sound": "", "stray": body}.items():
+        path = vehicle_of(tmp_path, imports + GAIN.replace("state):\n", f"state):\n{more}"))
+        command = bump(path, "--duration", "0.02", "--json")
+        done = subprocess.run(command, env=environment(), capture_output=True, text=True, timeout=ENOUGH)
+        assert (done.returncode, done.stderr) == (0, "")
+        (line,) = done.stdout.splitlines()
+        found[name] = {key: value for key, value in json.loads(line)["runs"][0].items() if key != "controller"}  # its checksum
+    assert found["stray"] == found["sound"]
+
+
+SWALLOWS = {
+    "in a loop of its own": "    print('running')\n    while True:\n        try:\n            while True: pass\n",
+    "in every call": "    print('running')\n    if True:\n        try: time.sleep(0.02)\n",
+    "and raises another": "    print('running')\n    if True:\n        try:\n            while True: pass\n",
+}
+
+
+@pytest.mark.parametrize("body", SWALLOWS.values(), ids=SWALLOWS)
+def test_ctrl_c_gets_through(tmp_path, body):
+    """Ctrl-C ends a command at once, and as ever, though a law catches everything that is raised in it."""
+    other = "raise ValueError" if body == SWALLOWS["and raises another"] else "pass"
+    law = f"import time\ndef step(sample, state):\n{body}        except BaseException: {other}\n    return 0.0, state\n"
+    command = bump(vehicle_of(tmp_path, law), "--duration", "3")
+    process = subprocess.Popen(command, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stderr is not None
+    assert process.stderr.readline() == "running\n"
+    process.send_signal(signal.SIGINT)
+    sent = time.monotonic()
+    out, err = process.communicate(timeout=ENOUGH)
+    assert time.monotonic() - sent < 8.0  # 0.4 s on an idle machine; 10 s is the limit of a call
+    assert (process.returncode, out) == (130, "")
+    assert [line for line in err.splitlines() if line != "running"] == ["roadproof: interrupted"]
+
+
+@pytest.mark.parametrize("refuses", [False, True])
+@pytest.mark.parametrize("swallowed", ["pass", "raise InputError('mine')", "raise SystemExit"])
+def test_being_told_to_end_is_heard(tmp_path, monkeypatch, refuses, swallowed):
+    """Whatever a user's code makes of the KeyboardInterrupt that it was sent, it is raised where that code ends."""
+    monkeypatch.setattr(interrupt, "_raised", [])
+    tell = "try:\n    interrupt._raise(2, None)\nexcept BaseException:\n    " + swallowed
+    with pytest.raises(KeyboardInterrupt):
+        run_own("law", tmp_path, "step", lambda: exec(tell, {"interrupt": interrupt, "InputError": InputError}), refuses)
+
+
+@pytest.mark.slow  # Pythons one after the other
+@pytest.mark.parametrize("arguments", [("--batch", "1", "--workers", "1"), ("--workers", "2")], ids=" ".join)
+def test_a_child_answers_nothing(tmp_path, arguments):
+    """Rows of a campaign whose law forks are those of the law without its children, however they are batched."""
+    sound = rows_of(campaign_of(tmp_path, "    pass\n", text=ONE), *arguments, results="sound")
+    forks = "    if 0.09 < sample.time < 0.1: __import__('os').fork()\n"
+    rows = rows_of(campaign_of(tmp_path, forks, text=ONE), *arguments, results="forks")
+    assert rows == sound
+    assert {row["reason"] for row in rows} == {None}
+
+
+@pytest.mark.slow  # Pythons one after the other
+def test_what_a_law_leaves_ends_with_it(tmp_path):
+    """A child that holds the answers' pipe does not hold the campaign when its parent ends, and is ended with it."""
+    children = f"open({str(tmp_path / 'children')!r}, 'a')"
+    body = f"""    if mass > 500:
+        import os, time
+        if not os.fork(): print(os.getpid(), file={children}, flush=True), time.sleep(1000)
+        time.sleep(0.1)
+        os._exit(7)
+"""
+    rows = rows_of(campaign_of(tmp_path, body, text=ONE), "--workers", "1")
+    for row in rows:
+        ended = "controller 'mine', its law ends its process (exit code 7); mend that"
+        assert row["reason"] == (f"{FAILED}{ended}" if row["parameter_sprung_mass"] > 500 else None)
+    begun = [int(number) for number in (tmp_path / "children").read_text(encoding="utf-8").split()]
+    assert len(begun) >= sum(row["reason"] is not None for row in rows) > 0
+    for child in begun:
+        for _ in range(100):  # whoever takes care of orphans has to take note
+            if _gone(child):
+                break
+            time.sleep(0.05)
+        assert _gone(child)
+
+
+def _gone(process: int) -> bool:
+    try:
+        with open(f"/proc/{process}/stat", encoding="utf-8") as file:
+            return file.read().rpartition(")")[2].split()[0] == "Z"  # dead, and nobody has asked how
+    except FileNotFoundError:
+        return True
+
+
+ROWS = [{"run": 4}, {"run": 5}]
+FORGED = {
+    "another batch": {"batch": [4, 5], "rows": ROWS},
+    "no rows": {"batch": [4, 6], "rows": []},
+    "too few": {"batch": [4, 6], "rows": ROWS[:1]},
+    "rows of others": {"batch": [4, 6], "rows": [{"run": 5}, {"run": 6}]},
+    "rows of nobody": {"batch": [4, 6], "rows": [{}, {}]},
+    "rows that are none": {"batch": [4, 6], "rows": 3},
+    "no batch": {"rows": ROWS},
+    "no object": [3],
+    "nothing": None,
+}
+
+
+def test_only_an_answer_is_one():
+    """What is not of the batch that was asked for, or no JSON, is no answer."""
+    for said in ({"rows": ROWS}, {"left": "why"}, {"error": "what"}):
+        answer = {"batch": [4, 6], **said}
+        assert answer_to(json.dumps(answer).encode() + b"\n", 4, 6) == answer
+    for line in [*(json.dumps(one).encode() for one in FORGED.values()), b"{", b"\xff", b"\n", b"[" * 100_000]:
+        assert answer_to(line + b"\n", 4, 6) == {}
+
+
+@pytest.mark.slow  # Pythons one after the other
+def test_what_answers_another_question_is_begun_anew(tmp_path):
+    """A law that writes into the pipe of the answers fails its own runs, with a reason; no row is of another."""
+    law = """import os, stat
+def step(sample, state):
+    for n in range(3, 30) if sample.parameters["sprung_mass"] > 500 else ():
+        try:
+            if stat.S_ISFIFO(os.fstat(n).st_mode): os.write(n, b'{"batch": [0, 999], "rows": []}\\n')
+        except OSError: pass
+    return 0.0, state
+"""
+    file = campaign_of(tmp_path, text=ONE)
+    (tmp_path / "mine.py").write_text(law, encoding="utf-8")
+    rows = rows_of(file, "--workers", "1", "--batch", "4")
+    for row in rows:
+        heavy = row["parameter_sprung_mass"] > 500
+        assert row["reason"] == (f"{FAILED}controller 'mine', its law {STRAY}" if heavy else None)
