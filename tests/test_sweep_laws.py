@@ -10,12 +10,13 @@ from models.own.python_law import Programmed
 from models.reality import Implementation
 from models.vehicle import read_vehicle
 from sim.command.driven import driven
-from sim.frequency.describing_function import DescribingFunction, describing_function
+from sim.frequency.describing_function import DescribingFunction, describing_function, describing_lines, describing_verdict
 from sim.inspect.log import read_log
 from sim.inspect.proof import prove
 from sim.linear.frequency import as_met, sampled_frequency_response
 from sim.sweep import main
 from synth.designer import Designer
+from synth.words import percent
 from tests.commands import prose
 from tests.test_python_laws import vehicle_of
 
@@ -95,7 +96,7 @@ def test_a_law_that_does_not_follow_the_road(tmp_path, capsys):
     assert (mine["controller"], mine["law"], mine["norm"], mine["failures"]) == ("mine", "mine.py:step", None, [])
     assert max(mine["signals"]["control_force"]["outside"]) > 0.99
     outside = max(share for signal in mine["signals"].values() for share in signal["outside"] if share is not None)
-    assert f"mine no linear claim: at most {100 * outside:.2g} % of a signal's energy is outside its fundamental" in said
+    assert f"mine no linear claim: at most {percent(outside)} of a signal's energy is outside its fundamental" in said
     worst = int(np.argmax(mine["gains"]))
     largest, hertz = mine["gains"][worst], mine["omega"][worst] / (2 * np.pi)
     assert f"largest L2 gain of these sinusoids: {largest:.5g} at {hertz:.3g} Hz; no norm" in said
@@ -109,6 +110,48 @@ def test_a_law_that_fails_ends_the_sweep(tmp_path):
     path = vehicle_of(tmp_path, "def step(sample, state):\n    return float('nan'), state\n")
     with pytest.raises(InputError, match=r"^controller 'mine', law mine.py:step: step fails \(its force is not finite\) at 0 s"):
         main(["--vehicle", str(path), "--controller", "mine"])
+
+
+WILD = """
+import numpy as np
+def step(sample, state):
+    rise = np.abs(sample.preview[:, 0, 1] - sample.preview[:, 0, 0])
+    return np.where(rise > {limit}, 1e300, 0.0)[:, None], state
+step.vectorised = True
+"""
+
+
+@pytest.mark.parametrize("limit", [2e-6, -1.0])
+def test_runs_that_diverge_are_said_once(tmp_path, recwarn, limit):
+    """Where runs diverge nothing is measured, which one line says; the others have their numbers, or there are none at all."""
+    found, _ = found_of(tmp_path, WILD.format(limit=limit), more=f"preview = {STEP}")
+    wild, count = np.isfinite(found.diverged), len(found.omega)
+    # A road of 0.1 mm rises by 0.05 mm * omega * 2 ms in a step, at most: more than 2e-6 m from 20 rad/s on.
+    assert np.array_equal(wild, found.omega > 20.0) or limit < 0
+    assert wild.any()
+    assert wild.all() == (limit < 0)
+    for numbers in (found.gains, found.measured, found.outside):
+        assert np.isnan(numbers[wild]).all()
+    assert np.isfinite(found.gains[~wild]).all()
+    text, verdict = prose(" ".join(describing_lines(found))), describing_verdict(found)
+    which = f"every one of its {count}" if wild.all() else f"{wild.sum()} of its {count}"
+    assert f"{which} runs diverged, the first at {found.diverged.min():.4g} s: nothing is measured in such" in text
+    assert ("largest L2 gain" in text) is not wild.all()
+    assert ("sprung_acceleration" in text) is not wild.all()
+    assert "nan" not in text
+    assert verdict == "no linear claim; every run diverged" if wild.all() else "divergence" in verdict
+    assert found.drift >= 0.0
+    assert not recwarn.list
+
+
+def test_shares_read_as_percent(tmp_path):
+    """Shares of one and more are printed as percent, without a power of ten."""
+    found, _ = found_of(tmp_path, GAIN)
+    large = replace(found, outside=np.full_like(found.outside, 0.9996), drift=14.2)
+    text = prose(" ".join(describing_lines(large)))
+    assert " 100 % " in text
+    assert "a fundamental still changed by 1420 %" in text
+    assert "at most 100 % of a signal's energy" in describing_verdict(large)
 
 
 def test_a_picture_has_points_and_no_line(tmp_path):

@@ -23,10 +23,10 @@ from sim.response.regime import ended_by
 from sim.response.response import SILENT, Response
 from sim.roads.sinusoids import sinusoid
 from sim.runs.run import sample_times
+from synth.words import percent
 
 SINUSOIDS = 20  # of the chirp's lines, from its first to its last
 ENTRIES = 2e7  # numbers in a batch's record
-ROUNDING = 1e-9  # of an energy
 STEADY = 1e-3  # of a fundamental: what it may still change from one period of the lowest to the next, unsaid
 
 
@@ -51,6 +51,7 @@ class DescribingFunction:
         outputs: names of the p output signals.
         units: their units.
         omega: frequencies [rad/s], shape (F,), a run each.
+        diverged: when each run diverged [s], infinite where it did not, shape (F,); nothing is measured in one that did.
         measured: the fundamental, complex, shape (F, p).
         outside: share of an output's energy that is not in it, shape (F, p); NaN where the output does not move.
         gains: L2 gains from w to z, shape (F,).
@@ -63,6 +64,7 @@ class DescribingFunction:
     outputs: tuple[str, ...]
     units: tuple[str, ...]
     omega: Array
+    diverged: Array
     measured: Array
     outside: Array
     gains: Array
@@ -110,21 +112,28 @@ def describing_function(
     outputs = vehicle.linear_model.outputs
     units = tuple(vehicle.kind.signal(name).unit for name in outputs)
     together = max(1, int(ENTRIES / (len(time) * len(vehicle.kind.signals))))
-    parts, ended = [], dict[str, None]()
+    parts, times, ended = [], list[float](), dict[str, None]()
     for some in np.split(omega, range(together, len(omega), together)):
         roads = [sinusoid(each, speed).scaled(amplitude / 2) for each in some.tolist()]
-        runs = simulate([vehicle] * len(some), [controller] * len(some), roads, time).response
+        runs = simulate([vehicle] * len(some), [controller] * len(some), roads, time)
+        times += runs.diverged.tolist()
         for i, each in enumerate(some.tolist()):
-            run = runs.run(i)
+            run = runs.response.run(i)
             ended |= dict.fromkeys(ended_by(vehicle, run))
+            if np.isfinite(runs.diverged[i]):
+                nothing = np.full(len(outputs), np.nan)
+                parts.append((nothing * 1j, nothing, nothing * 1j, np.nan))
+                continue
             before, last = (Response(time[:period], run.signals, run.values[k * period : (k + 1) * period]) for k in (1, 2))
             parts.append((*_found(vehicle, last, each), _found(vehicle, before, each)[0], settled_gain(vehicle, last, each)))
     measured, outside, earlier, gains = (np.stack(column) for column in zip(*parts, strict=True))
-    size = np.abs(measured)
+    diverged = np.array(times)
+    size = np.where(np.isfinite(diverged)[:, None], 0.0, np.abs(measured))
     scale = np.maximum(size, SILENT * size.max(axis=0))  # where it is next to nothing it need not be steady
     change = np.divide(np.abs(measured - earlier), scale, out=np.zeros_like(scale), where=scale > 0)
     drift = float(np.where(np.isnan(outside), 0.0, change).max())
-    return DescribingFunction(controller, outputs, units, omega, measured, outside, gains, drift, without, tuple(ended))
+    found = (measured, outside, gains, drift, without, tuple(ended))
+    return DescribingFunction(controller, outputs, units, omega, diverged, *found)
 
 
 def _found(vehicle: Vehicle, response: Response, omega: float) -> tuple[Array, Array]:
@@ -149,6 +158,12 @@ def describing_lines(one: DescribingFunction) -> list[str]:
     ]
     if one.without:
         lines.append(f"  its loop as built, but without its {one.without}")
+    wild = np.isfinite(one.diverged)
+    if wild.any():
+        some = f"{np.sum(wild)} of its {len(hertz)} runs" if not wild.all() else f"every one of its {len(hertz)} runs"
+        lines.append(f"  {some} diverged, the first at {np.min(one.diverged):.4g} s: nothing is measured in such")
+    if wild.all():
+        return lines
     rows: list[tuple[str, ...]] = [("per road velocity, over the sinusoids:", "largest", "at Hz", "energy outside", "at Hz")]
     for each in one.moving:
         places = f"{each.largest_at:.3g}", percent(each.outside), f"{each.outside_at:.3g}"
@@ -166,14 +181,11 @@ def describing_lines(one: DescribingFunction) -> list[str]:
 
 def describing_verdict(one: DescribingFunction) -> str:
     """What it came to, in a sentence."""
+    if np.all(np.isfinite(one.diverged)):
+        return "no linear claim; every run diverged"
     if one.ended:
         return f"no linear claim; outside the linear regime: {', '.join(one.ended)}"
     return f"no linear claim: at most {percent(float(np.nanmax(one.outside)))} of a signal's energy is outside its fundamental"
-
-
-def percent(share: float) -> str:
-    """A share of an energy in percent; what rounding leaves is 0."""
-    return f"{100 * share:.2g} %" if share > ROUNDING else "0 %"
 
 
 def describing_object(one: DescribingFunction) -> dict[str, Any]:

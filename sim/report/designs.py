@@ -8,7 +8,6 @@ import numpy as np
 from models.figures.page import Section, Table
 from models.vehicle import Vehicle
 from sim.frequency.describing_function import DescribingFunction
-from sim.frequency.describing_function import percent as percent_outside
 from sim.frequency.figure import sweep_figure
 from sim.frequency.identification import Lines
 from sim.frequency.sweep import Sweep
@@ -211,6 +210,6 @@ def _fundamentals(own: Sequence[DescribingFunction]) -> Iterator[tuple[str, ...]
     """A row per law and signal that moves."""
     for one in own:
         for signal in one.moving:
-            largest, outside = f"{signal.largest:.4g}", percent_outside(signal.outside)
+            largest, outside = f"{signal.largest:.4g}", percent(signal.outside)
             at = f"{signal.largest_at:.3g}", f"{signal.outside_at:.3g}"
             yield one.controller.name, signal.name.replace("_", " "), f"{signal.unit} per m/s", largest, at[0], outside, at[1]
