@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy import linalg
 
-from models.common.arrays import Array
+from models.common.arrays import Array, real_matrix
 from models.common.errors import InputError
 
 MATRICES = ("A", "B", "C", "D")
@@ -40,7 +40,9 @@ class LinearLaw:
 
     def __post_init__(self) -> None:
         for name in MATRICES:
-            object.__setattr__(self, name, _matrix(name, getattr(self, name)))
+            matrix, _ = real_matrix(getattr(self, name), name, LARGEST)
+            matrix.flags.writeable = False
+            object.__setattr__(self, name, matrix)
         k, (m, q) = len(self.A), self.D.shape
         if k > MOST_STATES:
             raise InputError(f"a controller of {k} states is too large; at most {MOST_STATES}: reduce its order")
@@ -197,20 +199,3 @@ def law_of(record: Mapping[str, Any]) -> LinearLaw:
     if "gain" in record:
         return static_law(record["gain"])
     return LinearLaw(*(record[name] for name in MATRICES), sample_period=record.get("sample_period"))
-
-
-def _matrix(name: str, value: object) -> Array:
-    try:
-        given = np.asarray(value)
-        complex_entries = np.iscomplexobj(given) and np.any(np.imag(given))
-        matrix = np.array(np.real(given) if np.iscomplexobj(given) else given, dtype=float)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise InputError(f"{name} is not a matrix of numbers ({error}); give rows of the same length") from None
-    if complex_entries:
-        raise InputError(f"{name} has complex entries; give real ones")
-    if matrix.ndim != 2:
-        raise InputError(f"{name} has shape {matrix.shape}; expected a matrix")
-    if not np.all(np.abs(matrix) <= LARGEST):
-        raise InputError(f"{name} has an entry that is not finite, or beyond {LARGEST:g}; give numbers")
-    matrix.flags.writeable = False
-    return matrix

@@ -5,11 +5,11 @@ from functools import cached_property
 
 import numpy as np
 
+from models.common import arrays
 from models.common.arrays import Array
 from models.common.errors import InputError, quoted
 from synth.extended import added, product
 
-MOST = 2000  # states, inputs, disturbances, outputs or measurements; more needs methods for large sparse systems
 SMALLEST, LARGEST = 1e-50, 1e50  # of a matrix: beyond, squares of its entries under- or overflow where they meet
 
 SHAPES = {"A": ("n", "n"), "B": ("n", "m"), "Bw": ("n", "r"), "C": ("d", "n"), "D": ("d", "m"), "Dw": ("d", "r")}
@@ -49,8 +49,8 @@ class GeneralizedPlant:
         dt: of a discrete plant, the seconds from x[k] to x[k + 1]; None of a continuous one.
 
     Raises:
-        InputError: a matrix is not one of real finite numbers, has the wrong shape, more than `MOST` rows or columns, or entries
-            beyond `SMALLEST` or `LARGEST`; or dt is no such number. The message names it.
+        InputError: a matrix is not one of real finite numbers, has the wrong shape, more rows or columns than are worked with, or
+            entries beyond `SMALLEST` or `LARGEST`; or dt is no such number. The message names it.
     """
 
     A: Array
@@ -67,7 +67,7 @@ class GeneralizedPlant:
         if self.dt is not None:
             object.__setattr__(self, "dt", _sample_period(self.dt))
         for name in SHAPES:
-            matrix, size = _real_matrix(getattr(self, name), name, str(SHAPES[name]))
+            matrix, size = arrays.real_matrix(getattr(self, name), name, LARGEST, str(SHAPES[name]))
             if 0 < size < SMALLEST:
                 raise InputError(
                     f"{name} has no entry above {SMALLEST:g} (the largest is {size:g}); give it in other units, or 0"
@@ -184,31 +184,7 @@ def real_matrix(value: object, name: str, expected: str) -> Array:
     Raises:
         InputError: it is none; the message names it.
     """
-    return _real_matrix(value, name, expected)[0]
-
-
-def _real_matrix(value: object, name: str, expected: str) -> tuple[Array, float]:
-    """The same, with the size of its largest entry: a design makes scores of plants, and a call of numpy is what they cost."""
-    try:
-        given = np.asarray(value)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{name} is not a matrix of numbers ({error}); give rows of the same length") from None
-    if given.ndim != 2:
-        raise InputError(f"{name} has shape {given.shape}; expected a matrix of shape {expected}")
-    if max(given.shape) > MOST:  # before it is copied
-        raise InputError(f"{name} has shape {given.shape}; no more than {MOST} rows or columns are allowed: reduce the model")
-    if np.iscomplexobj(given):
-        raise InputError(f"{name} is complex; give a real matrix")
-    try:
-        matrix = np.array(given, dtype=float)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise InputError(f"{name} is not a matrix of numbers ({error}); give an array of floats") from None
-    size = float(np.abs(matrix).max(initial=0.0))
-    if not size < np.inf:
-        raise InputError(f"{name} has an entry that is not finite; give numbers")
-    if size > LARGEST:
-        raise InputError(f"{name} has an entry beyond {LARGEST:g}, in size; give it in other units")
-    return matrix, size
+    return arrays.real_matrix(value, name, LARGEST, expected)[0]
 
 
 def check_states(n: int) -> None:

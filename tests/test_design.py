@@ -189,7 +189,7 @@ def test_a_gain_that_is_not_settled_is_said(paper, name):
     assert 0 < settled.moved < 4e-5  # measured 2.4e-5 and 3.4e-6
     assert not any("not settled" in note for note in notes(settled))
     ends_early = Designer(paper)
-    ends_early.state_path = [point for point in whole.state_path if point.mu > 1e-3]
+    ends_early.shared().state_path = [point for point in whole.state_path if point.mu > 1e-3]
     early = state_design(ends_early.plant, ends_early.state_path)
     before, last = (point.K for point in ends_early.state_path[-2:])
     assert early.moved == np.abs(last - before).max() / np.abs(last).max()
@@ -319,7 +319,7 @@ def test_a_plant_without_a_state_is_refused(act):
         ({"A": np.array([[np.nan, 0.0], [0.0, 1.0]])}, "A has an entry that is not finite"),
         ({"A": [["a", "b"], ["c", "d"]]}, "A is not a matrix of numbers"),
         ({"A": [[1.0, 2.0], [3.0]]}, "A is not a matrix of numbers .*rows of the same length"),
-        ({"A": np.diag([-1.0 + 1e-3j, -2.0])}, "A is complex; give a real matrix"),
+        ({"A": np.diag([-1.0 + 1e-3j, -2.0])}, "A has complex entries; give real ones"),
         ({"A": np.broadcast_to(0.0, (100_000, 100_000))}, r"A has shape \(100000, 100000\); no more than 2000 rows"),
         ({"B": np.full((2, 1), 1e200)}, r"B has an entry beyond 1e\+50"),
         ({"Bw": np.full((2, 1), 1e-200)}, r"Bw has no entry above 1e-50 \(the largest is 1e-200\)"),
@@ -356,7 +356,7 @@ def test_nothing_to_design(change, message):
         (np.array([[1.0, 0.0], [0.0, 0.0]]), "row 1 of Cy is zero"),
         (np.array([[1.0, 0.0], [0.0, 1e-200]]), "row 1 of Cy is below 1e-50"),
         (np.array([[1.0, 0.0], [0.0, 1e200]]), r"Cy has an entry beyond 1e\+50"),
-        (np.array([[1j, 0.0]]), "Cy is complex"),
+        (np.array([[1j, 0.0]]), "Cy has complex entries"),
         ([[1.0, 0.0], [1.0]], "Cy is not a matrix of numbers"),
     ],
 )

@@ -107,7 +107,11 @@ def test_order_of_forces():
         (["sprung_velocity"], SimpleNamespace(A=[[1]]), "has no A, B, C and D"),
         (["sprung_velocity"], ss([[0.5]], [[1]], [[1]], [[0]], True), "does not say how often"),
         (["sprung_velocity"], ss([[0.5]], [[1]], [[1]], [[0]], 0.01), r"\[implementation\] sample_period = 0.01"),
-        (["sprung_velocity"], ss([[-1]], [[1, 1]], [[1]], [[0, 0]]), r"B is no matrix of 1 row\(s\) of 1 number"),
+        (
+            ["sprung_velocity"],
+            ss([[-1]], [[1, 1]], [[1]], [[0, 0]]),
+            r"B has 1 row\(s\) of 2 number\(s\); give 1 row\(s\) of 1 number",
+        ),
         (["road_velocity"], ss([[-1]], [[1]], [[1]], [[0]]), "road_velocity"),
         (["speed"], ss([[-1]], [[1]], [[1]], [[0]]), "unknown signal 'speed'"),
         (["sprung_velocity"], SimpleNamespace(A=[[1j]], B=[[1]], C=[[1]], D=[[0]]), "A has complex entries"),

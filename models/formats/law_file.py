@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from models.common.arrays import Array
+from models.common.arrays import Array, real_matrix
 from models.common.errors import InputError, listing, quoted, some
 from models.common.read_file import MIB, TEXT, read_bytes
 from models.common.toml import parse_toml
@@ -137,20 +137,8 @@ def _law(variables: Mapping[str, Variable], others: Mapping[str, str], file: str
 
 
 def _numbers(name: str, value: Array) -> Array:
-    """A matrix of real finite numbers.
-
-    Raises:
-        InputError: it is none.
-    """
-    if value.ndim != 2:
-        raise InputError(f"{name} is no matrix but an array of shape {value.shape}; give a matrix of numbers")
-    if np.iscomplexobj(value):
-        if np.any(np.imag(value)):
-            raise InputError(f"{name} has complex entries; give real ones")
-        value = np.real(value)
-    if not np.all(np.isfinite(value)):
-        raise InputError(f"{name} has an entry that is not finite; give numbers")
-    return value
+    """A matrix of real finite numbers; how large they may be, the law says."""
+    return real_matrix(value, name, np.inf)[0]
 
 
 def _check_plain(held: Mapping[str, Array]) -> None:
