@@ -52,10 +52,12 @@ def test_a_command_has_one_end(tmp_path, body):
     assert found["stray"] == found["sound"]
 
 
+# CPython 3.11 takes a jump back to the first line of a `try` for one out of it: before a loop there something has to stand.
+LOOP = "            n = 0\n            while True: n += 1\n"
 SWALLOWS = {
-    "in a loop of its own": "    print('running')\n    while True:\n        try:\n            while True: pass\n",
+    "in a loop of its own": "    print('running')\n    while True:\n        try:\n" + LOOP,
     "in every call": "    print('running')\n    if True:\n        try: time.sleep(0.02)\n",
-    "and raises another": "    print('running')\n    if True:\n        try:\n            while True: pass\n",
+    "and raises another": "    print('running')\n    if True:\n        try:\n" + LOOP,
 }
 
 
@@ -68,10 +70,11 @@ def test_ctrl_c_gets_through(tmp_path, body):
     process = subprocess.Popen(command, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stderr is not None
     assert process.stderr.readline() == "running\n"
+    time.sleep(0.2)  # until it is within what catches it
     process.send_signal(signal.SIGINT)
     sent = time.monotonic()
     out, err = process.communicate(timeout=ENOUGH)
-    assert time.monotonic() - sent < 8.0  # 0.4 s on an idle machine; 10 s is the limit of a call
+    assert time.monotonic() - sent < 10.0  # 5 s, as for any call that cannot be ended; 15 s by the limit of a call alone
     assert (process.returncode, out) == (130, "")
     assert [line for line in err.splitlines() if line != "running"] == ["roadproof: interrupted"]
 
