@@ -320,6 +320,15 @@ def test_a_loop_of_links(tmp_path, one_way):
     assert "mine.py: is a loop of links; give a file" in refusal(path)
 
 
+def test_a_run_that_ends_at_once_agrees_with_nothing(tmp_path, capsys):
+    """Where there is no vehicle any more after one step, no comparison was made, and none is claimed to have come out well."""
+    path = vehicle_of(tmp_path, "def step(sample, state):\n    return [1e300], state\n")
+    assert main_of("sim.bump")(["--vehicle", str(path), "--controller", "mine", "--no-logs", "--duration", "0.1"]) == 1
+    out = prose(capsys.readouterr().out)
+    assert "NOTHING COMPARED: it ended at once (divergence)" in out
+    assert "agrees" not in out.replace("DOES NOT AGREE", "")
+
+
 def test_no_link_leads_out_of_the_folder(tmp_path):
     """A link in the folder to a file outside it is refused."""
     (tmp_path / "car").mkdir()

@@ -19,7 +19,7 @@ import numpy as np
 
 from models.vehicle import Vehicle
 from sim.linear.rounding import grown, roundings
-from sim.response.regime import AT, END_NAMES, LIFT_OFF, reached
+from sim.response.regime import AT, END_NAMES, FLAT, LIFT_OFF, reached
 from sim.response.response import Response
 from sim.runs.prediction import Prediction
 from synth.controller import Controller
@@ -87,8 +87,8 @@ class Agreement:
 
     @property
     def agrees(self) -> bool:
-        """Whether every signal agrees, for as long as the comparison applies."""
-        return all(signal.agrees for signal in self.signals.values())
+        """Whether every signal agrees, for as long as the comparison applies; not where that is never."""
+        return self.until > 0 and all(signal.agrees for signal in self.signals.values())
 
 
 def compare(prediction: Prediction, physics: Response) -> Agreement:
@@ -97,6 +97,10 @@ def compare(prediction: Prediction, physics: Response) -> Agreement:
     sampled, integrated, continuous = prediction.sampled, prediction.integrated, prediction.continuous
     ended = dict(zip(END_NAMES, reached(vehicle, physics).tolist(), strict=True))
     until = min(*ended.values(), _first_loose(vehicle, physics), diverged)
+    # A loop that grows threefold in a step is through the road and back within one, which the prediction's own squeeze shows.
+    foretold = dict(zip(END_NAMES, reached(vehicle, sampled).tolist(), strict=True))[FLAT.name]
+    if foretold < until:
+        ended[FLAT.name] = until = foretold
     lift_off = lift_off_intervals(vehicle, physics)
     physics, sampled, integrated, continuous = (r.until(until) for r in (physics, sampled, integrated, continuous))
     signals = {}

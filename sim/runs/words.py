@@ -130,9 +130,11 @@ def verdict(run: Run) -> str:
         why = ended or (["divergence"] if run.diverged == agreement.until else [LIFT_OFF.name])
         when = f"until {agreement.until:.4g} s ({' and '.join(why)})"
     else:
-        when = "throughout"
+        why, when = [], "throughout"
     order = " to first order" if any(signal.small is not None for signal in agreement.signals.values()) else ""
     words = f"agrees{order} {when}" if agreement.agrees else f"DOES NOT AGREE {when}"
+    if agreement.until <= 0:
+        words = f"NOTHING COMPARED: it ended at once ({' and '.join(why)})"
     if run.energy is None:
         return words
     return f"{words}; energy {'balances' if run.energy.balances else 'DOES NOT BALANCE'}"
@@ -189,6 +191,8 @@ def verdict_lines(run: Run) -> list[str]:
         why = "" if agreement.until in (*times.values(), run.diverged) else ": within a step, a tyre may leave the road there"
         lines.append(f"the linear comparison does not apply from {agreement.until:.4g} s on{why}")
         when = f"until {agreement.until:.4g} s"
+    if agreement.until <= 0:
+        return [*lines, "NOTHING COMPARED: there is no time at which the linear comparison applies"]
     worst = max(agreement.signals, key=lambda name: agreement.signals[name].excess)
     error = agreement.signals[worst]
     difference, allowed = error.judged
