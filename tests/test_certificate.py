@@ -123,7 +123,7 @@ def test_speed_is_printed(paper):
     """A gain beyond any actuator is said so on the terminal of both commands and in the JSON."""
     controller = given(paper, "stiff", ["sprung_velocity"], static_law(np.array([[-1e7]])))
     (remark,) = controller.certificate.remarks
-    assert f"  {remark}" in detail_lines(Row("stiff", controller, (), ()))
+    assert f"  {remark}" in detail_lines(Row("stiff", controller, (), ()), paper)
     assert f"  {remark}" in controller_lines(paper, controller)
     assert row_object(Row("stiff", controller, ("a note",), ()))["notes"] == ["a note", remark]
 

@@ -73,7 +73,7 @@ def highest(plant: GeneralizedPlant) -> float:
     best = omega[gains(omega).argmax()]
     low, high = max(best - omega[1], 0.0), min(best + omega[1], omega[-1])
     found = optimize.minimize_scalar(lambda at: -gains(np.array([at]))[0], bounds=(low, high), method="bounded")
-    return max(-found.fun, gains(np.array([low, best, high])).max())
+    return max(-float(found["fun"]), gains(np.array([low, best, high])).max())
 
 
 def on_circle(loop: GeneralizedPlant, level: float) -> bool:

@@ -53,7 +53,7 @@ def failures(vehicle: Vehicle, controller: Controller, law: LinearLaw, record: d
     """What `--check` says of a law and a record, which go through text."""
     entry = ControllerEntry("mine", controller.measured, law, json.loads(json.dumps(record)))
     (row,) = check(Designer(dataclasses.replace(vehicle, controllers={"mine": entry})), None)
-    assert (row.notes == ("checked: every claim of its certificate holds",)) == (not row.failures)
+    assert ("checked: every claim of its certificate holds" in row.notes) == (not row.failures)
     return row.failures
 
 

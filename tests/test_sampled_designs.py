@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
+from models.law import static_law
 from models.vehicle import parse_vehicle, read_vehicle
 from synth.certificate.norm import hinf_norm
 from synth.design import state_path
-from synth.designer import Designer
+from synth.designer import Designer, given
 from synth.designs.sampled import held_problem
 from synth.errors import DesignError, InfeasibleError
 from synth.held.design import held_design
@@ -21,6 +22,7 @@ from synth.implemented.norm import norm_as_implemented
 from synth.lmi.clarabel import solve_lmi
 from synth.lmi.output_feedback import l_matrix, nullspace, r_matrix
 from synth.plant import GeneralizedPlant
+from synth.sampled.loop import Piece
 from synth.sampled.norm import sampled_norm
 from tests.commands import main_of
 
@@ -58,7 +60,7 @@ def test_in_the_time_of_sixty_plain_solves(paper):
     plain = (time.process_time() - start) / 10
     start = time.process_time()
     for rows in ROWS.values():
-        held_design(HeldProblem(plant, rows, np.zeros((len(rows), 1)), 0.01, 0), 7.8)
+        held_design(HeldProblem(plant, rows, np.zeros((len(rows), 1)), (Piece(0.01, 0),)), 7.8)
     assert time.process_time() - start < 60 * plain
 
 
@@ -68,7 +70,7 @@ def test_the_second_step_by_another_solver(paper, name):
     plant, Cy = Designer(paper).plant, ROWS[name]
     units = np.diag([0.77, 0.045, 0.9, 2.9])  # of the states; Clarabel gives up in SI units
     plant = plant.in_coordinates(units).with_inputs(1e4 * np.eye(1))
-    problem = HeldProblem(plant, Cy @ units, np.zeros((len(Cy), 1)), 0.01, 0)
+    problem = HeldProblem(plant, Cy @ units, np.zeros((len(Cy), 1)), (Piece(0.01, 0),))
     found, alone = held_design(problem, 7.8), held_design(replace(problem, Cy=EYE, through=np.zeros((4, 1))), 7.8)
     assert found.level is not None
     assert alone.level is not None
@@ -103,8 +105,8 @@ def test_no_unit_decides(paper, name):
     states, force = np.diag([3.0, 0.2, 7.0, 50.0]), 1234.0
     scaled = plant.in_coordinates(states).with_inputs(force * np.eye(1))
     slower = replace(scaled, A=scaled.A / rate, B=scaled.B / rate, Bw=scaled.Bw / rate)
-    one = held_design(HeldProblem(plant, Cy, np.zeros((len(Cy), 1)), 0.01, 0), 7.8)
-    other = held_design(HeldProblem(slower, Cy @ states, np.zeros((len(Cy), 1)), 0.01 * rate, 0), 8.5)
+    one = held_design(HeldProblem(plant, Cy, np.zeros((len(Cy), 1)), (Piece(0.01, 0),)), 7.8)
+    other = held_design(HeldProblem(slower, Cy @ states, np.zeros((len(Cy), 1)), (Piece(0.01 * rate, 0),)), 8.5)
     # Time in tenths of seconds: w and z in the new unit of it have a gain that is sqrt and sqrt of it, so the same.
     assert other.norm == pytest.approx(one.norm, rel=1e-6)
     # The path ends 3e-6 of the largest entry short of its limit; what is flat there moves more.
@@ -253,13 +255,32 @@ def test_what_no_gain_stabilises():
     A, B, C = np.array([[0.0, 1], [4, 0]]), np.array([[0.0], [1]]), np.vstack([np.eye(2), np.zeros((1, 2))])
     plant = GeneralizedPlant(A, B, B, C, np.array([[0.0], [0], [1]]), np.zeros((3, 1)))
     with pytest.raises(InfeasibleError, match=r"no input reaches|no gain|no measurement|problem \(25\)") as caught:
-        held_design(HeldProblem(plant, np.array([[1.0, 0]]), np.zeros((1, 1)), 0.1, 0), 2.0)
+        held_design(HeldProblem(plant, np.array([[1.0, 0]]), np.zeros((1, 1)), (Piece(0.1, 0),)), 2.0)
     assert "\n" not in str(caught.value)
 
 
 def test_the_exact_norm_decides(paper):
     """A gain next to the designed one has another exact norm than the level says: the norm is of the gain itself."""
-    problem = HeldProblem(Designer(paper).plant, ROWS["II"], np.zeros((1, 1)), 0.01, 0)
+    problem = HeldProblem(Designer(paper).plant, ROWS["II"], np.zeros((1, 1)), (Piece(0.01, 0),))
     found = held_design(problem, 7.8)
     assert sampled_norm(problem.loop(found.gain), 7.8).value == pytest.approx(found.norm, rel=1e-9)
     assert sampled_norm(problem.loop(0.5 * found.gain), 7.8).value > found.norm * 1.001
+
+
+@pytest.mark.parametrize("delay", [0.25, 1.5])
+@pytest.mark.parametrize("measured", ["sprung_velocity", "sprung_acceleration"])
+def test_a_fraction_of_a_sample_is_designed_for(paper, delay, measured):
+    """A level's discrete plant is below 1 just where the loop's own norm is below the level, a force in what is read or not."""
+    how = f"\n[implementation]\nsample_period = 0.02\ndelay = {delay}\n"
+    vehicle = parse_vehicle(f'{paper.text}{how}[controllers.mine]\nmeasured = ["{measured}"]\nsampled = true\n')
+    problem = held_problem(vehicle, vehicle.controllers["mine"])
+    K = np.array([[-2000.0 if measured == "sprung_velocity" else -40.0]])
+    norm = sampled_norm(problem.loop(K), 8.0)
+    assert norm.stable
+    assert norm.value == pytest.approx(
+        norm_as_implemented(vehicle, given(vehicle, "given", (measured,), static_law(K))).value, rel=1e-7
+    )
+    for level in (norm.value * 0.999, norm.value * 1.001):
+        plant = problem.at(level)
+        assert plant is not None
+        assert (hinf_norm(plant.closed_loop(K @ problem.rows)).value < 1) == (level > norm.value)

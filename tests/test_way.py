@@ -15,7 +15,8 @@ from tests.commands import ROOT
 from tests.conftest import recorded_runs
 
 NAME = "mine"
-UP = ["chosen", "design", "run_all"]  # names from the options, a controller of a name, its run: each of a room of its own
+# Names from the options, a controller of a name, those of all names, laws in Python among them, its run: each of its own room.
+UP = ["chosen", "design", "driven", "run_all"]
 
 
 def named(value: Any) -> bool:
@@ -43,7 +44,7 @@ def is_property(frame: FrameType) -> bool:
 
 
 def test_the_way_of_a_name(tmp_path):
-    """On its way from `sim.bump` to the log a controller's name comes back up to another room three times, and no more."""
+    """On its way from `sim.bump` to the log a controller's name comes back up to another room four times, and no more."""
     vehicle = tmp_path / "mine.toml"
     gain = f'\n[controllers.{NAME}]\nmeasured = ["sprung_velocity"]\ngain = [[-5000.0]]\n'
     vehicle.write_text((ROOT / "models" / "quarter_car.toml").read_text() + gain)

@@ -45,6 +45,6 @@ def asked(vehicle: Vehicle, options: argparse.Namespace) -> Asked:
     )
 
 
-def late_run(name: str, samples: int) -> str:
+def late_run(name: str, samples: float) -> str:
     """What a run is called."""
     return f"{name}_{samples}_samples_late"

@@ -11,7 +11,7 @@ from synth.certificate.lower_bound import LowerBound
 from synth.controller import Controller
 from synth.held.design import held_design
 from synth.held.problem import HeldProblem
-from synth.implemented.norm import lagged_plant
+from synth.implemented.norm import lagged_plant, pieces_of
 from synth.problem.problem import Problem, measurements
 
 
@@ -30,7 +30,7 @@ def held_problem(vehicle: Vehicle, entry: ControllerEntry) -> HeldProblem:
     plant, (Cy, through) = lagged_plant(vehicle), measurements(vehicle, entry.measured)
     if vehicle.limits.actuator_bandwidth is not None:  # behind a lag a force is a state, the last, and no longer acts at once
         Cy, through = np.hstack([Cy, through]), np.zeros_like(through)
-    return HeldProblem(plant, Cy, through, how.sample_period, how.delay)
+    return HeldProblem(plant, Cy, through, pieces_of(how, how.sample_period))
 
 
 def sampled_design(vehicle: Vehicle, entry: ControllerEntry, posed: Problem, lower_bound: LowerBound, near: float) -> Controller:

@@ -27,6 +27,7 @@ from synth.lmi.slack import slack_path
 from synth.modes import immovable, obstacles
 from synth.numerics import numerics
 from synth.plant import GeneralizedPlant
+from synth.sampled.loop import Piece
 from synth.sampled.norm import sampled_norm
 from synth.scaling import own_units
 from synth.search.refine import refine
@@ -99,7 +100,7 @@ def _gain(problem: HeldProblem, near: float) -> tuple[Array, float | None, str]:
     tries.add(_follows(path[-1].X, rows))
     undelayed = None
     if problem.remembered:
-        at_once = replace(problem, through=np.zeros_like(problem.through), late=0)
+        at_once = replace(problem, through=np.zeros_like(problem.through), pieces=(Piece(problem.period, 0),))
         _, of_state = _level(at_once, state_path, level)
         undelayed, _, _ = _gain(at_once, level)
         both = np.vstack([_follows(of_state[-1].X, at_once.Cy), *[undelayed] * problem.remembered])
@@ -114,9 +115,10 @@ def _gain(problem: HeldProblem, near: float) -> tuple[Array, float | None, str]:
             0, DesignError(f"the loop of its gain does not keep the level {reached:.7g}: rounding ends it there")
         )
     reason = tries.failures[0]
-    if undelayed is None or not np.isfinite(sampled_norm(problem.loop(undelayed), near).value):
-        raise reason
-    return _descended(problem, undelayed, near), None, str(reason)
+    for start in (undelayed, np.zeros((problem.plant.B.shape[1], len(rows)))):
+        if start is not None and np.isfinite(sampled_norm(problem.loop(start), near).value):
+            return _descended(problem, start, near), None, str(reason)
+    raise reason
 
 
 def _descended(problem: HeldProblem, K: Array, near: float) -> Array:

@@ -23,28 +23,36 @@ class HeldProblem:
         plant: continuous, n states.
         Cy: shape (q, n).
         through: what the force that has acted until a sample does in what is measured there, shape (q, m).
-        period: [s].
-        late: samples from a measurement to its force.
+        pieces: of the sample period: two where forces come a fraction of one late.
     """
 
     plant: GeneralizedPlant
     Cy: Array
     through: Array
-    period: float
-    late: int
+    pieces: tuple[Piece, ...]
+
+    @property
+    def period(self) -> float:
+        """[s]."""
+        return sum(piece.duration for piece in self.pieces)
+
+    @property
+    def before(self) -> int:
+        """How many samples before one the force was computed that has acted until it."""
+        return self.pieces[-1].late + 1
 
     @cached_property
     def remembered(self) -> int:
         """How many samples back forces count."""
-        return self.late + 1 if np.any(self.through) else self.late
+        return max(self.pieces[0].late, self.before if np.any(self.through) else 0)
 
     @cached_property
     def rows(self) -> Array:
         """C_y on all states, shape (q, n + m remembered)."""
         (q, m), k = self.through.shape, self.remembered
         past = np.zeros((q, k * m))
-        if k > self.late:
-            past[:, self.late * m :] = self.through
+        if np.any(self.through):
+            past[:, (self.before - 1) * m : self.before * m] = self.through
         return np.hstack([self.Cy, past])
 
     def loop(self, K: Array) -> SampledLoop:
@@ -52,24 +60,27 @@ class HeldProblem:
         m, kept = self.plant.B.shape[1], np.any(self.through)
         asked = K @ (np.hstack([self.Cy, self.through]) if kept else self.Cy)
         memory = np.zeros((m if kept else 0, asked.shape[1]))
-        return SampledLoop(self.plant, (Piece(self.period, self.late),), asked, memory, np.eye(len(memory), m))
+        return SampledLoop(self.plant, self.pieces, asked, memory, np.eye(len(memory), m))
 
     def at(self, gamma: float) -> GeneralizedPlant | None:
         """The discrete plant whose norm is below 1 where the L2 gain of the loop is below a level; None where none can be."""
         (n, m), k = self.plant.B.shape, self.remembered
-        found = lifted(self.plant, [(self.period, np.eye(m))], gamma)
+        count = len(self.pieces)
+        held = [(piece.duration, np.eye(m, count * m, i * m)) for i, piece in enumerate(self.pieces)]
+        found = lifted(self.plant, held, gamma)
         if found is None:
             return None
-        start = np.zeros((n + m, n + (k + 1) * m))  # from states and the new force to [x; the force that acts]
+        start = np.zeros((n + count * m, n + (k + 1) * m))  # from states and the new force to [x; the forces that act]
         start[:n, :n] = np.eye(n)
-        acts = n + k * m if not self.late else n + (self.late - 1) * m
-        start[n:, acts : acts + m] = np.eye(m)
+        for i, piece in enumerate(self.pieces):
+            acts = n + ((piece.late or k + 1) - 1) * m  # the new force comes last
+            start[n + i * m : n + (i + 1) * m, acts : acts + m] = np.eye(m)
         moved = np.zeros((n + k * m, n + (k + 1) * m))
         moved[:n] = found.Ad[:n] @ start
         if k:
             moved[n : n + m, n + k * m :] = np.eye(m)
             moved[n + m :, n : n + (k - 1) * m] = np.eye((k - 1) * m)
-        seen, driven = found.Cd @ start, np.zeros((n + k * m, n + m))
+        seen, driven = found.Cd @ start, np.zeros((n + k * m, found.Bd.shape[1]))
         driven[:n] = found.Bd[:n]
         states = n + k * m
         return GeneralizedPlant(
@@ -78,6 +89,6 @@ class HeldProblem:
             Bw=driven,
             C=seen[:, :states],
             D=seen[:, states:],
-            Dw=np.zeros((len(seen), n + m)),
+            Dw=np.zeros((len(seen), found.Bd.shape[1])),
             dt=self.period,
         )

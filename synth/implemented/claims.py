@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 from models.common.numbers import finite
@@ -105,9 +104,8 @@ def false_norm(record: Mapping[str, Any], vehicle: Vehicle, norm: SampledNorm | 
     return (f"{claimed}, and is {is_now} with {built_words(vehicle)}",)
 
 
-def held_to_its_norm(controller: Controller, record: Mapping[str, Any] | None, vehicle: Vehicle) -> Controller:
-    """A controller, its false claims with those that its record makes of the norm as implemented."""
+def wrong_norm(controller: Controller, record: Mapping[str, Any] | None, vehicle: Vehicle) -> tuple[str, ...]:
+    """What a controller's record claims in vain of the norm as implemented, where it claims one, in words."""
     if record is None or record.get(SAMPLED_NORM) is None:
-        return controller
-    wrong = false_norm(record, vehicle, norm_if_implemented(vehicle, controller))
-    return replace(controller, false_claims=(*controller.false_claims, *wrong))
+        return ()
+    return false_norm(record, vehicle, norm_if_implemented(vehicle, controller))

@@ -9,7 +9,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.controllers import IDEAL
-from models.reality import USUAL_TIMESTEP
+from models.reality import USUAL_TIMESTEP, Implementation
 from models.vehicle import Vehicle
 from synth.certificate.norm import hinf_norm
 from synth.controller import Controller
@@ -42,8 +42,12 @@ def sampled_loop(vehicle: Vehicle, controller: Controller, timestep: float = USU
     plant = lagged_plant(vehicle)
     n, kept = len(plant.A), len(cut.kept)
     memory = np.hstack([np.zeros((kept, n)), np.eye(kept)]) + period * _spread(cut.kept, vehicle, n + kept)
-    pieces = tuple(Piece(share * period, late) for share, late in how.held)
-    return SampledLoop(plant, pieces, _spread(cut.asked, vehicle, n + kept), memory, period * cut.hold)
+    return SampledLoop(plant, pieces_of(how, period), _spread(cut.asked, vehicle, n + kept), memory, period * cut.hold)
+
+
+def pieces_of(how: Implementation, period: float) -> tuple[Piece, ...]:
+    """The parts of a sample period [s], one after the other: two where forces come a fraction of one late."""
+    return tuple(Piece(share * period, late) for share, late in how.held)
 
 
 def norm_in_continuous_time(vehicle: Vehicle, controller: Controller) -> float:
