@@ -52,6 +52,12 @@ class Limits:
         return tuple(found)
 
 
+def samples_late(delay: float) -> str:
+    """How late forces act [samples], in words: the number as it is printed says whether it is one."""
+    number = f"{delay:g}"
+    return f"{number} sample{'s' * (number != '1')} late"
+
+
 @dataclass(frozen=True)
 class Implementation:
     """The controller as it would be built.
@@ -120,7 +126,7 @@ class Implementation:
         if self.sample_period is not None:
             found.append(f"a sample every {1e3 * self.sample_period:g} ms")
         if self.delay:
-            found.append(f"forces that act {self.delay:g} sample{'s' if self.delay != 1 else ''} late")
+            found.append(f"forces that act {samples_late(self.delay)}")
         found += [f"noise of {rms:g} rms on {name}" for name, rms in self.noise.items() if rms]
         found += [f"{name} read in steps of {step:g}" for name, step in self.quantisation.items() if step]
         return tuple(found)

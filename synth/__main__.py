@@ -58,7 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         raise InputError(f"--cross-check solves the LMI problems of designs anew, and {why}; leave one of them out")
     if options.check and options.given & {"zero_l", "refine", "save", "vehicle", "prove"}:
         raise InputError("--check reads its own file and designs nothing; it goes with --controller and --json only")
-    if options.rates and options.given & {"zero_l", "refine", "save", "check", "cross_check"}:
+    if options.rates and options.given & {"zero_l", "refine", "save", "check", "cross_check", "prove"}:
         raise InputError("--rates takes designs as they are; it goes with --controller, --vehicle, --picture and --json only")
     if options.picture and not options.rates:
         raise InputError("--picture draws what --rates asks for; give sample periods with --rates, or leave it out")

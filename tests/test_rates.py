@@ -10,13 +10,14 @@ import pytest
 
 import synth.rates.cost
 from models.common.errors import InputError
-from models.reality import LONGEST_PERIOD, Implementation
+from models.reality import LONGEST_PERIOD, Implementation, samples_late
 from models.vehicle import parse_vehicle, read_vehicle
 from sim.stability.cut import cut
 from sim.stability.loop import largest_sample_period
 from synth.__main__ import main
 from synth.certificate.stability import sampled_growth
 from synth.designer import Designer, design
+from synth.errors import DesignError
 from synth.implemented.loop import implemented_loop
 from synth.implemented.norm import norm_as_implemented
 from synth.rates.cost import Cost, cost
@@ -138,6 +139,36 @@ def test_designed_for_the_rate():
     assert given.rates[0].designed is None  # its gain is given, and not designed
 
 
+def test_why_none_is_designed(monkeypatch, capsys):
+    """A rate that no design is found for has a dash, and its reason below the table without what to do; in JSON all of it."""
+    true = synth.rates.cost.held_design
+
+    def fails_at_50_ms(problem, near):
+        if problem.period == 0.05:
+            raise DesignError("nothing was found: it is probably too slow")
+        return true(problem, near)
+
+    monkeypatch.setattr(synth.rates.cost, "held_design", fails_at_50_ms)
+    for rates, cell in ((("50",), "-"), (("10", "50"), "-")):
+        code, found = asked(capsys, *rates, "--controller", "I")
+        assert code == 0
+        assert found["controllers"][0]["rates"][-1]["designed_norm"] is None
+        assert found["controllers"][0]["rates"][-1]["not_designed"] == "nothing was found: it is probably too slow"
+        main(["--rates", *rates, "--controller", "I"])
+        said = capsys.readouterr().out
+        (line,) = [line for line in said.splitlines() if line.startswith("  50 ms")]
+        assert line.split()[-1] == cell
+        assert "\n  not designed for 50 ms: nothing was found\n" in said
+
+
+def test_one_sample_as_it_is_printed():
+    """A delay that is printed as 1 is of one sample, not of samples."""
+    vehicle = replace(read_vehicle("quarter_car"), implementation=Implementation(delay=0.999999999999))
+    assert vehicle.implementation.words == ("forces that act 1 sample late",)
+    assert samples_late(2) == "2 samples late"
+    assert samples_late(0.5) == "0.5 samples late"
+
+
 def test_sentence(capsys):
     """In words stand the slowest rate that costs little, what it costs, late too, and where the loop is lost."""
     code, found = asked(capsys, *RATES, "--controller", "II")
@@ -147,8 +178,7 @@ def test_sentence(capsys):
     said = prose(capsys.readouterr().out)
     words = re.search(
         r"at (\S+) Hz controller II gains (\S+) %, 1 sample late loses (\S+) %; designed for it gains (\S+) %; "
-        r"below (\S+) Hz it is unstable, 1 sample late "
-        r"below (\S+) Hz$",
+        r"at once it loses stability at (\S+) Hz, 1 sample late it loses stability at (\S+) Hz$",
         said,
     )
     assert words
@@ -159,10 +189,33 @@ def test_sentence(capsys):
     assert [float(word) for word in words.groups()] == pytest.approx(numbers, rel=0.05)  # of two digits
 
 
+@pytest.mark.parametrize("name", ["state", "I"])
+def test_islands(name, capsys):
+    """No rate is called unstable that the table has stable: the slower ones that are, beyond the first loss, are named."""
+    rates = [10.0, 200.0, 300.0, 600.0, 1000.0]
+    code, found = asked(capsys, *map(str, rates), "--controller", name)
+    assert code == 0
+    (row,) = found["controllers"]
+    main(["--rates", *map(str, rates), "--controller", name])
+    said = prose(capsys.readouterr().out)
+    words = {"sampled_norm": ("at once", "unstable_from"), "late_norm": ("1 sample late", "late_unstable_from")}
+    islands: list[float] = []
+    for key, (how, limit) in words.items():
+        lost = row[limit] or math.inf
+        (text,) = re.findall(rf"{how} it (is stable at every rate|loses stability at \S+ Hz(?: \(.*? again\))?)", said)
+        stable = [1e3 * at["sample_period"] for at in row["rates"] if at[key] is not None]
+        assert ("every" in text) == (math.isinf(lost))
+        assert [rate for rate in rates if rate < 1e3 * lost] == [rate for rate in stable if rate < 1e3 * lost]
+        again = [float(rate) for rate in re.findall(r"([\d.]+) ms", text)]
+        assert again == [rate for rate in stable if rate > 1e3 * lost]
+        islands += again
+    assert islands
+
+
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("state", "at once it is stable at every rate, 1 sample late unstable below 3.73 Hz"),
+        ("state", "at once it is stable at every rate down to 1 Hz, 1 sample late it loses stability at 3.73 Hz"),
         ("passive", "controller passive asks for no force, so that no rate changes anything"),
         ("mad", "controller mad is unstable even in continuous time"),
     ],
@@ -189,6 +242,7 @@ def test_other_sentences(name, words, tmp_path, capsys):
         ([], "expected at least one argument"),
         ([str(1 + k / 100) for k in range(1001)], "at most 1000"),
         (["5", "--refine"], "--rates takes designs as they are"),
+        (["5", "--prove"], "--rates takes designs as they are"),
         (["5", "--picture", "rates.gif"], "not a kind of picture"),
     ],
 )
@@ -215,6 +269,18 @@ def test_what_does_not_hold_is_said(monkeypatch, capsys):
     assert main(["--rates", "10", "--controller", "I"]) == 1
     said = prose(capsys.readouterr().out)
     assert "DOES NOT HOLD: controller I at 10 ms, at once: the sampled norm 7.86506444 and what a road" in said
+
+
+def test_a_road_that_reaches_more_than_the_norm_is_said(monkeypatch, capsys):
+    """What is reached above the level that the norm is said to lie below fails, however near the two routes are."""
+    true = synth.rates.cost.sampled_norm
+    monkeypatch.setattr(
+        synth.rates.cost,
+        "sampled_norm",
+        lambda *arguments: replace(true(*arguments), reached=true(*arguments).upper * (1 + 1e-10)),
+    )
+    assert main(["--rates", "10", "--controller", "I"]) == 1
+    assert "at once: the sampled norm is not less than 7.865064" in prose(capsys.readouterr().out)
 
 
 def test_what_is_not_designed_is_said(tmp_path, capsys):

@@ -137,6 +137,34 @@ def test_two_routes_meet(seed):
     assert max(others) < norm.upper
 
 
+def in_other_time(loop: SampledLoop, time: float) -> SampledLoop:
+    """The same loop, its time in another unit; its gain is the same number."""
+    plant, root = loop.plant, math.sqrt(time)
+    changed = replace(plant, A=plant.A / time, B=plant.B / time, Bw=plant.Bw / root, C=plant.C / root, D=plant.D / root)
+    return replace(loop, plant=changed, pieces=tuple(Piece(piece.duration * time, piece.late) for piece in loop.pieces))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_units(seed):
+    """In whatever unit of time a loop is, its norm is one number, and nothing is reached above it."""
+    rng = np.random.default_rng(seed)
+    loop = any_loop(rng)
+    own, norm = sampled_norm(loop), sampled_norm(in_other_time(loop, 10 ** rng.uniform(-6, 6)))
+    assert norm.value == pytest.approx(own.value, rel=PROVED)
+    assert norm.reached <= norm.upper
+    assert norm.reached <= norm.value * (1 + 1e-9)  # rounding; 2e-11 was seen
+    assert norm.reached == pytest.approx(own.reached, rel=1e-7)  # parts may be doubled once more
+
+
+def test_a_car_whose_energies_lie_far_apart():
+    """What a road reaches of a full car's norm is no more than the norm, in however many parts of the period."""
+    vehicle = replace(read_vehicle("full_car"), implementation=Implementation(0.03, 1))
+    loop = sampled_loop(vehicle, design(vehicle, "I"))
+    norm = sampled_norm(loop)
+    for parts in (8, 16, 32):
+        assert reached_gain(loop, norm.angle, parts) == pytest.approx(norm.value, rel=1e-11)  # the norm is found to 1e-11
+
+
 @pytest.mark.parametrize("seed", range(12))
 def test_forces_on_their_way(seed):
     """A delay as a power of zeta is the delay whose forces are states: what both routes rest on is the loop sample by sample."""
@@ -155,6 +183,13 @@ def test_two_routes_meet_always():
     """The same of 400 loops more."""
     for seed in range(100, 500):
         test_two_routes_meet(seed)
+
+
+@pytest.mark.attack
+def test_units_always():
+    """The same of 200 loops more."""
+    for seed in range(100, 300):
+        test_units(seed)
 
 
 def test_nothing_exceeds_it():

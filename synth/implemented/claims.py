@@ -75,7 +75,11 @@ def sampled_lines(vehicle: Vehicle) -> list[str]:
 
 def norm_failures(norm: SampledNorm | None) -> tuple[str, ...]:
     """What does not hold of a norm, in words."""
-    if norm is None or not norm.stable or norm.gap <= ROUTES_AGREE:
+    if norm is None or not norm.stable:
+        return ()
+    if norm.reached > norm.upper:
+        return (f"the sampled norm is not less than {norm.upper:.12g}: a road reaches {norm.reached:.12g}",)
+    if norm.gap <= ROUTES_AGREE:
         return ()
     return (f"the sampled norm {norm.value:.9g} and what a road reaches of it differ by {norm.gap:.0e}",)
 

@@ -28,12 +28,14 @@ class AtRate:
         prompt: the norm of the loop whose forces act at the sample.
         late: of the one whose forces act `Cost.delay` samples late.
         designed: of the one that is designed for this rate instead, at once; None where none is.
+        undesigned: why none is, where one was asked for; empty otherwise.
     """
 
     period: float
     prompt: SampledNorm
     late: SampledNorm
     designed: SampledNorm | None = None
+    undesigned: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +92,8 @@ def cost(
             both.append(norm)
         prompt, late = both
         again = period in designs and _in_two_steps(vehicle, controller)
-        found.append(AtRate(period, prompt, late, _designed(vehicle, controller, period, near[0]) if again else None))
+        designed, why = _designed(vehicle, controller, period, near[0]) if again else (None, "")
+        found.append(AtRate(period, prompt, late, designed, why))
         done(i + 1)
     lost, lost_late = (lost_from(vehicle, controller, samples) for samples in (0, delay))
     return Cost(controller, ideal, _lower_bound(vehicle, controller), delay, tuple(found), lost, lost_late)
@@ -109,15 +112,15 @@ def _in_two_steps(vehicle: Vehicle, controller: Controller) -> bool:
     return own and controller.law.acts and not any(controller.hardware.noise)
 
 
-def _designed(vehicle: Vehicle, controller: Controller, period: float, near: float) -> SampledNorm | None:
-    """The norm of a gain on the same measurements that is designed for a rate; None where none is found."""
+def _designed(vehicle: Vehicle, controller: Controller, period: float, near: float) -> tuple[SampledNorm | None, str]:
+    """The norm of a gain on the same measurements that is designed for a rate; where none is found None, and why."""
     built = replace(vehicle, implementation=Implementation(period))
     entry = ControllerEntry(controller.name, controller.measured)
     try:
         gain = held_design(held_problem(built, entry), near).gain
-    except DesignError:
-        return None
-    return norm_at(vehicle, replace(controller, law=static_law(gain)), period, 0, near)
+    except DesignError as error:
+        return None, str(error)
+    return norm_at(vehicle, replace(controller, law=static_law(gain)), period, 0, near), ""
 
 
 def _lower_bound(vehicle: Vehicle, controller: Controller) -> float | None:

@@ -1,12 +1,14 @@
 """What slower computers cost, in words and as `--json` has it."""
 
 import math
+import re
 from collections.abc import Sequence
 from typing import Any
 
+from models.common.errors import some
 from models.common.numbers import finite
 from models.common.printed import table, wrapped
-from models.reality import LONGEST_PERIOD
+from models.reality import LONGEST_PERIOD, samples_late
 from synth.implemented.claims import norm_failures
 from synth.rates.cost import AtRate, Cost
 from synth.rates.lost import SHORTEST
@@ -21,25 +23,39 @@ def cost_lines(one: Cost) -> list[str]:
     """A controller at all rates, a line each."""
     ideal = f"norm {one.ideal:.7g}" if math.isfinite(one.ideal) else "UNSTABLE"
     bound = f", lower bound {one.lower_bound:.7g}" if one.lower_bound is not None else ""
-    designs = any(at.designed is not None for at in one.rates)
+    designs = _has_designs(one)
     rows: list[tuple[str, ...]] = [("sample", "rate", "at once", "loses", "late", "loses", *("designed", "loses")[: 2 * designs])]
     for at in one.rates:
         norms = [at.prompt, at.late, *[at.designed][: int(designs)]]
         cells = [text for norm in norms for text in (_cells(one, norm) if norm is not None else ("-", ""))]
         rows.append((f"{1e3 * at.period:g} ms", f"{1 / at.period:.4g} Hz", *cells))
-    return [f"controller {one.controller.name}: in continuous time {ideal}{bound}", *table(rows)]
+    return [f"controller {one.controller.name}: in continuous time {ideal}{bound}", *table(rows), *_undesigned_lines(one)]
+
+
+def _has_designs(one: Cost) -> bool:
+    """Whether it was designed anew for any rate, or that was tried."""
+    return any(at.designed is not None or at.undesigned for at in one.rates)
+
+
+def _undesigned_lines(one: Cost) -> list[str]:
+    """Why a design is missing, a line for each reason: what happened, without what causes it and what to do."""
+    missing: dict[str, list[AtRate]] = {}
+    for at in one.rates:
+        if at.undesigned:
+            missing.setdefault(re.split("[:;]", at.undesigned)[0], []).append(at)
+    return [line for why, rates in missing.items() for line in wrapped(f"  not designed for {_named(rates)}: {why}")]
 
 
 def about_lines(costs: Sequence[Cost]) -> list[str]:
     """What the columns are."""
-    designs = any(at.designed is not None for one in costs for at in one.rates)
+    designs = any(_has_designs(one) for one in costs)
     more = "; designed: anew, for the loop of that rate" if designs else ""
     return [f"late: the forces act {late(one)}{more}" for one in costs[:1]]
 
 
 def late(one: Cost) -> str:
     """How late forces are that are late, in words."""
-    return f"{one.delay:g} sample{'s' * (one.delay != 1)} late"
+    return samples_late(one.delay)
 
 
 def sentence(one: Cost) -> list[str]:
@@ -80,6 +96,7 @@ def cost_object(one: Cost) -> dict[str, Any]:
                 "sampled_norm": _object(one, at.prompt),
                 "late_norm": _object(one, at.late),
                 "designed_norm": _object(one, at.designed) if at.designed is not None else None,
+                "not_designed": at.undesigned or None,
             }
             for at in one.rates
         ],
@@ -129,13 +146,21 @@ def _ends(one: Cost) -> str:
     """Where the loop is lost, at once and late."""
     if math.isinf(one.lost) and math.isinf(one.lost_late):
         return f"late or not it is stable at every rate down to {1 / LONGEST_PERIOD:g} Hz"
-    if math.isinf(one.lost):
-        return f"at once it is stable at every rate, {late(one)} unstable {_below(one.lost_late)}"
-    again = any(at.period > one.lost and at.prompt.stable for at in one.rates)
-    first = f"{_below(one.lost)} it is unstable{', but not at all slower rates' if again else ''}"
-    return f"{first}, {late(one)} {_below(one.lost_late) if math.isfinite(one.lost_late) else 'at none'}"
+    slower_prompt = [at for at in one.rates if at.period > one.lost and at.prompt.stable]
+    slower_late = [at for at in one.rates if at.period > one.lost_late and at.late.stable]
+    return f"at once it {_lost(one.lost, slower_prompt)}, {late(one)} it {_lost(one.lost_late, slower_late)}"
 
 
-def _below(period: float) -> str:
-    """The rates of longer sample periods."""
-    return f"below {1 / period:.3g} Hz" if period else f"even at {1e-3 / SHORTEST:g} kHz"
+def _lost(period: float, again: Sequence[AtRate]) -> str:
+    """Where a loop is lost on the way from fast computers to slow ones, and which slower ones of the table keep it."""
+    if math.isinf(period):
+        return f"is stable at every rate down to {1 / LONGEST_PERIOD:g} Hz"
+    said = f"loses stability at {1 / period:.3g} Hz" if period else f"is unstable even at {1e-3 / SHORTEST:g} kHz"
+    if not again:
+        return said
+    return f"{said} ({_named(again)} {'is' if len(again) == 1 else 'are'} stable again)"
+
+
+def _named(rates: Sequence[AtRate]) -> str:
+    """Some rates by their sample periods, the first of many."""
+    return some([f"{1e3 * at.period:g} ms" for at in rates])

@@ -118,7 +118,7 @@ def with_inputs(plant: GeneralizedPlant, acting: Array) -> tuple[Array, Array, A
 def _piece(plant: GeneralizedPlant, duration: float, acting: Array, gamma: float) -> Lifted | None:
     """The same of one piece, by doubling a short time."""
     A, Bw, C = with_inputs(plant, acting)
-    A, Bw, C, scale = _in_own_units(A, Bw / gamma, C, len(plant.A))
+    A, Bw, C, scale = in_own_units(A, Bw / gamma, C, len(plant.A))
     n = len(A)
     if np.any(plant.Dw):
         Dw = plant.Dw / gamma
@@ -147,7 +147,7 @@ def _piece(plant: GeneralizedPlant, duration: float, acting: Array, gamma: float
     )
 
 
-def _in_own_units(A: Array, Bw: Array, C: Array, n: int) -> tuple[Array, Array, Array, Array]:
+def in_own_units(A: Array, Bw: Array, C: Array, n: int) -> tuple[Array, Array, Array, Array]:
     """The same with states, of which the first n move, in units in which H is small; and those units."""
     scale = np.ones(len(A))
     _, scale[:n] = balance(A[:n, :n])

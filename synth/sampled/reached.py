@@ -16,12 +16,13 @@ from scipy import linalg
 from models.common.arrays import Array
 from synth.certificate.norm import largest_singular_values
 from synth.certificate.stability import balance
-from synth.sampled.lifted import with_inputs
+from synth.sampled.lifted import in_own_units, with_inputs
 from synth.sampled.loop import SampledLoop
 
 DEGREE = 3
 FEWEST, MOST = 4, 64  # parts of a piece of the period to begin with
 LONGEST = 1.0  # times the fastest rate of the plant, a part
+NODES = 12  # of a quadrature: of exp(2 t), the most that is asked of it, it leaves 1e-30
 MOST_COLUMNS = 1200  # of the matrix: more take seconds
 SHORT = 1e-7  # relative: what falls short by more may be said more closely
 
@@ -58,7 +59,7 @@ def reached_gain(loop: SampledLoop, angle: float, parts: int, degree: int = DEGR
     free, forced = np.eye(width), np.zeros((width, 0))
     seen_free, seen_forced = [], []
     for duration, acting in loop.acting:
-        step, through, energy = _part(*with_inputs(plant, acting), plant.Dw, duration / parts, degree)
+        step, through, energy = _part(*with_inputs(plant, acting), plant.Dw, n, duration / parts, degree)
         for _ in range(parts):
             seen_free.append(energy[:, :width] @ free)
             seen_forced.append(np.hstack([energy[:, :width] @ forced, energy[:, width:]]))
@@ -74,31 +75,40 @@ def reached_gain(loop: SampledLoop, angle: float, parts: int, degree: int = DEGR
     return float(largest_singular_values(whole[None])[0])
 
 
-def _part(A: Array, Bw: Array, C: Array, Dw: Array, h: float, degree: int) -> tuple[Array, Array, Array]:
+def _part(A: Array, Bw: Array, C: Array, Dw: Array, n: int, h: float, degree: int) -> tuple[Array, Array, Array]:
     """A part of h seconds: what it makes of the state, and of a polynomial; and a root of the energy of z, of both.
 
-    A polynomial counts by its coefficients on Legendre's, of energy one each.
+    The energy is never formed: where states have units far apart, its small parts drown in the rounding of its large ones. Its
+    root is z at the nodes of a quadrature, which an orthogonal transformation makes small again: that keeps
+    the digits of each column.
+
+    A polynomial counts by its coefficients on Legendre's, of energy one each. Of the states the first n move.
     """
-    n, r, k = len(A), Bw.shape[1], degree + 1
+    size, r, k = len(A), Bw.shape[1], degree + 1
+    A, Bw, C, scale = in_own_units(A, Bw, C, n)
     # w is the first of a chain of k integrators; at the start they hold its derivatives, in units of the part's length.
     derivatives = np.zeros((k, k))
     for j in range(k):
         polynomial = legendre.Legendre.basis(j, domain=[0, 1]) * math.sqrt((2 * j + 1) / h)
         derivatives[:, j] = [polynomial.deriv(i)(0.0) if i else polynomial(0.0) for i in range(k)]
-    larger = np.zeros((n + k * r, n + k * r))
-    larger[:n, :n], larger[:n, n : n + r] = A, Bw
-    larger[n:, n:] = np.kron(np.eye(k, k=1), np.eye(r)) / h
+    larger = np.zeros((size + k * r, size + k * r))
+    larger[:size, :size], larger[:size, size : size + r] = A, Bw
+    larger[size:, size:] = np.kron(np.eye(k, k=1), np.eye(r)) / h
     seen = np.hstack([C, Dw, np.zeros((len(C), (k - 1) * r))])
-    size = len(larger)
-    # Van Loan 1978: of [-A' C'C; 0 A], the exponential holds that of A, and the energy; of a short time, as -A' grows.
-    doublings = max(0, math.ceil(math.log2(max(h * float(np.linalg.norm(balance(A)[0], 1)), 1e-300))))
-    both = linalg.expm(h / 2**doublings * np.block([[-larger.T, seen.T @ seen], [np.zeros((size, size)), larger]]))
-    step = both[size:, size:]
-    energy = step.T @ both[:size, size:]
+    # Of a time that is short to A z is nearly a polynomial, whose energy the quadrature has exactly; then that time is doubled.
+    doublings = max(0, math.ceil(math.log2(max(h * float(np.linalg.norm(A, 1)), 1e-300))))
+    short = h / 2**doublings
+    nodes, weights = legendre.leggauss(NODES)
+    there = linalg.expm(short * np.append((1 + nodes) / 2, 1.0)[:, None, None] * larger)
+    step = there[-1]
+    root = _small(np.vstack(np.sqrt(short * weights / 2)[:, None, None] * (seen @ there[:-1])))
     for _ in range(doublings):
-        step, energy = step @ step, energy + step.T @ energy @ step
-    into = np.asarray(linalg.block_diag(np.eye(n), np.kron(derivatives, np.eye(r))))
-    values, vectors = np.linalg.eigh(into.T @ (energy + energy.T) @ into / 2)
-    root = (vectors * np.sqrt(np.maximum(values, 0.0))).T
-    moved = step[:n] @ into
-    return moved[:, :n], moved[:, n:], root
+        step, root = step @ step, _small(np.vstack([root, root @ step]))
+    into = np.asarray(linalg.block_diag(np.diag(1 / scale), np.kron(derivatives, np.eye(r))))
+    moved = scale[:, None] * step[:size] @ into
+    return moved[:, :size], moved[:, size:], root @ into
+
+
+def _small(root: Array) -> Array:
+    """One with R' R as before and no more rows than columns."""
+    return np.asarray(np.linalg.qr(root, mode="r"))
