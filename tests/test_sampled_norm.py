@@ -137,19 +137,30 @@ def test_two_routes_meet(seed):
     assert max(others) < norm.upper
 
 
-def in_other_time(loop: SampledLoop, time: float) -> SampledLoop:
-    """The same loop, its time in another unit; its gain is the same number."""
-    plant, root = loop.plant, math.sqrt(time)
-    changed = replace(plant, A=plant.A / time, B=plant.B / time, Bw=plant.Bw / root, C=plant.C / root, D=plant.D / root)
-    return replace(loop, plant=changed, pieces=tuple(Piece(piece.duration * time, piece.late) for piece in loop.pieces))
+def in_other_units(loop: SampledLoop, rng: np.random.Generator) -> SampledLoop:
+    """The same loop, its time, states, forces and memory in units of many sizes; its gain is the same number."""
+    plant, time = loop.plant, 10 ** rng.uniform(-6, 6)
+    of_x, of_s, of_u = (10 ** rng.uniform(-4, 4, size) for size in (len(plant.A), len(loop.memory), len(loop.asked)))
+    p, root = np.concatenate([of_x, of_s]), math.sqrt(time)
+    changed = GeneralizedPlant(
+        plant.A * of_x[:, None] / of_x / time,
+        plant.B * of_x[:, None] / of_u / time,
+        plant.Bw * of_x[:, None] / root,
+        plant.C / of_x / root,
+        plant.D / of_u / root,
+        plant.Dw,
+    )
+    pieces = tuple(Piece(piece.duration * time, piece.late) for piece in loop.pieces)
+    memory, of_force = loop.memory * of_s[:, None] / p, loop.of_force * of_s[:, None] / of_u
+    return SampledLoop(changed, pieces, loop.asked * of_u[:, None] / p, memory, of_force)
 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_units(seed):
-    """In whatever unit of time a loop is, its norm is one number, and nothing is reached above it."""
+    """In whatever units of time, states and forces a loop is, its norm is one number, and nothing is reached above it."""
     rng = np.random.default_rng(seed)
     loop = any_loop(rng)
-    own, norm = sampled_norm(loop), sampled_norm(in_other_time(loop, 10 ** rng.uniform(-6, 6)))
+    own, norm = sampled_norm(loop), sampled_norm(in_other_units(loop, rng))
     assert norm.value == pytest.approx(own.value, rel=PROVED)
     assert norm.reached <= norm.upper
     assert norm.reached <= norm.value * (1 + 1e-9)  # rounding; 2e-11 was seen
@@ -187,7 +198,7 @@ def test_two_routes_meet_always():
 
 @pytest.mark.attack
 def test_units_always():
-    """The same of 200 loops more."""
+    """The same of 200 loops more in other units."""
     for seed in range(100, 300):
         test_units(seed)
 

@@ -166,6 +166,8 @@ def _symmetric(matrix: Array) -> Array:
 
 
 def _root(matrix: Array) -> Array:
-    """L with L L' a matrix that is symmetric and positive semidefinite, but for rounding."""
-    values, vectors = np.linalg.eigh(matrix)
-    return vectors * np.sqrt(np.maximum(values, 0.0))
+    """L with L L' a matrix that is symmetric and positive semidefinite, but for rounding; each row has its own unit."""
+    size = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+    unit = np.where(size > 0, size, 1.0)
+    values, vectors = np.linalg.eigh(matrix / np.outer(unit, unit))
+    return unit[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
