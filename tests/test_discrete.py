@@ -18,6 +18,7 @@ from synth.certificate.norm import hinf_norm
 from synth.certificate.stability import is_stable, stability
 from synth.design import state_design, state_path, two_step_design, zero_l_design
 from synth.designer import Designer
+from synth.discrete.bilinear import mapped
 from synth.dynamic.full_order import full_order_design
 from synth.dynamic.loop import on_larger_plant
 from synth.errors import DesignError, InfeasibleError
@@ -337,6 +338,34 @@ def test_a_pole_at_minus_one():
     assert state_design(plant).certificate.norm.value <= found.certificate.norm.value * (1 + 1e-9)
     with pytest.raises(DesignError, match="infinite at z = -1, where the plant has a pole"):
         full_order_design(plant, Cy, lower_bound=below)
+
+
+@pytest.mark.parametrize("at", [-0.6, -1.0])  # nothing is moved, and a pole at -1 is
+@pytest.mark.parametrize("seed", range(4))
+def test_the_map_is_alike_in_any_units_of_the_states(seed, at):
+    """A plant whose states are in units of 1e-9 to 1e9 is mapped as in its own: under the same gain, w does the same to z."""
+    rng = np.random.default_rng(seed)
+    n, basis = 4, rng.standard_normal((4, 4))
+    A = basis @ np.diag([at, 0.9, 0.5, -0.3]) @ np.linalg.inv(basis)
+    B, Bw, C, Cy = (rng.standard_normal(shape) for shape in ((n, 2), (n, 1), (2, n), (2, n)))
+    D, Dw, K = rng.standard_normal((2, 2)), np.zeros((2, 1)), 0.1 * rng.standard_normal((2, 2))
+
+    def response(units):
+        plant = GeneralizedPlant(
+            A * np.outer(1 / units, units), B / units[:, None], Bw / units[:, None], C * units, D, Dw, dt=0.1
+        )
+        here = mapped(plant, Cy * units)
+        assert bool(np.any(here.before)) == (at == -1.0)
+        beside = K - here.before
+        feedback = np.linalg.solve(np.eye(2) - beside @ here.Dyu, beside)
+        p = here.plant
+        A0, Bw0 = p.A + p.B @ feedback @ here.Cy, p.Bw + p.B @ feedback @ here.Dyw
+        C0, Dw0 = p.C + p.D @ feedback @ here.Cy, p.Dw + p.D @ feedback @ here.Dyw
+        return C0 @ np.linalg.solve(3j * np.eye(n) - A0, Bw0) + Dw0
+
+    own = response(np.ones(n))
+    # What the map loses next to -1 is at most 1 / LOST = 1e6 times rounding.
+    np.testing.assert_allclose(response(10.0 ** rng.uniform(-9, 9, n)), own, rtol=1e-8, atol=1e-8 * np.abs(own).max())
 
 
 def test_many_are_designed_one_by_one():

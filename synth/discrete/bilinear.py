@@ -12,12 +12,13 @@ mapped is the plant under that gain: every gain K of the plant is K - K0 of the 
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import linalg
 
 from models.common.arrays import Array
 from models.common.errors import InputError
 from synth.plant import GeneralizedPlant
 
-LOST = 1e-6  # relative; how near to singular A + I may be: as many digits are lost at most
+LOST = 1e-6  # relative; how near to singular A + I, balanced, may be: as many digits are lost at most
 MOVES = 20  # gains that are tried where A has a pole next to -1
 SEED = 20261122
 
@@ -111,18 +112,18 @@ def _tustin(A: Array, B: Array, C: Array, D: Array, step: float) -> tuple[Array,
 
 
 def _away_from_minus_one(plant: GeneralizedPlant, Cy: Array) -> Array:
-    """K0 after which no pole lies next to z = -1, shape (m, q); zero where none does."""
+    """K0 after which no pole lies next to z = -1, shape (m, q); zero where none does. All is alike in any units of the states."""
 
     def lost(K: Array) -> float:
-        sizes = np.linalg.svd(plant.A + plant.B @ K @ Cy + np.eye(len(plant.A)), compute_uv=False)
+        balanced = linalg.matrix_balance(plant.A + plant.B @ K @ Cy, permute=False)[0] if len(plant.A) else plant.A
+        sizes = np.linalg.svd(balanced + np.eye(len(plant.A)), compute_uv=False)
         return float(sizes[-1] / max(1.0, sizes[0])) if len(sizes) else 1.0
 
     nothing = np.zeros((plant.B.shape[1], len(Cy)))
     if lost(nothing) > LOST:
         return nothing
     generator = np.random.default_rng(SEED)
-    columns, rows = np.linalg.norm(plant.B, axis=0), np.linalg.norm(Cy, axis=1)
-    scale = 0.5 / np.outer(np.where(columns > 0, columns, 1.0), np.where(rows > 0, rows, 1.0))
+    scale = 0.5 / _reach(plant, Cy).T
     best = max((scale * generator.standard_normal(nothing.shape) for _ in range(MOVES)), key=lost)
     if lost(best) <= LOST:
         raise InputError(
@@ -130,3 +131,15 @@ def _away_from_minus_one(plant: GeneralizedPlant, Cy: Array) -> Array:
             "actuator that acts on it or a measurement that it shows in"
         )
     return best
+
+
+def _reach(plant: GeneralizedPlant, Cy: Array) -> Array:
+    """The size in which an input first shows in a measurement, all signs alike, shape (q, m); 1 where it never does.
+
+    It is |C_y| |A|^k |B|, entry by entry, of the first k where that is not 0: no unit of a state is in it.
+    """
+    spread, reach = np.abs(plant.B), np.zeros((len(Cy), plant.B.shape[1]))
+    for _ in range(len(plant.A)):
+        reach = np.where(reach > 0, reach, np.abs(Cy) @ spread)
+        spread = np.abs(plant.A) @ spread
+    return np.where(reach > 0, reach, 1.0)
