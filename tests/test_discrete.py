@@ -73,8 +73,8 @@ def highest(plant: GeneralizedPlant) -> float:
 
     best = omega[gains(omega).argmax()]
     low, high = max(best - omega[1], 0.0), min(best + omega[1], omega[-1])
-    found = optimize.minimize_scalar(lambda at: -gains(np.array([at]))[0], bounds=(low, high), method="bounded")
-    return max(-float(found["fun"]), gains(np.array([low, best, high])).max())
+    finest = optimize.fminbound(lambda at: -gains(np.array([at]))[0], low, high)
+    return max(gains(np.array([finest]))[0], gains(np.array([low, best, high])).max())
 
 
 def on_circle(loop: GeneralizedPlant, level: float) -> bool:
