@@ -95,14 +95,28 @@ def template(tmp_path_factory):
     return folder, took
 
 
+def ours(file: str) -> bool:
+    """Whether a file is the project's and not of an environment in its folder, whose finders Python imports as it starts."""
+    return Path(file).is_relative_to(ROOT) and not {"site-packages", "dist-packages"} & set(Path(file).parts)
+
+
 def started_by_python(err: str) -> bool:
     """Whether a traceback is of Python's own start, or of the few imports before our first statement, which asks for quiet."""
     files = re.findall(r'^  File "(.*?)", line', err, re.M)
     return (
         err.endswith("KeyboardInterrupt\n")
         and "interrupted" not in err
-        and not any(Path(file).is_relative_to(ROOT) and Path(file).relative_to(ROOT).as_posix() not in FIRST for file in files)
+        and not any(ours(file) and Path(file).relative_to(ROOT).as_posix() not in FIRST for file in files)
     )
+
+
+def test_what_python_imports_as_it_starts_is_not_ours():
+    """The finder of an editable installation runs before any line of ours, also from an environment in our folder."""
+    traceback = 'Traceback (most recent call last):\n  File "{}", line 1, in <module>\nKeyboardInterrupt\n'
+    finder = ROOT / ".venv" / "lib" / "python3.11" / "site-packages" / "__editable___roadproof_finder.py"
+    assert started_by_python(traceback.format(finder))
+    assert started_by_python(traceback.format(ROOT / FIRST[0]))
+    assert not started_by_python(traceback.format(ROOT / "synth" / "report.py"))
 
 
 def interrupted(command: str, folder: Path, after: float, by: signal.Signals) -> tuple[str, bool]:
