@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from models.common.command import chosen, run_command
 from models.common.printed import say, titled
 from models.figures.outputs import check_outputs
+from models.roads.road import Bump
 from models.vehicle import Vehicle, read_vehicle
 from sim.asked.bump import asked_road, parser
 from sim.command.claims import say_false_claims
 from sim.command.comparison import check_view, compared_lines, view
 from sim.command.driven import driven
 from sim.command.logs import log_lines, recorded
-from sim.roads.road import Bump
 from sim.runs.run import Run, run_all, sample_times
 from sim.runs.words import half_step_object, run_object, summary_lines
 from synth.designer import Designer

@@ -14,12 +14,12 @@ from models.common.printed import say, titled
 from models.common.progress import Stages
 from models.figures.outputs import check_outputs, written, written_lines
 from models.figures.picture import write_picture
+from models.roads.road import LOWEST, Bump
 from models.vehicle import Vehicle, read_vehicle
 from sim.asked.envelope import nearest_run, parser
 from sim.command.claims import say_false_claims
 from sim.command.logs import log_lines, recorded
 from sim.response.regime import END_NAMES
-from sim.roads.road import LOWEST, Bump
 from sim.runs.run import Run, run_all, sample_times
 from sim.validity.cells import Cells, Interrupted, validity
 from sim.validity.grid import UNITS, grid, read_axes

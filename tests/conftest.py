@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
+from models.roads.road import Bump
 from models.vehicle import Vehicle, read_vehicle
 from sim.recording.run_log import RunLog
-from sim.roads.road import Bump
 from sim.runs.run import run_all, sample_times
 from synth.designer import Designer
 from synth.plant import GeneralizedPlant

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from models.roads.road import Bump
 from sim.linear.loop import continuous_response, sampled_response, taylor4
 from sim.physics.simulate import simulate
-from sim.roads.road import Bump
 from sim.runs.agreement import lift_off_intervals
 from tests.conftest import random_vehicles
 

@@ -27,6 +27,7 @@ ROOMS = {
     "models.formats": "models.common",
     "models.own": "models.common",
     "models": "models.common models.filters models.formats models.own",
+    "models.roads": "models models.common",
     # synth: what a controller is; of vehicles it knows nothing below `controller`
     "synth": "",
     "synth.errors": "",
@@ -68,30 +69,29 @@ ROOMS = {
     "synth.rates synth.search synth.words",
     # sim: what a run is
     "sim": "",
-    "sim.roads": "",
     "sim.response": "",
-    "sim.linear": "sim.response sim.roads",
-    "sim.physics": "sim.response sim.roads",
-    "sim.runs": "sim.linear sim.physics sim.response sim.roads synth.words",
-    "sim.ride": "models.filters sim.linear sim.response sim.roads sim.runs",
-    "sim.validity": "models.figures sim.linear sim.physics sim.response sim.roads",
-    "sim.stability": "models.figures sim.linear sim.physics sim.roads sim.runs",
-    "sim.frequency": "models.figures models.filters sim.linear sim.physics sim.response sim.roads sim.runs synth.problem "
+    "sim.linear": "sim.response models.roads",
+    "sim.physics": "sim.response models.roads",
+    "sim.runs": "sim.linear sim.physics sim.response models.roads synth.words",
+    "sim.ride": "models.filters sim.linear sim.response models.roads sim.runs",
+    "sim.validity": "models.figures sim.linear sim.physics sim.response models.roads",
+    "sim.stability": "models.figures sim.linear sim.physics models.roads sim.runs",
+    "sim.frequency": "models.figures models.filters sim.linear sim.physics sim.response models.roads sim.runs synth.problem "
     "synth.words",
-    "sim.recording": "models.figures sim.physics sim.response sim.roads sim.runs",
+    "sim.recording": "models.figures sim.physics sim.response models.roads sim.runs",
     "sim.command": "sim.recording sim.runs",
-    "sim.asked": "models.figures sim.command sim.frequency sim.response sim.roads sim.runs sim.stability sim.validity",
-    "sim.inspect": "sim.asked sim.linear sim.physics sim.recording sim.response sim.ride sim.roads sim.runs synth.problem "
+    "sim.asked": "models.figures sim.command sim.frequency sim.response models.roads sim.runs sim.stability sim.validity",
+    "sim.inspect": "sim.asked sim.linear sim.physics sim.recording sim.response sim.ride models.roads sim.runs synth.problem "
     "synth.words",
-    "sim.campaign": "sim.command sim.physics sim.response sim.ride sim.roads sim.runs synth.designer",
-    "sim.report": "sim.command models.figures sim.frequency sim.linear sim.physics sim.response sim.ride sim.roads "
+    "sim.campaign": "sim.command sim.physics sim.response sim.ride models.roads sim.runs synth.designer",
+    "sim.report": "sim.command models.figures sim.frequency sim.linear sim.physics sim.response sim.ride models.roads "
     "sim.runs sim.stability sim.validity synth.designer synth.paper synth.words",
-    "sim.bump": "models.figures sim.asked sim.command sim.roads sim.runs synth.designer",
+    "sim.bump": "models.figures sim.asked sim.command models.roads sim.runs synth.designer",
     "sim.drive": "models.figures sim.asked sim.command sim.ride sim.runs synth.designer",
     "sim.sweep": "sim.asked sim.command models.figures sim.frequency sim.runs synth.designer",
     "sim.margins": "sim.asked sim.command models.figures sim.runs sim.stability synth.designer",
     "sim.__main__": "",
-    "sim.envelope": "sim.asked sim.command models.figures sim.response sim.roads sim.runs sim.validity synth.designer",
+    "sim.envelope": "sim.asked sim.command models.figures sim.response models.roads sim.runs sim.validity synth.designer",
 }
 OF_ALL = "models.common"
 OF_SIM = {
@@ -146,7 +146,7 @@ OWNERS = {
     "matplotlib": {"models/figures/picture.py"},
     "contourpy": {"models/figures/figure.py", "models/figures/page.py"},
     "jinja2": {"models/figures/page.py"},
-    "pyopencrg": {"sim/roads/opencrg.py"},
+    "pyopencrg": {"models/roads/opencrg.py"},
     "cloudpickle": {"sim/campaign/aside.py"},
     "filelock": {"sim/campaign/manifest.py"},
     "pyarrow": {"sim/campaign/store.py", "sim/campaign/verify.py"},

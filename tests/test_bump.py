@@ -15,10 +15,10 @@ import pytest
 from mcap.reader import make_reader
 
 from models.common.errors import InputError
+from models.roads.road import Bump
 from models.vehicle import read_vehicle
 from sim.bump import main
 from sim.physics.simulate import simulate
-from sim.roads.road import Bump
 from sim.runs.agreement import ROUNDING, compare
 from sim.runs.prediction import predict
 from sim.runs.run import run_all, sample_times

@@ -12,11 +12,11 @@ import pytest
 from models.common.errors import InputError
 from models.kind import GRAVITY
 from models.mjcf import build_model
+from models.roads.road import Bump
 from models.vehicle import parse_vehicle, read_vehicle
 from sim.linear.loop import continuous_response, sampled_response
 from sim.physics import readout
 from sim.physics.simulate import simulate
-from sim.roads.road import Bump
 from sim.runs.run import run_all, sample_times
 from synth.designer import Designer
 from tests.conftest import random_vehicles

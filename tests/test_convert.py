@@ -4,11 +4,11 @@ import control
 import numpy as np
 import pytest
 
+from models.roads.road import Bump
 from models.vehicle import read_vehicle
 from sim.linear.loop import continuous_response
 from sim.response.export import to_control, to_pandas
 from sim.response.response import Response
-from sim.roads.road import Bump
 from synth.designer import design
 from synth.state_space import closed_loop, vehicle_system, weighted_loop
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
+from models.roads.road import Bump
 from models.vehicle import Vehicle, read_vehicle
 from sim.drive import main
 from sim.ride.metrics import metrics_of
-from sim.roads.road import Bump
 from sim.runs.run import run_all
 from sim.runs.words import verdict_lines
 from tests.commands import prose

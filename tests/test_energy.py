@@ -7,12 +7,12 @@ import re
 import numpy as np
 import pytest
 
+from models.roads.road import Bump
 from models.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main
 from sim.physics.energy import Energy, energy
 from sim.physics.simulate import simulate
 from sim.response.response import Response
-from sim.roads.road import Bump
 from synth.designer import design
 from tests.commands import prose
 from tests.pages import hopper

@@ -11,6 +11,7 @@ from models.common.errors import InputError
 from models.figures.figure import Classes
 from models.kind import MOST_SQUEEZE
 from models.reality import Limits
+from models.roads.road import Bump
 from models.vehicle import read_vehicle
 from sim.envelope import main
 from sim.linear.loop import sampled_response
@@ -26,7 +27,6 @@ from sim.response.regime import (
     scaled_reached,
     utilisation,
 )
-from sim.roads.road import Bump
 from sim.runs.run import run_all
 from sim.validity.cells import Interrupted, validity
 from sim.validity.figure import envelope_figure

@@ -9,13 +9,13 @@ import pytest
 from scipy import integrate, linalg, special
 
 from models.reality import Limits
+from models.roads.iso8608 import Iso8608
+from models.roads.road import track_width
 from models.vehicle import read_vehicle
 from sim.linear.frequency import sampled_frequency_response
 from sim.ride.expected import EXACT, expect, sources
 from sim.ride.metrics import metrics_of
 from sim.ride.weighting import sampled_wk
-from sim.roads.iso8608 import Iso8608
-from sim.roads.road import track_width
 from synth.designer import Designer
 from synth.implemented.controlled import continuous
 from tests.conftest import TEXTBOOK

@@ -3,20 +3,20 @@
 import numpy as np
 import pytest
 
+from models.roads.iso8608 import Iso8608, long_enough
+from models.roads.road import track_width
 from models.vehicle import parse_vehicle, read_vehicle
 from sim.linear.loop import sampled_responses
 from sim.physics.simulate import simulate
 from sim.ride.expected import APPROXIMATE, expect, settling_time
 from sim.ride.metrics import Meter, measure
-from sim.roads.iso8608 import Iso8608, long_enough
-from sim.roads.road import track_width
 from synth.designer import Designer
 from tests.conftest import BUILT, LAGGED
 
 
 def test_power_does_not_depend_on_the_timestep(monkeypatch):
     """Of a controller with a sample period of its own, power and energy are the same at every timestep, measured and expected."""
-    monkeypatch.setattr("sim.roads.iso8608.HIGHEST", 1.0)  # 20 Hz: every timestep sees the same road
+    monkeypatch.setattr("models.roads.iso8608.HIGHEST", 1.0)  # 20 Hz: every timestep sees the same road
     vehicle = parse_vehicle(read_vehicle("quarter_car").text + BUILT.format(delay=0))
     designed, road = Designer(vehicle).design("I"), Iso8608("C", 0, 20.0, length=777.0)  # of its own: lines are kept by length
     powers, energies = {}, {}

@@ -17,6 +17,8 @@ from mcap.records import Message
 
 from models.common.errors import InputError
 from models.reality import Implementation
+from models.roads.road import Bump
+from models.roads.sinusoids import sinusoid
 from models.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main as bump
 from sim.drive import main as drive
@@ -26,8 +28,6 @@ from sim.inspect.mcap_reader import GIVE
 from sim.margins import main as margins
 from sim.recording.format import RESULTS
 from sim.recording.provenance import record_runs
-from sim.roads.road import Bump
-from sim.roads.sinusoids import sinusoid
 from sim.runs.prediction import predict
 from sim.runs.run import run_all, sample_times
 from sim.sweep import main as sweep

@@ -9,6 +9,7 @@ import pytest
 import rerun.blueprint as rrb
 
 from models.reality import Implementation, Limits
+from models.roads.road import Bump
 from models.signals import KEPT
 from models.vehicle import read_vehicle
 from sim.bump import main as bump
@@ -17,7 +18,6 @@ from sim.recording.foxglove_layout import foxglove_layout
 from sim.recording.provenance import run_log
 from sim.recording.rerun_layout import _comparison, _page
 from sim.recording.signal_groups import MOST_ACTIVE
-from sim.roads.road import Bump
 from sim.runs.run import run_all, sample_times
 from synth.controller import Controller
 from synth.designer import Designer

@@ -12,6 +12,7 @@ from models.common.errors import InputError
 from models.kind import HERE
 from models.law import LinearLaw, static_law
 from models.reality import Implementation, Limits
+from models.roads.road import Bump
 from models.vehicle import Vehicle, read_vehicle
 from sim.campaign.__main__ import main as campaign
 from sim.linear.frequency import continuous_frequency_response
@@ -19,7 +20,6 @@ from sim.margins import main
 from sim.physics.blocks import Course, in_blocks
 from sim.physics.simulate import on_each
 from sim.report.designs import gain_table
-from sim.roads.road import Bump
 from sim.runs.run import run_all, sample_times
 from sim.stability.cut import cut, cut_sampled
 from sim.stability.growth import Trial, grow

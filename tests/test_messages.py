@@ -8,9 +8,9 @@ import pytest
 
 from models.common.errors import LONGEST, LONGEST_VALUE, LONGEST_WORD, InputError, middle_cut, one_line, quoted
 from models.kind import HERE
+from models.roads.choice import choose_road
+from models.roads.profile_file import read_profile
 from models.vehicle import parse_vehicle, read_vehicle
-from sim.roads.choice import choose_road
-from sim.roads.profile_file import read_profile
 from synth.__main__ import main as synth
 from synth.errors import DesignError
 

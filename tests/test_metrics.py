@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from models.reality import Limits
+from models.roads.iso8608 import Iso8608
 from models.vehicle import parse_vehicle, read_vehicle
 from sim.physics.energy import energy
 from sim.physics.simulate import simulate
 from sim.response.response import Response
 from sim.ride.metrics import Meter, measure, metrics_of
 from sim.ride.weighting import sampled_wk, wk
-from sim.roads.iso8608 import Iso8608
 from synth.designer import Designer
 from tests.conftest import BUILT, LAGGED
 

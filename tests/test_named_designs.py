@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
+from models.roads.road import Bump
 from models.vehicle import Vehicle, parse_vehicle, read_vehicle
-from sim.roads.road import Bump
 from sim.runs.run import run_all, sample_times
 from synth.__main__ import main
 from synth.command.check import check

@@ -12,11 +12,11 @@ import pytest
 from models.common.errors import InputError
 from models.kinds import kinds
 from models.mjcf import build_model, mjcf_text
+from models.roads.road import Bump
 from models.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main as bump
 from sim.inspect.__main__ import main as inspect
 from sim.ride.metrics import metrics_of
-from sim.roads.road import Bump
 from sim.runs.run import run_all, sample_times
 from sim.stability.cut import cut, cut_sampled
 from sim.stability.loop import margins

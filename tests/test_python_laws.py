@@ -16,10 +16,10 @@ from models.kind import HERE
 from models.own import running
 from models.own.python_law import Programmed
 from models.reality import Implementation, Limits
+from models.roads.road import Bump, under_wheels
 from models.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.command.driven import programmed
 from sim.physics.simulate import PhysicsRuns, simulate
-from sim.roads.road import Bump, under_wheels
 from sim.runs.agreement import compare
 from sim.runs.prediction import predict_forced
 from sim.runs.run import run_all, sample_times

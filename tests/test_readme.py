@@ -10,6 +10,7 @@ from scipy.io import savemat
 
 from models.common.errors import InputError
 from models.figures.figure import styles
+from models.roads.road import Bump
 from models.vehicle import parse_vehicle, read_vehicle
 from sim.__main__ import COMMANDS
 from sim.__main__ import main as commands_main
@@ -18,7 +19,6 @@ from sim.campaign.file import read_campaign
 from sim.linear.loop import sampled_response, taylor4
 from sim.physics.simulate import simulate
 from sim.report import ride
-from sim.roads.road import Bump
 from sim.runs.run import sample_times
 from synth.designer import Designer
 from tests import pages

@@ -10,11 +10,11 @@ from models.common.errors import InputError
 from models.kind import GRAVITY
 from models.law import static_law
 from models.reality import Implementation, Limits
+from models.roads.road import Bump
 from models.vehicle import parse_vehicle, read_vehicle
 from sim.linear.blur import most_quantised, noise_rms
 from sim.linear.loop import continuous_response, sampled_response, taylor4
 from sim.physics.simulate import simulate
-from sim.roads.road import Bump
 from sim.runs.run import run_all, sample_times
 from sim.runs.words import verdict_lines
 from synth.designer import Designer, given

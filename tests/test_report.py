@@ -13,13 +13,13 @@ import pytest
 
 from models.common.errors import InputError
 from models.figures.figure import Bars, Classes, Curve, Figure, Panel, Shades, level, styles
+from models.roads.iso8608 import Iso8608
 from models.vehicle import parse_vehicle, read_vehicle
 from sim.linear.loop import sampled_response
 from sim.report import ride as report_ride
 from sim.report.__main__ import main
 from sim.ride.expected import settling_time
 from sim.ride.metrics import measure
-from sim.roads.iso8608 import Iso8608
 from sim.runs.run import sample_times
 from synth.designer import Designer
 from tests.commands import prose

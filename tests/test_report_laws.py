@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
+from models.roads.road import Bump
 from models.vehicle import read_vehicle
 from sim.command.driven import programmed
 from sim.frequency.describing_function import describing_function
 from sim.report.__main__ import main
 from sim.report.ride import CLASSES
-from sim.roads.road import Bump
 from sim.runs.run import run_all, sample_times
 from tests.test_python_laws import vehicle_of
 

@@ -10,6 +10,7 @@ import pytest
 
 from models.common.errors import InputError
 from models.figures.figure import styles
+from models.roads.road import Bump
 from models.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main as bump
 from sim.drive import main as drive
@@ -20,7 +21,6 @@ from sim.report.agreement import bump_section
 from sim.report.answer import over_the_bump, worst
 from sim.report.ride import SEEDS, SPEED, WINDOW, ride_section, ride_text, rides_of
 from sim.report.scope import Scope
-from sim.roads.road import Bump
 from sim.runs.run import run_all, sample_times
 from sim.sweep import main as sweep
 from synth.__main__ import main as synth

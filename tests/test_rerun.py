@@ -11,6 +11,8 @@ import pytest
 import rerun.blueprint as rrb
 
 from models.figures.figure import STYLES, rgb
+from models.roads.iso8608 import Iso8608
+from models.roads.road import Bump, Road
 from models.vehicle import read_vehicle
 from sim.recording.appearance import LIFTED, LONGEST, ROAD
 from sim.recording.drawing import AHEAD, BEHIND, SPACING
@@ -21,8 +23,6 @@ from sim.recording.rerun_writer import write_rrd
 from sim.recording.run_log import RunLog
 from sim.response.difference import difference
 from sim.response.response import Response
-from sim.roads.iso8608 import Iso8608
-from sim.roads.road import Bump, Road
 from sim.runs.run import run_all, sample_times
 from synth.designer import Designer
 from tests.test_recording import make_run

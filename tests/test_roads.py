@@ -10,17 +10,17 @@ import pytest
 from scipy import signal, special
 
 from models.common.errors import InputError
+from models.roads import opencrg, profile_file
+from models.roads.choice import choose_road
+from models.roads.description import described_road
+from models.roads.iso8608 import CLASSES, Iso8608, long_enough, roughness
+from models.roads.obstacles import OBSTACLES, Pothole, Step, WattsHump
+from models.roads.profile import Profile
+from models.roads.profile_file import read_profile
+from models.roads.road import Bump, Scaled, track_width, under_wheels
+from models.roads.sinusoids import SineSweep, random_road, sinusoid
+from models.roads.spectrum import coherency
 from models.vehicle import read_vehicle
-from sim.roads import opencrg, profile_file
-from sim.roads.choice import choose_road
-from sim.roads.description import described_road
-from sim.roads.iso8608 import CLASSES, Iso8608, long_enough, roughness
-from sim.roads.obstacles import OBSTACLES, Pothole, Step, WattsHump
-from sim.roads.profile import Profile
-from sim.roads.profile_file import read_profile
-from sim.roads.road import Bump, Scaled, track_width, under_wheels
-from sim.roads.sinusoids import SineSweep, random_road, sinusoid
-from sim.roads.spectrum import coherency
 
 SPEED, STEP = 20.0, 0.04  # m/s, m between samples of a spectrum
 SEEDS = 200

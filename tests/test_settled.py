@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from models.roads.iso8608 import Iso8608
+from models.roads.road import track_width
 from models.vehicle import read_vehicle
 from sim.linear.frequency import stepwise_frequency_response
 from sim.linear.loop import sampled_responses
 from sim.ride.expected import expect, sources
 from sim.ride.settled import settled, settled_shares
-from sim.roads.iso8608 import Iso8608
-from sim.roads.road import track_width
 from synth.designer import Designer
 
 

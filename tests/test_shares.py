@@ -13,10 +13,10 @@ import pytest
 
 from models.common.side_by_side import AHEAD, side_by_side
 from models.reality import Implementation
+from models.roads.road import Bump
 from models.vehicle import read_vehicle
 from sim.physics.blocks import Course, in_blocks, in_shares
 from sim.physics.simulate import simulate
-from sim.roads.road import Bump
 from synth.designer import Designer
 
 HALVES = [slice(0, 4), slice(4, 8)]

@@ -8,13 +8,13 @@ import pytest
 
 from models.common.errors import InputError
 from models.reality import Implementation, Limits
+from models.roads.sinusoids import chirp, random_road, sinusoid
 from models.vehicle import read_vehicle
 from sim.frequency.figure import drawn_line
 from sim.frequency.identification import identify
 from sim.frequency.sweep import failures, sweep
 from sim.linear.frequency import as_met, continuous_frequency_response, sampled_frequency_response, worst_sinusoid
 from sim.linear.loop import sampled_response
-from sim.roads.sinusoids import chirp, random_road, sinusoid
 from sim.sweep import main
 from synth.designer import Designer
 from tests.conftest import recorded_runs

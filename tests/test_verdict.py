@@ -7,13 +7,13 @@ import pytest
 
 from models.law import static_law
 from models.reality import Implementation, Limits
+from models.roads.iso8608 import Iso8608
+from models.roads.road import LOWEST, Bump, Road
 from models.vehicle import Vehicle, read_vehicle
 from sim.linear.rounding import roundings
 from sim.physics.geometry import has_geometry
 from sim.physics.simulate import simulate
 from sim.response.response import Response
-from sim.roads.iso8608 import Iso8608
-from sim.roads.road import LOWEST, Bump, Road
 from sim.runs.agreement import SMALL, compare, look_closer
 from sim.runs.prediction import Prediction, predict
 from sim.runs.run import Run, judge, run_all, sample_times

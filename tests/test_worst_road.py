@@ -11,13 +11,13 @@ import sim.frequency.periodic
 import sim.frequency.sweep
 from models.common.errors import InputError
 from models.reality import Implementation, Limits
+from models.roads.apart import Apart
+from models.roads.road import Bump, under_wheels
 from models.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.frequency.gain import l2_gain
 from sim.frequency.periodic import worst_road
 from sim.frequency.sweep import DRIVEN, REACHED
 from sim.physics.simulate import simulate
-from sim.roads.apart import Apart
-from sim.roads.road import Bump, under_wheels
 from sim.sweep import main
 from synth.designer import design
 from synth.implemented.norm import norm_as_implemented

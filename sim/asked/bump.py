@@ -3,10 +3,10 @@
 import argparse
 
 from models.common.command import Parser, chosen
+from models.roads.road import Bump
 from models.vehicle import Vehicle
 from sim.asked.asked import Asked
 from sim.asked.options import add_run_options
-from sim.roads.road import Bump
 from sim.runs.run import sample_times
 
 EPILOG = """

@@ -7,12 +7,12 @@ from typing import Any
 from models.common.arrays import Array
 from models.common.command import Parser, chosen
 from models.common.errors import InputError
+from models.roads.choice import FILE, SYNTAX, RoadChoice, choose_road
+from models.roads.iso8608 import CLASSES
+from models.roads.road import Road
 from models.vehicle import Vehicle
 from sim.asked.asked import Asked, same_path
 from sim.asked.options import add_run_options
-from sim.roads.choice import FILE, SYNTAX, RoadChoice, choose_road
-from sim.roads.iso8608 import CLASSES
-from sim.roads.road import Road
 from sim.runs.run import sample_times
 
 EPILOG = """

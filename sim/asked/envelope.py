@@ -8,10 +8,10 @@ from typing import Any
 from models.common.command import Parser, one_chosen
 from models.figures.outputs import written
 from models.reality import USUAL_TIMESTEP
+from models.roads.road import Bump
 from models.vehicle import Vehicle
 from sim.asked.asked import Asked
 from sim.response.regime import END_NAMES
-from sim.roads.road import Bump
 from sim.runs.run import sample_times
 from sim.validity.grid import UNITS, read_axes
 

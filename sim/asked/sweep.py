@@ -8,13 +8,13 @@ from typing import Any
 from models.common.arrays import Array
 from models.common.command import Parser, chosen
 from models.reality import USUAL_TIMESTEP
+from models.roads.description import described_road
+from models.roads.sinusoids import Multisine, sinusoid
 from models.vehicle import Vehicle
 from sim.asked.asked import Asked
 from sim.command.usual import USUAL
 from sim.frequency.extremes import DURATION
 from sim.frequency.identification import ideal_measurements
-from sim.roads.description import described_road
-from sim.roads.sinusoids import Multisine, sinusoid
 from sim.runs.run import sample_times
 
 EPILOG = """

@@ -13,10 +13,10 @@ from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
 from models.common.read_file import TEXT, read_text
 from models.common.toml import parse_toml
+from models.roads.choice import RoadChoice, choose_road
+from models.roads.iso8608 import check_seed
 from models.vehicle import Vehicle, read_vehicle
 from sim.campaign.samples import MOST_RUNS, read_number, read_samples
-from sim.roads.choice import RoadChoice, choose_road
-from sim.roads.iso8608 import check_seed
 from sim.runs.run import sample_times
 
 KEYS = ("vehicles", "controllers", "roads", "speeds", "seeds", "duration", "settle", "timestep", "samples")

@@ -9,10 +9,10 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.own.python_law import Programmed
+from models.roads.road import Road
 from models.vehicle import Vehicle
 from sim.campaign.file import Campaign
 from sim.physics.blocks import runs_at_once
-from sim.roads.road import Road
 from synth.controller import Controller
 
 

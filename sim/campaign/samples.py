@@ -9,8 +9,8 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
 from models.kind import Parameter
+from models.roads.iso8608 import check_seed
 from models.vehicle import Vehicle
-from sim.roads.iso8608 import check_seed
 
 SAMPLES = ("count", "method", "seed", "parameters")
 METHODS = ("latin_hypercube", "sobol")

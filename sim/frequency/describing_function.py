@@ -15,13 +15,13 @@ from models.common.numbers import cell, finite
 from models.common.printed import table
 from models.own.python_law import Programmed
 from models.reality import steps_per_sample
+from models.roads.sinusoids import sinusoid
 from models.vehicle import Vehicle
 from sim.frequency.gain import settled_gain
 from sim.frequency.identification import ALIASED, HIGHEST, LOWEST, check, ideal_measurements
 from sim.physics.simulate import simulate
 from sim.response.regime import ended_by
 from sim.response.response import SILENT, Response
-from sim.roads.sinusoids import sinusoid
 from sim.runs.run import sample_times
 from synth.words import percent
 

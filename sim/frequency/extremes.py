@@ -12,6 +12,8 @@ from scipy import linalg
 
 from models.common.arrays import Array
 from models.reality import steps_per_sample
+from models.roads.road import Bump, Road
+from models.roads.sinusoids import Multisine, random_road, sinusoid
 from models.vehicle import Vehicle
 from sim.frequency.gain import l2_gain, settled_gain
 from sim.frequency.identification import HIGHEST, LINES, LOWEST, check, fit, ideal_measurements, images
@@ -20,8 +22,6 @@ from sim.linear.loop import taylor4
 from sim.physics.simulate import simulate
 from sim.response.regime import ended_by
 from sim.response.response import Response
-from sim.roads.road import Bump, Road
-from sim.roads.sinusoids import Multisine, random_road, sinusoid
 from sim.runs.run import sample_times
 from synth.controller import Controller
 from synth.implemented.loop import sampled_radius

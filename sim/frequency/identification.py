@@ -16,6 +16,7 @@ from scipy import linalg
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.reality import Implementation, steps_per_sample
+from models.roads.sinusoids import chirp
 from models.vehicle import Vehicle
 from sim.frequency.gain import l2_gain
 from sim.linear.frequency import as_met, continuous_frequency_response, sampled_frequency_response
@@ -23,7 +24,6 @@ from sim.linear.loop import taylor4
 from sim.physics.simulate import simulate
 from sim.response.regime import ended_by
 from sim.response.response import SILENT, Response
-from sim.roads.sinusoids import chirp
 from sim.runs.run import sample_times
 from synth.controller import Controller
 from synth.implemented.loop import implemented_loop, sampled_radius

@@ -17,13 +17,13 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.reality import steps_per_sample
+from models.roads.apart import Apart
 from models.vehicle import Vehicle
 from sim.frequency.gain import beside_leaps, mean_square
 from sim.linear.frequency import leaps_by_step, stepwise_frequency_response
 from sim.physics.simulate import simulate
 from sim.response.regime import ended_by
 from sim.response.response import Response
-from sim.roads.apart import Apart
 from sim.runs.run import sample_times
 from synth.controller import Controller
 from synth.implemented.loop import sampled_radius

@@ -21,13 +21,13 @@ from models.law import MATRICES, LinearLaw, static_law
 from models.law import MOST_STATES as MOST_OF_A_LAW
 from models.own.python_law import MOST_TEXT, Programmed, PythonLaw
 from models.reality import read_implementation, read_limits
+from models.roads.description import described_road
+from models.roads.road import Road
 from models.signals import Signal, kept_signals
 from models.vehicle import Vehicle, parse_vehicle
 from sim.inspect.log import Recorded, RecordedRun
 from sim.linear.loop import largest_timestep
 from sim.response.response import Response
-from sim.roads.description import described_road
-from sim.roads.road import Road
 from sim.runs.forces import read_forces
 from sim.runs.prediction import Prediction, predict, predict_forced
 from synth.controller import Controller, checked

@@ -11,10 +11,10 @@ import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
+from models.roads.road import Road, under_wheels
 from models.vehicle import Vehicle
 from sim.linear.loop import recursion, response_of, road_forcing
 from sim.response.response import Response
-from sim.roads.road import Road, under_wheels
 from synth.implemented.controlled import with_lag
 from synth.sampled.hold import held_inputs
 

@@ -26,10 +26,10 @@ from scipy import linalg
 from models.common.arrays import Array
 from models.linear_model import LinearModel
 from models.reality import steps_held, steps_per_sample
+from models.roads.road import Road, delays, under_wheels
 from models.signals import kept_signals
 from models.vehicle import Vehicle
 from sim.response.response import Response
-from sim.roads.road import Road, delays, under_wheels
 from synth.controller import Controller
 from synth.implemented.controlled import continuous, sampled
 from synth.sampled.hold import held_inputs

@@ -34,9 +34,9 @@ from mujoco.batch import Batch
 
 from models.common.arrays import Array
 from models.mjcf import build_spec, mocap_indices
+from models.roads.road import Road, under_wheels
 from models.vehicle import Vehicle
 from sim.physics.simulate import PhysicsRuns
-from sim.roads.road import Road, under_wheels
 
 # Of what is turned over. RK4 leaves 2e-7 at 1 ms and 4e-5 at 4 ms, with kinks 5e-5 and 6e-4 (every vehicle and controller that
 # ships, over two bumps); a damper that is 1 % off leaves 3e-3 and more.

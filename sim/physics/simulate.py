@@ -20,12 +20,12 @@ from models.common.side_by_side import side_by_side
 from models.law import LinearLaw
 from models.own.python_law import Programmed
 from models.reality import steps_per_sample
+from models.roads.road import Road, under_wheels
 from models.signals import Signal, kept_signals
 from models.vehicle import Vehicle
 from sim.physics.blocks import Block, Course, in_shares
 from sim.physics.python_laws import Driven, steps_ahead
 from sim.response.response import Response
-from sim.roads.road import Road, under_wheels
 from synth.controller import Controller
 
 FEWEST = 4  # runs to a thread: of fewer the numpy between their steps, which one thread at a time can do, takes as long

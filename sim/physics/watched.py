@@ -5,11 +5,11 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from models.common.arrays import Array
+from models.roads.road import Road, under_wheels
 from models.vehicle import Vehicle
 from sim.physics.blocks import Block, Course, in_blocks
 from sim.physics.python_laws import Driven, Failure, steps_ahead
 from sim.response.regime import BLOCK, EndDetector
-from sim.roads.road import Road, under_wheels
 
 
 class Watched:

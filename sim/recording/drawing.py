@@ -8,11 +8,11 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.mjcf import build_model, mocap_indices
+from models.roads.road import Road, delays, under_wheels
 from models.vehicle import Vehicle
 from sim.physics.blocks import DIVERGED
 from sim.recording.scene import Motion, Scene, Shape, Track, Tyre
 from sim.response.response import Response
-from sim.roads.road import Road, delays, under_wheels
 
 FORMS = {
     int(mujoco.mjtGeom.mjGEOM_BOX): "box",

@@ -10,9 +10,9 @@ from models.common.arrays import Array
 from models.figures.axis import axis_of
 from models.figures.figure import Curve, Figure, Marker, Panel, thinned
 from models.figures.page import Section, Table
+from models.roads.road import Bump
 from sim.physics.energy import BALANCED
 from sim.report.scope import BUMP_DURATION, Scope, number
-from sim.roads.road import Bump
 from sim.runs.run import Run
 from sim.runs.words import verdict_lines
 from synth.controller import Controller

@@ -5,12 +5,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from models.figures.page import State
+from models.roads.road import Bump
 from sim.frequency.identification import Lines
 from sim.frequency.sweep import Sweep, failures
 from sim.report.regime_end import REACHES, RegimeEnd
 from sim.report.scope import BUMP_DURATION, Scope, at_most, joined, percents
 from sim.response.regime import REGIME_ENDS
-from sim.roads.road import Bump
 from sim.runs.run import Run
 from synth.controller import Controller
 

@@ -6,6 +6,7 @@ from dataclasses import asdict
 from typing import Any
 
 from models.figures.page import Page, Section, Table
+from models.roads.road import Bump
 from sim.frequency.describing_function import DescribingFunction, describing_function
 from sim.frequency.identification import ideal_measurements, identify
 from sim.frequency.sweep import OWN, sweep
@@ -17,7 +18,6 @@ from sim.report.regime_end import regime_end
 from sim.report.ride import SEEDS, Ride, ride_section, rides_of
 from sim.report.scope import AMPLITUDE, BUMP_DURATION, Scope
 from sim.report.summary import summary
-from sim.roads.road import Bump
 from sim.runs.run import run_all, sample_times
 from synth.paper import PRINTED, entry_of, is_the_papers, ours
 

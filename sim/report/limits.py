@@ -8,12 +8,12 @@ import numpy as np
 
 from models.figures.page import Section, Table
 from models.reality import Implementation
+from models.roads.road import Bump
 from sim.frequency.identification import ideal_measurements
 from sim.report.answer import Finding, unclaimed_words
 from sim.report.regime_end import RegimeEnd
 from sim.report.scope import BUMP_DURATION, Scope, number
 from sim.response.regime import END_NAMES
-from sim.roads.road import Bump
 from sim.runs.run import Run, sample_times
 from sim.stability.figure import margins_figure
 from sim.stability.margins import find_all, searches

@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from models.common.arrays import Array
+from models.roads.road import LIMITS, Bump
 from models.vehicle import Vehicle
 from sim.linear.loop import sampled_response
 from sim.response.regime import END_NAMES, utilisation
-from sim.roads.road import LIMITS, Bump
 from sim.validity.cells import validity
 from synth.controller import Controller
 

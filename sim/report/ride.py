@@ -9,14 +9,14 @@ import numpy as np
 from models.figures.figure import Curve, Dash, Figure, Panel
 from models.figures.page import Section, Table
 from models.own.python_law import Programmed
+from models.roads.iso8608 import Iso8608, long_enough
+from models.roads.road import track_width
 from models.vehicle import Vehicle
 from sim.physics.simulate import simulate
 from sim.report.scope import joined, number
 from sim.response.regime import FLAT, REGIME_ENDS, reached
 from sim.ride.expected import expect, settling_time
 from sim.ride.metrics import dynamic_load, measure, off_ground, points
-from sim.roads.iso8608 import Iso8608, long_enough
-from sim.roads.road import track_width
 from sim.runs.run import sample_times
 from synth.controller import Controller
 

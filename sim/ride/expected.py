@@ -31,13 +31,13 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.threads import one_thread
 from models.reality import steps_per_sample
+from models.roads.spectrum import Spectrum
 from models.vehicle import Vehicle
 from sim.linear.frequency import as_met, stepwise_frequency_response
 from sim.ride.gaussian import Gaussian, positive_part
 from sim.ride.metrics import RUNNING, dynamic_load, energy, off_ground, points, power
 from sim.ride.quadrature import sample_band
 from sim.ride.weighting import POLES, SampledWk, sampled_wk
-from sim.roads.spectrum import Spectrum
 from synth.certificate.stability import stability
 from synth.controller import Controller
 from synth.implemented.controlled import continuous

@@ -10,11 +10,11 @@ import numpy as np
 from models.common.numbers import cell, finite
 from models.common.printed import table
 from models.own.python_law import Programmed
+from models.roads.road import Road
 from models.vehicle import Vehicle
 from sim.ride.expected import APPROXIMATE, EXACT, Expected, expect, settling_time
 from sim.ride.metrics import measure, metrics_of
 from sim.ride.settled import Settled, settled
-from sim.roads.road import Road
 from sim.runs.run import Run
 from synth.controller import Controller
 

@@ -21,12 +21,12 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.reality import steps_per_sample
+from models.roads.spectrum import Spectrum
 from models.vehicle import Vehicle
 from sim.linear.frequency import as_met, sampled_states
 from sim.ride.expected import longest_panel, loop_poles, power_of, tracks
 from sim.ride.metrics import points
 from sim.ride.quadrature import sample_band
-from sim.roads.spectrum import Spectrum
 from synth.controller import Controller
 from synth.implemented.loop import implemented_loop, sampled_radius
 

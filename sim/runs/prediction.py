@@ -9,12 +9,12 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.own.python_law import Programmed
+from models.roads.road import Road
 from models.vehicle import Vehicle
 from sim.linear.blur import most_quantised, noise_rms
 from sim.linear.forced import forced_continuous_response, forced_response
 from sim.linear.loop import continuous_response, sampled_response, taylor4
 from sim.response.response import Response
-from sim.roads.road import Road
 from synth.controller import Controller
 from synth.implemented.controlled import sampled
 from synth.implemented.loop import sampled_radius

@@ -9,6 +9,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError, listing
 from models.own.python_law import Programmed
+from models.roads.road import Road
 from models.vehicle import Vehicle
 from sim.linear.loop import largest_timestep
 from sim.physics.energy import Energy, energy
@@ -17,7 +18,6 @@ from sim.physics.python_laws import Driven, Played
 from sim.physics.simulate import PhysicsRuns, simulate
 from sim.response.regime import FLAT
 from sim.response.response import Response
-from sim.roads.road import Road
 from sim.runs.agreement import SMALL, Agreement, compare, look_closer
 from sim.runs.prediction import Prediction, predict, predict_forced
 from synth.controller import Controller

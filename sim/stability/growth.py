@@ -14,11 +14,11 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.cores import cores
 from models.common.side_by_side import side_by_side
+from models.roads.road import Bump
 from models.vehicle import Vehicle
 from sim.physics.blocks import Course, in_blocks
 from sim.physics.readout import stage_of
 from sim.physics.simulate import on_each, shared
-from sim.roads.road import Bump
 from sim.stability.slowest_mode import slowest_rate
 from synth.controller import Controller
 

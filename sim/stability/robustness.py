@@ -15,9 +15,9 @@ from scipy import optimize
 
 from models.common.arrays import Array
 from models.kind import Variation, VehicleKind
+from models.roads.road import Bump
 from models.vehicle import Vehicle
 from sim.physics.simulate import simulate
-from sim.roads.road import Bump
 from sim.runs.prediction import predict
 from sim.runs.run import judge, sample_times
 from sim.stability.growth import Trial, grow, silent

@@ -16,12 +16,12 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.cores import cores
 from models.common.side_by_side import side_by_side
+from models.roads.road import Bump
 from models.vehicle import Vehicle
 from sim.linear.loop import sampled_responses
 from sim.physics.blocks import runs_at_once
 from sim.physics.watched import Watched
 from sim.response.regime import END_NAMES, first_end, scaled_reached, utilisation
-from sim.roads.road import Bump
 from synth.controller import Controller
 
 ENOUGH = 0.99  # of the cells have to break as predicted; the others lie at a boundary

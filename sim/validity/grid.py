@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.errors import InputError, listing
-from sim.roads.road import LIMITS, LOWEST, Bump
+from models.roads.road import LIMITS, LOWEST, Bump
 
 UNITS = {"height": "m", "length": "m", "speed": "m/s"}
 MOST_CELLS = 100_000

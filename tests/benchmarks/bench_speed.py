@@ -25,6 +25,7 @@ import pytest
 from models.law import LinearLaw
 from models.mjcf import build_model
 from models.reality import Implementation
+from models.roads.road import Bump
 from models.vehicle import read_vehicle
 from sim.campaign.__main__ import FEWEST
 from sim.campaign.columns import columns
@@ -34,7 +35,6 @@ from sim.campaign.plan import Plan
 from sim.campaign.store import Store
 from sim.campaign.workers import run_batches
 from sim.physics.simulate import simulate
-from sim.roads.road import Bump
 from sim.validity.cells import validity
 from sim.validity.grid import grid, read_axes
 from synth.certificate.norm import hinf_norm

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from models.common.errors import InputError, listing
+from models.roads.iso8608 import Iso8608, long_enough, roughness
+from models.roads.obstacles import OBSTACLES
+from models.roads.opencrg import Surface, read_surface
+from models.roads.profile import Profile
+from models.roads.profile_file import read_profile, read_table
+from models.roads.road import Road, track_width
 from models.vehicle import Vehicle
-from sim.roads.iso8608 import Iso8608, long_enough, roughness
-from sim.roads.obstacles import OBSTACLES
-from sim.roads.opencrg import Surface, read_surface
-from sim.roads.profile import Profile
-from sim.roads.profile_file import read_profile, read_table
-from sim.roads.road import Road, track_width
 
 KINDS = ("iso8608", *OBSTACLES)
 SYNTAX = (

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
+from models.roads.road import Road
 from models.vehicle import Vehicle
-from sim.roads.road import Road
 
 
 @dataclass(frozen=True)

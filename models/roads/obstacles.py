@@ -6,8 +6,8 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 
 from models.common.arrays import Array
-from sim.roads.road import LIMITS, Bump, Road, Scaled, check_numbers
-from sim.roads.sinusoids import SineSweep
+from models.roads.road import LIMITS, Bump, Road, Scaled, check_numbers
+from models.roads.sinusoids import SineSweep
 
 
 @dataclass(frozen=True)

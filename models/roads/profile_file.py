@@ -10,8 +10,8 @@ import numpy as np
 
 from models.common.errors import InputError, listing
 from models.common.read_file import TABLE, read_text
-from sim.roads.profile import Profile, check_points
-from sim.roads.profile_headings import UNITS, Heading, choose_columns, headings_of, read_heading, unit_of
+from models.roads.profile import Profile, check_points
+from models.roads.profile_headings import UNITS, Heading, choose_columns, headings_of, read_heading, unit_of
 
 SEPARATORS: Mapping[str, str] = {"comma": ",", "semicolon": ";", "tab": "\t", "space": " "}
 HEADINGS = 50  # lines that may come before the numbers

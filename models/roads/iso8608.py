@@ -28,8 +28,8 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from sim.roads.road import Road, check_numbers
-from sim.roads.spectrum import Spectrum, coherency
+from models.roads.road import Road, check_numbers
+from models.roads.spectrum import Spectrum, coherency
 
 CLASSES = "ABCDEFGH"
 N0 = 0.1  # cycle/m

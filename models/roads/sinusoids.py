@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from sim.roads.road import LIMITS, Road, check_numbers
+from models.roads.road import LIMITS, Road, check_numbers
 
 MOST_SINES = 200_000_000  # lines times samples
 BLOCK = 4_000_000  # sines that are evaluated at once; more only costs memory

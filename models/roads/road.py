@@ -9,8 +9,8 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
+from models.roads.spectrum import Spectrum
 from models.vehicle import Vehicle
-from sim.roads.spectrum import Spectrum
 
 LOWEST = 1e-5  # m; what a lower road does to a vehicle is lost in the rounding of its weight
 

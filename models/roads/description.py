@@ -6,11 +6,11 @@ from dataclasses import fields
 from typing import Any
 
 from models.common.errors import InputError, listing, quoted
-from sim.roads.iso8608 import HIGHEST, LOWEST, Iso8608, check_seed, roughness
-from sim.roads.obstacles import OBSTACLES
-from sim.roads.profile import from_csv
-from sim.roads.road import Road, Scaled
-from sim.roads.sinusoids import MULTISINES, Multisine
+from models.roads.iso8608 import HIGHEST, LOWEST, Iso8608, check_seed, roughness
+from models.roads.obstacles import OBSTACLES
+from models.roads.profile import from_csv
+from models.roads.road import Road, Scaled
+from models.roads.sinusoids import MULTISINES, Multisine
 
 KINDS = ("iso8608", "profile", *OBSTACLES, *MULTISINES)
 MOST_LINES = 1000  # of a sum of sinusoids

@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from sim.roads.road import LIMITS, Road, check_numbers
+from models.roads.road import LIMITS, Road, check_numbers
 
 GAP = 10.0  # times the median spacing; more is a gap, and what a curve does there is invented
 HIGHEST = 100.0  # m, from where it begins

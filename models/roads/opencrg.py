@@ -13,7 +13,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError, some
 from models.common.read_file import MIB, open_plain
-from sim.roads.profile import Profile
+from models.roads.profile import Profile
 
 LARGEST = 128 * MIB  # of a file; in memory it takes six times as much, 0.8 GB
 AT_ONCE = 2**20  # heights that are worked out at once; PyOpenCRG takes some hundred bytes for each
