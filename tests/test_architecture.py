@@ -37,6 +37,7 @@ ROOMS = {
     "synth.scaling": "synth.plant",
     "synth.discrete": "synth.extended synth.plant",
     "synth.certificate": "synth.discrete synth.extended synth.numerics synth.plant synth.scaling",
+    "synth.band": "synth.certificate synth.discrete synth.numerics synth.plant",
     "synth.modes": "synth.certificate synth.plant synth.scaling",
     "synth.lmi": "synth.certificate synth.discrete synth.errors synth.numerics synth.plant synth.scaling",
     "synth.dynamic": "models synth.certificate synth.discrete synth.errors synth.lmi synth.modes synth.numerics synth.plant "
@@ -107,7 +108,6 @@ MOST_FILES = 16  # in a room, beside its __init__
 MOST_LINES = 300
 LONG: dict[str, str] = {  # files with more lines, and why
     "synth.lmi.central": "one path, from its start to its rests, is one walk",
-    "synth.certificate.norm": "two routes to one number share how a gain is computed",
 }
 
 # Who may import what is heavy, or replaceable.

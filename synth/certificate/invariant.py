@@ -21,7 +21,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from synth.certificate.exact import Nullspace, floats, identity, integers, product, root_below, without_factors
-from synth.certificate.norm import largest_singular_values, transfer_matrix
+from synth.certificate.gain import largest_singular_values, transfer_matrix
 from synth.certificate.stability import balance, stability
 from synth.plant import GeneralizedPlant, check_continuous
 from synth.scaling import own_units

@@ -6,7 +6,7 @@
   the transfer function really takes.
 
 `hinf_norm` runs both and says how far they are apart. The routes themselves find the peak on the imaginary axis (the L-infinity
-norm), which exists for unstable systems too and is infinite where a pole lies on the axis.
+norm), or on a stretch of it, which exists for unstable systems too and is infinite where a pole lies on the axis.
 
 What they share is the transfer function. Where to look is decided with the modes of the system, a frequency of which costs next
 to nothing; every value that is returned was computed without them, from a linear system of equations.
@@ -16,27 +16,20 @@ A + B G holds fast poles beside slow ones, both routes go on from where they end
 before it was rounded. So two routes that agree are not two that err alike.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
 from models.common.threads import one_thread
-from synth.certificate.stability import balance, stability, stability_of_balanced
+from synth.certificate.gain import Gain
+from synth.certificate.stability import stability
 from synth.discrete.bilinear import continuous_loop, mapped_frequency, true_frequency
 from synth.discrete.response import response_closely
-from synth.extended import transfer_matrix_closely
 from synth.plant import GeneralizedPlant
 
-ZOOMS = 6  # of a bracket, tenfold; a maximum is flat: 10^-12 of the gain
-CLOSE_ZOOMS = 8  # where the gain has twice the digits: 10^-16 of it
-WITHIN = 1e-4  # of the damping of the nearest pole; so close to its top it is a parabola
 EXACT = 1e-10  # relative; a level set this much higher that is empty ends the search
-ILL_CONDITIONED = 1e6  # of the eigenvectors; beyond it the modes give fewer than ten digits
-ALIKE = 1e-9  # relative to the largest gain; where the modes are as close to the transfer function they may say where to look
 CLIMBED = 2  # of the poles' peaks, the highest: as many are climbed before the first level set
 SEEN = 1e-9  # relative; more than this rounding may not do to a norm, or it is computed with twice the digits
 CLEAR = 1.1  # times the gain at infinity: a level above it is far enough for the Hamiltonian to be formed
@@ -70,14 +63,19 @@ class Norm:
 @one_thread()
 def hinf_norm(system: GeneralizedPlant) -> Norm:
     """The H-infinity norm from w to z with u = 0, by both routes."""
+    unstable = Norm(np.inf, np.nan, np.inf, np.inf)
     if system.dt is not None:
-        return _discrete_norm(system, system.dt)
-    gain = _Gain(system)
-    if not gain.stable:
-        return Norm(np.inf, np.nan, np.inf, np.inf)
-    (sweep, at_sweep), (level, at_level) = _by_sweep(gain), _by_level_sets(gain)
+        stable = stability(system.A, system.dt).stable
+        return discrete_by_both_routes(system, system.dt, Gain(continuous_loop(system))) if stable else unstable
+    gain = Gain(system)
+    return by_both_routes(gain) if gain.stable else unstable
+
+
+def by_both_routes(gain: Gain) -> Norm:
+    """The largest gain on a stretch of the axis by both routes, whether the system is stable or not; no pole lies on it."""
+    (sweep, at_sweep), (level, at_level) = by_sweep(gain), by_level_sets(gain)
     slowest = gain.poles[np.abs(np.real(gain.poles)).argmin()] if len(gain.poles) else 0.0
-    ends = np.array([0.0, np.abs(np.imag(slowest)), at_sweep, at_level])
+    ends = gain.within(np.array([0.0, np.abs(np.imag(slowest)), at_sweep, at_level]))
     ends, beside = ends[np.isfinite(ends)], gain.beside
     rounding = gain.rounding(ends)
     if rounding > SEEN * max(sweep, level):  # a bound that is often far too large: so it is measured, and all else, too
@@ -89,16 +87,13 @@ def hinf_norm(system: GeneralizedPlant) -> Norm:
     return Norm(value, at, level, sweep, rounding / value + beside(at) + gain.last if value else 0.0)
 
 
-def _discrete_norm(system: GeneralizedPlant, dt: float) -> Norm:
+def discrete_by_both_routes(system: GeneralizedPlant, dt: float, gain: Gain) -> Norm:
     """The same of a discrete system: both routes on the continuous one for it, and what they find measured on the system itself.
 
     So the map only says where to look, and what it and rounding did to the values is seen.
     """
-    if not stability(system.A, dt).stable:
-        return Norm(np.inf, np.nan, np.inf, np.inf)
-    gain = _Gain(continuous_loop(system))
     found = []
-    for route in (_by_level_sets, _by_sweep):
+    for route in (by_level_sets, by_sweep):
         value, at = route(gain)
         T, missing = response_closely(system, at * dt / 2)
         true = float(np.linalg.norm(T, 2))
@@ -112,161 +107,7 @@ def gain_at(system: GeneralizedPlant, omega: float) -> float:
     """The largest singular value at a frequency [rad/s], with twice the digits."""
     if system.dt is not None:
         return float(np.linalg.norm(response_closely(system, mapped_frequency(omega, system.dt) * system.dt / 2)[0], 2))
-    return float(_Gain(system).closely(np.array([omega]))[0][0])
-
-
-def transfer_matrix(A: Array, Bw: Array, C: Array, Dw: Array, omega: Array) -> Array:
-    """Dw + C (j omega - A)^-1 Bw (19), complex, shape (F, d, r), for finite angular frequencies [rad/s] of shape (F,)."""
-    n = len(A)
-    shifted = np.broadcast_to(-A, (len(omega), n, n)).astype(complex)
-    shifted[:, np.arange(n), np.arange(n)] += 1j * omega[:, None]
-    return C @ np.linalg.solve(shifted, np.broadcast_to(Bw.astype(complex), (len(omega), *Bw.shape))) + Dw
-
-
-def largest_singular_values(T: Array) -> Array:
-    """Of each of a stack of matrices, shape (F,) for (F, d, r)."""
-    if 1 in T.shape[1:]:
-        return np.sqrt(np.sum(np.real(T) ** 2 + np.imag(T) ** 2, axis=(1, 2)))  # of a vector the singular value is its length
-    square = _smaller_square(T)
-    if square.shape[1] == 2:  # a quadratic equation, and nothing cancels in its larger root
-        a, b, c = np.real(square[:, 0, 0]), np.abs(square[:, 0, 1]), np.real(square[:, 1, 1])
-        return np.sqrt((a + c) / 2 + np.hypot((a - c) / 2, b))
-    return np.sqrt(np.maximum(np.linalg.eigvalsh(square)[:, -1], 0.0))  # the largest one keeps its digits when squared
-
-
-def highest(T: Array, above: float) -> tuple[float, int]:
-    """The largest singular value of a whole stack of matrices, shape (F, d, r), and the index of the one that has it.
-
-    Only what exceeds `above` is looked at: 0 at no index where nothing does. No singular value exceeds the root of the sum of the
-    squares of all entries, which costs little.
-    """
-    squares = (np.real(T) ** 2 + np.imag(T) ** 2).reshape(len(T), -1).sum(axis=1)
-    among = np.flatnonzero(~(squares <= above * above))
-    if not len(among):
-        return 0.0, -1
-    gains = largest_singular_values(T[among])
-    i = int(gains.argmax())
-    return float(gains[i]), int(among[i])
-
-
-def _smaller_square(T: Array) -> Array:
-    """T T' or T' T, the smaller one."""
-    adjoint = T.conj().transpose(0, 2, 1)
-    return T @ adjoint if T.shape[1] < T.shape[2] else adjoint @ T
-
-
-class _Gain:
-    """The largest singular value of T(j omega) of a system, in balanced coordinates."""
-
-    def __init__(self, system: GeneralizedPlant) -> None:
-        self.A, scale = balance(system.A)
-        self.Bw, self.C, self.Dw = system.Bw / scale[:, None], system.C * scale, system.Dw
-        beyond = np.zeros((len(self.A) + len(self.C), len(self.A))) if system.beyond is None else system.beyond * scale
-        self.A_beyond, self.C_beyond = beyond[: len(self.A)] / scale[:, None], beyond[len(self.A) :]
-        found = stability_of_balanced(self.A)
-        self.poles, self.vectors = found.poles, found.vectors
-        self.at_infinity = float(np.linalg.norm(self.Dw, 2))
-        self.last = (self.Dw.size + 4) * np.finfo(float).eps  # what a singular value loses, relative, be T without error
-        self.stable = found.stable
-        self.on_axis = float(np.abs(np.imag(self.poles[found.on_axis])[0])) if np.any(found.on_axis) else None
-
-    def at(self, omega: Array) -> Array:
-        """At angular frequencies [rad/s] of shape (F,), shape (F,)."""
-        return np.linalg.norm(transfer_matrix(self.A, self.Bw, self.C, self.Dw, omega), 2, axis=(1, 2))
-
-    def about(self, omega: Array) -> Array:
-        """The same by the modes, to ALIKE; where they give fewer digits it is `at`."""
-        return self.at(omega) if self._residues is None else self._by_modes(self._residues, omega)
-
-    def climb(self, omega: Array, width: Array) -> tuple[float, float]:
-        """The highest gain within some widths of some frequencies, and where it is [rad/s]: all of them at once."""
-        at = _climbed(self.about, omega, width)
-        return float(self.at(at)[0]), float(at[0])
-
-    def rounding(self, omega: Array) -> float:
-        """What rounding did to `at` at frequencies [rad/s] at most, to first order.
-
-        (Higham 2002, Accuracy and Stability of Numerical Algorithms, section 7.2.)
-        """
-        n = len(self.A)
-        R = np.abs(np.linalg.inv(1j * omega[:, None, None] * np.eye(n) - self.A))
-        seen, driven = np.abs(self.C) @ R, R @ np.abs(self.Bw)
-        lost = seen @ ((np.abs(self.A) + omega[:, None, None] * np.eye(n)) @ driven) + np.abs(self.C) @ driven
-        return float((n + 2) * np.finfo(float).eps * np.linalg.norm(lost, axis=(1, 2)).max(initial=0.0))
-
-    def rounded(self, omega: Array) -> float:
-        """What rounding did to `at` at frequencies [rad/s] at most, measured with twice the digits."""
-        gains, missing = self.closely(omega)
-        return float((np.abs(self.at(omega) - gains) + missing).max())
-
-    def closely(self, omega: Array) -> tuple[Array, Array]:
-        """`at` with twice the digits, shape (F,), and what may be missing in it."""
-        T, missing = transfer_matrix_closely((self.A, self.A_beyond), self.Bw, (self.C, self.C_beyond), self.Dw, omega)
-        return largest_singular_values(T), missing
-
-    def missing(self, at: float) -> float:
-        """What is missing in the gain at a frequency, be it infinite, when it is computed with twice the digits."""
-        return float(self.closely(np.array([at]))[1][0]) if np.isfinite(at) else 0.0
-
-    def beside(self, at: float) -> float:
-        """How much higher the gain may be between the best frequency that was tried and the next, relative, to second order."""
-        if not (np.isfinite(at) and len(self.poles)):
-            return 0.0
-        apart = np.spacing(at) + 10.0**-ZOOMS * float(self._width(np.array([at]))[0])
-        return float(np.sum((apart / 2 / np.abs(1j * at - self.poles)) ** 2) / 2)
-
-    def between(self, at: float) -> float:
-        """The same, measured with twice the digits: where rounding may have moved poles and led the search.
-
-        About a resonance the gain to the power of -2 is a parabola: that through three frequencies says how high it rises.
-        """
-        if not (np.isfinite(at) and len(self.poles)):
-            return 0.0
-        step = max(float(np.spacing(at)), WITHIN * float(self._width(np.array([at]))[0]))
-        (below, here, above), _ = self.closely(np.array([at - step, at, at + step]))
-        left, right = (here / below) ** 2, (here / above) ** 2
-        bent, slope = left + right - 2, (right - left) / 2
-        lowest = min(1 - slope**2 / (2 * bent) if bent > 0 else 1.0, left, right)
-        return float(lowest**-0.5 - 1)
-
-    def polished(self, at: float) -> tuple[float, float]:
-        """The highest gain with twice the digits near a frequency or near any pole, and where it is [rad/s]."""
-        omega = np.concatenate([[0.0], np.abs(self.poles), np.abs(np.imag(self.poles)), [at] if np.isfinite(at) else []])
-        gains, _ = self.closely(omega)
-        high = np.unique(omega[gains > 0.9 * gains.max()])
-        there = _climbed(lambda near: self.closely(near)[0], high, self._width(high), CLOSE_ZOOMS)
-        best, there = float(self.closely(there)[0][0]), float(there[0])
-        return (self.at_infinity, np.inf) if self.at_infinity > best else (best, there)
-
-    def _width(self, omega: Array) -> Array:
-        """How far the damping of the nearest pole is from frequencies: no peak is thinner."""
-        nearest = np.abs(omega[:, None] * 1j - self.poles).argmin(axis=1)
-        return np.abs(np.real(self.poles[nearest]))
-
-    def _by_modes(self, residues: Array, omega: Array) -> Array:
-        T = (1 / (1j * omega[:, None] - self.poles)) @ residues
-        return largest_singular_values(T.reshape(len(omega), *self.Dw.shape) + self.Dw)
-
-    @cached_property
-    def _residues(self) -> Array | None:
-        """C v w' Bw of every mode, with its right and left eigenvectors v and w, shape (n, d r); None where digits are lost."""
-        if not len(self.A) or not np.linalg.cond(self.vectors) < ILL_CONDITIONED:
-            return None
-        seen, driven = (self.C @ self.vectors).T, np.linalg.solve(self.vectors, self.Bw.astype(complex))
-        residues = (seen[:, :, None] * driven[:, None, :]).reshape(len(self.A), -1)
-        probes = np.concatenate([[0.0], np.quantile(np.abs(self.poles), [0, 0.5, 1])])
-        true = self.at(probes)
-        return residues if np.all(np.abs(self._by_modes(residues, probes) - true) <= ALIKE * true.max()) else None
-
-
-def _climbed(gain: Callable[[Array], Array], omega: Array, width: Array, zooms: int = ZOOMS) -> Array:
-    """Where a gain is highest within some widths of some frequencies [rad/s], shape (1,)."""
-    steps = np.linspace(-1, 1, 21)[:, None]
-    for _ in range(zooms):
-        near = np.maximum(omega + width * steps, 0.0)
-        there = gain(near.ravel()).reshape(near.shape)
-        omega, width = near[there.argmax(axis=0), np.arange(len(omega))], width / 10
-    return omega[[gain(omega).argmax()]]
+    return float(Gain(system).closely(np.array([omega]))[0][0])
 
 
 def level_set_norm(system: GeneralizedPlant) -> tuple[float, float]:
@@ -275,31 +116,39 @@ def level_set_norm(system: GeneralizedPlant) -> tuple[float, float]:
     The eigenvalues only propose frequencies, whatever their real parts; the transfer function decides. So no tolerance has to
     tell an imaginary eigenvalue from one that rounding moved off the axis.
     """
-    return _by_level_sets(_Gain(system))
+    return by_level_sets(Gain(system))
 
 
-def _by_level_sets(gain: _Gain) -> tuple[float, float]:
+def by_level_sets(gain: Gain) -> tuple[float, float]:
+    """The largest gain on a stretch of the axis as `level_set_norm` finds it, and where [rad/s]; infinite at a pole on it."""
     if gain.on_axis is not None:
         return np.inf, gain.on_axis
-    omega = np.concatenate([[0.0], np.abs(gain.poles), np.abs(np.imag(gain.poles))])
-    width = np.concatenate([[0.0], *[np.abs(np.real(gain.poles))] * 2])
+    omega = gain.within(np.concatenate([gain.edges, np.abs(gain.poles), np.abs(np.imag(gain.poles))]))
+    width = np.concatenate([0.0 * gain.edges, *[np.abs(np.real(gain.poles))] * 2])
     highest = np.argsort(gain.about(omega))[-CLIMBED:]
-    best, at = gain.climb(omega[highest], width[highest])
-    if gain.at_infinity > best:
-        best, at = gain.at_infinity, np.inf
+    best, at = gain.or_at_infinity(*gain.climb(omega[highest], width[highest]))
     if best == 0.0:
         return 0.0, 0.0
     for _ in range(100):  # quadratic convergence: 1 to 3 rounds
-        crossings = level_crossings(gain.A, gain.Bw, gain.C, gain.Dw, best * (1 + EXACT))
-        # Between two crossings of the level lies a higher value; a single (touching) crossing is tried as it is.
-        proposed = np.concatenate([crossings, (crossings[:-1] + crossings[1:]) / 2])
-        apart = np.concatenate([np.zeros(len(crossings)), np.diff(crossings) / 2])
+        proposed, apart = proposals(gain, best * (1 + EXACT))
         gains = gain.about(proposed)
         if gain.at(proposed[[gains.argmax()]])[0] <= best * (1 + EXACT):
             break
         highest = gains.argsort()[-CLIMBED:]
         best, at = gain.climb(proposed[highest], apart[highest])
     return best, at
+
+
+def proposals(gain: Gain, level: float) -> tuple[Array, Array]:
+    """Frequencies of a stretch of which one has a gain above a level, if any has, and how far each is from the next [rad/s].
+
+    Between two crossings of the level, or a crossing and an edge, the gain lies above it everywhere, or nowhere; a single
+    (touching) crossing is tried as it is. Both of shape (k,).
+    """
+    crossings = level_crossings(gain.A, gain.Bw, gain.C, gain.Dw, level)
+    crossings = np.concatenate([gain.edges[:1], crossings[(crossings > gain.low) & (crossings < gain.high)], gain.edges[1:]])
+    proposed = np.concatenate([crossings, (crossings[:-1] + crossings[1:]) / 2])
+    return proposed, np.concatenate([np.zeros(len(crossings)), np.diff(crossings) / 2])
 
 
 def level_crossings(A: Array, Bw: Array, C: Array, Dw: Array, level: float) -> Array:
@@ -338,10 +187,11 @@ def level_crossings(A: Array, Bw: Array, C: Array, Dw: Array, level: float) -> A
 
 def sweep_norm(system: GeneralizedPlant) -> tuple[float, float]:
     """The largest gain on the imaginary axis by a refined frequency sweep, and where it is reached [rad/s]."""
-    return _by_sweep(_Gain(system))
+    return by_sweep(Gain(system))
 
 
-def _by_sweep(gain: _Gain) -> tuple[float, float]:
+def by_sweep(gain: Gain) -> tuple[float, float]:
+    """The largest gain on a stretch of the axis as `sweep_norm` finds it, and where [rad/s]; infinite at a pole on it."""
     if gain.on_axis is not None:
         return np.inf, gain.on_axis
     size = np.abs(gain.poles)
@@ -352,7 +202,8 @@ def _by_sweep(gain: _Gain) -> tuple[float, float]:
     upper = gain.poles[np.imag(gain.poles) >= 0]
     near = np.imag(upper)[:, None] + np.abs(np.real(upper))[:, None] * widths
     coarse = np.logspace(low - 2, high + 2, int(40 * (high - low + 4)))
-    omega = np.unique(np.concatenate([[0.0], coarse, near[near > 0]]))
+    omega = np.concatenate([gain.edges, coarse, near[near > 0]])
+    omega = np.unique(omega[(omega >= gain.low) & (omega <= gain.high)])
     gains = gain.about(omega)
 
     start = np.array([gains.argmax()])
@@ -360,5 +211,4 @@ def _by_sweep(gain: _Gain) -> tuple[float, float]:
     inner = np.flatnonzero((gains[1:-1] >= gains[:-2]) & (gains[1:-1] >= gains[2:]) & (gains[1:-1] > 0.9 * gains[start])) + 1
     tops = np.unique(np.concatenate([start, inner]))
     padded = np.concatenate([omega[:1], omega, omega[-1:]])
-    best, at = gain.climb(omega[tops], np.maximum(padded[tops + 2] - omega[tops], omega[tops] - padded[tops]))
-    return (gain.at_infinity, np.inf) if gain.at_infinity > best else (best, at)
+    return gain.or_at_infinity(*gain.climb(omega[tops], np.maximum(padded[tops + 2] - omega[tops], omega[tops] - padded[tops])))

@@ -13,7 +13,8 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.threads import one_thread
-from synth.certificate.norm import largest_singular_values, level_crossings
+from synth.certificate.gain import largest_singular_values
+from synth.certificate.norm import level_crossings
 from synth.certificate.stability import balance, sampled_growth
 from synth.sampled.lifted import Lifted, lifted
 from synth.sampled.loop import SampledLoop

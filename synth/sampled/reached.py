@@ -14,7 +14,7 @@ from numpy.polynomial import legendre
 from scipy import linalg
 
 from models.common.arrays import Array
-from synth.certificate.norm import largest_singular_values
+from synth.certificate.gain import largest_singular_values
 from synth.certificate.stability import balance
 from synth.sampled.lifted import in_own_units, with_inputs
 from synth.sampled.loop import SampledLoop

@@ -15,7 +15,8 @@ import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
-from synth.certificate.norm import ILL_CONDITIONED, highest, largest_singular_values, level_crossings, transfer_matrix
+from synth.certificate.gain import ILL_CONDITIONED, highest, largest_singular_values, transfer_matrix
+from synth.certificate.norm import level_crossings
 from synth.certificate.stability import balance
 from synth.discrete.bilinear import mapped
 from synth.plant import GeneralizedPlant
