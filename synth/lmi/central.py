@@ -55,6 +55,10 @@ MOST = 2000  # unknowns, 62 states with one input: half a minute for a path; tim
 MOST_BORDERED = 600  # likewise of a discrete plant, whose matrices are larger and have no structure that is made use of
 LARGEST_Y = 10.0  # in the search for a feasible point
 INSIDE = 0.95  # of the way to the boundary, where a step along the path would leave
+BREAKS_OFF = (
+    "rounding ends it there, as it does where the optimum is reached only by an infinite gain; weigh the control force more, or "
+    "give other units"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +152,7 @@ def _in_differences(plant: GeneralizedPlant, Q: Array, R: Array, mu: float, step
         try:
             yield from path.follow(mu)
         except np.linalg.LinAlgError as error:
-            raise DesignError(f"the central path could not be followed: rounding ends it ({error}); give other units") from error
+            raise DesignError(f"the central path could not be followed ({error}): {BREAKS_OFF}") from error
 
 
 def _border(step: float) -> str:
@@ -279,19 +283,23 @@ class _Path:
     def follow(self, mu_end: float) -> Iterator[CentralPoint]:
         """Walks along the path until mu = mu_end eta; yields the points it rests at."""
         n, m = len(self.plant.A), self.plant.B.shape[1]
-        moves, rest = 0, np.inf
+        moves, rest, entered = 0, np.inf, False
         while True:
             basis, barrier = self.basis, self._barrier()
             start = basis.pack(np.eye(n), np.zeros((m, n)), self.eta)
-            p, decrement, here = newton(barrier, start, direction(basis.size, -1 / self.mu), CENTRED, self._far)
-            if decrement > 0.5 and moves < MOST_MOVES and self._far(p) and self._feasible_at(p):
+            leave = self._far if entered else self._out_of_reach
+            p, decrement, here = newton(barrier, start, direction(basis.size, -1 / self.mu), CENTRED, leave)
+            if decrement > 0.5 and moves < MOST_MOVES and leave(p) and self._feasible_at(p):
                 moves += 1
+                if not entered:
+                    self.mu = max(self.mu, FROM * self.eta)
                 continue  # from there, in its own coordinates
             if decrement > 0.5:
                 raise DesignError(
                     f"the central path could not be followed below mu = {self.mu / abs(p[-1]):.1e} (Newton decrement "
-                    f"{decrement:.1e}): the optimum is probably reached only by an infinite gain; weigh the control force more"
+                    f"{decrement:.1e}): {BREAKS_OFF}"
                 )
+            entered = True
             if p[-1] > 0 and not np.isfinite(rest):
                 rest = max(FIRST, mu_end, nearest_rest(self.mu / p[-1], mu_end))
             p, here, step = self._at_rest(barrier, p, here, rest)
@@ -306,8 +314,7 @@ class _Path:
             length = min(1 - ratio, INSIDE * boundary(here, step))
             if not any(self._feasible_at(p + part * length * step) for part in (1.0, 0.5, 0.1, 0.0)):
                 raise DesignError(
-                    f"the central path could not be followed below mu = {self.mu / abs(self.eta):.1e}: rounding ends it there; "
-                    "the optimum is probably reached only by an infinite gain; weigh the control force more"
+                    f"the central path could not be followed below mu = {self.mu / abs(self.eta):.1e}: {BREAKS_OFF}"
                 )
             self.mu *= ratio
 
@@ -350,6 +357,14 @@ class _Path:
         """Whether X has become so different from I that other coordinates are needed."""
         sizes = lapack.dsyevd(self.basis.unpack(p)[0], compute_v=0)[0]  # pyright: ignore[reportAttributeAccessIssue]
         return bool(sizes[-1] > FAR * sizes[0])
+
+    def _out_of_reach(self, p: Array) -> bool:
+        """Whether that is so, or eta has outgrown mu on the way to the first centre.
+
+        Then the first feasible point was much further from any optimum than its eta says, as it is where a plant hardly moves by
+        itself, and the centre for its mu lies too far away: one for a larger mu does not.
+        """
+        return bool(p[-1] > self.mu) or self._far(p)
 
     def _barrier(self) -> Derivatives:
         """The barrier of (24) and X > 0."""

@@ -23,7 +23,7 @@ from models.common.threads import one_thread
 from synth.errors import DesignError
 from synth.lmi.barrier import Barrier, boundary, newton
 from synth.lmi.basis import direction
-from synth.lmi.central import CENTRED, INSIDE, LIMIT, CentralPoint
+from synth.lmi.central import BREAKS_OFF, CENTRED, INSIDE, LIMIT, CentralPoint
 from synth.plant import GeneralizedPlant
 
 ENTERED = 0.1  # mu over eta: from the point of (25) that is nearest to this, well inside, the path of this problem is entered
@@ -119,7 +119,7 @@ class _Slack:
             if decrement > 0.5:
                 raise DesignError(
                     f"the central path with a slack variable could not be followed below mu = {mu / abs(p[-1]):.1e} (Newton "
-                    f"decrement {decrement:.1e}): the optimum is probably reached only by an infinite gain"
+                    f"decrement {decrement:.1e}): {BREAKS_OFF}"
                 )
             points.append(self.point(p, mu))
             if mu <= LIMIT * p[-1] * 1.001:
