@@ -82,14 +82,16 @@ class LinearModel:
         names = tuple(self.outputs[i] for i in kept)
         return replace(self, C=self.C[kept], D=self.D[kept], Cr=self.Cr[kept], outputs=names)
 
-    def behind_lag(self, bandwidth: float) -> "LinearModel":
+    def behind_lag(self, bandwidth: float | None) -> "LinearModel":
         """The model with actuators that lag: its inputs are the forces asked for, and those that act are states.
 
         Each follows f' = bandwidth (u - f), and what the control forces did in every signal, f does.
 
         Args:
-            bandwidth: corner frequency of every actuator [rad/s].
+            bandwidth: corner frequency of every actuator [rad/s]; None for forces that act at once, of which this is the model.
         """
+        if bandwidth is None:
+            return self
         (n, m), r = self.B.shape, self.Bw.shape[1]
         return replace(
             self,

@@ -16,7 +16,7 @@ from scipy import linalg
 from models.common.arrays import Array
 from models.vehicle import Vehicle
 from synth.controller import Controller
-from synth.implemented.controlled import continuous, readings, sampled, with_lag
+from synth.implemented.controlled import continuous, sampled, with_lag
 from synth.sampled.hold import held_inputs
 
 
@@ -68,13 +68,12 @@ class Loop:
 def cut(vehicle: Vehicle, controller: Controller, actuators: Sequence[int]) -> Loop:
     """The loop of a vehicle and its controller, cut at some actuators; with their lag, if the vehicle's have one."""
     law, model = controller.law.continuous(), with_lag(vehicle)
-    C, D = readings(vehicle, controller)
+    C, D = model.rows(controller.measured)
     others = [i for i in range(len(law.D)) if i not in actuators]
     if not law.states and not np.any(D):
         G = continuous(vehicle, controller).G
         H = np.zeros((len(actuators), len(actuators)))
         return Loop(model.A + model.B[:, others] @ G[others], model.B[:, actuators], G[actuators], H)
-    C = np.hstack([C, np.zeros((len(C), len(model.A) - C.shape[1]))])
     A = np.block([[model.A, np.zeros((len(model.A), law.states))], [law.B @ C, law.A]])
     B, G, H = np.vstack([model.B, law.B @ D]), np.hstack([law.D @ C, law.C]), law.D @ D
     # The others' forces: u = inverse (their rows of G x + H u of the cut ones).

@@ -1,7 +1,5 @@
 """A controller of a vehicle file that is designed for the loop that its computer closes (`synth.held`)."""
 
-import numpy as np
-
 from models.common.errors import InputError
 from models.controllers import ControllerEntry
 from models.law import static_law
@@ -11,7 +9,7 @@ from synth.certificate.lower_bound import LowerBound
 from synth.controller import Controller
 from synth.held.design import held_design
 from synth.held.problem import HeldProblem
-from synth.implemented.norm import lagged_plant, pieces_of
+from synth.implemented.norm import pieces_of, plant_as_built
 from synth.problem.problem import Problem, measurements
 
 
@@ -27,10 +25,8 @@ def held_problem(vehicle: Vehicle, entry: ControllerEntry) -> HeldProblem:
             f"controller {entry.name!r} is designed for the loop that a computer closes, and [implementation] gives no sample "
             "period; give it, as in sample_period = 0.01, seconds"
         )
-    plant, (Cy, through) = lagged_plant(vehicle), measurements(vehicle, entry.measured)
-    if vehicle.limits.actuator_bandwidth is not None:  # behind a lag a force is a state, the last, and no longer acts at once
-        Cy, through = np.hstack([Cy, through]), np.zeros_like(through)
-    return HeldProblem(plant, Cy, through, pieces_of(how, how.sample_period))
+    Cy, through = measurements(vehicle, entry.measured, vehicle.limits.actuator_bandwidth)
+    return HeldProblem(plant_as_built(vehicle), Cy, through, pieces_of(how, how.sample_period))
 
 
 def sampled_design(vehicle: Vehicle, entry: ControllerEntry, posed: Problem, lower_bound: LowerBound, near: float) -> Controller:

@@ -77,8 +77,9 @@ def continuous(vehicle: Vehicle, controller: Controller) -> Controlled:
     Raises:
         InputError: what is measured has the force in it, and that loop has no solution.
     """
-    C, D = readings(vehicle, controller)
-    return _kept(with_lag(vehicle), controller.law.continuous().fed_back(D), C, np.zeros((len(C), 0)))
+    model = with_lag(vehicle)
+    C, D = model.rows(controller.measured)
+    return _kept(model, controller.law.continuous().fed_back(D), C, np.zeros((len(C), 0)))
 
 
 def sampled(vehicle: Vehicle, controller: Controller, period: float) -> Controlled:
@@ -89,7 +90,8 @@ def sampled(vehicle: Vehicle, controller: Controller, period: float) -> Controll
         controller: its controller.
         period: [s].
     """
-    C, D = readings(vehicle, controller)
+    model = with_lag(vehicle)
+    C, D = model.rows(controller.measured)
     law = controller.law.sampled(period)
     try:
         rates = LinearLaw((law.A - np.eye(law.states)) / period, law.B / period, law.C, law.D)
@@ -98,15 +100,7 @@ def sampled(vehicle: Vehicle, controller: Controller, period: float) -> Controll
             f"controller {controller.name!r} changes its states too fast to be run every {period:g} s: of their rates, "
             f"(A - I) / T and B / T, {error}; scale its states, so that B is smaller and C larger"
         ) from error
-    return _kept(with_lag(vehicle), rates, C, D if np.any(D) else np.zeros((len(C), 0)), 1 / period)
-
-
-def readings(vehicle: Vehicle, controller: Controller) -> tuple[Array, Array]:
-    """What is measured, of the states, among which lagged forces come last, and of the forces that are none."""
-    C, D = vehicle.linear_model.rows(controller.measured)
-    if vehicle.limits.actuator_bandwidth is None or not np.any(D):
-        return C, D
-    return np.hstack([C, D]), np.zeros_like(D)
+    return _kept(model, rates, C, D if np.any(D) else np.zeros((len(C), 0)), 1 / period)
 
 
 def _kept(model: LinearModel, law: LinearLaw, C: Array, D: Array, rate: float = 0.0) -> Controlled:
@@ -115,16 +109,15 @@ def _kept(model: LinearModel, law: LinearLaw, C: Array, D: Array, rate: float = 
     Args:
         model: n states, m forces.
         law: continuous, k states.
-        C: of the measurements, shape (q, n), or of the first of the states alone.
+        C: of the measurements, shape (q, n).
         D: what the forces that have acted do in them, shape (q, m), or (q, 0) for nothing.
         rate: at which a force that acts becomes one that has acted [1/s].
     """
     (n, m), k, held = model.B.shape, law.states, D.shape[1]
     more = k + held
-    unread = np.zeros((len(C), n - C.shape[1]))
     if not more:
-        return Controlled(model, np.hstack([law.D @ C, law.D @ unread]), np.zeros((0, m)), law.D, m)
-    readings = np.hstack([C, unread, np.zeros((len(C), k)), D])
+        return Controlled(model, law.D @ C, np.zeros((0, m)), law.D, m)
+    readings = np.hstack([C, np.zeros((len(C), k)), D])
     G = np.vstack(
         [
             law.D @ readings + np.hstack([np.zeros((m, n)), law.C, np.zeros((m, held))]),
@@ -150,6 +143,5 @@ def _kept(model: LinearModel, law: LinearLaw, C: Array, D: Array, rate: float = 
 
 
 def with_lag(vehicle: Vehicle) -> LinearModel:
-    """The linear model with its actuators' lag, if they have one (`LinearModel.behind_lag`)."""
-    model, bandwidth = vehicle.linear_model, vehicle.limits.actuator_bandwidth
-    return model if bandwidth is None else model.behind_lag(bandwidth)
+    """The linear model with its actuators' lag, if they have one: the forces that act are its last states then."""
+    return vehicle.linear_model.behind_lag(vehicle.limits.actuator_bandwidth)

@@ -7,16 +7,15 @@ force and stroke, quantisation; nor does noise, which no road makes. Behind a la
 
 import numpy as np
 
-from models.common.arrays import Array
 from models.controllers import IDEAL
 from models.reality import USUAL_TIMESTEP, Implementation
 from models.vehicle import Vehicle
 from synth.certificate.norm import hinf_norm
 from synth.controller import Controller
 from synth.dynamic.loop import on_larger_plant
-from synth.implemented.controlled import readings, sampled
+from synth.implemented.controlled import sampled
 from synth.plant import GeneralizedPlant
-from synth.problem.problem import generalized_plant
+from synth.problem.problem import generalized_plant, measurements
 from synth.sampled.loop import Piece, SampledLoop
 from synth.sampled.norm import SampledNorm, sampled_norm
 
@@ -39,10 +38,12 @@ def sampled_loop(vehicle: Vehicle, controller: Controller, timestep: float = USU
     how = vehicle.implementation
     period = how.sample_period or timestep
     cut = sampled(vehicle, controller, period)
-    plant = lagged_plant(vehicle)
+    plant = plant_as_built(vehicle)
     n, kept = len(plant.A), len(cut.kept)
-    memory = np.hstack([np.zeros((kept, n)), np.eye(kept)]) + period * _spread(cut.kept, vehicle, n + kept)
-    return SampledLoop(plant, pieces_of(how, period), _spread(cut.asked, vehicle, n + kept), memory, period * cut.hold)
+    own = len(cut.model.A) - kept
+    G = np.insert(cut.G, [own] * (n - own), 0.0, axis=1)  # of states of filters nobody measures any
+    memory = np.hstack([np.zeros((kept, n)), np.eye(kept)]) + period * G[cut.forces :]
+    return SampledLoop(plant, pieces_of(how, period), G[: cut.forces], memory, period * cut.hold)
 
 
 def pieces_of(how: Implementation, period: float) -> tuple[Piece, ...]:
@@ -54,29 +55,11 @@ def norm_in_continuous_time(vehicle: Vehicle, controller: Controller) -> float:
     """What the norms of faster and faster computers tend to: of the loop with its actuators' lag, and the road alone."""
     if controller.hardware == IDEAL and vehicle.limits.actuator_bandwidth is None:
         return controller.certificate.norm.value
-    plant, (C, D) = lagged_plant(vehicle), readings(vehicle, controller)
-    Cy = _spread(C, vehicle, len(plant.A))
-    plant, G = on_larger_plant(plant, Cy, controller.law.continuous().fed_back(D))
+    Cy, through = measurements(vehicle, controller.measured, vehicle.limits.actuator_bandwidth)
+    plant, G = on_larger_plant(plant_as_built(vehicle), Cy, controller.law.continuous().fed_back(through))
     return hinf_norm(plant.closed_loop(G)).value
 
 
-def _spread(rows: Array, vehicle: Vehicle, states: int) -> Array:
-    """Of so many states of a plant with filters, of which nobody measures any: they lie behind the vehicle's own."""
-    own = len(vehicle.linear_model.A)
-    return np.hstack([rows[:, :own], np.zeros((len(rows), states - rows.shape[1])), rows[:, own:]])
-
-
-def lagged_plant(vehicle: Vehicle) -> GeneralizedPlant:
-    """The plant (15) with the actuators' lag, if they have one: the forces are its last states then."""
-    plant, bandwidth = generalized_plant(vehicle), vehicle.limits.actuator_bandwidth
-    if bandwidth is None:
-        return plant
-    (n, m), r = plant.B.shape, plant.Bw.shape[1]
-    return GeneralizedPlant(
-        A=np.block([[plant.A, plant.B], [np.zeros((m, n)), -bandwidth * np.eye(m)]]),
-        B=np.vstack([np.zeros((n, m)), bandwidth * np.eye(m)]),
-        Bw=np.vstack([plant.Bw, np.zeros((m, r))]),
-        C=np.hstack([plant.C, plant.D]),
-        D=np.zeros_like(plant.D),
-        Dw=plant.Dw,
-    )
+def plant_as_built(vehicle: Vehicle) -> GeneralizedPlant:
+    """The plant (15) behind its actuators' lag, if they have one; z weighs the forces that act."""
+    return generalized_plant(vehicle, vehicle.limits.actuator_bandwidth, acting=True)

@@ -83,20 +83,22 @@ def problem(vehicle: Vehicle, measured: Sequence[str], hardware: Hardware, plant
     return Problem(wide, Cy, through, Dyw, forces)
 
 
-def generalized_plant(vehicle: Vehicle, bandwidth: float | None = None) -> GeneralizedPlant:
+def generalized_plant(vehicle: Vehicle, bandwidth: float | None = None, acting: bool = False) -> GeneralizedPlant:
     """The plant (15) of a vehicle: its linear model, and the weighted signals of `[performance]` as z (34)-(37).
 
-    Where a weight, or the road's spectrum, depends on frequency, the states of its filters follow those of the vehicle. Behind a
-    lag the weight of a control force is of the force that is asked for, as that is what a controller decides.
+    Where a weight, or the road's spectrum, depends on frequency, the states of its filters follow those of the vehicle, of which
+    the forces that act behind a lag are the last.
 
     Args:
         vehicle: the vehicle.
         bandwidth: corner frequency of its actuators' lag [rad/s]; None for forces that act at once.
+        acting: behind a lag, the weight of a control force is of the force that acts, as for what is built. Else it is of the
+            force that is asked for, as that is what a controller decides.
     """
-    model = _model(vehicle, bandwidth)
+    model = vehicle.linear_model.behind_lag(bandwidth)
     weighted = [signal for signal, weight in vehicle.performance.items() if weight > 0]
     C, D = model.rows(weighted)
-    if bandwidth is not None:
+    if bandwidth is not None and not acting:
         asked = np.array([[signal in model.inputs] for signal in weighted])
         C, D = np.where(asked, 0.0, C), np.where(asked, vehicle.linear_model.rows(weighted)[1], D)
     weights = np.array([vehicle.performance[signal] for signal in weighted])[:, None]
@@ -115,10 +117,6 @@ def generalized_plant(vehicle: Vehicle, bandwidth: float | None = None) -> Gener
     return with_weights(plant, outputs, append(*[_system(vehicle.road_filter)] * plant.Bw.shape[1]))
 
 
-def _model(vehicle: Vehicle, bandwidth: float | None) -> LinearModel:
-    return vehicle.linear_model if bandwidth is None else vehicle.linear_model.behind_lag(bandwidth)
-
-
 def _system(one: Filter | None) -> System:
     return gain(1.0) if one is None else System(*one.realisation)
 
@@ -130,7 +128,7 @@ def plant_states(vehicle: Vehicle, bandwidth: float | None = None) -> tuple[str,
         vehicle: the vehicle.
         bandwidth: as for `generalized_plant`.
     """
-    model = _model(vehicle, bandwidth)
+    model = vehicle.linear_model.behind_lag(bandwidth)
     signals = [signal for signal, weight in vehicle.performance.items() if weight > 0 and signal in vehicle.filters]
     counts = {f"filter_of_{signal}": len(vehicle.filters[signal].realisation.A) for signal in signals}
     if vehicle.road_filter is not None:
@@ -154,7 +152,7 @@ def measurements(vehicle: Vehicle, signals: Sequence[str], bandwidth: float | No
     Raises:
         InputError: a signal this vehicle has not.
     """
-    Cy, through = _model(vehicle, bandwidth).rows(signals)
+    Cy, through = vehicle.linear_model.behind_lag(bandwidth).rows(signals)
     more = len(plant_states(vehicle, bandwidth)) - Cy.shape[1] if vehicle.filtered else 0
     return (np.hstack([Cy, np.zeros((len(Cy), more))]) if more else Cy), through
 
