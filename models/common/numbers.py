@@ -1,12 +1,18 @@
 """Numbers as JSON and tables have them."""
 
 import math
+from collections.abc import Iterable
 from typing import Any
 
 
 def finite(value: Any) -> float | None:
     """A number as JSON has it: None for what is infinite or does not exist."""
     return float(value) if value is not None and math.isfinite(value) else None
+
+
+def finite_pairs(values: Iterable[complex]) -> list[list[float | None]]:
+    """Complex numbers as JSON has them: [real, imaginary]."""
+    return [[finite(value.real), finite(value.imag)] for value in values]
 
 
 def cell(value: float | None, form: str, unit: str = "") -> str:

@@ -5,13 +5,14 @@ this against. Of every output there is the fundamental, which is at the road's o
 elsewhere: at harmonics, in a mean, or in what has not settled. Another height of the road may have other ones.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.numbers import cell, finite
+from models.common.numbers import cell, finite, finite_pairs
 from models.common.printed import table
 from models.own.python_law import Programmed
 from models.reality import steps_per_sample
@@ -125,7 +126,9 @@ def describing_function(
                 parts.append((nothing * 1j, nothing, nothing * 1j, np.nan))
                 continue
             before, last = (Response(time[:period], run.signals, run.values[k * period : (k + 1) * period]) for k in (1, 2))
-            parts.append((*_found(vehicle, last, each), _found(vehicle, before, each)[0], settled_gain(vehicle, last, each)))
+            parts.append(
+                (*_found(vehicle, units, last, each), _found(vehicle, units, before, each)[0], settled_gain(vehicle, last, each))
+            )
     measured, outside, earlier, gains = (np.stack(column) for column in zip(*parts, strict=True))
     diverged = np.array(times)
     size = np.where(np.isfinite(diverged)[:, None], 0.0, np.abs(measured))
@@ -136,11 +139,10 @@ def describing_function(
     return DescribingFunction(controller, outputs, units, omega, diverged, *found)
 
 
-def _found(vehicle: Vehicle, response: Response, omega: float) -> tuple[Array, Array]:
+def _found(vehicle: Vehicle, units: Sequence[str], response: Response, omega: float) -> tuple[Array, Array]:
     """The fundamental of every output per road velocity, and the share of its energy outside, shapes (p,), from whole periods."""
     turning = 2 * np.exp(-1j * omega * response.time) / len(response.time)
     signals = np.stack([response[name] for name in vehicle.linear_model.outputs], axis=-1)
-    units = [vehicle.kind.signal(name).unit for name in vehicle.linear_model.outputs]
     lines, energy = turning @ signals, np.mean(signals**2, axis=0)
     loudest = np.array([max(e for e, u in zip(energy, units, strict=True) if u == unit) for unit in units])
     moves = energy > SILENT**2 * loudest
@@ -197,7 +199,7 @@ def describing_object(one: DescribingFunction) -> dict[str, Any]:
         "omega": one.omega.tolist(),
         "signals": {
             name: {
-                "measured": [[finite(value.real), finite(value.imag)] for value in one.measured[:, i]],
+                "measured": finite_pairs(one.measured[:, i]),
                 "outside": [finite(share) for share in one.outside[:, i]],
             }
             for i, name in enumerate(one.outputs)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.numbers import finite
+from models.common.numbers import finite, finite_pairs
 from models.common.printed import table, wrapped
 from models.vehicle import Vehicle
 from sim.frequency.describing_function import DescribingFunction, describing_lines, describing_object, describing_verdict
@@ -212,10 +212,6 @@ def sweep_object(one: Sweep | DescribingFunction) -> dict[str, Any]:
     """A sweep as JSON has it: SI units, complex numbers as [real, imaginary], None for what does not exist."""
     if isinstance(one, DescribingFunction):
         return describing_object(one)
-
-    def pairs(values) -> list[list[float | None]]:
-        return [[finite(value.real), finite(value.imag)] for value in values]
-
     found, norm = one.lines, one.extremes.worst
     error = {"sampled": found.error(found.sampled), "continuous": found.error(found.continuous)}
     return {
@@ -224,9 +220,9 @@ def sweep_object(one: Sweep | DescribingFunction) -> dict[str, Any]:
         "omega": found.omega.tolist(),
         "signals": {
             name: {
-                "measured": pairs(found.measured[:, i]),
-                "sampled": pairs(found.sampled[:, i]),
-                "continuous": pairs(found.continuous[:, i]),
+                "measured": finite_pairs(found.measured[:, i]),
+                "sampled": finite_pairs(found.sampled[:, i]),
+                "continuous": finite_pairs(found.continuous[:, i]),
                 "error": {key: finite(value[i]) for key, value in error.items()},
             }
             for i, name in enumerate(found.outputs)
