@@ -22,7 +22,7 @@ from sim.command.logs import log_lines, recorded
 from sim.command.usual import left_out, left_out_lines
 from sim.frequency.describing_function import DescribingFunction, describing_function
 from sim.frequency.identification import ideal_measurements
-from sim.frequency.sweep import EXTREMES, LINES, OWN, Sweep, failures, summary_lines, sweep, sweep_lines, sweep_object
+from sim.frequency.sweep import EXTREMES, LINES, OWN, Sweep, holds, summary_lines, sweep, sweep_lines, sweep_object
 from sim.runs.run import Run, run_all
 from synth.controller import Controller
 from synth.designer import Designer
@@ -89,7 +89,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 *left_out_lines(left_out(vehicle, options.controller, names)),
             ]
         )
-    return 0 if all(one.ended or not failures(one) for one in sweeps) else 1
+    return 0 if all(map(holds, sweeps)) else 1
 
 
 def _worst_runs(vehicle: Vehicle, sweeps: Sequence[Sweep | DescribingFunction], options: Any) -> dict[str, Run]:

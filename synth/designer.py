@@ -23,7 +23,7 @@ from synth.dynamic.loop import on_larger_plant
 from synth.dynamic.named import named_design
 from synth.errors import BatchError, DesignError
 from synth.fallback import two_steps_or_descent
-from synth.implemented.claims import wrong_norm
+from synth.implemented.claims import false_norm, norm_if_implemented
 from synth.lmi.central import CentralPoint
 from synth.lmi.output_feedback import independent_rows
 from synth.plant import GeneralizedPlant
@@ -122,7 +122,8 @@ class Designer:
         except InputError as error:
             raise self.vehicle.found_wrong(error) from error
         found = Controller(entry.name, entry.measured, law, False, certificate, false_claims=wrong, hardware=hardware)
-        return replace(found, false_claims=(*wrong, *wrong_norm(found, entry.certificate, self.vehicle)))
+        wrong += false_norm(entry.certificate, self.vehicle, lambda: norm_if_implemented(self.vehicle, found))
+        return replace(found, false_claims=wrong)
 
     def _named(self, entry: ControllerEntry, posed: Problem, lower_bound: LowerBound) -> Controller:
         """A controller that is designed in another way than by two steps."""

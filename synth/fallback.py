@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from models.common.arrays import Array
+from models.common.numbers import percent
 from synth.certificate.lower_bound import LowerBound
 from synth.design import Design, measurement, two_step_design, widened
 from synth.errors import DesignError, InfeasibleError
@@ -31,7 +32,7 @@ def _lost(plant: GeneralizedPlant, found: Design) -> str:
     gap = found.certificate.gap
     if not plant.weights or (gap is not None and gap <= FAR):
         return ""
-    far = f", {100 * gap:.3g} % above the lower bound" if gap is not None else ""
+    far = f", {percent(gap)} above the lower bound" if gap is not None else ""
     return f"they come to {found.certificate.norm.value:.7g}{far}, as their X feeds back the states of filters, which y has not"
 
 

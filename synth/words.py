@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.numbers import percent
 from models.common.printed import matrix
 from models.controllers import IDEAL
 from models.law import LinearLaw
@@ -116,13 +117,6 @@ def notes(controller: Controller) -> tuple[str, ...]:
     if controller.redundant:
         found.append(f"measures in vain: {', '.join(controller.redundant)} follows from the other signals and is given no gain")
     return tuple(found)
-
-
-def percent(share: float) -> str:
-    """A share in percent; what rounding leaves is 0."""
-    if share <= 1e-9:
-        return "0 %"
-    return f"{100 * share:.2g} %" if share < 0.995 else f"{100 * share:.0f} %"
 
 
 def gain_text(gain: Array) -> str:

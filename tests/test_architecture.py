@@ -52,8 +52,7 @@ ROOMS = {
     "synth.controller": "models synth.certificate synth.plant synth.problem",
     "synth.sampled": "synth.certificate synth.plant",
     "synth.words": "models synth.controller",
-    "synth.implemented": "models synth.certificate synth.controller synth.dynamic synth.plant synth.problem synth.sampled "
-    "synth.words",
+    "synth.implemented": "models synth.certificate synth.controller synth.dynamic synth.plant synth.problem synth.sampled",
     "synth.held": "synth.design synth.errors synth.lmi synth.modes synth.numerics synth.plant synth.sampled synth.scaling "
     "synth.search",
     "synth.designs": "models synth.certificate synth.controller synth.design synth.errors synth.held synth.implemented synth.lmi "
@@ -65,7 +64,7 @@ ROOMS = {
     "synth.command": "models synth.certificate synth.controller synth.design synth.designer synth.errors synth.implemented "
     "synth.lmi synth.plant synth.posed synth.sampled synth.scaling synth.words",
     "synth.rates": "models models.figures synth.controller synth.designer synth.designs synth.errors synth.held "
-    "synth.implemented synth.sampled synth.words",
+    "synth.implemented synth.sampled",
     "synth.__main__": "models synth.certificate synth.command synth.designer synth.errors synth.implemented synth.problem "
     "synth.rates synth.search synth.words",
     # sim: what a run is

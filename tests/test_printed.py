@@ -3,15 +3,18 @@
 import random
 import re
 import shlex
+from pathlib import Path
 
 import pytest
 
 from models.common.errors import InputError
+from models.common.numbers import percent
 from models.common.printed import WIDTH, Whole, command, fitted, matrix, table, wrapped
 from models.vehicle import read_vehicle
 from sim.__main__ import COMMANDS
 from tests.commands import main_of, prose
 
+ROOT = Path(__file__).parent.parent
 LONG = "a_controller_whose_name_is_as_long_as_a_name_may_be_60_signs"
 BUILT = "\n[limits]\nsuspension_stroke = 0.08\nstop_stiffness = 1e5\nactuator_force = 2e3\nactuator_bandwidth = 300.0\n"
 BUILT += "[implementation]\nsample_period = 4e-3\nnoise = { sprung_velocity = 1e-3 }\n"
@@ -178,3 +181,15 @@ def test_bad_input_stays_one_line():
     with pytest.raises(InputError) as raised:
         main_of("sim.bump")(["--controller", "nobody", "--vehicle", "full_car"])
     assert "\n" not in str(raised.value)
+
+
+def test_no_share_is_written_with_a_power_of_ten():
+    """No sentence has "1e+03 %": shares that may be of any size go through `percent`, and others are cut at a hundred."""
+    written = re.compile(r"\{100 \* [^}]*:\+?\.[123]g\} ?%")
+    sources = [path for floor in ("models", "synth", "sim") for path in (ROOT / floor).rglob("*.py")]
+    found = {path.name: written.findall(path.read_text(encoding="utf-8")) for path in sources}
+    allowed = {"numbers.py": 1, "answer.py": 1, "describe.py": 1}  # below 99.5 %; a constant; parts of one whole
+    assert {name: len(texts) for name, texts in found.items() if texts} == allowed
+    assert [percent(share) for share in (0.0, 1e-3, 0.994, 0.996, 1.0, 9.996, 1234.5)] == [
+        *("0 %", "0.1 %", "99 %", "100 %", "100 %", "1000 %", "123450 %")
+    ]

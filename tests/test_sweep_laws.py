@@ -1,22 +1,24 @@
 """Laws in Python in `python -m sim.sweep`: what they make of a sinusoid, and how much of it is elsewhere."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from models.common.errors import InputError
+from models.common.numbers import percent
 from models.own.python_law import Programmed
 from models.reality import Implementation
 from models.vehicle import read_vehicle
 from sim.command.driven import driven
 from sim.frequency.describing_function import DescribingFunction, describing_function, describing_lines, describing_verdict
+from sim.frequency.sweep import holds
 from sim.inspect.log import read_log
 from sim.inspect.proof import prove
 from sim.linear.frequency import as_met, sampled_frequency_response
 from sim.sweep import main
 from synth.designer import Designer
-from synth.words import percent
 from tests.commands import prose
 from tests.test_python_laws import vehicle_of
 
@@ -139,9 +141,18 @@ def test_runs_that_diverge_are_said_once(tmp_path, recwarn, limit):
     assert ("largest L2 gain" in text) is not wild.all()
     assert ("sprung_acceleration" in text) is not wild.all()
     assert "nan" not in text
-    assert verdict == "no linear claim; every run diverged" if wild.all() else "divergence" in verdict
+    assert verdict == "NOTHING MEASURED: every run diverged" if wild.all() else "divergence" in verdict
+    assert holds(found) is not wild.all()
     assert found.drift >= 0.0
     assert not recwarn.list
+
+
+def test_a_law_of_which_nothing_is_measured_is_no_success(tmp_path, capsys):
+    """As `sim.bump` does where nothing is compared, the command exits with 1 where every run diverged, and says why."""
+    path = vehicle_of(tmp_path, WILD.format(limit=-1.0), more=f"preview = {STEP}")
+    assert main(["--vehicle", str(path), "--controller", "mine", "--timestep", f"{STEP}", "--json"]) == 1
+    (found,) = json.loads(capsys.readouterr().out)["sweeps"]
+    assert found["failures"] == ["every run diverged, and nothing is measured"]
 
 
 def test_shares_read_as_percent(tmp_path):

@@ -18,3 +18,10 @@ def finite_pairs(values: Iterable[complex]) -> list[list[float | None]]:
 def cell(value: float | None, form: str, unit: str = "") -> str:
     """A number as a table has it, "-" for one that is infinite or does not exist."""
     return f"{value:{form}}{unit}" if value is not None and math.isfinite(value) else "-"
+
+
+def percent(share: float) -> str:
+    """A share in percent; what rounding leaves is 0."""
+    if share <= 1e-9:
+        return "0 %"
+    return f"{100 * share:.2g} %" if share < 0.995 else f"{100 * share:.0f} %"

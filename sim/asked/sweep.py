@@ -20,7 +20,8 @@ from sim.runs.run import sample_times
 EPILOG = """
 A law in Python has no line of analysis: it is driven over one sinusoid at a time, and of each there are the fundamental and the
 energy outside it.
-exit code: 0 every claim holds, or physics has left the linear regime and the text says how; 1 a claim fails, 2 bad input
+exit code: 0 every claim holds, or physics has left the linear regime and the text says how; 1 a claim fails, or nothing could be
+measured of a law as every run of it diverged; 2 bad input
 
 examples:
   python -m sim.sweep --picture sweep.png

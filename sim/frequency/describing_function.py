@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.numbers import cell, finite, finite_pairs
+from models.common.numbers import cell, finite, finite_pairs, percent
 from models.common.printed import table
 from models.own.python_law import Programmed
 from models.reality import steps_per_sample
@@ -24,7 +24,6 @@ from sim.physics.simulate import simulate
 from sim.response.regime import ended_by
 from sim.response.response import SILENT, Response
 from sim.runs.run import sample_times
-from synth.words import percent
 
 SINUSOIDS = 20  # of the chirp's lines, from its first to its last
 ENTRIES = 2e7  # numbers in a batch's record
@@ -181,10 +180,15 @@ def describing_lines(one: DescribingFunction) -> list[str]:
     return lines
 
 
+def describing_failures(one: DescribingFunction) -> list[str]:
+    """What went wrong, in words: nothing is claimed of a law, but something is to be measured."""
+    return ["every run diverged, and nothing is measured"] if np.all(np.isfinite(one.diverged)) else []
+
+
 def describing_verdict(one: DescribingFunction) -> str:
     """What it came to, in a sentence."""
-    if np.all(np.isfinite(one.diverged)):
-        return "no linear claim; every run diverged"
+    if describing_failures(one):
+        return "NOTHING MEASURED: every run diverged"
     if one.ended:
         return f"no linear claim; outside the linear regime: {', '.join(one.ended)}"
     return f"no linear claim: at most {percent(float(np.nanmax(one.outside)))} of a signal's energy is outside its fundamental"
@@ -208,5 +212,5 @@ def describing_object(one: DescribingFunction) -> dict[str, Any]:
         "gains": [finite(gain) for gain in one.gains],
         "drift": finite(one.drift),
         "ended": list(one.ended),
-        "failures": [],
+        "failures": describing_failures(one),
     }

@@ -11,7 +11,13 @@ from models.common.arrays import Array
 from models.common.numbers import finite, finite_pairs
 from models.common.printed import table, wrapped
 from models.vehicle import Vehicle
-from sim.frequency.describing_function import DescribingFunction, describing_lines, describing_object, describing_verdict
+from sim.frequency.describing_function import (
+    DescribingFunction,
+    describing_failures,
+    describing_lines,
+    describing_object,
+    describing_verdict,
+)
 from sim.frequency.extremes import Extremes, extremes
 from sim.frequency.identification import Lines, difference, ideal_measurements, identify
 from sim.frequency.periodic import WorstRoad, worst_road
@@ -92,9 +98,9 @@ def sweep(
 
 
 def failures(one: Sweep | DescribingFunction) -> list[str]:
-    """The claims that do not hold of a sweep, in words. A law in Python has none."""
+    """The claims that do not hold of a sweep, in words; of a law in Python, of which none is made, that nothing is known."""
     if isinstance(one, DescribingFunction):
-        return []
+        return describing_failures(one)
     failed, found, norm = [], one.lines, one.extremes.worst.gain
     off = difference(found.measured, found.sampled, found.units)
     integrator = SLACK * difference(found.integrated, found.sampled, found.units)
@@ -121,6 +127,11 @@ def failures(one: Sweep | DescribingFunction) -> list[str]:
     if not one.gains["worst sinusoid"] >= norm * (1 - REACHED) - own:
         failed.append(f"the worst sinusoid reaches {one.gains['worst sinusoid']:.7g} of the held-road norm {norm:.7g} only")
     return failed
+
+
+def holds(one: Sweep | DescribingFunction) -> bool:
+    """Whether every claim holds as far as the linear regime goes, and anything was measured at all."""
+    return not failures(one) or (isinstance(one, Sweep) and bool(one.ended))
 
 
 def _road_failures(one: Sweep) -> list[str]:

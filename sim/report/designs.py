@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from models.common.numbers import percent
 from models.figures.page import Section, Table
 from models.vehicle import Vehicle
 from sim.frequency.describing_function import DescribingFunction
@@ -15,7 +16,7 @@ from sim.report.scope import AMPLITUDE, Scope, number
 from sim.runs.words import python_text
 from synth.controller import Controller
 from synth.implemented.claims import against
-from synth.words import judged_lines, percent, states_text
+from synth.words import judged_lines, states_text
 
 OWN_HEADINGS = ("controller", "signal", "unit", "fundamental", "at [Hz]", "energy outside", "at, in Hz")
 FREQUENCIES = (0.1, 1.0, 3.0, 10.0, 25.0)  # Hz, from a body's to above a wheel's

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from models.common.numbers import percent
 from models.figures.page import Section, Table
 from models.reality import Implementation
 from models.roads.road import Bump
@@ -149,7 +150,7 @@ def validity_section(scope: Scope, bump: Bump) -> tuple[Section, list[Finding]]:
             )
         )
         if not cells.as_predicted:
-            text = f"MuJoCo DOES NOT break as predicted in {100 * (1 - cells.agreement):.2g} % of {one.name}'s map."
+            text = f"MuJoCo DOES NOT break as predicted in {percent(1 - cells.agreement)} of {one.name}'s map."
             found.append(Finding(text, "fails"))
     headings = (
         "controller",

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from models.common.numbers import cell, finite
+from models.common.numbers import cell, finite, percent
 from models.common.printed import table
 from models.own.python_law import Programmed
 from models.roads.road import Road
@@ -115,7 +115,7 @@ def metric_lines(run: Run, found: RunMetrics, start: float, end: float) -> list[
         notes.append(f"no metrics of this run: {run.broke_off[0]} at {run.broke_off[1]:.4g} s, and what follows is no vehicle's")
     if found.settled is not None:
         notes.append(
-            f"when measuring begins, the variance of {found.settled.signal} is {100 * found.settled.share:.3g} % of what it "
+            f"when measuring begins, the variance of {found.settled.signal} is {percent(found.settled.share)} of what it "
             "comes to; of no other signal in this table is it further off"
         )
     if found.error is not None:

@@ -38,6 +38,8 @@ def certify_tightly(
 ) -> Certificate:
     """The certificate of a stabilising gain, with a bound just above its norm if one can be proved, else without.
 
+    For gains that come without an X, as from a descent. `certify` judges one that is there, or leaves it at no bound.
+
     Args:
         plant: n states, m inputs.
         G: the gain from measurements (6), or a state gain, shape (m, n).

@@ -184,7 +184,9 @@ def certify(
     lower_bound: LowerBound | None = None,
     by_itself: GeneralizedPlant | None = None,
 ) -> Certificate:
-    """Checks a gain, and its proof if it has one.
+    """Checks a gain, and its proof if it comes with one: an X of an LMI, or of a record.
+
+    Without an X there is no bound. `certify_tightly` finds one for a gain that has none, in some times the time.
 
     Args:
         plant: n states, m inputs.

@@ -33,7 +33,7 @@ def _checked(designer: Designer, entry: ControllerEntry) -> Row:
     certificate, failures = designer.checked(entry)
     controller = Controller(entry.name, entry.measured, entry.law, False, certificate, hardware=entry.hardware)
     norm = norm_if_implemented(designer.vehicle, controller)
-    failures += (*norm_failures(norm), *false_norm(entry.certificate or {}, designer.vehicle, norm))
+    failures += (*norm_failures(norm), *false_norm(entry.certificate, designer.vehicle, lambda: norm))
     note = "checked: every claim of its certificate holds" if entry.certificate and not failures else ""
     note = note or ("its certificate does not hold" if entry.certificate else "came without a certificate")
     return Row(entry.name, controller, (*judged_lines(controller), note), failures, sampled=norm)

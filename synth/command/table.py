@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from models.common.numbers import finite
+from models.common.numbers import finite, percent
 from models.common.printed import command, table, wrapped
 from models.common.shell import option
 from models.vehicle import Vehicle
@@ -17,7 +17,7 @@ from synth.command.witness import Witness
 from synth.controller import Controller
 from synth.implemented.claims import norm_lines, norm_object, norm_record
 from synth.sampled.norm import SampledNorm
-from synth.words import heading_lines, percent
+from synth.words import heading_lines
 
 
 @dataclass(frozen=True, eq=False)

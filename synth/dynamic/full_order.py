@@ -21,6 +21,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
+from models.common.numbers import percent
 from models.law import LinearLaw
 from synth.certificate.bounding import certify_tightly
 from synth.certificate.certificate import FASTEST, Certificate
@@ -165,7 +166,7 @@ def _remark(best: Traded, trade: Sequence[Traded], bound: float, limit: float) -
     """How near a controller came to a bound, and what a nearer one would cost; empty where it is near."""
     if bound and best.norm <= bound * (1 + WITHIN):
         return ""
-    above = f"{100 * (best.norm / bound - 1):.2g} % above the lower bound" if bound else "no lower bound is proved"
+    above = f"{percent(best.norm / bound - 1)} above the lower bound" if bound else "no lower bound is proved"
     least = min((each.norm for each in trade), default=best.norm) * (1 + WITHIN)
     if best.norm <= least:
         return f"{above}: faster controllers hardly come nearer, so that the bound is not sharp or no controller attains it"

@@ -1,10 +1,10 @@
 """The norm of a loop as it is implemented, among what is claimed of a controller: in words, in records, and held against them."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
-from models.common.numbers import finite
+from models.common.numbers import finite, percent
 from models.controllers import IDEAL
 from models.reality import USUAL_TIMESTEP, Limits
 from models.vehicle import Vehicle
@@ -12,7 +12,6 @@ from synth.certificate.record import SAMPLED_NORM
 from synth.controller import Controller
 from synth.implemented.norm import norm_as_implemented
 from synth.sampled.norm import ABOVE, SampledNorm
-from synth.words import percent
 
 SAME = 10 * ABOVE  # relative: two machines agree in a norm that lies between two levels so close
 ROUTES_AGREE = 1e-6  # relative: a norm, and what an actual disturbance reaches of it
@@ -32,11 +31,19 @@ def norm_object(norm: SampledNorm | None) -> dict[str, Any]:
     """The norm as JSON has it, with what proves it; empty where there is none."""
     if norm is None:
         return {}
-    proof = None
-    if norm.stable:
-        proof = {"above": norm.lower, "below": norm.upper, "reached": norm.reached, "angle": finite(norm.angle)}
-        proof |= {"decided_within_a_period": norm.inside, "by_sweep": norm.by_sweep}
-    return {SAMPLED_NORM: finite(norm.value), f"{SAMPLED_NORM}_proof": proof}
+    return {SAMPLED_NORM: finite(norm.value), f"{SAMPLED_NORM}_proof": proof_object(norm) if norm.stable else None}
+
+
+def proof_object(norm: SampledNorm) -> dict[str, Any]:
+    """What proves a norm that is not infinite, as JSON has it."""
+    return {
+        "above": norm.lower,
+        "below": norm.upper,
+        "reached": norm.reached,
+        "angle": finite(norm.angle),
+        "decided_within_a_period": norm.inside,
+        "by_sweep": norm.by_sweep,
+    }
 
 
 def norm_lines(vehicle: Vehicle, controller: Controller, norm: SampledNorm | None) -> list[str]:
@@ -90,26 +97,22 @@ def against(value: float, other: float) -> str:
     return "equal to" if abs(share) <= SAME else f"{percent(abs(share))} {'below' if share < 0 else 'above'}"
 
 
-def false_norm(record: Mapping[str, Any], vehicle: Vehicle, norm: SampledNorm | None) -> tuple[str, ...]:
+def false_norm(record: Mapping[str, Any] | None, vehicle: Vehicle, found: Callable[[], SampledNorm | None]) -> tuple[str, ...]:
     """What a record claims in vain of the norm as implemented, in words.
 
     Args:
-        record: a certificate, whose numbers are numbers.
+        record: a certificate, whose numbers are numbers; None where a controller came without one.
         vehicle: it says how the controller is implemented.
-        norm: as it is found.
+        found: finds the norm (`norm_if_implemented`); it is called only where one is claimed.
     """
-    said = record.get(SAMPLED_NORM)
-    if said is None or (norm is not None and abs(norm.value - said) <= SAME * said):
+    said = (record or {}).get(SAMPLED_NORM)
+    if said is None:
+        return ()
+    norm = found()
+    if norm is not None and abs(norm.value - said) <= SAME * said:
         return ()
     claimed = f"the sampled norm is claimed to be {said:.10g}"
     if norm is None:
         return (f"{claimed}, and [implementation] has neither sample_period nor delay",)
     is_now = f"{norm.value:.10g}" if norm.stable else "infinite"
     return (f"{claimed}, and is {is_now} with {built_words(vehicle)}",)
-
-
-def wrong_norm(controller: Controller, record: Mapping[str, Any] | None, vehicle: Vehicle) -> tuple[str, ...]:
-    """What a controller's record claims in vain of the norm as implemented, where it claims one, in words."""
-    if record is None or record.get(SAMPLED_NORM) is None:
-        return ()
-    return false_norm(record, vehicle, norm_if_implemented(vehicle, controller))

@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from typing import Any
 
 from models.common.errors import some
-from models.common.numbers import finite
+from models.common.numbers import finite, percent
 from models.common.printed import table, wrapped
 from models.reality import LONGEST_PERIOD, samples_late
-from synth.implemented.claims import norm_failures
+from synth.implemented.claims import norm_failures, proof_object
 from synth.rates.cost import AtRate, Cost
 from synth.rates.lost import SHORTEST
 from synth.sampled.norm import SampledNorm
-from synth.words import percent
 
 LITTLE = 1e-2  # relative: the slowest rate that costs no more is spoken of
 SAME = 5e-9  # relative: what is nearer to the continuous norm is it
@@ -111,11 +110,8 @@ def _object(one: Cost, norm: SampledNorm) -> dict[str, Any] | None:
         return None
     return {
         "value": norm.value,
-        "above": norm.lower,
-        "below": norm.upper,
-        "reached": norm.reached,
         "loss": finite(one.loss(norm)),
-        "decided_within_a_period": norm.inside,
+        **proof_object(norm),
     }
 
 

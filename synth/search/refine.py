@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.numbers import percent
 from synth.errors import DesignError
 from synth.numerics import numerics
 from synth.plant import GeneralizedPlant
@@ -45,11 +46,11 @@ class Refinement:
     @property
     def traded(self) -> str:
         """What was traded, in words."""
-        text = f"gamma {self.before:.7g} -> {self.after:.7g} ({100 * (self.after / self.before - 1):+.2g} %), "
+        text = f"gamma {self.before:.7g} -> {self.after:.7g} ({percent(1 - self.after / self.before)} less), "
         text += f"largest gain times {self.growth:.3g}"
         if self.refused is not None:
             bought, growth = self.refused
-            text += f"; refused: {100 * bought:.2g} % more of gamma for {growth:.3g} times the gain"
+            text += f"; refused: {percent(bought)} more of gamma for {growth:.3g} times the gain"
         return text
 
 
