@@ -1,10 +1,11 @@
-"""The paper's LMI problems as the paper writes them, solved by Clarabel through cvxpy. The only file that knows cvxpy.
+"""The paper's LMI problems as the paper writes them, solved by Clarabel through cvxpy.
 
 An independent route to every bound: the designs come from the central path (`central.py`), which needs no solver.
 """
 
 import warnings
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -73,14 +74,7 @@ def solve_lmi(plant: GeneralizedPlant, Q: Array, R: Array, gain: Array | None = 
         border = step**0.5 * cp.vstack([top, low])
         F = cp.bmat([[F, border], [border.T, -X]])
     problem = cp.Problem(cp.Maximize(eta), [F << 0, *positive])
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # "may be inaccurate": the status says so too, and eta is looked at below
-            problem.solve(solver=cp.CLARABEL)
-    except cp.SolverError as error:
-        raise DesignError(f"Clarabel gave up on the LMI problem: {error}; rescale the plant or use the central path") from error
-    if problem.status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE):
-        raise InfeasibleError(f"the LMI problem has no solution with eta > 0: Clarabel reports {problem.status!r}")
+    answered(problem)
     X_value, Y_value, eta_value = np.asarray(X.value), np.asarray(Y.value), float(eta.value)  # pyright: ignore[reportArgumentType]
     # Against the X that comes with it, what Clarabel's tolerance of 1e-8 cannot tell from zero is zero.
     if eta_value <= 1e-8 * np.linalg.norm(X_value, 2):
@@ -89,3 +83,26 @@ def solve_lmi(plant: GeneralizedPlant, Q: Array, R: Array, gain: Array | None = 
         )
     per_step = 1.0 if step is None else step  # (21) in differences has X over it
     return LmiSolution(per_step * X_value, per_step * Y_value, eta_value, problem.status)
+
+
+def answered(problem: Any, **settings: float) -> None:
+    """Has Clarabel solve a `cvxpy.Problem`; its unknowns have values then, and what they are worth the caller finds out.
+
+    Args:
+        problem: with an objective.
+        settings: Clarabel's own, where its usual ones do not do.
+
+    Raises:
+        InfeasibleError: the solver says so.
+        DesignError: the solver gave up.
+    """
+    import cvxpy as cp
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # "may be inaccurate": the status says so too, and callers look at the values
+            problem.solve(solver=cp.CLARABEL, **settings)
+    except cp.SolverError as error:
+        raise DesignError(f"Clarabel gave up on the LMI problem: {error}; rescale the plant or use the central path") from error
+    if problem.status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE):
+        raise InfeasibleError(f"the LMI problem has no solution with eta > 0: Clarabel reports {problem.status!r}")
