@@ -47,6 +47,7 @@ ROOMS = {
     "synth.design": "synth.certificate synth.errors synth.lmi synth.modes synth.numerics synth.plant synth.posed synth.scaling",
     "synth.search": "models synth.certificate synth.design synth.discrete synth.dynamic synth.errors synth.lmi synth.numerics "
     "synth.plant synth.scaling",
+    "synth.tolerance": "models synth.certificate synth.discrete synth.dynamic synth.lmi synth.numerics synth.plant synth.search",
     "synth.fallback": "synth.certificate synth.design synth.errors synth.lmi synth.plant synth.search",
     "synth.redesign": "synth.design synth.errors synth.fallback synth.lmi synth.numerics synth.plant synth.scaling",
     "synth.problem": "models models.filters synth.dynamic synth.plant",

@@ -50,7 +50,7 @@ class LmiProof:
     @property
     def bound(self) -> float:
         """eta^-1/2, rounded upwards."""
-        return _inverse_root(self.eta)
+        return bound_of(self.eta)
 
     @property
     def failures(self) -> tuple[str, ...]:
@@ -252,7 +252,7 @@ def eta_of(bound: float) -> float:
     return eta
 
 
-def _inverse_root(eta: float) -> float:
+def bound_of(eta: float) -> float:
     """gamma = eta^-1/2, rounded upwards."""
     bound = float(eta**-0.5)
     while Fraction(bound) ** 2 * Fraction(eta) < 1:
