@@ -101,11 +101,16 @@ def stays_below(loop: GeneralizedPlant, low: float, high: float, level: float) -
     return gain.on_axis is None and not _exceeded(gain, level)
 
 
-def _gain(loop: GeneralizedPlant, low: float, high: float) -> Gain:
+def check_band(low: float, high: float) -> None:
+    """Raises an InputError where from low to high [rad/s] is no band."""
     if not 0 <= low < high:
         raise InputError(
             f"from {quoted(low)} to {quoted(high)} rad/s is no band; give where it begins, from 0, and where it ends, above that"
         )
+
+
+def _gain(loop: GeneralizedPlant, low: float, high: float) -> Gain:
+    check_band(low, high)
     if loop.dt is None:
         return Gain(loop, low, high)
     if low * loop.dt >= np.pi:
