@@ -30,6 +30,16 @@ class Heights:
         self.highest, self.at = 0.0, np.ones(sum(gain.K.shape))
         self._known: dict[bytes, tuple[float, float]] = {}
 
+    def exceeds(self, factors: Array, level: float) -> bool:
+        """Whether the norm under factors is above a level, or of an infinite one the loop unstable; it is not remembered."""
+        try:
+            point = self.landscape.point(self.gain.acting(factors))
+        except np.linalg.LinAlgError:
+            return True
+        if np.isinf(level):
+            return not self.landscape.abscissa(point)[0] < 0
+        return self.landscape.norm(point, level)[0] > level
+
     def norm(self, factors: Array) -> float:
         """The norm under factors, shape (q + m,); infinite where the loop is unstable, or has no answer."""
         return self._peak(factors)[0]
@@ -58,7 +68,7 @@ class Heights:
 def climb(heights: Heights, box: Box) -> None:
     """Looks for the largest norm in a box; `heights` remembers it. It ends where a loop is unstable."""
     free = box.free
-    points = box.corners if len(free) <= ALL else _by_flips(heights, box)
+    points = box.corners if len(free) <= ALL else by_flips(heights, box)
     points = np.concatenate([points, box.middle[None]])
     values = [heights.norm(point) for point in points]
     if not (len(free) and np.isfinite(heights.highest)):
@@ -71,8 +81,8 @@ def climb(heights: Heights, box: Box) -> None:
         _inside(heights, box, points[i])
 
 
-def _by_flips(heights: Heights, box: Box) -> Array:
-    """Corners that no flip of one factor makes higher, shape (k, q + m)."""
+def by_flips(heights: Heights, box: Box) -> Array:
+    """Corners that no flip of one factor makes higher, or the middle of the box where its loop is unstable, shape (k, q + m)."""
     free, middle = box.free, box.middle
     if not np.isfinite(heights.norm(middle)):
         return middle[None]
