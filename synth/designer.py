@@ -16,6 +16,7 @@ from synth.certificate.lower_bound import LowerBound
 from synth.controller import Controller, alike, certified, checked, on_readings
 from synth.design import state_design, zero_l_design
 from synth.designs.designed import designed, one_by_one
+from synth.designs.in_the_mean import white_noise
 from synth.designs.refined import Refined
 from synth.designs.sampled import sampled_design
 from synth.designs.shared import Shared
@@ -127,13 +128,9 @@ class Designer:
 
     def _named(self, entry: ControllerEntry, posed: Problem, lower_bound: LowerBound) -> Controller:
         """A controller that is designed in another way than by two steps."""
-        how, hardware = self.vehicle.implementation, entry.hardware
-        Cy, Dyw = posed.rows(posed.of_state)
-        # Drawn every T seconds, noise of rms sigma is white noise of sigma sqrt(T).
-        of_state = [entry.measured[i] for i in posed.of_state]
-        rms = [how.noise.get(signal, 0.0) * (how.sample_period or 0.0) ** 0.5 for signal in of_state]
-        noise = rms if any(rms) else None
-        found = named_design(entry.design, posed.plant, Cy, lower_bound, self.shared(hardware).states, noise, Dyw)
+        hardware, (Cy, Dyw) = entry.hardware, posed.rows(posed.of_state)
+        states, noise = self.shared(hardware).states, white_noise(self.vehicle, entry, posed)
+        found = named_design(entry.design, posed.plant, Cy, lower_bound, states, noise, Dyw)
         law = on_readings(found.law, posed)
         certificate = replace(found.certificate, below=lower_bound)
         return Controller(entry.name, entry.measured, law, True, certificate, remarks=found.remarks, hardware=hardware)

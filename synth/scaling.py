@@ -16,6 +16,7 @@ TOGETHER = 1e-4  # of one equation: how much it counts that a norm has one unit 
 OPEN = 1e-11  # of the largest eigenvalue of the normal equations: units that nothing decides; of those decided none is below 1e-8
 FINEST = 2.0**-20  # of an exponent of two: what rounding leaves of one is less, so that in powers of two the same is the same
 UPWARDS = 0.53  # so that a unit half-way between two powers of two, as are those of entries that are such powers, is no tie
+DEPENDENT = 1e-10  # smallest singular value of rows of length one
 
 
 def reachable(plant: GeneralizedPlant, free: int) -> Array:
@@ -89,6 +90,22 @@ def orthonormal_rows(rows: Array) -> tuple[Array, Array]:
     basis, triangle = np.linalg.qr((rows / lengths[:, None]).T)
     signs = np.where(np.diagonal(triangle) < 0, -1.0, 1.0)  # alike for rows that are alike
     return (basis * signs).T, lengths[:, None] * (signs[:, None] * triangle).T
+
+
+def independent(rows: Array) -> list[int]:
+    """Which rows do not follow from those before them, ascending, whatever the unit of each; none may be zero."""
+    rows, _ = unit_rows(rows)
+    kept: list[int] = []
+    for i in range(len(rows)):
+        if np.linalg.svd(rows[[*kept, i]], compute_uv=False)[-1] > DEPENDENT and len(kept) < rows.shape[1]:
+            kept.append(i)
+    return kept
+
+
+def unit_rows(Cy: Array) -> tuple[Array, Array]:
+    """Rows of length one, so that no unit of a measurement makes another vanish, and the lengths, shape (q,)."""
+    lengths = np.linalg.norm(Cy, axis=1)
+    return Cy / lengths[:, None], lengths
 
 
 def own_units(plant: GeneralizedPlant, Cy: Array | None = None) -> OwnUnits:

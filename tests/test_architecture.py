@@ -57,8 +57,8 @@ ROOMS = {
     "synth.implemented": "models synth.certificate synth.controller synth.dynamic synth.plant synth.problem synth.sampled",
     "synth.held": "synth.design synth.errors synth.lmi synth.modes synth.numerics synth.plant synth.sampled synth.scaling "
     "synth.search",
-    "synth.designs": "models synth.certificate synth.controller synth.design synth.errors synth.held synth.implemented synth.lmi "
-    "synth.problem synth.search",
+    "synth.designs": "models synth.certificate synth.controller synth.design synth.dynamic synth.errors synth.held "
+    "synth.implemented synth.lmi synth.problem synth.search",
     "synth.designer": "models synth.certificate synth.controller synth.design synth.designs synth.dynamic synth.errors "
     "synth.fallback synth.implemented synth.lmi synth.plant synth.problem synth.redesign synth.search",
     "synth.state_space": "models synth.controller synth.designer synth.plant synth.problem",
@@ -83,8 +83,8 @@ ROOMS = {
     "sim.recording": "models.figures sim.physics sim.response models.roads sim.runs",
     "sim.command": "sim.recording sim.runs",
     "sim.asked": "models.figures sim.command sim.frequency sim.response models.roads sim.runs sim.stability sim.validity",
-    "sim.inspect": "sim.asked sim.linear sim.physics sim.recording sim.response sim.ride models.roads sim.runs synth.problem "
-    "synth.words",
+    "sim.inspect": "sim.asked sim.linear sim.physics sim.recording sim.response sim.ride models.roads sim.runs "
+    "synth.designs synth.dynamic synth.problem synth.words",
     "sim.campaign": "sim.command sim.physics sim.response sim.ride models.roads sim.runs synth.designer",
     "sim.report": "sim.command models.figures sim.frequency sim.linear sim.physics sim.response sim.ride models.roads "
     "sim.runs sim.stability sim.validity synth.designer synth.paper synth.words",

@@ -1,6 +1,7 @@
 """Controllers that a vehicle file has designed by name: full order, LQR, LQG, H2, with accelerometers too."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,11 +10,15 @@ import pytest
 from models.common.errors import InputError
 from models.roads.road import Bump
 from models.vehicle import Vehicle, parse_vehicle, read_vehicle
+from sim.bump import main as bump
+from sim.inspect.__main__ import main as inspect
+from sim.inspect.claims import check_design
 from sim.runs.run import run_all, sample_times
 from synth.__main__ import main
 from synth.command.check import check
 from synth.designer import Designer
 from synth.errors import DesignError
+from tests.rewriting import contents, written
 
 ROOT = Path(__file__).parents[1]
 ACCELERATIONS = {"quarter_car": ("sprung",), "half_car": ("heave", "pitch"), "full_car": ("heave", "pitch", "roll")}
@@ -152,3 +157,38 @@ def test_what_is_saved_of_noise_is_checked(kind, tmp_path, capsys):
     assert ("intensity one, and what is measured has its noise" in words) == ("lqg" in kind)
     assert ("intensity one, and the noise in what is measured as w counts it" in words) == ("h2" in kind)
     assert main(["--check", str(saved)]) == 0
+
+
+@pytest.mark.parametrize("kind", ["lqr", "lqg", "h2"])
+@pytest.mark.parametrize("asked", ["lqr", "lqg", "h2"])
+def test_a_log_is_of_the_design_that_its_vehicle_file_asks_for(kind, asked, tmp_path, capsys):
+    """LQR, LQG and H2 follow from the file alone: inspect makes them anew, and finds another law out."""
+    states = read_vehicle("quarter_car").linear_model.states
+    noise = ", ".join(f"{name} = 5.0" for name in states)  # loud, so that LQG and H2 have little in common
+    said = f"[implementation]\nsample_period = 0.002\nnoise = {{ {noise} }}\n"
+    said += f'[controllers.best]\nmeasured = {json.dumps(states)}\ndesign = "{kind}"\n'
+    path = tmp_path / "car.toml"
+    path.write_text(f"{read_vehicle('quarter_car').text}\n{said}")
+    options = ["--vehicle", str(path), "--controller", "best", "--duration", "0.2", "--timestep", "1e-3"]
+    bump([*options, "--logs", str(tmp_path / "logs")])
+    (log,) = (tmp_path / "logs").glob("*.mcap")
+    was, now = f'design = "{kind}"'.encode(), f'design = "{asked}"'.encode()
+    parts = contents(log).with_attachment("vehicle.toml", lambda text: text.replace(was, now))
+    log.write_bytes(written(parts))
+    capsys.readouterr()
+    assert inspect([str(log), "--json"]) == (0 if kind == asked else 1)
+    (run,) = json.loads(capsys.readouterr().out)["runs"]
+    (found,) = [one for one in run["findings"] if one["part"] == "design"]
+    assert found["verdict"] == ("holds" if kind == asked else "FAILS")
+    assert f'design = "{asked}" of vehicle.toml' in found["text"]
+
+
+@pytest.mark.parametrize(("change", "verdict"), [(0.0, "holds"), (1e-4, "note"), (-1.0, "FAILS")])
+def test_what_was_assumed_may_be_another_elsewhere(change, verdict):
+    """Where a design rests on what was assumed, a law that is nearly as good in the mean is noted, and a worse one is none."""
+    vehicle = with_designs("quarter_car")
+    controller = Designer(vehicle).design("h2")
+    assert "was assumed" in " ".join(controller.remarks)
+    other = replace(controller, law=controller.law.scaled(1 + change))
+    (found,) = check_design(vehicle, other)
+    assert found.verdict == verdict

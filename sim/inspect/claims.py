@@ -10,6 +10,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.numbers import finite
+from models.controllers import DESIGNS
 from models.signals import is_kept
 from models.vehicle import Vehicle
 from sim.inspect.findings import FAILS, HOLDS, MISSING, NOTE, SAME, Finding, apart, count, different, folded, off, same
@@ -24,6 +25,8 @@ from sim.runs.run import Run
 from sim.runs.words import energy_lines, energy_object, half_step_object, run_object, verdict_lines
 from synth.certificate.record import false_claims, to_record
 from synth.controller import Controller
+from synth.designs.in_the_mean import best_in_the_mean, mean_of
+from synth.dynamic.quadratic import ASSUMED
 from synth.implemented.claims import false_norm, norm_failures, norm_if_implemented
 
 
@@ -86,6 +89,36 @@ def check_certificate(
     at = f" at {certificate.norm.peak_frequency:.5g} rad/s" if math.isfinite(certificate.norm.peak_frequency) else ""
     sampled = f", sampled norm {norm.value:.7g}" if norm is not None and norm.stable else ""
     yield Finding("certificate", HOLDS, f"stable, norm {certificate.norm.value:.7g}{at}{bound}{below}{sampled}")
+
+
+def check_design(vehicle: Vehicle, controller: Controller) -> Iterator[Finding]:
+    """Whether a law is what its section asks for, where that follows without a search: the best in the mean, LQR, LQG or H2.
+
+    Laws are compared by what they answer at frequencies around their poles, which no coordinates of their states change.
+
+    Args:
+        vehicle: of the vehicle file; for its `[implementation]` it was designed.
+        controller: its law is the logged one.
+    """
+    entry = vehicle.controllers.get(controller.name)
+    if entry is None or entry.design not in DESIGNS:
+        return
+    best, asked = best_in_the_mean(vehicle, entry), f'design = "{entry.design}" of vehicle.toml'
+    logged, now = controller.law, best.law
+    rates = np.abs(np.linalg.eigvals(now.A))
+    slowest, fastest = rates[rates > 0].min(initial=1.0), rates.max(initial=1.0)
+    omega = np.geomspace(0.1 * slowest, 10 * fastest, 3 * now.states + 1).tolist()
+    answers = np.stack([now.response(each) for each in omega])
+    far = off(np.stack([logged.response(each) for each in omega]), answers) if logged.states == now.states else math.inf
+    if far <= SAME:
+        how = f"to {far:.0e}" if far else "to the last bit"
+        yield Finding("design", HOLDS, f"it is the law that {asked} comes to, {how}")
+        return
+    mean = mean_of(vehicle, entry, controller.law) if controller.certificate.stable else math.inf
+    text = f"it is not the law that {asked} comes to: H2 norm {mean:.7g}, and that has {best.h2_norm:.7g}"
+    # What was assumed is a share of the plant's own units, which are powers of two, and rounding may decide which.
+    near = best.remark and logged.states == now.states and mean <= best.h2_norm * (1 + ASSUMED)
+    yield Finding("design", NOTE, f"{text}; {best.remark}") if near else Finding("design", FAILS, text)
 
 
 def check_linear(again: Prediction, recorded: RecordedRun, samples: int) -> Iterator[Finding]:

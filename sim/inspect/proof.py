@@ -11,6 +11,7 @@ from models.common.errors import InputError
 from models.vehicle import Vehicle
 from sim.inspect.claims import (
     check_certificate,
+    check_design,
     check_energy,
     check_linear,
     check_physics,
@@ -204,6 +205,7 @@ def _inspect(log: Recorded, vehicle: Vehicle, recorded: RecordedRun, h: float, c
         return inspected()
     if isinstance(controller, Controller):
         findings += _guarded("certificate", FAILS, lambda: check_certificate(own, controller, recorded, h, current))
+        findings += _guarded("design", FAILS, lambda: check_design(vehicle, controller))
     else:
         findings.append(Finding("certificate", NOTE, f"{NO_CLAIM}; {NOT_RUN}"))
     if samples < FEWEST:

@@ -13,9 +13,8 @@ from scipy import linalg
 
 from models.common.arrays import Array
 from models.law import LinearLaw
-from synth.lmi.output_feedback import independent
 from synth.plant import GeneralizedPlant, check_continuous
-from synth.scaling import OwnUnits, orthonormal_rows, own_units, size
+from synth.scaling import OwnUnits, independent, orthonormal_rows, own_units, size
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,8 +10,7 @@ from models.law import LinearLaw
 from synth.certificate.certificate import Certificate
 from synth.certificate.lower_bound import LowerBound
 from synth.dynamic.full_order import full_order_design
-from synth.dynamic.quadratic import h2_design, lqg_design, lqr_design
-from synth.errors import DesignError
+from synth.dynamic.quadratic import quadratic_design
 from synth.plant import GeneralizedPlant
 
 
@@ -51,23 +50,12 @@ def named_design(
         Dyw: shape (q, r), for "full" and "h2"; None for zero.
 
     Raises:
-        DesignError: LQR is asked for where not every state is measured.
-        InputError, InfeasibleError, DesignError: as `full_order_design`, `lqr_design`, `lqg_design` and `h2_design`.
+        InputError, InfeasibleError, DesignError: as `full_order_design` and `quadratic_design`.
     """
     if name == "full":
         full = full_order_design(plant, Cy, Dyw, lower_bound, states)
         return NamedDesign(full.law, full.certificate, (full.remark,) if full.remark else ())
-    if name == "lqr":
-        if len(Cy) < len(plant.A):
-            raise DesignError(
-                "LQR feeds back every state, and those of filters in [performance] are not measured; give design = "
-                '"lqg" or "h2", or order = "full", or constant weights'
-            )
-        found = lqr_design(plant, states)
-        law = LinearLaw(found.law.A, np.zeros((0, len(Cy))), found.law.C, np.linalg.solve(Cy.T, found.law.D.T).T)
-    else:
-        found = lqg_design(plant, Cy, noise, states) if name == "lqg" else h2_design(plant, Cy, Dyw, states)
-        law = found.law
+    found = quadratic_design(name, plant, Cy, states, noise, Dyw)
     # Noise in D_yw is part of w, in the scale in which that counts it; LQG's has its own intensity.
     heard = {"lqg": noise, "h2": Dyw}.get(name)
     beside = {"lqg": ", and what is measured has its noise", "h2": ", and the noise in what is measured as w counts it"}
@@ -75,4 +63,4 @@ def named_design(
         f"the best in the mean: H2 norm {found.h2_norm:.7g}, the rms of z where road velocity is white noise of intensity one"
         f"{beside[name] if heard is not None and np.any(heard) else ''}"
     )
-    return NamedDesign(law, found.certificate, (best, *([found.remark] if found.remark else [])))
+    return NamedDesign(found.law, found.certificate, (best, *([found.remark] if found.remark else [])))

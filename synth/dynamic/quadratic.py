@@ -108,6 +108,39 @@ def h2_design(plant: GeneralizedPlant, Cy: Array, Dyw: Array | None = None, stat
     return _design(plant, *measurement_matrices(plant, Cy, Dyw), states, False)
 
 
+def quadratic_design(
+    name: str,
+    plant: GeneralizedPlant,
+    Cy: Array,
+    states: Sequence[str] = (),
+    noise: Sequence[float] | None = None,
+    Dyw: Array | None = None,
+) -> QuadraticDesign:
+    """One of these by its name, its law on y = C_y x.
+
+    Args:
+        name: "lqr", "lqg" or "h2".
+        plant: n states, m inputs.
+        Cy: shape (q, n); for "lqr" as many rows as states, which it is of.
+        states: names of the states, for messages.
+        noise: of each measurement, for "lqg"; None where there is none.
+        Dyw: shape (q, r), for "h2"; None for zero.
+
+    Raises:
+        DesignError: LQR is asked for where not every state is measured.
+        InputError, InfeasibleError, DesignError: as `lqr_design`, `lqg_design` and `h2_design`.
+    """
+    if name != "lqr":
+        return lqg_design(plant, Cy, noise, states) if name == "lqg" else h2_design(plant, Cy, Dyw, states)
+    if len(Cy) < len(plant.A):
+        raise DesignError(
+            "LQR feeds back every state, and those of filters in [performance] are not measured; give design = "
+            '"lqg" or "h2", or order = "full", or constant weights'
+        )
+    found = lqr_design(plant, states)
+    return replace(found, law=static_law(np.linalg.solve(Cy.T, found.law.D.T).T))
+
+
 def h2_norm(loop: GeneralizedPlant) -> float:
     """Root of the mean square of z under white noise w, through the states of a stable loop alone."""
     A, scale = balance(loop.A)
@@ -133,7 +166,7 @@ def _design(
     check_posed(plant)
     if reasons := "; ".join(obstacles(plant, Cy, states)):
         raise InfeasibleError(reasons)
-    shaken = plant if noise is None else _widened(plant, noise.shape[1])
+    shaken = plant if noise is None else widened(plant, noise.shape[1])
     own = Measured.of(shaken, Cy, Dyw if noise is None else noise)
     A, B, C, D = own.plant.A, own.plant.B, own.plant.C, own.plant.D
     cost, unheard = missing(D, ASSUMED), missing(own.Dyw.T, ASSUMED)
@@ -154,7 +187,7 @@ def _design(
     return QuadraticDesign(law, h2_norm(larger.closed_loop(G)), certificate, remark)
 
 
-def _widened(plant: GeneralizedPlant, r: int) -> GeneralizedPlant:
+def widened(plant: GeneralizedPlant, r: int) -> GeneralizedPlant:
     """The plant with so many disturbances; those that it has not got do nothing to it."""
     more = r - plant.Bw.shape[1]
     Bw, Dw = (np.hstack([matrix, np.zeros((len(matrix), more))]) for matrix in (plant.Bw, plant.Dw))

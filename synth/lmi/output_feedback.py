@@ -7,14 +7,12 @@ from models.common.arrays import Array
 from synth.errors import DesignError, InfeasibleError
 from synth.lmi.central import CentralPoint, central_path
 from synth.plant import GeneralizedPlant
-from synth.scaling import own_units
-
-DEPENDENT = 1e-10  # smallest singular value of rows of length one
+from synth.scaling import independent, own_units, unit_rows
 
 
 def nullspace(Cy: Array) -> Array:
     """Q: an orthonormal basis of the nullspace of C_y, shape (n, n - q). Its signs and order are arbitrary; K is not affected."""
-    return linalg.null_space(_unit_rows(Cy)[0])
+    return linalg.null_space(unit_rows(Cy)[0])
 
 
 def independent_rows(plant: GeneralizedPlant, Cy: Array) -> list[int]:
@@ -29,16 +27,6 @@ def independent_rows(plant: GeneralizedPlant, Cy: Array) -> list[int]:
     return independent(Cy * own_units(plant, Cy).states)
 
 
-def independent(rows: Array) -> list[int]:
-    """Which rows do not follow from those before them, ascending, whatever the unit of each; none may be zero."""
-    rows, _ = _unit_rows(rows)
-    kept: list[int] = []
-    for i in range(len(rows)):
-        if np.linalg.svd(rows[[*kept, i]], compute_uv=False)[-1] > DEPENDENT and len(kept) < rows.shape[1]:
-            kept.append(i)
-    return kept
-
-
 def l_matrix(X: Array, Cy: Array, Q: Array) -> Array:
     """L = Q^+ X C_y' (C_y X C_y')^-1, shape (n - q, q), equation (14).
 
@@ -50,7 +38,7 @@ def l_matrix(X: Array, Cy: Array, Q: Array) -> Array:
     Raises:
         DesignError: rounding leaves C_y X C_y' no inverse.
     """
-    rows, lengths = _unit_rows(Cy)
+    rows, lengths = unit_rows(Cy)
     try:
         return np.linalg.pinv(Q) @ X @ rows.T @ np.linalg.inv(rows @ X @ rows.T) / lengths
     except np.linalg.LinAlgError as error:
@@ -62,14 +50,8 @@ def l_matrix(X: Array, Cy: Array, Q: Array) -> Array:
 
 def r_matrix(Cy: Array, Q: Array, L: Array) -> Array:
     """R = C_y^+ + Q L, shape (n, q), equation (9)."""
-    rows, lengths = _unit_rows(Cy)
+    rows, lengths = unit_rows(Cy)
     return np.linalg.pinv(rows) / lengths + Q @ L
-
-
-def _unit_rows(Cy: Array) -> tuple[Array, Array]:
-    """Rows of length one, so that no unit of a measurement makes another vanish, and the lengths, shape (q,)."""
-    lengths = np.linalg.norm(Cy, axis=1)
-    return Cy / lengths[:, None], lengths
 
 
 def output_feedback(plant: GeneralizedPlant, Cy: Array, L: Array, Q: Array) -> list[CentralPoint]:
