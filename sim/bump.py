@@ -9,11 +9,9 @@ from models.figures.outputs import check_outputs
 from models.roads.road import Bump
 from models.vehicle import Vehicle, read_vehicle
 from sim.asked.bump import asked_road, parser
-from sim.command.claims import say_false_claims
-from sim.command.comparison import check_view, compared_lines, view
-from sim.command.driven import driven
+from sim.command.comparison import check_view, compared_lines, run_beside_passive, view
 from sim.command.logs import log_lines, recorded
-from sim.runs.run import Run, run_all, sample_times
+from sim.runs.run import Run, sample_times
 from sim.runs.words import half_step_object, run_object, summary_lines
 from synth.designer import Designer
 
@@ -32,11 +30,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     check_view(options)
     check_outputs({"logs": options.logs}, vehicle.files)
 
-    together, designer = list(dict.fromkeys([*names, "passive"])), Designer(vehicle)  # with which they are compared
-    controllers = driven(vehicle, together, designer.design)
-    say_false_claims(controllers)
-    runs = run_all(vehicle, controllers, road, time)
-    passive, runs = runs[together.index("passive")], runs[: len(names)]
+    runs, passive = run_beside_passive(vehicle, names, Designer(vehicle).design, road, time)
     result = {
         "runs": [run_object(run) | {"half_step": half_step_object(run)} for run in runs],
         "road": road.describe(),

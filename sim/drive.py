@@ -8,13 +8,11 @@ from models.common.printed import say, titled
 from models.figures.outputs import check_outputs
 from models.vehicle import read_vehicle
 from sim.asked.drive import asked_road, parser
-from sim.command.claims import say_false_claims
-from sim.command.comparison import check_view, compared_lines, view
-from sim.command.driven import driven
+from sim.command.comparison import check_view, compared_lines, run_beside_passive, view
 from sim.command.logs import log_lines, recorded
 from sim.ride.measured import first_sample, measure_run, metric_lines, metrics_object
 from sim.ride.metrics import DEFINITIONS
-from sim.runs.run import run_all, sample_times
+from sim.runs.run import sample_times
 from sim.runs.words import half_step_object, run_object, summary_lines
 from synth.designer import Designer
 
@@ -33,11 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     check_view(options)
     check_outputs({"logs": options.logs}, vehicle.files)
 
-    together, designer = list(dict.fromkeys([*names, "passive"])), Designer(vehicle)  # with which they are compared
-    controllers = driven(vehicle, together, designer.design)
-    say_false_claims(controllers)
-    runs = run_all(vehicle, controllers, road, time)
-    passive, runs = runs[together.index("passive")], runs[: len(names)]
+    runs, passive = run_beside_passive(vehicle, names, Designer(vehicle).design, road, time)
     first = first_sample(vehicle, [run.controller for run in runs], road, options.duration, options.timestep)
     measured = [measure_run(run, first) for run in runs]
     result = {

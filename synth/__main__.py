@@ -103,7 +103,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         held = limit.limit_at is not None and is_pole(designer.plant, limit.limit_at)
         lines += ["", _limit(limit, held)]
         if moved:
-            lines.append(f"flat: for {FLAT:g} more of gamma each state's largest gain, by itself, may be")
+            share = f"{100 * FLAT:g} % more of gamma"
+            lines.append(f"flat: for {share} the state feedback's largest gain on each state, by itself, may be")
             lines += table([(state, *_range(*values)) for state, values in moved.items()])
         lines += refine_lines(rows, options.vehicle)
         if options.save:
@@ -247,7 +248,8 @@ def _range(gain: float | None, down: float | None, up: float | None) -> tuple[st
     assert gain is not None
     width = min((move for move in (down, up) if move), default=0.0)
     digits = math.ceil(math.log10(abs(gain) / width)) + 2 if gain and width else 0
-    digits = min(max(digits, 4), 15)
+    whole = math.floor(math.log10(abs(gain))) + 1 if gain else 0
+    digits = min(max(digits, 4, whole if whole <= 6 else 0), 15)  # up to a million without a power of ten
     low = f"{gain - down:.{digits}g}" if down is not None else "any"
     high = f"{gain + up:.{digits}g}" if up is not None else "any"
     return f"{gain:.{digits + 1}g}", f"from {low}", f"to {high}"

@@ -81,7 +81,7 @@ ROOMS = {
     "sim.frequency": "models.figures models.filters sim.linear sim.physics sim.response models.roads sim.runs synth.problem "
     "synth.words",
     "sim.recording": "models.figures sim.physics sim.response models.roads sim.runs",
-    "sim.command": "sim.recording sim.runs",
+    "sim.command": "models.roads sim.recording sim.runs",
     "sim.asked": "models.figures sim.command sim.frequency sim.response models.roads sim.runs sim.stability sim.validity",
     "sim.inspect": "sim.asked sim.linear sim.physics sim.recording sim.response sim.ride models.roads sim.runs "
     "synth.designs synth.dynamic synth.problem synth.words",

@@ -86,7 +86,7 @@ def test_text_names_the_flat_optimum_and_the_limit(capsys):
     """What the paper did not see is in the text."""
     assert main(["--controller", "state"]) == 0
     text = prose(capsys.readouterr().out)
-    assert "flat: for 0.0001 more of gamma each state's largest gain, by itself, may be" in text
+    assert "flat: for 0.01 % more of gamma the state feedback's largest gain on each state, by itself, may be" in text
     assert "limit: at 63.757 rad/s no control force changes z's response to the road, 7.836458 (invariant point)" in text
 
 

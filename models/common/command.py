@@ -109,16 +109,13 @@ class Parser(argparse.ArgumentParser):
         self.add_argument("--logs", type=Path, metavar="DIR", help=f"record {what} in this folder (default: record nothing)")
 
 
-def chosen(
-    names: Sequence[str], asked: Sequence[str] | None, usual: Sequence[str] = (), everything: Sequence[str] | None = None
-) -> list[str]:
+def chosen(names: Sequence[str], asked: Sequence[str] | None, usual: Sequence[str] = ()) -> list[str]:
     """The controllers that `--controller`, given any number of times, asks for, in that order.
 
     Args:
         names: of all that the vehicle has.
         asked: as it was given.
         usual: what is meant where it was not.
-        everything: what `all` means; all names, if it is not given.
 
     Raises:
         InputError: none is asked for, one is unknown or asked for twice, or `all` and another.
@@ -133,7 +130,7 @@ def chosen(
     if asked and ALL in asked and len(asked) > 1:
         raise InputError(f"--controller {ALL} has every controller in it; give it alone, or without it those that you want")
     if asked == [ALL]:
-        return list(names if everything is None else everything)
+        return list(names)
     return list(asked or usual)
 
 

@@ -2,12 +2,18 @@
 
 import argparse
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+from models.common.arrays import Array
 from models.common.errors import InputError
-from sim.runs.run import Run
+from models.roads.road import Road
+from models.vehicle import Vehicle
+from sim.command.claims import say_false_claims
+from sim.command.driven import driven
+from sim.runs.run import Run, run_all
 from sim.runs.words import controller_lines, energy_lines, run_lines, verdict_lines
+from synth.controller import Controller
 
 
 def check_view(options: argparse.Namespace) -> None:
@@ -41,6 +47,20 @@ def view(options: argparse.Namespace, logs: Mapping[str, str | None]) -> None:
 
     sys.stdout.flush()
     (open_viewer if options.open else serve_viewer)(Path(recording))
+
+
+def run_beside_passive(
+    vehicle: Vehicle, names: Sequence[str], design: Callable[[str], Controller], road: Road, time: Array
+) -> tuple[list[Run], Run]:
+    """A run of every controller asked for, in their order, and that of the passive vehicle, with which they are compared.
+
+    Claims of theirs that are false are said first. Arguments and errors as for `driven` and `run_all`.
+    """
+    together = list(dict.fromkeys([*names, "passive"]))
+    controllers = driven(vehicle, together, design)
+    say_false_claims(controllers)
+    runs = run_all(vehicle, controllers, road, time)
+    return runs[: len(names)], runs[together.index("passive")]
 
 
 def compared_lines(run: Run, passive: Run) -> list[str]:

@@ -188,8 +188,9 @@ def sweep_lines(one: Sweep | DescribingFunction) -> list[str]:
     )
     lines += [f"  of the continuous one, {text}" for text in judged_lines(found.controller)]
     gains = "".join(f", {name} {gain:.5g}" for name, gain in one.gains.items() if name != "worst sinusoid")
-    shares = one.gains["worst sinusoid"] / norm.gain
-    lines.append(f"  L2 gains in MuJoCo: worst sinusoid {one.gains['worst sinusoid']:.7g} ({100 * shares:.4f} %){gains}")
+    worst = one.gains["worst sinusoid"]
+    share = f"{100 * worst / norm.gain:.4f} % of the held-road norm"
+    lines.append(f"  L2 gains in MuJoCo: worst sinusoid {worst:.7g} ({share}){gains}")
     if not one.extremes.lti:
         lines.append("  the controller is slower than the timestep, so its loop has harmonics: this norm is without them")
     lines += _road_lines(one)

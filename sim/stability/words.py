@@ -63,10 +63,10 @@ def margins_lines(vehicle: Vehicle, found: dict[str, LoopMargins], box: Robustne
 
     if box is None:
         return [*lines, "", f"other vehicles: {varied_text(vehicle.kind)}"]
-    at = ", ".join(f"{name} {value:.5g}" for name, value in box.at.items())
+    at = ", ".join(f"{name} {value:.6g}" for name, value in box.at.items())
     lines += ["", f"{varied_text(vehicle.kind)}: worst norm {box.norm:.6g} at {at}"]
     for corner in box.corners:
-        at = ", ".join(f"{name} {value:.5g}" for name, value in corner.parameters.items())
+        at = ", ".join(f"{name} {value:.6g}" for name, value in corner.parameters.items())
         physics = f"MuJoCo {'settles' if corner.decays else 'GROWS'}, {'agrees' if corner.agrees else 'DOES NOT AGREE'}"
         lines.append(f"  {at}: norm {corner.norm:.6g}; {physics}")
     return lines

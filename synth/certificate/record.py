@@ -154,10 +154,6 @@ def _matrix(record: Mapping[str, Any], key: str, shape: tuple[int, int] | None =
     return matrix
 
 
-def _pairs(zeros: Zeros) -> list[list[list[float]]]:
-    return [[[zero.real, zero.imag] for zero in kind] for kind in zeros]
-
-
 def _zeros(record: Mapping[str, Any]) -> Zeros | None:
     value = record.get("zeros")
     if value is None:

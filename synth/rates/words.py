@@ -49,7 +49,8 @@ def about_lines(costs: Sequence[Cost]) -> list[str]:
     """What the columns are."""
     designs = any(_has_designs(one) for one in costs)
     more = "; designed: anew, for the loop of that rate" if designs else ""
-    return [f"late: the forces act {late(one)}{more}" for one in costs[:1]]
+    loses = "loses: by how much the norm lies above that in continuous time"
+    return [line for one in costs[:1] for line in wrapped(f"late: the forces act {late(one)}{more}; {loses}", hang=2)]
 
 
 def late(one: Cost) -> str:
