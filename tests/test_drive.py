@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
+from models.common.numbers import percent
 from models.roads.road import Bump
 from models.vehicle import Vehicle, read_vehicle
 from sim.drive import main
@@ -195,7 +196,7 @@ def test_what_metrics_rest_on_is_said(capsys):
     main(arguments)
     table = capsys.readouterr().out
     out = prose(table)
-    assert f"the variance of suspension_deflection is {100 * run['settled']['share']:.3g} % of what it comes to" in out
+    assert f"the variance of suspension_deflection is {percent(run['settled']['share'])} of what it comes to" in out
     assert "of no other signal in this table is it further off" in out  # velocities, which no metric is of, may be
     assert "~ is approximate: mtvv to 7 %, crest to 10 %, peaks to 20 %" in out
     assert "of short or lightly damped runs the +- is up to 45 % too large" in out
