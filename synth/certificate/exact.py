@@ -121,3 +121,8 @@ def without_factors(columns: Array) -> tuple[Array, int]:
 def root_below(square: Fraction) -> float:
     """A float that is not above the square root of a number."""
     return float(np.nextafter(np.nextafter(float(square) ** 0.5, 0.0), 0.0)) if square > 0 else 0.0
+
+
+def root_above(square: Fraction) -> float:
+    """A float that is not below the square root of a number."""
+    return float(np.nextafter(np.nextafter(float(square) ** 0.5, np.inf), np.inf)) if square > 0 else 0.0

@@ -26,9 +26,10 @@ from synth.certificate.norm import hinf_norm
 from synth.errors import DesignError
 from synth.family.lmi import first_step, second_step, together
 from synth.lmi.output_feedback import independent_rows, l_matrix, nullspace, r_matrix
+from synth.lmi.scaled import Scaled
 from synth.numerics import numerics
 from synth.plant import Feedback, GeneralizedPlant, check_continuous, check_posed, measurement_matrix
-from synth.scaling import own_units, reachable, size
+from synth.scaling import own_units, reachable
 
 SOLVED_AT = 3.0  # what f is in the unit of time in which the problem is solved
 
@@ -170,50 +171,11 @@ class _Problem:
         rate, n = SOLVED_AT * self.rate / f, len(self.Cy.T)
         blocks = together(self.pattern)
         eye = np.eye(n)
-        scaled = _Scaled(self.plants, rate, eye[:, :0], eye, np.ones((n, n)))
+        scaled = Scaled(self.plants, rate, eye[:, :0], eye, np.ones((n, n)))
         W = scaled.T @ first_step(scaled.plants, SOLVED_AT, self.Cy @ scaled.T, blocks).W @ scaled.T.T
         Q = nullspace(self.Cy)
         R = r_matrix(self.Cy, Q, l_matrix(W.T, self.Cy, Q))
-        scaled, a = _Scaled(self.plants, rate, Q, R, blocks), Q.shape[1]
+        scaled, a = Scaled(self.plants, rate, Q, R, blocks), Q.shape[1]
         found = second_step(scaled.plants, SOLVED_AT, eye[:, :a], eye[:, a:], self.pattern)
         K = np.where(self.pattern, scaled.force * found.K @ np.linalg.inv(scaled.measured), 0.0)
         return self.input_units[:, None] * K / self.lengths, found.eta**-0.5 / scaled.gain
-
-
-class _Scaled:
-    """Plants in the coordinates of [Q R], in units in which all numbers of the first have size one, and time in 1 / rate.
-
-    Args:
-        plants: alike in states and inputs.
-        rate: the unit of time is one over it [rad/s].
-        Q: shape (n, n - q).
-        R: shape (n, q).
-        blocks: which columns of R no unit may mix, of ones and zeros, shape (q, q).
-
-    Attributes:
-        plants: the same in these units.
-        T: its states in the given ones, shape (n, n).
-        measured: the unit of what R's columns are the answer to, shape (q, q).
-        force: the unit of all inputs.
-        gain: of z over w.
-    """
-
-    def __init__(self, plants: Sequence[GeneralizedPlant], rate: float, Q: Array, R: Array, blocks: Array) -> None:
-        a, T = Q.shape[1], np.hstack([Q, R])
-        scale = reachable(plants[0].in_coordinates(T), a)
-        self.measured = scale[a:, a:] = np.linalg.cholesky(scale[a:, a:] @ scale[a:, a:].T * blocks)
-        self.T = T @ scale
-        turned = [plant.in_coordinates(self.T) for plant in plants]
-        output, disturbance = 1 / size(turned[0].C), rate / size(turned[0].Bw)
-        self.force, self.gain = rate / size(turned[0].B), disturbance * output
-        self.plants = [
-            GeneralizedPlant(
-                A=plant.A / rate,
-                B=plant.B * self.force / rate,
-                Bw=plant.Bw * disturbance / rate,
-                C=plant.C * output,
-                D=plant.D * output * self.force,
-                Dw=plant.Dw * self.gain,
-            )
-            for plant in turned
-        ]

@@ -1,0 +1,173 @@
+"""How far signals go for a disturbance of given energy: norms, proofs, and designs that keep limits."""
+
+import dataclasses
+
+import control
+import numpy as np
+import pytest
+from scipy import linalg
+
+from models.common.errors import InputError
+from models.roads.road import Bump
+from models.vehicle import read_vehicle
+from synth.certificate.norm import hinf_norm
+from synth.designer import Designer
+from synth.energy.design import limited_design
+from synth.energy.peaks import energy_peaks
+from synth.errors import DesignError, InfeasibleError
+from synth.plant import Feedback, GeneralizedPlant
+
+SIGNALS = ("suspension_deflection", "tyre_deflection", "control_force")
+
+
+@pytest.mark.parametrize("name", ["passive", "state", "I", "II"])
+def test_peaks_are_h2_norms_of_rows(paper, designer, name):
+    """The energy-to-peak norm of one signal is its H2 norm, as python-control has it; the proved bounds lie just above."""
+    G = designer.design(name).state_gain(paper)
+    Cs, Ds = paper.linear_model.rows(SIGNALS)
+    found, loop = energy_peaks(designer.plant, G, Cs, Ds), designer.plant.closed_loop(G)
+    for c, peak, bound in zip(Cs + Ds @ G, found.peaks, found.bounds, strict=True):
+        assert peak == pytest.approx(control.norm(control.ss(loop.A, loop.Bw, c[None], [[0.0]]), 2), rel=1e-9)  # rounding
+        assert peak <= bound <= peak * (1 + 1e-8)  # the closest proof that is tried has 1e-12 of the power more
+    assert found.together >= found.peaks.max() * (1 - 1e-12)
+    assert found.together <= found.bound_together <= found.together * (1 + 1e-8)
+    assert found.proof.holds
+
+
+def test_the_worst_disturbance_reaches_the_peak(paper, designer):
+    """The w that runs backwards along the impulse response, of energy 1, takes the travel to its peak; no other goes further."""
+    G = designer.design("I").state_gain(paper)
+    Cs, Ds = paper.linear_model.rows(["suspension_deflection"])
+    loop, peak = designer.plant.closed_loop(G), float(energy_peaks(designer.plant, G, Cs, Ds).peaks[0])
+    step, count = 2e-4, 60_000  # 12 s: exp(-1.2 * 12) of the slowest mode is left
+    held = linalg.expm(step * np.block([[loop.A, loop.Bw], [np.zeros((1, 5))]]))
+    Ad, Bd, c = held[:4, :4], held[:4, 4], (Cs + Ds @ G)[0]
+    impulse, x = np.empty(count), Bd.copy()
+    for k in range(count):
+        impulse[k], x = c @ x, Ad @ x
+    w = impulse[::-1] / np.linalg.norm(impulse) / step**0.5
+    assert np.sum(w**2) * step == pytest.approx(1.0)
+    reached = impulse[::-1] @ w  # s at the end, by convolution
+    assert reached <= peak
+    assert reached == pytest.approx(peak, rel=1e-5)  # held over steps of 0.2 ms: second order in 63 rad/s times that
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        other = rng.standard_normal(count)
+        assert abs(impulse[::-1] @ (other / np.linalg.norm(other) / step**0.5)) < peak
+
+
+@pytest.mark.parametrize("name", ["passive", "state", "I", "II"])
+def test_the_bump_stays_below(paper, designer, name):
+    """Over the paper's bump no signal goes beyond its norm times the root of the bump's energy."""
+    G = designer.design(name).state_gain(paper)
+    Cs, Ds = paper.linear_model.rows(SIGNALS)
+    loop, step = designer.plant.closed_loop(G), 1e-3
+    time = np.arange(0.0, 3.0, step)
+    w = Bump(height=0.1).velocity(time + step / 2)
+    held = linalg.expm(step * np.block([[loop.A, loop.Bw], [np.zeros((1, 5))]]))
+    x, reached = np.zeros(4), np.zeros(3)
+    for each in w:
+        x = held[:4, :4] @ x + held[:4, 4] * each
+        reached = np.maximum(reached, np.abs((Cs + Ds @ G) @ x))
+    allowed = energy_peaks(designer.plant, G, Cs, Ds).bounds * np.sqrt(np.sum(w**2) * step)
+    assert np.all(reached <= allowed)
+    assert reached[0] > 0.25 * allowed[0]  # so that the limit is one
+
+
+def test_several_disturbances_and_signals():
+    """With two disturbances the peak is over both at once, and the length of two signals lies between theirs and their sum."""
+    rng = np.random.default_rng(3)
+    A = rng.standard_normal((5, 5)) - 4 * np.eye(5)
+    plant = GeneralizedPlant(A, np.zeros((5, 1)), rng.standard_normal((5, 2)), np.eye(5), np.zeros((5, 1)), np.zeros((5, 2)))
+    Cs = rng.standard_normal((2, 5))
+    found = energy_peaks(plant, np.zeros((1, 5)), Cs, np.zeros((2, 1)))
+    alone = [
+        energy_peaks(dataclasses.replace(plant, Bw=plant.Bw[:, [i]], Dw=plant.Dw[:, [i]]), np.zeros((1, 5)), Cs, np.zeros((2, 1)))
+        for i in range(2)
+    ]
+    np.testing.assert_allclose(found.peaks**2, alone[0].peaks ** 2 + alone[1].peaks ** 2, rtol=1e-9)
+    assert found.peaks.max() < found.together < np.linalg.norm(found.peaks)
+
+
+def test_a_force_by_its_measurements(paper, designer):
+    """A force is K y: its norm is the same whether the gain is one of states or one from measurements."""
+    Cy = paper.linear_model.rows(paper.controllers["II"].measured)[0]
+    K = np.array([[-9000.0]])
+    Cs, Ds = paper.linear_model.rows(["control_force"])
+    of_states = energy_peaks(designer.plant, K @ Cy, Cs, Ds)
+    measured = energy_peaks(designer.plant, Feedback(K, Cy), Cs, Ds)
+    np.testing.assert_allclose(of_states.peaks, measured.peaks, rtol=1e-12)
+    np.testing.assert_allclose(of_states.bounds, measured.bounds, rtol=1e-12)
+    velocity = energy_peaks(designer.plant, Feedback(K, Cy), Cy, np.zeros((1, 1)))
+    assert of_states.peaks[0] == pytest.approx(9000.0 * velocity.peaks[0], rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("measured", "signals", "most", "norm"),
+    [
+        (("suspension_deflection", "sprung_velocity"), ("suspension_deflection",), (0.65,), 7.90),
+        (("suspension_deflection", "sprung_velocity"), ("suspension_deflection",), (0.6,), 7.97),
+        (("sprung_velocity",), ("suspension_deflection",), (0.6,), 8.05),
+        (("sprung_velocity",), ("control_force",), (5000.0,), 8.25),
+        (("suspension_deflection", "sprung_velocity", "unsprung_velocity"), SIGNALS, (0.6, 0.26, 8000.0), 7.8366),
+    ],
+)
+def test_limits_are_kept(paper, designer, measured, signals, most, norm):
+    """Designs with limits of travel, tyre and force keep them, proved; without limits the paper's two steps do not."""
+    Cy, (Cs, Ds) = paper.linear_model.rows(measured)[0], paper.linear_model.rows(signals)
+    design = limited_design(designer.plant, Cy, Cs, Ds, np.array(most))
+    assert not design.certificate.failures
+    assert not design.certificate.beyond_actuators
+    found = energy_peaks(designer.plant, Feedback(design.gain, Cy), Cs, Ds)
+    assert np.all(found.bounds <= most)
+    assert found.proof.holds
+    value = hinf_norm(designer.plant.closed_loop(Feedback(design.gain, Cy))).value
+    assert design.certificate.norm.value == value
+    assert 7.8364 < value < norm
+    if len(measured) < 3:
+        name = "I" if len(measured) == 2 else "II"
+        free = energy_peaks(designer.plant, designer.design(name).state_gain(paper), Cs, Ds)
+        assert np.any(free.bounds > most)
+
+
+def test_a_limit_costs_norm(paper, designer):
+    """The less travel is allowed the larger is the norm, by and large: the trade-off that limits are for."""
+    Cy, (Cs, Ds) = paper.linear_model.rows(["sprung_velocity"])[0], paper.linear_model.rows(["suspension_deflection"])
+    norms = [limited_design(designer.plant, Cy, Cs, Ds, np.array([most])).certificate.norm.value for most in (0.65, 0.5)]
+    assert norms[1] > norms[0] + 0.1
+
+
+def test_a_half_car():
+    """Limits of both travels of the half-car are kept: a tenth less than the two steps have without them."""
+    vehicle = read_vehicle("half_car")
+    designer, model = Designer(vehicle), vehicle.linear_model
+    Cy = model.rows(vehicle.controllers["I"].measured)[0]
+    Cs, Ds = model.rows(["suspension_deflection_front", "suspension_deflection_rear"])
+    free = energy_peaks(designer.plant, designer.design("I").state_gain(vehicle), Cs, Ds)
+    design = limited_design(designer.plant, Cy, Cs, Ds, 0.9 * free.peaks)
+    assert np.all(design.peaks.bounds <= 0.9 * free.peaks)
+    assert not design.certificate.failures
+
+
+def test_what_no_gain_keeps(paper, designer):
+    """Where limits are too narrow it is said which signal goes too far, and how far."""
+    Cy, (Cs, Ds) = paper.linear_model.rows(["sprung_velocity"])[0], paper.linear_model.rows(["suspension_deflection"])
+    with pytest.raises(InfeasibleError, match=r"of the nearest, signal 0 goes 1\.\d+ times as far as it may, 0\.\d+ for a dist"):
+        limited_design(designer.plant, Cy, Cs, Ds, np.array([0.3]))
+
+
+def test_bad_input(designer):
+    """What does not fit, an unstable loop and a discrete plant are refused in one line each."""
+    plant, G, Cs, Ds = designer.plant, np.zeros((1, 4)), np.eye(4)[:1], np.zeros((1, 1))
+    for arguments, said in [
+        ((dataclasses.replace(plant, dt=0.1), G, Cs, Ds), "is done for continuous ones alone"),
+        ((plant, G, np.eye(3), Ds), r"Cs has shape \(3, 3\) and Ds \(1, 1\); expected \(p, 4\) and \(p, 1\)"),
+        ((plant, G, Cs, np.zeros((2, 1))), "expected"),
+    ]:
+        with pytest.raises(InputError, match=said):
+            energy_peaks(*arguments)
+    with pytest.raises(DesignError, match=r"of a loop that is unstable: a pole at .* no peak is bounded"):
+        energy_peaks(plant, np.array([[0.0, 0.0, 1e5, 0.0]]), Cs, Ds)
+    for most in ([0.0], [np.inf], [1.0, 2.0], [-1.0]):
+        with pytest.raises(InputError, match="give a finite number above 0 for each"):
+            limited_design(plant, np.eye(4)[2:3], Cs, Ds, np.array(most))
