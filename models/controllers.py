@@ -11,7 +11,9 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
-from models.kind import LARGEST
+from models.goals.goals import Goals
+from models.goals.reading import GOAL_KEYS, read_goals
+from models.kind import LARGEST, VehicleKind
 from models.law import MATRICES, LinearLaw, static_law
 from models.linear_model import LinearModel
 from models.own.python_law import PythonLaw, read_law
@@ -21,7 +23,7 @@ DESIGNS = ("lqr", "lqg", "h2")  # what `design` may be; without it the paper's t
 FULL = "full"  # what `order` may be
 CONTROLLER_KEYS = (
     *("measured", "gain", *MATRICES, "sample_period", "file", "law", "preview", "certificate"),  # what it is
-    *("order", "design", "noise", "lag", "sampled"),  # how it is designed
+    *("order", "design", "noise", "lag", "sampled", *GOAL_KEYS),  # how it is designed
 )
 RESERVED = ("passive", "state")  # these two always exist: u = 0, and full state feedback
 LONGEST_NAME = 60  # bytes; the names of three controllers go into a file name
@@ -57,6 +59,7 @@ class ControllerEntry:
         python: the law in Python that the file names instead, of which nothing is claimed; None of all others.
         hardware: what of sensors and actuators it is designed for and judged with.
         sampled: whether it is designed for the loop that the computer closes.
+        goals: what it is designed for instead of the least norm; None where that is it.
     """
 
     name: str
@@ -67,6 +70,7 @@ class ControllerEntry:
     python: PythonLaw | None = None
     hardware: Hardware = IDEAL
     sampled: bool = False
+    goals: Goals | None = None
 
 
 def read_controllers(
@@ -76,13 +80,14 @@ def read_controllers(
     implementation: Implementation,
     folder: Path | None = None,
     sampled: bool = False,
+    kind: VehicleKind | None = None,
 ) -> dict[str, ControllerEntry]:
     """`[controllers]`, checked: by name, each in the one spelling (NFC) of those that look alike, letters and marks composed.
 
     Args:
         section: as it was read.
         model: of the vehicle.
-        limits, implementation: of the vehicle, for controllers that are designed for them.
+        limits, implementation, kind: of the vehicle, for controllers that are designed for them.
         folder: of the vehicle file, where laws in Python lie; None for one that is text alone.
         sampled: whether designs are for the loop that the computer closes, unless a section says otherwise.
     """
@@ -92,7 +97,9 @@ def read_controllers(
         if name in found:
             raise InputError(f"[controllers.{name}] is there twice, in two spellings that look alike; rename one")
         one = _controller(name, entry, model, limits, implementation, folder)
-        two_steps = one.law is None and not (one.design or one.python or one.hardware.noise)
+        if kind is not None:
+            one = replace(one, goals=read_goals(f"[controllers.{name}]", entry, one.measured, model.outputs, kind))
+        two_steps = one.law is None and not (one.design or one.python or one.hardware.noise or one.goals)
         asked = designed_for_samples(f"[controllers.{name}]", entry, two_steps, implementation, sampled)
         found[name] = replace(one, sampled=asked)
     return found

@@ -206,6 +206,11 @@ class VehicleKind:
         return next((one.deflection for one in self.suspensions if one.force == force), "")
 
     @property
+    def corners(self) -> dict[str, str]:
+        """Of every force of a suspension, the ending of the names of what lies at its corner."""
+        return {one.force: one.deflection.removeprefix(SUSPENSION_DEFLECTION.name) for one in self.suspensions if one.force}
+
+    @property
     def variations(self) -> dict[Variation, tuple[str, ...]]:
         """What varies from vehicle to vehicle of this kind, and the parameters that do, in their order."""
         varied = dict.fromkeys(one.varied for one in self.parameters if one.varied is not None)

@@ -15,6 +15,7 @@ from models.common.toml import parse_toml
 from models.controllers import IDEAL, RESERVED, ControllerEntry, Hardware, is_number, read_controllers
 from models.filters.filter import KEYS, Filter, read_filter
 from models.formats.law_file import with_laws
+from models.goals.goals import signals_of
 from models.kind import HERE, VehicleKind
 from models.kinds import kind, kinds, shipped
 from models.linear_model import LinearModel
@@ -216,13 +217,14 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
         read_implementation(data.get("implementation", {}), model.measurable),
     )
     sampled = read_sampled(data.get("implementation", {}))
-    controllers = read_controllers(data.get("controllers", {}), model, limits, implementation, folder, sampled)
+    section = data.get("controllers", {})
+    controllers = read_controllers(section, model, limits, implementation, folder, sampled, vehicle_kind)
     for entry in controllers.values():
         check_period(entry, implementation)
     performance, filters, road_filter = _performance(data["performance"], model)
-    measured = {signal for entry in controllers.values() for signal in entry.measured}
+    named = {signal for entry in controllers.values() for signal in (*entry.measured, *signals_of(entry.goals))}
     return Vehicle(
-        kind=vehicle_kind.naming(measured.union(performance, implementation.noise, implementation.quantisation)),
+        kind=vehicle_kind.naming(named.union(performance, implementation.noise, implementation.quantisation)),
         parameters=parameters,
         performance=performance,
         controllers=controllers,

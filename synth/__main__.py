@@ -21,8 +21,10 @@ from synth.command.prove import proved
 from synth.command.save import check_save, save
 from synth.command.table import Row, detail_lines, refine_lines, row_object, table_lines, verdict_lines
 from synth.command.witness import cross_check
+from synth.controller import Controller
 from synth.designer import Designer
 from synth.errors import DesignError
+from synth.goals.engine import Interrupted
 from synth.implemented.claims import norm_failures, norm_if_implemented, sampled_lines
 from synth.problem.problem import measurements
 from synth.rates.answer import answer
@@ -68,7 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return answer(vehicle, names if options.controller else [name for name in names if name != "passive"], options)
     if options.save:
         check_save(options.save, vehicle, [name for name in names if _designs(vehicle, name, options)])
-    designer = Designer(vehicle)
+    designer, interrupted = Designer(vehicle), False
     stage = Stages(*(f"controller {name}" for name in names), FREE)
     if options.check:
         rows = check(designer, options.controller)
@@ -76,7 +78,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         rows = []
         for name in names:
             stage(f"controller {name}")
-            rows.append(_built(vehicle, _row(designer, name, options)))
+            try:
+                rows.append(_built(vehicle, _row(designer, name, options, stage)))
+            except Interrupted as stopped:  # what it has so far is the result, and the last
+                rows.append(_built(vehicle, _kept(stopped.best)))
+                interrupted = True
+                break
     if options.cross_check and not any(row.witness for row in rows) and not any(row.controller is None for row in rows):
         raise InputError(
             "--cross-check has nothing to solve: no controller asked for comes from an LMI problem without filters; ask for one"
@@ -112,6 +119,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         designs = [row.controller for row in rows if row.controller is not None]
         about = [*ideal_lines(vehicle, designs), *sampled_lines(vehicle), *filter_lines(vehicle), *twist_lines(vehicle)]
         say([*lines, "", *table_lines(rows), *about, "", *verdict_lines(rows)])
+    if interrupted:
+        raise KeyboardInterrupt
     return 1 if any(row.failures for row in rows) else 0
 
 
@@ -150,7 +159,9 @@ def _names(vehicle: Vehicle, options: Namespace) -> list[str]:
     """
     linear = [vehicle.controllers[name] for name in vehicle.linear_names if name in vehicle.controllers]
     designed = [
-        entry.name for entry in linear if not (entry.law is not None or entry.design or entry.hardware.noise or entry.sampled)
+        entry.name
+        for entry in linear
+        if not (entry.law is not None or entry.design or entry.hardware.noise or entry.sampled or entry.goals)
     ]
     everything = designed if options.zero_l else vehicle.linear_names
     if options.zero_l and not designed:
@@ -171,18 +182,26 @@ def _designs(vehicle: Vehicle, name: str, options: Namespace) -> bool:
     return options.refine or name == "state" or vehicle.controllers[name].law is None
 
 
-def _row(designer: Designer, name: str, options: Namespace) -> Row:
+def _kept(controller: Controller) -> Row:
+    """The best that there was when Ctrl-C came."""
+    notes_of = (*notes(controller), "interrupted: the best within all bounds until then")
+    return Row(controller.name, controller, notes_of, (*controller.certificate.failures, *controller.broken))
+
+
+def _row(designer: Designer, name: str, options: Namespace, stage: Stages) -> Row:
     """A controller, designed as asked for, or why it could not be."""
     if options.refine and name != "passive":
         return _refined_row(designer, name, options.zero_l)
     try:
-        controller = designer.design(name, options.zero_l)
+        controller = designer.design(
+            name, options.zero_l, lambda goal, within: stage(f"{goal:.5g}{'' if within else ', not within all bounds'}")
+        )
     except DesignError as error:
         return Row(name, None, (), (str(error),))
     said: tuple[str, ...] = ()
     if options.prove:
         controller, said = proved(designer, controller)
-    failures, witness = controller.certificate.failures, None
+    failures, witness = (*controller.certificate.failures, *controller.broken), None
     if options.cross_check:
         witness = cross_check(designer, controller, options.zero_l)
         failures += witness.failures if witness is not None else ()

@@ -12,6 +12,7 @@ from models.law import LinearLaw
 from models.vehicle import Vehicle
 from synth.certificate.certificate import Certificate, certify
 from synth.certificate.lower_bound import LowerBound
+from synth.certificate.promise import Promise
 from synth.certificate.record import false_claims, read_proof
 from synth.plant import GeneralizedPlant
 from synth.problem.problem import Problem, problem
@@ -40,6 +41,7 @@ class Controller:
         false_claims: what of the certificate that came with its gain does not hold, in words.
         hardware: what of sensors and actuators its certificate knows.
         sampled: whether it was designed for the loop that the computer closes; its certificate is of the ideal one.
+        promises: what it was designed for instead of the least norm, or is judged by beside it; empty where neither.
     """
 
     name: str
@@ -57,11 +59,17 @@ class Controller:
     false_claims: tuple[str, ...] = ()
     hardware: Hardware = IDEAL
     sampled: bool = False
+    promises: tuple[Promise, ...] = ()
 
     @property
     def gain(self) -> Array:
         """What acts at once: D_c, and K of a static controller, shape (m, q) [N per measured unit]."""
         return self.law.D
+
+    @property
+    def broken(self) -> tuple[str, ...]:
+        """The promises that are not kept, or not proved to be, in words."""
+        return tuple(f"not kept: {promise.text}" for promise in self.promises if not promise.holds)
 
     def problem(self, vehicle: Vehicle) -> Problem:
         """What it is judged with, of a vehicle that has these signals."""

@@ -16,6 +16,7 @@ from synth.certificate.lower_bound import LowerBound
 from synth.controller import Controller, alike, certified, checked, on_readings
 from synth.design import state_design, zero_l_design
 from synth.designs.designed import designed, one_by_one
+from synth.designs.goals import goals_design, promises_of
 from synth.designs.in_the_mean import white_noise
 from synth.designs.refined import Refined
 from synth.designs.sampled import sampled_design
@@ -24,6 +25,7 @@ from synth.dynamic.loop import on_larger_plant
 from synth.dynamic.named import named_design
 from synth.errors import BatchError, DesignError
 from synth.fallback import two_steps_or_descent
+from synth.goals.search import Told
 from synth.implemented.claims import false_norm, norm_if_implemented
 from synth.lmi.central import CentralPoint
 from synth.lmi.output_feedback import independent_rows
@@ -75,12 +77,13 @@ class Designer:
         """What no controller that measures these signals beats, of whatever order; for none of them, full state feedback."""
         return self.shared(hardware).lower_bound(measured, hardware.noise)
 
-    def design(self, name: str, zero_l: bool = False) -> Controller:
+    def design(self, name: str, zero_l: bool = False, told: Told = lambda goal, within: None) -> Controller:
         """The controller of that name: `passive`, `state`, or one of the vehicle file, designed unless the file gives its gain.
 
         Args:
             name: of the controller.
             zero_l: L = 0 instead of (14), as in remark 4; for a controller that is designed from measurements.
+            told: called with what a design for goals has reached, as it goes on.
 
         Raises:
             InputError: no controller has that name.
@@ -91,7 +94,7 @@ class Designer:
         if entry.law is not None:
             return self._given(entry, entry.law)
         hardware, shared = entry.hardware, self.shared(entry.hardware)
-        if (entry.design or entry.sampled or hardware.noise) and zero_l:
+        if (entry.design or entry.sampled or entry.goals or hardware.noise) and zero_l:
             why = "is designed for noise, which (25) does not know," if hardware.noise else "is not designed in two steps"
             why = "is designed for the sampled loop" if entry.sampled else why
             raise InputError(f"controller {name!r} {why} so that there is no L; design it as it is")
@@ -100,6 +103,8 @@ class Designer:
             lower_bound = self.lower_bound(entry.measured, hardware)
             if entry.design:
                 return self._named(entry, posed, lower_bound)
+            if entry.goals is not None:
+                return goals_design(self.vehicle, entry, entry.goals, posed, lower_bound, told)
             if entry.sampled:
                 return sampled_design(self.vehicle, entry, posed, lower_bound, lower_bound.gamma or 1.0)
             if name == "state" and not self.vehicle.filtered:
@@ -122,7 +127,10 @@ class Designer:
             certificate, wrong = certified(posed, entry, below)
         except InputError as error:
             raise self.vehicle.found_wrong(error) from error
-        found = Controller(entry.name, entry.measured, law, False, certificate, false_claims=wrong, hardware=hardware)
+        kept = promises_of(self.vehicle, entry, law)
+        found = Controller(
+            entry.name, entry.measured, law, False, certificate, false_claims=wrong, hardware=hardware, promises=kept
+        )
         wrong += false_norm(entry.certificate, self.vehicle, lambda: norm_if_implemented(self.vehicle, found))
         return replace(found, false_claims=wrong)
 
@@ -156,7 +164,7 @@ class Designer:
             raise DesignError(
                 f"controller {name!r} is designed for the sampled loop, and it is the ideal one's norm that is refined"
             )
-        if entry.design or (entry.law is not None and entry.law.states):
+        if entry.design or entry.goals or (entry.law is not None and entry.law.states):
             raise DesignError(f"controller {name!r} is no static gain of the least norm, which is what is refined")
         try:
             start = self.design(name, zero_l)
@@ -186,7 +194,8 @@ class Designer:
         if (
             not controller.designed
             or not controller.measured
-            or self._entry(controller.name).design
+            or (entry := self._entry(controller.name)).design
+            or entry.goals
             or controller.sampled
             or not controller.certificate.stable
             or (gap is not None and gap <= SEEN)
@@ -224,7 +233,7 @@ class Designer:
         entry = self._entry(name)
         if entry.law is not None:
             raise InputError(f"controller {name!r} has its law and is not designed; `design` certifies it for a vehicle")
-        if entry.design or entry.sampled or entry.hardware != IDEAL:
+        if entry.design or entry.sampled or entry.goals or entry.hardware != IDEAL:
             raise InputError(f"controller {name!r} is not designed in two steps alone; design it for each vehicle by itself")
         sound = alike(self.vehicle, vehicles)
         if any(vehicle.filtered for vehicle in (self.vehicle, *sound)):  # there the two steps are not the end of a design

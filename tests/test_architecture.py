@@ -26,7 +26,8 @@ ROOMS = {
     "models.filters": "models.common",
     "models.formats": "models.common",
     "models.own": "models.common",
-    "models": "models.common models.filters models.formats models.own",
+    "models.goals": "models.common",
+    "models": "models.common models.filters models.formats models.goals models.own",
     "models.roads": "models models.common",
     # synth: what a controller is; of vehicles it knows nothing below `controller`
     "synth": "",
@@ -58,18 +59,20 @@ ROOMS = {
     "synth.implemented": "models synth.certificate synth.controller synth.dynamic synth.plant synth.problem synth.sampled",
     "synth.held": "synth.design synth.errors synth.lmi synth.modes synth.numerics synth.plant synth.sampled synth.scaling "
     "synth.search",
-    "synth.designs": "models synth.certificate synth.controller synth.design synth.dynamic synth.errors synth.held "
-    "synth.implemented synth.lmi synth.problem synth.search",
+    "synth.goals": "synth.certificate synth.dynamic synth.errors synth.numerics synth.plant synth.search",
+    "synth.designs": "models models.goals models.roads synth.band synth.certificate synth.controller synth.design synth.dynamic "
+    "synth.errors synth.family synth.goals synth.held synth.implemented synth.lmi synth.plant synth.problem synth.search "
+    "synth.tolerance",
     "synth.designer": "models synth.certificate synth.controller synth.design synth.designs synth.dynamic synth.errors "
-    "synth.fallback synth.implemented synth.lmi synth.plant synth.problem synth.redesign synth.search",
+    "synth.fallback synth.goals synth.implemented synth.lmi synth.plant synth.problem synth.redesign synth.search",
     "synth.state_space": "models synth.controller synth.designer synth.plant synth.problem",
     "synth.paper": "models synth.certificate synth.designer synth.lmi",
-    "synth.command": "models synth.certificate synth.controller synth.design synth.designer synth.errors synth.implemented "
-    "synth.lmi synth.plant synth.posed synth.sampled synth.scaling synth.words",
+    "synth.command": "models synth.certificate synth.controller synth.design synth.designer synth.designs synth.errors "
+    "synth.implemented synth.lmi synth.plant synth.posed synth.sampled synth.scaling synth.words",
     "synth.rates": "models models.figures synth.controller synth.designer synth.designs synth.errors synth.held "
     "synth.implemented synth.sampled",
-    "synth.__main__": "models synth.certificate synth.command synth.designer synth.errors synth.implemented synth.problem "
-    "synth.rates synth.search synth.words",
+    "synth.__main__": "models synth.certificate synth.command synth.controller synth.designer synth.errors synth.goals "
+    "synth.implemented synth.problem synth.rates synth.search synth.words",
     # sim: what a run is
     "sim": "",
     "sim.response": "",

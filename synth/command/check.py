@@ -8,6 +8,7 @@ from models.vehicle import ControllerEntry
 from synth.command.table import Row
 from synth.controller import Controller
 from synth.designer import Designer
+from synth.designs.goals import promises_of
 from synth.implemented.claims import false_norm, norm_failures, norm_if_implemented
 from synth.words import judged_lines
 
@@ -31,7 +32,9 @@ def check(designer: Designer, names: Sequence[str] | None) -> list[Row]:
 def _checked(designer: Designer, entry: ControllerEntry) -> Row:
     assert entry.law is not None
     certificate, failures = designer.checked(entry)
-    controller = Controller(entry.name, entry.measured, entry.law, False, certificate, hardware=entry.hardware)
+    kept = promises_of(designer.vehicle, entry, entry.law, search=False)
+    controller = Controller(entry.name, entry.measured, entry.law, False, certificate, hardware=entry.hardware, promises=kept)
+    failures += controller.broken
     norm = norm_if_implemented(designer.vehicle, controller)
     failures += (*norm_failures(norm), *false_norm(entry.certificate, designer.vehicle, lambda: norm))
     note = "checked: every claim of its certificate holds" if entry.certificate and not failures else ""

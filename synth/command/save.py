@@ -51,11 +51,13 @@ def save(path: Path, vehicle: Vehicle, controllers: Sequence[Controller]) -> Non
 
 def _entry(name: str, vehicle: Vehicle, controller: Controller) -> list[str]:
     record = to_record(controller.certificate) | norm_record(norm_if_implemented(vehicle, controller))
+    goals = vehicle.controllers[controller.name].goals if controller.name in vehicle.controllers else None
     key = name if name.isascii() else json.dumps(name, ensure_ascii=False)
     return [
         f"[controllers.{key}]",
         f"measured = {_toml(list(controller.measured))}",
         *(f"{key} = {_toml(value)}" for key, value in controller.law.record.items()),
+        *(f"{key} = {_toml(value)}" for key, value in (goals.record if goals is not None else {}).items()),
         *(["noise = true"] if controller.hardware.noise else []),
         *(["lag = true"] if controller.hardware.bandwidth is not None else []),
         "",
@@ -66,6 +68,10 @@ def _entry(name: str, vehicle: Vehicle, controller: Controller) -> list[str]:
 
 def _toml(value: Any) -> str:
     """A number, text, list or mapping of such, as TOML writes it on one line."""
+    if value == float("inf"):
+        return "inf"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_toml, value)) + "]"
     if isinstance(value, Mapping):
         return "{ " + ", ".join(f"{key} = {_toml(item)}" for key, item in value.items()) + " }"
     return json.dumps(value)

@@ -70,6 +70,7 @@ def row_object(row: Row) -> dict[str, Any]:
         "notes": [*row.notes, *certificate.remarks],
         "failures": list(row.failures),
         "refine_lowers_by_at_least": row.worth or None,
+        **({"promises": [promise.record for promise in controller.promises]} if controller.promises else {}),
         "cross_check": _witness_object(row.witness) if row.witness is not None else None,
     }
 
@@ -133,6 +134,8 @@ def detail_lines(row: Row, vehicle: Vehicle) -> list[str]:
             lines.append(f"  {by}, {'both ' * (len(proved) > 1)}balanced; rounding is at most {rounding}")
     if certificate.gap is not None:
         lines.append(f"  norm {percent(certificate.gap)} above the lower bound")
+    for promise in controller.promises:
+        lines += wrapped(promise.text, "  promise: ", 4)
     lines += [f"  {line}" for line in norm_lines(vehicle, controller, row.sampled)]
     if row.witness is not None:
         lines.append(f"  {row.witness.text}")

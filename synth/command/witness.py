@@ -90,6 +90,7 @@ def cross_check(designer: Designer, controller: Controller, zero_l: bool = False
         or controller.law.states
         or shared.plant.weights  # with filters (25) has rates too far apart for Clarabel, whose answers are then off
         or controller.sampled
+        or controller.promises
         or (controller.name in designer.vehicle.controllers and designer.vehicle.controllers[controller.name].design)
         or bound is None
         or (problem.best is not None and problem.best_case in controller.case)

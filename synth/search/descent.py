@@ -129,7 +129,7 @@ def _rounds(landscape: Landscape, x: Array, height: float, at: float, limit: Arr
         active = moving & (weights > 1e-3 * weights.max())
         if active.any():
             curvature = landscape.curvature(x, cuts[active], weights[active] / weights[active].sum()) / height
-            hessian = _convex(M.T @ curvature @ M, damping)
+            hessian = convex(M.T @ curvature @ M, damping)
         t, weights = lowest_point(values, slopes, hessian, M, x, limit)
         fall = -float(np.max(values + slopes @ t))
         step = M @ t
@@ -199,7 +199,7 @@ def lowest_point(values: Array, slopes: Array, hessian: Array, M: Array, x: Arra
     if not len(values) or not all(np.all(np.isfinite(each)) for each in (values, slopes, hessian, M, x)):
         raise np.linalg.LinAlgError("no cut is left")
     root = np.linalg.cholesky(hessian).T
-    inverse = linalg.solve_triangular(root, np.eye(len(x)))
+    inverse = linalg.solve_triangular(root, np.eye(len(root)))
     far = 10.0
     rows = np.hstack([-slopes @ inverse / far, np.ones((len(values), 1))])
     bounds = values / far + far
@@ -211,7 +211,7 @@ def lowest_point(values: Array, slopes: Array, hessian: Array, M: Array, x: Arra
         all_rows, all_bounds = np.vstack([rows, inward]), np.append(bounds, -room[held])
         sizes = np.linalg.norm(all_rows, axis=1)
         matrix = np.vstack([all_rows.T / sizes, all_bounds / sizes])
-        target = np.append(np.zeros(len(x) + 1), 1.0)
+        target = np.append(np.zeros(len(root) + 1), 1.0)
         weights = _non_negative(matrix, target)
         residual = matrix @ weights - target
         y = -residual[:-2] / residual[-1]
@@ -233,7 +233,7 @@ def _non_negative(matrix: Array, target: Array) -> Array:
         raise np.linalg.LinAlgError(str(error)) from error
 
 
-def _convex(curvature: Array, damping: float) -> Array:
+def convex(curvature: Array, damping: float) -> Array:
     """A positive definite matrix of the same curvatures, upwards in every direction."""
     values, vectors = np.linalg.eigh(curvature)
     return (vectors * (np.clip(np.abs(values), 1e-8, 1e8) + damping)) @ vectors.T

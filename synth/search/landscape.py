@@ -10,6 +10,7 @@ the map. What is measured there contains the force, and the gain that acts is (I
 """
 
 import contextlib
+from functools import partial
 
 import numpy as np
 from scipy import linalg
@@ -20,6 +21,7 @@ from synth.certificate.norm import level_crossings
 from synth.certificate.stability import balance
 from synth.discrete.bilinear import mapped
 from synth.plant import GeneralizedPlant
+from synth.search.climb import climbed
 from synth.search.cuts import Cuts
 from synth.search.loop import Loop, Ports
 
@@ -254,7 +256,7 @@ class Landscape:
         share = vectors.conj().swapaxes(1, 2) @ first
         second += 2 * np.real(share.conj().swapaxes(1, 2) @ (share * divided[:, :, None]))
         top = second[:, -1, -1]
-        follows = np.where((top < 0) & (omega > 0), 1 / np.where(top < 0, top, 1.0), 0.0)
+        follows = np.where((top < 0) & self.moving(omega), 1 / np.where(top < 0, top, 1.0), 0.0)
         second -= follows[:, None, None] * second[:, -1, :, None] * second[:, -1, None, :]
         return np.tensordot(weights, second[:, :size, :size], 1)
 
@@ -274,19 +276,11 @@ class Landscape:
         left = np.where(top > 0, omega[top - 1], -omega[min(1, len(omega) - 1)])
         middle, right = omega[top], omega[np.minimum(top + 1, len(omega) - 1)]
         right = np.where(right > middle, right, middle * 1.1 + (middle == 0))
-        height = gains[top]
-        for _ in range(3):  # three points to a parabola, its top the next middle
-            sides = self._gains(loop, np.abs(np.concatenate([left, right]))).reshape(2, -1)
-            a, b = middle - left, right - middle
-            rise, drop = (height - sides[0]) / a, (height - sides[1]) / b
-            bend = np.maximum(rise + drop, 1e-300)
-            vertex = np.clip(middle + 0.5 * (rise * b - drop * a) / bend, left, right)
-            there = self._gains(loop, np.abs(vertex))
-            higher = there > height
-            middle, height = np.where(higher, vertex, middle), np.where(higher, there, height)
-            width = np.maximum(0.2 * np.minimum(a, b), 1e-7 * np.abs(middle))
-            left, right = middle - width, middle + width
-        return np.unique(np.concatenate([np.abs(middle), beyond]))
+        return np.unique(np.concatenate([np.abs(climbed(partial(self._gains, loop), left, middle, right, gains[top])), beyond]))
+
+    def moving(self, omega: Array) -> Array:
+        """Whether a peak at these frequencies moves with the gain: at zero it stays, as the gain is even."""
+        return omega > 0
 
     def _gains(self, loop: Loop, omega: Array) -> Array:
         """Largest singular values at frequencies, shape (F,)."""

@@ -1,0 +1,169 @@
+"""What a gain keeps of its goals, each proved without what found it: norms in bands, decay, peaks, errors, families."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.controllers import ControllerEntry
+from models.goals.goals import DecayBound, GainBound, Goals, NormBound, NormOf, PeakBound
+from models.law import static_law
+from models.vehicle import Vehicle
+from synth.band.norm import norm_in_band
+from synth.certificate.promise import Promise
+from synth.certificate.stability import stability
+from synth.dynamic.loop import on_larger_plant
+from synth.goals.banded import EVERYWHERE
+from synth.goals.filtered import in_band
+from synth.goals.problem import Errors, GoalProblem, NormGoal, Posed
+from synth.goals.road_response import largest_over_road
+from synth.plant import GeneralizedPlant
+from synth.tolerance.worst import WorstNorm, worst_norm
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """A gain, and what it is judged by.
+
+    Attributes:
+        vehicle, entry, goals: what was asked for.
+        asked: the same in the plant's language.
+        K: shape (m, q).
+        known: worst norms that were computed already.
+    """
+
+    vehicle: Vehicle
+    entry: ControllerEntry
+    goals: Goals
+    asked: GoalProblem
+    K: Array
+    known: dict[NormGoal, list[WorstNorm]] = field(default_factory=dict)
+
+    @property
+    def names(self) -> list[str]:
+        """Of the members of the family, in words; one empty text where there is none."""
+        return [member_text(i, member) for i, member in enumerate(self.goals.family)] or [""]
+
+    def promises(self) -> tuple[Promise, ...]:
+        """All of them, what is minimised first."""
+        asked, goals = self.asked, self.goals
+        found = [*self.largest(goals.minimise, asked.minimise)]
+        if asked.bests is not None:
+            found.append(self.regret(asked.bests))
+        norms, peak = iter(asked.norms), 0
+        for bound in goals.bounds:
+            if isinstance(bound, NormBound):
+                found += self.largest(bound.norm, next(norms), bound.at_most)
+            elif isinstance(bound, DecayBound):
+                found += self.decay(bound.rate)
+            elif isinstance(bound, GainBound):
+                found.append(Promise("largest entry of the gain", float(np.abs(self.K).max()), at_most=bound.at_most))
+            else:
+                found.append(self.peak(bound, peak))
+                peak += 1
+        if goals.structure is not None:
+            outside = np.abs(self.K[~asked.structure])
+            found.append(Promise("entries of the gain outside its structure", float(outside.max(initial=0.0)), at_most=0.0))
+        return tuple(found)
+
+    def largest(self, norm: NormOf, asked: NormGoal, at_most: float | None = None) -> list[Promise]:
+        """A norm over the family without errors, and with the worst ones."""
+        of = [_norm(member.posed[asked.which], self.K, asked) for member in self.asked.members]
+        i = int(np.argmax([value for value, _, _ in of]))
+        value, proved, at = of[i]
+        what = norm.text if len(of) == 1 else f"largest {norm.text} of {len(of)} vehicles"
+        where = ", ".join(text for text in (self.names[i], f"at {at:.5g} rad/s" if np.isfinite(at) else "") if text)
+        found = [Promise(what, value, max(each for _, each, _ in of), None if self.asked.errors else at_most, where=where)]
+        if not self.asked.errors:
+            return found
+        wholes = self.worst(asked)
+        i = int(np.argmax([whole.found for whole in wholes]))
+        names = (*self.entry.measured, *self.vehicle.linear_model.inputs)
+        off = zip(names, (*wholes[i].readings, *wholes[i].forces), strict=True)
+        where = ", ".join(text for text in (self.names[i], *(f"{name} {100 * e:+.3g} %" for name, e in off if e)) if text)
+        proved = max(whole.proved for whole in wholes)
+        return [*found, Promise(f"{what}, with errors", wholes[i].found, proved, at_most, where=where)]
+
+    def regret(self, bests: Sequence[float]) -> Promise:
+        """The largest ratio to what each member has at its own best."""
+        asked = self.asked
+        if asked.errors:
+            of = [(each.found, each.proved) for each in self.worst(asked.minimise)]
+        else:
+            of = [_norm(member.posed[0], self.K, asked.minimise)[:2] for member in asked.members]
+        ratios = [value / best for (value, _), best in zip(of, bests, strict=True)]
+        i = int(np.argmax(ratios))
+        upper = max(proved / best for (_, proved), best in zip(of, bests, strict=True))
+        with_errors = ", with errors" if asked.errors else ""
+        return Promise(f"largest ratio to a vehicle's own best{with_errors}", ratios[i], upper, where=self.names[i])
+
+    def worst(self, asked: NormGoal) -> list[WorstNorm]:
+        """The norm of every member with the worst errors; in a band, through a filter that is at least one there."""
+        if asked in self.known:
+            return self.known[asked]
+        found = []
+        for member in self.asked.members:
+            whole = self.worst_of(in_band(member.posed[asked.which], asked.band))
+            if asked.band != EVERYWHERE:  # what is proved is of the filter's norm; what is met, of the band's own
+                met = Errors(whole.readings, whole.forces)
+                value, _, _ = _norm(met.on(member.posed[asked.which]), self.K, asked)
+                whole = replace(whole, found=value)
+            found.append(whole)
+        self.known[asked] = found
+        return found
+
+    def worst_of(self, posed: Posed) -> WorstNorm:
+        """The norm of one plant with the worst errors."""
+        tolerance = self.asked.tolerance
+        return worst_norm(posed.plant, posed.Cy, self.K, tolerance.sensors, tolerance.forces, posed.Dyw)
+
+    def decay(self, rate: float) -> list[Promise]:
+        """The slowest pole of the family without errors, and with the worst ones: the norm of loops moved right by the rate."""
+        slowest = [
+            max(float(np.real(pole)) for pole in stability(_loop(member.posed[0], self.K).A).poles)
+            for member in self.asked.members
+        ]
+        i = int(np.argmax(slowest))
+        found = [Promise("slowest pole", slowest[i], at_most=-rate, unit="rad/s", where=self.names[i])]
+        if not self.asked.errors:
+            return found
+        moved = [self.worst_of(_moved(member.posed[0], rate)) for member in self.asked.members]
+        proved = all(whole.proved < np.inf for whole in moved)
+        what = f"loops that decay slower than {rate:g} rad/s, with errors"
+        return [*found, Promise(what, float(sum(np.isinf(whole.found) for whole in moved)), 0.0 if proved else np.inf, 0.0)]
+
+    def peak(self, bound: PeakBound, which: int) -> Promise:
+        """The largest magnitude of a signal over a road."""
+        of = [largest_over_road(member.driven[which], self.K) for member in self.asked.members]
+        i = int(np.argmax([peak.value for peak in of]))
+        what = f"largest {bound.signal} over {bound.road}"
+        where = ", ".join(text for text in (self.names[i], f"{of[i].time:.4g} s after its start") if text)
+        return Promise(
+            what, of[i].value, max(peak.proved for peak in of), bound.at_most, self.vehicle.kind.signal(bound.signal).unit, where
+        )
+
+
+def member_text(i: int, member) -> str:
+    """A member of a family in words."""
+    factors = " and ".join(f"{name} x {factor:g}" for name, factor in member.items())
+    return f"vehicle {i}, {factors or 'as it is'}"
+
+
+def _norm(posed: Posed, K: Array, asked: NormGoal) -> tuple[float, float, float]:
+    """The norm in the band, what it proves to be below, and where it is reached; infinite where the loop is unstable."""
+    found = norm_in_band(_loop(posed, K), *asked.band)
+    if not found.stability.stable:
+        return np.inf, np.inf, np.nan
+    return found.value, found.level, found.peak_frequency
+
+
+def _moved(posed: Posed, rate: float) -> Posed:
+    """A plant whose loops are stable where those of this one decay faster than a rate."""
+    plant = posed.plant
+    return replace(posed, plant=replace(plant, A=plant.A + rate * np.eye(len(plant.A))))
+
+
+def _loop(posed: Posed, K: Array) -> GeneralizedPlant:
+    plant, G = on_larger_plant(posed.plant, posed.Cy, static_law(K), posed.Dyw)
+    return plant.closed_loop(G)

@@ -1,0 +1,172 @@
+"""The way down a terrain, and within its bounds: sequential quadratic programming for a minimax problem with an exact penalty.
+
+It is `synth.search.descent.along_edges`, over the terms of a problem instead of one norm: a step minimises the largest of the
+functions that support the terms, linearised, plus their curvature; what a failed step met joins the model.
+"""
+
+import contextlib
+from collections.abc import Callable
+
+import numpy as np
+
+from models.common.arrays import Array
+from synth.goals.terrain import Height, Model, Terrain, stacked
+from synth.search.descent import convex, lowest_point
+
+ROUNDS = 60
+FIRST, LARGEST = 4.0, 1e6  # penalties: relative rise of the goals per relative excess over a bound
+FLAT = 1e-7  # relative fall over so many rounds that is none
+OVER = 10
+MOST_PAIRS = 400
+
+
+def descend(
+    terrain: Terrain,
+    x: Array,
+    M: Array,
+    rounds: int = ROUNDS,
+    told: Callable[[Array, Height], None] = lambda x, height: None,
+    enough: float = 0.0,
+) -> tuple[Array, Height]:
+    """From a point where all loops are stable to one that is lower: within the bounds, if the start is or a way there is found.
+
+    Args:
+        terrain: of the problem.
+        x: the start.
+        M: coordinates in which all directions count alike, shape (N, N).
+        rounds: at most.
+        told: called with every new point.
+        enough: of the goal; it ends there.
+    """
+    walk = _Walk(terrain, x, M)
+    with contextlib.suppress(ValueError):  # singular, says numpy, or not finite, says scipy: of a loop on the border of stability
+        for _ in range(rounds):
+            if walk.height.goal <= enough or not walk.step():
+                break
+            told(walk.x, walk.height)
+    return walk.x, walk.height
+
+
+class _Walk:
+    """One descent."""
+
+    def __init__(self, terrain: Terrain, x: Array, M: Array) -> None:
+        self.terrain, self.x, self.M = terrain, x, M
+        self.height = terrain.height(x)
+        self.penalty, self.depth, self.damping = FIRST, 0.1, 1e-2
+        self.hessian = 0.1 * np.eye(M.shape[1])
+        self.kept: Model = Model((), ())
+        self.failures, self.recent = 0, [self.merit(self.height)]
+
+    def merit(self, height: Height) -> float:
+        """The goal with the penalty."""
+        return height.goal * (1 + self.penalty * max(height.excess, 0.0))
+
+    def lowest(self, goals: tuple[Array, Array], bounds: tuple[Array, Array]) -> tuple[Array, Array, Array, float]:
+        """The step of the model, the weights of its goals and bounds, and the fall that it promises.
+
+        Args:
+            goals: values over the goal at the point, less one, and slopes, in the walk's coordinates.
+            bounds: excesses and slopes.
+        """
+        (v, s), (c, w) = goals, bounds
+        values = np.append(0.0, self.penalty * c)  # no bound, or one of them
+        slopes = np.vstack([np.zeros((1, s.shape[1])), self.penalty * w])
+        pairs = (v[:, None] + values).ravel()
+        along = (s[:, None] + slopes).reshape(len(pairs), -1)
+        kept = np.argsort(-pairs)[:MOST_PAIRS]
+        t, some = lowest_point(pairs[kept], along[kept], self.hessian, self.M, self.x, self.terrain.limit)
+        weights = np.zeros(len(pairs))
+        weights[kept] = some / some.sum()
+        table = weights.reshape(len(v), -1)
+        now = max(float(values.max()), 0.0)
+        return t, table.sum(axis=1), self.penalty * table[:, 1:].sum(axis=0), now - float(np.max(pairs + along @ t))
+
+    def linear(self, model: Model) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+        """The model's functions in the walk's coordinates, relative."""
+        n, goal = len(self.x), self.height.goal
+        (v, s), (c, w) = stacked(model.goals, n), stacked(model.bounds, n)
+        return (v / goal - 1, s @ self.M / goal), (c - 1, w @ self.M)
+
+    def step(self) -> bool:
+        """One round; whether there may be another."""
+        terrain, x, M = self.terrain, self.x, self.M
+        if self.failures > 8 or self.height.goal <= 1e-300:
+            return False
+        if len(self.recent) > OVER and self.recent[-1 - OVER] - self.recent[-1] < FLAT * self.recent[-1]:
+            return False
+        fresh = terrain.model(x, self.height, self.depth)
+        old = terrain.again(x, self.kept)
+        model = Model(fresh.goals + old.goals, fresh.bounds + old.bounds)
+        goals, bounds = self.linear(model)
+        _, of_goals, of_bounds, _ = self.lowest(goals, bounds)
+        curvature = self.curvature(fresh, of_goals, of_bounds)
+        if np.any(curvature):
+            self.hessian = convex(M.T @ curvature @ M, self.damping)
+        t, of_goals, of_bounds, fall = self.lowest(goals, bounds)
+        while of_bounds.sum() > 0.8 * self.penalty and self.penalty < LARGEST and np.max(bounds[0] + bounds[1] @ t) > 1e-9:
+            self.penalty *= 4  # the step ends beyond a bound that another one keeps
+            t, of_goals, of_bounds, fall = self.lowest(goals, bounds)
+        here = self.merit(self.height)
+        if not fall > 1e-10:
+            self.depth, self.failures = self.depth / 4, self.failures + 1
+            return True
+        move, length, found, corrected = M @ t, 1.0, Model((), ()), False
+        while length > 1e-3:
+            allowed = here * (1 - 1e-2 * length * fall)
+            there = self.at(x + length * move, allowed)
+            if self.merit(there) <= allowed:
+                break
+            if np.isfinite(there.goal) and not corrected:
+                # The edges are curved: where they stand beyond the step is modelled from there (a second-order correction).
+                corrected = True
+                whole = terrain.height(x + move)
+                if np.isfinite(whole.goal):
+                    beyond = terrain.model(x + move, whole, self.depth)
+                    found = beyond
+                    better = M @ self.lowest(*self.shifted(beyond, t))[0]
+                    there = self.at(x + better, allowed)
+                    if self.merit(there) <= allowed:
+                        move = better
+                        break
+            length *= 0.3
+        else:
+            self.damping, self.failures, self.hessian = 10 * self.damping, self.failures + 1, 10 * self.hessian
+            self.kept = Model((self.kept.goals + found.goals)[-6:], (self.kept.bounds + found.bounds)[-6:])
+            return True
+        while length >= 1 and np.all(np.abs(x + 3 * length * move) <= terrain.limit):  # a minimum far away, or at infinity
+            needed = self.merit(there) - 0.1 * length * fall * here
+            further = self.at(x + 3 * length * move, needed)
+            if self.merit(further) > needed:
+                break
+            length, there = 3 * length, further
+        self.failures, self.kept = (0 if length > 0.05 else self.failures), found
+        self.damping = max(self.damping / 4, 1e-8) if length >= 1 else self.damping * 2
+        self.x = np.clip(x + length * move, -terrain.limit, terrain.limit)
+        self.height = terrain.height(self.x)
+        self.recent.append(self.merit(self.height))
+        return True
+
+    def at(self, x: Array, allowed: float) -> Height:
+        """The height of a point, as far as it matters."""
+        return self.terrain.height(x, allowed, self.penalty)
+
+    def shifted(self, model: Model, t: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+        """Functions that were made at the end of a step t, seen from its start."""
+        (v, s), (c, w) = self.linear(model)
+        return (v - s @ t, s), (c - w @ t, w)
+
+    def curvature(self, fresh: Model, of_goals: Array, of_bounds: Array) -> Array:
+        """Of the functions that touch at the point, with the weights of the model."""
+        total = np.zeros((len(self.x), len(self.x)))
+        for terms, supports, weights, unit in (
+            (self.terrain.goals, fresh.goals, of_goals, self.height.goal),
+            (self.terrain.bounds, fresh.bounds, of_bounds, 1.0),
+        ):
+            start = 0
+            for i, support in supports:
+                own = weights[start : start + len(support.values)]
+                start += len(support.values)
+                if len(own) and own.max() > 1e-6:
+                    total += terms[i].curvature(self.x, support, own) / unit
+        return total

@@ -1,0 +1,69 @@
+"""The door of the engine: from a problem of goals to a gain, or why there is none."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from models.common.arrays import Array
+from synth.goals.problem import Errors, GoalProblem
+from synth.goals.search import Search, Told
+from synth.numerics import numerics
+
+
+@dataclass(frozen=True, eq=False)
+class GoalDesign:
+    """What the search ended with.
+
+    Attributes:
+        gain: K, shape (m, q).
+        goal: the largest norm met, or ratio.
+        refused: what twice the gain would have bought of it, relative; None where nothing.
+        errors: the errors that decided, beside none.
+    """
+
+    gain: Array
+    goal: float
+    refused: float | None
+    errors: tuple[Errors, ...]
+
+
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C, with the best so far within all bounds.
+
+    Attributes:
+        best: a `GoalDesign`; what is made of it on the way out takes its place.
+    """
+
+    def __init__(self, best: Any) -> None:
+        super().__init__()
+        self.best = best
+
+
+@numerics()
+def design_for_goals(
+    problem: GoalProblem,
+    starts: Iterable[Array],
+    told: Told = lambda goal, within: None,
+    otherwise: Callable[[], Iterable[Array]] = lambda: (),
+) -> GoalDesign:
+    """The best gain that the search finds.
+
+    Args:
+        problem: what is asked for.
+        starts: gains to start from, shape (m, q) each, beside those that it finds itself.
+        told: called with every new point.
+        otherwise: gives others, where none of those leads to stable loops; they may take their time.
+
+    Raises:
+        DesignError: none makes all loops stable, or none keeps all bounds; the message says which bound is in the way.
+        Interrupted: by Ctrl-C, once there is something to keep.
+    """
+    search = Search(problem, told)
+    try:
+        x, height, refused = search.result(starts, otherwise)
+    except KeyboardInterrupt as error:
+        if search.least is None:
+            raise
+        x, height = search.least
+        raise Interrupted(GoalDesign(search.full.gain(x), height.goal, None, tuple(search.met))) from error
+    return GoalDesign(search.full.gain(x), height.goal, refused, tuple(search.met))

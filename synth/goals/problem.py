@@ -1,0 +1,153 @@
+"""A problem of goals in the plant's language: plants, errors, norms, bounds and a structure."""
+
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from models.common.arrays import Array
+from synth.goals.banded import EVERYWHERE, Band, BandLandscape
+from synth.goals.road_response import Driven
+from synth.plant import GeneralizedPlant
+from synth.search.landscape import Landscape
+
+
+@dataclass(frozen=True, eq=False)
+class NormGoal:
+    """A norm in a band, of at most so much.
+
+    Attributes:
+        which: of a member's `posed`, by index.
+        band: from and to [rad/s].
+        at_most: the bound; infinite for what is minimised.
+        name: in words.
+    """
+
+    which: int = 0
+    band: Band = EVERYWHERE
+    at_most: float = np.inf
+    name: str = "norm"
+
+
+@dataclass(frozen=True, eq=False)
+class Posed:
+    """A plant with one z, and what is measured of it.
+
+    Attributes:
+        plant: n states, m inputs.
+        Cy: shape (q, n).
+        Dyw: shape (q, r); None without noise.
+    """
+
+    plant: GeneralizedPlant
+    Cy: Array
+    Dyw: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Member:
+    """One plant of a family.
+
+    Attributes:
+        posed: the plant with the z of each norm.
+        driven: the plant on roads, each with the signal that is bounded there.
+    """
+
+    posed: tuple[Posed, ...]
+    driven: tuple[Driven, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """Relative errors of sensors and actuators: y is read as (1 + sensors) y, and (1 + forces) u acts.
+
+    Attributes:
+        sensors: shape (q,).
+        forces: shape (m,).
+    """
+
+    sensors: Array
+    forces: Array
+
+    @property
+    def key(self) -> bytes:
+        """Alike for errors that are alike."""
+        return self.sensors.tobytes() + self.forces.tobytes()
+
+    def on(self, posed: Posed) -> Posed:
+        """A plant with these errors, and what is measured."""
+        u, y, plant = 1 + self.forces, 1 + self.sensors, posed.plant
+        if np.all(u == 1) and np.all(y == 1):
+            return posed
+        plant = replace(plant, B=plant.B * u, D=plant.D * u)
+        return Posed(plant, y[:, None] * posed.Cy, None if posed.Dyw is None else y[:, None] * posed.Dyw)
+
+
+@dataclass(frozen=True, eq=False)
+class GoalProblem:
+    """The least over K of the largest norm over members and errors, within bounds.
+
+    Attributes:
+        members: of the family; one where there is none.
+        minimise: what is minimised.
+        norms: bounds on norms.
+        decay: all poles lie left of minus this [rad/s]; None for anywhere in the left half plane.
+        peaks: the largest magnitude of each member's driven signals.
+        gain: the largest entry of K; None where nothing says.
+        tolerance: the largest errors.
+        structure: which entries of K may be other than zero, shape (m, q).
+        bests: what each member has at its own best, for the largest ratio to it instead of the largest norm; None for that.
+    """
+
+    members: tuple[Member, ...]
+    minimise: NormGoal
+    tolerance: Errors
+    structure: Array
+    norms: tuple[NormGoal, ...] = ()
+    decay: float | None = None
+    peaks: tuple[float, ...] = ()
+    gain: float | None = None
+    bests: tuple[float, ...] | None = None
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Of K."""
+        return self.structure.shape
+
+    @property
+    def errors(self) -> bool:
+        """Whether there may be any."""
+        return bool(np.any(self.tolerance.sensors) or np.any(self.tolerance.forces))
+
+    @property
+    def none(self) -> Errors:
+        """No error at all."""
+        m, q = self.shape
+        return Errors(np.zeros(q), np.zeros(m))
+
+    def corners(self, most: int) -> list[Errors]:
+        """The vertices of the box of errors, or none of them where there are more."""
+        m, q = self.shape
+        sides = np.concatenate([self.tolerance.sensors, self.tolerance.forces])
+        free = np.flatnonzero(sides)
+        if not len(free) or 2 ** len(free) > most:
+            return []
+        found = []
+        for signs in product((-1.0, 1.0), repeat=len(free)):
+            error = np.zeros(m + q)
+            error[free] = signs * sides[free]
+            found.append(Errors(error[:q], error[q:]))
+        return found
+
+    def alone(self, i: int) -> "GoalProblem":
+        """The same for one member by itself."""
+        return replace(self, members=(self.members[i],), bests=None)
+
+    def landscape(self, i: int, which: int, band: Band, errors: Errors, like: Landscape | None) -> BandLandscape:
+        """Of a member's plant with errors."""
+        posed = errors.on(self.members[i].posed[which])
+        return BandLandscape(posed.plant, posed.Cy, posed.Dyw, band, like)
+
+    def nominal(self) -> BandLandscape:
+        """Of the first member without errors: its points are those of all."""
+        return self.landscape(0, self.minimise.which, self.minimise.band, self.none, None)

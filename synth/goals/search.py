@@ -1,0 +1,259 @@
+"""The gain of least height within its bounds, from many starts.
+
+- Starts that make no loop unstable are ranked, and a few of the best go down some rounds; the best of these goes to its end.
+- Without a bound on the gain it grows by stages, as in `synth.search.refine`, as long as that is worth it.
+- Of the errors those count that were met: all vertices of the box where they are few, else the worst ones, found as the design
+  goes on. Whether the box holds no worse ones is the certificate's to say.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+
+import numpy as np
+
+from models.common.arrays import Array
+from synth.errors import DesignError
+from synth.goals.descent import descend
+from synth.goals.problem import Errors, GoalProblem
+from synth.goals.road_peak import RoadPeak
+from synth.goals.terms import Decay, Gain, Term
+from synth.goals.terrain import KEPT, Height, Terrain
+from synth.goals.worst import worst_errors
+from synth.search.coordinates import alike
+from synth.search.descent import quasi_newton
+from synth.search.survey import survey
+
+LARGEST_GAIN = 1e5  # times what counts as one: where nothing bounds the gain
+MOST_VERTICES = 4  # of the box of errors, that all count from the first
+ENTERED = 5  # starts that go down some rounds
+GLANCE, ROUNDS = 15, 80  # rounds
+STAGES = 20  # twofold growths of the gain
+WORTH = 1e-3  # of the goal, relative: what a growing gain must buy
+TIGHTER = 1e-7  # relative: bounds are kept by so much, for rounding
+AND_FOR_ERRORS = 0.02  # and a decay with errors by so much: on the border itself nothing is proved of a whole box
+AND_FOR_PEAKS = 1e-5  # by so much, for what is not known of a signal between two times
+TURNS = 12  # of descents with more errors
+MET = 1e-6  # relative: errors that make it worse by less are none
+STABLE = -1e-4  # of the fastest pole: far enough left to start from
+UNSTABLE = (
+    "no static gain was found that makes every loop of the goals stable; ask for less: a smaller tolerance, fewer vehicles, or "
+    "more signals and entries of the gain"
+)
+RANK = 30.0  # what a start's excess over a bound weighs
+
+
+Told = Callable[[float, bool], None]  # the goal now, and whether within all bounds
+
+
+class Search:
+    """The search for one problem."""
+
+    def __init__(self, problem: GoalProblem, told: Told) -> None:
+        self.problem, self.full = problem, problem.nominal()
+        self.told = told
+        self.least: tuple[Array, Height] | None = None
+        self.free = np.flatnonzero(problem.structure.ravel())
+        self.met = problem.corners(MOST_VERTICES)
+        self.terrain = self.terrain_of([problem.none, *self.met])
+
+    def result(self, starts: Iterable[Array], otherwise: Callable[[], Iterable[Array]]) -> tuple[Array, Height, float | None]:
+        """The whole search: where it ended, and what it refused, as `GoalDesign` has it."""
+        x, height = self.best(starts, otherwise)
+        refused = None
+        for _ in range(TURNS):
+            if not height.within:
+                x, height = self.admitted(x)
+            x, height, refused = self.staged(x, height)
+            if not self.sharpened(x, height):
+                break
+            self.least = None  # of fewer errors
+            x, height = self.stable(x)
+        if not height.within:
+            x, height = self.admitted(x)
+        if not height.within:
+            raise DesignError(self.in_the_way(x))
+        return x, height, refused
+
+    def moved(self, x: Array, height: Height) -> None:
+        """Takes note of a new point."""
+        self.told(height.goal, height.within)
+        if height.within and (self.least is None or height.goal < self.least[1].goal):
+            self.least = x, height
+
+    def limit(self, gain: float | None) -> Array:
+        """The largest entries of a point."""
+        if gain is None:
+            return np.full(self.full.scale.size, LARGEST_GAIN)
+        return self.full.point(np.full(self.full.shape, gain))
+
+    def terrain_of(self, errors: Sequence[Errors]) -> Terrain:
+        """All terms, for some errors."""
+        problem = self.problem
+        goals: list[Term] = []
+        bounds: list[Term] = []
+        for i, member in enumerate(problem.members):
+            unit = problem.bests[i] if problem.bests is not None else 1.0
+            for each in errors:
+                goals.append(Gain(problem.landscape(i, problem.minimise.which, problem.minimise.band, each, self.full), unit))
+                for norm in problem.norms:
+                    landscape = problem.landscape(i, norm.which, norm.band, each, self.full)
+                    bounds.append(Gain(landscape, norm.at_most * (1 - TIGHTER), norm.name))
+                if problem.decay is not None:
+                    landscape = problem.landscape(i, problem.minimise.which, problem.minimise.band, each, self.full)
+                    more = AND_FOR_ERRORS if problem.errors else TIGHTER
+                    bounds.append(Decay(landscape, problem.decay * (1 + more)))
+            for driven, most in zip(member.driven, problem.peaks, strict=True):
+                bounds.append(RoadPeak(driven, self.full.scale, most * (1 - AND_FOR_PEAKS)))
+        return Terrain(goals, bounds, self.limit(problem.gain))
+
+    def coordinates(self, x: Array) -> Array:
+        """Directions that the structure allows, in which all count alike, shape (N, free)."""
+        try:
+            M = alike(self.full, x)
+            inverse = np.linalg.inv(M[:, :])
+        except np.linalg.LinAlgError:
+            return np.eye(len(x))[:, self.free]
+        if len(self.free) == len(x):
+            return M
+        metric = (inverse.T @ inverse)[np.ix_(self.free, self.free)]
+        sizes, directions = np.linalg.eigh(metric)
+        restricted = np.zeros((len(x), len(self.free)))
+        restricted[self.free] = directions / np.sqrt(np.maximum(sizes, 1e-12 * sizes[-1])) @ directions.T
+        return restricted
+
+    def best(self, starts: Iterable[Array], otherwise: Callable[[], Iterable[Array]]) -> tuple[Array, Height]:
+        """The best of the starts, some rounds further down."""
+        points = self.points(starts)
+        points += [0.5 * x for x in points] + [np.zeros(self.full.scale.size)]
+        points += [np.where(self.problem.structure.ravel(), x, 0.0) for x in survey(self.full, self.terrain.limit)]
+        ranked = self.ranked(points) or self.ranked([self.stabilised(x) for x in points]) or self.ranked(self.points(otherwise()))
+        if not ranked:
+            raise DesignError(UNSTABLE)
+        return min((self.glanced(x) for x in ranked[:ENTERED]), key=lambda each: self.cost(*each))
+
+    def points(self, gains: Iterable[Array]) -> list[Array]:
+        """The points of gains, as far as structure and limit allow them."""
+        limit, mask = self.terrain.limit, self.problem.structure
+        return [np.clip(self.full.point(np.where(mask, K, 0.0)), -limit, limit) for K in gains]
+
+    def glanced(self, x: Array) -> tuple[Array, Height]:
+        """Some rounds further down; without a bound on the gain, with at most twice the gain."""
+        whole = self.terrain.limit
+        if self.problem.gain is None:
+            self.terrain.limit = np.minimum(whole, 2 * float(np.abs(x).max()) or 1.0)
+        found = self.down(x, GLANCE)
+        self.terrain.limit = whole
+        return found
+
+    def cost(self, x: Array, height: Height) -> float:
+        """Lower is better: a gain twice as large has to be worth it, where nothing bounds it."""
+        growth = np.log2(max(float(np.abs(x).max()), 1e-3)) if self.problem.gain is None else 0.0
+        return float(np.log(max(self.rank(height), 1e-300)) + WORTH * growth)
+
+    def admitted(self, x: Array) -> tuple[Array, Height]:
+        """A point within all bounds, or as near to that as the search comes."""
+        terrain = self.terrain
+        bounds = Terrain(terrain.bounds, [], terrain.limit)
+        for _ in range(3):
+            x, near = descend(bounds, x, self.coordinates(x), ROUNDS, enough=1.0)
+            if near.goal <= 1:
+                break
+        return x, terrain.height(x)
+
+    def stable(self, x: Array) -> tuple[Array, Height]:
+        """The point, or one further on where all loops are stable, those with errors that were met since among them."""
+        height = self.terrain.height(x)
+        if np.isfinite(height.goal):
+            return x, height
+        x = self.stabilised(x)
+        height = self.terrain.height(x)
+        if not np.isfinite(height.goal):
+            raise DesignError(UNSTABLE)
+        return x, height
+
+    def rank(self, height: Height) -> float:
+        """Lower is better."""
+        return height.goal * (1 + RANK * max(height.excess, 0.0))
+
+    def ranked(self, points: Sequence[Array]) -> list[Array]:
+        """Those where all loops are stable, the best first; of those that are alike one."""
+        heights = [(self.cost(x, self.terrain.height(x)), i) for i, x in enumerate(points)]
+        stable = sorted((cost, i) for cost, i in heights if np.isfinite(cost))
+        kept: list[tuple[float, Array]] = []
+        for cost, i in stable:
+            if all(abs(cost - other) > 1e-9 for other, _ in kept):
+                kept.append((cost, points[i]))
+        return [x for _, x in kept]
+
+    def stabilised(self, x: Array) -> Array:
+        """A point further down the largest real part of a pole of any loop."""
+        landscapes = [term.landscape for term in self.terrain.goals if isinstance(term, Gain)]
+        rate = float(np.abs(np.linalg.eigvals(self.full.A)).max()) or 1.0
+        free = self.free
+
+        def abscissa(t: Array, _: float) -> tuple[float, Array]:
+            there = x.copy()
+            there[free] = t
+            found = [landscape.abscissa(there) for landscape in landscapes]
+            value, slope = max(found, key=lambda each: each[0])
+            return value / rate, slope[free] / rate
+
+        start = x[free]
+        moved = x.copy()
+        if np.isfinite(abscissa(start, np.inf)[0]):
+            moved[free] = quasi_newton(abscissa, start, 100, STABLE)[0]
+        return np.clip(moved, -self.terrain.limit, self.terrain.limit)
+
+    def down(self, x: Array, rounds: int) -> tuple[Array, Height]:
+        """A descent."""
+        return descend(self.terrain, x, self.coordinates(x), rounds, self.moved)
+
+    def staged(self, x: Array, height: Height) -> tuple[Array, Height, float | None]:
+        """A descent to its end: at once where the gain is bounded, else in stages of growth, as long as each is worth it."""
+        if self.problem.gain is not None:
+            return *self.settled(x, height), None
+        size = float(np.abs(x).max()) or 1.0
+        for stage in range(STAGES):
+            self.terrain.limit = np.minimum(np.full(len(x), size * (2 if stage else 1)), LARGEST_GAIN)
+            moved, there = self.settled(x, height)
+            growth = float(np.abs(moved).max()) / size
+            bought = 1 - self.rank(there) / self.rank(height)
+            if stage and bought < WORTH and there.within == height.within:
+                return x, height, bought if bought > 1e-6 else None
+            x, height, size = moved, there, max(size, float(np.abs(moved).max()))
+            if stage and growth <= 1 + 1e-6:
+                break
+        return x, height, None
+
+    def settled(self, x: Array, height: Height) -> tuple[Array, Height]:
+        """Descents, each in coordinates of its own, until one gains nothing."""
+        for _ in range(4):
+            moved, there = self.down(x, ROUNDS)
+            if not self.rank(there) < self.rank(height) * (1 - 1e-6):
+                return (moved, there) if self.rank(there) < self.rank(height) else (x, height)
+            x, height = moved, there
+        return x, height
+
+    def sharpened(self, x: Array, height: Height) -> bool:
+        """Whether errors were met that make it worse, which count from now on."""
+        problem = self.problem
+        if not problem.errors:
+            return False
+        worse = [errors for beyond, errors in worst_errors(problem, self.full, x, height.goal) if beyond > 1 + MET]
+        met = {each.key for each in self.met}
+        fresh = list({errors.key: errors for errors in worse if errors.key not in met}.values())
+        if not fresh:
+            return False
+        self.met += fresh
+        more = self.terrain_of(fresh)
+        self.terrain.goals += more.goals
+        self.terrain.bounds += [bound for bound in more.bounds if not isinstance(bound, RoadPeak)]
+        return True
+
+    def in_the_way(self, x: Array) -> str:
+        """Which bounds cannot be kept, and by how much, as far as the search found."""
+        passed = {term.name: term.value(x) - 1 for term in sorted(self.terrain.bounds, key=lambda term: term.value(x))}
+        said = [f"{name} is passed by {100 * share:.2g} %" for name, share in passed.items() if share > KEPT]
+        return (
+            f"no gain was found that keeps all bounds; nearest to all of them, {' and '.join(reversed(said))}; allow more there, "
+            "or measure more"
+        )

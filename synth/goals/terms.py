@@ -1,0 +1,125 @@
+"""What is minimised or bounded, each as a function of the gain: its value, and smooth functions that support it from below.
+
+A point x is a gain in the coordinates of a `Landscape`, the same for all terms of a problem.
+"""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from models.common.arrays import Array
+from synth.goals.banded import BandLandscape
+from synth.search.cuts import Cuts
+
+
+@dataclass(frozen=True, eq=False)
+class Support:
+    """F smooth functions that touch or support a term at a point.
+
+    Attributes:
+        values: there, shape (F,).
+        slopes: shape (F, N).
+        touching: which of them are its local maxima there, so that their curvature counts, shape (F,).
+        cuts: what the term knows them by.
+    """
+
+    values: Array
+    slopes: Array
+    touching: Array
+    cuts: Any
+
+
+class Term(ABC):
+    """A function of the gain.
+
+    Attributes:
+        unit: the value that counts as one: a bound, or the best that is known.
+        name: of what is bounded, in words.
+    """
+
+    unit: float
+    name: str
+
+    @abstractmethod
+    def value(self, x: Array, above: float = np.inf) -> float:
+        """In its unit; a lower bound, once it is known to exceed `above`. Infinite where the loop is unstable."""
+
+    @abstractmethod
+    def support(self, x: Array, value: float, depth: float) -> Support:
+        """Functions that come within a share `depth` of its value at a point."""
+
+    @abstractmethod
+    def again(self, x: Array, support: Support) -> Support:
+        """The same functions at another point."""
+
+    def curvature(self, x: Array, support: Support, weights: Array) -> Array:
+        """Weighted sum of the second derivatives of the functions that touch, shape (N, N); zero where they are not known.
+
+        Args:
+            x: where the support was made.
+            support: of this term.
+            weights: of all its functions, shape (F,).
+        """
+        return np.zeros((len(x), len(x)))
+
+
+class Gain(Term):
+    """The largest gain from w to z in a band, of one plant."""
+
+    def __init__(self, landscape: BandLandscape, unit: float = 1.0, name: str = "") -> None:
+        self.landscape, self.unit, self.name = landscape, unit, name
+
+    def value(self, x: Array, above: float = np.inf) -> float:
+        """The norm in the band."""
+        return self.landscape.norm(x, above * self.unit)[0] / self.unit
+
+    def support(self, x: Array, value: float, depth: float) -> Support:
+        """Cuts at all its summits within a share of the highest."""
+        height = value * self.unit
+        omega = self.landscape.summits(x, height * (1 - depth))
+        return self._made(x, self.landscape.cuts(x, omega, height * (1 - 0.1 * depth)), touching=True)
+
+    def again(self, x: Array, support: Support) -> Support:
+        """The same cuts elsewhere, where they no longer touch."""
+        return self._made(x, support.cuts, touching=False)
+
+    def curvature(self, x: Array, support: Support, weights: Array) -> Array:
+        """Of the peaks that the cuts belong to."""
+        active = support.touching & (weights > 1e-3 * weights.max(initial=0.0))
+        if not active.any():
+            return np.zeros((len(x), len(x)))
+        return self.landscape.curvature(x, support.cuts[active], weights[active]) / self.unit
+
+    def _made(self, x: Array, cuts: Cuts, touching: bool) -> Support:
+        values, slopes = self.landscape.heights(x, cuts)
+        return Support(values / self.unit, slopes / self.unit, np.full(len(values), touching), cuts)
+
+
+class Decay(Term):
+    """How slowly the slowest pole decays: 1 + re(pole) / rate, 1 + that of the next ones; at most 1 minus one where it is met.
+
+    Its value is 2 + re(pole) / rate - 1, so that, as of every term, 1 is the bound.
+    """
+
+    def __init__(self, landscape: BandLandscape, rate: float) -> None:
+        self.landscape, self.rate, self.unit, self.name = landscape, rate, 1.0, f"a decay of {rate:g} rad/s"
+
+    def value(self, x: Array, above: float = np.inf) -> float:
+        """2 + the largest real part over the rate: 1 where it is -rate."""
+        return 2 + self.landscape.abscissa(x)[0] / self.rate
+
+    def support(self, x: Array, value: float, depth: float) -> Support:
+        """The real parts of all poles near the border."""
+        return self._made(x, value - max(depth, 0.3), touching=True)
+
+    def again(self, x: Array, support: Support) -> Support:
+        """Poles move: those of the other point."""
+        return self._made(x, self.value(x) - 0.3, touching=False)
+
+    def _made(self, x: Array, above: float, touching: bool) -> Support:
+        real, slopes = self.landscape.decays(x)
+        values = 2 + real / self.rate
+        near = values >= above
+        return Support(values[near], slopes[near] / self.rate, np.full(int(near.sum()), touching), np.flatnonzero(near))
