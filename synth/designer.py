@@ -1,5 +1,6 @@
 """The designs of a vehicle file: from a controller's name to a certified gain."""
 
+import contextlib
 import unicodedata
 from collections.abc import Sequence
 from dataclasses import replace
@@ -93,7 +94,7 @@ class Designer:
         entry = self._entry(name)
         if entry.law is not None:
             return self._given(entry, entry.law)
-        hardware, shared = entry.hardware, self.shared(entry.hardware)
+        hardware = entry.hardware
         if (entry.design or entry.sampled or entry.goals or hardware.noise) and zero_l:
             why = "is designed for noise, which (25) does not know," if hardware.noise else "is not designed in two steps"
             why = "is designed for the sampled loop" if entry.sampled else why
@@ -106,19 +107,31 @@ class Designer:
             if entry.goals is not None:
                 return goals_design(self.vehicle, entry, entry.goals, posed, lower_bound, told)
             if entry.sampled:
-                return sampled_design(self.vehicle, entry, posed, lower_bound, lower_bound.gamma or 1.0)
-            if name == "state" and not self.vehicle.filtered:
-                design = state_design(self.plant, self.state_path, lower_bound)
-            elif zero_l:
-                design = zero_l_design(posed.plant, posed.Cy, lower_bound)
-            else:
-                always = name == "state" or posed.Dyw is not None
-                design = two_steps_or_descent(
-                    posed.plant, posed.Cy, lambda: shared.state_path, lower_bound, shared.states, always, posed.Dyw
-                )
+                ideal = None
+                with contextlib.suppress(DesignError):
+                    ideal = self._in_two_steps(entry, posed, lower_bound)
+                return sampled_design(self.vehicle, entry, posed, lower_bound, ideal)
+            return self._in_two_steps(entry, posed, lower_bound, zero_l)
         except DesignError as error:
             raise type(error)(f"controller {name!r}: {error}") from error
-        return designed(self.vehicle, entry, design)
+
+    def _in_two_steps(self, entry: ControllerEntry, posed: Problem, lower_bound: LowerBound, zero_l: bool = False) -> Controller:
+        """A static gain for the ideal loop.
+
+        Raises:
+            DesignError: there is none.
+        """
+        shared = self.shared(entry.hardware)
+        if entry.name == "state" and not self.vehicle.filtered:
+            found = state_design(self.plant, self.state_path, lower_bound)
+        elif zero_l:
+            found = zero_l_design(posed.plant, posed.Cy, lower_bound)
+        else:
+            always = entry.name == "state" or posed.Dyw is not None
+            found = two_steps_or_descent(
+                posed.plant, posed.Cy, lambda: shared.state_path, lower_bound, shared.states, always, posed.Dyw
+            )
+        return designed(self.vehicle, entry, found)
 
     def _given(self, entry: ControllerEntry, law: LinearLaw) -> Controller:
         posed, hardware = self.problem(entry.measured, entry.hardware), entry.hardware

@@ -139,14 +139,24 @@ def test_designed_for_the_rate():
     assert given.rates[0].designed is None  # its gain is given, and not designed
 
 
+@pytest.mark.parametrize("car", ["quarter_car", "half_car"])
+def test_what_is_designed_for_a_rate_is_never_worse(car):
+    """At every rate the norm of the design for it is at most that of the continuous design there."""
+    vehicle, periods = read_vehicle(car), [1e-3, 1e-2, 0.1, 0.5]
+    for name in ("I", "II"):
+        for at in cost(vehicle, design(vehicle, name), periods, periods).rates:
+            assert at.designed is not None
+            assert at.designed.value <= at.prompt.value * (1 + 2e-7)  # how near counts as reached, and the rounding of two norms
+
+
 def test_why_none_is_designed(monkeypatch, capsys):
     """A rate that no design is found for has a dash, and its reason below the table without what to do; in JSON all of it."""
     true = synth.rates.cost.held_design
 
-    def fails_at_50_ms(problem, near):
+    def fails_at_50_ms(problem, near, known):
         if problem.period == 0.05:
             raise DesignError("nothing was found: it is probably too slow")
-        return true(problem, near)
+        return true(problem, near, known)
 
     monkeypatch.setattr(synth.rates.cost, "held_design", fails_at_50_ms)
     for rates, cell in ((("50",), "-"), (("10", "50"), "-")):

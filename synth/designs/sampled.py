@@ -29,7 +29,9 @@ def held_problem(vehicle: Vehicle, entry: ControllerEntry) -> HeldProblem:
     return HeldProblem(plant_as_built(vehicle), Cy, through, pieces_of(how, how.sample_period))
 
 
-def sampled_design(vehicle: Vehicle, entry: ControllerEntry, posed: Problem, lower_bound: LowerBound, near: float) -> Controller:
+def sampled_design(
+    vehicle: Vehicle, entry: ControllerEntry, posed: Problem, lower_bound: LowerBound, ideal: Controller | None
+) -> Controller:
     """The gain, with the certificate of its ideal loop and a word on that of the sampled one.
 
     Args:
@@ -37,13 +39,14 @@ def sampled_design(vehicle: Vehicle, entry: ControllerEntry, posed: Problem, low
         entry: what is measured.
         posed: what its ideal loop is judged with.
         lower_bound: of that loop.
-        near: its best norm, or so.
+        ideal: the controller that is designed for it, which this one is not worse than; None where there is none.
 
     Raises:
         InputError: the vehicle has no sample period.
         DesignError: there is none.
     """
-    found = held_design(held_problem(vehicle, entry), near)
+    known = [ideal.law.D] if ideal is not None else []
+    found = held_design(held_problem(vehicle, entry), lower_bound.gamma or 1.0, known)
     law = static_law(found.gain)
     level = f", whose norm the LMI promises to be at most {found.level:.7g}" if found.level is not None else ""
     reads = ", of which forces on their way are not measured" if vehicle.implementation.delay else ""

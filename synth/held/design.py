@@ -8,11 +8,13 @@ then computed exactly, without any of this (`sampled/norm.py`).
 
 Forces on their way are states that nothing measures, and that follow what was measured at once. An L that makes them follow the
 state feedback may leave the second step without a solution; one that makes them follow a gain as good as that looked for need
-not. Where there is none by either, descent on the exact gain from the gain without a delay goes on, and the result says so.
+not. Where there is none by either, or where the continuous design does better as it runs, or no control at all, descent on the
+exact norm (`descent.py`) goes on from what is known, and the result says so.
 """
 
+import contextlib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,25 +22,23 @@ import numpy as np
 from models.common.arrays import Array
 from synth.design import state_path
 from synth.errors import DesignError, InfeasibleError
+from synth.held.descent import check_size, descended, norm_of
 from synth.held.problem import HeldProblem
-from synth.lmi.central import CentralPoint
+from synth.lmi.central import CentralPoint, fits
 from synth.lmi.output_feedback import independent_rows, nullspace, output_feedback
 from synth.lmi.slack import slack_path
 from synth.modes import immovable, obstacles
 from synth.numerics import numerics
 from synth.plant import GeneralizedPlant
-from synth.sampled.loop import Piece
-from synth.sampled.norm import sampled_norm
 from synth.scaling import own_units
-from synth.search.refine import refine
+from synth.search.refine import from_some
 
 CLOSE = 1e-9  # relative: so near to 1 a norm is it
 GROW = 1.05  # of a level, where there is no solution; the square of it the next time
 FAR = 1e3  # times where the search for a level starts
 ROUNDS = 60  # five or so do
+MOST = 260  # unknowns of (22) for a level, 21 states with one input: a dozen or two of such problems take half a minute
 ROUNDING = 1e-7  # relative; how far a norm may lie above a level that is reached at a limit of central paths
-DESCENTS = 8
-WORTH = 1e-4  # relative; a descent that gains less is the last
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,79 +61,95 @@ class HeldDesign:
 
 
 @numerics()
-def held_design(problem: HeldProblem, near: float) -> HeldDesign:
+def held_design(problem: HeldProblem, near: float, known: Sequence[Array] = ()) -> HeldDesign:
     """The two steps, or the first alone where all states are measured.
 
     Args:
         problem: what is designed for.
         near: a level to start from, as the norm of the continuous design.
+        known: gains from the same measurements, as the continuous design's, shapes (m, q): what is designed is not worse.
 
     Raises:
         InfeasibleError: no gain from what is measured stabilises the loop, or none is found by the second step.
+        TooLargeError: too many forces are on their way.
         DesignError: a path could not be followed.
     """
+    check_size(problem)
     slow = problem.at(FAR * near)
     if slow is None:
         raise InfeasibleError(f"within one period of {1e3 * problem.period:g} ms, where no force answers, w gains {FAR * near:g}")
     kept = independent_rows(slow, problem.rows)
     few = replace(problem, Cy=problem.Cy[kept], through=problem.through[kept])
+    of_kept = [from_some(K, np.hstack([problem.Cy, problem.through]), kept) for K in known]
     try:
-        K, level, instead = _gain(few, near)
+        K, norm, level, instead = _gain(few, near, of_kept)
     except DesignError as error:
         reasons = obstacles(slow, few.rows) or immovable(slow, few.rows)
         raise (InfeasibleError("; ".join(reasons)) if reasons else error) from error
-    norm = sampled_norm(few.loop(K), near).value
-    if not np.isfinite(norm):
-        raise DesignError("the loop of the gain that was found is not stable: rounding leaves none that is")
     gain = np.zeros((len(K), len(problem.Cy)))
     gain[:, kept] = K
     return HeldDesign(gain, norm, level, tuple(kept), instead)
 
 
-def _gain(problem: HeldProblem, near: float) -> tuple[Array, float | None, str]:
-    """K from independent measurements, its level, and why it is not by the two steps where it is not."""
+def _gain(problem: HeldProblem, near: float, known: Sequence[Array]) -> tuple[Array, float, float | None, str]:
+    """K from independent measurements, its norm, its level, and why it is not by the two steps where it is not."""
+    undelayed = failure = K = level = None
+    norm = np.inf
+    if problem.remembered:
+        with contextlib.suppress(DesignError):
+            undelayed, *_ = _gain(problem.at_once, near, known)
+    try:
+        K, level = _two_steps(problem, near, undelayed)
+        norm = norm_of(problem, K, near)
+    except DesignError as error:
+        failure = error
+    nothing = np.zeros((problem.plant.B.shape[1], len(problem.Cy)))
+    others = {"the continuous design": known, "no control": [nothing]}
+    least, which = min((norm_of(problem, other, near), name) for name, some in others.items() for other in some)
+    if K is not None and not least < norm * (1 - ROUNDING):
+        if np.isfinite(norm):
+            return K, norm, level, ""
+        failure = DesignError("the loop of the gain that was found is not stable: rounding leaves none that is")
+    moved, reached = descended(problem, [start for start in (*known, undelayed, K) if start is not None], near)
+    if not np.isfinite(reached):
+        raise failure or DesignError("no start of a descent is stable")
+    # The norm of a gain depends, in its ninth digit, on the guess that it is found from: it is to be that of `near`.
+    return (
+        moved,
+        norm_of(problem, moved, near),
+        None,
+        str(failure) if failure else f"they come to {norm:.7g}, and {which} to {least:.7g}",
+    )
+
+
+def _two_steps(problem: HeldProblem, near: float, undelayed: Array | None) -> tuple[Array, float]:
+    """K by the two steps and its level; L (14) also makes forces on their way follow a gain for forces that act at once.
+
+    Raises:
+        DesignError: there is none.
+    """
+    rows, (n, m) = problem.rows, problem.plant.B.shape
+    size = n + m * problem.remembered
+    fits(size * (size + 1) // 2 + m * size + 1, MOST, "the two steps of a sampled loop are gone")
     level, path = _level(problem, state_path, near)
-    rows, size = problem.rows, problem.plant.A.shape[0] + problem.remembered * problem.plant.B.shape[1]
     if len(rows) == size:
-        return np.linalg.solve(rows.T, path[-1].K.T).T, level, ""
+        return np.linalg.solve(rows.T, path[-1].K.T).T, level
     tries = _Tries(problem, level)
     tries.add(_follows(path[-1].X, rows))
-    undelayed = None
-    if problem.remembered:
-        at_once = replace(problem, through=np.zeros_like(problem.through), pieces=(Piece(problem.period, 0),))
-        _, of_state = _level(at_once, state_path, level)
-        undelayed, _, _ = _gain(at_once, level)
-        both = np.vstack([_follows(of_state[-1].X, at_once.Cy), *[undelayed] * problem.remembered])
+    if undelayed is not None:
+        _, of_state = _level(problem.at_once, state_path, level)
+        both = np.vstack([_follows(of_state[-1].X, problem.Cy), *[undelayed] * problem.remembered])
         tries.add(both @ np.linalg.inv(rows @ both))
     for start in reversed(path[:-1]):
         if not tries.found:
             tries.add(_follows(start.X, rows))
     for reached, point in sorted(tries.found, key=lambda pair: pair[0]):
-        if sampled_norm(problem.loop(point.K), near).value <= reached * (1 + ROUNDING):
-            return point.K, reached, ""
+        if norm_of(problem, point.K, near) <= reached * (1 + ROUNDING):
+            return point.K, reached
         tries.failures.insert(
             0, DesignError(f"the loop of its gain does not keep the level {reached:.7g}: rounding ends it there")
         )
-    reason = tries.failures[0]
-    for start in (undelayed, np.zeros((problem.plant.B.shape[1], len(rows)))):
-        if start is not None and np.isfinite(sampled_norm(problem.loop(start), near).value):
-            return _descended(problem, start, near), None, str(reason)
-    raise reason
-
-
-def _descended(problem: HeldProblem, K: Array, near: float) -> Array:
-    """Down the exact gain from a stable K, as `refine` goes: below a level is a norm below 1 of its plant."""
-    norm = sampled_norm(problem.loop(K), near).value
-    for _ in range(DESCENTS):
-        plant = problem.at(norm)
-        if plant is None:
-            break
-        moved = refine(plant, problem.rows, K).gain
-        reached = sampled_norm(problem.loop(moved), norm).value
-        if not reached < norm * (1 - WORTH):
-            break
-        K, norm = moved, reached
-    return K
+    raise tries.failures[0]
 
 
 class _Tries:
@@ -176,7 +192,8 @@ def _level(
 ) -> tuple[float, list[CentralPoint]]:
     """The level for whose plant a path ends at a norm of 1, and that path.
 
-    Where it ends below 1 at every level above what happens within one period, that is the level.
+    Where it ends below 1 at every level above what happens within one period, that is the level. What has no solution at a level
+    far above has none below.
 
     Raises:
         DesignError: it ends at no level.
@@ -192,6 +209,13 @@ def _level(
             except DesignError as error:
                 failure = error
         if not found:
+            if isinstance(failure, InfeasibleError) and not below and (loosest := problem.at(FAR * start)) is not None:
+                try:
+                    path(loosest)
+                except InfeasibleError:
+                    raise
+                except DesignError:  # rounding, which says nothing of the levels between
+                    pass
             below = max(below, level)
             if level > FAR * start:
                 raise failure or DesignError("the L2 gain of the loop has no level")
@@ -212,4 +236,4 @@ def _level(
                 level = math.sqrt(below * above) if below and not math.isinf(above) else 2 * below if below else above / 2
         if best is not None and above <= below * (1 + CLOSE):
             return best
-    raise DesignError("the level of the sampled loop was not found: the optimum is probably reached only by an infinite gain")
+    raise DesignError(f"the level of the sampled loop was not found in {ROUNDS} rounds, between {below:.7g} and {above:.7g}")

@@ -1,6 +1,6 @@
 """What a computer's gain is designed for: the discrete plant of a level (`sampled/lifted.py`), and forces of samples before."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -54,6 +54,11 @@ class HeldProblem:
         if np.any(self.through):
             past[:, (self.before - 1) * m : self.before * m] = self.through
         return np.hstack([self.Cy, past])
+
+    @property
+    def at_once(self) -> "HeldProblem":
+        """The same with forces that act at the sample, and in nothing that is measured."""
+        return replace(self, through=np.zeros_like(self.through), pieces=(Piece(self.period, 0),))
 
     def loop(self, K: Array) -> SampledLoop:
         """The loop of a gain, shape (m, q), as the computer closes it."""

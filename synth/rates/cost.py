@@ -117,7 +117,7 @@ def _designed(vehicle: Vehicle, controller: Controller, period: float, near: flo
     built = replace(vehicle, implementation=Implementation(period))
     entry = ControllerEntry(controller.name, controller.measured)
     try:
-        gain = held_design(held_problem(built, entry), near).gain
+        gain = held_design(held_problem(built, entry), near, [controller.law.D]).gain
     except DesignError as error:
         return None, str(error)
     return norm_at(vehicle, replace(controller, law=static_law(gain)), period, 0, near), ""
