@@ -58,6 +58,7 @@ class Parameter:
         meaning: one line.
         positive: whether zero is refused too. Negative, infinite, NaN and absurdly large values always are.
         varied: how far it varies where a controller's robustness is asked for; None where it is taken as it is.
+        largest: that is allowed.
     """
 
     name: str
@@ -65,6 +66,7 @@ class Parameter:
     meaning: str
     positive: bool = True
     varied: Variation | None = None
+    largest: float = LARGEST
 
     def check(self, value: Any) -> float:
         """The value as a float.
@@ -73,10 +75,10 @@ class Parameter:
             InputError: not a number of the allowed range.
         """
         smallest = SMALLEST if self.positive else 0.0
-        allowed = f"a number from {smallest:g} to {LARGEST:g} {self.unit}"
+        allowed = f"a number from {smallest:g} to {self.largest:g} {self.unit}"
         if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
             raise InputError(f"{self.name} = {quoted(value)} is not a number; give {allowed}")
-        if not smallest <= value <= LARGEST:  # NaN is in no range
+        if not smallest <= value <= self.largest:  # NaN is in no range
             raise InputError(f"{self.name} = {quoted(value)} is not allowed; give {allowed}")
         return float(value)
 

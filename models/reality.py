@@ -52,10 +52,15 @@ class Limits:
         return tuple(found)
 
 
+def samples(count: float) -> str:
+    """So many samples, in words: the number as it is printed says whether it is one."""
+    number = f"{count:g}"
+    return f"{number} sample{'s' * (number != '1')}"
+
+
 def samples_late(delay: float) -> str:
-    """How late forces act [samples], in words: the number as it is printed says whether it is one."""
-    number = f"{delay:g}"
-    return f"{number} sample{'s' * (number != '1')} late"
+    """How late forces act [samples], in words."""
+    return f"{samples(delay)} late"
 
 
 @dataclass(frozen=True)
@@ -166,12 +171,7 @@ def read_implementation(section: Mapping[str, Any], measurable: tuple[str, ...])
             raise InputError(f"[implementation] unknown key {name!r}; known: {listing(keys)}")
     found: dict[str, Any] = {}
     if "sample_period" in section:
-        period = Parameter("sample_period", "s", "of the controller").check(section["sample_period"])
-        if period > LONGEST_PERIOD:
-            raise InputError(
-                f"[implementation] sample_period = {period:g} s is not allowed; give at most {LONGEST_PERIOD:g} s: no vehicle is "
-                "controlled so slowly"
-            )
+        period = Parameter("sample_period", "s", "of the controller", largest=LONGEST_PERIOD).check(section["sample_period"])
         found["sample_period"] = period
     for name, most, kinds, what in (("delay", MOST_DELAY, (int, float), "number"), ("seed", MOST_SEED, (int,), "whole number")):
         value = section.get(name, 0)
@@ -248,7 +248,7 @@ def steps_per_sample(implementation: Implementation, timestep: float) -> int:
         raise InputError(f"sample_period = {period:g} s is no multiple of the timestep, {timestep:g} s; give such a one")
     if abs(delay * steps - round(delay * steps)) > 1e-6:
         raise InputError(
-            f"delay = {delay:g} samples, {delay * steps * timestep:g} s, is no multiple of the timestep, {timestep:g} s, and no "
+            f"delay = {samples(delay)}, {delay * steps * timestep:g} s, is no multiple of the timestep, {timestep:g} s, and no "
             f"force changes within a step; give a multiple of {timestep:g} s or a smaller timestep"
         )
     return steps

@@ -110,7 +110,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         held = limit.limit_at is not None and is_pole(designer.plant, limit.limit_at)
         lines += ["", _limit(limit, held)]
         if moved:
-            share = f"{100 * FLAT:g} % more of gamma"
+            of = "the ideal loop's gamma, which a sampled design is not for," if designer.vehicle.sampled else "gamma"
+            share = f"{100 * FLAT:g} % more of {of}"
             lines.append(f"flat: for {share} the state feedback's largest gain on each state, by itself, may be")
             lines += table([(state, *_range(*values)) for state, values in moved.items()])
         lines += refine_lines(rows, options.vehicle)

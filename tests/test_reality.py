@@ -262,6 +262,8 @@ def test_delay_margin_of_ii(paper, designer):
         ("[implementation]\ndelay = -0.5", ["delay = -0.5", "number from 0 to 1000"]),
         ("[implementation]\ndelay = nan", ["delay = nan", "number from 0 to 1000"]),
         ("[implementation]\ndelay = true", ["delay = True", "number from 0 to 1000"]),
+        ("[implementation]\nsample_period = -1", ["sample_period = -1", "a number from 1e-06 to 1 s"]),
+        ("[implementation]\nsample_period = 1.5", ["sample_period = 1.5", "a number from 1e-06 to 1 s"]),
         ("[implementation]\nseed = 1.5", ["seed = 1.5", "whole number"]),
         ("[implementation]\ndelay = 1001", ["delay = 1001", "from 0 to 1000"]),
         ("[implementation]\nnoise = { speed = 1.0 }", ["unknown signal 'speed'", "sprung_velocity"]),

@@ -8,6 +8,7 @@ from synth.design import two_step_design
 from synth.errors import InfeasibleError
 from synth.lmi.full_order import find_lower_bound
 from synth.plant import GeneralizedPlant
+from synth.search.refine import refine
 
 
 def scalar(pole: float, dt: float | None, state: float = 1.0, force: float = 1.0) -> GeneralizedPlant:
@@ -98,3 +99,13 @@ def test_one_slow_continuous_mode(digits):
     # Gains beyond actuators are left out: what they would save is below the share that `optimum_gap` tells.
     assert design.certificate.norm.value <= (1 + design.optimum_gap) / np.hypot(1, slow) * (1 + 1e-6)
     assert design.optimum_gap < 0.01
+
+
+@pytest.mark.parametrize("seed", [13, 16])  # of 13 the norm of the map is 1e-6 off
+def test_what_a_refinement_says_is_the_norm(seed):
+    """The norms that a refinement of a discrete plant tells are those of its own loop, not of the one it is mapped to."""
+    plant, Cy = of_slow_modes(seed)
+    K = two_step_design(plant, Cy).gain
+    found = refine(plant, Cy, K)
+    for gain, said in ((K, found.before), (found.gain, found.after)):
+        assert said == pytest.approx(hinf_norm(plant.closed_loop(gain @ Cy)).value, rel=1e-10)  # the same number, rounded alike

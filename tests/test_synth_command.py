@@ -82,6 +82,16 @@ def test_other_vehicles(capsys, vehicle):
     assert 0 < gaps["II"] < 0.11
 
 
+def test_whose_gamma_is_flat(capsys, tmp_path):
+    """Where the state feedback is designed for the sampled loop the text says that the gamma is the ideal loop's."""
+    file = tmp_path / "car.toml"
+    file.write_text(
+        read_vehicle("quarter_car").text + "[implementation]\nsample_period = 0.01\nsampled = true\n", encoding="utf-8"
+    )
+    assert main(["--controller", "state", "--vehicle", str(file)]) == 0
+    assert "flat: for 0.01 % more of the ideal loop's gamma, which a sampled design is not for," in prose(capsys.readouterr().out)
+
+
 def test_text_names_the_flat_optimum_and_the_limit(capsys):
     """What the paper did not see is in the text."""
     assert main(["--controller", "state"]) == 0

@@ -112,7 +112,11 @@ def _tustin(A: Array, B: Array, C: Array, D: Array, step: float) -> tuple[Array,
 
 
 def _away_from_minus_one(plant: GeneralizedPlant, Cy: Array) -> Array:
-    """K0 after which no pole lies next to z = -1, shape (m, q); zero where none does. All is alike in any units of the states."""
+    """K0 after which no pole lies next to z = -1, shape (m, q); zero where none does.
+
+    In other units of states, inputs or measurements it is the same, but for a pole at the very distance LOST, where the powers of
+    two decide that balancing leaves; in coordinates that mix the states it need not be.
+    """
 
     def lost(K: Array) -> float:
         balanced = linalg.matrix_balance(plant.A + plant.B @ K @ Cy, permute=False)[0] if len(plant.A) else plant.A

@@ -6,12 +6,13 @@ gains less than a thousandth while the gain grows is undone.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.common.numbers import percent
+from synth.certificate.norm import hinf_norm
 from synth.errors import DesignError
 from synth.numerics import numerics
 from synth.plant import GeneralizedPlant
@@ -88,9 +89,21 @@ def refine(plant: GeneralizedPlant, Cy: Array, K: Array, Dyw: Array | None = Non
         x, norm, size = moved, reached, float(np.abs(moved).max())
         if stage and growth <= 1 + 1e-6:
             break
+    first_norm = _own(plant, Cy, K, Dyw, before)
     if np.array_equal(x, start):
-        return Refinement(K, before, before, 1.0, refused)
-    return Refinement(landscape.gain(x), before, norm, size / first if first else 1.0, refused)
+        return Refinement(K, first_norm, first_norm, 1.0, refused)
+    gain = landscape.gain(x)
+    return Refinement(gain, first_norm, _own(plant, Cy, gain, Dyw, norm), size / first if first else 1.0, refused)
+
+
+def _own(plant: GeneralizedPlant, Cy: Array, K: Array, Dyw: Array | None, mapped: float) -> float:
+    """The norm of a gain's own loop: the landscape's, which for a discrete plant is that of its map, and rounded there."""
+    if plant.dt is None:
+        return mapped
+    loop = plant.closed_loop(K @ Cy)
+    if Dyw is not None:
+        loop = replace(loop, Bw=plant.Bw + plant.B @ K @ Dyw, Dw=plant.Dw + plant.D @ K @ Dyw)
+    return hinf_norm(loop).value
 
 
 @numerics()
