@@ -1,6 +1,5 @@
 """The designs of a vehicle file: from a controller's name to a certified gain."""
 
-import contextlib
 import unicodedata
 from collections.abc import Sequence
 from dataclasses import replace
@@ -107,20 +106,15 @@ class Designer:
             if entry.goals is not None:
                 return goals_design(self.vehicle, entry, entry.goals, posed, lower_bound, told)
             if entry.sampled:
-                ideal = None
-                with contextlib.suppress(DesignError):
-                    ideal = self._in_two_steps(entry, posed, lower_bound)
-                return sampled_design(self.vehicle, entry, posed, lower_bound, ideal)
+                return sampled_design(
+                    self.vehicle, entry, posed, lower_bound, lambda: self._in_two_steps(entry, posed, lower_bound)
+                )
             return self._in_two_steps(entry, posed, lower_bound, zero_l)
         except DesignError as error:
             raise type(error)(f"controller {name!r}: {error}") from error
 
     def _in_two_steps(self, entry: ControllerEntry, posed: Problem, lower_bound: LowerBound, zero_l: bool = False) -> Controller:
-        """A static gain for the ideal loop.
-
-        Raises:
-            DesignError: there is none.
-        """
+        """A static gain for the ideal loop, or the DesignError that says why there is none."""
         shared = self.shared(entry.hardware)
         if entry.name == "state" and not self.vehicle.filtered:
             found = state_design(self.plant, self.state_path, lower_bound)

@@ -1,5 +1,8 @@
 """A controller of a vehicle file that is designed for the loop that its computer closes (`synth.held`)."""
 
+import contextlib
+from collections.abc import Callable
+
 from models.common.errors import InputError
 from models.controllers import ControllerEntry
 from models.law import static_law
@@ -7,6 +10,7 @@ from models.vehicle import Vehicle
 from synth.certificate.bounding import certify_tightly
 from synth.certificate.lower_bound import LowerBound
 from synth.controller import Controller
+from synth.errors import DesignError
 from synth.held.design import held_design
 from synth.held.problem import HeldProblem
 from synth.implemented.norm import pieces_of, plant_as_built
@@ -30,7 +34,7 @@ def held_problem(vehicle: Vehicle, entry: ControllerEntry) -> HeldProblem:
 
 
 def sampled_design(
-    vehicle: Vehicle, entry: ControllerEntry, posed: Problem, lower_bound: LowerBound, ideal: Controller | None
+    vehicle: Vehicle, entry: ControllerEntry, posed: Problem, lower_bound: LowerBound, ideal: Callable[[], Controller]
 ) -> Controller:
     """The gain, with the certificate of its ideal loop and a word on that of the sampled one.
 
@@ -39,13 +43,15 @@ def sampled_design(
         entry: what is measured.
         posed: what its ideal loop is judged with.
         lower_bound: of that loop.
-        ideal: the controller that is designed for it, which this one is not worse than; None where there is none.
+        ideal: gives the controller that is designed for it, which this one is not worse than, or a DesignError.
 
     Raises:
         InputError: the vehicle has no sample period.
         DesignError: there is none.
     """
-    known = [ideal.law.D] if ideal is not None else []
+    known = []
+    with contextlib.suppress(DesignError):
+        known = [ideal().law.D]
     found = held_design(held_problem(vehicle, entry), lower_bound.gamma or 1.0, known)
     law = static_law(found.gain)
     level = f", whose norm the LMI promises to be at most {found.level:.7g}" if found.level is not None else ""
