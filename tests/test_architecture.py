@@ -66,7 +66,7 @@ ROOMS = {
     "synth.designer": "models synth.certificate synth.controller synth.design synth.designs synth.dynamic synth.errors "
     "synth.fallback synth.goals synth.implemented synth.lmi synth.plant synth.problem synth.redesign synth.search",
     "synth.state_space": "models synth.controller synth.designer synth.plant synth.problem",
-    "synth.paper": "models synth.certificate synth.designer synth.lmi",
+    "synth.paper": "models synth.certificate synth.design synth.designer synth.errors synth.lmi synth.numerics synth.plant",
     "synth.command": "models synth.certificate synth.controller synth.design synth.designer synth.designs synth.errors "
     "synth.implemented synth.lmi synth.plant synth.posed synth.sampled synth.scaling synth.words",
     "synth.rates": "models models.figures synth.controller synth.designer synth.designs synth.errors synth.held "

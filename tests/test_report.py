@@ -18,6 +18,7 @@ from models.vehicle import parse_vehicle, read_vehicle
 from sim.linear.loop import sampled_response
 from sim.report import ride as report_ride
 from sim.report.__main__ import main
+from sim.report.paper import other_ways
 from sim.ride.expected import settling_time
 from sim.ride.metrics import measure
 from sim.runs.run import sample_times
@@ -170,6 +171,23 @@ def test_numbers_of_the_paper(report):
     assert rows["(41)", "gamma_Gs"]["ours"] == "7.836458"
     assert rows["(41)", "gamma_Gs"]["to the digits printed"] == "same"
     assert "solver" in rows["(58)", "K_II[1, 1]"]["to the digits printed"]
+
+
+def test_remarks_of_the_paper(report, designer):
+    """The page has what becomes of L = 0; a full one the genetic algorithm beside the two steps: gain, norm, work and time."""
+    _, _, result = report
+    without = {row["controller"]: row for row in result["tables"]["without-l"]}
+    assert [name for name, row in without.items() if row["gain"] != "none"] == ["I, states [33]"]
+    assert without["I, states [33]"]["state feedback"] == "499.63"
+    assert without["I, states [33]"]["bound"] == "510.34"
+    table = other_ways(designer)
+    ways = {row[0]: dict(zip(table.headings, row, strict=True)) for row in table.rows}
+    assert ways["II, two steps"]["gain"] == "[[-8968.54]]"
+    assert ways["II, two steps"]["work"] == "2 LMI problems"
+    assert float(ways["II, genetic"]["norm"]) < float(ways["II, two steps"]["norm"]) == pytest.approx(7.906842)
+    assert ways["I, genetic"]["work"].endswith(" norms")
+    assert float(ways["I, genetic"]["processor time [s]"]) > 0
+    assert "every entry of the gain from -20000 to 20000, seed 1" in table.caption
 
 
 def test_figures_and_tables_as_files(report):

@@ -1,7 +1,6 @@
 """What a report says: its answer, then section by section."""
 
 import json
-import math
 from dataclasses import asdict
 from typing import Any
 
@@ -14,12 +13,14 @@ from sim.report import answer as report_answer
 from sim.report.agreement import agreement_section, bump_section
 from sim.report.designs import design_section, frequency_section
 from sim.report.limits import margins_section, regime_section, validity_section
+from sim.report.paper import paper_section
 from sim.report.regime_end import regime_end
 from sim.report.ride import SEEDS, Ride, ride_section, rides_of
 from sim.report.scope import AMPLITUDE, BUMP_DURATION, Scope
 from sim.report.summary import summary
 from sim.runs.run import run_all, sample_times
-from synth.paper import PRINTED, entry_of, is_the_papers, ours
+from synth.paper.printed import is_the_papers
+from synth.paper.remarks import SEED
 
 
 def page(scope: Scope, provenance: dict[str, str]) -> Page:
@@ -70,34 +71,11 @@ def page(scope: Scope, provenance: dict[str, str]) -> Page:
         rides = rides_of(vehicle, [*scope.stable, *scope.laws], h)
         sections.append(ride_section(vehicle, rides, scope.styles))
     if is_the_papers(vehicle):
-        sections.append(_paper(scope))
+        sections.append(paper_section(scope))
     sections.append(_provenance(scope, provenance))
     title = f"{vehicle.kind.name.replace('_', ' ').capitalize()}: suspension control from linear analysis to physics"
     texts = tuple(one.text for one in answer)
     return Page(title, texts, summary(scope, runs, ends, rides), tuple(sections), report_answer.worst(answer))
-
-
-def _paper(scope: Scope) -> Section:
-    found = ours(scope.designer)
-    rows = []
-    for row in PRINTED:
-        entry = f"[{row.entry[0] + 1}, {row.entry[1] + 1}]" if row.entry is not None else ""
-        digits = max(0, -math.floor(math.log10(row.digit)))
-        mine = entry_of(found[row.quantity], row.entry)
-        same = round(mine / row.digit) == round(row.value / row.digit)
-        rows.append(
-            (
-                row.equation,
-                f"{row.quantity}{entry}",
-                "same" if same else row.reason,
-                f"{row.value:.{digits}f}",
-                f"{mine:.{digits + 2}f}",
-            )
-        )
-    text = ("Every number that the paper prints of its designs, and ours from scratch, to two digits more.",)
-    headings = ("equation", "quantity", "to the digits printed", "paper", "ours")
-    table = Table("paper", "The paper's printed numbers beside ours.", headings, tuple(rows), words=3)
-    return Section("Does it reproduce the paper?", "every printed number, and ours", text, (table,))
 
 
 def _provenance(scope: Scope, provenance: dict[str, str]) -> Section:
@@ -110,6 +88,7 @@ def _provenance(scope: Scope, provenance: dict[str, str]) -> Section:
     if not scope.quick:
         rows["timestep"] += f"; {1e3 * scope.margins_timestep:g} ms for margins, {1e3 * scope.map_timestep:g} ms for the map"
         seeds.append("1, of the random road that the norm is tried on")
+        seeds += [f"{SEED}, of the genetic algorithm"] if is_the_papers(vehicle) else []
         seeds.append(f"{SEEDS[0]} to {SEEDS[-1]}, of the random roads of the ride")
     rows["seeds"] = "; ".join(seeds) or "none: nothing is random"
     settings = [(name, f"{value:g}") for name, value in vehicle.parameters.items()]
