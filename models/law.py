@@ -95,6 +95,15 @@ class LinearLaw:
         rows = np.broadcast_to(np.asarray(factors, dtype=float), len(self.D))[:, None]
         return LinearLaw(self.A, self.B, rows * self.C, rows * self.D, self.sample_period)
 
+    def read_as(self, factors: Array | float) -> "LinearLaw":
+        """The law whose readings are so many times as large as what is measured.
+
+        Args:
+            factors: one for all readings, or one for each, shape (q,).
+        """
+        columns = np.broadcast_to(np.asarray(factors, dtype=float), self.D.shape[1])
+        return LinearLaw(self.A, self.B * columns, self.C, self.D * columns, self.sample_period)
+
     def only(self, forces: Array) -> "LinearLaw":
         """The law of some of its forces; the others are zero. With `scaled` it is what cutting a loop at actuators takes.
 

@@ -1,4 +1,4 @@
-"""`python -m sim.margins`: how much gain, phase, delay and sample period a loop bears, predicted and then found in MuJoCo."""
+"""`python -m sim.margins`: how much gain, phase, delay, sample period and error a loop bears, predicted and found in MuJoCo."""
 
 import functools
 import json
@@ -19,6 +19,7 @@ from sim.command.claims import say_false_claims
 from sim.command.logs import log_lines, recorded
 from sim.runs.run import Run, run_all, sample_times
 from sim.stability.cut import cut
+from sim.stability.fragile import find_fragility
 from sim.stability.growth import BUMP, LONGEST, SHORTEST
 from sim.stability.margins import LoopMargins, find_margins
 from sim.stability.robustness import robustness
@@ -41,20 +42,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     name = one_chosen(vehicle.controller_names, options.controller)
     outputs = {"picture": options.picture}
     check_outputs(outputs | {"logs": options.logs}, vehicle.files)
-    stage = Stages("design", "margins", "other vehicles", "picture and logs")
+    stage = Stages("design", "margins", "fragility", "other vehicles", "picture and logs")
     stage("design")
     controller = _with_loop(vehicle, name, options.timestep)
     say_false_claims([controller])
     stage("margins")
     found = find_margins(vehicle, controller, options.timestep, stage)
+    stage("fragility")
+    fragile = find_fragility(vehicle, controller, options.timestep, stage)
     stage("other vehicles")
     (box,) = robustness(vehicle, [controller], options.timestep, stage)
     stage("picture and logs")
     if options.picture is not None:
         from sim.stability.figure import margins_figure
 
-        write_picture(margins_figure(vehicle, controller, found[""], box, options.timestep), options.picture)
-    result = {**margins_object(controller, found, box), "loop": None if as_built.ideal else _which_loop(as_built)}
+        write_picture(margins_figure(vehicle, controller, found[""], fragile, box, options.timestep), options.picture)
+    result = {
+        **margins_object(vehicle, controller, found, fragile, box),
+        "loop": None if as_built.ideal else _which_loop(as_built),
+    }
     delayed = functools.partial(_delayed_runs, vehicle, controller, found[""], options.timestep)
     logs = recorded(options, vehicle, [controller.name], delayed, result)
     stage.end()
@@ -64,9 +70,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         lines = titled(f"{vehicle.kind.name} with controller {controller.name}; MuJoCo at {options.timestep:g} s", vehicle.source)
         if not as_built.ideal:
             lines.append(_which_loop(as_built))
-        lines += margins_lines(vehicle, found, box)
-        say([*lines, *written_lines(outputs), *log_lines(logs), "", verdict(found, box)])
-    return 0 if (box is None or box.holds) and all(one.agrees for one in found.values()) else 1
+        lines += margins_lines(vehicle, controller, found, fragile, box)
+        say([*lines, *written_lines(outputs), *log_lines(logs), "", verdict(found, fragile, box)])
+    return 0 if (box is None or box.holds) and fragile.agrees and all(one.agrees for one in found.values()) else 1
 
 
 def _with_loop(vehicle: Vehicle, name: str, timestep: float) -> Controller:

@@ -81,7 +81,7 @@ ROOMS = {
     "sim.runs": "sim.linear sim.physics sim.response models.roads synth.words",
     "sim.ride": "models.filters sim.linear sim.response models.roads sim.runs",
     "sim.validity": "models.figures sim.linear sim.physics sim.response models.roads",
-    "sim.stability": "models.figures sim.linear sim.physics models.roads sim.runs",
+    "sim.stability": "models.figures sim.linear sim.physics models.roads sim.runs synth.problem synth.tolerance",
     "sim.frequency": "models.figures models.filters sim.linear sim.physics sim.response models.roads sim.runs synth.problem "
     "synth.words",
     "sim.recording": "models.figures sim.physics sim.response models.roads sim.runs",

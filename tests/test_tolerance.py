@@ -43,6 +43,13 @@ def test_the_paper_s_car(car: Car, gain, delta, found, at_most):
     assert worst.gap <= CLOSE
 
 
+def test_a_box_without_width(car: Car):
+    """Without errors the worst norm is the norm, and the bound is just above."""
+    worst = worst_norm(*car, PRINTED_I, 0.0)
+    assert worst.found == pytest.approx(7.843188, abs=5e-7)  # by SLICOT
+    assert worst.gap <= CLOSE
+
+
 def test_where_it_is_unstable(car: Car):
     """Printed controller I is unstable with its deflection read 21.1 % too large: the errors say so, and no bound is proved."""
     worst = worst_norm(*car, PRINTED_I, np.array([0.211, 0.0]))

@@ -11,6 +11,11 @@ from sim.runs.run import sample_times
 from sim.stability.growth import BUMP, SHORTEST, TIMESTEP
 
 EPILOG = """
+errors [%]: every reading is off by a factor of its own, between 1 - error and
+1 + error, and of several forces every force, too. Of one force that is an error
+of each entry of its gain. What is proved is true of all such errors; found are
+the worst, along which MuJoCo looks for the edge. An actuator's lag counts.
+
 exit code: 0 prediction and physics agree, 1 they do not, 2 bad input
 
 examples:
@@ -22,7 +27,11 @@ examples:
 
 def parser() -> Parser:
     """The options."""
-    parser = Parser("sim.margins", "Finds how much gain, phase, delay and sample period a loop bears.", EPILOG)
+    parser = Parser(
+        "sim.margins",
+        "Finds how much gain, phase, delay and sample period a loop bears, and how large errors of what it reads.",
+        EPILOG,
+    )
     parser.add_one("state, or one of the vehicle file's")
     parser.add_number("--timestep", TIMESTEP, "s", "integration step; delays and sample periods are its multiples")
     parser.add_logs("MuJoCo on either side of the delay margin")

@@ -1,4 +1,4 @@
-"""Margins drawn: how fast the loop grows or decays with more gain, delay and sample period, and its norm on other vehicles."""
+"""Margins drawn: growth or decay with more gain, delay and sample period, the norm with errors, and on other vehicles."""
 
 import math
 from collections.abc import Callable
@@ -12,12 +12,18 @@ from models.reality import Implementation
 from models.vehicle import Vehicle
 from sim.stability.bisection import Search
 from sim.stability.delayed import delayed_rate
+from sim.stability.fragile import FragilityFound
 from sim.stability.margins import LoopMargins
 from sim.stability.robustness import Robustness
 from synth.controller import Controller
 from synth.implemented.loop import sampled_radius
+from synth.tolerance.fragility import worst_met
+from synth.tolerance.words import whose
 
 POINTS = 30  # of a predicted curve
+AMOUNTS = 16  # of errors at which the worst norm is looked for
+SHOWN = 1.3  # times the norm, the highest that is shown with errors: beyond, it grows without end
+MET, PROVED = "#9467bd", "#2ca02c"
 LINE = "#404040"
 MARKERS: tuple[tuple[bool, str, Marker, str], ...] = (
     (False, "#1f77b4", "o", "MuJoCo decays"),
@@ -26,7 +32,12 @@ MARKERS: tuple[tuple[bool, str, Marker, str], ...] = (
 
 
 def margins_figure(
-    vehicle: Vehicle, controller: Controller, loop: LoopMargins, box: Robustness | None, timestep: float
+    vehicle: Vehicle,
+    controller: Controller,
+    loop: LoopMargins,
+    fragile: FragilityFound,
+    box: Robustness | None,
+    timestep: float,
 ) -> Figure:
     """How fast the slowest mode grows or decays: lines by the poles of the implemented linear loop, points in MuJoCo's runs.
 
@@ -36,6 +47,7 @@ def margins_figure(
         vehicle: the vehicle, its controller ideal.
         controller: its controller.
         loop: all its loops at once.
+        fragile: what errors it bears.
         box: the controller on other vehicles; None where there are none.
         timestep: of the physics [s].
     """
@@ -68,6 +80,7 @@ def margins_figure(
         numbers = [f"{scale * value:.4g}{unit}" if math.isfinite(value) else "any" for value in (at, seen)]
         title = f"{title}\nbears, predicted: {numbers[0]}; in MuJoCo: {numbers[1]}"
         panels.append(_search_panel(title, label, search, growth, scale))
+    panels.append(_fragile_panel(fragile))
     if box is not None:
         panels.append(_box_panel(controller, box))
     about = f"{vehicle.kind.name.replace('_', ' ')}, controller {controller.name}: what its loop bears"
@@ -89,6 +102,29 @@ def _search_panel(title: str, label: str, search: Search, growth: Callable[[floa
     curves.append(Curve(np.array([0.0, scale * end]), np.zeros(2), "", "#000000", width=0.8))
     top = min(1.1 * rates.max(), -4 * rates.min()) if rates.max() > 0 else -0.3 * rates.min()
     return Panel(title, label, "growth of the loop [1/s]", tuple(curves), ylim=(1.3 * rates.min(), top))
+
+
+def _fragile_panel(fragile: FragilityFound) -> Panel:
+    """The worst norm over the size of errors: what is met, what is proved of all of them, and where MuJoCo decays and grows."""
+    predicted, search = fragile.predicted, fragile.edge.search
+    norm, stable = predicted.norm, predicted.stable
+    end = min(1.2 * stable.found, 1.0)
+    known = [one.found for one in predicted.within.values() if one.found < end]
+    amounts = np.unique([*np.linspace(0.0, min(stable.found, 1.0), AMOUNTS), *known])
+    met = np.array([worst_met(fragile.gain, amount) for amount in amounts])
+    curves = [Curve(100 * amounts, np.where(np.isfinite(met), met, np.nan), "worst norm met", MET)]
+    steps = sorted((one.proved, one.bound) for one in (*predicted.within.values(), stable) if one.proved)
+    edges, bounds = np.repeat([0.0, *(proved for proved, _ in steps)], 2)[1:-1], np.repeat([bound for _, bound in steps], 2)
+    curves.append(Curve(100 * edges, bounds, "proved: no norm is higher", PROVED, "dash"))
+    low, high = norm - 0.15 * (SHOWN - 1) * norm, SHOWN * norm
+    if math.isfinite(stable.found):
+        curves.append(Curve(np.full(2, 100 * stable.found), np.array([low, high]), "unstable from here", "#000000", width=0.8))
+    for grows, color, marker, name in MARKERS:
+        runs = 100 * np.array([a for a, one in search.tried.items() if one.grows == grows and a <= end])
+        curves.append(Curve(runs, np.full(len(runs), (low + norm) / 2), name, color, "none", marker))
+    numbers = [f"{100 * value:.4g} %" if math.isfinite(value) else "any" for value in (stable.found, fragile.edge.found)]
+    title = f"errors of {whose(predicted)}, each by itself\nbears, predicted: {numbers[0]}; in MuJoCo: {numbers[1]}"
+    return Panel(title, "error of each [%]", "H-infinity norm", tuple(curves), xlim=(0.0, 100 * end), ylim=(low, high))
 
 
 def _box_panel(controller: Controller, box: Robustness) -> Panel:

@@ -1,22 +1,30 @@
 """Margins in words, and as JSON has them."""
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 from models.common.numbers import finite
 from models.common.printed import WIDTH, wrapped
 from models.vehicle import Vehicle
+from sim.stability.fragile import FragilityFound
 from sim.stability.margins import GainMargin, LoopMargins
 from sim.stability.robustness import Robustness, varied_text
 from synth.controller import Controller
+from synth.tolerance.words import errors_text, fragility_object, proved_text, rounding_lines, whose
 
 NAME, CELL = 24, 12  # columns of a table of margins
 
 
-def margins_object(controller: Controller, found: dict[str, LoopMargins], box: Robustness | None) -> dict[str, Any]:
+def margins_object(
+    vehicle: Vehicle, controller: Controller, found: dict[str, LoopMargins], fragile: FragilityFound, box: Robustness | None
+) -> dict[str, Any]:
     """The result as JSON has it: SI units, None for what is infinite or does not exist."""
     loops = {name: _loop_object(one) for name, one in found.items() if name}
     result = {"controller": controller.name, **_loop_object(found[""]), "loops": loops}
+    names = controller.measured, vehicle.linear_model.inputs
+    edge = {"mujoco": finite(fragile.edge.found), "sampled": _sampled_object(fragile.edge, fragile.timestep)}
+    result["fragility"] = fragility_object(fragile.predicted, fragile.rounding, *names) | edge
     if box is None:
         return {**result, "robustness": None}
     varied = {one.name: [one.smallest, one.largest] for one in box.varied}
@@ -34,11 +42,7 @@ def _loop_object(one: LoopMargins) -> dict[str, Any]:
         "predicted": finite(predicted.gain),
         "found": finite(one.gain.found),
         "lower": {"predicted": predicted.gain_lower or None, "found": one.found_gain_lower or None},
-        "sampled": [
-            {"timestep": one.timestep / k, "predicted": finite(at), "found": finite(search.found)}
-            for k, at, search in zip((1, 2), one.gain.sampled, (one.gain.search, one.gain.finer), strict=True)
-            if search.tried
-        ],
+        "sampled": _sampled_object(one.gain, one.timestep),
     }
     phase = {  # lag: what a delay makes
         "predicted": finite(predicted.phase),
@@ -54,13 +58,24 @@ def _loop_object(one: LoopMargins) -> dict[str, Any]:
     }
 
 
-def margins_lines(vehicle: Vehicle, found: dict[str, LoopMargins], box: Robustness | None) -> list[str]:
+def _sampled_object(margin: GainMargin, timestep: float) -> list[dict[str, Any]]:
+    """What the sampled loop bears at each timestep that physics ran with."""
+    return [
+        {"timestep": timestep / k, "predicted": finite(at), "found": finite(search.found)}
+        for k, at, search in zip((1, 2), margin.sampled, (margin.search, margin.finer), strict=True)
+        if search.tried
+    ]
+
+
+def margins_lines(
+    vehicle: Vehicle, controller: Controller, found: dict[str, LoopMargins], fragile: FragilityFound, box: Robustness | None
+) -> list[str]:
     """What a loop bears, predicted and found, in lines for a terminal."""
     lines = []
     for name, one in found.items():
         lines += ["", *_loop_lines(_called(name, len(found)), one)]
-        lines.append("  agrees" if one.agrees else "  DOES NOT AGREE; where the timestep is too coarse, give a smaller one")
-
+        lines.append(_agreement(one.agrees))
+    lines += ["", *_fragile_lines(vehicle, controller, fragile), _agreement(fragile.agrees)]
     if box is None:
         return [*lines, "", f"other vehicles: {varied_text(vehicle.kind)}"]
     at = ", ".join(f"{name} {value:.6g}" for name, value in box.at.items())
@@ -72,9 +87,27 @@ def margins_lines(vehicle: Vehicle, found: dict[str, LoopMargins], box: Robustne
     return lines
 
 
-def verdict(found: dict[str, LoopMargins], box: Robustness | None) -> str:
+def _agreement(agrees: bool) -> str:
+    return "  agrees" if agrees else "  DOES NOT AGREE; where the timestep is too coarse, give a smaller one"
+
+
+def _fragile_lines(vehicle: Vehicle, controller: Controller, fragile: FragilityFound) -> list[str]:
+    """How large errors of its readings and forces a loop bears."""
+    predicted, edge, h = fragile.predicted, fragile.edge, fragile.timestep
+    names = controller.measured, vehicle.linear_model.inputs
+    worst = errors_text(predicted.stable, *names) if math.isfinite(edge.own) else "none up to 100 % ends it"
+    rows = [("bears up to, %", 100 * edge.own, 100 * edge.found, worst)]
+    rows += [(name, 100 * at, 100 * seen, note) for name, at, seen, note in _sampled_rows(edge, h, 1)]
+    lines = _table(f"errors of {whose(predicted)}", rows)
+    lines += wrapped(proved_text(predicted), "  ", 4)
+    return lines + [f"  {line}" for line in rounding_lines(controller.certificate.norm.value, fragile.rounding)]
+
+
+def verdict(found: dict[str, LoopMargins], fragile: FragilityFound, box: Robustness | None) -> str:
     """Whether MuJoCo bears what is predicted."""
     wrong = [_called(name, len(found)) for name, one in found.items() if not one.agrees]
+    if not fragile.agrees:
+        wrong.append(f"errors of {whose(fragile.predicted)}")
     if box is not None and not box.holds:
         wrong.append("other vehicles")
     if wrong:
@@ -89,7 +122,7 @@ def _called(name: str, count: int) -> str:
 
 
 def _loop_lines(title: str, one: LoopMargins) -> list[str]:
-    """A loop's margins as a table, with a note to the right of a row, or below where it does not fit."""
+    """A loop's margins as a table."""
     predicted, h = one.predicted, one.timestep
     rows = [("gain, factor", predicted.gain, one.gain.found, ""), *_sampled_rows(one.gain, h, 1)]
     if predicted.gain_lower or one.found_gain_lower:
@@ -104,6 +137,11 @@ def _loop_lines(title: str, one: LoopMargins) -> list[str]:
         samples = f"{round(one.delay.stable / h)} samples decay, {round(one.delay.unstable / h)} grow"
     rows.append(("delay, ms", 1e3 * predicted.delay, 1e3 * one.delay.unstable, samples))
     rows.append(("sample period, ms", 1e3 * predicted.sample_period, 1e3 * one.found_sample_period, ""))
+    return _table(title, rows)
+
+
+def _table(title: str, rows: Sequence[tuple[str, float, float, str]]) -> list[str]:
+    """Rows of a name, what is predicted, what is found, and a note to the right, or below where it does not fit."""
     heading = f"{'predicted':>{CELL}}{'MuJoCo':>{CELL}}"
     room = NAME + 2
     lines = [f"{title:{room}}{heading}"] if len(title) <= room else [title, f"{'':{room}}{heading}"]

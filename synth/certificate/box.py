@@ -52,7 +52,8 @@ class Box:
     @property
     def corners(self) -> Array:
         """Shape (2^k, q + m)."""
-        ends = np.array(list(itertools.product((False, True), repeat=len(self.free))), dtype=bool).reshape(-1, len(self.free))
+        k = len(self.free)
+        ends = np.array(list(itertools.product((False, True), repeat=k)), dtype=bool).reshape(2**k, k)
         corners = np.tile(self.low, (len(ends), 1))
         corners[:, self.free] = np.where(ends, self.high[self.free], self.low[self.free])
         return corners

@@ -34,11 +34,13 @@ class Borne:
 
     Attributes:
         proved: errors up to this, in whatever combination, do no more than they may; 0 where nothing is proved.
+        bound: what no norm exceeds up to there; infinite where nothing is proved.
         found: the smallest errors met that do more; infinite where none up to 1 do.
         readings, forces: those errors, relative, shapes (q,) and (m,); 1 and -1 where none do, along the worst way.
     """
 
     proved: float
+    bound: float
     found: float
     readings: Array
     forces: Array
@@ -80,6 +82,13 @@ def box_of_all(gain: ScaledGain, amount: float) -> Box:
     return box_of(gain, amount, amount if gain.forces > 1 else 0.0)
 
 
+def worst_met(gain: ScaledGain, amount: float) -> float:
+    """The largest norm met with errors of all readings, and of several forces, up to an amount; infinite where unstable."""
+    heights = Heights(gain)
+    climb(heights, box_of_all(gain, amount))
+    return heights.highest
+
+
 def _at(gain: ScaledGain, errors: Array | float) -> Array:
     return np.ones(sum(gain.K.shape)) + errors
 
@@ -114,8 +123,8 @@ def _borne(heights: Heights, rays: Array, level: float) -> Borne:
             climb(within, box)
         bound = LOOSELY * within.highest if np.isinf(level) else level
         if np.isfinite(bound) and proof_below(within, box, bound) is not None:
-            return Borne(proved, amount, *found)
-    return Borne(0.0, amount, *found)
+            return Borne(proved, bound, amount, *found)
+    return Borne(0.0, np.inf, amount, *found)
 
 
 def _along_rays(heights: Heights, rays: Array, level: float) -> tuple[float, Array]:

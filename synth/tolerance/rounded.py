@@ -1,13 +1,31 @@
 """A law whose numbers are rounded to what small computers hold, and what that costs."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from models.common.arrays import Array
 from models.law import LinearLaw
+from synth.certificate.bounding import certify_tightly
+from synth.certificate.certificate import Certificate
+from synth.plant import Feedback, GeneralizedPlant
 
 INT16 = 2**15 - 1  # the largest number
 FLOAT16 = 2.0**15  # a matrix is held over the power of two that brings its largest entry below this, where it is beyond
 FORMATS = ("int16", "float16")
+
+
+def rounding(
+    law: LinearLaw, closed: Callable[[LinearLaw], tuple[GeneralizedPlant, Feedback]], plant: GeneralizedPlant
+) -> dict[str, Certificate]:
+    """What is true of a law in each of `FORMATS`.
+
+    Args:
+        law: the law.
+        closed: what a law is a gain of.
+        plant: without the law's states.
+    """
+    return {to: certify_tightly(*closed(rounded(law, to)), by_itself=plant) for to in FORMATS}
 
 
 def rounded(law: LinearLaw, to: str) -> LinearLaw:
