@@ -34,7 +34,8 @@ def common_x(gain: ScaledGain, box: Box, start: Array, eta: float) -> Array | No
     among = np.zeros(0, dtype=int)
     while True:
         highest = _highest(everywhere, X, eta)
-        failing = np.setdiff1d(np.flatnonzero(highest >= 0), among)
+        # The first X is on the verge wherever it does: rounding would leave no proof.
+        failing = np.setdiff1d(np.flatnonzero(highest >= 0), among) if len(among) else np.arange(len(highest))
         if not len(failing):
             return X if highest.max() < 0 else None
         among = np.concatenate([among, failing[np.argsort(-highest[failing], kind="stable")[:JOIN]]])

@@ -87,7 +87,7 @@ def _filled(heights: Heights, parts: Parts, bound: Callable[[], float], left: in
             left, X = left - 1, _x_for(heights, part, eta)
         if X is not None:
             done.append((part, X))
-        elif left:
+        elif left and len(part.free):
             todo += [(half, None) for half in part.halves(_axis(heights, part))]
         else:
             return None, 0
