@@ -52,8 +52,9 @@ def certified_or_infeasible(seed: int) -> None:
     try:
         design = two_step_design(plant, Cy)
     except InfeasibleError as error:
-        # Of (25) alone: the whole state stabilises every one of these plants.
-        if len(Cy) == len(plant.A) or not str(error).startswith("problem (25) has no solution with eta > 0 for this L"):
+        # Of (25), but where one input tells several modes next to each other apart by no more than rounding.
+        of_second = len(Cy) < len(plant.A) and str(error).startswith("problem (25) has no solution with eta > 0 for this L")
+        if not of_second and not str(error).endswith("off the unit circle by more than rounding"):
             raise
         return
     certificate = design.certificate
