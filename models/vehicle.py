@@ -14,6 +14,7 @@ from models.common.read_file import TEXT, read_text
 from models.common.toml import parse_toml
 from models.controllers import IDEAL, RESERVED, ControllerEntry, Hardware, is_number, read_controllers
 from models.filters.filter import KEYS, Filter, read_filter
+from models.formats.family_file import with_families
 from models.formats.law_file import with_laws
 from models.goals.goals import signals_of
 from models.kind import HERE, VehicleKind
@@ -40,7 +41,7 @@ class Vehicle:
         source: where it came from, for messages.
         limits: where the hardware ends.
         implementation: the controller as it would be built.
-        law_files: the files with matrices.
+        law_files: the files with matrices, and those with families.
         filters: what a weighted signal goes through on its way into z, by signal; those of a constant weight are not in it.
         road_filter: what the disturbance w goes through on its way to the road's velocity under every wheel, where that is not
             w itself: its spectrum.
@@ -177,8 +178,9 @@ def read_vehicle(file: str | Path, own_kinds: bool = True) -> Vehicle:
             raise InputError(
                 f"type = {quoted(name)} is a kind of somebody's own, whose Python would be run, and that is not asked for"
             )
-        whole, files = with_laws(text, path.parent)
-        return replace(parse_vehicle(whole, source=str(path), folder=path.parent), law_files=files)
+        (whole, families), folder = with_families(text, path.parent), path.parent
+        whole, laws = with_laws(whole, folder)
+        return replace(parse_vehicle(whole, source=str(path), folder=folder), law_files=(*families, *laws))
     except InputError as error:
         raise InputError(f"vehicle file {path}: {error}") from error
 

@@ -97,6 +97,43 @@ def test_a_family(measured, worst, regret):
     assert promises["largest ratio to a vehicle's own best"] < regret
 
 
+def test_a_family_from_a_file(tmp_path):
+    """A table of factors, or TOML, stands for the list that it holds, in the text that logs and saved files carry, too."""
+    rows = [(0.7, 0.75), (1.0, 1.25)]
+    (tmp_path / "fleet.csv").write_text("sprung_mass,tyre_stiffness\n" + "".join(f"{a},{b}\n" for a, b in rows))
+    listed = ", ".join(f"{{ sprung_mass = {a}, tyre_stiffness = {b} }}" for a, b in rows)
+    (tmp_path / "fleet.toml").write_text(f"family = [{listed}]")
+    path = tmp_path / "car.toml"
+    for name in ("fleet.csv", "fleet.toml"):
+        text = vehicle_with(f"measured = {TWO}").text + f'family = "{name}"\n'
+        path.write_text(text)
+        vehicle = read_vehicle(path)
+        goals = parse_vehicle(vehicle.text).controllers["goal"].goals
+        assert goals is not None
+        assert [dict(member) for member in goals.family] == [{"sprung_mass": a, "tyre_stiffness": b} for a, b in rows]
+        assert tmp_path / name in vehicle.files
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ("sprung_mass\n", "no vehicle below a header"),
+        ("sprung_mass\n1,2\n", "row 2 has 2 numbers"),
+        ("sprung_mass\nheavy\n", "give numbers"),
+        ("sprung_mass\nnan\n", "is not allowed"),
+        ("colour\n1.0\n", "has no parameter 'colour'"),
+    ],
+)
+def test_a_wrong_file_of_a_family(tmp_path, content, said):
+    """One line that names the controller, and what of the file is wrong."""
+    (tmp_path / "fleet.csv").write_text(content)
+    (tmp_path / "car.toml").write_text(vehicle_with(f"measured = {TWO}").text + 'family = "fleet.csv"\n')
+    with pytest.raises(InputError) as error:
+        read_vehicle(tmp_path / "car.toml")
+    assert said in str(error.value)
+    assert "[controllers.goal]" in str(error.value)
+
+
 def test_per_corner():
     """The half-car's gain of two corners apart, of at most 3e4, is better than what was known, and zero where it has to be."""
     measured = json.dumps([f"{name}_{corner}" for name in ("suspension_deflection", "sprung_velocity") for corner in CORNERS])

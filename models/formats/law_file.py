@@ -16,7 +16,7 @@ import numpy as np
 from models.common.arrays import Array, real_matrix
 from models.common.errors import InputError, listing, quoted, some
 from models.common.read_file import MIB, TEXT, read_bytes
-from models.common.toml import parse_toml
+from models.formats.in_place import controllers_of, in_place_of
 from models.formats.mat_file import SAVE, Variable, read_mat
 
 MATRICES = ("A", "B", "C", "D")
@@ -26,7 +26,6 @@ DELAYS = ("InputDelay", "OutputDelay", "IODelay", "ioDelay", "InternalDelay")
 FIELDS = ("E", *DELAYS, "TimeUnit")  # of a struct made by get(sys): what it says beside its matrices
 MOST = 64 * MIB  # of a file: who saves a whole workspace saves more than a controller
 GIVE = "give a MATLAB file with A, B, C, D, or K"
-LINE = re.compile(r"^[ \t]*file[ \t]*=[^\n]*$", re.M)
 
 
 def with_laws(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
@@ -39,9 +38,9 @@ def with_laws(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
     Raises:
         InputError: it is not TOML, or a file is not there, is none, or holds no controller; the message names it.
     """
-    if not LINE.search(text) and not re.search(r"\bfile\b", text):
+    if not re.search(r"\bfile\b", text):
         return text, ()
-    sections = _controllers(text)
+    sections = controllers_of(text)
     asked = {name: entry for name, entry in sections.items() if isinstance(entry, dict) and "file" in entry}
     if not asked:
         return text, ()
@@ -53,31 +52,20 @@ def with_laws(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
             raise InputError(f"[controllers.{name}] {error}") from error
         files.append(file)
 
-    # Each such line says where it stands, once; so the parser says which is whose.
-    lines = {str(found.start()): found for found in LINE.finditer(text)}
-    try:
-        marked = _controllers(LINE.sub(lambda found: f'file = "{found.start()}"', text))
-    except InputError:
-        marked = {}
-    place = {name: str(marked.get(name, {}).get("file")) for name in asked}
-    whole = text
-    for name in sorted(asked, key=lambda name: -int(place[name]) if place[name] in lines else 0):
-        if place[name] in lines:
-            start, end = lines[place[name]].span()
-            given = "\n".join([comments[name], *(f"{key} = {json.dumps(value)}" for key, value in records[name].items())])
-            whole = whole[:start] + given + whole[end:]
+    given = {name: "\n".join([comments[name], *lines_of(records[name])]) for name in asked}
+    whole = in_place_of(text, "file", given)
     if len(whole.encode()) > TEXT:
         raise InputError(f"with the matrices of its files it has more than {TEXT / MIB:g} MiB; reduce the controllers' order")
-    found = _controllers(whole)
+    found = controllers_of(whole)
     for name, entry in asked.items():
         if found.get(name) != {key: value for key, value in entry.items() if key != "file"} | records[name]:
             raise InputError(f'[controllers.{name}] its file is not named on a line of its own; write file = "NAME.mat" on one')
     return whole, tuple(files)
 
 
-def _controllers(text: str) -> dict[str, Any]:
-    sections = parse_toml(text).get("controllers")
-    return sections if isinstance(sections, dict) else {}
+def lines_of(record: Mapping[str, Any]) -> list[str]:
+    """Lines of TOML."""
+    return [f"{key} = {json.dumps(value)}" for key, value in record.items()]
 
 
 def _read(entry: Mapping[str, Any], folder: Path) -> tuple[dict[str, Any], str, Path]:
