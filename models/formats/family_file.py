@@ -50,7 +50,7 @@ def with_families(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
         files.append(folder / file)
     whole = in_place_of(text, KEY, given)
     for name, family in families.items():
-        if controllers_of(whole)[name].get(KEY) != family:
+        if repr(controllers_of(whole)[name].get(KEY)) != repr(family):  # NaN is not NaN; it is refused where a member is read
             raise InputError(f'[controllers.{name}] its {KEY} is not named on a line of its own; write {KEY} = "NAME.csv" on one')
     return whole, tuple(files)
 
