@@ -17,6 +17,7 @@ from models.vehicle import Vehicle, read_vehicle
 from synth.certificate.invariant import is_pole
 from synth.certificate.lower_bound import LowerBound
 from synth.command.check import check
+from synth.command.fragile import fragile
 from synth.command.prove import proved
 from synth.command.save import check_save, save
 from synth.command.table import Row, detail_lines, refine_lines, row_object, table_lines, verdict_lines
@@ -43,6 +44,7 @@ examples:
   python -m synth --controller I --refine --save my_car.toml
   python -m synth --check my_car.toml
   python -m synth --zero-l
+  python -m synth --controller I --fragility
   python -m synth --vehicle full_car --cross-check
   python -m synth --rates 1 2 5 10 20 50 100 --picture rates.png
 """
@@ -58,9 +60,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.cross_check and (options.check or options.refine):
         why = "--check designs nothing" if options.check else "--refine leaves their optima"
         raise InputError(f"--cross-check solves the LMI problems of designs anew, and {why}; leave one of them out")
-    if options.check and options.given & {"zero_l", "refine", "save", "vehicle", "prove"}:
+    if options.check and options.given & {"zero_l", "refine", "save", "vehicle", "prove", "fragility"}:
         raise InputError("--check reads its own file and designs nothing; it goes with --controller and --json only")
-    if options.rates and options.given & {"zero_l", "refine", "save", "check", "cross_check", "prove"}:
+    if options.rates and options.given & {"zero_l", "refine", "save", "check", "cross_check", "prove", "fragility"}:
         raise InputError("--rates takes designs as they are; it goes with --controller, --vehicle, --picture and --json only")
     if options.picture and not options.rates:
         raise InputError("--picture draws what --rates asks for; give sample periods with --rates, or leave it out")
@@ -88,6 +90,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         raise InputError(
             "--cross-check has nothing to solve: no controller asked for comes from an LMI problem without filters; ask for one"
         )
+    if options.fragility:
+        rows = [replace(row, fragile=fragile(vehicle, row.controller)) for row in rows]
     if options.save:
         save(options.save, vehicle, [row.controller for row in rows if row.controller is not None])
     stage(FREE)
@@ -144,6 +148,12 @@ def _parser() -> Parser:
     )
     parser.add_argument(
         "--prove", action="store_true", help="prove a bound for every law that the vehicle file gives, too, as for designed ones"
+    )
+    parser.add_argument(
+        "--fragility",
+        action="store_true",
+        help="say how far, in per cent, each reading and each of several forces may be off until the loop is unstable, or its "
+        "norm 1 or 10 %% higher: proved, and found; and what rounding its numbers to int16 or float16 does",
     )
     parser.add_argument("--check", type=Path, metavar="FILE", help="verify the gains of a vehicle file and their certificates")
     parser.add_numbers("--rates", "ms", "what computers of these sample periods cost: norms of the loops as they run them")

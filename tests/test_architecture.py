@@ -68,7 +68,7 @@ ROOMS = {
     "synth.state_space": "models synth.controller synth.designer synth.plant synth.problem",
     "synth.paper": "models synth.certificate synth.design synth.designer synth.errors synth.lmi synth.numerics synth.plant",
     "synth.command": "models synth.certificate synth.controller synth.design synth.designer synth.designs synth.errors "
-    "synth.implemented synth.lmi synth.plant synth.posed synth.sampled synth.scaling synth.words",
+    "synth.implemented synth.lmi synth.plant synth.posed synth.sampled synth.scaling synth.tolerance synth.words",
     "synth.rates": "models models.figures synth.controller synth.designer synth.designs synth.errors synth.held "
     "synth.implemented synth.sampled",
     "synth.__main__": "models synth.certificate synth.command synth.controller synth.designer synth.errors synth.goals "

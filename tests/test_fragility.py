@@ -1,12 +1,16 @@
 """How large errors of readings and forces a law bears, proved below and found above; and laws rounded to what computers hold."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from models.common.errors import InputError
+from models.common.numbers import percent
 from models.law import LinearLaw, static_law
 from models.vehicle import read_vehicle
+from synth.__main__ import main
 from synth.certificate.box import ScaledGain
 from synth.designer import Designer
 from synth.plant import GeneralizedPlant
@@ -137,3 +141,46 @@ def test_rounding_of_a_law_with_states():
         for name in "ABCD":
             assert getattr(found, name) == pytest.approx(getattr(law, name), rel=2e-2)  # 1e-3 in int16 is 33 steps
     assert rounded(law, "int16").B[0, 0] != 1e-3
+
+
+def test_the_command_prints_what_its_json_has(capsys):
+    """`python -m synth --fragility` says in per cent what --json has as shares, and nothing of a controller without a loop."""
+    arguments = ["--controller", "passive", "--controller", "I_printed", "--fragility"]
+    assert main(arguments) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert main([*arguments, "--json"]) == 0
+    passive, one = json.loads(capsys.readouterr().out)["controllers"]
+    assert "fragility" not in passive
+    assert printed.count("fragile:") == 1
+    found = one["fragility"]
+    stable = found["stable"]
+    errors = ", ".join(f"{name} {100 * error:+.4g} %" for name, error in stable["readings"].items())
+    assert f"fragile: unstable with readings off by {100 * stable['found']:.4g} % ({errors})" in printed
+    assert f"stable with each off by up to {100 * stable['proved']:.4g} %, which is proved" in printed
+    for each in found["within"]:
+        ends = f"up to {100 * each['proved']:.4g} %, and not at {100 * each['found']:.4g} %"
+        assert f"the norm within {100 * each['share']:g} % {ends}" in printed
+    for name, each in found["rounding"].items():
+        change = each["norm"] / found["norm"] - 1
+        way = "higher" if change > 0 else "lower"
+        assert f"as {name} {each['norm']:.7g} ({percent(abs(change))} {way}, proved below {each['bound']:.7g})" in printed
+    assert set(found["rounding"]) == {"int16", "float16"}
+
+
+def test_a_discrete_law_is_its_continuous_counterpart(tmp_path, capsys):
+    """Of a discrete law with states, errors are those of its continuous counterpart, whose norm is printed above."""
+    path = tmp_path / "car.toml"
+    law = "A = [[0.5]]\nB = [[0.5]]\nC = [[-4000.0]]\nD = [[-2000.0]]\nsample_period = 0.005\n"
+    car = f"{read_vehicle('quarter_car').text}\n[implementation]\nsample_period = 0.005\n"
+    path.write_text(f'{car}[controllers.lag]\nmeasured = ["sprung_velocity"]\n{law}')
+    assert main(["--vehicle", str(path), "--controller", "lag", "--fragility", "--json"]) == 0
+    (one,) = json.loads(capsys.readouterr().out)["controllers"]
+    assert one["fragility"]["norm"] == pytest.approx(one["norm"], rel=1e-9)  # a search ends at 1e-9
+    assert 0 < one["fragility"]["within"][0]["proved"] <= one["fragility"]["within"][0]["found"]
+
+
+def test_check_and_rates_know_nothing_of_it():
+    """What asks for other answers is refused beside it, in a line."""
+    for arguments in (["--check", "models/quarter_car.toml"], ["--rates", "1"]):
+        with pytest.raises(InputError, match="goes with"):
+            main([*arguments, "--fragility"])

@@ -11,7 +11,7 @@ from sim.stability.fragile import FragilityFound
 from sim.stability.margins import GainMargin, LoopMargins
 from sim.stability.robustness import Robustness, varied_text
 from synth.controller import Controller
-from synth.tolerance.words import errors_text, fragility_object, proved_text, rounding_lines, whose
+from synth.tolerance.words import errors_text, fragility_object, proved_text, rounding_text, whose
 
 NAME, CELL = 24, 12  # columns of a table of margins
 
@@ -98,9 +98,8 @@ def _fragile_lines(vehicle: Vehicle, controller: Controller, fragile: FragilityF
     worst = errors_text(predicted.stable, *names) if math.isfinite(edge.own) else "none up to 100 % ends it"
     rows = [("bears up to, %", 100 * edge.own, 100 * edge.found, worst)]
     rows += [(name, 100 * at, 100 * seen, note) for name, at, seen, note in _sampled_rows(edge, h, 1)]
-    lines = _table(f"errors of {whose(predicted)}", rows)
-    lines += wrapped(proved_text(predicted), "  ", 4)
-    return lines + [f"  {line}" for line in rounding_lines(controller.certificate.norm.value, fragile.rounding)]
+    rounded = rounding_text(controller.certificate.norm.value, fragile.rounding)
+    return [*_table(f"errors of {whose(predicted)}", rows), f"  {proved_text(predicted)}", f"  {rounded}"]
 
 
 def verdict(found: dict[str, LoopMargins], fragile: FragilityFound, box: Robustness | None) -> str:

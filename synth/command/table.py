@@ -13,6 +13,7 @@ from models.common.shell import option
 from models.vehicle import Vehicle
 from synth.certificate.certificate import Certificate, LmiProof
 from synth.certificate.record import to_record
+from synth.command.fragile import Fragile
 from synth.command.witness import Witness
 from synth.controller import Controller
 from synth.implemented.claims import norm_lines, norm_object, norm_record
@@ -32,6 +33,7 @@ class Row:
         worth: what `--refine` lowers the norm by at least, relative; 0 where it is nothing to speak of.
         witness: what a second solver says of the design, where it was asked.
         sampled: the norm as implemented, where the vehicle file says how.
+        fragile: the errors that it bears, where they were asked for.
     """
 
     name: str
@@ -41,6 +43,7 @@ class Row:
     worth: float = 0.0
     witness: Witness | None = None
     sampled: SampledNorm | None = None
+    fragile: Fragile | None = None
 
 
 def row_object(row: Row) -> dict[str, Any]:
@@ -72,6 +75,7 @@ def row_object(row: Row) -> dict[str, Any]:
         "refine_lowers_by_at_least": row.worth or None,
         **({"promises": [promise.record for promise in controller.promises]} if controller.promises else {}),
         "cross_check": _witness_object(row.witness) if row.witness is not None else None,
+        **({"fragility": row.fragile.record} if row.fragile is not None else {}),
     }
 
 
@@ -139,6 +143,8 @@ def detail_lines(row: Row, vehicle: Vehicle) -> list[str]:
     lines += [f"  {line}" for line in norm_lines(vehicle, controller, row.sampled)]
     if row.witness is not None:
         lines.append(f"  {row.witness.text}")
+    if row.fragile is not None:
+        lines += [f"  {line}" for line in row.fragile.lines]
     said = (*row.notes, *certificate.remarks)
     return [*lines, *(f"  {note}" for note in said), *(f"  FAILS: {failure}" for failure in row.failures)]
 

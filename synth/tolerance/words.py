@@ -4,8 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from models.common.numbers import finite
-from models.common.printed import wrapped
+from models.common.numbers import finite, percent
 from synth.certificate.certificate import Certificate
 from synth.tolerance.fragility import Borne, Fragility
 
@@ -52,14 +51,14 @@ def errors_text(one: Borne, measured: Sequence[str], forces: Sequence[str]) -> s
     return ", ".join(f"{name} {100 * error:+.4g} %" for name, error in named if abs(error) > NOTHING) or "none"
 
 
-def fragility_lines(found: Fragility, measured: Sequence[str], forces: Sequence[str]) -> list[str]:
+def fragility_text(found: Fragility, measured: Sequence[str], forces: Sequence[str]) -> str:
     """How fragile a law is, in a sentence."""
     stable, text = found.stable, "fragile: "
     if math.isfinite(stable.found):
         text += f"unstable with {whose(found)} off by {100 * stable.found:.4g} % ({errors_text(stable, measured, forces)}); "
     else:
         text += f"no errors of {whose(found)} up to 100 % were found that make it unstable; "
-    return wrapped(text + proved_text(found), hang=2)
+    return text + proved_text(found)
 
 
 def proved_text(found: Fragility) -> str:
@@ -71,7 +70,7 @@ def proved_text(found: Fragility) -> str:
     return text
 
 
-def rounding_lines(norm: float, rounding: Mapping[str, Certificate]) -> list[str]:
+def rounding_text(norm: float, rounding: Mapping[str, Certificate]) -> str:
     """What rounding a law's numbers does to its norm, in a sentence."""
     said = []
     for name, one in rounding.items():
@@ -79,5 +78,6 @@ def rounding_lines(norm: float, rounding: Mapping[str, Certificate]) -> list[str
             said.append(f"{name} UNSTABLE")
             continue
         bound = f", proved below {one.bound:.7g}" if one.bound is not None else ""
-        said.append(f"{name} {one.norm.value:.7g} ({100 * (one.norm.value / norm - 1):+.2g} %{bound})")
-    return wrapped(f"norm with the law's numbers as {'; as '.join(said)}", hang=2)
+        share = one.norm.value / norm - 1
+        said.append(f"{name} {one.norm.value:.7g} ({percent(abs(share))} {'higher' if share > 0 else 'lower'}{bound})")
+    return f"norm with the law's numbers as {'; as '.join(said)}"
