@@ -8,6 +8,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
+from models.common.numbers import percent
 from models.controllers import ControllerEntry
 from models.goals.goals import REGRET, DecayBound, GainBound, Goals, NormBound, NormOf, PeakBound
 from models.goals.reading import FORCE
@@ -216,7 +217,7 @@ def remarks(found: GoalDesign) -> tuple[str, ...]:
     if found.refused is None:
         return ("designed for its goals, by descent from the two steps and other starts",)
     return (
-        f"designed for its goals, by descent from the two steps and other starts; refused: {100 * found.refused:.2g} % less for "
+        f"designed for its goals, by descent from the two steps and other starts; refused: {percent(found.refused)} less for "
         "up to twice the gain",
     )
 

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.numbers import percent
 from synth.errors import DesignError
 from synth.goals.descent import descend
 from synth.goals.problem import Errors, GoalProblem
@@ -252,7 +253,7 @@ class Search:
     def in_the_way(self, x: Array) -> str:
         """Which bounds cannot be kept, and by how much, as far as the search found."""
         passed = {term.name: term.value(x) - 1 for term in sorted(self.terrain.bounds, key=lambda term: term.value(x))}
-        said = [f"{name} is passed by {100 * share:.2g} %" for name, share in passed.items() if share > KEPT]
+        said = [f"{name} is passed by {percent(share)}" for name, share in passed.items() if share > KEPT]
         return (
             f"no gain was found that keeps all bounds; nearest to all of them, {' and '.join(reversed(said))}; allow more there, "
             "or measure more"
