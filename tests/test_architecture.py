@@ -42,11 +42,11 @@ ROOMS = {
     "synth.lmi": "synth.certificate synth.discrete synth.errors synth.numerics synth.plant synth.scaling",
     "synth.band": "synth.certificate synth.discrete synth.errors synth.lmi synth.numerics synth.plant synth.scaling",
     "synth.family": "synth.certificate synth.errors synth.lmi synth.numerics synth.plant synth.scaling",
-    "synth.energy": "synth.certificate synth.errors synth.lmi synth.numerics synth.plant synth.scaling",
     "synth.dynamic": "models synth.certificate synth.discrete synth.errors synth.lmi synth.modes synth.numerics synth.plant "
     "synth.scaling",
     "synth.posed": "synth.certificate synth.lmi synth.modes synth.plant synth.scaling",
     "synth.design": "synth.certificate synth.errors synth.lmi synth.modes synth.numerics synth.plant synth.posed synth.scaling",
+    "synth.energy": "synth.certificate synth.design synth.errors synth.lmi synth.numerics synth.plant synth.scaling",
     "synth.search": "models synth.certificate synth.design synth.discrete synth.dynamic synth.errors synth.lmi synth.numerics "
     "synth.plant synth.scaling",
     "synth.tolerance": "models synth.certificate synth.discrete synth.dynamic synth.lmi synth.numerics synth.plant synth.search",

@@ -132,6 +132,8 @@ def test_a_discrete_loop():
         dense = np.abs(np.asarray(space(np.exp(1j * grid * dt)))).max()
         assert found.value == pytest.approx(dense, rel=1e-5)  # the grid's spacing over the damping, squared
         assert found.value >= dense * (1 - 1e-12)
+    with pytest.raises(DesignError, match="the loop has a pole at z = -1"):
+        norm_in_band(dataclasses.replace(system(-1.0, 1.0, 1.0), dt=dt), 1.0, 5.0)
     with pytest.raises(InputError, match=r"frequencies up to 31\.4159 rad/s; begin below that"):
         norm_in_band(plant, 32.0, 40.0)
 
@@ -172,14 +174,16 @@ def test_a_huge_gain_has_its_digits_in_a_band():
     assert found.rounding < 1e-11
 
 
-@pytest.mark.parametrize(("low", "high"), [(-1.0, 2.0), (2.0, 2.0), (3.0, 2.0), (np.nan, 2.0), (1.0, np.nan), (np.inf, np.inf)])
+@pytest.mark.parametrize(
+    ("low", "high"), [(-1.0, 2.0), (2.0, 2.0), (3.0, 2.0), (np.nan, 2.0), (1.0, np.nan), (np.inf, np.inf), ("1", 2.0), (1j, 2)]
+)
 def test_what_is_no_band(low, high):
     """A band begins at 0 or above, and ends above that; else one line says so."""
     with pytest.raises(InputError, match="rad/s is no band; give where it begins, from 0, and where it ends, above that"):
         norm_in_band(oscillator(1.0, 0.1), low, high)
 
 
-@pytest.mark.parametrize("level", [0.0, -1.0, np.nan, np.inf])
+@pytest.mark.parametrize("level", [0.0, -1.0, np.nan, np.inf, "1"])
 def test_what_is_no_level(level):
     """A level is a finite number above zero."""
     with pytest.raises(InputError, match="is no gain to stay below"):

@@ -156,6 +156,19 @@ def test_what_no_gain_keeps(paper, designer):
         limited_design(designer.plant, Cy, Cs, Ds, np.array([0.3]))
 
 
+def test_nothing_disturbs_and_nothing_limits(paper, designer):
+    """Without a disturbance peaks are zero, and proved to be small; limits that limit nothing leave what the two steps find."""
+    still = dataclasses.replace(designer.plant, Bw=np.zeros((4, 1)))
+    found = energy_peaks(still, np.zeros((1, 4)), np.eye(4), np.zeros((4, 1)))
+    assert not np.any(found.peaks)
+    assert np.all(found.bounds < 1e-4)
+    Cy, (Cs, Ds) = paper.linear_model.rows(["sprung_velocity"])[0], paper.linear_model.rows(["suspension_deflection"])
+    free = limited_design(designer.plant, Cy, Cs, Ds, np.array([1e30]))
+    assert free.certificate.norm.value <= designer.design("II").certificate.norm.value
+    limits = energy_peaks(designer.plant, designer.design("II").state_gain(paper), Cs, Ds).peaks * 1.001
+    assert limited_design(designer.plant, Cy, Cs, Ds, limits).certificate.norm.value <= free.certificate.norm.value * 1.01
+
+
 def test_bad_input(designer):
     """What does not fit, an unstable loop and a discrete plant are refused in one line each."""
     plant, G, Cs, Ds = designer.plant, np.zeros((1, 4)), np.eye(4)[:1], np.zeros((1, 1))
@@ -166,8 +179,11 @@ def test_bad_input(designer):
     ]:
         with pytest.raises(InputError, match=said):
             energy_peaks(*arguments)
-    with pytest.raises(DesignError, match=r"of a loop that is unstable: a pole at .* no peak is bounded"):
+    with pytest.raises(DesignError, match=r"no peak is bounded, for the loop is unstable: a pole at .*; stabilise it first"):
         energy_peaks(plant, np.array([[0.0, 0.0, 1e5, 0.0]]), Cs, Ds)
-    for most in ([0.0], [np.inf], [1.0, 2.0], [-1.0]):
+    for most in ([0.0], [1.0, 2.0], [-1.0]):
         with pytest.raises(InputError, match="give a finite number above 0 for each"):
             limited_design(plant, np.eye(4)[2:3], Cs, Ds, np.array(most))
+    for most in (np.inf, "a"):
+        with pytest.raises(InputError, match="the row of limits"):
+            limited_design(plant, np.eye(4)[2:3], Cs, Ds, np.array([most]))

@@ -184,7 +184,9 @@ def test_bad_input(designer):
         (([plant], [Cy], np.array([[1.0, 0.5]])), "of ones where the gain may be other than zero, and zeros"),
         (([plant], [Cy], None, ()), "no values to try; give numbers above 0"),
         (([plant], [Cy], None, (0.1, -1.0)), "no values to try"),
-        (([plant], [Cy], None, (np.nan,)), "no values to try"),
+        (([plant], [Cy], None, (np.nan,)), "the row of f has an entry that is not finite"),
+        (([plant], [Cy], None, 0.3), r"the row of f has shape \(1,\); expected a matrix of shape \(1, k\), numbers above 0"),
+        (([plant], [Cy], "corner"), r"the structure has shape \(\); expected a matrix of shape \(1, 2\)"),
         (([dataclasses.replace(plant, dt=0.01)], [Cy]), "is done for continuous ones alone"),
         (([plant], [np.eye(3)]), r"Cy has shape \(3, 3\)"),
     ]:

@@ -19,6 +19,7 @@ from synth.certificate.gain import Gain
 from synth.certificate.norm import EXACT, Norm, by_both_routes, discrete_by_both_routes, proposals
 from synth.certificate.stability import Stability, stability
 from synth.discrete.bilinear import continuous_loop, mapped_frequency, true_frequency
+from synth.errors import DesignError
 from synth.numerics import numerics
 from synth.plant import GeneralizedPlant
 
@@ -68,6 +69,7 @@ def norm_in_band(loop: GeneralizedPlant, low: float, high: float) -> BandNorm:
 
     Raises:
         InputError: the band is none.
+        DesignError: a discrete loop has a pole at z = -1.
     """
     gain = _gain(loop, low, high)
     if gain.on_axis is not None:
@@ -94,8 +96,9 @@ def stays_below(loop: GeneralizedPlant, low: float, high: float, level: float) -
 
     Raises:
         InputError: the band is none, or the level.
+        DesignError: a discrete loop has a pole at z = -1.
     """
-    if not 0 < level < np.inf:
+    if not (_is_number(level) and 0 < level < np.inf):
         raise InputError(f"level = {quoted(level)} is no gain to stay below; give a finite number above 0")
     gain = _gain(loop, low, high)
     return gain.on_axis is None and not _exceeded(gain, level)
@@ -103,7 +106,7 @@ def stays_below(loop: GeneralizedPlant, low: float, high: float, level: float) -
 
 def check_band(low: float, high: float) -> None:
     """Raises an InputError where from low to high [rad/s] is no band."""
-    if not 0 <= low < high:
+    if not (_is_number(low) and _is_number(high) and 0 <= low < high):
         raise InputError(
             f"from {quoted(low)} to {quoted(high)} rad/s is no band; give where it begins, from 0, and where it ends, above that"
         )
@@ -118,7 +121,18 @@ def _gain(loop: GeneralizedPlant, low: float, high: float) -> Gain:
             f"the band begins at {low:g} rad/s, and a loop sampled every {loop.dt:g} s has frequencies up to "
             f"{np.pi / loop.dt:g} rad/s; begin below that"
         )
-    return Gain(continuous_loop(loop), mapped_frequency(low, loop.dt), mapped_frequency(high, loop.dt))
+    try:
+        mapped = continuous_loop(loop)
+    except np.linalg.LinAlgError:
+        raise DesignError(
+            "the loop has a pole at z = -1, where nothing decays, and no continuous loop does in a band what it does; give one "
+            "without"
+        ) from None
+    return Gain(mapped, mapped_frequency(low, loop.dt), mapped_frequency(high, loop.dt))
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float | np.integer | np.floating)
 
 
 def _exceeded(gain: Gain, level: float) -> bool:

@@ -5,7 +5,7 @@
 
 **The solver proposes, the certificate decides.** Norm and peaks of the gain are proved without the solver. As one X has to serve
 norm and peaks, a gain stays further within its limits than it has to: so the LMIs are also solved with limits that are looser by
-some factors, and of all gains that do stay within the limits that were asked for the one with the least norm is taken.
+some factors, and with none, and of all gains that stay within the limits asked for the one with the least norm is taken.
 """
 
 from dataclasses import dataclass, field
@@ -17,6 +17,7 @@ from models.common.errors import InputError, quoted
 from synth.certificate.bounding import certify_tightly
 from synth.certificate.certificate import Certificate
 from synth.certificate.norm import hinf_norm
+from synth.design import two_step_design
 from synth.energy.lmi import solve_limited
 from synth.energy.peaks import EnergyPeaks, energy_peaks, signals
 from synth.errors import DesignError, InfeasibleError
@@ -24,8 +25,8 @@ from synth.lmi.clarabel import LmiSolution
 from synth.lmi.output_feedback import independent_rows, l_matrix, nullspace, r_matrix
 from synth.lmi.scaled import Scaled
 from synth.numerics import numerics
-from synth.plant import Feedback, GeneralizedPlant, check_continuous, check_posed, measurement_matrix
-from synth.scaling import own_units, size
+from synth.plant import Feedback, GeneralizedPlant, check_continuous, check_posed, measurement_matrix, real_matrix
+from synth.scaling import own_units
 
 LOOSER = (1.0, 1.1, 1.2, 1.4, 1.7, 2.0, 2.8, 4.0, 8.0, 16.0)  # times the limits, for the LMIs alone
 HALVED = 4  # times the step between the loosest limits that led to the best gain and the next, that led to one beyond the limits
@@ -40,7 +41,7 @@ class LimitedDesign:
         gain: K, shape (m, q).
         certificate: of the loop's norm.
         peaks: of the signals, for a disturbance of energy 1.
-        looser: the factor of the limits in the LMIs that led to it.
+        looser: the factor of the limits in the LMIs that led to it; infinite for the paper's own two steps.
         redundant: rows of C_y that follow from others, by index; their gain is zero.
     """
 
@@ -72,16 +73,15 @@ def limited_design(plant: GeneralizedPlant, Cy: Array, Cs: Array, Ds: Array, mos
     check_posed(plant)
     Cy = measurement_matrix(Cy, len(plant.A))
     Cs, Ds = signals(plant, Cs, Ds)
-    limits = np.asarray(most, dtype=float)
-    if limits.shape != (len(Cs),) or not np.all((limits > 0) & np.isfinite(limits)):
+    (limits,) = real_matrix([most], "the row of limits", f"(1, {len(Cs)}), a number above 0 for each signal")
+    if len(limits) != len(Cs) or not np.all(limits > 0):
         raise InputError(f"limits {quoted(most)} for {len(Cs)} signals; give a finite number above 0 for each")
     kept = independent_rows(plant, Cy)
     tries = _Tries(plant, Cy, kept, _Steps(plant, Cy[kept], Cs, Ds), Cs, Ds, limits)
-    for looser in LOOSER:
+    for looser in (*LOOSER, np.inf):
         tries.add(looser)
-    if tries.found:
-        low = min(tries.found, key=lambda one: one.norm).looser
-        high = min((looser for _, _, looser in tries.exceeded if looser > low), default=low)
+    if tries.found and np.isfinite(low := min(tries.found, key=lambda one: one.norm).looser):
+        high = min((looser for _, _, looser in tries.exceeded if low < looser < np.inf), default=low)
         for _ in range(HALVED):
             middle = (low * high) ** 0.5
             low, high = (middle, high) if tries.add(middle) else (low, middle)
@@ -115,7 +115,10 @@ class _Tries:
         """Whether limits that are looser by a factor lead to a gain that keeps those that are asked for."""
         K = np.zeros((self.plant.B.shape[1], len(self.Cy)))
         try:
-            K[:, self.kept] = self.steps.gain(looser * self.limits)
+            if np.isfinite(looser):
+                K[:, self.kept] = self.steps.gain(looser * self.limits)
+            else:
+                K = two_step_design(self.plant, self.Cy).gain
             peaks = energy_peaks(self.plant, Feedback(K, self.Cy), self.Cs, self.Ds)
         except DesignError as error:
             self.failures.append(error)
@@ -185,9 +188,7 @@ class _Steps:
         """The solution in the coordinates of [Q R] and units in which all numbers have size one, and these."""
         a, eye = Q.shape[1], np.eye(len(self.own.A))
         scaled = Scaled([self.own], TIME * self.rate, Q, R, np.ones((R.shape[1], R.shape[1])))
-        rows = self.Cs @ scaled.T
-        lengths = np.array([size(row[None]) for row in rows])
         # Of w in its unit d and time in 1 / rate the integral of w^2 counts d^2 / rate.
-        limits = most * scaled.disturbance / (scaled.rate**0.5 * lengths)
-        through = self.Ds * scaled.force / lengths[:, None]
-        return solve_limited(scaled.plants[0], eye[:, :a], eye[:, a:], rows / lengths[:, None], through, limits), scaled
+        limits = (most * scaled.disturbance / scaled.rate**0.5)[:, None]
+        rows, through = self.Cs @ scaled.T / limits, self.Ds * scaled.force / limits
+        return solve_limited(scaled.plants[0], eye[:, :a], eye[:, a:], rows, through), scaled

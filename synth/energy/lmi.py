@@ -1,10 +1,10 @@
 """Problems (22) and (25) with hard limits: no peak of some signals beyond a bound for a disturbance of given energy.
 
 The X of (21) satisfies He(A X + B Y) + eta Bw Bw' < 0, so that X / eta lies above the P of `peaks.py`, and a signal
-s = (C_s + D_s G) x stays within b for every w of energy 1 if (C_s + D_s G) X (C_s + D_s G)' <= eta b^2, which is
+s = (C_s + D_s G) x, in units of its limit, is within 1 for every w of energy 1 if (C_s + D_s G) X (C_s + D_s G)' <= eta: that is
 
-    [ eta b^2     C_s X + D_s Y ]
-    [ *           X             ]  >= 0,
+    [ eta     C_s X + D_s Y ]
+    [ *       X             ]  >= 0,
 
 affine in X, Y and eta (Scherer, Gahinet, Chilali 1997). So (12) and both steps are the paper's own. X is one for norm and peaks,
 which is a price: a gain attains less in peaks than its X says.
@@ -23,16 +23,15 @@ REGULARIZED = 1e-6  # of Clarabel's linear systems; with its own 1e-8 it gives u
 NOTHING = 1e-8  # of the size of X: an eta below that is zero to Clarabel's tolerance
 
 
-def solve_limited(plant: GeneralizedPlant, Q: Array, R: Array, Cs: Array, Ds: Array, most: Array) -> LmiSolution:
+def solve_limited(plant: GeneralizedPlant, Q: Array, R: Array, Cs: Array, Ds: Array) -> LmiSolution:
     """Maximises eta subject to (24) with (12), and to the limits; with an empty Q and R = I it is (22).
 
     Args:
         plant: continuous, n states, m inputs.
         Q: shape (n, n - q).
         R: shape (n, q).
-        Cs: signals, shape (p, n).
+        Cs: signals in units of their limits, shape (p, n).
         Ds: what the inputs do at once to them, shape (p, m).
-        most: b of each, shape (p,).
 
     Raises:
         InfeasibleError: the solver says so, or its eta is zero to its tolerance.
@@ -54,9 +53,9 @@ def solve_limited(plant: GeneralizedPlant, Q: Array, R: Array, Cs: Array, Ds: Ar
     disturbance = np.vstack([plant.Bw, plant.Dw])
     F = cp.bmat([[top + top.T, low.T], [low, -np.eye(d)]]) + eta * (disturbance @ disturbance.T)
     constraints.append(F << 0)
-    for c, through, b in zip(Cs, Ds, most, strict=True):
+    for c, through in zip(Cs, Ds, strict=True):
         row = c[None] @ X + through[None] @ Y
-        constraints.append(cp.bmat([[cp.reshape(eta * b**2, (1, 1), order="C"), row], [row.T, X]]) >> 0)
+        constraints.append(cp.bmat([[cp.reshape(eta, (1, 1), order="C"), row], [row.T, X]]) >> 0)
     problem = cp.Problem(cp.Maximize(eta), constraints)
     answered(problem, static_regularization_constant=REGULARIZED)
     X_value, Y_value, found = np.asarray(X.value), np.asarray(Y.value), float(eta.value)  # pyright: ignore[reportArgumentType]

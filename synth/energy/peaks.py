@@ -78,7 +78,7 @@ def energy_peaks(plant: GeneralizedPlant, G: Array | Feedback, Cs: Array, Ds: Ar
     loop = plant.closed_loop(G)
     found = stability(loop.A)
     if not found.stable:
-        raise DesignError(f"of a loop that is {found.words} no peak is bounded; stabilise it first")
+        raise DesignError(f"no peak is bounded, for the loop is {found.words}; stabilise it first")
     A, scale = balance(loop.A)
     Bw = loop.Bw / scale[:, None]
     rows = (Cs + Ds @ (G.K @ G.Cy if isinstance(G, Feedback) else G)) * scale
@@ -86,13 +86,13 @@ def energy_peaks(plant: GeneralizedPlant, G: Array | Feedback, Cs: Array, Ds: Ar
     shown = rows @ P @ rows.T
     alone = replace(plant, C=np.zeros((1, len(A))), D=np.zeros((1, plant.B.shape[1])), Dw=np.zeros((1, Bw.shape[1])))
     for more in ABOVE:
-        X = _gramian(A, (1 + more) * Bw @ Bw.T + more * float(np.sum(Bw**2)) * np.eye(len(A)))
+        X = _gramian(A, (1 + more) * Bw @ Bw.T + more * (float(np.sum(Bw**2)) or 1.0) * np.eye(len(A)))
         proof = prove_bound(alone, G, scale[:, None] * X * scale, 1.0)
         if proof.holds:
             bounds, together = _bounds(plant, G, Cs, Ds, proof.X)
             peaks = np.sqrt(np.maximum(np.diag(shown), 0.0))
             return EnergyPeaks(peaks, float(np.linalg.eigvalsh(shown)[-1]) ** 0.5, bounds, together, proof)
-    raise DesignError("rounding leaves no proof of a peak: the loop is too near to marginal, or its states to being undisturbed")
+    raise DesignError(f"rounding leaves no proof of a peak: the loop is {found.words}, too near to marginal for floats to tell")
 
 
 def signals(plant: GeneralizedPlant, Cs: Array, Ds: Array) -> tuple[Array, Array]:

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError
+from models.common.errors import InputError, quoted
 from synth.certificate.bounding import certify_tightly
 from synth.certificate.certificate import Certificate
 from synth.certificate.norm import hinf_norm
@@ -28,7 +28,7 @@ from synth.family.lmi import first_step, second_step, together
 from synth.lmi.output_feedback import independent_rows, l_matrix, nullspace, r_matrix
 from synth.lmi.scaled import Scaled
 from synth.numerics import numerics
-from synth.plant import Feedback, GeneralizedPlant, check_continuous, check_posed, measurement_matrix
+from synth.plant import Feedback, GeneralizedPlant, check_continuous, check_posed, measurement_matrix, real_matrix
 from synth.scaling import own_units, reachable
 
 SOLVED_AT = 3.0  # what f is in the unit of time in which the problem is solved
@@ -133,10 +133,11 @@ def _checked(
                 f"plant {i} has n = {len(plant.A)}, m = {plant.B.shape[1]} and q = {len(Cy)}, the first n = {len(plants[0].A)}, "
                 f"m = {plants[0].B.shape[1]} and q = {len(checked[0])}; one gain needs plants that are alike in these"
             )
-    if not f or not all(0 < each < np.inf for each in f):
-        raise InputError(f"f = {tuple(f)} are no values to try; give numbers above 0, as 0.1, 0.3 and 1")
+    (tried,) = real_matrix([f], "the row of f", "(1, k), numbers above 0 as 0.1, 0.3 and 1")
+    if not len(tried) or not np.all(tried > 0):
+        raise InputError(f"f = {quoted(f)} are no values to try; give numbers above 0, as 0.1, 0.3 and 1")
     shape = plants[0].B.shape[1], len(checked[0])
-    pattern = np.ones(shape) if structure is None else np.asarray(structure, dtype=float)
+    pattern = np.ones(shape) if structure is None else real_matrix(structure, "the structure", str(shape))
     if pattern.shape != shape or not np.all((pattern == 0) | (pattern == 1)):
         raise InputError(
             f"the structure has shape {pattern.shape}; expected {shape}, a row for each input and a column for each measurement, "
