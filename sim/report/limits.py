@@ -17,6 +17,7 @@ from sim.report.scope import BUMP_DURATION, Scope, number
 from sim.response.regime import END_NAMES
 from sim.runs.run import Run, sample_times
 from sim.stability.figure import margins_figure
+from sim.stability.fragile import find_fragility
 from sim.stability.margins import find_all, searches
 from sim.stability.robustness import robustness, varied_text
 from sim.validity.cells import validity
@@ -39,17 +40,21 @@ def margins_section(scope: Scope) -> tuple[Section, list[Finding]]:
     find_all(loops, timestep)
     scope.progress("other vehicles")
     for one, loop, box in zip(scope.active, loops, robustness(vehicle, scope.active, timestep), strict=True):
-        predicted = loop.predicted
+        scope.progress("fragility")
+        predicted, fragile = loop.predicted, find_fragility(vehicle, one, timestep)
+        errors = fragile.predicted.stable.found, fragile.edge.found
         pairs = [
             ("gain, factor", predicted.gain, loop.gain.found),
             ("phase [rad]", predicted.phase, loop.found_phase),
             ("delay [ms]", 1e3 * predicted.delay, 1e3 * loop.delay.unstable),
             ("sample period [ms]", 1e3 * predicted.sample_period, 1e3 * loop.found_sample_period),
+            ("error of each reading and force [%]", *(100 * value for value in errors)),
         ]
         for name, first, second in pairs:
             rows.append((one.name, name, _margin(first), _margin(second)))
-        verdict = "agrees" if loop.agrees else "DOES NOT AGREE"
-        if not loop.agrees:
+        agrees = loop.agrees and fragile.agrees
+        verdict = "agrees" if agrees else "DOES NOT AGREE"
+        if not agrees:
             found.append(Finding(f"MuJoCo DOES NOT AGREE with {one.name}'s predicted margins: see the table.", "fails"))
         others = ("-", "-", "-")
         if box is not None:
@@ -59,7 +64,7 @@ def margins_section(scope: Scope) -> tuple[Section, list[Finding]]:
                 text = f"MuJoCo and analysis DO NOT AGREE on other vehicles with {one.name}: see the table of margins."
                 found.append(Finding(text, "fails"))
         robust.append((one.name, f"{one.certificate.norm.value:.5g}", *others, verdict))
-        figures.append(replace(margins_figure(vehicle, one, loop, box, timestep), name=f"margins-{one.name}"))
+        figures.append(replace(margins_figure(vehicle, one, loop, fragile, box, timestep), name=f"margins-{one.name}"))
     tables = (
         Table(
             "margins",
