@@ -18,6 +18,7 @@ from synth.tolerance.found import norm_at
 from synth.tolerance.fragility import SHARES, fragility
 from synth.tolerance.rounded import rounded
 from synth.tolerance.scaled import scaled_gain
+from synth.tolerance.words import proved_text
 
 NEAR = 1e-6  # relative; a little beyond the errors that were found to do more, and a little within
 STEPS = 41  # of brute force along each reading's errors
@@ -117,6 +118,29 @@ def test_an_unstable_loop_is_no_question():
     gain, _ = _random(0)
     with pytest.raises(ValueError, match="unstable as it is"):
         fragility(replace(gain, plant=replace(gain.plant, A=gain.plant.A + 10 * np.eye(len(gain.plant.A)))))
+
+
+def test_more_errors_than_corners_are_looked_at():
+    """Of more errors at once than a proof is tried of nothing is proved, and that is said; the worst of them are found."""
+    gain, generator = _random(0)
+    copies = 14  # sensors of the same two signals, each with a share of the gain
+    shares = generator.uniform(0.05, 0.1, copies)
+    many = replace(
+        gain,
+        K=np.hstack([gain.K[:, [i % 2]] * share for i, share in enumerate(shares)]),
+        Cy=np.vstack([gain.Cy[i % 2] for i in range(copies)]),
+        Dyw=np.zeros((copies, gain.Dyw.shape[1])),
+        Dyu=np.zeros((copies, 1)),
+        before=np.zeros((1, copies)),
+        readings=copies,
+    )
+    many = replace(many, plant=replace(many.plant, A=many.plant.A - 0.5 * np.eye(len(many.plant.A))))
+    found = fragility(many)
+    assert found.stable.proved == 0.0
+    assert 0 < found.within[0.01].found <= found.within[0.1].found
+    text = proved_text(found)
+    assert text.startswith("that it is stable with errors is not proved; the norm within 1 % of errors is not proved")
+    assert f"and not at {100 * found.within[0.01].found:.4g} %" in text
 
 
 def test_rounding():

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.arrays import Array
-from synth.certificate.box import Box, ScaledGain
+from synth.certificate.box import MOST, Box, ScaledGain
 from synth.numerics import numerics
 from synth.tolerance.found import Heights, by_flips, climb
 from synth.tolerance.proved import proof_below
@@ -115,6 +115,8 @@ def _borne(heights: Heights, rays: Array, level: float) -> Borne:
         errors = inside.at - 1
         amount = float(np.abs(errors).max())
     found = errors_of(gain, _at(gain, errors))
+    if len(box_of_all(gain, 1.0).free) > MOST:
+        return Borne(0.0, np.inf, amount, *found)
     tried = CLOSE if np.isinf(level) else CLOSE_TO_LEVEL
     for smaller in tried if np.isfinite(amount) else (0.0, *tried):
         proved = min(amount, 1.0) * (1 - smaller)

@@ -63,10 +63,14 @@ def fragility_text(found: Fragility, measured: Sequence[str], forces: Sequence[s
 
 def proved_text(found: Fragility) -> str:
     """What is proved of errors, and what they are not."""
-    text = f"stable with each off by up to {100 * found.stable.proved:.4g} %, which is proved"
+    stable = found.stable
+    text = "that it is stable with errors is not proved"
+    if stable.proved:
+        text = f"stable with each off by up to {100 * stable.proved:.4g} %, which is proved"
     for share, one in found.within.items():
         beyond = f", and not at {100 * one.found:.4g} %" if math.isfinite(one.found) else ""
-        text += f"; the norm within {100 * share:g} % up to {100 * one.proved:.4g} %{beyond}"
+        text += f"; the norm within {100 * share:g} % "
+        text += f"up to {100 * one.proved:.4g} %{beyond}" if one.proved else f"of errors is not proved{beyond}"
     return text
 
 
