@@ -186,6 +186,7 @@ def test_the_command_prints_what_its_json_has(capsys):
         assert f"the norm within {100 * each['share']:g} % {ends}" in printed
     for name, each in found["rounding"].items():
         change = each["norm"] / found["norm"] - 1
+        assert abs(change) > 1e-9  # else it is said to be unchanged
         way = "higher" if change > 0 else "lower"
         assert f"as {name} {each['norm']:.7g} ({percent(abs(change))} {way}, proved below {each['bound']:.7g})" in printed
     assert set(found["rounding"]) == {"int16", "float16"}

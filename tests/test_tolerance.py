@@ -9,7 +9,7 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.law import LinearLaw
 from models.vehicle import read_vehicle
-from synth.certificate.box import Box, BoxProof
+from synth.certificate.box import Box, BoxProof, lmi, proves
 from synth.certificate.certificate import eta_of
 from synth.certificate.norm import hinf_norm
 from synth.designer import Designer
@@ -114,6 +114,8 @@ def test_nothing_in_the_box_exceeds_what_is_proved(seed):
         return
     assert at == pytest.approx(worst.found, rel=1e-8)  # two ways to close one loop, in units eight decades apart
     assert worst.found <= worst.proved
+    gain = scaled_gain(plant, Cy, K, Dyw)
+    assert worst.proof is None or worst.proof.holds(gain, box_of(gain, d, e))
     _sampled(worst, loop, 40, generator, d, e)
 
 
@@ -212,3 +214,69 @@ def test_a_gain_of_another_shape_is_refused(car: Car):
     """A gain for other signals is refused by its shape."""
     with pytest.raises(InputError, match=r"\(1, 3\).*expected \(1, 2\)"):
         worst_norm(*car, np.ones((1, 3)), 0.1)
+
+
+def test_no_answer_inside_the_box_is_no_proof():
+    """A force that comes back 0.95 times in its own reading comes back whole with an error of 5.3 %: nothing is proved there."""
+    plant = GeneralizedPlant(-np.eye(1), np.ones((1, 1)), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)))
+    Cy, K, through = np.array([[-1.0]]), np.array([[1.0]]), np.array([[0.95]])
+    gain = scaled_gain(plant, Cy, K, None, through)
+    assert gain.posed(box_of(gain, 0.05, 0.0))
+    assert not gain.posed(box_of(gain, 0.06, 0.0))
+    near = worst_norm(plant, Cy, K, 0.05, 0.0, None, through)
+    assert near.found <= near.proved < np.inf
+    assert np.isinf(worst_norm(plant, Cy, K, 0.06, 0.0, None, through).proved)
+
+
+def test_on_the_verge_is_no_proof():
+    """x' = -x + w, z = x has norm 1, and an X that makes (20) singular there: that proves nothing, a billionth above does."""
+    plant = GeneralizedPlant(-np.eye(1), np.ones((1, 1)), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)))
+    gain = scaled_gain(plant, np.eye(1), np.array([[0.0]]))
+    box, X = box_of(gain, 0.1, 0.0), np.eye(1)
+    assert not proves(gain, box, X, 1.0)
+    assert proves(gain, box, X, eta_of(1 + 1e-9))
+
+
+def test_an_unstable_loop_has_no_x():
+    """x' = x has an X below zero that satisfies (20): it proves nothing."""
+    plant = GeneralizedPlant(np.eye(1), np.ones((1, 1)), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)))
+    gain = scaled_gain(plant, np.eye(1), np.array([[0.1]]))
+    box, X = box_of(gain, 0.5, 0.0), np.array([[-1.0]])
+    assert np.linalg.eigvalsh(lmi(gain.loops(box.corners), X, 1e-2)).max() < 0  # or this is no such X
+    assert not proves(gain, box, X, 1e-2)
+
+
+def test_a_discrete_plant_with_a_pole_at_minus_one():
+    """Where the plant is mapped under a gain of its own, errors are those of the gain, and not of that one."""
+    plant = GeneralizedPlant(
+        np.array([[-1.0, 0.2], [0.0, 0.5]]),
+        np.array([[1.0], [0.5]]),
+        np.array([[0.3], [1.0]]),
+        np.eye(2),
+        np.zeros((2, 1)),
+        np.zeros((2, 1)),
+        dt=0.1,
+    )
+    Cy, K = np.eye(2), np.array([[0.5, -0.1]])
+    assert np.any(scaled_gain(plant, Cy, K).before)  # or it is mapped as it is
+    worst = worst_norm(plant, Cy, K, 0.2)
+    assert hinf_norm(plant.closed_loop(K * (1 + worst.readings))).value == pytest.approx(worst.found, rel=1e-9)  # two ways
+    generator = np.random.default_rng(0)
+    _sampled(worst, lambda a, b: hinf_norm(plant.closed_loop(K * a)).value, 60, generator, np.full(2, 0.2), np.zeros(1))
+
+
+@pytest.mark.attack
+@pytest.mark.parametrize("seed", range(1000, 1030))
+def test_attack_on_what_is_proved(seed):
+    """Of more random plants, with more readings, forces and noise, in odder units, no errors lead above what is proved."""
+    generator = np.random.default_rng(seed)
+    n, m, q = (int(generator.integers(low, high)) for low, high in ((2, 7), (1, 3), (1, 4)))
+    plant, Cy, K, Dyw, generator = _plant(seed, n, m, q, 0.05 if seed % 5 == 0 else None)
+    d, e = generator.uniform(0.0, 0.3, q), generator.uniform(0.0, 0.2, m)
+    worst = worst_norm(plant, Cy, K, d, e, Dyw)
+    gain = scaled_gain(plant, Cy, K, Dyw)
+    if worst.unstable:
+        assert np.isinf(norm_at(gain, 1 + np.concatenate([worst.readings, worst.forces])))
+        return
+    assert worst.proof is None or worst.proof.holds(gain, box_of(gain, d, e))
+    _sampled(worst, lambda readings, forces: norm_at(gain, np.concatenate([readings, forces])), 300, generator, d, e)

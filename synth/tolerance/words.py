@@ -9,6 +9,7 @@ from synth.certificate.certificate import Certificate
 from synth.tolerance.fragility import Borne, Fragility
 
 NOTHING = 1e-12  # of an error that is none
+SAME = 1e-9  # relative, of two norms: two ways to one are as far apart
 
 
 def fragility_object(
@@ -83,5 +84,6 @@ def rounding_text(norm: float, rounding: Mapping[str, Certificate]) -> str:
             continue
         bound = f", proved below {one.bound:.7g}" if one.bound is not None else ""
         share = one.norm.value / norm - 1
-        said.append(f"{name} {one.norm.value:.7g} ({percent(abs(share))} {'higher' if share > 0 else 'lower'}{bound})")
+        change = f"{percent(abs(share))} {'higher' if share > 0 else 'lower'}" if abs(share) > SAME else "unchanged"
+        said.append(f"{name} {one.norm.value:.7g} ({change}{bound})")
     return f"norm with the law's numbers as {'; as '.join(said)}"
