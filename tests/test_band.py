@@ -68,6 +68,8 @@ def test_gain_at_infinity_counts_where_the_band_is_open():
     open_band, closed = norm_in_band(plant, 1.0, np.inf), norm_in_band(plant, 1.0, 5.0)
     assert (open_band.value, open_band.peak_frequency) == (pytest.approx(1.0, rel=1e-12), np.inf)
     assert (closed.value, closed.peak_frequency) == (pytest.approx(5 / np.hypot(5, 2), rel=1e-12), 5.0)
+    assert stays_below(plant, 1.0, 5.0, 0.99)
+    assert not stays_below(plant, 1.0, np.inf, 0.99)
 
 
 def random_system(seed: int, states: int = 8) -> GeneralizedPlant:
