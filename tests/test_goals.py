@@ -33,6 +33,7 @@ SIX = ", ".join(
     f"{{ sprung_mass = {mass}, tyre_stiffness = {tyre} }}" for mass, tyre in itertools.product((0.7, 1.0, 1.4), (0.75, 1.25))
 )
 CORNERS = ("front", "rear")
+FOUR = ("front_left", "front_right", "rear_left", "rear_right")
 
 
 def vehicle_with(section: str, name: str = "quarter_car"):
@@ -302,3 +303,26 @@ def test_goals_leave_plain_designs_alone(paper):
     assert promises["norm"] <= plain.certificate.norm.value
     again = given(paper, "again", controller.measured, static_law(controller.gain))
     assert again.certificate.norm.value == controller.certificate.norm.value
+
+
+def test_a_structure_has_its_price():
+    """The half-car's whole gain is designed, too, from the structured one: never worse, and what it saves is said in per cent."""
+    measured = json.dumps([f"{name}_{corner}" for name in ("suspension_deflection", "sprung_velocity") for corner in CORNERS])
+    controller, promises = designed(f'measured = {measured}\nstructure = "corner"\nbounds = [{{ gain = 3e4 }}]', "half_car")
+    price = next(remark for remark in controller.remarks if "structure costs" in remark)
+    said, whole = re.findall(r"[\d.]+(?= %)|(?<=comes to )[\d.]+", price)
+    whole_gain, of_whole = designed(f"measured = {measured}\nbounds = [{{ gain = 3e4 }}]", "half_car")
+    assert float(said) == pytest.approx(100 * (promises["norm"] / float(whole) - 1), abs=0.06)  # two digits
+    assert float(whole) == pytest.approx(of_whole["norm"], rel=0.01)  # from another start
+    assert np.abs(whole_gain.gain).max() <= 3e4
+
+
+@pytest.mark.slow
+def test_the_full_car_per_corner():
+    """Four computers, each with its own wheel's signals: better than the two steps of the whole gain, within 7 % of the best."""
+    measured = json.dumps([f"{name}_{corner}" for name in ("suspension_deflection", "sprung_velocity") for corner in FOUR])
+    controller, promises = designed(f'measured = {measured}\nstructure = "corner"', "full_car")
+    assert promises["norm"] <= 3.86
+    assert np.count_nonzero(controller.gain) == 8
+    price = next(remark for remark in controller.remarks if "structure costs" in remark)
+    assert 0 < float(re.findall(r"[\d.]+(?= %)", price)[0]) < 7

@@ -124,7 +124,8 @@ def goals_design(
     except Interrupted as stopped:
         stopped.best = _controller(vehicle, entry, goals, posed, lower_bound, bests, stopped.best)
         raise
-    return _controller(vehicle, entry, goals, posed, lower_bound, bests, found)
+    made = _controller(vehicle, entry, goals, posed, lower_bound, bests, found)
+    return made if goals.structure is None else replace(made, remarks=(*made.remarks, *price(asked, found)))
 
 
 def _controller(
@@ -169,6 +170,20 @@ def promises_of(vehicle: Vehicle, entry: ControllerEntry, law: LinearLaw, search
     if search and entry.goals.over == REGRET:
         asked = with_bests(asked)
     return Judged(vehicle, entry, entry.goals, asked, law.D).promises()
+
+
+def price(asked: GoalProblem, found: GoalDesign) -> tuple[str, ...]:
+    """What a structure costs, against the gain that has every entry, designed likewise; nothing where that is the same gain.
+
+    Args:
+        asked: the problem, with the structure.
+        found: its design, from which that of the whole gain starts, too.
+    """
+    whole = replace(asked, structure=np.ones_like(asked.structure))
+    if np.all(asked.structure):
+        return ()
+    goal = min(design_for_goals(whole, [found.gain, *_two_steps(whole)]).goal, found.goal)
+    return (f"its structure costs {percent(found.goal / goal - 1)}: a gain with every entry comes to {goal:.7g}",)
 
 
 def with_bests(asked: GoalProblem) -> GoalProblem:

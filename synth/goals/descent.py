@@ -53,6 +53,9 @@ class _Walk:
     def __init__(self, terrain: Terrain, x: Array, M: Array) -> None:
         self.terrain, self.x, self.M = terrain, x, M
         self.height = terrain.height(x)
+        if np.isfinite(self.height.goal) and self.height.goal > 0:  # a unit of t is of the size of a step
+            (_, s), (_, w) = self.linear(terrain.model(x, self.height, 1e-3))
+            self.M = M / (float(np.linalg.norm(np.vstack([s, w]), axis=1).max(initial=0.0)) or 1.0)
         self.penalty, self.depth, self.damping = FIRST, 0.1, 1e-2
         self.hessian = 0.1 * np.eye(M.shape[1])
         self.kept: Model = Model((), ())
@@ -76,6 +79,8 @@ class _Walk:
         along = (s[:, None] + slopes).reshape(len(pairs), -1)
         kept = np.argsort(-pairs)[:MOST_PAIRS]
         t, some = lowest_point(pairs[kept], along[kept], self.hessian, self.M, self.x, self.terrain.limit)
+        if not some.sum() > 0:
+            raise np.linalg.LinAlgError("no function of the model counts")
         weights = np.zeros(len(pairs))
         weights[kept] = some / some.sum()
         table = weights.reshape(len(v), -1)

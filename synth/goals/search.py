@@ -52,6 +52,7 @@ class Search:
         self.problem, self.full = problem, problem.nominal()
         self.told = told
         self.least: tuple[Array, Height] | None = None
+        self.stable_starts: list[Array] = []
         self.free = np.flatnonzero(problem.structure.ravel())
         self.met = problem.corners(MOST_VERTICES)
         self.terrain = self.terrain_of([problem.none, *self.met])
@@ -129,6 +130,7 @@ class Search:
         ranked = self.ranked(points) or self.ranked([self.stabilised(x) for x in points]) or self.ranked(self.points(otherwise()))
         if not ranked:
             raise DesignError(UNSTABLE)
+        self.stable_starts = ranked
         return min((self.glanced(x) for x in ranked[:ENTERED]), key=lambda each: self.cost(*each))
 
     def points(self, gains: Iterable[Array]) -> list[Array]:
@@ -154,11 +156,16 @@ class Search:
         """A point within all bounds, or as near to that as the search comes."""
         terrain = self.terrain
         bounds = Terrain(terrain.bounds, [], terrain.limit)
-        for _ in range(3):
-            x, near = descend(bounds, x, self.coordinates(x), ROUNDS, enough=1.0)
-            if near.goal <= 1:
-                break
-        return x, terrain.height(x)
+        others = sorted(self.stable_starts, key=lambda start: bounds.height(start).goal)
+        best, least = x, bounds.height(x)
+        for start in (x, *others[:ENTERED]):
+            for _ in range(3):
+                start, near = descend(bounds, start, self.coordinates(start), ROUNDS, enough=1.0)
+                if near.goal < least.goal:
+                    best, least = start, near
+                if near.goal <= 1:
+                    return best, terrain.height(best)
+        return best, terrain.height(best)
 
     def stable(self, x: Array) -> tuple[Array, Height]:
         """The point, or one further on where all loops are stable, those with errors that were met since among them."""
