@@ -105,6 +105,21 @@ def _brute(gain: ScaledGain, factors) -> tuple[float, float]:
     return float(poles.real.max()), highest
 
 
+def test_errors_inside_a_box_may_do_most():
+    """A spring that is tuned to the filter before it, and a damper: the worst is less damping with the spring as it is."""
+    A = np.array([[0.0, 1.0, 0.0, 0.0], [-0.459, -0.1, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0], [0.0, 0.0, -1.0, -0.2]])
+    B, Bw = np.array([[0.0], [1.0], [0.0], [0.0]]), np.array([[0.0], [0.0], [0.0], [1.0]])
+    plant = GeneralizedPlant(A, B, Bw, np.eye(1, 4), np.zeros((1, 1)), np.zeros((1, 1)))
+    gain = scaled_gain(plant, np.eye(2, 4), np.array([[-0.5, -0.1]]))
+    found = fragility(gain)
+    one, level = found.within[0.1], 1.1 * found.norm
+    assert np.abs(one.readings[0]) < 0.5 * np.abs(one.readings[1])  # no corner
+    assert norm_at(gain, 1 + np.array([*(1 + NEAR) * one.readings, 0.0])) > level
+    side = np.linspace(-1, 1, STEPS) * one.found * (1 - 2e-3)  # it is looked inside a box a thousandth smaller
+    errors = np.stack([*np.meshgrid(side, side), np.zeros((STEPS, STEPS))], axis=-1).reshape(-1, 3)
+    assert _brute(gain, 1 + errors)[1] <= level
+
+
 def test_several_forces_are_off_too():
     """Of several forces each is off by itself; of one, which is off as all its readings are, none is."""
     one, two = _random(0)[0], _random(1)[0]

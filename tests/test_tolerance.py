@@ -14,7 +14,7 @@ from synth.certificate.certificate import eta_of
 from synth.certificate.norm import hinf_norm
 from synth.designer import Designer
 from synth.plant import GeneralizedPlant
-from synth.tolerance.found import norm_at
+from synth.tolerance.found import Heights, norm_at
 from synth.tolerance.scaled import box_of, scaled_gain, vertices
 from synth.tolerance.worst import WorstNorm, worst_norm
 
@@ -169,6 +169,18 @@ def test_a_maximum_inside_is_found():
     worst = worst_norm(plant, C, K, 0.6)
     assert max(line) <= worst.found <= max(line) * (1 + 1e-4)  # the line has steps of 5e-3 about a flat top
     assert worst.found <= worst.proved < np.inf  # one X lasts for a small part of such a box only: the bound is loose
+
+
+def test_slopes_are_those_of_differences():
+    """The slope that the search climbs by is that of the norm, with a force in a reading, noise, and two forces, too."""
+    plant, Cy, K, Dyw, generator = _plant(301, 4, 2, 2)
+    through = 0.2 * generator.standard_normal((2, 2)) / np.outer(np.abs(K).max(axis=0), np.abs(K).max(axis=1)) * np.abs(K).max()
+    heights = Heights(scaled_gain(plant, Cy, K, Dyw, through))
+    at, step = 1 + generator.uniform(-0.02, 0.02, 4), 1e-6
+    ends = [[heights.norm(at + sign * step * unit) for sign in (1, -1)] for unit in np.eye(4)]
+    assert np.all(np.isfinite(ends))  # or there is no slope
+    differences = np.array([(up - down) / (2 * step) for up, down in ends])
+    assert heights.slope(at) == pytest.approx(differences, rel=1e-4, abs=1e-4 * np.abs(differences).max())  # of differences
 
 
 def test_a_proof_is_of_its_box_and_its_bound(car: Car):

@@ -112,8 +112,10 @@ def _borne(heights: Heights, rays: Array, level: float) -> Borne:
         climb(inside, box_of_all(gain, min(amount, 1.0) * (1 - WITHIN)))
         if not inside.highest > level * (1 + EXACT) and not np.isinf(inside.highest):
             break
-        errors = inside.at - 1
-        amount = float(np.abs(errors).max())
+        far = float(np.abs(inside.at - 1).max())
+        ray = (inside.at - 1) / far
+        amount = _edge(heights, ray, 0.0, far, level)
+        errors = amount * ray
     found = errors_of(gain, _at(gain, errors))
     if len(box_of_all(gain, 1.0).free) > MOST:
         return Borne(0.0, np.inf, amount, *found)
@@ -139,14 +141,20 @@ def _along_rays(heights: Heights, rays: Array, level: float) -> tuple[float, Arr
                 break
             norm = heights.norm(_at(heights.gain, high * ray))
             if norm > level or np.isinf(norm):
-                while high - low > EXACT * high:
-                    middle = (low + high) / 2
-                    over = heights.exceeds(_at(heights.gain, middle * ray), level)
-                    low, high = (low, middle) if over else (middle, high)
-                if high < best:
-                    best, at = high, high * ray
+                edge = _edge(heights, ray, low, high, level)
+                if edge < best:
+                    best, at = edge, edge * ray
                 break
             low = high
     if at is None:
         at = max(rays, key=lambda ray: heights.norm(_at(heights.gain, ray)))
     return float(best), at
+
+
+def _edge(heights: Heights, ray: Array, low: float, high: float, level: float) -> float:
+    """Where between two amounts along a ray a level is exceeded, which is not at the first and is at the second."""
+    while high - low > EXACT * high:
+        middle = (low + high) / 2
+        over = heights.exceeds(_at(heights.gain, middle * ray), level)
+        low, high = (low, middle) if over else (middle, high)
+    return high
