@@ -25,6 +25,9 @@ from synth.command.witness import cross_check
 from synth.controller import Controller
 from synth.designer import Designer
 from synth.errors import DesignError
+from synth.front.answer import MOST_POINTS
+from synth.front.answer import answer as front_answer
+from synth.front.axes import AXES_HELP
 from synth.goals.engine import Interrupted
 from synth.implemented.claims import norm_failures, norm_if_implemented, sampled_lines
 from synth.problem.problem import measurements
@@ -47,6 +50,8 @@ examples:
   python -m synth --controller I --fragility
   python -m synth --vehicle full_car --cross-check
   python -m synth --rates 1 2 5 10 20 50 100 --picture rates.png
+  python -m synth --front ride:travel --controller II --picture front.png --csv front.csv
+  python -m synth --front band=4-8:travel:force --save designs.toml --point 20 60
 """
 
 
@@ -64,9 +69,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         raise InputError("--check reads its own file and designs nothing; it goes with --controller and --json only")
     if options.rates and options.given & {"zero_l", "refine", "save", "check", "cross_check", "prove", "fragility"}:
         raise InputError("--rates takes designs as they are; it goes with --controller, --vehicle, --picture and --json only")
-    if options.picture and not options.rates:
-        raise InputError("--picture draws what --rates asks for; give sample periods with --rates, or leave it out")
+    if options.front is not None and options.given & {"zero_l", "refine", "check", "cross_check", "prove", "rates"}:
+        raise InputError(
+            "--front designs a trade-off; it goes with --controller, --vehicle, --picture, --csv, --save, --point and --json only"
+        )
+    if options.picture and not options.rates and options.front is None:
+        raise InputError("--picture draws what --rates or --front asks for; give one of them, or leave it out")
+    if options.front is None and options.given & {"csv", "point"}:
+        raise InputError("--csv and --point are of the designs of --front; give its axes with --front, or leave them out")
     vehicle = read_vehicle(options.check or options.vehicle)
+    if options.front is not None:
+        return front_answer(vehicle, options)
     names = [] if options.check else _names(vehicle, options)
     if options.rates:
         return answer(vehicle, names if options.controller else [name for name in names if name != "passive"], options)
@@ -157,7 +170,12 @@ def _parser() -> Parser:
     )
     parser.add_argument("--check", type=Path, metavar="FILE", help="verify the gains of a vehicle file and their certificates")
     parser.add_numbers("--rates", "ms", "what computers of these sample periods cost: norms of the loops as they run them")
-    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw that, as .png or .svg; needs matplotlib")
+    parser.add_argument("--front", metavar="AXES", help=f"about 200 designs between two or three of {AXES_HELP}")
+    parser.add_argument(
+        "--picture", type=Path, metavar="FILE", help="draw what --rates or --front asks for, as .png or .svg; needs matplotlib"
+    )
+    parser.add_argument("--csv", type=Path, metavar="FILE", help="write every design of --front")
+    parser.add_count("--point", "the designs of --front that --save writes", "all", 1, MOST_POINTS, many=True)
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     return parser
 

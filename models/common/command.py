@@ -90,8 +90,10 @@ class Parser(argparse.ArgumentParser):
         """An option that takes one finite number or more, in any order."""
         self.add_argument(option, type=_number, nargs="+", metavar=unit, help=f"{meaning} [{unit}]")
 
-    def add_count(self, option: str, meaning: str, default: str, low: int, high: int, unset: int | None = None) -> None:
-        """An option that takes a whole number from `low` to `high`; `unset` is what it is where it is not given."""
+    def add_count(
+        self, option: str, meaning: str, default: str, low: int, high: int, unset: int | None = None, many: bool = False
+    ) -> None:
+        """An option that takes a whole number from `low` to `high`, or many; `unset` is what it is where it is not given."""
 
         def count(text: str) -> int:
             try:
@@ -102,7 +104,8 @@ class Parser(argparse.ArgumentParser):
                 raise argparse.ArgumentTypeError(f"{text} is not allowed; give a whole number from {low} to {high}")
             return value
 
-        self.add_argument(option, type=count, default=unset, metavar="N", help=f"{meaning} (default: {default})")
+        nargs = "+" if many else None
+        self.add_argument(option, type=count, nargs=nargs, default=unset, metavar="N", help=f"{meaning} (default: {default})")
 
     def add_logs(self, what: str) -> None:
         """--logs, for a command that records only when asked to."""

@@ -27,6 +27,7 @@ def descend(
     rounds: int = ROUNDS,
     told: Callable[[Array, Height], None] = lambda x, height: None,
     enough: float = 0.0,
+    settled: float = -np.inf,
 ) -> tuple[Array, Height]:
     """From a point where all loops are stable to one that is lower: within the bounds, if the start is or a way there is found.
 
@@ -37,8 +38,9 @@ def descend(
         rounds: at most.
         told: called with every new point.
         enough: of the goal; it ends there.
+        settled: the relative fall that a step promises at which it ends there, too; else it looks closer first.
     """
-    walk = _Walk(terrain, x, M)
+    walk = _Walk(terrain, x, M, settled)
     with contextlib.suppress(ValueError):  # singular, says numpy, or not finite, says scipy: of a loop on the border of stability
         for _ in range(rounds):
             if walk.height.goal <= enough or not walk.step():
@@ -50,8 +52,8 @@ def descend(
 class _Walk:
     """One descent."""
 
-    def __init__(self, terrain: Terrain, x: Array, M: Array) -> None:
-        self.terrain, self.x, self.M = terrain, x, M
+    def __init__(self, terrain: Terrain, x: Array, M: Array, settled: float) -> None:
+        self.terrain, self.x, self.M, self.settled = terrain, x, M, settled
         self.height = terrain.height(x)
         if np.isfinite(self.height.goal) and self.height.goal > 0:  # a unit of t is of the size of a step
             (_, s), (_, w) = self.linear(terrain.model(x, self.height, 1e-3))
@@ -112,6 +114,8 @@ class _Walk:
         while of_bounds.sum() > 0.8 * self.penalty and self.penalty < LARGEST and np.max(bounds[0] + bounds[1] @ t) > 1e-9:
             self.penalty *= 4  # the step ends beyond a bound that another one keeps
             t, of_goals, of_bounds, fall = self.lowest(goals, bounds)
+        if fall < self.settled:
+            return False
         here = self.merit(self.height)
         if not fall > 1e-10:
             self.depth, self.failures = self.depth / 4, self.failures + 1

@@ -1,0 +1,106 @@
+"""`python -m synth --front`: a trade-off as a table, a picture, CSV, controllers in a vehicle file, and one JSON object."""
+
+import json
+from argparse import Namespace
+from collections.abc import Sequence
+from dataclasses import replace
+
+from models.common.command import one_chosen
+from models.common.errors import InputError
+from models.common.printed import Whole, say, titled
+from models.common.progress import Stages
+from models.common.whole_file import together
+from models.figures.outputs import check_outputs, written, written_lines
+from models.figures.picture import write_picture
+from models.vehicle import Vehicle
+from synth.command.save import check_save, save
+from synth.errors import DesignError
+from synth.front.axes import axes_of
+from synth.front.figure import front_figure
+from synth.front.front import DESIGNS, Front, entry_of, front
+from synth.front.words import front_lines, front_object, sentences, write_csv
+
+USUAL = "I"  # the controller whose measurements the designs have, where none is asked for
+MOST_POINTS = 1000  # that `--point` can name
+SAVED = "point"  # in the name of a saved one: I_point_17
+
+
+def answer(vehicle: Vehicle, options: Namespace) -> int:
+    """Runs the command; returns its exit code.
+
+    Raises:
+        InputError: bad axes, a controller that no front can be designed for, a point that there is not, or a file that cannot be
+            written.
+    """
+    axes = axes_of(vehicle, options.front)
+    name = _name(vehicle, options.controller)
+    entry_of(vehicle, name)
+    outputs = {"picture": options.picture, "csv": options.csv}
+    check_outputs({**outputs, "save": options.save}, vehicle.files, options.json)
+    if options.point and not options.save:
+        raise InputError("--point says which designs --save writes; give a file with --save, or leave --point out")
+    if options.save:
+        check_save(options.save, vehicle, [f"{name}_{SAVED}_{i}" for i in options.point or (1,)])
+    stage = Stages("designs", "the picture")
+    told = stage.counted("designs", DESIGNS, "designs")
+    try:
+        found = front(vehicle, name, axes, others_of(vehicle), told=told)
+    except DesignError as error:
+        stage.end()
+        say([f"controller {name}", f"  NOT DESIGNED: {error}"])
+        return 1
+    numbers = _numbers(found, options.point) if options.save else []
+    stage("the picture")
+    with together():
+        if options.picture:
+            write_picture(front_figure(found), options.picture)
+        if options.csv:
+            write_csv(found, options.csv)
+        if options.save:
+            save(options.save, vehicle, [replace(found.points[i - 1].controller, name=f"{name}_{SAVED}_{i}") for i in numbers])
+    stage.end()
+    saved = str(options.save) if options.save else None
+    if options.json:
+        result = {"vehicle": vehicle.kind.name, **front_object(found), **written(outputs), "saved": saved}
+        print(json.dumps(result, allow_nan=False))
+    else:
+        lines = [*titled(vehicle.kind.name, vehicle.source), "", *front_lines(found), *written_lines(outputs)]
+        lines += ["", "saved", Whole(f"  {saved}")] if saved else []
+        say([*lines, "", *sentences(found)])
+    if found.interrupted:
+        raise KeyboardInterrupt
+    return 1 if found.unproved or not found.points else 0
+
+
+def others_of(vehicle: Vehicle) -> list[str]:
+    """The controllers that are shown beside a front: all linear ones but those designed for goals, which take seconds each."""
+    return [
+        name
+        for name in vehicle.linear_names
+        if name not in vehicle.controllers or vehicle.controllers[name].goals is None or vehicle.controllers[name].law is not None
+    ]
+
+
+def _name(vehicle: Vehicle, asked: Sequence[str] | None) -> str:
+    """The one controller that is asked for, or the usual one.
+
+    Raises:
+        InputError: several are asked for, or one that there is not.
+    """
+    if asked is None:
+        return USUAL if USUAL in vehicle.controllers else next(iter(vehicle.controllers), "state")
+    if len(asked) > 1:
+        raise InputError(f"--front designs for the measurements of one controller, and {len(asked)} are given; give one")
+    return one_chosen(vehicle.controller_names, asked[0])
+
+
+def _numbers(found: Front, asked: Sequence[int] | None) -> list[int]:
+    """The points that are saved.
+
+    Raises:
+        InputError: one is not there.
+    """
+    for i in asked or ():
+        if i > len(found.points):
+            raise InputError(f"--point {i}: the front has {len(found.points)} points; give one from 1 to {len(found.points)}")
+    return sorted({*asked}) if asked else list(range(1, len(found.points) + 1))

@@ -1,0 +1,306 @@
+"""The trade-off of a vehicle between some axes: designs on its front, each certified, what bounds them, and others beside them."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError
+from models.controllers import ControllerEntry
+from models.goals.goals import Goals, PeakBound
+from models.law import LinearLaw, static_law
+from models.vehicle import Vehicle
+from synth.band.norm import norm_in_band
+from synth.certificate.bounding import certify_tightly
+from synth.controller import Controller
+from synth.design import two_step_design
+from synth.designer import Designer
+from synth.designs.goals import goal_problem
+from synth.designs.promises import Judged
+from synth.errors import DesignError
+from synth.front.axes import Axis
+from synth.front.limits import Limit, limits
+from synth.front.trace import Met, Trace, rays, undominated
+from synth.goals.banded import EVERYWHERE, BandLandscape
+from synth.goals.road_response import largest_over_road
+from synth.goals.search import Search
+from synth.numerics import numerics
+from synth.plant import GeneralizedPlant
+from synth.problem.problem import Problem, generalized_plant, problem
+from synth.tolerance.worst import worst_norm
+
+DESIGNS = 200
+MARKED = 9  # points that stand for all
+MOST_READINGS = 4  # with errors: all their corners count
+
+
+@dataclass(frozen=True)
+class Norm:
+    """A law on one axis.
+
+    Attributes:
+        value: the norm.
+        proved: what it is proved to lie below.
+        at: where it is reached [rad/s]; NaN of one with errors.
+    """
+
+    value: float
+    proved: float
+    at: float
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """A design on the front, or another controller beside it.
+
+    Attributes:
+        controller: with its certificate, which is of `[performance]`.
+        norms: one to an axis.
+        travel: the largest suspension deflection over the paper's bump [m]; None where nobody asked, or there is none.
+    """
+
+    controller: Controller
+    norms: tuple[Norm, ...]
+    travel: float | None = None
+
+    @property
+    def values(self) -> list[float]:
+        """Of the norms."""
+        return [norm.value for norm in self.norms]
+
+
+@dataclass(frozen=True, eq=False)
+class Front:
+    """A trade-off.
+
+    Attributes:
+        vehicle: the vehicle.
+        name: of the controller whose measurements, bounds and structure the designs have.
+        axes: what it is between.
+        points: none of which is better than another in all, ascending on the first axis.
+        others: other controllers of the vehicle file.
+        missing: those that are not there, and why.
+        limits: of every two axes.
+        tried: designs.
+        unproved: those of them that were left out because a claim fails.
+        interrupted: whether it ended early.
+    """
+
+    vehicle: Vehicle
+    name: str
+    axes: tuple[Axis, ...]
+    points: tuple[Point, ...]
+    others: tuple[Point, ...]
+    missing: dict[str, str]
+    limits: tuple[Limit, ...]
+    tried: int
+    unproved: int
+    interrupted: bool
+
+    @property
+    def values(self) -> Array:
+        """Of the points, shape (N, K)."""
+        return np.array([point.values for point in self.points]).reshape(-1, len(self.axes))
+
+    @property
+    def marked(self) -> list[int]:
+        """Those that stand for all, by index: evenly from the first to the last."""
+        return sorted({round(i) for i in np.linspace(0, len(self.points) - 1, MARKED)}) if self.points else []
+
+
+@numerics()
+def front(
+    vehicle: Vehicle,
+    name: str,
+    axes: Sequence[Axis],
+    others: Sequence[str],
+    count: int = DESIGNS,
+    told: Callable[[int], None] = lambda done: None,
+) -> Front:
+    """The front of a controller's static gains.
+
+    Args:
+        vehicle: the vehicle.
+        name: of a controller that measures what the designs measure; bounds and structure of its goals are kept.
+        axes: two or three.
+        others: names of controllers that are shown beside it.
+        count: designs, about.
+        told: how many are done.
+
+    Raises:
+        InputError: the controller cannot be one, see `entry_of`; or it measures too much for an axis with errors.
+        DesignError: none of its gains keeps its bounds.
+    """
+    entry, designer = entry_of(vehicle, name), Designer(vehicle)
+    trace = _trace(vehicle, entry, axes)
+    judged, posed = _judged(vehicle, entry), problem(vehicle, entry.measured, entry.hardware)
+    below = designer.lower_bound(entry.measured, entry.hardware)
+    met: list[Met] = []
+    interrupted = False
+    try:
+        ends = trace.ends()
+        for i, unit in enumerate(rays(ends, count)):
+            met.append(trace.towards(unit))
+            told(i + 1)
+    except KeyboardInterrupt:
+        if not met:
+            raise
+        interrupted = True
+    kept = [each for each in met if each.excess <= 1e-9]
+    kept = [each for each, best in zip(kept, undominated(np.array([each.values for each in kept])), strict=True) if best]
+    points = []
+    for each in kept:
+        law = static_law(trace.gain(each))
+        certificate = certify_tightly(*posed.closed(law), below, by_itself=posed.plant)
+        norms = tuple(norm_on(vehicle, axis, entry, law) for axis in axes)
+        promises = judged(law.D)
+        controller = Controller(
+            entry.name, entry.measured, law, True, certificate, hardware=entry.hardware, promises=promises
+        )
+        if not (certificate.failures or controller.broken) and all(np.isfinite(norm.proved) for norm in norms):
+            points.append(Point(controller, norms))
+    best = undominated(np.array([point.values for point in points]))
+    first = sorted((point for point, one in zip(points, best, strict=True) if one), key=lambda point: point.values)
+    shown, missing = _others(designer, axes, others)
+    unproved = len(kept) - len(points)
+    bounds = tuple(_limits(vehicle, axes, np.array([point.values for point in first])))
+    found = Front(vehicle, name, tuple(axes), tuple(first), shown, missing, bounds, len(met), unproved, interrupted)
+    return _over_the_bump(found, entry)
+
+
+def _over_the_bump(found: Front, entry: ControllerEntry) -> Front:
+    """The same with the marked points' travel over the paper's bump."""
+    signals = [name for name in found.vehicle.linear_model.outputs if name.startswith("suspension_deflection")]
+    if not signals:
+        return found
+    bounds = tuple(PeakBound(signal, "bump", None, np.inf) for signal in signals)
+    driven = goal_problem(found.vehicle, entry, Goals(bounds=bounds)).members[0].driven
+    points = list(found.points)
+    for i in found.marked:
+        K = points[i].controller.gain
+        points[i] = replace(points[i], travel=max(largest_over_road(one, K).value for one in driven))
+    return replace(found, points=tuple(points))
+
+
+def entry_of(vehicle: Vehicle, name: str) -> ControllerEntry:
+    """The section of a controller that designs of a front can be like.
+
+    Raises:
+        InputError: they cannot.
+    """
+    if name == "state":
+        return ControllerEntry(name, vehicle.linear_model.states)
+    entry = vehicle.controllers.get(name)
+    why = ""
+    if entry is None:
+        why = "it measures nothing" if name == "passive" else "this vehicle has none of that name"
+    elif entry.python is not None or entry.design or (entry.law is not None and entry.law.states):
+        why = "it is no static gain"
+    elif entry.sampled:
+        why = "it is designed for the sampled loop"
+    elif entry.goals is not None and (entry.goals.family or entry.goals.tolerance):
+        why = "its goals have a family or a tolerance of their own, and a front is of one vehicle without errors"
+    if why or entry is None:
+        raise InputError(f"--front designs static gains, and not {name!r}: {why}; give another with --controller")
+    return entry
+
+
+@numerics()
+def norm_on(vehicle: Vehicle, axis: Axis, entry: ControllerEntry, law: LinearLaw) -> Norm:
+    """A law on an axis; infinite where its loop, or one with errors, is unstable."""
+    posed = _posed(vehicle, axis, entry)
+    if axis.off:
+        found = worst_norm(posed.plant, posed.Cy, law, axis.off, 0.0, posed.Dyw, posed.through)
+        return Norm(found.found, found.proved, float("nan"))
+    plant, G = posed.closed(law)
+    low, high = axis.norm.band
+    band = norm_in_band(plant.closed_loop(G), 2 * np.pi * low, 2 * np.pi * high)
+    if not band.stability.stable:
+        return Norm(np.inf, np.inf, float("nan"))
+    return Norm(band.value, band.level if band.value else 0.0, band.peak_frequency)
+
+
+def on_axis(vehicle: Vehicle, axis: Axis) -> Vehicle:
+    """The vehicle whose z is an axis'."""
+    return vehicle if axis.norm.signals is None else replace(vehicle, performance=dict(axis.norm.signals), filters={})
+
+
+def _posed(vehicle: Vehicle, axis: Axis, entry: ControllerEntry) -> Problem:
+    return problem(on_axis(vehicle, axis), entry.measured, entry.hardware)
+
+
+def _trace(vehicle: Vehicle, entry: ControllerEntry, axes: Sequence[Axis]) -> Trace:
+    """Where the designs are looked for."""
+    asked = goal_problem(vehicle, entry, entry.goals or Goals())
+    search = Search(asked, lambda goal, within: None)
+    posed, starts = asked.members[0].posed[0], []
+    if entry.law is not None:
+        starts.append(entry.law.D)
+    try:
+        starts.append(two_step_design(posed.plant, posed.Cy).gain)
+    except InputError:  # a DesignError is one
+        pass
+    found = []
+    for axis in axes:
+        own = _posed(vehicle, axis, entry)
+        band = (2 * np.pi * axis.norm.band[0], 2 * np.pi * axis.norm.band[1])
+        found.append(
+            [
+                BandLandscape(own.plant, (1 + errors)[:, None] * own.Cy, _scaled(own.Dyw, errors), band, search.full)
+                for errors in _corners(axis, len(own.Cy))
+            ]
+        )
+    return Trace(search, found, starts)
+
+
+def _corners(axis: Axis, readings: int) -> list[Array]:
+    """The errors of readings that an axis is judged with, none first."""
+    if not axis.off:
+        return [np.zeros(readings)]
+    if readings > MOST_READINGS:
+        raise InputError(
+            f"--front {axis.name} takes a controller of at most {MOST_READINGS} readings, and this one has {readings}; leave "
+            f"{axis.name} out, or give another with --controller"
+        )
+    return [np.zeros(readings), *(axis.off * np.array(signs) for signs in product((-1.0, 1.0), repeat=readings))]
+
+
+def _scaled(Dyw: Array | None, errors: Array) -> Array | None:
+    return None if Dyw is None else (1 + errors)[:, None] * Dyw
+
+
+def _judged(vehicle: Vehicle, entry: ControllerEntry):
+    """What tells of a gain what it keeps of its section's bounds."""
+    if entry.goals is None:
+        return lambda K: ()
+    goals = entry.goals
+    asked = goal_problem(vehicle, entry, goals)
+    return lambda K: Judged(vehicle, entry, goals, asked, K).promises()
+
+
+def _others(designer: Designer, axes: Sequence[Axis], names: Sequence[str]) -> tuple[tuple[Point, ...], dict[str, str]]:
+    """Other controllers on the axes, and why some are not there."""
+    found, missing = [], {}
+    for name in names:
+        try:
+            controller = designer.design(name)
+        except DesignError as error:
+            missing[name] = str(error)
+            continue
+        entry = ControllerEntry(name, controller.measured, hardware=controller.hardware)
+        norms = tuple(norm_on(designer.vehicle, axis, entry, controller.law) for axis in axes)
+        if all(np.isfinite(norm.value) for norm in norms):
+            found.append(Point(controller, norms))
+        else:
+            missing[name] = "its loop is unstable" if not controller.certificate.stable else "it is unstable with errors"
+    return tuple(found), missing
+
+
+def _limits(vehicle: Vehicle, axes: Sequence[Axis], values: Array) -> list[Limit]:
+    """What bounds every two axes."""
+    plants: list[GeneralizedPlant] = [generalized_plant(on_axis(vehicle, axis)) for axis in axes]
+    bands = [(2 * np.pi * low, 2 * np.pi * high) if axis.norm.narrow else EVERYWHERE for axis in axes for low, high in [axis.norm.band]]
+    units = np.median(values, axis=0) if len(values) else np.ones(len(axes))
+    return limits(plants, bands, np.where(units > 0, units, 1.0))
