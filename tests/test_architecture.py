@@ -71,8 +71,12 @@ ROOMS = {
     "synth.implemented synth.lmi synth.plant synth.posed synth.sampled synth.scaling synth.tolerance synth.words",
     "synth.rates": "models models.figures synth.controller synth.designer synth.designs synth.errors synth.held "
     "synth.implemented synth.sampled",
-    "synth.__main__": "models synth.certificate synth.command synth.controller synth.designer synth.errors synth.goals "
-    "synth.implemented synth.problem synth.rates synth.search synth.words",
+    "synth.front": "models models.figures models.goals synth.band synth.certificate synth.command synth.controller synth.design "
+    "synth.designer synth.designs synth.errors synth.goals synth.lmi synth.numerics synth.plant synth.problem synth.search "
+    "synth.tolerance",
+    "synth.asked": "synth.front",
+    "synth.__main__": "models synth.asked synth.certificate synth.command synth.controller synth.designer synth.errors "
+    "synth.front synth.goals synth.implemented synth.problem synth.rates synth.search synth.words",
     # sim: what a run is
     "sim": "",
     "sim.response": "",

@@ -18,10 +18,10 @@ from synth.errors import DesignError
 from synth.front.axes import axes_of
 from synth.front.figure import front_figure
 from synth.front.front import DESIGNS, Front, entry_of, front
+from synth.front.trace import rays_of
 from synth.front.words import front_lines, front_object, sentences, write_csv
 
 USUAL = "I"  # the controller whose measurements the designs have, where none is asked for
-MOST_POINTS = 1000  # that `--point` can name
 SAVED = "point"  # in the name of a saved one: I_point_17
 
 
@@ -42,12 +42,17 @@ def answer(vehicle: Vehicle, options: Namespace) -> int:
     if options.save:
         check_save(options.save, vehicle, [f"{name}_{SAVED}_{i}" for i in options.point or (1,)])
     stage = Stages("designs", "the picture")
-    told = stage.counted("designs", DESIGNS, "designs")
+    told = stage.counted("designs", rays_of(len(axes), DESIGNS), "designs")
     try:
-        found = front(vehicle, name, axes, others_of(vehicle), told=told)
+        found = front(vehicle, name, axes, others_of(vehicle), DESIGNS, told)
+        if not found.points:
+            raise DesignError(f"of {found.tried} designs there is none whose claims could all be proved; give other axes")
     except DesignError as error:
         stage.end()
-        say([f"controller {name}", f"  NOT DESIGNED: {error}"])
+        if options.json:
+            print(json.dumps({"vehicle": vehicle.kind.name, "controller": name, "reason": str(error)}))
+        else:
+            say([f"controller {name}", f"  NOT DESIGNED: {error}"])
         return 1
     numbers = _numbers(found, options.point) if options.save else []
     stage("the picture")
@@ -69,7 +74,7 @@ def answer(vehicle: Vehicle, options: Namespace) -> int:
         say([*lines, "", *sentences(found)])
     if found.interrupted:
         raise KeyboardInterrupt
-    return 1 if found.unproved or not found.points else 0
+    return 1 if found.unproved else 0
 
 
 def others_of(vehicle: Vehicle) -> list[str]:

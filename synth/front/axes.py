@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from models.common.errors import InputError, listing, quoted
-from models.goals.goals import EVERYWHERE, NormOf
+from models.goals.goals import NormOf
 from models.vehicle import Vehicle
 
 BAND = (4.0, 8.0)  # Hz, where people feel it
@@ -101,7 +101,9 @@ def _tolerance(vehicle: Vehicle, given: str | None) -> Axis:
     off = OFF
     if given is not None:
         if not re.fullmatch(NUMBER, given) or not 0 < float(given) <= 90:
-            raise InputError(f"--front tolerance={given}: not a share; give one above 0, up to 90, in per cent, e.g. tolerance=10")
+            raise InputError(
+                f"--front tolerance={given}: not a share; give one above 0, up to 90, in per cent, e.g. tolerance=10"
+            )
         off = float(given) / 100
     if vehicle.filtered:
         raise InputError(

@@ -9,6 +9,7 @@ from synth.front.limits import Limit
 
 WIDER = 0.06  # of what is shown, around it
 BESIDE = 1.5  # times the front's own range: other controllers further off are named, not shown
+SAME = 0.005  # of what is shown: what is nearer to one another has one mark
 FINE = 400  # points of the line, each way
 DESIGNS, LINE = "#1f77b4", "#000000"
 
@@ -43,14 +44,31 @@ def _panel(found: Front, limit: Limit) -> Panel:
         dots = Curve(values[:, 0], values[:, 1], "designs on the front", DESIGNS, "solid", "", 2.2)
     curves = [dots, Curve(*line(limit, *ranges), "no controller comes below this line", LINE, "dot", width=1.2)]
     look = styles(tuple(others))
-    for (name, (x, y)), far in zip(others.items(), beyond, strict=True):
-        if not far:
-            curves.append(Curve(np.array([x]), np.array([y]), name, look[name][0], "none", "o", name=f"controller {name}"))
+    for names in _together(others, beyond, ranges):
+        (x, y), text = others[names[0]], ", ".join(names)
+        curves.append(Curve(np.array([x]), np.array([y]), text, look[names[0]][0], "none", "o", name=f"controller {text}"))
     away = [f"{name} ({x:.4g}, {y:.4g})" for (name, (x, y)), far in zip(others.items(), beyond, strict=True) if far]
     title = f"{found.axes[i].name} and {found.axes[j].name}".replace("_", " ")
     if away:
         title += f"; beyond: {', '.join(away)}"
     return Panel(title, found.axes[i].label, found.axes[j].label, tuple(curves), xlim=ranges[0], ylim=ranges[1])
+
+
+def _together(
+    others: dict[str, tuple[float, float]], beyond: Array, ranges: tuple[tuple[float, float], tuple[float, float]]
+) -> list[list[str]]:
+    """The names of those that are shown, such that lie in one place together."""
+    size, found = np.array([high - low for low, high in ranges]), list[list[str]]()
+    for (name, place), far in zip(others.items(), beyond, strict=True):
+        if far:
+            continue
+        for names in found:
+            if np.all(np.abs(np.subtract(place, others[names[0]])) < SAME * size):
+                names.append(name)
+                break
+        else:
+            found.append([name])
+    return found
 
 
 def _shown(values: Array, others: Array) -> tuple[tuple[tuple[float, float], tuple[float, float]], Array]:

@@ -1,8 +1,8 @@
-"""The trade-off of a vehicle between some axes: designs on its front, each certified, what bounds them, and others beside them."""
+"""The trade-off of a vehicle between some axes: designs on its front, each certified, what bounds them, and others beside."""
 
+import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 
 import numpy as np
 
@@ -10,9 +10,8 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.controllers import ControllerEntry
 from models.goals.goals import Goals, PeakBound
-from models.law import LinearLaw, static_law
+from models.law import static_law
 from models.vehicle import Vehicle
-from synth.band.norm import norm_in_band
 from synth.certificate.bounding import certify_tightly
 from synth.controller import Controller
 from synth.design import two_step_design
@@ -22,33 +21,17 @@ from synth.designs.promises import Judged
 from synth.errors import DesignError
 from synth.front.axes import Axis
 from synth.front.limits import Limit, limits
+from synth.front.norms import Norm, landscapes, norm_on, on_axis, rates
 from synth.front.trace import Met, Trace, rays, undominated
-from synth.goals.banded import EVERYWHERE, BandLandscape
+from synth.goals.banded import EVERYWHERE
 from synth.goals.road_response import largest_over_road
 from synth.goals.search import Search
 from synth.numerics import numerics
 from synth.plant import GeneralizedPlant
-from synth.problem.problem import Problem, generalized_plant, problem
-from synth.tolerance.worst import worst_norm
+from synth.problem.problem import generalized_plant, problem
 
 DESIGNS = 200
 MARKED = 9  # points that stand for all
-MOST_READINGS = 4  # with errors: all their corners count
-
-
-@dataclass(frozen=True)
-class Norm:
-    """A law on one axis.
-
-    Attributes:
-        value: the norm.
-        proved: what it is proved to lie below.
-        at: where it is reached [rad/s]; NaN of one with errors.
-    """
-
-    value: float
-    proved: float
-    at: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,9 +139,7 @@ def front(
         certificate = certify_tightly(*posed.closed(law), below, by_itself=posed.plant)
         norms = tuple(norm_on(vehicle, axis, entry, law) for axis in axes)
         promises = judged(law.D)
-        controller = Controller(
-            entry.name, entry.measured, law, True, certificate, hardware=entry.hardware, promises=promises
-        )
+        controller = Controller(entry.name, entry.measured, law, True, certificate, hardware=entry.hardware, promises=promises)
         if not (certificate.failures or controller.broken) and all(np.isfinite(norm.proved) for norm in norms):
             points.append(Point(controller, norms))
     best = undominated(np.array([point.values for point in points]))
@@ -168,20 +149,6 @@ def front(
     bounds = tuple(_limits(vehicle, axes, np.array([point.values for point in first])))
     found = Front(vehicle, name, tuple(axes), tuple(first), shown, missing, bounds, len(met), unproved, interrupted)
     return _over_the_bump(found, entry)
-
-
-def _over_the_bump(found: Front, entry: ControllerEntry) -> Front:
-    """The same with the marked points' travel over the paper's bump."""
-    signals = [name for name in found.vehicle.linear_model.outputs if name.startswith("suspension_deflection")]
-    if not signals:
-        return found
-    bounds = tuple(PeakBound(signal, "bump", None, np.inf) for signal in signals)
-    driven = goal_problem(found.vehicle, entry, Goals(bounds=bounds)).members[0].driven
-    points = list(found.points)
-    for i in found.marked:
-        K = points[i].controller.gain
-        points[i] = replace(points[i], travel=max(largest_over_road(one, K).value for one in driven))
-    return replace(found, points=tuple(points))
 
 
 def entry_of(vehicle: Vehicle, name: str) -> ControllerEntry:
@@ -207,28 +174,18 @@ def entry_of(vehicle: Vehicle, name: str) -> ControllerEntry:
     return entry
 
 
-@numerics()
-def norm_on(vehicle: Vehicle, axis: Axis, entry: ControllerEntry, law: LinearLaw) -> Norm:
-    """A law on an axis; infinite where its loop, or one with errors, is unstable."""
-    posed = _posed(vehicle, axis, entry)
-    if axis.off:
-        found = worst_norm(posed.plant, posed.Cy, law, axis.off, 0.0, posed.Dyw, posed.through)
-        return Norm(found.found, found.proved, float("nan"))
-    plant, G = posed.closed(law)
-    low, high = axis.norm.band
-    band = norm_in_band(plant.closed_loop(G), 2 * np.pi * low, 2 * np.pi * high)
-    if not band.stability.stable:
-        return Norm(np.inf, np.inf, float("nan"))
-    return Norm(band.value, band.level if band.value else 0.0, band.peak_frequency)
-
-
-def on_axis(vehicle: Vehicle, axis: Axis) -> Vehicle:
-    """The vehicle whose z is an axis'."""
-    return vehicle if axis.norm.signals is None else replace(vehicle, performance=dict(axis.norm.signals), filters={})
-
-
-def _posed(vehicle: Vehicle, axis: Axis, entry: ControllerEntry) -> Problem:
-    return problem(on_axis(vehicle, axis), entry.measured, entry.hardware)
+def _over_the_bump(found: Front, entry: ControllerEntry) -> Front:
+    """The same with the marked points' travel over the paper's bump."""
+    signals = [name for name in found.vehicle.linear_model.outputs if name.startswith("suspension_deflection")]
+    if not signals:
+        return found
+    bounds = tuple(PeakBound(signal, "bump", None, np.inf) for signal in signals)
+    driven = goal_problem(found.vehicle, entry, Goals(bounds=bounds)).members[0].driven
+    points = list(found.points)
+    for i in found.marked:
+        K = points[i].controller.gain
+        points[i] = replace(points[i], travel=max(largest_over_road(one, K).value for one in driven))
+    return replace(found, points=tuple(points))
 
 
 def _trace(vehicle: Vehicle, entry: ControllerEntry, axes: Sequence[Axis]) -> Trace:
@@ -238,37 +195,9 @@ def _trace(vehicle: Vehicle, entry: ControllerEntry, axes: Sequence[Axis]) -> Tr
     posed, starts = asked.members[0].posed[0], []
     if entry.law is not None:
         starts.append(entry.law.D)
-    try:
+    with contextlib.suppress(InputError):  # a DesignError is one
         starts.append(two_step_design(posed.plant, posed.Cy).gain)
-    except InputError:  # a DesignError is one
-        pass
-    found = []
-    for axis in axes:
-        own = _posed(vehicle, axis, entry)
-        band = (2 * np.pi * axis.norm.band[0], 2 * np.pi * axis.norm.band[1])
-        found.append(
-            [
-                BandLandscape(own.plant, (1 + errors)[:, None] * own.Cy, _scaled(own.Dyw, errors), band, search.full)
-                for errors in _corners(axis, len(own.Cy))
-            ]
-        )
-    return Trace(search, found, starts)
-
-
-def _corners(axis: Axis, readings: int) -> list[Array]:
-    """The errors of readings that an axis is judged with, none first."""
-    if not axis.off:
-        return [np.zeros(readings)]
-    if readings > MOST_READINGS:
-        raise InputError(
-            f"--front {axis.name} takes a controller of at most {MOST_READINGS} readings, and this one has {readings}; leave "
-            f"{axis.name} out, or give another with --controller"
-        )
-    return [np.zeros(readings), *(axis.off * np.array(signs) for signs in product((-1.0, 1.0), repeat=readings))]
-
-
-def _scaled(Dyw: Array | None, errors: Array) -> Array | None:
-    return None if Dyw is None else (1 + errors)[:, None] * Dyw
+    return Trace(search, [landscapes(vehicle, axis, entry, search.full) for axis in axes], starts)
 
 
 def _judged(vehicle: Vehicle, entry: ControllerEntry):
@@ -301,6 +230,6 @@ def _others(designer: Designer, axes: Sequence[Axis], names: Sequence[str]) -> t
 def _limits(vehicle: Vehicle, axes: Sequence[Axis], values: Array) -> list[Limit]:
     """What bounds every two axes."""
     plants: list[GeneralizedPlant] = [generalized_plant(on_axis(vehicle, axis)) for axis in axes]
-    bands = [(2 * np.pi * low, 2 * np.pi * high) if axis.norm.narrow else EVERYWHERE for axis in axes for low, high in [axis.norm.band]]
+    bands = [rates(axis) if axis.norm.narrow else EVERYWHERE for axis in axes]
     units = np.median(values, axis=0) if len(values) else np.ones(len(axes))
     return limits(plants, bands, np.where(units > 0, units, 1.0))

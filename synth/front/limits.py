@@ -49,15 +49,6 @@ class Limit:
         never = np.any((self.weights[:, 1:] == 0) & (left > 0), axis=0)
         return np.where(never, np.nan, of.max(axis=0, initial=0.0) * DOWN)
 
-    @property
-    def alone(self) -> tuple[float, float]:
-        """What each of both cannot be below, whatever the other is."""
-        first, second = (
-            max((norm / weight[k] for norm, weight in zip(self.norms, self.weights, strict=True) if not weight[1 - k]), default=0.0)
-            for k in (0, 1)
-        )
-        return first, second
-
     def share(self, values: Array) -> Array:
         """How far points, of shape (N, 2), lie outside all ellipses, shape (N,): 1 on the line, more beyond it."""
         reached = np.sqrt((np.asarray(values) ** 2) @ (self.weights**2).T)

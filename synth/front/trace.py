@@ -153,11 +153,21 @@ def rays(ends: Array, count: int) -> Iterator[Array]:
         for share in np.linspace(0, 1, count):
             yield (1 - share) * ends[0] + share * ends[1]
         return
-    sides = round((np.sqrt(8 * count + 1) - 3) / 2)
+    sides = _sides(count)
     for i in range(sides + 1):
         row = range(sides - i + 1)
         for j in row if i % 2 == 0 else reversed(row):
             yield np.array([sides - i - j, j, i]) / sides @ ends
+
+
+def rays_of(axes: int, count: int) -> int:
+    """How many rays there are between so many axes where about so many are asked for."""
+    return count if axes == 2 else (_sides(count) + 1) * (_sides(count) + 2) // 2
+
+
+def _sides(count: int) -> int:
+    """Of a triangular lattice of about so many points."""
+    return max(1, round((np.sqrt(8 * count + 1) - 3) / 2))
 
 
 def undominated(values: Array) -> Array:

@@ -19,7 +19,7 @@ def front_lines(found: Front) -> list[str]:
     for axis in found.axes:
         lines += wrapped(f"{axis.name}: {axis.meaning}{f' [{axis.unit}]' if axis.unit else ''}", hang=2)
     names = [axis.name for axis in found.axes]
-    signals = found.points[0].controller.measured if found.points else ()
+    signals = found.points[0].controller.measured
     with_travel = any(point.travel is not None for point in found.points)
     rows: list[tuple[str, ...]] = [("point", *names, *(["bump travel"] * with_travel), "gain")]
     for i in found.marked:
@@ -50,7 +50,9 @@ def sentences(found: Front) -> list[str]:
     for one in found.others:
         beaten = [i for i, point in enumerate(found.points) if _beats(point.values, one.values)]
         if beaten:
-            lines.append(f"{one.controller.name} is beaten in all by {len(beaten)} of them, e.g. point {beaten[len(beaten) // 2] + 1}")
+            lines.append(
+                f"{one.controller.name} is beaten in all by {len(beaten)} of them, e.g. point {beaten[len(beaten) // 2] + 1}"
+            )
     return [part for line in lines for part in wrapped(line, hang=4)]
 
 
@@ -128,8 +130,6 @@ def _limit_texts(found: Front) -> list[str]:
     texts = []
     for limit in found.limits:
         first, second = (found.axes[k].name for k in limit.axes)
-        if not found.points:
-            continue
         shares = limit.share(found.values[:, list(limit.axes)])
         i = int(shares.argmin())
         if math.isfinite(shares[i]):
@@ -150,8 +150,6 @@ def _gain(point: Point) -> str:
 
 def _indices(found: Front) -> list[tuple[int, int]]:
     """Of the entries of the gain."""
-    if not found.points:
-        return []
     m, q = found.points[0].controller.gain.shape
     return [(i, j) for i in range(m) for j in range(q)]
 

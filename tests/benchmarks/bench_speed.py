@@ -40,6 +40,8 @@ from sim.validity.grid import grid, read_axes
 from synth.certificate.norm import hinf_norm
 from synth.design import two_step_design
 from synth.designer import Designer
+from synth.front.axes import axes_of
+from synth.front.front import front
 from synth.implemented.norm import norm_as_implemented
 from synth.lmi.clarabel import solve_lmi
 from synth.problem.problem import generalized_plant
@@ -155,6 +157,21 @@ def test_rates(benchmark):
     benchmark.pedantic(curves, rounds=3, iterations=1)
     print(f"\nrates: {min(spent):.1f} s")
     assert min(spent) <= 5
+
+
+@pytest.mark.parametrize("asked", ["ride:travel", "band:travel", "ride:force", "road_holding:travel"])
+def test_front(benchmark, asked):
+    """Two hundred certified designs of the quarter-car, and what bounds them, take at most 10 s of processor time."""
+    vehicle, spent = read_vehicle("quarter_car"), []
+
+    def whole():
+        start = time.process_time()
+        assert len(front(vehicle, "I", axes_of(vehicle, asked), ("passive", "state", "I", "II")).points) > 190
+        spent.append(time.process_time() - start)
+
+    benchmark.pedantic(whole, rounds=2, iterations=1)
+    print(f"\nfront {asked}: {min(spent):.1f} s")
+    assert min(spent) <= 10
 
 
 def test_envelope(benchmark):

@@ -1,0 +1,290 @@
+"""`python -m synth --front`: designs of which none beats another in all, each certified, above a line that nobody crosses."""
+
+import csv
+import json
+import re
+
+import numpy as np
+import pytest
+
+import synth.front.answer
+from models.common.errors import InputError
+from models.law import static_law
+from models.vehicle import Vehicle, parse_vehicle, read_vehicle
+from synth.__main__ import main
+from synth.certificate.gain import largest_singular_values, transfer_matrix
+from synth.front.answer import others_of
+from synth.front.axes import axes_of
+from synth.front.figure import front_figure, line
+from synth.front.front import Front, entry_of, front
+from synth.front.norms import norm_on, on_axis
+from synth.front.trace import rays, rays_of, undominated
+from synth.problem.problem import problem
+from tests.commands import prose
+
+COUNT = 12
+OMEGA = np.append(0.0, np.geomspace(1e-3, 1e4, 20000))  # rad/s
+
+
+def found(asked: str, count: int = COUNT, name: str = "I", vehicle: Vehicle | None = None) -> Front:
+    vehicle = vehicle or read_vehicle("quarter_car")
+    return front(vehicle, name, axes_of(vehicle, asked), others_of(vehicle), count)
+
+
+@pytest.fixture(scope="module")
+def few() -> Front:
+    return found("ride:travel")
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """Commands that design a few."""
+    monkeypatch.setattr(synth.front.answer, "DESIGNS", COUNT)
+
+
+def values_at(vehicle: Vehicle, asked: str, K: np.ndarray, measured: tuple[str, ...], omega: np.ndarray) -> list[float]:
+    """The norms of a gain on the axes, by a sweep of frequencies."""
+    norms = []
+    for axis in axes_of(vehicle, asked):
+        plant = problem(on_axis(vehicle, axis), measured, entry_of(vehicle, "I").hardware)
+        loop = plant.plant.closed_loop(plant.closed(static_law(K))[1])
+        low, high = (2 * np.pi * edge for edge in axis.norm.band)
+        within = np.unique(np.clip(omega, low, high))
+        norms.append(float(largest_singular_values(transfer_matrix(loop.A, loop.Bw, loop.C, loop.Dw, within)).max()))
+    return norms
+
+
+@pytest.mark.parametrize("asked", ["ride:travel", "band=2-6:travel:force", "road_holding:force", "travel:tolerance=5"])
+def test_none_beats_another_and_all_are_certified(asked):
+    """No design is as good as another in all; each norm is proved to lie below its level, and so is that of [performance]."""
+    front = found(asked)
+    assert len(front.points) > COUNT / 2
+    assert front.unproved == 0
+    values = front.values
+    for i, one in enumerate(values):
+        assert not any(np.all(other <= one) for j, other in enumerate(values) if j != i)
+    for point in front.points:
+        certificate = point.controller.certificate
+        assert certificate.stable
+        assert not certificate.failures
+        assert certificate.bound is not None
+        assert all(norm.value <= norm.proved < np.inf for norm in point.norms)
+
+
+def test_norms_are_those_of_a_sweep(few):
+    """Each norm is that of twenty thousand frequencies: none of them is above it, and next to one it is reached."""
+    for point in few.points:
+        swept = values_at(few.vehicle, "ride:travel", point.controller.gain, point.controller.measured, OMEGA)
+        for norm, value in zip(point.norms, swept, strict=True):
+            assert value <= norm.proved
+            assert value == pytest.approx(norm.value, rel=1e-4)  # a peak between two of the frequencies, 1e-3 apart
+
+
+def test_no_gain_of_a_grid_beats_the_front(few):
+    """Of two thousand gains, all over and around the front, none is better than a design in both by more than rounding."""
+    generator = np.random.default_rng(18)
+    gains = np.array([point.controller.gain for point in few.points])
+    axes, entry = few.axes, entry_of(few.vehicle, "I")
+    around = gains[generator.integers(len(gains), size=150)] * (1 + 0.1 * generator.standard_normal((150, 1, 2)))
+    wide = gains.reshape(-1, 2).min(axis=0) + generator.random((150, 1, 2)) * np.ptp(gains.reshape(-1, 2), axis=0)
+    for K in np.concatenate([around, wide]):
+        norms = [norm_on(few.vehicle, axis, entry, static_law(K)).value for axis in axes]
+        # A descent ends where a step promises less than 1e-7; ten times that is left for the step's own error.
+        assert not any(np.all(np.array(norms) < np.array(point.values) * (1 - 1e-6)) for point in few.points)
+
+
+@pytest.mark.parametrize("asked", ["ride:travel", "band:travel", "ride:force", "travel:road_holding", "ride:road_holding:force"])
+def test_nobody_crosses_the_line(asked):
+    """On random vehicles no design, no other controller and no random gain on the whole state lies below a proved line."""
+    generator, text = np.random.default_rng(4), read_vehicle("quarter_car").text
+    for turn in range(2):
+        for name, value in re.findall(r"^(\w+) = ([\d.]+) +# (?:kg|N/m|N s/m)$", text, re.M) if turn else ():
+            text = re.sub(rf"^{name} = .*$", f"{name} = {float(value) * 2 ** generator.uniform(-1, 1):.6g}", text, flags=re.M)
+        vehicle = parse_vehicle(text)
+        front = found(asked, 4, vehicle=vehicle)
+        entry, states = entry_of(vehicle, "state"), len(vehicle.linear_model.states)
+        wild = [np.array([1e4, 1e3, 1e4, 1e3]) * generator.standard_normal((1, states)) for _ in range(60)]
+        some = [[norm_on(vehicle, axis, entry, static_law(K)).value for axis in front.axes] for K in wild]
+        all_of_them = [*front.values.tolist(), *(one.values for one in front.others), *some]
+        values = np.array([each for each in all_of_them if np.all(np.isfinite(each))])
+        assert len(values) > len(front.points)
+        assert front.limits
+        for limit in front.limits:
+            assert np.any(limit.norms > 0)
+            assert np.min(limit.share(values[:, list(limit.axes)])) >= 1 - 1e-9  # norms are good to 1e-9
+
+
+def test_the_line_is_where_its_shares_are_one(few):
+    """The line that is drawn lies in no ellipse that nobody enters, and on the border of one."""
+    (limit,) = few.limits
+    x, y = line(limit, (7.5, 12.0), (0.01, 0.8))
+    shares = limit.share(np.stack([x, y], axis=1))
+    assert shares == pytest.approx(1.0, abs=1e-9)  # rounding of a square root
+    assert np.all(np.diff(x) >= 0)
+    assert np.all(np.diff(y) <= 1e-12)
+
+
+def test_the_picture_is_the_front(few):
+    """Its curves are the designs, the line, and every other controller, which else is named with its numbers above."""
+    (panel,) = front_figure(few).panels
+    designs, limit, *others = panel.curves
+    assert np.array_equal(np.stack([designs.x, designs.y], axis=1), few.values)
+    assert limit.label == "no controller comes below this line"
+    shown = {name for curve in others for name in curve.label.split(", ")}
+    for one in few.others:
+        name, (x, y) = one.controller.name, one.values
+        if name in shown:
+            (curve,) = [curve for curve in others if name in curve.label.split(", ")]
+            assert abs(curve.x[0] - x) < 0.02 * x  # one mark for those in one place
+            assert panel.xlim is not None
+            assert panel.xlim[0] < x < panel.xlim[1]
+        else:
+            assert f"{name} ({x:.4g}, {y:.4g})" in panel.title
+    assert "passive (35.07, 1.335)" in panel.title
+
+
+def test_what_is_written_is_one(quick, capsys, tmp_path):
+    """Table, CSV, JSON and saved controllers have the same numbers; twice the same command gives the same; --check agrees."""
+    table, saved, picture = tmp_path / "front.csv", tmp_path / "front.toml", tmp_path / "front.svg"
+    arguments = ["--front", "ride:travel", "--csv", str(table), "--save", str(saved), "--point", "3", "7"]
+    assert main([*arguments, "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    before = table.read_text()
+    assert main([*arguments, "--picture", str(picture)]) == 0
+    printed = capsys.readouterr().out
+    assert table.read_text() == before
+    assert picture.read_text().startswith("<?xml")
+    rows = list(csv.DictReader(before.splitlines()))
+    assert [row["point"] for row in rows] == [
+        *(str(point["point"]) for point in result["points"]),
+        *(other["name"] for other in result["others"]),
+    ]
+    for row, one in zip(rows, [*result["points"], *result["others"]], strict=True):
+        for axis in ("ride", "travel"):
+            assert float(row[axis]) == one["values"][axis]["value"]
+            assert float(row[f"{axis}_proved"]) == one["values"][axis]["proved"]
+        assert float(row["norm"]) == one["norm"]
+        if "point" in one:
+            assert [float(row["gain_1_1"]), float(row["gain_1_2"])] == one["gain"][0]
+            assert (float(row["bump_travel"]) if row["bump_travel"] else None) == one["bump_travel"]
+    for number, ride, travel in re.findall(r"^  (\d+) +([\d.]+) +([\d.]+) ", printed, re.M):
+        values = result["points"][int(number) - 1]["values"]
+        assert f"{values['ride']['value']:.6g}" == ride
+        assert f"{values['travel']['value']:.6g}" == travel
+    assert f"{len(result['points'])} certified designs, none of which another beats in all" in prose(printed)
+    text = read_vehicle(saved)
+    assert {"I_point_3_designed", "I_point_7_designed"} < {*text.controllers}
+    law = text.controllers["I_point_3_designed"].law
+    assert law is not None
+    assert law.D.tolist() == result["points"][2]["gain"]
+    assert main(["--check", str(saved), "--controller", "I_point_7_designed"]) == 0
+
+
+def test_bounds_of_the_section_are_kept():
+    """Designs of a controller with goals keep their bounds, proved, as its own design does."""
+    vehicle = read_vehicle("quarter_car_goals")
+    front = found("band:travel", 6, "comfort", vehicle)
+    assert len(front.points) > 2
+    for point in front.points:
+        assert not point.controller.broken
+        assert [promise.at_most for promise in point.controller.promises[1:]] == [8.63, -1.19]
+        assert point.controller.certificate.norm.value <= 8.63
+    assert "comfort" not in {one.controller.name for one in front.others}  # designs for goals take seconds
+
+
+def test_interrupted(quick, capsys, monkeypatch, tmp_path):
+    """By Ctrl-C the designs that there are are certified, written and said; before the first nothing is."""
+    true = synth.front.answer.front
+    path = tmp_path / "front.csv"
+
+    def stopped_after(number: int) -> None:
+        def told(done: int) -> None:
+            if done == number:
+                raise KeyboardInterrupt
+
+        def stopped(vehicle, name, axes, others, count, _):
+            return true(vehicle, name, axes, others, count, told)
+
+        monkeypatch.setattr(synth.front.answer, "front", stopped)
+
+    stopped_after(4)
+    with pytest.raises(KeyboardInterrupt):
+        main(["--front", "ride:travel", "--csv", str(path)])
+    assert "interrupted after 4 designs: the front is not whole" in prose(capsys.readouterr().out)
+    assert len(path.read_text().splitlines()) == 1 + 4 + 7  # with the seven others
+    path.unlink()
+
+    def at_once(*given):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("synth.front.front.rays", at_once)
+    with pytest.raises(KeyboardInterrupt):
+        main(["--front", "ride:travel", "--csv", str(path)])
+    assert not list(tmp_path.iterdir())
+
+
+REFUSED = [
+    (["--front", "ride"], "names 1 axis"),
+    (["--front", "ride:travel:force:band"], "names 4 axes"),
+    (["--front", "ride:ride"], "names ride twice"),
+    (["--front", "ride:speed"], "there is no axis 'speed'"),
+    (["--front", ""], "argument --front: is empty"),
+    (["--front", "band=8-4:travel"], "band=8-4: not a band"),
+    (["--front", "band=x:travel"], "band=x: not a band"),
+    (["--front", "band=:travel"], "band=: not a band"),
+    (["--front", "tolerance=200:travel"], "tolerance=200: not a share"),
+    (["--front", "ride=3:travel"], "ride takes nothing behind it"),
+    (["--front", "ride:travel", "--controller", "passive"], "it measures nothing"),
+    (["--front", "ride:travel", "--controller", "all"], "all is too many"),
+    (["--front", "ride:travel", "--controller", "I", "--controller", "II"], "of one controller, and 2 are given"),
+    (["--front", "ride:travel", "--refine"], "--front designs a trade-off"),
+    (["--front", "ride:travel", "--rates", "1"], "--front designs a trade-off"),
+    (["--front", "ride:travel", "--fragility"], "--front designs a trade-off"),
+    (["--front", "ride:travel", "--point", "3"], "--point says which designs --save writes"),
+    (["--front", "ride:travel", "--picture", "a.png", "--csv", "a.png"], "is the file of"),
+    (["--front", "ride:travel", "--csv", "/nowhere/a.csv"], "/nowhere"),
+    (["--front", "ride:travel", "--csv", "/dev/stdout", "--json"], "print into one another"),
+    (["--csv", "a.csv"], "--csv and --point are of the designs of --front"),
+    (["--picture", "a.png"], "--picture draws what --rates or --front asks for"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "words"), REFUSED, ids=[words for _, words in REFUSED])
+def test_refused(arguments, words, monkeypatch, tmp_path):
+    """In one line, before the work."""
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError) as caught:
+        main(arguments)
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_point_beyond_the_last(quick, tmp_path):
+    """A design that there is not cannot be saved, and nothing is written."""
+    with pytest.raises(InputError, match="the front has 12 points"):
+        main(["--front", "ride:travel", "--save", str(tmp_path / "a.toml"), "--point", "99", "--csv", str(tmp_path / "a.csv")])
+    assert not list(tmp_path.iterdir())
+
+
+def test_rays():
+    """They are as many as are said, from end to end, neighbours next to one another."""
+    for ends in (np.array([[1.0, 5.0], [4.0, 2.0]]), np.eye(3)):
+        for count in (3, 10, 200):
+            points = np.array(list(rays(ends, count)))
+            assert len(points) == rays_of(len(ends), count)
+            assert all(np.min(np.linalg.norm(points - end, axis=1)) < 1e-12 for end in ends)
+            steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+            assert steps.max() < 1.0001 * steps.min()
+
+
+def test_undominated():
+    """Of points that are alike one is left, and of others those that none is as good as in all."""
+    generator = np.random.default_rng(1)
+    values = generator.integers(0, 6, size=(200, 3)).astype(float)
+    kept = undominated(values)
+    assert len(np.unique(values[kept], axis=0)) == kept.sum()
+    for i, one in enumerate(values):
+        beaten = any(np.all(other <= one) and np.any(other < one) for other in values)
+        assert not (kept[i] and beaten)
+        assert beaten or any(np.array_equal(one, other) for other in values[kept])
