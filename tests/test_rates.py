@@ -266,7 +266,7 @@ def test_bad_rates(rates, words, monkeypatch):
 
 def test_a_picture_is_of_rates(monkeypatch):
     """Without rates there is nothing to draw."""
-    with pytest.raises(InputError, match="give sample periods with --rates"):
+    with pytest.raises(InputError, match="draws what --rates or --front asks for"):
         main(["--picture", "rates.png"])
 
 
