@@ -13,6 +13,7 @@ from models.goals.goals import Goals, PeakBound
 from models.law import static_law
 from models.vehicle import Vehicle
 from synth.certificate.bounding import certify_tightly
+from synth.certificate.stability import stability
 from synth.controller import Controller
 from synth.design import two_step_design
 from synth.designer import Designer
@@ -31,6 +32,7 @@ from synth.plant import GeneralizedPlant
 from synth.problem.problem import generalized_plant, problem
 
 DESIGNS = 200
+SLOWER = 0.1  # of the decay of the first start: what a design's slowest pole keeps, where no bound says
 MARKED = 9  # points that stand for all
 
 
@@ -140,7 +142,8 @@ def front(
         norms = tuple(norm_on(vehicle, axis, entry, law) for axis in axes)
         promises = judged(law.D)
         controller = Controller(entry.name, entry.measured, law, True, certificate, hardware=entry.hardware, promises=promises)
-        if not (certificate.failures or controller.broken) and all(np.isfinite(norm.proved) for norm in norms):
+        claims = certificate.bound is not None and not (certificate.failures or controller.broken)
+        if claims and all(np.isfinite(norm.proved) for norm in norms):
             points.append(Point(controller, norms))
     best = undominated(np.array([point.values for point in points]))
     first = sorted((point for point, one in zip(points, best, strict=True) if one), key=lambda point: point.values)
@@ -191,12 +194,15 @@ def _over_the_bump(found: Front, entry: ControllerEntry) -> Front:
 def _trace(vehicle: Vehicle, entry: ControllerEntry, axes: Sequence[Axis]) -> Trace:
     """Where the designs are looked for."""
     asked = goal_problem(vehicle, entry, entry.goals or Goals())
-    search = Search(asked, lambda goal, within: None)
     posed, starts = asked.members[0].posed[0], []
     if entry.law is not None:
         starts.append(entry.law.D)
     with contextlib.suppress(InputError):  # a DesignError is one
         starts.append(two_step_design(posed.plant, posed.Cy).gain)
+    if asked.decay is None and starts:
+        decay = -float(np.real(stability(posed.plant.A + posed.plant.B @ starts[-1] @ posed.Cy).poles).max())
+        asked = replace(asked, decay=SLOWER * decay if decay > 0 else None)
+    search = Search(asked, lambda goal, within: None)
     return Trace(search, [landscapes(vehicle, axis, entry, search.full) for axis in axes], starts)
 
 
