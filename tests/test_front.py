@@ -11,8 +11,12 @@ import synth.front.answer
 from models.common.errors import InputError
 from models.law import static_law
 from models.vehicle import Vehicle, parse_vehicle, read_vehicle
+from sim.report.__main__ import main as report
+from sim.report.front import front_section, measure
+from sim.report.scope import Scope
 from synth.__main__ import main
 from synth.certificate.gain import largest_singular_values, transfer_matrix
+from synth.designer import Designer
 from synth.front.answer import others_of
 from synth.front.axes import axes_of
 from synth.front.figure import front_figure, line
@@ -288,3 +292,36 @@ def test_undominated():
         beaten = any(np.all(other <= one) and np.any(other < one) for other in values)
         assert not (kept[i] and beaten)
         assert beaten or any(np.array_equal(one, other) for other in values[kept])
+
+
+def test_report(monkeypatch, few):
+    """A report with a front has its designs and what MuJoCo measures at some; in its figure they are what its table says."""
+    pytest.importorskip("jinja2", reason="needs the extra [report]")
+    monkeypatch.setattr("sim.report.front.DESIGNS", COUNT)
+    designer = Designer(few.vehicle)
+    scope = Scope(few.vehicle, designer, (designer.design("I"),), 1e-3, True, lambda text: None, front="ride:travel")
+    section = front_section(scope, "ride:travel")
+    (table,), (figure,) = section.tables, section.figures
+    norms = few.values[few.marked]
+    assert [[float(row[1]), float(row[3])] for row in table.rows] == [pytest.approx(each, rel=1e-5) for each in norms.tolist()]
+    (measured,) = [curve for curve in figure.panels[0].curves if curve.label == "MuJoCo"]
+    shown = np.stack([measured.x, measured.y], axis=1)
+    assert [[float(row[2]), float(row[4])] for row in table.rows] == [pytest.approx(each, rel=1e-4) for each in shown.tolist()]
+    # A force held over a step acts half of that late, and the peak of a sinusoid is the norm to NEXT.
+    assert np.max(np.abs(shown / norms - 1)) < 0.005
+    assert "12 certified designs, none of which another beats in all" in section.text[1]
+
+
+def test_mujoco_tends_to_the_norm(few):
+    """What MuJoCo measures of a design tends to its norm with the first power of the step over which forces are held."""
+    scope = Scope(few.vehicle, Designer(few.vehicle), (), 1e-3, True, lambda text: None)
+    off = [measure(scope, few, 2, few.axes[0], turn) / few.points[2].values[0] - 1 for turn in (0.008, 0.004)]
+    assert 0 < abs(off[1]) < 0.002
+    assert off[0] / off[1] == pytest.approx(2, rel=0.1)  # the square of the step is left
+
+
+def test_report_refuses(tmp_path):
+    """Bad axes are refused before the work."""
+    with pytest.raises(InputError, match="there is no axis 'speed'"):
+        report(["--front", "ride:speed", "--out", str(tmp_path / "a.html")])
+    assert not list(tmp_path.iterdir())

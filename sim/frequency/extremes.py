@@ -146,7 +146,7 @@ def _drive_worst(
     vehicle: Vehicle, controllers: Sequence[Controller], worst: Sequence[Worst], amplitude: float, timestep: float, speed: float
 ) -> tuple[list[Response], list[float]]:
     """The worst sinusoid of every controller, its last whole periods once it has settled, and the frequencies [rad/s]."""
-    samples = [_whole_periods(one.omega, timestep) for one in worst]
+    samples = [whole_periods(one.omega, timestep) for one in worst]
     tried = [2 * np.pi * periods / (count * timestep) for periods, count in samples]
     slowest = max(sampled_radius(vehicle, controller, timestep) for controller in controllers)
     settling = timestep * math.log(SETTLED) / math.log(slowest)
@@ -157,7 +157,7 @@ def _drive_worst(
     return last, tried
 
 
-def _whole_periods(omega: float, timestep: float) -> tuple[int, int]:
+def whole_periods(omega: float, timestep: float) -> tuple[int, int]:
     """How many periods of about this frequency are exactly how many samples, `FINEST` of them or more."""
     periods = math.ceil(FINEST * timestep * omega / (2 * np.pi))
     return periods, round(periods * 2 * np.pi / (omega * timestep))

@@ -54,14 +54,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from models.common.versions import versions
     from sim.frequency.sweep import EXTREMES, LINES, OWN
     from sim.report.content import page, report_object
+    from sim.report.front import check_front
     from sim.report.scope import Scope, check_scope
     from synth.designer import Designer
 
     check_scope(vehicle, options.timestep)
+    if options.front is not None:
+        check_front(vehicle, options.front)
 
     first, then = ("designs", "a bump", LINES), ("where the linear regime ends",)
     if not options.quick:
         first, then = (*first, EXTREMES, OWN), (*then, "margins", "map", "random roads")
+    then = (*then, *(["trade-off"] if options.front is not None else []))
     stage = Stages(*first, *then, "the page")
     stage("designs")
     designer = Designer(vehicle)
@@ -69,7 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     say_false_claims(controllers)
     linear = tuple(one for one in controllers if isinstance(one, Controller))
     laws = tuple(one for one in controllers if isinstance(one, Programmed))
-    scope = Scope(vehicle, designer, linear, options.timestep, options.quick, stage, laws)
+    scope = Scope(vehicle, designer, linear, options.timestep, options.quick, stage, laws, options.front)
     about = {
         "written": datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC"),
         "command": shlex.join(["python", *sys.orig_argv[1:]]),
@@ -108,6 +112,12 @@ def _parser() -> Parser:
     parser.add_argument("--out", type=Path, default=Path("report.html"), metavar="FILE", help="the page (default: report.html)")
     parser.add_argument("--figures", type=Path, metavar="DIR", help="also write every figure as SVG and PNG, every table as CSV")
     parser.add_argument("--quick", action="store_true", help="without margins, map and ride: seconds instead of a minute")
+    parser.add_argument(
+        "--front",
+        metavar="AXES",
+        help="also a trade-off between two or three demands, e.g. ride:travel, as `python -m synth --front` has it, with "
+        "MuJoCo's values at some of its designs; takes half a minute more",
+    )
     parser.add_number("--timestep", 1e-3, "s", "integration step and sample period of the controller")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     return parser

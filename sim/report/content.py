@@ -12,6 +12,7 @@ from sim.frequency.sweep import OWN, sweep
 from sim.report import answer as report_answer
 from sim.report.agreement import agreement_section, bump_section
 from sim.report.designs import design_section, frequency_section
+from sim.report.front import front_section
 from sim.report.limits import margins_section, regime_section, validity_section
 from sim.report.paper import paper_section
 from sim.report.regime_end import regime_end
@@ -70,6 +71,8 @@ def page(scope: Scope, provenance: dict[str, str]) -> Page:
         scope.progress("random roads")
         rides = rides_of(vehicle, [*scope.stable, *scope.laws], h)
         sections.append(ride_section(vehicle, rides, scope.styles))
+    if scope.front is not None:
+        sections.append(front_section(scope, scope.front))
     if is_the_papers(vehicle):
         sections.append(paper_section(scope))
     sections.append(_provenance(scope, provenance))

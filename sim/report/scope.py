@@ -37,6 +37,7 @@ class Scope:
         quick: without margins, map and ride.
         progress: is told what is being done.
         laws: those in Python, of which it does not.
+        front: the axes of a trade-off, as `--front` has them; None without one.
     """
 
     vehicle: Vehicle
@@ -46,6 +47,7 @@ class Scope:
     quick: bool
     progress: Callable[[str], None]
     laws: tuple[Programmed, ...] = ()
+    front: str | None = None
 
     @property
     def driven(self) -> tuple[Controller | Programmed, ...]:

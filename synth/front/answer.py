@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from models.common.command import one_chosen
 from models.common.errors import InputError
-from models.common.printed import Whole, say, titled
+from models.common.printed import Whole, say, titled, wrapped
 from models.common.progress import Stages
 from models.common.whole_file import together
 from models.figures.outputs import check_outputs, written, written_lines
@@ -71,7 +71,7 @@ def answer(vehicle: Vehicle, options: Namespace) -> int:
     else:
         lines = [*titled(vehicle.kind.name, vehicle.source), "", *front_lines(found), *written_lines(outputs)]
         lines += ["", "saved", Whole(f"  {saved}")] if saved else []
-        say([*lines, "", *sentences(found)])
+        say([*lines, "", *(part for line in sentences(found) for part in wrapped(line, hang=4))])
     if found.interrupted:
         raise KeyboardInterrupt
     return 1 if found.unproved else 0
@@ -93,10 +93,15 @@ def _name(vehicle: Vehicle, asked: Sequence[str] | None) -> str:
         InputError: several are asked for, or one that there is not.
     """
     if asked is None:
-        return USUAL if USUAL in vehicle.controllers else next(iter(vehicle.controllers), "state")
+        return usual(vehicle)
     if len(asked) > 1:
         raise InputError(f"--front designs for the measurements of one controller, and {len(asked)} are given; give one")
     return one_chosen(vehicle.controller_names, asked[0])
+
+
+def usual(vehicle: Vehicle) -> str:
+    """The controller of a front where none is asked for: I, or the first that there is."""
+    return USUAL if USUAL in vehicle.controllers else next(iter(vehicle.controllers), "state")
 
 
 def _numbers(found: Front, asked: Sequence[int] | None) -> list[int]:

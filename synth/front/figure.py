@@ -11,12 +11,17 @@ WIDER = 0.06  # of what is shown, around it
 BESIDE = 1.5  # times the front's own range: other controllers further off are named, not shown
 SAME = 0.005  # of what is shown: what is nearer to one another has one mark
 FINE = 400  # points of the line, each way
-DESIGNS, LINE = "#1f77b4", "#000000"
+DESIGNS, LINE, MEASURED = "#1f77b4", "#000000", "#d62728"
 
 
-def front_figure(found: Front) -> Figure:
-    """The figure."""
-    panels = tuple(_panel(found, limit) for limit in found.limits)
+def front_figure(found: Front, measured: Array | None = None) -> Figure:
+    """The figure.
+
+    Args:
+        found: the front.
+        measured: its marked points in MuJoCo, shape (M, K), NaN where they were not; None where nobody drove them.
+    """
+    panels = tuple(_panel(found, limit, measured) for limit in found.limits)
     kind = found.vehicle.kind.name.replace("_", " ")
     title = f"{kind}, controller {found.name}: {len(found.points)} certified designs, none of which another beats in all"
     if len(panels) > 1:
@@ -34,7 +39,7 @@ def line(limit: Limit, x: tuple[float, float], y: tuple[float, float]) -> tuple[
     return a[kept][order], b[kept][order]
 
 
-def _panel(found: Front, limit: Limit) -> Panel:
+def _panel(found: Front, limit: Limit, measured: Array | None) -> Panel:
     i, j = limit.axes
     values = found.values[:, [i, j]]
     others = {one.controller.name: (one.values[i], one.values[j]) for one in found.others}
@@ -47,6 +52,8 @@ def _panel(found: Front, limit: Limit) -> Panel:
     for names in _together(others, beyond, ranges):
         (x, y), text = others[names[0]], ", ".join(names)
         curves.append(Curve(np.array([x]), np.array([y]), text, look[names[0]][0], "none", "o", name=f"controller {text}"))
+    if measured is not None and np.any(np.isfinite(measured[:, [i, j]]).all(axis=1)):
+        curves.append(Curve(measured[:, i], measured[:, j], "MuJoCo", MEASURED, "none", "x", name="MuJoCo"))
     away = [f"{name} ({x:.4g}, {y:.4g})" for (name, (x, y)), far in zip(others.items(), beyond, strict=True) if far]
     title = f"{found.axes[i].name} and {found.axes[j].name}".replace("_", " ")
     if away:

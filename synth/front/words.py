@@ -36,7 +36,7 @@ def front_lines(found: Front) -> list[str]:
 
 
 def sentences(found: Front) -> list[str]:
-    """What it comes to."""
+    """What it comes to, a sentence each."""
     ends = ", ".join(
         f"{axis.name} from {min(values):.5g} to {max(values):.5g}"
         for axis, values in zip(found.axes, found.values.T.tolist(), strict=True)
@@ -53,7 +53,7 @@ def sentences(found: Front) -> list[str]:
             lines.append(
                 f"{one.controller.name} is beaten in all by {len(beaten)} of them, e.g. point {beaten[len(beaten) // 2] + 1}"
             )
-    return [part for line in lines for part in wrapped(line, hang=4)]
+    return lines
 
 
 def front_object(found: Front) -> dict[str, Any]:

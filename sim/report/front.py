@@ -1,0 +1,120 @@
+"""The section of a report on a trade-off: the front, the line that nobody crosses, and what MuJoCo measures at some points."""
+
+import math
+
+import numpy as np
+
+from models.common.errors import InputError
+from models.figures.page import Section, Table
+from models.roads.sinusoids import sinusoid
+from models.vehicle import Vehicle
+from sim.frequency.extremes import SETTLED, whole_periods
+from sim.frequency.gain import settled_gain
+from sim.frequency.identification import ideal_measurements
+from sim.physics.simulate import simulate
+from sim.report.scope import AMPLITUDE, Scope
+from sim.response.response import Response
+from sim.runs.run import sample_times
+from synth.certificate.gain import largest_singular_values, transfer_matrix
+from synth.controller import Controller
+from synth.errors import DesignError
+from synth.front.answer import others_of, usual
+from synth.front.axes import Axis, axes_of
+from synth.front.figure import front_figure
+from synth.front.front import DESIGNS, Front, entry_of, front
+from synth.front.norms import on_axis
+from synth.front.trace import rays_of
+from synth.front.words import sentences
+from synth.implemented.loop import sampled_radius
+
+SLOW = np.geomspace(1e-3, 1.0, 400)  # rad/s: where a norm that belongs to a standing road is looked for on a sinusoid
+TURN = 0.005  # rad of the sinusoid in a step
+NEXT = 1e-3  # relative: how near it has to come
+TITLE = "What does the one cost of the other?"
+TERM = "a trade-off: designs of which none beats another in all"
+
+
+def check_front(vehicle: Vehicle, asked: str) -> None:
+    """Whether there can be such a section, before the work.
+
+    Raises:
+        InputError: bad axes, or no controller that a front can be designed for.
+    """
+    axes_of(vehicle, asked)
+    entry_of(vehicle, usual(vehicle))
+
+
+def front_section(scope: Scope, asked: str) -> Section:
+    """The front of the usual controller; where there is none, why."""
+    vehicle, name = scope.vehicle, usual(scope.vehicle)
+    axes = axes_of(vehicle, asked)
+    total = rays_of(len(axes), DESIGNS)
+    scope.progress("trade-off")
+    try:
+        found = front(vehicle, name, axes, others_of(vehicle), DESIGNS, lambda done: scope.progress(f"{done} of {total} designs"))
+    except DesignError as error:
+        return Section(TITLE, TERM, (f"There is no trade-off: {error}",))
+    if not found.points:
+        return Section(TITLE, TERM, (f"There is no trade-off: of {found.tried} designs no claim could be proved.",))
+    measured = np.array([[measure(scope, found, i, axis) for axis in axes] for i in found.marked])
+    norms = np.array([found.points[i].values for i in found.marked])
+    meanings = [f"{axis.name.replace('_', ' ')} is the {axis.meaning}{f' [{axis.unit}]' if axis.unit else ''}" for axis in axes]
+    text = [f"Static gains on what {name} measures; {'; '.join(meanings)}.", f"{'; '.join(sentences(found))}."]
+    with np.errstate(all="ignore"):
+        shares = (measured / norms)[np.isfinite(measured) & (norms > 0)]
+    if len(shares):
+        together = ", all wheels on one road, which need not be the worst" if len(vehicle.kind.wheels) > 1 else ""
+        text.append(
+            f"MuJoCo, driven on a sinusoid where each norm is reached{together}: {100 * shares.min():.2f} to "
+            f"{100 * shares.max():.2f} % of the norm of the continuous loop. Steps are so short that the sinusoid turns by "
+            f"{TURN:g} rad in each at most, for what forces and road lose by being held."
+        )
+    headings = ["point", *(heading for axis in axes for heading in (axis.name, f"{axis.name}, MuJoCo")), "gain"]
+    rows = []
+    for i, row in zip(found.marked, measured, strict=True):
+        pairs = zip(found.points[i].norms, row.tolist(), strict=True)
+        cells = [text for norm, value in pairs for text in (f"{norm.value:.6g}", _cell(value))]
+        gain = " ".join(f"{entry:.5g}" for entry in found.points[i].controller.gain.ravel())
+        rows.append((str(i + 1), *cells, gain))
+    caption = "Some of the designs: their norms, as proved and as measured, and their gains."
+    table = Table("front", caption, tuple(headings), tuple(rows))
+    return Section(TITLE, TERM, tuple(text), (table,), (front_figure(found, measured),))
+
+
+def measure(scope: Scope, found: Front, i: int, axis: Axis, turn: float = TURN) -> float:
+    """The gain of a design in MuJoCo on a sinusoid at which its norm on an axis is reached; NaN where there is none such."""
+    controller, k = found.points[i].controller, found.axes.index(axis)
+    norm = found.points[i].norms[k]
+    if axis.off or not norm.value:
+        return 0.0 if not norm.value else math.nan
+    vehicle = ideal_measurements(on_axis(scope.vehicle, axis))
+    omega = _driven_at(vehicle, controller, norm.value, norm.at)
+    if not np.isfinite(omega):
+        return math.nan
+    step = scope.timestep / math.ceil(omega * scope.timestep / turn)
+    radius = sampled_radius(vehicle, controller, step)
+    if not radius < 1:
+        return math.nan
+    periods, count = whole_periods(omega, step)
+    omega = 2 * np.pi * periods / (count * step)
+    try:
+        time = sample_times(vehicle, step * math.log(SETTLED) / math.log(radius) + step * count, step)
+    except InputError:  # it takes too many samples
+        return math.nan
+    response = simulate([vehicle], [controller], [sinusoid(omega, 12.5).scaled(AMPLITUDE / 2)], time, threads=0).response.run(0)
+    last = Response(time[-count:], response.signals, response.values[-count:])
+    return settled_gain(vehicle, last, omega)
+
+
+def _driven_at(vehicle: Vehicle, controller: Controller, norm: float, at: float) -> float:
+    """Where a norm is reached [rad/s], or nearly, on the fastest sinusoid that is no faster; NaN where on none."""
+    if at >= SLOW[0]:
+        return at
+    loop = controller.loop(vehicle)
+    gains = largest_singular_values(transfer_matrix(loop.A, loop.Bw, loop.C, loop.Dw, SLOW))
+    near = SLOW[gains >= norm * (1 - NEXT)]
+    return float(near[-1]) if len(near) else math.nan
+
+
+def _cell(value: float) -> str:
+    return f"{value:.5g}" if math.isfinite(value) else "-"
