@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from models.common.command import Parser, run_command
 
 COMMANDS = (  # name, the question it answers, the options that one reaches for first
-    ("synth", "which gains, how good, and how far from the best possible?", "--refine --save --check"),
+    ("synth", "which gains, how good, and how far from the best possible?", "--refine --save --check --front"),
     ("sim.bump", "does MuJoCo do what the analysis says, over one bump?", "--height --speed --open"),
     ("sim.drive", "and over any other road; what is the ride like?", "--class --road --speed"),
     ("sim.sweep", "what are the frequency responses and the norm, measured?", "--amplitude --picture"),
