@@ -3,9 +3,12 @@
 import itertools
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
 
 from models.common.errors import InputError
 from models.law import static_law
@@ -15,12 +18,15 @@ from sim.linear.loop import continuous_response
 from synth.band.norm import norm_in_band
 from synth.certificate.norm import hinf_norm
 from synth.designer import Designer, given
-from synth.designs.goals import goal_problem
+from synth.designs.goal_problem import goal_problem
 from synth.errors import DesignError
 from synth.goals.banded import BandLandscape
+from synth.goals.energy_peak import EnergyPeak
+from synth.goals.engine import design_for_goals
 from synth.goals.filtered import band_filter
+from synth.goals.problem import Errors, GoalProblem, Member, NormGoal, Posed
+from synth.goals.road_largest import largest_over_road
 from synth.goals.road_peak import RoadPeak
-from synth.goals.road_response import largest_over_road
 from synth.plant import GeneralizedPlant
 from tests.commands import main_of
 
@@ -200,6 +206,8 @@ def test_saved_goals_are_checked_again(tmp_path, capsys):
         ("bounds = [{ peak = 'suspension_deflection' }]", "has no at_most"),
         ("bounds = [{ peak = 'suspension_deflection', road = 'iso8608:class=C', at_most = 0.1 }]", "has no end"),
         ("bounds = [{ peak = 'suspension_deflection', road = 'mountain', at_most = 0.1 }]", "mountain"),
+        ("bounds = [{ energy_peak = 'suspension_deflection' }]", "has no at_most"),
+        ("bounds = [{ energy_peak = 'suspension_deflection', energy = -1, at_most = 1 }]", "energy = -1 is not allowed"),
         ("tolerance = { tyre_deflection = 0.1 }", "give what is measured"),
         ("tolerance = { sprung_velocity = 1.5 }", "is not allowed"),
         ("tolerance = { force = 0.1, control_force = 0.1 }", "give one or the other"),
@@ -326,3 +334,176 @@ def test_the_full_car_per_corner():
     assert np.count_nonzero(controller.gain) == 8
     price = next(remark for remark in controller.remarks if "structure costs" in remark)
     assert 0 < float(re.findall(r"[\d.]+(?= %)", price)[0]) < 7
+
+
+def test_roads_of_given_energy(paper):
+    """Travel and force are bounded for every road of 0.01 m2/s: by a road that runs backwards along the impulse response, too."""
+    bounds = (
+        '{ energy_peak = "suspension_deflection", energy = 0.01, at_most = 0.06 }, '
+        '{ energy_peak = "control_force", energy = 0.01, at_most = 600.0 }'
+    )
+    controller, promises = designed(f"measured = {TWO}\nbounds = [{bounds}]")
+    assert promises["largest control_force for roads of 0.01 m2/s"] <= 600
+    loop, model = controller.loop(paper), paper.linear_model
+    row = model.rows(["suspension_deflection"])[0][0]
+    t = np.linspace(0.0, 12.0, 24001)
+    impulse = np.array([row @ x for x in _decaying(loop.A, loop.Bw[:, 0], t)])
+    reached = 0.1 * np.sqrt(np.trapezoid(impulse**2, t))  # of the worst road of that energy: the root of its integral
+    assert reached == pytest.approx(promises["largest suspension_deflection for roads of 0.01 m2/s"], rel=1e-4)  # the step's
+
+
+def _decaying(A, x, t):
+    """exp(A t) x at equidistant times."""
+    step, found = expm(A * (t[1] - t[0])), [x]
+    for _ in t[1:]:
+        found.append(step @ found[-1])
+    return found
+
+
+def test_the_slope_of_an_energy_peak():
+    """How it moves with the gain, against differences, for a signal with the force in it."""
+    section = f"measured = {THREE}\nbounds = [{{ energy_peak = 'control_force', at_most = 1.0 }}]"
+    vehicle = vehicle_with(section)
+    entry = vehicle.controllers["goal"]
+    assert entry.goals is not None
+    asked = goal_problem(vehicle, entry, entry.goals)
+    landscape = asked.nominal()
+    term = EnergyPeak(landscape, asked.members[0].signals[0], 1e4)
+    x = landscape.point(np.array([[10000.0, -900.0, -200.0]]))
+    slope = term.support(x, term.value(x), 0.01).slopes[0]
+    differences = [(term.value(x + e) - term.value(x - e)) / 2e-6 for e in 1e-6 * np.eye(3)]
+    assert slope == pytest.approx(differences, rel=1e-6)
+
+
+def test_what_lies_beside_a_band_is_said():
+    """Without a bound on the whole norm its size is named, and how to bound it."""
+    controller, _ = designed(f"measured = {TWO}\n{BAND}\nbounds = [{{ gain = 2e4 }}]")
+    assert any(f"the norm is {controller.certificate.norm.value:.7g}; give bounds" in remark for remark in controller.remarks)
+
+
+def test_a_discrete_plant_has_goals_too():
+    """In a band its goal is the band's norm of the discrete loop, and never more than without control; no decay in rad/s."""
+    rng = np.random.default_rng(20261122)
+    for _ in range(5):
+        A = rng.standard_normal((4, 4))
+        A *= 0.95 / np.abs(np.linalg.eigvals(A)).max()
+        draw = rng.standard_normal
+        plant = GeneralizedPlant(A, draw((4, 1)), draw((4, 1)), draw((2, 4)), np.array([[0.0], [0.1]]), np.zeros((2, 1)), dt=0.1)
+        posed = Posed(plant, draw((2, 4)))
+        everywhere = NormGoal(at_most=2 * hinf_norm(plant).value)
+        problem = GoalProblem(
+            (Member((posed, posed)),),
+            NormGoal(band=(2.0, 12.0)),
+            Errors(np.zeros(2), np.zeros(1)),
+            np.ones((1, 2), dtype=bool),
+            (replace(everywhere, which=1),),
+        )
+        design = design_for_goals(problem, [np.zeros((1, 2))])
+        reached = norm_in_band(plant.closed_loop(design.gain @ posed.Cy), 2.0, 12.0).value
+        assert design.goal == pytest.approx(reached, rel=1e-7)
+        assert reached <= norm_in_band(plant, 2.0, 12.0).value
+        with pytest.raises(InputError, match="no decay"):
+            design_for_goals(replace(problem, decay=1.0), [])
+
+
+@pytest.mark.parametrize(
+    ("road", "speed"),
+    [
+        ("watts_hump:height=0.1:length=0.2", 8.0),  # upright at both ends
+        ("step:height=0.05:edge=0.001", 12.5),  # over within 80 us
+        ("pothole:edge=0.05", 15.0),
+        ("bump", 12.5),
+    ],
+)
+@pytest.mark.parametrize("signal", ["control_force", "tyre_deflection", "suspension_deflection"])
+def test_no_peak_lies_above_what_is_proved(road, speed, signal):
+    """An adaptive integration of the loop, driven by the road's height, reaches the value, and nowhere exceeds what is proved."""
+    bound = f"{{ peak = '{signal}', road = '{road}', speed = {speed}, at_most = 1e9 }}"
+    vehicle = vehicle_with(f"measured = {TWO}\nbounds = [{bound}]")
+    entry = vehicle.controllers["goal"]
+    assert entry.goals is not None
+    driven = goal_problem(vehicle, entry, entry.goals).members[0].driven[0]
+    K = np.array([[10824.0, -2071.0]])
+    peak, (A, c) = largest_over_road(driven, K), driven.loop(K)
+    E, highest, x = A @ driven.Bw + driven.Br, 0.0, np.zeros(4)
+    edges = [0.0, *driven.drive.kinks, driven.drive.end + 2.0]
+    for start, end in itertools.pairwise(np.unique(edges)):
+        found = solve_ivp(
+            lambda t, x: A @ x + E @ driven.drive.heights(np.array([t]))[0],
+            (start, end),
+            x,
+            method="DOP853",
+            rtol=1e-10,
+            atol=1e-13,
+            dense_output=True,
+            max_step=(end - start) / 50,
+        )
+        t = np.linspace(start, end, 20001)
+        y = found.sol(t).T @ c + driven.drive.heights(t) @ (c @ driven.Bw + driven.f)
+        highest, x = max(highest, np.abs(y).max()), found.y[:, -1]
+    assert highest <= peak.proved
+    assert peak.value == pytest.approx(highest, rel=2e-5)  # what a slope without end leaves of the integration's digits
+
+
+def test_a_peak_alone_leaves_no_loop_on_the_border():
+    """Where nothing says how fast a loop has to decay it decays a tenth as fast as the best start; its peak is the true one."""
+    bounds = '{ peak = "suspension_deflection", road = "bump", at_most = 0.1 }, { gain = 3e4 }'
+    controller, promises = designed(f"measured = {THREE}\n{BAND}\nbounds = [{bounds}]")
+    assert max(pole.real for pole in controller.certificate.poles) < -0.02
+    assert promises["largest suspension_deflection over bump"] <= 0.1
+
+
+def test_a_decay_is_of_the_poles_that_a_gain_moves():
+    """A filter of 0.3 rad/s in z does not keep the loop from decaying at 0.5 rad/s."""
+    text = vehicle_with(f"measured = {TWO}\nbounds = [{{ decay = 0.5 }}]").text
+    slow = "sprung_acceleration = { numerator = [1.0], denominator = [1.0, 0.3] }"
+    vehicle = parse_vehicle(text.replace("sprung_acceleration = 1.0", slow))
+    controller = Designer(vehicle).design("goal")
+    slowest = next(promise for promise in controller.promises if promise.what == "slowest pole")
+    assert slowest.holds
+    assert slowest.value <= -0.5
+
+
+def test_nothing_to_minimise_is_no_error():
+    """The least force is none."""
+    controller, promises = designed(
+        'measured = ["suspension_deflection"]\nminimise = { signals = "control_force" }\nbounds = [{ norm = 40.0 }]'
+    )
+    assert np.abs(controller.gain).max() <= 1e-3
+    assert promises["norm"] <= 40
+
+
+def test_a_band_with_errors(paper):
+    """What is met with errors is at least what is met without, and what any sample of the errors meets; proved lies above."""
+    section = f'measured = {TWO}\nminimise = {{ signals = ["sprung_acceleration"], band = [0.5, 10.0] }}\n'
+    vehicle = vehicle_with(section + "bounds = [{ gain = 2e4 }]\ntolerance = { sprung_velocity = 0.2 }")
+    controller = Designer(vehicle).design("goal")
+    without, with_errors = controller.promises[:2]
+    entry = vehicle.controllers["goal"]
+    assert entry.goals is not None
+    posed = goal_problem(vehicle, entry, entry.goals).members[0].posed[0]
+    met = [
+        norm_in_band(posed.plant.closed_loop(controller.gain * [1.0, 1.0 + error] @ posed.Cy), 0.5 * HZ, 10 * HZ).value
+        for error in np.linspace(-0.2, 0.2, 41)
+    ]
+    assert with_errors.proved is not None
+    assert without.value <= max(met) <= with_errors.value * (1 + 1e-9) <= with_errors.proved
+
+
+def test_json_of_the_shipped_goals(capsys):
+    """Every promise of the shipped file is there in JSON, and holds."""
+    assert main_of("synth")(["--vehicle", "quarter_car_goals", "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)["controllers"]
+    promises = [promise for row in rows for promise in row.get("promises", [])]
+    assert len(promises) >= 12
+    assert all(promise["holds"] is True for promise in promises)
+
+
+def test_a_bound_with_errors_is_proved_where_it_is_kept():
+    """Three sensors and the force off: the norm that is allowed is tried as what to prove, and so is the decay."""
+    tolerance = "{ suspension_deflection = 0.1, sprung_velocity = 0.1 }"
+    section = f"measured = {TWO}\n{BAND}\nbounds = [{{ norm = 8.6 }}, {{ decay = 1.0 }}]\ntolerance = {tolerance}"
+    controller = Designer(vehicle_with(section)).design("goal")
+    with_errors = {promise.what: promise for promise in controller.promises}
+    assert with_errors["norm, with errors"].holds
+    assert with_errors["slowest pole, with errors"].value <= -1.0

@@ -67,6 +67,21 @@ class PeakBound:
 
 
 @dataclass(frozen=True)
+class EnergyBound:
+    """A signal's largest magnitude for all roads of given energy, of at most so much in the signal's unit.
+
+    Attributes:
+        signal: its name.
+        energy: the integral of the squared velocity under all wheels together [m2/s].
+        at_most: the bound.
+    """
+
+    signal: str
+    energy: float
+    at_most: float
+
+
+@dataclass(frozen=True)
 class DecayBound:
     """All poles left of -rate [rad/s]."""
 
@@ -80,7 +95,7 @@ class GainBound:
     at_most: float
 
 
-Bound = NormBound | PeakBound | DecayBound | GainBound
+Bound = NormBound | PeakBound | EnergyBound | DecayBound | GainBound
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,6 +143,8 @@ def _bound(bound: Bound) -> dict[str, Any]:
             return {"decay": rate}
         case GainBound(at_most):
             return {"gain": at_most}
+        case EnergyBound(signal, energy, at_most):
+            return {"energy_peak": signal, "energy": energy, "at_most": at_most}
         case PeakBound(signal, road, speed, at_most):
             driven = {"speed": speed} if speed is not None else {}
             return {"peak": signal, "road": road, **driven, "at_most": at_most}
@@ -138,5 +155,5 @@ def signals_of(goals: Goals | None) -> tuple[str, ...]:
     if goals is None:
         return ()
     norms = (goals.minimise, *(bound.norm for bound in goals.bounds if isinstance(bound, NormBound)))
-    peaks = [bound.signal for bound in goals.bounds if isinstance(bound, PeakBound)]
+    peaks = [bound.signal for bound in goals.bounds if isinstance(bound, (PeakBound, EnergyBound))]
     return (*(name for norm in norms for name in norm.signals or ()), *peaks)

@@ -19,6 +19,7 @@ from models.goals.goals import (
     WORST,
     Bound,
     DecayBound,
+    EnergyBound,
     GainBound,
     Goals,
     NormBound,
@@ -40,6 +41,7 @@ OTHER_WAYS = ("order", "design", "sampled", "law", "file", "A", "sample_period")
 BOUND_KINDS = {
     "norm": ("signals", "band"),
     "peak": ("road", "speed", "at_most"),
+    "energy_peak": ("energy", "at_most"),
     "decay": (),
     "gain": (),
 }
@@ -177,15 +179,18 @@ def _bound(where: str, value: Mapping[str, Any], outputs: Collection[str]) -> Bo
         return DecayBound(_number(f"{where} decay", value["decay"], SMALLEST, LARGEST, " rad/s"))
     if kind == "gain":
         return GainBound(_number(f"{where} gain", value["gain"], SMALLEST, LARGEST))
-    signal, road = value["peak"], value.get("road", "bump")
+    signal, road = value[kind], value.get("road", "bump")
     if signal not in outputs:
         raise InputError(f"{where} unknown signal {quoted(signal)}; this vehicle has {listing(outputs)}")
+    if "at_most" not in value:
+        raise InputError(f"{where} has no at_most; give the largest magnitude of {signal} that is allowed, in its SI unit")
+    at_most = _number(f"{where} at_most", value["at_most"], SMALLEST, LARGEST)
+    if kind == "energy_peak":
+        return EnergyBound(signal, _number(f"{where} energy", value.get("energy", 1.0), SMALLEST, LARGEST, " m2/s"), at_most)
     if not isinstance(road, str):
         raise InputError(f'{where} road = {quoted(road)} is no road; give its name, as in road = "bump:height=0.08"')
     speed = _number(f"{where} speed", value["speed"], 0.1, 200.0, " m/s") if "speed" in value else None
-    if "at_most" not in value:
-        raise InputError(f"{where} has no at_most; give the largest magnitude of {signal} over {road}, in its SI unit")
-    return PeakBound(signal, road, speed, _number(f"{where} at_most", value["at_most"], SMALLEST, LARGEST))
+    return PeakBound(signal, road, speed, at_most)
 
 
 def _tolerance(where: str, value: Any, measured: Sequence[str], forces: Sequence[str]) -> dict[str, float]:

@@ -32,7 +32,7 @@ class Promise:
     def holds(self) -> bool:
         """Whether what is proved, or the value itself where that is exact, keeps what is allowed."""
         known = self.value if self.proved is None else self.proved
-        return known < float("inf") if self.at_most is None else known <= self.at_most + SAME * abs(self.at_most)
+        return bool(known < float("inf") if self.at_most is None else known <= self.at_most + SAME * abs(self.at_most))
 
     @property
     def text(self) -> str:

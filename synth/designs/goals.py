@@ -1,8 +1,6 @@
-"""The door of goals: a vehicle and a controller's section as a problem in the plant's language (`synth.goals`)."""
+"""A controller that is designed for the goals of its section, certified, with what it keeps of them."""
 
-from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 
@@ -10,88 +8,23 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.numbers import percent
 from models.controllers import ControllerEntry
-from models.goals.goals import REGRET, DecayBound, GainBound, Goals, NormBound, NormOf, PeakBound
-from models.goals.reading import FORCE
+from models.goals.goals import REGRET, Goals, NormBound
 from models.law import LinearLaw, static_law
-from models.roads.choice import choose_road
-from models.roads.road import Road, delays, under_wheels
 from models.vehicle import Vehicle
 from synth.certificate.bounding import certify_tightly
+from synth.certificate.certificate import Certificate
 from synth.certificate.lower_bound import LowerBound
 from synth.certificate.promise import Promise
 from synth.controller import Controller
 from synth.design import two_step_design
+from synth.designs.goal_problem import goal_problem
 from synth.designs.promises import Judged
 from synth.errors import DesignError
 from synth.family.design import slack_design
 from synth.goals.engine import GoalDesign, Interrupted, design_for_goals
-from synth.goals.problem import Errors, GoalProblem, Member, NormGoal, Posed
-from synth.goals.road_response import Drive, Driven
+from synth.goals.problem import GoalProblem
 from synth.goals.search import Told
-from synth.problem.problem import Problem, measurements, problem
-
-USUAL_SPEED = 12.5  # m/s, the paper's (62)
-
-
-def family_of(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> list[Vehicle]:
-    """The vehicles that a design is for.
-
-    Raises:
-        InputError: one cannot be.
-    """
-    found = []
-    for i, member in enumerate(goals.family or ({},)):
-        parameters = {name: value * member.get(name, 1.0) for name, value in vehicle.parameters.items()}
-        try:
-            found.append(replace(vehicle, parameters=parameters).checked())
-        except InputError as error:
-            raise InputError(f"[controllers.{entry.name}] family[{i}]: {error}") from error
-    return found
-
-
-def goal_problem(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> GoalProblem:
-    """What a section with goals asks for, its members' own bests left open.
-
-    Raises:
-        InputError: a road that is none or has no end, or a member or a measurement that cannot be.
-    """
-    through = measurements(vehicle, entry.measured, entry.hardware.bandwidth)[1]
-    if np.any(through):
-        i = int(np.argmax(np.any(through, axis=1)))
-        raise InputError(
-            f"[controllers.{entry.name}] measures {entry.measured[i]!r}, in which forces act at once, and has goals, whose "
-            "errors and structure are of a gain on the state alone; measure something else, or give lag = true"
-        )
-    vehicles = family_of(vehicle, entry, goals)
-    norms = [goals.minimise, *(bound.norm for bound in goals.bounds if isinstance(bound, NormBound))]
-    peaks = [(bound, _road(vehicle, entry, bound)) for bound in goals.bounds if isinstance(bound, PeakBound)]
-    members = tuple(
-        Member(
-            tuple(_posed(each, entry, norm) for norm in norms), tuple(_driven(each, entry, bound, road) for bound, road in peaks)
-        )
-        for each in vehicles
-    )
-    bounds = [
-        NormGoal(i + 1, _band(bound.norm), bound.at_most, f"{bound.norm.text} <= {bound.at_most:g}")
-        for i, bound in enumerate(each for each in goals.bounds if isinstance(each, NormBound))
-    ]
-    m, q = through.shape[1], len(entry.measured)
-    inputs, tolerance = vehicle.linear_model.inputs, goals.tolerance
-    errors = Errors(
-        np.array([tolerance.get(signal, 0.0) for signal in entry.measured]),
-        np.array([tolerance.get(force, tolerance.get(FORCE, 0.0)) for force in inputs]),
-    )
-    structure = np.ones((m, q), dtype=bool) if goals.structure is None else np.array(goals.structure)
-    return GoalProblem(
-        members,
-        NormGoal(0, _band(goals.minimise)),
-        errors,
-        structure,
-        norms=tuple(bounds),
-        decay=_strictest([bound.rate for bound in goals.bounds if isinstance(bound, DecayBound)], max),
-        peaks=tuple(bound.at_most for bound, _ in peaks),
-        gain=_strictest([bound.at_most for bound in goals.bounds if isinstance(bound, GainBound)], min),
-    )
+from synth.problem.problem import Problem
 
 
 def goals_design(
@@ -139,15 +72,26 @@ def _controller(
 ) -> Controller:
     """The controller of a gain, certified, with what it keeps."""
     law = static_law(found.gain)
+    certificate = certify_tightly(*posed.closed(law), lower_bound, by_itself=posed.plant)
     return Controller(
         entry.name,
         entry.measured,
         law,
         designed=True,
-        certificate=certify_tightly(*posed.closed(law), lower_bound, by_itself=posed.plant),
-        remarks=remarks(found),
+        certificate=certificate,
+        remarks=(*remarks(found), *_beside(goals, certificate)),
         hardware=entry.hardware,
         promises=Judged(vehicle, entry, goals, asked, found.gain).promises(),
+    )
+
+
+def _beside(goals: Goals, certificate: Certificate) -> tuple[str, ...]:
+    """What is the case beside a band, where nothing bounds that."""
+    if not goals.minimise.narrow or any(isinstance(bound, NormBound) and not bound.norm.narrow for bound in goals.bounds):
+        return ()
+    return (
+        f"nothing bounds what lies beside its band, where the norm is {certificate.norm.value:.7g}; "
+        "give bounds = [{ norm = ... }]",
     )
 
 
@@ -235,57 +179,3 @@ def remarks(found: GoalDesign) -> tuple[str, ...]:
         f"designed for its goals, by descent from the two steps and other starts; refused: {percent(found.refused)} less for "
         "up to twice the gain",
     )
-
-
-def _posed(vehicle: Vehicle, entry: ControllerEntry, norm: NormOf) -> Posed:
-    """A vehicle with the z of a norm."""
-    if norm.signals is not None:
-        vehicle = replace(vehicle, performance=dict(norm.signals), filters={})
-    posed = problem(vehicle, entry.measured, entry.hardware)
-    return Posed(posed.plant, posed.Cy, posed.Dyw)
-
-
-def _driven(vehicle: Vehicle, entry: ControllerEntry, bound: PeakBound, road: Road) -> Driven:
-    """A vehicle on the road of a bound."""
-    bandwidth = entry.hardware.bandwidth
-    model = vehicle.linear_model if bandwidth is None else vehicle.linear_model.behind_lag(bandwidth)
-    (C, D), (Cy, _) = model.rows([bound.signal]), model.rows(entry.measured)
-    of_height = model.Cr[model.outputs.index(bound.signal)]
-
-    @cache
-    def heights(times: bytes) -> Array:
-        t = np.frombuffer(times)
-        return np.hstack([under_wheels(of, road, vehicle, t) for of in (road.velocity, road.displacement)])
-
-    later = delays(road, vehicle)
-    kinks = np.unique([kink + delay for kink in road.kinks for delay in later])
-    drive = Drive(lambda t: heights(np.ascontiguousarray(t).tobytes()), kinks, road.duration + max(later))
-    E, f = np.hstack([model.Bw, model.Br]), np.concatenate([np.zeros(len(of_height)), of_height])
-    name = f"{bound.signal} over {bound.road} <= {bound.at_most:g}"
-    return Driven(model.A, model.B, Cy, E, C[0], D[0], f, drive, name)
-
-
-def _road(vehicle: Vehicle, entry: ControllerEntry, bound: PeakBound) -> Road:
-    """The road of a bound.
-
-    Raises:
-        InputError: it is none, or has no end.
-    """
-    where = f"[controllers.{entry.name}] bounds: road = {bound.road!r}"
-    try:
-        choice = choose_road(bound.road)
-        road = choice.build(vehicle, bound.speed or USUAL_SPEED, 0, 0.0)
-    except InputError as error:
-        raise InputError(f"{where}: {error}") from error
-    if not np.isfinite(road.duration):
-        raise InputError(f"{where} has no end, and so no largest value; give a bump, a step, a hump or a pothole")
-    return road
-
-
-def _band(norm: NormOf) -> tuple[float, float]:
-    low, high = norm.band
-    return 2 * np.pi * low, 2 * np.pi * high
-
-
-def _strictest(values: Sequence[float], of: Callable[[Sequence[float]], float]) -> float | None:
-    return of(values) if values else None

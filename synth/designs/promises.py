@@ -1,5 +1,6 @@
 """What a gain keeps of its goals, each proved without what found it: norms in bands, decay, peaks, errors, families."""
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -7,19 +8,24 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.controllers import ControllerEntry
-from models.goals.goals import DecayBound, GainBound, Goals, NormBound, NormOf, PeakBound
+from models.goals.goals import DecayBound, EnergyBound, GainBound, Goals, NormBound, NormOf, PeakBound
 from models.law import static_law
 from models.vehicle import Vehicle
 from synth.band.norm import norm_in_band
 from synth.certificate.promise import Promise
 from synth.certificate.stability import stability
 from synth.dynamic.loop import on_larger_plant
+from synth.energy.peaks import energy_peaks
+from synth.errors import DesignError
 from synth.goals.banded import EVERYWHERE
 from synth.goals.filtered import in_band
 from synth.goals.problem import Errors, GoalProblem, NormGoal, Posed
-from synth.goals.road_response import largest_over_road
+from synth.goals.road_largest import largest_over_road
+from synth.goals.worst import worst_of_norm
 from synth.plant import GeneralizedPlant
 from synth.tolerance.worst import WorstNorm, worst_norm
+
+FAR = 1e4  # times a norm: of loops that are only known to be stable
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +57,7 @@ class Judged:
         found = [*self.largest(goals.minimise, asked.minimise)]
         if asked.bests is not None:
             found.append(self.regret(asked.bests))
-        norms, peak = iter(asked.norms), 0
+        norms, signals, peak = iter(asked.norms), itertools.count(), 0
         for bound in goals.bounds:
             if isinstance(bound, NormBound):
                 found += self.largest(bound.norm, next(norms), bound.at_most)
@@ -59,6 +65,8 @@ class Judged:
                 found += self.decay(bound.rate)
             elif isinstance(bound, GainBound):
                 found.append(Promise("largest entry of the gain", float(np.abs(self.K).max()), at_most=bound.at_most))
+            elif isinstance(bound, EnergyBound):
+                found.append(self.energy_peak(bound, next(signals)))
             else:
                 found.append(self.peak(bound, peak))
                 peak += 1
@@ -99,39 +107,61 @@ class Judged:
         return Promise(f"largest ratio to a vehicle's own best{with_errors}", ratios[i], upper, where=self.names[i])
 
     def worst(self, asked: NormGoal) -> list[WorstNorm]:
-        """The norm of every member with the worst errors; in a band, through a filter that is at least one there."""
+        """The norm of every member with the worst errors; in a band proved through a filter that is at least one there."""
         if asked in self.known:
             return self.known[asked]
         found = []
-        for member in self.asked.members:
-            whole = self.worst_of(in_band(member.posed[asked.which], asked.band))
+        for i, member in enumerate(self.asked.members):
+            best = self.asked.bests[i] if asked is self.asked.minimise and self.asked.bests is not None else 1.0
+            enough = asked.at_most if np.isfinite(asked.at_most) else None
+            whole = self.worst_of(in_band(member.posed[asked.which], asked.band), enough)
             if asked.band != EVERYWHERE:  # what is proved is of the filter's norm; what is met, of the band's own
-                met = Errors(whole.readings, whole.forces)
-                value, _, _ = _norm(met.on(member.posed[asked.which]), self.K, asked)
-                whole = replace(whole, found=value)
+                _, met = worst_of_norm(self.asked, i, asked, best, self.K)
+                tried = [met, Errors(whole.readings, whole.forces), self.asked.none]
+                values = [_norm(each.on(member.posed[asked.which]), self.K, asked)[0] for each in tried]
+                at = tried[int(np.argmax(values))]
+                whole = replace(whole, found=max(values), readings=at.sensors, forces=at.forces)
             found.append(whole)
         self.known[asked] = found
         return found
 
-    def worst_of(self, posed: Posed) -> WorstNorm:
-        """The norm of one plant with the worst errors."""
+    def worst_of(self, posed: Posed, enough: float | None = None) -> WorstNorm:
+        """The norm of one plant with the worst errors; a bound that would be enough is tried by itself."""
         tolerance = self.asked.tolerance
-        return worst_norm(posed.plant, posed.Cy, self.K, tolerance.sensors, tolerance.forces, posed.Dyw)
+        return worst_norm(posed.plant, posed.Cy, self.K, tolerance.sensors, tolerance.forces, posed.Dyw, enough=enough)
 
     def decay(self, rate: float) -> list[Promise]:
         """The slowest pole of the family without errors, and with the worst ones: the norm of loops moved right by the rate."""
-        slowest = [
-            max(float(np.real(pole)) for pole in stability(_loop(member.posed[0], self.K).A).poles)
-            for member in self.asked.members
-        ]
+        slowest = [_slowest(member.posed[0], self.K) for member in self.asked.members]
         i = int(np.argmax(slowest))
         found = [Promise("slowest pole", slowest[i], at_most=-rate, unit="rad/s", where=self.names[i])]
         if not self.asked.errors:
             return found
-        moved = [self.worst_of(_moved(member.posed[0], rate)) for member in self.asked.members]
-        proved = all(whole.proved < np.inf for whole in moved)
-        what = f"loops that decay slower than {rate:g} rad/s, with errors"
-        return [*found, Promise(what, float(sum(np.isinf(whole.found) for whole in moved)), 0.0 if proved else np.inf, 0.0)]
+        met, proved = [], -np.inf
+        for i, member in enumerate(self.asked.members):
+            beyond, errors = worst_of_norm(self.asked, i, None, rate, self.K)
+            met.append(max(_slowest(errors.on(member.posed[0]), self.K), slowest[i]))
+            moved = _moved(member.posed[0], rate)
+            norm = _norm(errors.on(moved), self.K, NormGoal())[0] if beyond < 1 else np.inf
+            whole = self.worst_of(moved, FAR * norm) if np.isfinite(norm) else None
+            proved = max(proved, -rate if whole is not None and np.isfinite(whole.proved) else np.inf)
+        i = int(np.argmax(met))
+        return [*found, Promise("slowest pole, with errors", met[i], proved, -rate, "rad/s", self.names[i])]
+
+    def energy_peak(self, bound: EnergyBound, which: int) -> Promise:
+        """The largest magnitude of a signal for all roads of given energy."""
+        of = []
+        for member in self.asked.members:
+            posed, signal = member.posed[self.asked.minimise.which], member.signals[which]
+            try:
+                peaks = energy_peaks(posed.plant, self.K @ posed.Cy, signal.c[None], signal.g[None])
+                of.append((signal.root * float(peaks.peaks[0]), signal.root * float(peaks.bounds[0])))
+            except DesignError:  # unstable
+                of.append((np.inf, np.inf))
+        i = int(np.argmax([value for value, _ in of]))
+        unit = self.vehicle.kind.signal(bound.signal).unit
+        what = f"largest {bound.signal} for roads of {bound.energy:g} m2/s"
+        return Promise(what, of[i][0], max(proved for _, proved in of), bound.at_most, unit, self.names[i])
 
     def peak(self, bound: PeakBound, which: int) -> Promise:
         """The largest magnitude of a signal over a road."""
@@ -159,9 +189,18 @@ def _norm(posed: Posed, K: Array, asked: NormGoal) -> tuple[float, float, float]
 
 
 def _moved(posed: Posed, rate: float) -> Posed:
-    """A plant whose loops are stable where those of this one decay faster than a rate."""
-    plant = posed.plant
-    return replace(posed, plant=replace(plant, A=plant.A + rate * np.eye(len(plant.A))))
+    """A plant whose loops are stable where those of this one decay faster than a rate, without its filters."""
+    plant, own = posed.plant, len(posed.plant.A) - posed.plant.weights
+    alone = GeneralizedPlant(
+        plant.A[:own, :own] + rate * np.eye(own), plant.B[:own], plant.Bw[:own], plant.C[:, :own], plant.D, plant.Dw
+    )
+    return Posed(alone, posed.Cy[:, :own], posed.Dyw)
+
+
+def _slowest(posed: Posed, K: Array) -> float:
+    """The largest real part of a pole of a loop; filters' own do not count."""
+    own = len(posed.plant.A) - posed.plant.weights
+    return max(float(np.real(pole)) for pole in stability(_loop(posed, K).A[:own, :own]).poles)
 
 
 def _loop(posed: Posed, K: Array) -> GeneralizedPlant:

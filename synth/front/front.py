@@ -17,7 +17,7 @@ from synth.certificate.stability import stability
 from synth.controller import Controller
 from synth.design import two_step_design
 from synth.designer import Designer
-from synth.designs.goals import goal_problem
+from synth.designs.goal_problem import goal_problem
 from synth.designs.promises import Judged
 from synth.errors import DesignError
 from synth.front.axes import Axis
@@ -25,7 +25,7 @@ from synth.front.limits import Limit, limits
 from synth.front.norms import Norm, landscapes, norm_on, on_axis, rates
 from synth.front.trace import Met, Trace, rays, undominated
 from synth.goals.banded import EVERYWHERE
-from synth.goals.road_response import largest_over_road
+from synth.goals.road_largest import largest_over_road
 from synth.goals.search import Search
 from synth.numerics import numerics
 from synth.plant import GeneralizedPlant

@@ -12,6 +12,7 @@ from scipy import linalg
 from models.common.arrays import Array
 from synth.certificate.gain import highest
 from synth.certificate.norm import level_crossings
+from synth.discrete.bilinear import mapped_frequency
 from synth.plant import GeneralizedPlant
 from synth.search.climb import climbed
 from synth.search.landscape import NEAR, Landscape
@@ -24,7 +25,8 @@ class BandLandscape(Landscape):
     """The landscape of one plant in one band.
 
     Attributes:
-        band: from and to [rad/s].
+        band: from and to [rad/s], of a discrete plant those of the continuous one that it is mapped to.
+        own: how many of its states are no filter's.
     """
 
     def __init__(
@@ -43,7 +45,8 @@ class BandLandscape(Landscape):
         like: one whose points are the same gains; None for its own scales.
         """
         super().__init__(plant, Cy, Dyw)
-        self.band = band
+        self.band = band if plant.dt is None else (mapped_frequency(band[0], plant.dt), mapped_frequency(band[1], plant.dt))
+        self.own, self.continuous = len(plant.A) - plant.weights, plant.dt is None
         if like is not None:
             self.scale = like.scale
 
@@ -103,14 +106,18 @@ class BandLandscape(Landscape):
         return super().moving(omega) & (omega > low * (1 + NEAR)) & (omega < high * (1 - NEAR))
 
     def decays(self, x: Array) -> tuple[Array, Array]:
-        """The real parts of all poles [rad/s], one of each pair, shape (P,), and their slopes, shape (P, m q)."""
-        A, _ = self.loop(x)
+        """The real parts of all poles that a gain moves [rad/s], one of each pair, shape (P,), and slopes, shape (P, m q).
+
+        Poles of filters, whose states are the last and drive nothing or are driven by nothing of the loop, are none of these.
+        """
+        A, ports, own = self.loop(x)[0][: self.own, : self.own], self.ports(x), slice(self.own)
         poles, left, right = (np.asarray(part) for part in linalg.eig(A, left=True, right=True))
         kept = np.imag(poles) >= 0
-        left, right, ports = left[:, kept].conj().T, right[:, kept].T, self.ports(x)
+        left, right = left[:, kept].conj().T, right[:, kept].T
         along = np.sum(left * right, axis=1)
         along = np.where(along == 0, np.finfo(float).tiny, along)  # where two poles meet there is no slope, but a steep one
-        slopes = np.real((left @ ports.B)[:, :, None] * (right @ ports.Cy.T)[:, None, :] / along[:, None, None]) * self.scale
+        driven, seen = left @ ports.B[own], right @ ports.Cy[:, own].T
+        slopes = np.real(driven[:, :, None] * seen[:, None, :] / along[:, None, None]) * self.scale
         return np.real(poles[kept]), slopes.reshape(len(slopes), -1)
 
     def _inside(self, omega: Array) -> Array:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from models.common.arrays import Array
+from models.common.errors import InputError
 from synth.goals.problem import Errors, GoalProblem
 from synth.goals.search import Search, Told
 from synth.numerics import numerics
@@ -55,9 +56,12 @@ def design_for_goals(
         otherwise: gives others, where none of those leads to stable loops; they may take their time.
 
     Raises:
+        InputError: a decay is asked for of a discrete plant.
         DesignError: none makes all loops stable, or none keeps all bounds; the message says which bound is in the way.
         Interrupted: by Ctrl-C, once there is something to keep.
     """
+    if any(posed.plant.dt is not None for member in problem.members for posed in member.posed) and problem.decay is not None:
+        raise InputError("a discrete plant has no decay in rad/s; leave decay out, and bound a norm instead")
     search = Search(problem, told)
     try:
         x, height, refused = search.result(starts, otherwise)

@@ -7,6 +7,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from synth.goals.banded import EVERYWHERE, Band, BandLandscape
+from synth.goals.energy_peak import Signal
 from synth.goals.road_response import Driven
 from synth.plant import GeneralizedPlant
 from synth.search.landscape import Landscape
@@ -51,10 +52,12 @@ class Member:
     Attributes:
         posed: the plant with the z of each norm.
         driven: the plant on roads, each with the signal that is bounded there.
+        signals: those of the first of `posed` that are bounded for roads of given energy.
     """
 
     posed: tuple[Posed, ...]
     driven: tuple[Driven, ...] = ()
+    signals: tuple[Signal, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,9 +1,9 @@
 """The exact response of a loop to a road, and the largest value of a signal over it.
 
-The road drives x' = (A + B K C_y) x + E d(t) with a function d of time that is known, from rest. Between equidistant times its
-convolution is a quadrature of order 16, split at the road's kinks, so that the states at these times are exact to rounding. A
-peak between two of them is that of the cubic through both ends and their slopes. After the road's end the loop only decays: what
-is still to come is bounded by a quadratic form that falls.
+With the road's heights z under the wheels, and w = z', x = xi + Bw z makes x' = A x + Bw w + Br z to xi' = A xi + (A Bw + Br) z:
+no velocity, which a kink of the road makes jump and a vertical edge infinite, is left in it. Between equidistant times the
+convolution is a quadrature of order 16; a step with a kink falls into pieces that get smaller towards it, from either side. A
+peak between two times is that of the cubic through both ends and their slopes.
 """
 
 from collections.abc import Callable
@@ -14,38 +14,41 @@ import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
-from synth.certificate.stability import balance
 
 NODES = 8  # of the quadrature in one step
+SMALLER = 24  # halvings of a step towards a kink
+NEXT = 1e-6  # of a step: a kink this close to its end is at it
 FINE = 0.01  # rad of the fastest pole with control
-MOST_FINE = 200_000  # steps
-LONGER = 12  # doublings of the time, until what follows is less
+MOST_FINE = 60_000  # steps on the road and shortly after it
+BLOCK, BLOCKS = 4096, 100  # steps of the free motion after that, and how many blocks of them at most
 BEND = 2.0  # times the curvature seen between times, for what it is between them
 ILL_CONDITIONED = 1e7  # of the eigenvectors, beyond which the recursion runs step by step
 
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """What a road does to a plant, d(t), shape (T, k) for times of shape (T,), from time 0 to its end.
+    """A road under the wheels of a vehicle, from time 0 to its end.
 
     Attributes:
-        at: times [s] -> d.
-        kinks: times [s] at which d or a derivative of it jumps, ascending.
-        end: after it d stays as it is [s].
+        heights: times [s] of shape (T,) -> heights [m], shape (T, r).
+        rates: times [s] -> their derivatives [m/s], shape (T, r); at a kink any.
+        kinks: times [s] at which a derivative jumps, ascending.
+        end: after it the heights stay as they are [s].
     """
 
-    at: Callable[[Array], Array]
+    heights: Callable[[Array], Array]
+    rates: Callable[[Array], Array]
     kinks: Array
     end: float
 
 
 @dataclass(frozen=True, eq=False)
 class Driven:
-    """A plant on a road: x' = A x + B u + E d, y = C_y x, and the signal c x + g u + f d that is bounded.
+    """A plant on a road: x' = A x + B u + Bw z' + Br z, y = C_y x, and the signal c x + g u + f z that is bounded.
 
     Attributes:
-        A, B, Cy, E: shapes (n, n), (n, m), (q, n), (n, k).
-        c, g, f: of the signal, shapes (n,), (m,), (k,).
+        A, B, Cy, Bw, Br: shapes (n, n), (n, m), (q, n), (n, r), (n, r).
+        c, g, f: of the signal, shapes (n,), (m,), (r,).
         drive: the road.
         name: of the signal and the road, in words.
     """
@@ -53,96 +56,155 @@ class Driven:
     A: Array
     B: Array
     Cy: Array
-    E: Array
+    Bw: Array
+    Br: Array
     c: Array
     g: Array
     f: Array
     drive: Drive
     name: str = "a peak"
 
+    def loop(self, K: Array) -> tuple[Array, Array]:
+        """A + B K C_y and c + g K C_y."""
+        G = K @ self.Cy
+        return self.A + self.B @ G, self.c + self.g @ G
 
-class Response:
-    """The states of closed loops of one plant on one road, at equidistant times.
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """Part of a step.
 
     Attributes:
+        step: which.
+        start, length: of it [s].
+        nodes: heights at the nodes of the quadrature, shape (NODES, r).
+        beside: whether one of its ends is a kink.
+    """
+
+    step: int
+    start: float
+    length: float
+    nodes: Array
+    beside: bool
+
+
+class Response:
+    """The motion of closed loops of one plant on one road, at equidistant times.
+
+    Attributes:
+        h: the step [s].
         time: shape (T,), from 0 [s].
+        pieces: of the steps with a kink, in their order.
     """
 
     def __init__(self, driven: Driven, step: float, length: float) -> None:
         """Args:
         driven: the plant on its road.
-        step: between times, about [s].
+        step: between times [s].
         length: the last time, about [s].
         """
         self.driven, self.h = driven, step
-        count = max(2, int(np.ceil(length / step)))
+        drive, count = driven.drive, max(2, int(np.ceil(length / step)))
         self.time = step * np.arange(count + 1)
         s, w = np.polynomial.legendre.leggauss(NODES)
         self.s, self.w = (s + 1) / 2, w / 2
-        starts = self.time[:-1]
-        self.at_nodes = self._nodes(starts, np.full(count, step))
-        self.d = driven.drive.at(self.time)
-        inside = np.floor(driven.drive.kinks / step).astype(int)
-        self.split: list[tuple[int, list[tuple[float, float, Array]]]] = []
-        for k in np.unique(inside[(inside >= 0) & (inside < count)]):
-            kinks = driven.drive.kinks
-            edges = [starts[k], *kinks[(kinks > starts[k]) & (kinks < starts[k] + step)], starts[k] + step]
-            pieces = [(b - a, edges[-1] - b, self._nodes(np.array([a]), np.array([b - a]))[0]) for a, b in pairwise(edges)]
-            self.split.append((int(k), pieces))
+        self.at_nodes = self._nodes(self.time[:-1], np.full(count, step))
+        self.z, self.rates = drive.heights(self.time), drive.rates(self.time)
+        self.pieces: list[Piece] = []
+        beside = np.concatenate([drive.kinks / step - NEXT, drive.kinks / step + NEXT])  # a kink between two steps is in both
+        for k in np.unique(np.floor(beside).astype(int)):
+            if 0 <= k < count:
+                self.pieces += self._split(int(k))
+        ends = np.array([piece.start + piece.length for piece in self.pieces])
+        self.z_ends = drive.heights(ends) if len(ends) else np.zeros((0, self.z.shape[1]))
+
+    def _split(self, k: int) -> list[Piece]:
+        """The pieces of a step with kinks."""
+        start, end = float(self.time[k]), float(self.time[k]) + self.h
+        kinks = self.driven.drive.kinks
+        kinks = np.clip(kinks[(kinks >= start - NEXT * self.h) & (kinks <= end + NEXT * self.h)], start, end)
+        edges = {start, end, *map(float, kinks)}
+        for kink in kinks:
+            for side in (-1, 1):
+                edges |= {float(kink) + side * self.h * 0.5**i for i in range(1, SMALLER)}
+        ordered = sorted(edge for edge in edges if start <= edge <= end)
+        found = []
+        for left, right in pairwise(ordered):
+            nodes = self._nodes(np.array([left]), np.array([right - left]))[0]
+            found.append(Piece(k, left, right - left, nodes, left in kinks or right in kinks))
+        return found
 
     def _nodes(self, starts: Array, lengths: Array) -> Array:
-        """d at the nodes of steps, shape (T, NODES, k)."""
+        """Heights at the nodes of steps, shape (T, NODES, r)."""
         times = starts[:, None] + lengths[:, None] * self.s
-        return self.driven.drive.at(times.ravel()).reshape(len(starts), NODES, -1)
+        return self.driven.drive.heights(times.ravel()).reshape(len(starts), NODES, -1)
 
-    def states(self, A: Array) -> Array:
-        """x at all times for a loop matrix, shape (T, n)."""
+    def motion(self, A: Array) -> tuple[Array, Array]:
+        """xi at all times, shape (T, n), and at the ends of all pieces, shape (P, n), for a loop matrix."""
         values, vectors = np.linalg.eig(A)
-        E = self.driven.E
+        E = A @ self.driven.Bw + self.driven.Br
         try:
             inverse = np.linalg.inv(vectors)
             sound = np.linalg.norm(vectors) * np.linalg.norm(inverse) < ILL_CONDITIONED
         except np.linalg.LinAlgError:
             sound, inverse = False, vectors
         if not sound:
-            return self._step_by_step(A)
-        driven = inverse @ E
-        forcing = self._modal(values, driven, self.at_nodes, self.h)
-        for k, pieces in self.split:
-            forcing[k] = sum(
-                np.exp(values * later) * self._modal(values, driven, nodes[None], length)[0] for length, later, nodes in pieces
-            )
-        modes = np.zeros((len(self.time), len(A)), complex)
+            return self._step_by_step(A, E)
         from scipy.signal import lfilter  # half a second
 
+        driven = inverse @ E
+        forcing = self._modal(values, driven, self.at_nodes, self.h)
+        ends, state, into = np.zeros((len(self.pieces), len(A)), complex), np.zeros(len(A), complex), -1
+        for i, piece in enumerate(self.pieces):  # from rest at the begin of its step, the step's own motion comes later
+            if piece.step != into:
+                into, state = piece.step, np.zeros(len(A), complex)
+            state = np.exp(values * piece.length) * state
+            state = state + self._modal(values, driven, piece.nodes[None], piece.length)[0]
+            ends[i] = forcing[piece.step] = state
+        modes = np.zeros((len(self.time), len(A)), complex)
         for i, factor in enumerate(np.exp(values * self.h)):
             modes[1:, i] = lfilter([1.0], [1.0, -factor], forcing[:, i])
-        return np.real(modes @ vectors.T)
+        for i, piece in enumerate(self.pieces):
+            ends[i] += np.exp(values * (piece.start + piece.length - self.time[piece.step])) * modes[piece.step]
+        return np.real(modes @ vectors.T), np.real(ends @ vectors.T)
 
     def _modal(self, values: Array, driven: Array, nodes: Array, length: float) -> Array:
-        """What d adds to the modes over steps of a length, shape (T, n)."""
+        """What the road adds to the modes over steps of a length, shape (T, n)."""
         kernel = length * self.w[:, None] * np.exp(values * length * (1 - self.s[:, None]))
         return np.einsum("tqk,nk,qn->tn", nodes, driven, kernel, optimize=True)
 
-    def _step_by_step(self, A: Array) -> Array:
+    def _step_by_step(self, A: Array, E: Array) -> tuple[Array, Array]:
         """The same where the modes lose too many digits."""
-        E = self.driven.E
 
         def kernels(length: float) -> Array:
             return np.stack([w * length * linalg.expm(A * length * (1 - s)) @ E for s, w in zip(self.s, self.w, strict=True)])
 
         forcing = np.einsum("tqk,qnk->tn", self.at_nodes, kernels(self.h), optimize=True)
-        for k, pieces in self.split:
-            forcing[k] = sum(
-                linalg.expm(A * later) @ np.einsum("qk,qnk->n", nodes, kernels(length)) for length, later, nodes in pieces
-            )
-        Phi, states = linalg.expm(A * self.h), np.zeros((len(self.time), len(A)))
+        Phi, states, ends = linalg.expm(A * self.h), np.zeros((len(self.time), len(A))), np.zeros((len(self.pieces), len(A)))
+        split: dict[int, list[int]] = {}
+        for i, piece in enumerate(self.pieces):
+            split.setdefault(piece.step, []).append(i)
         for k, each in enumerate(forcing):
-            states[k + 1] = Phi @ states[k] + each
-        return states
+            state = states[k]
+            for i in split.get(k, []):
+                piece = self.pieces[i]
+                state = linalg.expm(A * piece.length) @ state + np.einsum("qk,qnk->n", piece.nodes, kernels(piece.length))
+                ends[i] = state
+            states[k + 1] = state if k in split else Phi @ states[k] + each
+        return states, ends
+
+    def signal(self, A: Array, c: Array, motion: tuple[Array, Array]) -> tuple[Array, Array, Array]:
+        """The signal of a loop and its slope at all times, shapes (T,), and the signal at the ends of all pieces, shape (P,)."""
+        states, ends = motion
+        driven = self.driven
+        direct = c @ driven.Bw + driven.f
+        slopes = (states @ A.T + self.z @ (A @ driven.Bw + driven.Br).T) @ c + _finite(self.rates @ direct)
+        return states @ c + self.z @ direct, slopes, ends @ c + self.z_ends @ direct
 
     def between(self, values: Array, slopes: Array) -> tuple[Array, Array]:
         """The maxima of the cubics from each time to the next, and where: shapes (T-1,), the second in steps from time 0.
+
+        In a step with a kink only its ends count.
 
         Args:
             values: of a signal at all times, shape (T,).
@@ -153,9 +215,11 @@ class Response:
             root = np.sqrt(np.maximum(c2 * c2 - 3 * c3 * c1, 0.0))
             stationary = (-c1 / (c2 - root), (-c2 - root) / (3 * c3))  # in the forms in which nothing cancels
         best, where = values[:-1].copy(), np.zeros(len(c1))
+        smooth = np.ones(len(c1), dtype=bool)
+        smooth[[piece.step for piece in self.pieces]] = False
         for s in (np.ones(len(c1)), *stationary):
-            s = np.where(np.isfinite(s) & (s > 0) & (s < 1), s, 1.0)
-            there = values[:-1] + s * (c1 + s * (c2 + s * c3))
+            s = np.where(np.isfinite(s) & (s > 0) & (s < 1) & smooth, s, 1.0)
+            there = np.where(s < 1, values[:-1] + s * (c1 + s * (c2 + s * c3)), values[1:])
             best, where = np.where(there > best, there, best), np.where(there > best, s, where)
         return best, where + np.arange(len(c1))
 
@@ -171,64 +235,27 @@ class Response:
         return p, 3 * rise - 2 * p - q, p + q - 2 * rise
 
 
-@dataclass(frozen=True)
-class Peak:
-    """The largest magnitude of a signal over a road.
-
-    Attributes:
-        value: it reaches.
-        time: after the road's start [s].
-        proved: it never exceeds.
-    """
-
-    value: float
-    time: float
-    proved: float
+def _finite(rates: Array) -> Array:
+    """Rates, zero where a road stands upright: there no cubic is asked."""
+    return np.where(np.isfinite(rates), rates, 0.0)
 
 
-def largest_over_road(driven: Driven, K: Array) -> Peak:
-    """The largest |y| from the road's start on, for ever.
-
-    Between times the signal is within h^2 / 8 max |y''| of the line through both ends; the times are as many as make that small,
-    and until after the road what follows is known to be less. Infinite where the loop is unstable.
+def step_for(rate: float, share: float, end: float) -> float:
+    """The step for the fastest motion and the road: a share of a radian, and down to an eighth of that where a road is short.
 
     Args:
-        driven: the plant on its road, and the signal.
-        K: shape (m, q).
+        rate: of the motion [rad/s].
+        share: of a radian.
+        end: of the road [s].
     """
-    G = K @ driven.Cy
-    A, c = driven.A + driven.B @ G, driven.c + driven.g @ G
-    poles = np.linalg.eigvals(A)
-    if not np.real(poles).max() < 0:
-        return Peak(np.inf, np.nan, np.inf)
-    fastest, slowest = float(np.abs(poles).max()), float(-np.real(poles).max())
-    final = driven.drive.at(np.array([driven.drive.end + 1.0]))[0]  # as it stays
-    rest = np.linalg.solve(A, -driven.E @ final)
-    Q = _falling(A)
-    reach = float(np.sqrt(c @ np.linalg.solve(Q, c)))
-    length = driven.drive.end + min(3 / slowest, 100.0)
-    for turn in range(LONGER):
-        step = max(min(FINE / fastest, driven.drive.end / 200), length / MOST_FINE)
-        response = Response(driven, step, length)
-        states = response.states(A)
-        y = states @ c + response.d @ driven.f
-        slopes = (states @ A.T + response.d @ driven.E.T) @ c + np.gradient(response.d @ driven.f, step)
-        tops = [response.between(sign * y, sign * slopes) for sign in (1, -1)]
-        heights, where = max(tops, key=lambda each: float(each[0].max()))
-        k = int(heights.argmax())
-        left = states[-1] - rest
-        later = abs(float(c @ rest + driven.f @ final)) + reach * float(np.sqrt(left @ Q @ left))
-        if later < heights[k] or turn == LONGER - 1:
-            bend = np.abs(np.diff(slopes)).max() / step  # of the signal, as steep as it is between any two times
-            value = float(heights[k])
-            proved = max(value + BEND * step**2 / 8 * bend, later)
-            return Peak(value, float(where[k]) * step, proved)
-        length *= 2
-    raise AssertionError("the last turn returns")
+    step = share / rate
+    return min(step, max(end / 200, step / 8))
 
 
-def _falling(A: Array) -> Array:
-    """Q > 0 with A'Q + QA < 0, so that x'Qx falls."""
-    balanced, scale = balance(A)
-    Q = linalg.solve_continuous_lyapunov(balanced.T, -np.eye(len(A)))
-    return Q / np.outer(scale, scale)
+def free(A: Array, x: Array, h: float, count: int) -> Array:
+    """exp(A k h) x for k = 0, 1, ..., shape (count, n), by doubling."""
+    found, power = x[None], linalg.expm(A * h)
+    while len(found) < count:
+        found = np.concatenate([found, found @ power.T])
+        power = power @ power
+    return found[:count]

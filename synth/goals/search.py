@@ -14,16 +14,19 @@ from models.common.arrays import Array
 from models.common.numbers import percent
 from synth.errors import DesignError
 from synth.goals.descent import descend
+from synth.goals.energy_peak import EnergyPeak
 from synth.goals.problem import Errors, GoalProblem
+from synth.goals.road_largest import largest_over_road
 from synth.goals.road_peak import RoadPeak
+from synth.goals.stabilise import downhill_to_stability
 from synth.goals.terms import Decay, Gain, Term
 from synth.goals.terrain import KEPT, Height, Terrain
 from synth.goals.worst import worst_errors
 from synth.search.coordinates import alike
-from synth.search.descent import quasi_newton
 from synth.search.survey import survey
 
-LARGEST_GAIN = 1e5  # times what counts as one: where nothing bounds the gain
+LARGEST_GAIN = 1e5  # times what counts as one, where nothing bounds the gain: to keep other bounds
+DEAREST = 32.0  # times that, or the start's gain where that is larger: to lower a goal
 MOST_VERTICES = 4  # of the box of errors, that all count from the first
 ENTERED = 5  # starts that go down some rounds
 GLANCE, ROUNDS = 15, 80  # rounds
@@ -31,16 +34,14 @@ STAGES = 20  # twofold growths of the gain
 WORTH = 1e-3  # of the goal, relative: what a growing gain must buy
 TIGHTER = 1e-7  # relative: bounds are kept by so much, for rounding
 AND_FOR_ERRORS = 0.02  # and a decay with errors by so much: on the border itself nothing is proved of a whole box
-AND_FOR_PEAKS = 1e-5  # by so much, for what is not known of a signal between two times
 TURNS = 12  # of descents with more errors
 MET = 1e-6  # relative: errors that make it worse by less are none
-STABLE = -1e-4  # of the fastest pole: far enough left to start from
+SLOWER = 0.1  # of the decay of the best start: where none is asked for, no slower than that
 UNSTABLE = (
     "no static gain was found that makes every loop of the goals stable; ask for less: a smaller tolerance, fewer vehicles, or "
     "more signals and entries of the gain"
 )
 RANK = 30.0  # what a start's excess over a bound weighs
-
 
 Told = Callable[[float, bool], None]  # the goal now, and whether within all bounds
 
@@ -53,6 +54,7 @@ class Search:
         self.told = told
         self.least: tuple[Array, Height] | None = None
         self.stable_starts: list[Array] = []
+        self.rate = 0.0  # rad/s; of a decay that nobody asks for
         self.free = np.flatnonzero(problem.structure.ravel())
         self.met = problem.corners(MOST_VERTICES)
         self.terrain = self.terrain_of([problem.none, *self.met])
@@ -65,7 +67,9 @@ class Search:
             if not height.within:
                 x, height = self.admitted(x)
             x, height, refused = self.staged(x, height)
-            if not self.sharpened(x, height):
+            if self.least is not None and (not height.within or self.cost(*self.least) < self.cost(x, height)):
+                x, height = self.least
+            if not self.sharpened(x, height) and not self.drawn_tighter(x):
                 break
             self.least = None  # of fewer errors
             x, height = self.stable(x)
@@ -75,10 +79,21 @@ class Search:
             raise DesignError(self.in_the_way(x))
         return x, height, refused
 
+    def noted(self, x: Array) -> Height:
+        """The height of a point, which is remembered if it is the best within all bounds."""
+        height = self.terrain.height(x)
+        if height.within and np.isfinite(height.goal) and (self.least is None or self.cost(x, height) < self.cost(*self.least)):
+            self.least = x, height
+        return height
+
+    def norms(self) -> list[Gain]:
+        """What is minimised, of every loop."""
+        return [term for term in self.terrain.goals if isinstance(term, Gain)]
+
     def moved(self, x: Array, height: Height) -> None:
         """Takes note of a new point."""
         self.told(height.goal, height.within)
-        if height.within and (self.least is None or height.goal < self.least[1].goal):
+        if height.within and (self.least is None or self.cost(x, height) < self.cost(*self.least)):
             self.least = x, height
 
     def limit(self, gain: float | None) -> Array:
@@ -99,19 +114,23 @@ class Search:
                 for norm in problem.norms:
                     landscape = problem.landscape(i, norm.which, norm.band, each, self.full)
                     bounds.append(Gain(landscape, norm.at_most * (1 - TIGHTER), norm.name))
-                if problem.decay is not None:
+                rate = problem.decay or self.rate
+                if rate:
                     landscape = problem.landscape(i, problem.minimise.which, problem.minimise.band, each, self.full)
                     more = AND_FOR_ERRORS if problem.errors else TIGHTER
-                    bounds.append(Decay(landscape, problem.decay * (1 + more)))
+                    bounds.append(Decay(landscape, rate * (1 + more)))
+            for signal in member.signals:
+                landscape = problem.landscape(i, problem.minimise.which, problem.minimise.band, problem.none, self.full)
+                bounds.append(EnergyPeak(landscape, signal, signal.at_most * (1 - TIGHTER)))
             for driven, most in zip(member.driven, problem.peaks, strict=True):
-                bounds.append(RoadPeak(driven, self.full.scale, most * (1 - AND_FOR_PEAKS)))
+                bounds.append(RoadPeak(driven, self.full.scale, most))
         return Terrain(goals, bounds, self.limit(problem.gain))
 
     def coordinates(self, x: Array) -> Array:
         """Directions that the structure allows, in which all count alike, shape (N, free)."""
         try:
             M = alike(self.full, x)
-            inverse = np.linalg.inv(M[:, :])
+            inverse = np.linalg.inv(M)
         except np.linalg.LinAlgError:
             return np.eye(len(x))[:, self.free]
         if len(self.free) == len(x):
@@ -131,6 +150,9 @@ class Search:
         if not ranked:
             raise DesignError(UNSTABLE)
         self.stable_starts = ranked
+        if self.problem.decay is None and self.full.continuous:
+            self.rate = SLOWER * max(-max(float(term.landscape.decays(x)[0].max()) for term in self.norms()) for x in ranked[:1])
+            self.terrain.bounds += [Decay(term.landscape, self.rate) for term in self.norms()]
         return min((self.glanced(x) for x in ranked[:ENTERED]), key=lambda each: self.cost(*each))
 
     def points(self, gains: Iterable[Array]) -> list[Array]:
@@ -155,6 +177,7 @@ class Search:
     def admitted(self, x: Array) -> tuple[Array, Height]:
         """A point within all bounds, or as near to that as the search comes."""
         terrain = self.terrain
+        terrain.limit = self.limit(self.problem.gain)
         bounds = Terrain(terrain.bounds, [], terrain.limit)
         others = sorted(self.stable_starts, key=lambda start: bounds.height(start).goal)
         best, least = x, bounds.height(x)
@@ -184,7 +207,7 @@ class Search:
 
     def ranked(self, points: Sequence[Array]) -> list[Array]:
         """Those where all loops are stable, the best first; of those that are alike one."""
-        heights = [(self.cost(x, self.terrain.height(x)), i) for i, x in enumerate(points)]
+        heights = [(self.cost(x, self.noted(x)), i) for i, x in enumerate(points)]
         stable = sorted((cost, i) for cost, i in heights if np.isfinite(cost))
         kept: list[tuple[float, Array]] = []
         for cost, i in stable:
@@ -194,21 +217,7 @@ class Search:
 
     def stabilised(self, x: Array) -> Array:
         """A point further down the largest real part of a pole of any loop."""
-        landscapes = [term.landscape for term in self.terrain.goals if isinstance(term, Gain)]
-        rate = float(np.abs(np.linalg.eigvals(self.full.A)).max()) or 1.0
-        free = self.free
-
-        def abscissa(t: Array, _: float) -> tuple[float, Array]:
-            there = x.copy()
-            there[free] = t
-            found = [landscape.abscissa(there) for landscape in landscapes]
-            value, slope = max(found, key=lambda each: each[0])
-            return value / rate, slope[free] / rate
-
-        start = x[free]
-        moved = x.copy()
-        if np.isfinite(abscissa(start, np.inf)[0]):
-            moved[free] = quasi_newton(abscissa, start, 100, STABLE)[0]
+        moved = downhill_to_stability([term.landscape for term in self.norms()], x, self.free)
         return np.clip(moved, -self.terrain.limit, self.terrain.limit)
 
     def down(self, x: Array, rounds: int) -> tuple[Array, Height]:
@@ -220,16 +229,19 @@ class Search:
         if self.problem.gain is not None:
             return *self.settled(x, height), None
         size = float(np.abs(x).max()) or 1.0
+        dearest = max(size, DEAREST)
         for stage in range(STAGES):
-            self.terrain.limit = np.minimum(np.full(len(x), size * (2 if stage else 1)), LARGEST_GAIN)
+            self.terrain.limit = np.full(len(x), min(size * (2 if stage else 1), dearest))
             moved, there = self.settled(x, height)
             growth = float(np.abs(moved).max()) / size
-            bought = 1 - self.rank(there) / self.rank(height)
+            before = self.rank(height)
+            bought = 1 - self.rank(there) / before if before > 0 else 0.0
             if stage and bought < WORTH and there.within == height.within:
                 return x, height, bought if bought > 1e-6 else None
             x, height, size = moved, there, max(size, float(np.abs(moved).max()))
             if stage and growth <= 1 + 1e-6:
                 break
+        self.at_limit = size >= dearest * (1 - 1e-6)
         return x, height, None
 
     def settled(self, x: Array, height: Height) -> tuple[Array, Height]:
@@ -254,8 +266,19 @@ class Search:
         self.met += fresh
         more = self.terrain_of(fresh)
         self.terrain.goals += more.goals
-        self.terrain.bounds += [bound for bound in more.bounds if not isinstance(bound, RoadPeak)]
+        self.terrain.bounds += [bound for bound in more.bounds if not isinstance(bound, (RoadPeak, EnergyPeak))]
         return True
+
+    def drawn_tighter(self, x: Array) -> bool:
+        """Whether a peak over a road, looked at closely, passes a bound that was kept; it then counts as so much smaller."""
+        tighter = False
+        for term in self.terrain.bounds:
+            if isinstance(term, RoadPeak) and term.value(x) <= 1 + KEPT:
+                passed = largest_over_road(term.driven, self.full.gain(x)).proved / (term.unit * term.spare)
+                if 1 < passed < 2:
+                    term.unit, tighter = term.unit / passed, True
+                    term.spare *= passed
+        return tighter
 
     def in_the_way(self, x: Array) -> str:
         """Which bounds cannot be kept, and by how much, as far as the search found."""

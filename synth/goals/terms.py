@@ -13,6 +13,8 @@ from models.common.arrays import Array
 from synth.goals.banded import BandLandscape
 from synth.search.cuts import Cuts
 
+NEAR = 0.3  # of the rate: poles this close to the slowest one are looked at, too
+
 
 @dataclass(frozen=True, eq=False)
 class Support:
@@ -98,25 +100,24 @@ class Gain(Term):
 
 
 class Decay(Term):
-    """How slowly the slowest pole decays: 1 + re(pole) / rate, 1 + that of the next ones; at most 1 minus one where it is met.
-
-    Its value is 2 + re(pole) / rate - 1, so that, as of every term, 1 is the bound.
-    """
+    """The largest real part of a pole, as 2 + re(pole) / rate: as of every term 1 is the bound, where it is -rate."""
 
     def __init__(self, landscape: BandLandscape, rate: float) -> None:
         self.landscape, self.rate, self.unit, self.name = landscape, rate, 1.0, f"a decay of {rate:g} rad/s"
 
     def value(self, x: Array, above: float = np.inf) -> float:
-        """2 + the largest real part over the rate: 1 where it is -rate."""
-        return 2 + self.landscape.abscissa(x)[0] / self.rate
+        """Of the slowest pole."""
+        if not np.all(np.isfinite(self.landscape.loop(x)[0])):
+            return np.inf
+        return 2 + float(self.landscape.decays(x)[0].max()) / self.rate
 
     def support(self, x: Array, value: float, depth: float) -> Support:
         """The real parts of all poles near the border."""
-        return self._made(x, value - max(depth, 0.3), touching=True)
+        return self._made(x, value - max(depth, NEAR), touching=True)
 
     def again(self, x: Array, support: Support) -> Support:
         """Poles move: those of the other point."""
-        return self._made(x, self.value(x) - 0.3, touching=False)
+        return self._made(x, self.value(x) - NEAR, touching=False)
 
     def _made(self, x: Array, above: float, touching: bool) -> Support:
         real, slopes = self.landscape.decays(x)

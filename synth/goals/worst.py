@@ -6,6 +6,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from synth.goals.problem import Errors, GoalProblem, NormGoal
+from synth.goals.terms import Decay
 from synth.search.landscape import Landscape
 
 TURNS = 4  # through all errors
@@ -32,6 +33,12 @@ def worst_errors(problem: GoalProblem, like: Landscape, x: Array, goal: float) -
             yield _worst(problem, i, None, problem.decay, like, x)
 
 
+def worst_of_norm(problem: GoalProblem, i: int, norm: NormGoal | None, unit: float, K: Array) -> tuple[float, Errors]:
+    """The largest value met of one member in a unit, of a norm or, for None, of the decay, and the errors; of a gain (m, q)."""
+    like = problem.nominal()
+    return _worst(problem, i, norm, unit, like, like.point(K))
+
+
 def _worst(problem: GoalProblem, i: int, norm: NormGoal | None, unit: float, like: Landscape, x: Array) -> tuple[float, Errors]:
     """The largest value met in a unit, of a norm or, for None, of the decay."""
     m, q = problem.shape
@@ -41,7 +48,7 @@ def _worst(problem: GoalProblem, i: int, norm: NormGoal | None, unit: float, lik
         errors = Errors((signs * sides)[:q], (signs * sides)[q:])
         asked = norm or problem.minimise
         landscape = problem.landscape(i, asked.which, asked.band, errors, like)
-        value = 2 + landscape.abscissa(x)[0] / unit if norm is None else landscape.norm(x)[0] / unit
+        value = Decay(landscape, unit).value(x) if norm is None else landscape.norm(x)[0] / unit
         return min(value, NOT_STABLE), errors
 
     best = at(np.zeros(m + q))

@@ -42,7 +42,8 @@ class Landscape:
         where = mapped(plant, Cy, Dyw)
         plant, Cy, self.Dyw, self.Dyu, self.before = where.plant, where.Cy, where.Dyw, where.Dyu, where.before
         self.through = bool(np.any(self.Dyu))
-        self.A, balancing = balance(plant.A)
+        self.A, self.balancing = balance(plant.A)
+        balancing = self.balancing
         self.B, self.Bw = plant.B / balancing[:, None], plant.Bw / balancing[:, None]
         self.C, self.Cy = plant.C * balancing, Cy * balancing
         self.D, self.Dw = plant.D, plant.Dw

@@ -17,6 +17,7 @@ CLOSER = (0.1, 1e-2, 1e-3, CLOSEST)  # likewise in turn, where the box has to fa
 LOOSE = (1.0, 10.0)  # where the first of these fails
 TRIALS = 600  # over the square of the number of states: how often an X is looked for at most
 FEWEST = 4  # of them at least
+PATIENT = 4  # times the trials, for a bound that is asked about
 CHEAPLY = 3  # times fewer trials where a bound is one of many
 SPARE = 1e-2  # of how far a bound is above a norm: what of it the first X leaves unused
 EVERYWHERE = 1e-4  # of the disturbance's power: what disturbs states for the first X that w does not reach
@@ -54,6 +55,12 @@ def proof_near(heights: Heights, box: Box) -> BoxProof | None:
 def proof_below(heights: Heights, box: Box, bound: float) -> BoxProof | None:
     """The proof of a bound on a box, if one is found at little cost; what is met on the way is remembered."""
     parts, _ = _filled(heights, [(box, None)], lambda: bound, _trials(heights) // CHEAPLY)
+    return _proof(parts, lambda: bound) if parts is not None else None
+
+
+def proof_at(heights: Heights, box: Box, bound: float) -> BoxProof | None:
+    """The proof of a bound that is asked about, looked for patiently."""
+    parts, _ = _filled(heights, [(box, None)], lambda: bound, PATIENT * _trials(heights))
     return _proof(parts, lambda: bound) if parts is not None else None
 
 

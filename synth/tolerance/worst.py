@@ -10,7 +10,7 @@ from synth.certificate.box import Box, BoxProof, ScaledGain
 from synth.numerics import numerics
 from synth.plant import GeneralizedPlant
 from synth.tolerance.found import Heights, climb, norm_at
-from synth.tolerance.proved import proof_near
+from synth.tolerance.proved import proof_at, proof_near
 from synth.tolerance.scaled import box_of, errors_of, scaled_gain
 
 
@@ -52,6 +52,7 @@ def worst_norm(
     e: Array | float = 0.0,
     Dyw: Array | None = None,
     through: Array | None = None,
+    enough: float | None = None,
 ) -> WorstNorm:
     """The worst norm where each reading is off by up to +-d and each force by up to +-e, relative and each by itself.
 
@@ -65,19 +66,22 @@ def worst_norm(
         e: one for all forces, or one for each, shape (m,).
         Dyw: shape (q, r); zero where it is not given.
         through: what the forces do to what is measured at once, shape (q, m); zero where it is not given.
+        enough: a bound that is asked about, which is tried by itself where no closer one is proved below it.
 
     Raises:
         InputError: a matrix has the wrong shape, or is none of real finite numbers, or a tolerance is none from 0 to 1.
         DesignError: rounding leaves no answer.
     """
     gain = scaled_gain(plant, Cy, K, Dyw, through)
-    return worst_in(gain, box_of(gain, d, e))
+    return worst_in(gain, box_of(gain, d, e), enough)
 
 
-def worst_in(gain: ScaledGain, box: Box) -> WorstNorm:
-    """The worst norm over a box of factors."""
+def worst_in(gain: ScaledGain, box: Box, enough: float | None = None) -> WorstNorm:
+    """The worst norm over a box of factors; arguments as for `worst_norm`."""
     heights = Heights(gain)
     climb(heights, box)
     proof = proof_near(heights, box)
+    if enough is not None and heights.highest < enough and (proof is None or proof.bound > enough):
+        proof = proof_at(heights, box, enough) or proof
     found = norm_at(gain, heights.at)
     return WorstNorm(found, *errors_of(gain, heights.at), proof.bound if proof is not None else np.inf, proof)
