@@ -15,8 +15,8 @@ from tests.commands import ROOT
 from tests.conftest import recorded_runs
 
 NAME = "mine"
-# Names from the options, a controller of a name, those of all names, laws in Python among them, its run: each of its own room.
-UP = ["chosen", "design", "driven", "run_all"]
+# Names from the options, a controller of a name, its run, and that beside the passive one: each of its own room.
+UP = ["chosen", "design", "run_all", "run_beside_passive"]
 
 
 def named(value: Any) -> bool:

@@ -288,7 +288,10 @@ class _Path:
             basis, barrier = self.basis, self._barrier()
             start = basis.pack(np.eye(n), np.zeros((m, n)), self.eta)
             leave = self._far if entered else self._out_of_reach
-            p, decrement, here = newton(barrier, start, direction(basis.size, -1 / self.mu), CENTRED, leave)
+            here = barrier.at(start)
+            if here is None:  # to rounding, in coordinates that were left far away
+                raise DesignError(f"the central path could not be entered: {BREAKS_OFF}")
+            p, decrement, here = newton(barrier, start, direction(basis.size, -1 / self.mu), CENTRED, leave, here)
             if decrement > 0.5 and moves < MOST_MOVES and leave(p) and self._feasible_at(p):
                 moves += 1
                 if not entered:
