@@ -27,7 +27,7 @@ from synth.designer import Designer
 from synth.errors import DesignError
 from synth.front.answer import answer as front_answer
 from synth.goals.engine import Interrupted
-from synth.implemented.claims import norm_failures, norm_if_implemented, sampled_lines
+from synth.implemented.claims import failures_as_it_runs, norm_if_implemented, notes_as_it_runs, sampled_lines
 from synth.problem.problem import measurements
 from synth.rates.answer import answer
 from synth.search.flat import free_moves
@@ -168,8 +168,11 @@ def _row(designer: Designer, name: str, options: Namespace, stage: Stages) -> Ro
 
 def _built(vehicle: Vehicle, row: Row) -> Row:
     """A row with the norm as implemented, where the vehicle file says how."""
-    norm = norm_if_implemented(vehicle, row.controller) if row.controller is not None else None
-    return replace(row, sampled=norm, failures=(*row.failures, *norm_failures(norm)))
+    if row.controller is None:
+        return row
+    norm, certificate = norm_if_implemented(vehicle, row.controller), row.controller.certificate
+    said = (*row.notes, *notes_as_it_runs(vehicle, certificate, norm))
+    return replace(row, sampled=norm, notes=said, failures=failures_as_it_runs(vehicle, certificate, row.failures, norm))
 
 
 def _refined_row(designer: Designer, name: str, zero_l: bool) -> Row:

@@ -40,7 +40,13 @@ def loops(scope: Scope) -> list[Finding]:
             )
         )
     for one in scope.controllers:
-        if not one.certificate.stable:
+        if not one.certificate.stable and one in scope.stable:
+            text = (
+                f"{one.name} is stable as built, and UNSTABLE as the ideal loop, without its computer: it has no ideal norm and "
+                "no margins."
+            )
+            found.append(Finding(text))
+        elif not one.certificate.stable:
             found.append(Finding(f"{one.name}'s loop is UNSTABLE, so only its bump is reported.", "ends"))
         elif one not in scope.stable:
             text = f"{one.name} is stable ideally and UNSTABLE as built, so only its design and its bump are reported."

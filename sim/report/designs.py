@@ -15,7 +15,7 @@ from sim.frequency.sweep import Sweep
 from sim.report.scope import AMPLITUDE, Scope, number
 from sim.runs.words import python_text
 from synth.controller import Controller
-from synth.implemented.claims import against
+from synth.implemented.claims import against, failures_as_it_runs, notes_as_it_runs
 from synth.words import judged_lines, states_text
 
 OWN_HEADINGS = ("controller", "signal", "unit", "fundamental", "at [Hz]", "energy outside", "at, in Hz")
@@ -37,7 +37,7 @@ def design_section(scope: Scope) -> Section:
                 number(certificate.lower_bound, ".7g"),
                 percent(certificate.gap) if certificate.gap is not None else "-",
                 number(certificate.own.worst.real, ".4g") if certificate.stable else certificate.stability.verdict,
-                "; ".join(certificate.failures) or "holds",
+                _held(scope, one),
             )
         )
     for one in scope.laws:
@@ -75,9 +75,9 @@ def design_section(scope: Scope) -> Section:
         rows = [
             (
                 one.name,
-                f"{one.certificate.norm.value:.7g}",
+                number(one.certificate.norm.value, ".7g"),
                 f"{scope.built_norms[one.name].value:.7g}",
-                against(scope.built_norms[one.name].value, one.certificate.norm.value),
+                against(scope.built_norms[one.name].value, one.certificate.norm.value) if one.certificate.stable else "-",
                 f"{scope.built_norms[one.name].reached:.7g}",
             )
             for one in scope.stable
@@ -92,6 +92,13 @@ def design_section(scope: Scope) -> Section:
         text = (*text, built)
     tables += [table for one in scope.controllers if (table := gain_table(scope.vehicle, one)) is not None]
     return Section("How good are the controllers, and is it proved?", "designs, gains, certificates", text, tuple(tables))
+
+
+def _held(scope: Scope, controller: Controller) -> str:
+    """What of a certificate does not hold, or holds only with the computer, in words."""
+    certificate, norm = controller.certificate, scope.built_norms.get(controller.name)
+    failures = failures_as_it_runs(scope.vehicle, certificate, certificate.failures, norm)
+    return "; ".join(failures or notes_as_it_runs(scope.vehicle, certificate, norm)) or "holds"
 
 
 def gain_table(vehicle: Vehicle, controller: Controller) -> Table | None:

@@ -107,9 +107,11 @@ class Scope:
 
     @cached_property
     def stable(self) -> list[Controller]:
-        """Those whose loop is stable, ideal and as built."""
+        """Those whose loop is stable as built; and ideal too, unless there is a computer, without which it need not be."""
         return [
-            one for one in self.controllers if one.certificate.stable and sampled_radius(self.vehicle, one, self.timestep) < 1
+            one
+            for one in self.controllers
+            if (one.certificate.stable or not self.prompt) and sampled_radius(self.vehicle, one, self.timestep) < 1
         ]
 
     @cached_property
@@ -127,8 +129,8 @@ class Scope:
 
     @property
     def active(self) -> list[Controller]:
-        """Those of them that do something."""
-        return [one for one in self.stable if one.law.acts]
+        """Those of them that do something, and whose ideal loop is stable, so that it has margins."""
+        return [one for one in self.stable if one.law.acts and one.certificate.stable]
 
     @property
     def margins_timestep(self) -> float:

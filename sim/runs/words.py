@@ -17,6 +17,7 @@ from sim.response.regime import FLAT, LIFT_OFF, REGIME_ENDS
 from sim.runs.agreement import COARSEST, SLACK, SMALL
 from sim.runs.run import Run
 from synth.controller import Controller
+from synth.implemented.claims import failures_as_it_runs, norm_if_implemented, notes_as_it_runs
 from synth.words import filter_lines, gain_text, heading_lines, ideal_lines, law_lines, notes
 
 NO_CLAIM = "no linear claim: a law in Python"
@@ -108,6 +109,7 @@ def _found(vehicle: Vehicle, controller: Controller | Programmed) -> list[str]:
         return [NO_CLAIM, "sampled and continuous are the linear vehicle's under the forces that the law asked for"]
     certificate = controller.certificate
     norm, lines = certificate.norm, []
+    built = None if certificate.stable else norm_if_implemented(vehicle, controller)
     if certificate.stable:
         proof = f"bound {certificate.bound:.7g}, " if certificate.bound is not None else ""
         where = f" at {norm.peak_frequency:.5g} rad/s" if math.isfinite(norm.peak_frequency) else ""
@@ -118,7 +120,8 @@ def _found(vehicle: Vehicle, controller: Controller | Programmed) -> list[str]:
         *filter_lines(vehicle),
         *notes(controller),
         *certificate.remarks,
-        *certificate.failures,
+        *notes_as_it_runs(vehicle, certificate, built),
+        *failures_as_it_runs(vehicle, certificate, certificate.failures, built),
     ]
 
 

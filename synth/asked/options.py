@@ -11,7 +11,8 @@ from synth.front.axes import AXES_HELP
 MOST_POINTS = 1000  # that `--point` can name
 
 EPILOG = """
-exit code: 0 every claim holds, 1 a controller could not be designed or a claim fails, 2 bad input
+exit code: 0 every claim holds, 1 a controller could not be designed or a claim fails, 2 bad input. That a loop is stable
+without its computer is no claim where it is stable with it; one that its computer loses claims nothing false, and is named
 
 examples:
   python -m synth

@@ -9,7 +9,7 @@ from synth.command.table import Row
 from synth.controller import Controller
 from synth.designer import Designer
 from synth.designs.goals import promises_of
-from synth.implemented.claims import false_norm, norm_failures, norm_if_implemented
+from synth.implemented.claims import failures_as_it_runs, false_norm, norm_if_implemented, notes_as_it_runs
 from synth.words import judged_lines
 
 
@@ -36,7 +36,9 @@ def _checked(designer: Designer, entry: ControllerEntry) -> Row:
     controller = Controller(entry.name, entry.measured, entry.law, False, certificate, hardware=entry.hardware, promises=kept)
     failures += controller.broken
     norm = norm_if_implemented(designer.vehicle, controller)
-    failures += (*norm_failures(norm), *false_norm(entry.certificate, designer.vehicle, lambda: norm))
+    failures = failures_as_it_runs(designer.vehicle, certificate, failures, norm)
+    failures += false_norm(entry.certificate, designer.vehicle, lambda: norm)
     note = "checked: every claim of its certificate holds" if entry.certificate and not failures else ""
     note = note or ("its certificate does not hold" if entry.certificate else "came without a certificate")
-    return Row(entry.name, controller, (*judged_lines(controller), note), failures, sampled=norm)
+    said = (*judged_lines(controller), *notes_as_it_runs(designer.vehicle, certificate, norm), note)
+    return Row(entry.name, controller, said, failures, sampled=norm)

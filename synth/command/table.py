@@ -97,7 +97,7 @@ def table_lines(rows: Sequence[Row]) -> list[str]:
         certificate = row.controller.certificate if row.controller is not None else None
         if certificate is None:
             lines.append((row.name, "NOT DESIGNED", *empty))
-        elif not certificate.stable:
+        elif not certificate.stable and (row.sampled is None or not row.sampled.stable):
             lines.append((row.name, certificate.stability.verdict.upper(), *empty))
         else:
             cells = _cells(certificate, row.sampled)
@@ -106,11 +106,11 @@ def table_lines(rows: Sequence[Row]) -> list[str]:
 
 
 def _cells(certificate: Certificate, sampled: SampledNorm | None) -> dict[str, str]:
-    """What stands under each heading of a stable loop."""
+    """What stands under each heading of a loop that is stable, if only with its computer."""
     norm, bound, below = certificate.norm, certificate.bound, certificate.lower_bound
     return {
         "bound": f"{bound:.7g}" if bound is not None else "-",
-        "norm": f"{norm.value:.7g}",
+        "norm": f"{norm.value:.7g}" if certificate.stable else certificate.stability.verdict.upper(),
         "sampled": "-" if sampled is None else f"{sampled.value:.7g}" if sampled.stable else "UNSTABLE",
         "at rad/s": f"{norm.peak_frequency:.5g}" if np.isfinite(norm.peak_frequency) else "-",
         "lower bound": f"{below:.7g}" if below is not None else "-",
@@ -173,11 +173,14 @@ def refine_lines(rows: Sequence[Row], vehicle: str) -> list[str]:
 
 
 def verdict_lines(rows: Sequence[Row]) -> list[str]:
-    """Whether every claim holds, or which controllers have one that does not."""
+    """Whether every claim holds, or which controllers have one that does not; and which are lost as their computer runs them."""
     wrong = [f"{row.name} {'is not designed' if row.controller is None else 'FAILS'}" for row in rows if row.failures]
-    if wrong:
-        return [f"not every claim holds: {', '.join(wrong)}"]
-    return [f"every claim holds, of {len(rows)} controller{'s' * (len(rows) != 1)}"]
+    said = f"every claim holds, of {len(rows)} controller{'s' * (len(rows) != 1)}"
+    said = f"not every claim holds: {', '.join(wrong)}" if wrong else said
+    lost = [row.name for row in rows if row.sampled is not None and not row.sampled.stable]
+    if lost:
+        said += f"; UNSTABLE as the computer runs it: {', '.join(lost)}"
+    return [said]
 
 
 def _at_least(share: float) -> str:

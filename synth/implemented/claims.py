@@ -1,13 +1,14 @@
 """The norm of a loop as it is implemented, among what is claimed of a controller: in words, in records, and held against them."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from models.common.numbers import finite, percent
 from models.controllers import IDEAL
 from models.reality import USUAL_TIMESTEP, Limits
 from models.vehicle import Vehicle
+from synth.certificate.certificate import Certificate
 from synth.certificate.record import SAMPLED_NORM
 from synth.controller import Controller
 from synth.implemented.norm import norm_as_implemented
@@ -89,6 +90,28 @@ def norm_failures(norm: SampledNorm | None) -> tuple[str, ...]:
     if norm.gap <= ROUTES_AGREE:
         return ()
     return (f"the sampled norm {norm.value:.9g} and what a road reaches of it differ by {norm.gap:.0e}",)
+
+
+def only_without_computer(vehicle: Vehicle, certificate: Certificate, norm: SampledNorm | None) -> tuple[str, ...]:
+    """What of a certificate's failures is none, in words: that a loop would not be stable without the computer that makes it so.
+
+    Whether a controller is any good is said by the loop that drives: the one that its computer closes, where there is one.
+    """
+    held = norm is not None and norm.stable and not vehicle.implementation.prompt
+    return (certificate.stability.words,) if held and not certificate.stable else ()
+
+
+def failures_as_it_runs(
+    vehicle: Vehicle, certificate: Certificate, failures: Iterable[str], norm: SampledNorm | None
+) -> tuple[str, ...]:
+    """What fails of a controller as it runs, in words: of the failures without its computer, those that its computer leaves."""
+    excused = only_without_computer(vehicle, certificate, norm)
+    return (*(failure for failure in failures if failure not in excused), *norm_failures(norm))
+
+
+def notes_as_it_runs(vehicle: Vehicle, certificate: Certificate, norm: SampledNorm | None) -> tuple[str, ...]:
+    """What there is to know where only its computer makes a loop stable."""
+    return tuple(f"without a computer its loop is {words}" for words in only_without_computer(vehicle, certificate, norm))
 
 
 def against(value: float, other: float) -> str:

@@ -62,7 +62,9 @@ def sentence(one: Cost) -> list[str]:
     """What it comes to, in a sentence that goes over some lines."""
     name = one.controller.name
     if not math.isfinite(one.ideal):
-        return wrapped(f"controller {name} is unstable even in continuous time", hang=4)
+        held = any(norm is not None and norm.stable for at in one.rates for norm in (at.prompt, at.late, at.designed))
+        said = f"controller {name} is unstable {'' if held else 'even '}in continuous time"
+        return wrapped(f"{said}; {_ends(one)}" if held else said, hang=4)
     if not one.controller.law.acts:
         return wrapped(f"controller {name} asks for no force, so that no rate changes anything", hang=4)
     at = _spoken(one)
