@@ -12,6 +12,8 @@ from models.common.command import ALL, chosen, run_command
 from models.common.errors import InputError, listing
 from models.common.printed import Whole, say, table, titled
 from models.common.progress import Stages
+from models.figures.outputs import check_outputs, written_lines
+from models.figures.picture import write_picture
 from models.vehicle import Vehicle, read_vehicle
 from synth.asked.options import asked
 from synth.certificate.invariant import is_pole
@@ -19,6 +21,7 @@ from synth.certificate.lower_bound import LowerBound
 from synth.command.check import check
 from synth.command.fragile import fragile
 from synth.command.prove import proved
+from synth.command.responses import responses_figure
 from synth.command.save import check_save, save
 from synth.command.table import Row, detail_lines, refine_lines, row_object, table_lines, verdict_lines
 from synth.command.witness import cross_check
@@ -50,6 +53,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     names = [] if options.check else _names(vehicle, options)
     if options.rates:
         return answer(vehicle, names if options.controller else [name for name in names if name != "passive"], options)
+    if options.picture:
+        check_outputs({"picture": options.picture, "save": options.save}, vehicle.files)
     if options.save:
         check_save(options.save, vehicle, [name for name in names if _designs(vehicle, name, options)])
     designer, interrupted = Designer(vehicle), False
@@ -70,10 +75,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         raise InputError(
             "--cross-check has nothing to solve: no controller asked for comes from an LMI problem without filters; ask for one"
         )
+    figure = responses_figure(vehicle, rows) if options.picture else None
     if options.fragility:
         rows = [replace(row, fragile=fragile(vehicle, row.controller)) for row in rows]
     if options.save:
         save(options.save, vehicle, [row.controller for row in rows if row.controller is not None])
+    if figure is not None:
+        write_picture(figure, options.picture)
     stage(FREE)
     limit = designer.beyond_control
     moved = {} if options.check else _flatness(designer, rows)
@@ -85,6 +93,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             "invariant_limit": {"norm": limit.gamma, "frequency": limit.limit_at} if limit.gamma else None,
             "flat": {"gamma": FLAT, "gain_down_up": moved},
             "saved": str(options.save) if options.save else None,
+            **({"picture": str(options.picture) if figure is not None else None} if options.picture else {}),
         }
         print(json.dumps(result, allow_nan=False))
     else:
@@ -101,6 +110,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         lines += refine_lines(rows, options.vehicle)
         if options.save:
             lines += ["", "saved", Whole(f"  {options.save}")]
+        if options.picture:
+            lines += written_lines({"picture": options.picture}) if figure is not None else ["", "no picture: no loop is stable"]
         designs = [row.controller for row in rows if row.controller is not None]
         about = [*ideal_lines(vehicle, designs), *sampled_lines(vehicle), *filter_lines(vehicle), *twist_lines(vehicle)]
         say([*lines, "", *table_lines(rows), *about, "", *verdict_lines(rows)])

@@ -67,16 +67,17 @@ ROOMS = {
     "synth.fallback synth.goals synth.implemented synth.lmi synth.plant synth.problem synth.redesign synth.search",
     "synth.state_space": "models synth.controller synth.designer synth.plant synth.problem",
     "synth.paper": "models synth.certificate synth.design synth.designer synth.errors synth.lmi synth.numerics synth.plant",
-    "synth.command": "models synth.certificate synth.controller synth.design synth.designer synth.designs synth.errors "
-    "synth.implemented synth.lmi synth.plant synth.posed synth.sampled synth.scaling synth.tolerance synth.words",
+    "synth.command": "models models.figures models.goals synth.certificate synth.controller synth.design synth.designer "
+    "synth.designs synth.errors synth.implemented synth.lmi synth.plant synth.posed synth.sampled synth.scaling synth.tolerance "
+    "synth.words",
     "synth.rates": "models models.figures synth.controller synth.designer synth.designs synth.errors synth.held "
     "synth.implemented synth.sampled",
     "synth.front": "models models.figures models.goals synth.band synth.certificate synth.command synth.controller synth.design "
     "synth.designer synth.designs synth.errors synth.goals synth.lmi synth.numerics synth.plant synth.problem synth.search "
     "synth.tolerance",
     "synth.asked": "synth.front",
-    "synth.__main__": "models synth.asked synth.certificate synth.command synth.controller synth.designer synth.errors "
-    "synth.front synth.goals synth.implemented synth.problem synth.rates synth.search synth.words",
+    "synth.__main__": "models models.figures synth.asked synth.certificate synth.command synth.controller synth.designer "
+    "synth.errors synth.front synth.goals synth.implemented synth.problem synth.rates synth.search synth.words",
     # sim: what a run is
     "sim": "",
     "sim.response": "",

@@ -249,7 +249,6 @@ REFUSED = [
     (["--front", "ride:travel", "--csv", "/nowhere/a.csv"], "/nowhere"),
     (["--front", "ride:travel", "--csv", "/dev/stdout", "--json"], "print into one another"),
     (["--csv", "a.csv"], "--csv and --point are of the designs of --front"),
-    (["--picture", "a.png"], "--picture draws what --rates or --front asks for"),
 ]
 
 

@@ -11,12 +11,15 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from models.common.errors import InputError
+from models.figures.figure import Spans
 from models.law import static_law
 from models.roads.road import Bump
 from models.vehicle import parse_vehicle, read_vehicle
 from sim.linear.loop import continuous_response
 from synth.band.norm import norm_in_band
-from synth.certificate.norm import hinf_norm
+from synth.certificate.norm import gain_at, hinf_norm
+from synth.command.responses import responses_figure
+from synth.command.table import Row
 from synth.designer import Designer, given
 from synth.designs.goal_problem import goal_problem
 from synth.errors import DesignError
@@ -507,3 +510,28 @@ def test_a_bound_with_errors_is_proved_where_it_is_kept():
     with_errors = {promise.what: promise for promise in controller.promises}
     assert with_errors["norm, with errors"].holds
     assert with_errors["slowest pole, with errors"].value <= -1.0
+
+
+def test_the_picture_of_a_band(tmp_path, capsys):
+    """Curves are the loops' largest gains, the band is shaded, and what is proved in it lies on no point of the curve there."""
+    vehicle = vehicle_with(f"measured = {THREE}\n{BAND}\nbounds = [{KEPT}]")
+    controller = Designer(vehicle).design("goal")
+    figure = responses_figure(vehicle, [Row("goal", controller, (), ())])
+    assert figure is not None
+    (panel,) = figure.panels
+    assert isinstance(panel.ground, Spans)
+    assert panel.ground.ends == ((4.0, 8.0),)
+    response, level = panel.curves
+    loop = controller.loop(vehicle)
+    for at in (0, 700, -1):
+        assert response.y[at] == pytest.approx(gain_at(loop, HZ * response.x[at]), rel=1e-9)
+    inside = (response.x >= 4) & (response.x <= 8)
+    assert response.y[inside].max() <= level.y[0] == controller.promises[0].proved
+    assert response.y.max() > 5 * level.y[0]  # what lies beside the band is not hidden
+    path = tmp_path / "car.toml"
+    path.write_text(vehicle.text)
+    assert main_of("synth")(["--vehicle", str(path), "--controller", "goal", "--picture", str(tmp_path / "bands.png")]) == 0
+    assert "bands.png" in capsys.readouterr().out
+    assert (tmp_path / "bands.png").read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(InputError, match="is what is read"):
+        main_of("synth")(["--vehicle", str(path), "--picture", str(path)])

@@ -264,12 +264,6 @@ def test_bad_rates(rates, words, monkeypatch):
     assert words in str(caught.value)
 
 
-def test_a_picture_is_of_rates(monkeypatch):
-    """Without rates there is nothing to draw."""
-    with pytest.raises(InputError, match="draws what --rates or --front asks for"):
-        main(["--picture", "rates.png"])
-
-
 def test_what_does_not_hold_is_said(monkeypatch, capsys):
     """Where two routes to a norm differ, that is said, and the exit code is 1."""
     true = synth.rates.cost.sampled_norm

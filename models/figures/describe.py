@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from models.figures.figure import Bars, Classes, Panel, Shades
+from models.figures.figure import Bars, Classes, Panel, Shades, Spans
 
 
 def quantity(label: str) -> tuple[str, str]:
@@ -22,6 +22,8 @@ def _ground(panel: Panel) -> list[str]:
     ground = panel.ground
     if isinstance(ground, Bars):
         return [f"{name}: {words}." for name, words in zip(ground.names, ground.words, strict=True)]
+    if isinstance(ground, Spans):
+        return [f"Shaded: {', '.join(ground.names)}."] if ground.names else []
     if isinstance(ground, Classes):
         shares = [(name, float(np.mean(ground.kind == i))) for i, name in enumerate(ground.names)]
         return ["Of the map:", *(f"{name}, {100 * share:.3g} %;" for name, share in shares if share), "and on it:"]

@@ -126,6 +126,21 @@ class Bars:
 
 
 @dataclass(frozen=True, eq=False)
+class Spans:
+    """Stretches of the horizontal axis.
+
+    Attributes:
+        ends: from and to of each; infinite to the border.
+        names: of each.
+        color: of all.
+    """
+
+    ends: tuple[tuple[float, float], ...]
+    names: tuple[str, ...]
+    color: str = "#dddddd"
+
+
+@dataclass(frozen=True, eq=False)
 class Panel:
     """One pair of axes.
 
@@ -144,7 +159,7 @@ class Panel:
     xlabel: str
     ylabel: str
     curves: tuple[Curve, ...]
-    ground: Classes | Shades | Bars | None = None
+    ground: Classes | Shades | Bars | Spans | None = None
     xlog: bool = False
     ylog: bool = False
     xticks: tuple[float, ...] = ()

@@ -9,7 +9,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.figures.area import BAR, FINE, ROW, Area, line_path
 from models.figures.axis import Axis, nice_step
-from models.figures.figure import Bars, Classes, Panel, Shades, bands
+from models.figures.figure import Bars, Classes, Panel, Shades, Spans, bands
 from models.figures.names import drawn_text
 
 # From light to dark: ColorBrewer's YlOrBr.
@@ -42,6 +42,8 @@ def ground_parts(panel: Panel, area: Area) -> Iterator[str]:
         yield from _bars(panel.ground, area)
     elif isinstance(panel.ground, Classes):
         yield from _classes(panel.ground, area)
+    elif isinstance(panel.ground, Spans):
+        yield from _spans(panel.ground, area)
     elif isinstance(panel.ground, Shades) and np.isfinite(panel.ground.z).any():
         yield from _shades(panel.ground, area)
 
@@ -76,6 +78,15 @@ def shortened(name: str, room: float) -> str:
         return name
     widths = np.cumsum([text_width(one) for one in name])
     return f"{name[: int(np.searchsorted(widths, room - BROAD))]}…"
+
+
+def _spans(ground: Spans, area: Area) -> Iterator[str]:
+    for (low, high), name in zip(ground.ends, ground.names, strict=True):
+        left, right = (float(np.clip(area.across(np.array(end)), area.left, area.left + area.width)) for end in (low, high))
+        yield (
+            f'<rect class="f-{ground.color[1:]}" data-name="{drawn_text(name)}" x="{left:.5g}" y="{area.top:.5g}" '
+            f'width="{right - left:.5g}" height="{area.height:.5g}"/>'
+        )
 
 
 def _classes(ground: Classes, area: Area) -> Iterator[str]:

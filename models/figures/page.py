@@ -16,7 +16,7 @@ from typing import Any, Literal
 from models.common.errors import InputError
 from models.common.whole_file import whole_file
 from models.figures.contrast import GRAPHICS, contrast, readable
-from models.figures.figure import Bars, Classes, Figure, Panel, Shades
+from models.figures.figure import Bars, Classes, Figure, Panel, Shades, Spans
 from models.figures.ground import levels, shade_colors
 from models.figures.names import page_text
 from models.figures.svg import DASHES, MARKERS, on_paper, svg
@@ -175,6 +175,8 @@ def _colors(page: Page) -> str:
             bars |= set(ground.colors)
         elif isinstance(ground, Classes):
             fills |= set(ground.colors)
+        elif isinstance(ground, Spans):
+            fills.add(ground.color)
         elif isinstance(ground, Shades):
             fills |= set(shade_colors(len(levels(ground)) - 1))
     day = [f".s-{color[1:]} {{ stroke: {readable(color, LIGHT)}; }}" for color in sorted(strokes)]

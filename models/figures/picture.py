@@ -8,10 +8,11 @@ import numpy as np
 
 from models.common.errors import InputError
 from models.common.whole_file import check_file, whole_file
-from models.figures.figure import Bars, Classes, Figure, Panel, Shades
+from models.figures.figure import Bars, Classes, Figure, Panel, Shades, Spans
 
 SUFFIXES = (".png", ".svg")
 LONGEST = 24  # letters of a name in a legend
+FAR = 1e6  # of an axis: a stretch without end goes on to there
 SHOWN = " "  # before a label in a legend: matplotlib leaves out those that begin with _
 ROW = 0.4  # of bars [inches]; above each its name
 TITLE, HEAD, WORDS = 11, 10, 9  # sizes of letters [points]
@@ -159,6 +160,10 @@ def _draw_panel(axis: Any, panel: Panel, width: float) -> None:
             axis.text(0.99, k - 0.2, words, ha="right", **style)
         axis.set_yticks([])
         axis.set_ylim(count - 0.5, -0.7)
+    elif isinstance(ground, Spans):
+        for (low, high), name in zip(ground.ends, ground.names, strict=True):
+            shown = axis.axvspan(low, min(high, FAR), color=ground.color, zorder=0)
+            shown.set_label(SHOWN + name)
     for curve in panel.curves:
         axis.plot(
             curve.x,

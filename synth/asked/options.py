@@ -21,6 +21,7 @@ examples:
   python -m synth --check my_car.toml
   python -m synth --zero-l
   python -m synth --controller I --fragility
+  python -m synth --vehicle quarter_car_goals --picture bands.png
   python -m synth --vehicle full_car --cross-check
   python -m synth --rates 1 2 5 10 20 50 100 --picture rates.png
   python -m synth --front ride:travel --controller II --picture front.png --csv front.csv
@@ -46,8 +47,6 @@ def asked(arguments: Sequence[str] | None) -> Namespace:
         raise InputError(
             "--front designs a trade-off; it goes with --controller, --vehicle, --picture, --csv, --save, --point and --json only"
         )
-    if options.picture and not options.rates and options.front is None:
-        raise InputError("--picture draws what --rates or --front asks for; give one of them, or leave it out")
     if options.front is None and options.given & {"csv", "point"}:
         raise InputError("--csv and --point are of the designs of --front; give its axes with --front, or leave them out")
     return options
@@ -83,7 +82,11 @@ def _parser() -> Parser:
     parser.add_numbers("--rates", "ms", "what computers of these sample periods cost: norms of the loops as they run them")
     parser.add_argument("--front", metavar="AXES", help=f"about 200 designs between two or three of {AXES_HELP}")
     parser.add_argument(
-        "--picture", type=Path, metavar="FILE", help="draw what --rates or --front asks for, as .png or .svg; needs matplotlib"
+        "--picture",
+        type=Path,
+        metavar="FILE",
+        help="draw the responses over frequency, the bands of goals shaded, or what --rates or --front asks for, as .png or "
+        ".svg; needs matplotlib",
     )
     parser.add_argument("--csv", type=Path, metavar="FILE", help="write every design of --front")
     parser.add_count("--point", "the designs of --front that --save writes", "all", 1, MOST_POINTS, many=True)
