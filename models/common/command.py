@@ -36,8 +36,8 @@ class Parser(argparse.ArgumentParser):
             formatter_class=argparse.RawDescriptionHelpFormatter,
             allow_abbrev=False,
         )
-        # What tells -1e-3 from an option; argparse itself knows no exponent before Python 3.14.
-        self._negative_number_matcher = re.compile(r"-\.?\d")
+        # What tells -1e-3 and -inf from an option; argparse itself knows no exponent before Python 3.14.
+        self._negative_number_matcher = re.compile(r"-(\.?\d|(inf|infinity|nan)$)", re.IGNORECASE)
         self.register("type", None, _text)
         self.register("type", Path, _path)
         self.register("action", None, _Once)
