@@ -212,6 +212,43 @@ def test_conditioning_at_a_megahertz(paper):
     assert refine(plant, Cy, design.gain).after < design.certificate.norm.value
 
 
+@pytest.mark.parametrize("dt", [1e-9, 1.0, 282209.0, 1e9])
+def test_refined_at_any_period(dt):
+    """The unit of time decides neither what the landscape sees nor where a refinement ends: nowhere higher than it began.
+
+    The gain peaks at z = -1, which is infinity on the map, and nearly as high at another frequency.
+    """
+    plant = GeneralizedPlant(
+        np.array([[0.0, 6.586398434222692], [0.0, 0.0]]),
+        np.array([[0.0029705146030851136], [-0.0011833046846228543]]),
+        np.array([[0.003842238734670813], [0.00037376292992976246]]),
+        np.array([[200.8768892341636, -2175.8790801348255], [89.36563223850754, -1154.8339747515354], [0.0, 0.0]]),
+        np.array([[0.0], [0.0], [0.1]]),
+        np.array([[0.5614611060142021], [0.20282357420251262], [0.3154578357869746]]),
+        dt=dt,
+    )
+    Cy = np.array([[-83.91035215050333, -1986.0307767830782], [16.60440884386975, 2178.9973274641243]])
+    landscape = Landscape(plant, Cy)
+    for K in np.array([[[-0.9618017914671513, -1.3610655838572578]], [[-0.47184622, -0.76523925]]]):
+        own = hinf_norm(plant.closed_loop(K @ Cy)).value
+        assert landscape.norm(landscape.point(K))[0] == pytest.approx(own, rel=1e-8)  # NEAR, the landscape's own
+        refined = refine(plant, Cy, K)
+        assert hinf_norm(plant.closed_loop(refined.gain @ Cy)).value == refined.after
+        assert refined.after <= refined.before == own
+
+
+def test_no_refinement_is_worse_than_its_start(monkeypatch):
+    """Where the landscape overlooks a peak, the gain that its own loop finds worse is not returned."""
+    plant, Cy = random_plant(1, radius=0.9)
+    K = np.zeros((plant.B.shape[1], len(Cy)))
+    far = np.full(K.shape, 0.02)
+    assert hinf_norm(plant.closed_loop(far @ Cy)).value > hinf_norm(plant.closed_loop(K @ Cy)).value
+    monkeypatch.setattr("synth.search.refine.along_edges", lambda landscape, x, *limits: (landscape.point(far), 1e-3))
+    refined = refine(plant, Cy, K)
+    np.testing.assert_array_equal(refined.gain, K)
+    assert refined.after == refined.before
+
+
 @pytest.mark.parametrize("seed", range(8))
 def test_slopes_are_those_of_the_norm(seed):
     """The landscape's norm is the certificate's, and its slope that of the norm over the discrete plant's own gain."""

@@ -260,6 +260,23 @@ def test_level_crossings_with_feedthrough(seed):
             assert np.abs(found / level - 1).min() < 1e-8  # rounding of a crossing that may be steep
 
 
+@pytest.mark.parametrize("time", [1e-12, 3e-6, 1.0, 3e5, 1e12])
+@pytest.mark.parametrize("of_states", [1e-7, 1.0, 1e5])
+@pytest.mark.parametrize("of_z", [1e-6, 1.0, 1e7])
+def test_level_crossings_in_any_units(time, of_states, of_z):
+    """Near the gain at infinity, too, crossings are the same in any units of time, of states and of z."""
+    rng = np.random.default_rng(3)
+    A = rng.standard_normal((6, 6))
+    A -= (np.linalg.eigvals(A).real.max() + 0.3) * np.eye(6)
+    Bw, C, Dw = rng.standard_normal((6, 2)), rng.standard_normal((3, 6)), rng.standard_normal((3, 2))
+    level = 1.01 * float(np.linalg.norm(Dw, 2))
+    expected = level_crossings(A, Bw, C, Dw, level)
+    found = time * level_crossings(A / time, Bw / time / of_states, C * of_states * of_z, Dw * of_z, level * of_z)
+    for omega in expected:  # others may be proposed, at which nothing crosses
+        if np.abs(np.linalg.svd(C @ np.linalg.inv(1j * omega * np.eye(6) - A) @ Bw + Dw)[1] / level - 1).min() < 1e-9:
+            assert np.abs(found - omega).min() < 1e-9 * expected[-1]  # rounding, measured 1e-14
+
+
 def peak_of(A: exactly.Matrix, Bw: exactly.Matrix, C: exactly.Matrix, near: float, width: float) -> float:
     """The largest gain about a frequency to 1e-14, from rational arithmetic at fractions of which floats know nothing.
 

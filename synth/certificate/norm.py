@@ -170,7 +170,13 @@ def level_crossings(A: Array, Bw: Array, C: Array, Dw: Array, level: float) -> A
         hamiltonian[:n, n:], hamiltonian[n:, :n] = into @ Bw.T, -C.T @ out / level
         eigenvalues = np.linalg.eigvals(hamiltonian)
     else:
-        # With w and z kept as unknowns nothing is inverted that is singular where the level is near the gain at infinity.
+        # With w and z kept as unknowns nothing is inverted that is singular where the level is near the gain at infinity. The
+        # eigenvalues lose digits of the pencil's largest entry: so time, states and z are first counted in units that make the
+        # entries alike, of powers of two, which round nothing.
+        rate, of_z = _power_of_two(np.linalg.norm(A, 2)), _power_of_two(level)
+        A, Bw, C, Dw, level = A / rate, Bw / rate, C / of_z, Dw / of_z, level / of_z
+        of_states = _power_of_two(np.sqrt(np.linalg.norm(Bw) / (np.linalg.norm(C) or 1.0)))
+        Bw, C = Bw / of_states, C * of_states
         pencil = np.zeros((2 * n + r + d, 2 * n + r + d))
         pencil[:n, :n], pencil[n : 2 * n, n : 2 * n] = A, -A.T
         pencil[:n, 2 * n : 2 * n + r], pencil[n : 2 * n, 2 * n + r :] = Bw, -C.T
@@ -180,9 +186,14 @@ def level_crossings(A: Array, Bw: Array, C: Array, Dw: Array, level: float) -> A
         dynamic = np.diag([1.0] * 2 * n + [0.0] * (r + d))
         with np.errstate(divide="ignore", invalid="ignore"):  # the eigenvalues at infinity
             eigenvalues = linalg.eigvals(pencil, dynamic)
-        eigenvalues = eigenvalues[np.isfinite(eigenvalues)]
+        eigenvalues = rate * eigenvalues[np.isfinite(eigenvalues)]
     proposed = np.imag(eigenvalues)
     return np.append(0.0, np.sort(proposed[proposed > 0]))  # they come in conjugate pairs
+
+
+def _power_of_two(size: float) -> float:
+    """The power of two next to a size; 1 where it is 0 or not finite."""
+    return 2.0 ** round(np.log2(size)) if 0 < size < np.inf else 1.0
 
 
 def sweep_norm(system: GeneralizedPlant) -> tuple[float, float]:

@@ -89,17 +89,17 @@ def refine(plant: GeneralizedPlant, Cy: Array, K: Array, Dyw: Array | None = Non
         x, norm, size = moved, reached, float(np.abs(moved).max())
         if stage and growth <= 1 + 1e-6:
             break
-    first_norm = _own(plant, Cy, K, Dyw, before)
-    if np.array_equal(x, start):
-        return Refinement(K, first_norm, first_norm, 1.0, refused)
+    # The landscape finds the way; which end is the lower their own loops say, and how low those of a discrete plant are.
     gain = landscape.gain(x)
-    return Refinement(gain, first_norm, _own(plant, Cy, gain, Dyw, norm), size / first if first else 1.0, refused)
+    own_before, own_after = _own(plant, Cy, K, Dyw), _own(plant, Cy, gain, Dyw)
+    first_norm, last_norm = (before, norm) if plant.dt is None else (own_before, own_after)
+    if np.array_equal(x, start) or own_after > own_before:
+        return Refinement(K, first_norm, first_norm, 1.0, refused)
+    return Refinement(gain, first_norm, last_norm, size / first if first else 1.0, refused)
 
 
-def _own(plant: GeneralizedPlant, Cy: Array, K: Array, Dyw: Array | None, mapped: float) -> float:
-    """The norm of a gain's own loop: the landscape's, which for a discrete plant is that of its map, and rounded there."""
-    if plant.dt is None:
-        return mapped
+def _own(plant: GeneralizedPlant, Cy: Array, K: Array, Dyw: Array | None) -> float:
+    """The norm of a gain's own loop, by both routes."""
     loop = plant.closed_loop(K @ Cy)
     if Dyw is not None:
         loop = replace(loop, Bw=plant.Bw + plant.B @ K @ Dyw, Dw=plant.Dw + plant.D @ K @ Dyw)
