@@ -44,7 +44,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     check_outputs(outputs | {"logs": options.logs}, vehicle.files)
     stage = Stages("design", "margins", "fragility", "other vehicles", "picture and logs")
     stage("design")
-    controller = _with_loop(vehicle, name, options.timestep)
+    sample_times(vehicle, LONGEST, options.timestep)
+    controller = _with_loop(vehicle, design(as_built, name), options.timestep)
     say_false_claims([controller])
     stage("margins")
     found = find_margins(vehicle, controller, options.timestep, stage)
@@ -75,20 +76,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0 if (box is None or box.holds) and fragile.agrees and all(one.agrees for one in found.values()) else 1
 
 
-def _with_loop(vehicle: Vehicle, name: str, timestep: float) -> Controller:
-    """The controller of that name, if its loop is one that has margins.
+def _with_loop(vehicle: Vehicle, controller: Controller, timestep: float) -> Controller:
+    """The controller, if its loop is one that has margins.
 
     Raises:
         InputError: it has no gain, or is unstable as it is.
     """
-    sample_times(vehicle, LONGEST, timestep)
-    controller = design(vehicle, name)
+    name = controller.name
     if not controller.law.acts:
         raise InputError(f"controller {name!r} has no gain, so there is no loop and no margin; give one that has")
     if not controller.certificate.stable:
         raise InputError(
-            f"controller {name!r} has no margin, for its loop is not stable as it is ({controller.certificate.stability.words}); "
-            "give one that makes it stable"
+            f"controller {name!r} has no margin, for without a computer its loop is not stable as it is "
+            f"({controller.certificate.stability.words}); give one that makes it stable"
         )
     times = cut(vehicle, controller, range(len(vehicle.linear_model.inputs))).comes_back
     if times >= 1:

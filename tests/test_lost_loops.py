@@ -2,11 +2,14 @@
 
 import json
 
+import numpy as np
 import pytest
 
+from models.common.errors import InputError
 from models.vehicle import read_vehicle
 from sim.bump import main as bump
 from sim.inspect.__main__ import main as inspect
+from sim.margins import main as margins
 from sim.report.__main__ import main as report
 from synth.__main__ import main as synth
 from synth.designer import design
@@ -102,3 +105,21 @@ def test_a_report_of_it(held, tmp_path, capsys):
     assert float(tables["norms"][0]["norm, as built"]) < 9  # 8.894
     assert tables["frequency-responses"]
     assert tables["regime"]
+
+
+def test_margins_are_of_the_controller_that_the_computer_was_thought_of_for(held, monkeypatch):
+    """A sampled design keeps its gain where margins are found without the computer; where it has none, that is the reason."""
+    with pytest.raises(InputError, match="without a computer its loop is not stable"):
+        margins(["--vehicle", str(held), "--controller", "I"])
+    held.write_text(held.read_text().replace("sample_period = 0.15", "sample_period = 0.01"))
+    found = []
+
+    def begun(vehicle, controller, *_):
+        found.append(controller)
+        raise InputError("far enough")
+
+    monkeypatch.setattr("sim.margins.find_margins", begun)
+    with pytest.raises(InputError, match="far enough"):
+        margins(["--vehicle", str(held), "--controller", "I"])
+    (controller,) = found
+    np.testing.assert_array_equal(controller.gain, design(read_vehicle(str(held)), "I").gain)

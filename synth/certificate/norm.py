@@ -173,9 +173,9 @@ def level_crossings(A: Array, Bw: Array, C: Array, Dw: Array, level: float) -> A
         # With w and z kept as unknowns nothing is inverted that is singular where the level is near the gain at infinity. The
         # eigenvalues lose digits of the pencil's largest entry: so time, states and z are first counted in units that make the
         # entries alike, of powers of two, which round nothing.
-        rate, of_z = _power_of_two(np.linalg.norm(A, 2)), _power_of_two(level)
+        rate, of_z = _power_of_two(float(np.linalg.norm(A, 2))), _power_of_two(level)
         A, Bw, C, Dw, level = A / rate, Bw / rate, C / of_z, Dw / of_z, level / of_z
-        of_states = _power_of_two(np.sqrt(np.linalg.norm(Bw) / (np.linalg.norm(C) or 1.0)))
+        of_states = _power_of_two(float(np.sqrt(np.linalg.norm(Bw) / (np.linalg.norm(C) or 1.0))))
         Bw, C = Bw / of_states, C * of_states
         pencil = np.zeros((2 * n + r + d, 2 * n + r + d))
         pencil[:n, :n], pencil[n : 2 * n, n : 2 * n] = A, -A.T
