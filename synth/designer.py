@@ -22,9 +22,9 @@ from synth.designs.refined import Refined
 from synth.designs.sampled import sampled_design
 from synth.designs.shared import Shared
 from synth.dynamic.loop import on_larger_plant
-from synth.dynamic.named import named_design
 from synth.errors import BatchError, DesignError
 from synth.fallback import two_steps_or_descent
+from synth.full.named import named_design
 from synth.goals.search import Told
 from synth.implemented.claims import false_norm, norm_if_implemented
 from synth.lmi.central import CentralPoint

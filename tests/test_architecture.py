@@ -42,13 +42,14 @@ ROOMS = {
     "synth.lmi": "synth.certificate synth.discrete synth.errors synth.numerics synth.plant synth.scaling",
     "synth.band": "synth.certificate synth.discrete synth.errors synth.lmi synth.numerics synth.plant synth.scaling",
     "synth.family": "synth.certificate synth.errors synth.lmi synth.numerics synth.plant synth.scaling",
-    "synth.dynamic": "models synth.certificate synth.discrete synth.errors synth.lmi synth.modes synth.numerics synth.plant "
-    "synth.scaling",
+    "synth.dynamic": "models synth.certificate synth.errors synth.modes synth.numerics synth.plant synth.scaling",
     "synth.posed": "synth.certificate synth.lmi synth.modes synth.plant synth.scaling",
     "synth.design": "synth.certificate synth.errors synth.lmi synth.modes synth.numerics synth.plant synth.posed synth.scaling",
     "synth.energy": "synth.certificate synth.design synth.errors synth.lmi synth.numerics synth.plant synth.scaling",
     "synth.search": "models synth.certificate synth.design synth.discrete synth.dynamic synth.errors synth.lmi synth.numerics "
     "synth.plant synth.scaling",
+    "synth.full": "models synth.certificate synth.discrete synth.dynamic synth.errors synth.lmi synth.modes synth.numerics "
+    "synth.plant synth.scaling synth.search",
     "synth.tolerance": "models synth.certificate synth.discrete synth.dynamic synth.lmi synth.numerics synth.plant synth.search",
     "synth.fallback": "synth.certificate synth.design synth.errors synth.lmi synth.plant synth.search",
     "synth.redesign": "synth.design synth.errors synth.fallback synth.lmi synth.numerics synth.plant synth.scaling",
@@ -64,7 +65,7 @@ ROOMS = {
     "synth.energy synth.errors synth.family synth.goals synth.held synth.implemented synth.lmi synth.plant synth.problem "
     "synth.search synth.tolerance",
     "synth.designer": "models synth.certificate synth.controller synth.design synth.designs synth.dynamic synth.errors "
-    "synth.fallback synth.goals synth.implemented synth.lmi synth.plant synth.problem synth.redesign synth.search",
+    "synth.fallback synth.full synth.goals synth.implemented synth.lmi synth.plant synth.problem synth.redesign synth.search",
     "synth.state_space": "models synth.controller synth.designer synth.plant synth.problem",
     "synth.paper": "models synth.certificate synth.design synth.designer synth.errors synth.lmi synth.numerics synth.plant",
     "synth.command": "models models.figures models.goals synth.certificate synth.controller synth.design synth.designer "

@@ -14,9 +14,10 @@ from synth.certificate.certificate import FASTEST
 from synth.certificate.norm import hinf_norm
 from synth.certificate.stability import is_stable
 from synth.dynamic.central import central_law
-from synth.dynamic.full_order import WITHIN, FullOrderDesign, full_order_design
 from synth.dynamic.loop import on_larger_plant
 from synth.errors import DesignError, InfeasibleError
+from synth.full.full_order import FullOrderDesign, full_order_design
+from synth.full.riccati import WITHIN
 from synth.plant import GeneralizedPlant
 from synth.problem.problem import generalized_plant
 from tests.active_suspension import PRINTED, SCENARIOS, active_suspension
@@ -116,7 +117,7 @@ def test_a_trade(seed):
     assert found.remark
     assert found.certificate.speed_up <= FASTEST * max(1.0, speeds[0])
     said = re.search(
-        r"a norm of (\S+) takes a pole (\S+) times as fast as the plant's, and this one's fastest is (\S+) times", found.remark
+        r"of norm (\S+), has a pole (\S+) times as fast as the plant's, and this one's fastest is (\S+) times", found.remark
     )
     assert said is not None
     norm, speed, own = (float(each) for each in said.groups())

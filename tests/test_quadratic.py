@@ -11,10 +11,10 @@ from models.law import LinearLaw, static_law
 from models.vehicle import read_vehicle
 from synth.certificate.norm import hinf_norm
 from synth.dynamic.estimator import leaky_integrator_law
-from synth.dynamic.full_order import full_order_design
 from synth.dynamic.loop import on_larger_plant
 from synth.dynamic.quadratic import ASSUMED, h2_design, h2_norm, lqg_design, lqr_design
 from synth.errors import DesignError, InfeasibleError
+from synth.full.full_order import full_order_design
 from synth.plant import GeneralizedPlant
 from synth.problem.problem import generalized_plant
 from tests.test_noise import noisy

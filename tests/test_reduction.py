@@ -5,8 +5,9 @@ import pytest
 from scipy import linalg
 
 from models.law import LinearLaw
-from synth.dynamic.full_order import SAME, full_order_design
 from synth.dynamic.reduction import reduced_law
+from synth.full.full_order import full_order_design
+from synth.full.riccati import SAME
 from synth.plant import GeneralizedPlant
 from tests.test_bounds_hold import a_plant
 

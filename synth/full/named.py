@@ -9,8 +9,8 @@ from models.common.arrays import Array
 from models.law import LinearLaw
 from synth.certificate.certificate import Certificate
 from synth.certificate.lower_bound import LowerBound
-from synth.dynamic.full_order import full_order_design
 from synth.dynamic.quadratic import quadratic_design
+from synth.full.full_order import full_order_design
 from synth.plant import GeneralizedPlant
 
 

@@ -1,4 +1,4 @@
-"""Full-order H-infinity output feedback: as many states as the plant, and a norm next to what no controller can beat.
+"""The search for a full-order controller by Riccati equations: near what no controller beats, or on the way there.
 
 Without noise on the measurements, or with a force that costs nothing, the problem is singular: the best observer, or the best
 gain, is infinitely fast, and the Riccati equations have no solution. So a share of noise and of cost is added where there is
@@ -10,35 +10,29 @@ little. The norm that the regularised problem promises holds for the true loop, 
 and the larger the share, the slower the controller. So shares fall until the gamma that is asked for is reached, and the slowest
 controller that reaches it is taken. Where none does, or none that an actuator could follow, the trade between norm and speed is
 walked: for each share the smallest gamma that its problem allows.
+
+Next to the best gamma the central law has poles that run away to the left, and what is left of it without them is as good: so of
+each law that is too fast, one without its fast poles is tried, too.
 """
 
 import contextlib
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.common.numbers import percent
 from models.law import LinearLaw
-from synth.certificate.bounding import certify_tightly
-from synth.certificate.certificate import FASTEST, Certificate
-from synth.certificate.lower_bound import LowerBound
+from synth.certificate.certificate import FASTEST
 from synth.certificate.norm import level_set_norm
 from synth.certificate.stability import beside_weights, is_stable, stability
-from synth.discrete.bilinear import mapped
 from synth.dynamic.central import central_law
-from synth.dynamic.discrete import discrete_law
 from synth.dynamic.loop import on_larger_plant
 from synth.dynamic.measured import Measured, missing
 from synth.dynamic.reduction import reduced_law
-from synth.errors import DesignError, InfeasibleError
-from synth.lmi.full_order import find_lower_bound
-from synth.modes import obstacles
-from synth.numerics import numerics
-from synth.plant import GeneralizedPlant, check_posed, measurement_matrices
+from synth.plant import GeneralizedPlant
 from synth.scaling import speed
 
 WITHIN = 1e-3  # relative; so close to what no controller beats, nothing is left to gain
@@ -55,6 +49,7 @@ MARGINS = (
 SAME = 1e-6  # relative; what a norm may rise by where states are left out of a law
 CLOSE = 1e-4  # relative; how closely that gamma is found
 GRAIN = 2.0**-14  # of an exponent of two
+PARTS = (1.0, 0.1)  # of the fastest that is allowed: poles of a law beyond it are left out
 SMALLEST, LARGEST = 1e-6, 1e9  # gamma, in units in which a plant's numbers have size one
 
 
@@ -63,7 +58,7 @@ class Traded:
     """A controller on the way to the best norm.
 
     Attributes:
-        share: of noise and cost that it was designed with.
+        share: of noise and cost that it was designed with; zero where it was found by descent.
         law: in the units given.
         own: the same in the plant's own units.
         norm: of its loop, by one route.
@@ -84,100 +79,31 @@ class Traded:
         return not self.stable, self.speed_up
 
 
-@dataclass(frozen=True, eq=False)
-class FullOrderDesign:
-    """A full-order controller, and what nearer ones would cost.
-
-    Attributes:
-        law: on y = C_y x + Dyw w; as many states as the plant, but for those that would do next to nothing.
-        certificate: what is true of its loop; its matrices are those of the plant with the law's states (`on_larger_plant`).
-        trade: the controllers that no other beats in norm and speed, the slowest first; empty where what was asked for was found.
-            Of a discrete plant they are those for the continuous one that it is mapped to.
-        remark: how near it came and why no nearer, in words; empty where it is as near as was asked for.
-        stable: whether the law is, by itself; one that is not grows while its loop is open, as when a force is at its limit.
-    """
-
-    law: LinearLaw
-    certificate: Certificate
-    trade: tuple[Traded, ...]
-    remark: str
-    stable: bool
+def leading(found: Sequence[Traded]) -> list[Traded]:
+    """The controllers that no other beats in norm and speed, the slowest first."""
+    found = sorted(found, key=lambda each: (each.speed_up, each.norm))
+    norms = np.minimum.accumulate([np.inf, *(each.norm for each in found)])
+    return [each for each, least in zip(found, norms, strict=False) if each.norm < least]
 
 
-@numerics()
-def full_order_design(
-    plant: GeneralizedPlant,
-    Cy: Array,
-    Dyw: Array | None = None,
-    lower_bound: LowerBound | None = None,
-    states: Sequence[str] = (),
-    fastest: float = FASTEST,
-) -> FullOrderDesign:
-    """A full-order controller within 0.1 % of what no controller beats, stable and slow if may be; else the nearest not too fast.
+def chosen(trade: Sequence[Traded], fastest: float) -> Traded | None:
+    """The one with the least trouble of those next to the smallest norm, of all that are not too fast; None of none.
+
+    Where all are, the slowest stands for the plant.
 
     Args:
-        plant: n states, m inputs.
-        Cy: shape (q, n).
-        Dyw: shape (q, r); zero where it is not given.
-        lower_bound: what no controller from these measurements beats, if known.
-        states: names of the states, for messages.
-        fastest: times the plant's own speed; faster loops are taken only where no slower one is stable.
-
-    Raises:
-        InputError: a matrix does not fit the plant, nothing disturbs it, or nothing is weighed.
-        InfeasibleError: the plant cannot be stabilised from what is measured; the message names the mode.
-        DesignError: no law was found whose loop is stable beyond rounding.
+        trade: the slowest first, each of a smaller norm than the one before.
+        fastest: times the plant's own speed.
     """
-    Cy, Dyw = measurement_matrices(plant, Cy, Dyw)
-    check_posed(plant)
-    if reasons := "; ".join(obstacles(plant, Cy, states)):
-        raise InfeasibleError(reasons)
-    below = find_lower_bound(plant, Cy, Dyw=Dyw) if lower_bound is None else lower_bound
-    if plant.dt is not None:
-        where = mapped(plant, Cy, Dyw)
-        found = full_order_design(where.plant, where.Cy, where.Dyw, below, states, fastest)
-        law = discrete_law(found.law, where, plant.dt)
-        larger, G = on_larger_plant(plant, Cy, law, Dyw)
-        certificate = _without_failures(certify_tightly(larger, G, below, by_itself=plant))
-        return replace(found, law=law, certificate=certificate, stable=is_stable(law.A, plant.dt))
-    search = _Search(plant, Cy, Dyw, below.gamma)
-    near = search.near(fastest)
-    trade = () if near is not None else tuple(search.trade())
-    best = near or search.chosen(trade, fastest)
-    if best is None:
-        raise DesignError(
-            "no full-order controller was found whose loop is stable beyond rounding, with noise and cost from "
-            f"{SHARES[0]:.2g} to {SHARES[-1]:.0e} of the plant's own size; measure more signals, or give other units"
-        )
-    best = search.reduced(best)
-    larger, G = on_larger_plant(plant, Cy, best.law, Dyw)
-    certificate = _without_failures(certify_tightly(larger, G, below, by_itself=plant))
-    return FullOrderDesign(best.law, certificate, trade, _remark(best, trade, below.gamma, fastest), best.stable)
+    if not trade:
+        return None
+    slowest = trade[0].speed_up
+    limit = fastest if slowest <= fastest else fastest * slowest
+    slow = [each for each in trade if each.speed_up <= limit]
+    return min((each for each in slow if each.norm <= slow[-1].norm * (1 + WITHIN)), key=lambda each: each.trouble)
 
 
-def _without_failures(certificate: Certificate) -> Certificate:
-    """The certificate, or a DesignError for what of it does not hold."""
-    if certificate.failures:
-        raise DesignError(f"its certificate fails: {'; '.join(certificate.failures)}")
-    return certificate
-
-
-def _remark(best: Traded, trade: Sequence[Traded], bound: float, limit: float) -> str:
-    """How near a controller came to a bound, and what a nearer one would cost; empty where it is near."""
-    if bound and best.norm <= bound * (1 + WITHIN):
-        return ""
-    above = f"{percent(best.norm / bound - 1)} above the lower bound" if bound else "no lower bound is proved"
-    least = min((each.norm for each in trade), default=best.norm) * (1 + WITHIN)
-    if best.norm <= least:
-        return f"{above}: faster controllers hardly come nearer, so that the bound is not sharp or no controller attains it"
-    nearer = min((each for each in trade if each.norm <= least), key=lambda each: each.speed_up)
-    return (
-        f"{above}: a norm of {nearer.norm:.4g} takes a pole {nearer.speed_up:.2g} times as fast as the plant's, and this one's "
-        f"fastest is {best.speed_up:.2g} times; {limit:.3g} times is much"
-    )
-
-
-class _Search:
+class Search:
     """The search for one plant."""
 
     def __init__(self, plant: GeneralizedPlant, Cy: Array, Dyw: Array, bound: float) -> None:
@@ -195,7 +121,11 @@ class _Search:
         if first is not None:
             for reach, part in product(REACHES, AROUND):
                 self.reaches(target, first * part, target * (1 + reach), found)
-        return min((each for each in found if each.speed_up <= fastest), key=lambda each: each.trouble, default=None)
+        slow = [each for each in found if each.speed_up <= fastest]
+        if not slow:
+            tried = self.slower(found, fastest)
+            slow = [each for each in tried if each.norm * self.own.norm <= target and each.speed_up <= fastest]
+        return min(slow, key=lambda each: each.trouble, default=None)
 
     def reaches(self, target: float, share: float, gamma: float, found: list[Traded]) -> bool:
         """Whether the controller of a share for some gamma has a norm of at most the target; then it is among what was found."""
@@ -205,29 +135,25 @@ class _Search:
         found.append(each)
         return True
 
-    def trade(self) -> list[Traded]:
-        """The controllers that no other beats in norm and speed, the slowest first, of all shares and of some gamma."""
+    def trade(self, fastest: float) -> list[Traded]:
+        """Controllers of all shares and of some gamma, and without their poles beyond the fastest where they have such."""
         found, gamma = list[Traded](), LARGEST
         for share in SHARES:
             gamma = self.smallest(share, gamma)
             if gamma < LARGEST:
                 tried = [self.traded(share, gamma * (1 + margin)) for margin in MARGINS]
                 found += [each for each in tried if each is not None]
-        found.sort(key=lambda each: (each.speed_up, each.norm))
-        norms = np.minimum.accumulate([np.inf, *(each.norm for each in found)])
-        return [each for each, least in zip(found, norms, strict=False) if each.norm < least]
+        return found + self.slower(found, fastest)
 
-    def chosen(self, trade: Sequence[Traded], fastest: float) -> Traded | None:
-        """The one with the least trouble of those next to the smallest norm, of all that are not too fast; None of none.
-
-        Where all are, the slowest stands for the plant.
-        """
-        if not trade:
-            return None
-        slowest = trade[0].speed_up
-        limit = fastest if slowest <= fastest else fastest * slowest
-        slow = [each for each in trade if each.speed_up <= limit]
-        return min((each for each in slow if each.norm <= slow[-1].norm * (1 + WITHIN)), key=lambda each: each.trouble)
+    def slower(self, found: Sequence[Traded], fastest: float) -> list[Traded]:
+        """Those that are too fast, without the poles of the law that make them so; none where the loop is lost by that."""
+        left = list[Traded]()
+        for each, part in product([each for each in found if each.speed_up > fastest], PARTS):
+            with contextlib.suppress(InputError, np.linalg.LinAlgError):
+                law = reduced_law(each.own, part * fastest * self.fastest / self.own.rate)
+                less = self.judged(each.share, law) if law.states < each.own.states else None
+                left += [less] if less is not None else []
+        return left
 
     def smallest(self, share: float, above: float) -> float:
         """The smallest gamma that the problem of a share allows; what one of a larger share allows, this one does, too."""
