@@ -26,7 +26,7 @@ from synth.errors import BatchError, DesignError
 from synth.fallback import two_steps_or_descent
 from synth.full.named import named_design
 from synth.goals.search import Told
-from synth.implemented.claims import false_norm, norm_if_implemented
+from synth.implemented.claims import false_norm, norm_if_implemented, still_false
 from synth.lmi.central import CentralPoint
 from synth.lmi.output_feedback import independent_rows
 from synth.plant import GeneralizedPlant
@@ -139,7 +139,7 @@ class Designer:
             entry.name, entry.measured, law, False, certificate, false_claims=wrong, hardware=hardware, promises=kept
         )
         wrong += false_norm(entry.certificate, self.vehicle, lambda: norm_if_implemented(self.vehicle, found))
-        return replace(found, false_claims=wrong)
+        return replace(found, false_claims=still_false(self.vehicle, found, wrong))
 
     def _named(self, entry: ControllerEntry, posed: Problem, lower_bound: LowerBound) -> Controller:
         """A controller that is designed in another way than by two steps."""

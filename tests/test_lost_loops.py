@@ -37,6 +37,7 @@ def test_a_sampled_design_is_judged_by_its_sampled_loop(held, tmp_path, capsys):
     assert sampled_radius(vehicle, controller, 0.15) < 1
     saved = tmp_path / "saved.toml"
     assert synth(["--vehicle", str(held), "--controller", "I", "--save", str(saved), "--json"]) == 0
+    assert design(read_vehicle(str(saved)), "I_designed").false_claims == ()
     (row,) = json.loads(capsys.readouterr().out)["controllers"]
     assert row["failures"] == []
     assert row["norm"] is None

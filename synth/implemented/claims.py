@@ -109,6 +109,14 @@ def failures_as_it_runs(
     return (*(failure for failure in failures if failure not in excused), *norm_failures(norm))
 
 
+def still_false(vehicle: Vehicle, controller: Controller, wrong: tuple[str, ...]) -> tuple[str, ...]:
+    """What of a certificate's claims does not hold, in words, without what the computer of its loop makes good."""
+    if not wrong or controller.certificate.stable:
+        return wrong
+    excused = only_without_computer(vehicle, controller.certificate, norm_if_implemented(vehicle, controller))
+    return tuple(each for each in wrong if each not in excused)
+
+
 def notes_as_it_runs(vehicle: Vehicle, certificate: Certificate, norm: SampledNorm | None) -> tuple[str, ...]:
     """What there is to know where only its computer makes a loop stable."""
     return tuple(f"without a computer its loop is {words}" for words in only_without_computer(vehicle, certificate, norm))
