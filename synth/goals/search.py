@@ -135,7 +135,7 @@ class Search:
             return np.eye(len(x))[:, self.free]
         if len(self.free) == len(x):
             return M
-        metric = (inverse.T @ inverse)[np.ix_(self.free, self.free)]
+        metric = (inverse.T @ inverse)[self.free][:, self.free]
         sizes, directions = np.linalg.eigh(metric)
         restricted = np.zeros((len(x), len(self.free)))
         restricted[self.free] = directions / np.sqrt(np.maximum(sizes, 1e-12 * sizes[-1])) @ directions.T
