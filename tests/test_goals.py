@@ -25,7 +25,7 @@ from synth.designs.goal_problem import goal_problem
 from synth.errors import DesignError
 from synth.goals.banded import BandLandscape
 from synth.goals.energy_peak import EnergyPeak
-from synth.goals.engine import design_for_goals
+from synth.goals.engine import Interrupted, design_for_goals
 from synth.goals.filtered import band_filter
 from synth.goals.problem import Errors, GoalProblem, Member, NormGoal, Posed
 from synth.goals.road_largest import largest_over_road
@@ -535,3 +535,31 @@ def test_the_picture_of_a_band(tmp_path, capsys):
     assert (tmp_path / "bands.png").read_bytes().startswith(b"\x89PNG")
     with pytest.raises(InputError, match="is what is read"):
         main_of("synth")(["--vehicle", str(path), "--picture", str(path)])
+
+
+def test_ctrl_c_keeps_the_best_so_far(tmp_path, capsys, monkeypatch):
+    """Interrupted as it goes on, a design ends with a gain within all bounds, certified and said to be no more than that."""
+    vehicle = vehicle_with(f"measured = {THREE}\n{BAND}\nbounds = [{KEPT}]")
+    heard: list[float] = []
+
+    def told(goal: float, within: bool) -> None:
+        heard.append(goal) if within else None
+        if len(heard) == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(Interrupted) as stopped:
+        Designer(vehicle).design("goal", told=told)
+    assert stopped.value.best.broken == ()
+    assert stopped.value.best.promises[0].value <= min(heard) * (1 + 1e-9)
+
+    path, design = tmp_path / "car.toml", Designer.design
+    path.write_text(vehicle.text)
+    heard.clear()
+    monkeypatch.setattr(
+        Designer, "design", lambda self, name, zero_l=False, told=None, tell=told: design(self, name, zero_l, tell)
+    )
+    with pytest.raises(KeyboardInterrupt):
+        main_of("synth")(["--vehicle", str(path), "--controller", "goal"])
+    printed = capsys.readouterr().out
+    assert "interrupted: the best within all bounds until then" in printed
+    assert "promise: norm from 4 to 8 Hz" in printed

@@ -92,9 +92,9 @@ class Search:
 
     def moved(self, x: Array, height: Height) -> None:
         """Takes note of a new point."""
-        self.told(height.goal, height.within)
         if height.within and (self.least is None or self.cost(x, height) < self.cost(*self.least)):
             self.least = x, height
+        self.told(height.goal, height.within)
 
     def limit(self, gain: float | None) -> Array:
         """The largest entries of a point."""
