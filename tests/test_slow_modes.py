@@ -5,7 +5,7 @@ import pytest
 
 from synth.certificate.norm import hinf_norm
 from synth.design import two_step_design
-from synth.errors import InfeasibleError
+from synth.errors import DesignError, InfeasibleError
 from synth.lmi.full_order import find_lower_bound
 from synth.plant import GeneralizedPlant
 from synth.search.refine import refine
@@ -51,7 +51,12 @@ def certified_or_infeasible(seed: int) -> None:
     plant, Cy = of_slow_modes(seed)
     try:
         design = two_step_design(plant, Cy)
-    except InfeasibleError as error:
+    except DesignError as error:
+        # Of all states that grow or hardly decay, next to each other, rounding may leave (14) no inverse, and that is said.
+        if len(Cy) == len(plant.A) and str(error).startswith("L (14) could not be computed: rounding leaves"):
+            return
+        if not isinstance(error, InfeasibleError):
+            raise
         # Of (25), but where one input tells several modes next to each other apart by no more than rounding.
         of_second = len(Cy) < len(plant.A) and str(error).startswith("problem (25) has no solution with eta > 0 for this L")
         if not of_second and not str(error).endswith("off the unit circle by more than rounding"):

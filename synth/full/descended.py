@@ -17,6 +17,7 @@ from synth.search.refine import refine
 from synth.search.static import LARGEST_GAIN, static_output_feedback
 
 BEYOND = 10.0  # times the gain that makes poles as fast as they may be
+SHARES_OF_GAIN = np.geomspace(1.0, 1e-3, 150)[1:]  # 5 % apart
 MOST = 100  # numbers of a law with which a descent takes seconds
 
 
@@ -37,6 +38,10 @@ def descents(search: Search, start: Traded | None, fastest: float) -> list[Trade
     with contextlib.suppress(InputError, np.linalg.LinAlgError):
         gain = static_output_feedback(own.plant, own.Cy, largest, LowerBound(search.bound), own.Dyw).gain
         found.append(search.judged(0.0, static_law(gain)))
+        # Where that is too fast the best that is not lies before it, on the way from no control.
+        fractions = (search.judged(0.0, static_law(share * gain)) for share in SHARES_OF_GAIN)
+        slower = [each for each in fractions if each is not None and each.speed_up <= fastest]
+        found.append(min(slower, key=lambda each: each.norm, default=None))
     if start is not None and start.own.states:
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
             larger, G = on_larger_plant(own.plant, own.Cy, start.own)
