@@ -97,7 +97,7 @@ ROOMS = {
     "synth.designs synth.dynamic synth.problem synth.words",
     "sim.campaign": "sim.command sim.physics sim.response sim.ride models.roads sim.runs synth.designer",
     "sim.report": "sim.command models.figures sim.frequency sim.linear sim.physics sim.response sim.ride models.roads "
-    "sim.runs sim.stability sim.validity synth.designer synth.errors synth.front synth.paper synth.words",
+    "sim.runs sim.stability sim.validity synth.designer synth.designs synth.errors synth.front synth.paper synth.words",
     "sim.bump": "models.figures sim.asked sim.command models.roads sim.runs synth.designer",
     "sim.drive": "models.figures sim.asked sim.command sim.ride sim.runs synth.designer",
     "sim.sweep": "sim.asked sim.command models.figures sim.frequency sim.runs synth.designer",

@@ -17,11 +17,12 @@ from sim.report.scope import Scope
 from synth.__main__ import main
 from synth.certificate.gain import largest_singular_values, transfer_matrix
 from synth.designer import Designer
+from synth.designs.goal_problem import weighing
 from synth.front.answer import others_of
 from synth.front.axes import axes_of
 from synth.front.figure import front_figure, line
 from synth.front.front import Front, entry_of, front
-from synth.front.norms import norm_on, on_axis
+from synth.front.norms import norm_on
 from synth.front.trace import rays, rays_of, undominated
 from synth.problem.problem import problem
 from tests.commands import prose
@@ -50,7 +51,7 @@ def values_at(vehicle: Vehicle, asked: str, K: np.ndarray, measured: tuple[str, 
     """The norms of a gain on the axes, by a sweep of frequencies."""
     norms = []
     for axis in axes_of(vehicle, asked):
-        plant = problem(on_axis(vehicle, axis), measured, entry_of(vehicle, "I").hardware)
+        plant = problem(weighing(vehicle, axis.norm), measured, entry_of(vehicle, "I").hardware)
         loop = plant.plant.closed_loop(plant.closed(static_law(K))[1])
         low, high = (2 * np.pi * edge for edge in axis.norm.band)
         within = np.unique(np.clip(omega, low, high))

@@ -22,7 +22,7 @@ def test_add_a_road(tmp_path):
         shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))
     for file in ("README.md", "pyproject.toml"):
         shutil.copy(ROOT / file, tmp_path)
-    path = tmp_path / "sim" / "roads" / "obstacles.py"
+    path = tmp_path / "models" / "roads" / "obstacles.py"
     source = path.read_text(encoding="utf-8")
     assert source.count(MARK) == 1
     changed = source.replace(MARK, f"\n\n{road}\n{MARK}").replace('"step": Step,', '"step": Step, "ramp": Ramp,')

@@ -1,5 +1,6 @@
 """Goals of a design: what is minimised, within which bounds, for which errors and vehicles, with a gain of which structure."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -31,6 +32,12 @@ class NormOf:
     def narrow(self) -> bool:
         """Whether it is of a band, and not of all frequencies."""
         return self.band != EVERYWHERE
+
+    @property
+    def rates(self) -> tuple[float, float]:
+        """The band [rad/s]."""
+        low, high = self.band
+        return 2 * math.pi * low, 2 * math.pi * high
 
     @property
     def text(self) -> str:

@@ -17,12 +17,12 @@ from sim.response.response import Response
 from sim.runs.run import sample_times
 from synth.certificate.gain import largest_singular_values, transfer_matrix
 from synth.controller import Controller
+from synth.designs.goal_problem import weighing
 from synth.errors import DesignError
 from synth.front.answer import others_of, usual
 from synth.front.axes import Axis, axes_of
 from synth.front.figure import front_figure
 from synth.front.front import DESIGNS, Front, entry_of, front
-from synth.front.norms import on_axis
 from synth.front.trace import rays_of
 from synth.front.words import sentences
 from synth.implemented.loop import sampled_radius
@@ -87,7 +87,7 @@ def measure(scope: Scope, found: Front, i: int, axis: Axis, turn: float = TURN) 
     norm = found.points[i].norms[k]
     if axis.off or not norm.value:
         return 0.0 if not norm.value else math.nan
-    vehicle = ideal_measurements(on_axis(scope.vehicle, axis))
+    vehicle = ideal_measurements(weighing(scope.vehicle, axis.norm))
     omega = _driven_at(vehicle, controller, norm.value, norm.at)
     if not np.isfinite(omega):
         return math.nan

@@ -63,7 +63,7 @@ def goal_problem(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> Goal
         for each in vehicles
     )
     bounds = [
-        NormGoal(i + 1, _band(bound.norm), bound.at_most, f"{bound.norm.text} <= {bound.at_most:g}")
+        NormGoal(i + 1, bound.norm.rates, bound.at_most, f"{bound.norm.text} <= {bound.at_most:g}")
         for i, bound in enumerate(each for each in goals.bounds if isinstance(each, NormBound))
     ]
     m, q = through.shape[1], len(entry.measured)
@@ -75,7 +75,7 @@ def goal_problem(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> Goal
     structure = np.ones((m, q), dtype=bool) if goals.structure is None else np.array(goals.structure)
     return GoalProblem(
         members,
-        NormGoal(0, _band(goals.minimise)),
+        NormGoal(0, goals.minimise.rates),
         errors,
         structure,
         norms=tuple(bounds),
@@ -85,11 +85,14 @@ def goal_problem(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> Goal
     )
 
 
+def weighing(vehicle: Vehicle, norm: NormOf) -> Vehicle:
+    """The vehicle whose z is that of a norm."""
+    return vehicle if norm.signals is None else replace(vehicle, performance=dict(norm.signals), filters={})
+
+
 def _posed(vehicle: Vehicle, entry: ControllerEntry, norm: NormOf) -> Posed:
     """A vehicle with the z of a norm."""
-    if norm.signals is not None:
-        vehicle = replace(vehicle, performance=dict(norm.signals), filters={})
-    posed = problem(vehicle, entry.measured, entry.hardware)
+    posed = problem(weighing(vehicle, norm), entry.measured, entry.hardware)
     return Posed(posed.plant, posed.Cy, posed.Dyw)
 
 
@@ -152,11 +155,6 @@ def _road(vehicle: Vehicle, entry: ControllerEntry, bound: PeakBound) -> Road:
     if not np.isfinite(road.duration):
         raise InputError(f"{where} has no end, and so no largest value; give a bump, a step, a hump or a pothole")
     return road
-
-
-def _band(norm: NormOf) -> tuple[float, float]:
-    low, high = norm.band
-    return 2 * np.pi * low, 2 * np.pi * high
 
 
 def _strictest(values: Sequence[float], of: Callable[[Sequence[float]], float]) -> float | None:

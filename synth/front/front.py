@@ -17,12 +17,12 @@ from synth.certificate.stability import stability
 from synth.controller import Controller
 from synth.design import two_step_design
 from synth.designer import Designer
-from synth.designs.goal_problem import goal_problem
+from synth.designs.goal_problem import goal_problem, weighing
 from synth.designs.promises import Judged
 from synth.errors import DesignError
 from synth.front.axes import Axis
 from synth.front.limits import Limit, limits
-from synth.front.norms import Norm, landscapes, norm_on, on_axis, rates
+from synth.front.norms import Norm, landscapes, norm_on
 from synth.front.trace import Met, Trace, rays, undominated
 from synth.goals.banded import EVERYWHERE
 from synth.goals.road_largest import largest_over_road
@@ -235,7 +235,7 @@ def _others(designer: Designer, axes: Sequence[Axis], names: Sequence[str]) -> t
 
 def _limits(vehicle: Vehicle, axes: Sequence[Axis], values: Array) -> list[Limit]:
     """What bounds every two axes."""
-    plants: list[GeneralizedPlant] = [generalized_plant(on_axis(vehicle, axis)) for axis in axes]
-    bands = [rates(axis) if axis.norm.narrow else EVERYWHERE for axis in axes]
+    plants: list[GeneralizedPlant] = [generalized_plant(weighing(vehicle, axis.norm)) for axis in axes]
+    bands = [axis.norm.rates if axis.norm.narrow else EVERYWHERE for axis in axes]
     units = np.median(values, axis=0) if len(values) else np.ones(len(axes))
     return limits(plants, bands, np.where(units > 0, units, 1.0))

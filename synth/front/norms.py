@@ -1,6 +1,6 @@
 """The norm of a law on an axis, proved, and the landscapes of the gains that it is searched over."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -11,8 +11,10 @@ from models.controllers import ControllerEntry
 from models.law import LinearLaw
 from models.vehicle import Vehicle
 from synth.band.norm import norm_in_band
+from synth.designs.goal_problem import weighing
 from synth.front.axes import Axis
-from synth.goals.banded import Band, BandLandscape
+from synth.goals.banded import BandLandscape
+from synth.goals.problem import Errors, Posed
 from synth.numerics import numerics
 from synth.problem.problem import Problem, problem
 from synth.search.landscape import Landscape
@@ -44,19 +46,14 @@ def norm_on(vehicle: Vehicle, axis: Axis, entry: ControllerEntry, law: LinearLaw
         found = worst_norm(posed.plant, posed.Cy, law, axis.off, 0.0, posed.Dyw, posed.through)
         return Norm(found.found, found.proved, float("nan"))
     plant, G = posed.closed(law)
-    band = norm_in_band(plant.closed_loop(G), *rates(axis))
+    band = norm_in_band(plant.closed_loop(G), *axis.norm.rates)
     if not band.stability.stable:
         return Norm(np.inf, np.inf, float("nan"))
     return Norm(band.value, band.level if band.value else 0.0, band.peak_frequency)
 
 
-def on_axis(vehicle: Vehicle, axis: Axis) -> Vehicle:
-    """The vehicle whose z is an axis'."""
-    return vehicle if axis.norm.signals is None else replace(vehicle, performance=dict(axis.norm.signals), filters={})
-
-
 def _posed(vehicle: Vehicle, axis: Axis, entry: ControllerEntry) -> Problem:
-    return problem(on_axis(vehicle, axis), entry.measured, entry.hardware)
+    return problem(weighing(vehicle, axis.norm), entry.measured, entry.hardware)
 
 
 def landscapes(vehicle: Vehicle, axis: Axis, entry: ControllerEntry, like: Landscape) -> list[BandLandscape]:
@@ -66,16 +63,9 @@ def landscapes(vehicle: Vehicle, axis: Axis, entry: ControllerEntry, like: Lands
         InputError: there are too many.
     """
     own = _posed(vehicle, axis, entry)
-    return [
-        BandLandscape(own.plant, (1 + errors)[:, None] * own.Cy, _scaled(own.Dyw, errors), rates(axis), like)
-        for errors in _corners(axis, len(own.Cy))
-    ]
-
-
-def rates(axis: Axis) -> Band:
-    """The band of an axis [rad/s]."""
-    low, high = axis.norm.band
-    return 2 * np.pi * low, 2 * np.pi * high
+    plain, (m, _) = Posed(own.plant, own.Cy, own.Dyw), like.shape
+    off = (Errors(errors, np.zeros(m)).on(plain) for errors in _corners(axis, len(own.Cy)))
+    return [BandLandscape(each.plant, each.Cy, each.Dyw, axis.norm.rates, like) for each in off]
 
 
 def _corners(axis: Axis, readings: int) -> list[Array]:
@@ -88,7 +78,3 @@ def _corners(axis: Axis, readings: int) -> list[Array]:
             f"{axis.name} out, or give another with --controller"
         )
     return [np.zeros(readings), *(axis.off * np.array(signs) for signs in product((-1.0, 1.0), repeat=readings))]
-
-
-def _scaled(Dyw: Array | None, errors: Array) -> Array | None:
-    return None if Dyw is None else (1 + errors)[:, None] * Dyw

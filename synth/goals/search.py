@@ -82,9 +82,13 @@ class Search:
     def noted(self, x: Array) -> Height:
         """The height of a point, which is remembered if it is the best within all bounds."""
         height = self.terrain.height(x)
+        self.remember(x, height)
+        return height
+
+    def remember(self, x: Array, height: Height) -> None:
+        """Takes a point for the least, if it is the best within all bounds."""
         if height.within and np.isfinite(height.goal) and (self.least is None or self.cost(x, height) < self.cost(*self.least)):
             self.least = x, height
-        return height
 
     def norms(self) -> list[Gain]:
         """What is minimised, of every loop."""
@@ -92,8 +96,7 @@ class Search:
 
     def moved(self, x: Array, height: Height) -> None:
         """Takes note of a new point."""
-        if height.within and (self.least is None or self.cost(x, height) < self.cost(*self.least)):
-            self.least = x, height
+        self.remember(x, height)
         self.told(height.goal, height.within)
 
     def limit(self, gain: float | None) -> Array:
@@ -151,7 +154,7 @@ class Search:
             raise DesignError(UNSTABLE)
         self.stable_starts = ranked
         if self.problem.decay is None and self.full.continuous:
-            self.rate = SLOWER * max(-max(float(term.landscape.decays(x)[0].max()) for term in self.norms()) for x in ranked[:1])
+            self.rate = -SLOWER * max(float(term.landscape.decays(ranked[0])[0].max()) for term in self.norms())
             self.terrain.bounds += [Decay(term.landscape, self.rate) for term in self.norms()]
         return min((self.glanced(x) for x in ranked[:ENTERED]), key=lambda each: self.cost(*each))
 
@@ -241,7 +244,6 @@ class Search:
             x, height, size = moved, there, max(size, float(np.abs(moved).max()))
             if stage and growth <= 1 + 1e-6:
                 break
-        self.at_limit = size >= dearest * (1 - 1e-6)
         return x, height, None
 
     def settled(self, x: Array, height: Height) -> tuple[Array, Height]:
