@@ -16,6 +16,8 @@ from models.kind import GRAVITY, LOWEST_HUB
 from models.vehicle import Vehicle
 
 GIVE = "give the model of the kind of vehicle"
+# Begins the name of an actuator that a vehicle file puts into the model, after those of the MJCF, which are the inputs.
+FITTED = "fitted_"
 MUJOCO_SAYS = (ValueError, mujoco.FatalError)  # against a model
 
 
@@ -51,6 +53,8 @@ def build_spec(vehicle: Vehicle, timestep: float) -> mujoco.MjSpec:
     if vehicle.kind.mjcf.stat().st_size > TEXT:
         raise InputError(f"MJCF {vehicle.kind.mjcf}: is too large; at most {TEXT / MIB:g} MiB is read: {GIVE}")
     spec = _drawn(vehicle)
+    if taken := [actuator.name for actuator in spec.actuators if actuator.name.startswith(FITTED)]:
+        raise InputError(f"MJCF {vehicle.kind.mjcf}: has an actuator {taken[0]!r}; call it otherwise, {FITTED}... is taken")
     for sensor in spec.sensors:
         if sensor.name in vehicle.kind.unnamed:
             spec.delete(sensor)
@@ -166,14 +170,21 @@ def _check_names(vehicle: Vehicle, model: mujoco.MjModel) -> None:
     sensors = {model.sensor(i).name for i in range(model.nsensor)}
     parts = [part for name in vehicle.linear_model.outputs for part in kind.combined.get(name, {name: 1.0})]
     missing += [f"sensor {part!r}" for part in dict.fromkeys(parts) if part not in sensors]
-    if model.nu != len(vehicle.linear_model.inputs):
+    actuators = len(_inputs(model))
+    if actuators != len(vehicle.linear_model.inputs):
         raise InputError(
-            f"MJCF {kind.mjcf}: has {model.nu} actuator(s), and the equations {len(vehicle.linear_model.inputs)}; give as many"
+            f"MJCF {kind.mjcf}: has {actuators} actuator(s), and the equations {len(vehicle.linear_model.inputs)}; give as many"
         )
     mocap = {model.body(i).name for i in range(model.nbody) if model.body(i).mocapid[0] >= 0}
     missing += [f"mocap body {wheel.road_body!r}" for wheel in kind.wheels if wheel.road_body not in mocap]
     if missing:
         raise InputError(f"MJCF {kind.mjcf}: has no {', no '.join(missing)}, which the equations name; add what is missing")
+
+
+def _inputs(model: mujoco.MjModel) -> tuple[str, ...]:
+    """The names of a model's actuators without those that are fitted, which come after all others."""
+    names = [model.actuator(i).name for i in range(model.nu)]
+    return tuple(name for name in names if not name.startswith(FITTED))
 
 
 def _check_numbers(vehicle: Vehicle, model: mujoco.MjModel) -> None:
@@ -183,7 +194,7 @@ def _check_numbers(vehicle: Vehicle, model: mujoco.MjModel) -> None:
         InputError: it says what is wrong.
     """
     where = f"MJCF {vehicle.kind.mjcf}"
-    actuators = tuple(model.actuator(i).name for i in range(model.nu))
+    actuators = _inputs(model)
     if actuators != vehicle.linear_model.inputs:
         raise InputError(
             f"{where}: its actuators are {', '.join(map(repr, actuators))}, and the inputs of the equations "

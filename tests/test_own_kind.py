@@ -78,6 +78,7 @@ def test_equations_that_do_not_work(folder, old, new, said):
         (ROAD, '<body name="road">', r"has no mocap body 'road'"),
         ('<actuator><motor name="control_force" joint="sprung"/></actuator>', "", r"MJCF"),
         ("</actuator>", '<motor joint="sprung"/></actuator>', r"has 2 actuator\(s\), and the equations 1"),
+        ("</actuator>", '<motor name="fitted_1" joint="sprung"/></actuator>', r"actuator 'fitted_1'; call it otherwise"),
     ],
 )
 def test_a_model_that_does_not_work(folder, old, new, said):

@@ -82,8 +82,8 @@ def step_batch(
     gain, offset, stage, fresh = reading.gain, reading.offset, reading.stage, reading.fresh
     (count, known), kept = offset.shape[1:], reading.memory.shape[2]
     m = known - kept
-    # The motors, in the order of the linear model's inputs, are all there is in ctrl.
-    ctrl, heights, sensors = batch.bind("ctrl"), batch.bind("mocap_pos")[:, :, 2], batch.bind("sensordata").T
+    # The motors come first in ctrl, in the order of the linear model's inputs; what is fitted beside them is not asked.
+    acting, heights, sensors = batch.bind("ctrl")[:, :m], batch.bind("mocap_pos")[:, :, 2], batch.bind("sensordata").T
     motion, width = _motion(batch), gain.shape[2]
     moved, positions = motion.shape[1], batch.bind("qpos").shape[1]
     early = np.repeat(batch.model.sensor_needstage, batch.model.sensor_dim) <= stage
@@ -124,7 +124,7 @@ def step_batch(
                 forces[...] = law(k, all_seen[:, :width])
                 if kept:
                     all_seen[:, width:] = law.used
-            ctrl[...] = forces
+            acting[...] = forces
             if at_samples is not None:
                 if not reading.once:
                     heights[:, mocap] = at_samples[k]

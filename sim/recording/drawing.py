@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from models.common.arrays import Array
-from models.mjcf import build_model, mocap_indices
+from models.mjcf import FITTED, build_model, mocap_indices
 from models.roads.road import Road, delays, under_wheels
 from models.vehicle import Vehicle
 from sim.physics.blocks import DIVERGED
@@ -108,10 +108,11 @@ def _tracks(vehicle: Vehicle, road: Road, places: Array, time: Array, heights: A
 
 
 def _actuators(model: mujoco.MjModel) -> dict[str, str]:
-    """The signal of every actuator that pulls on a tendon, by the tendon's name."""
+    """The signal of every actuator that pulls on a tendon, by the tendon's name; what is fitted beside them has none."""
     on_tendon = int(mujoco.mjtTrn.mjTRN_TENDON)
     acting = [i for i in range(model.nu) if int(model.actuator_trntype[i]) == on_tendon]
-    return {model.tendon(int(model.actuator_trnid[i, 0])).name: model.actuator(i).name for i in acting}
+    names = {model.tendon(int(model.actuator_trnid[i, 0])).name: model.actuator(i).name for i in reversed(acting)}
+    return {tendon: name for tendon, name in names.items() if not name.startswith(FITTED)}
 
 
 def _tyre(model: mujoco.MjModel, i: int, tendon: int, lengths: Array) -> Tyre:
