@@ -11,7 +11,7 @@ import numpy as np
 from models import rigid_body, signals
 from models.kind import Parameter, Parameters, Variation, VehicleKind, Wheel
 from models.linear_model import LinearModel
-from models.rigid_body import Corner, RigidBody
+from models.rigid_body import Bar, Corner, RigidBody
 
 AXLES = ("front", "rear")
 SIDES = ("left", "right")
@@ -42,6 +42,16 @@ PARAMETERS = (
     *_per_axle("suspension_stiffness", "N/m", "k_s at one wheel"),
     *_per_axle("suspension_damping", "N s/m", "c_s at one wheel", positive=False),
     *_per_axle("tyre_stiffness", "N/m", "k_u of one tyre", varied=Variation("tyre stiffness", 0.75, 1.25)),
+    *(
+        Parameter(
+            f"anti_roll_stiffness_{axle}",
+            "N m/rad",
+            f"of the anti-roll bar, moment per angle by which the body rolls over the {axle} axle",
+            positive=False,
+            usual=0.0,
+        )
+        for axle in AXLES
+    ),
 )
 
 
@@ -88,7 +98,8 @@ def _body(p: Parameters) -> RigidBody:
         for side in SIDES
     )
     modes = np.stack(list(MODES.values()))
-    return RigidBody(corners, p["sprung_mass"], p["pitch_inertia"], p["roll_inertia"], tyre_modes=modes, twist=TWIST)
+    bars = tuple(Bar(axle, 2 * i, 2 * i + 1, p[f"anti_roll_stiffness_{axle}"]) for i, axle in enumerate(AXLES))
+    return RigidBody(corners, p["sprung_mass"], p["pitch_inertia"], p["roll_inertia"], tyre_modes=modes, twist=TWIST, bars=bars)
 
 
 def _side(side: str, p: Parameters) -> float:

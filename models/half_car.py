@@ -105,4 +105,5 @@ KIND = VehicleKind(
     write_mjcf=lambda spec, p: rigid_body.write_mjcf(spec, _body(p)),
     check_together=check,
     on_demand=ON_DEMAND,
+    lacking={"anti_roll": "an anti-roll bar acts where a body rolls, and a half-car only heaves and pitches: take a full_car"},
 )

@@ -59,6 +59,7 @@ class Parameter:
         positive: whether zero is refused too. Negative, infinite, NaN and absurdly large values always are.
         varied: how far it varies where a controller's robustness is asked for; None where it is taken as it is.
         largest: that is allowed.
+        usual: what it is where a vehicle file does not say; None where every file must.
     """
 
     name: str
@@ -67,6 +68,7 @@ class Parameter:
     positive: bool = True
     varied: Variation | None = None
     largest: float = LARGEST
+    usual: float | None = None
 
     def check(self, value: Any) -> float:
         """The value as a float.
@@ -144,7 +146,7 @@ class VehicleKind:
 
     Attributes:
         name: `type` in a vehicle file, and the stem of the `.py`, `.xml` and `.toml` files.
-        parameters: what a vehicle file must give.
+        parameters: what a vehicle file must give, and may.
         signals: of every vehicle of the kind: outputs of the linear model and, by the same names, sensors of the MJCF.
         wheels: in the order of the linear model's disturbances.
         linear_model: parameters -> LinearModel, of all signals, those on demand too; a vehicle's own is `model`.
@@ -159,6 +161,7 @@ class VehicleKind:
         invariants: what no suspension force can change.
         on_demand: signals that only a vehicle has whose file names them: outputs and sensors like the others, which cost nothing
             where nobody asks for them.
+        lacking: what somebody may look for and it cannot have, as {beginning of a parameter's name: why}.
     """
 
     name: str
@@ -174,6 +177,7 @@ class VehicleKind:
     suspended: tuple[Suspension, ...] | None = None
     invariants: tuple[Invariant, ...] = ()
     on_demand: tuple[Signal, ...] = ()
+    lacking: Mapping[str, str] = field(default_factory=dict)
 
     def naming(self, names: Collection[str]) -> "VehicleKind":
         """The kind whose vehicles have those of the signals on demand that are named, after their other signals."""
@@ -232,7 +236,9 @@ class VehicleKind:
         names = [parameter.name for parameter in self.parameters]
         for name in parameters:
             if name not in names:
-                raise InputError(f"unknown parameter {name!r}; a {self.name} has {listing(names)}")
+                why = "".join(f" ({said})" for beginning, said in self.lacking.items() if name.startswith(beginning))
+                raise InputError(f"unknown parameter {name!r}; a {self.name} has {listing(names)}{why}")
+        parameters = {one.name: one.usual for one in self.parameters if one.usual is not None} | dict(parameters)
         for parameter in self.parameters:
             if parameter.name not in parameters:
                 raise InputError(f"parameter {parameter.name!r} [{parameter.unit}] is missing: {parameter.meaning}")

@@ -134,4 +134,5 @@ KIND = VehicleKind(
     write_mjcf=write_mjcf,
     invariants=INVARIANTS,
     on_demand=ON_DEMAND,
+    lacking={"anti_roll": "an anti-roll bar acts where a body rolls, and a quarter-car only goes up and down: take a full_car"},
 )

@@ -9,6 +9,10 @@ the manner of the paper's (28), with the suspension's force f_i up on the body,
 
 and the state is made of relative displacements and velocities: x = (d, P t, q', z_u').
 
+An anti-roll bar is a torsion spring between body and axle: it turns by the angle a = (d_left - d_right) / track that the body
+rolls over its axle, and its moment k a is a pair of forces at the two wheels. So K_s, which is diagonal without bars, has
+k (e_l - e_r)(e_l - e_r)' / track^2 in it.
+
 Four wheels on a rigid body are one too many for this. Where n is the twist that no rigid body follows (n' S = 0),
 n' (d + t + z_r) = 0 for ever: the twist of the road is a displacement, not a velocity that the suspension forgets. So the states
 take the tyre deflections only as the modes P t that a rigid body can follow, and the twist of the road enters beside them:
@@ -51,6 +55,22 @@ class Corner:
     tyre_stiffness: float
 
 
+@dataclass(frozen=True)
+class Bar:
+    """An anti-roll bar of one axle.
+
+    Attributes:
+        name: suffix of its tendon in the MJCF.
+        left, right: indices of its corners.
+        stiffness: moment per angle by which the body rolls over the axle [N m/rad].
+    """
+
+    name: str
+    left: int
+    right: int
+    stiffness: float
+
+
 @dataclass(frozen=True, eq=False)
 class RigidBody:
     """A body on corners.
@@ -62,6 +82,7 @@ class RigidBody:
         roll_inertia: about the longitudinal one [kg m2]; None for a body that does not roll.
         tyre_modes: P, the modes of the tyre deflections among the states, shape (p, c).
         twist: n, shape (c,); zero where every motion of the wheels is one of the body too.
+        bars: its anti-roll bars.
     """
 
     corners: tuple[Corner, ...]
@@ -70,6 +91,19 @@ class RigidBody:
     roll_inertia: float | None
     tyre_modes: Array
     twist: Array
+    bars: tuple[Bar, ...] = ()
+
+    def arms(self, bar: Bar) -> Array:
+        """The angle by which a bar turns, per deflection of every suspension [rad/m], shape (c,)."""
+        arms = np.zeros(len(self.corners))
+        arms[[bar.left, bar.right]] = np.array([1.0, -1.0]) / (self.corners[bar.left].y - self.corners[bar.right].y)
+        return arms
+
+    @property
+    def stiffness(self) -> Array:
+        """K_s: force of every suspension per deflection of each [N/m], shape (c, c)."""
+        bars = [bar.stiffness * np.outer(self.arms(bar), self.arms(bar)) for bar in self.bars]
+        return sum(bars, np.diag([corner.suspension_stiffness for corner in self.corners]))
 
     @property
     def shape(self) -> Array:
@@ -120,7 +154,7 @@ def linear_model(
     n = 2 * c + p + k
     corner = {
         name: np.diag([getattr(corner, name) for corner in body.corners])
-        for name in ("unsprung_mass", "suspension_stiffness", "suspension_damping", "tyre_stiffness")
+        for name in ("unsprung_mass", "suspension_damping", "tyre_stiffness")
     }
     # Rows of the identity pick out the parts of the state.
     d, Pt, q_dot, z_u_dot = np.split(np.eye(n), [c, c + p, c + p + k])
@@ -128,7 +162,7 @@ def linear_model(
     N = np.outer(body.twist, body.twist) / (float(body.twist @ body.twist) or 1.0)
     t = np.linalg.pinv(P) @ Pt - N @ d
     d_dot = S @ q_dot - z_u_dot
-    f = -corner["suspension_stiffness"] @ d - corner["suspension_damping"] @ d_dot  # and u
+    f = -body.stiffness @ d - corner["suspension_damping"] @ d_dot  # and u
     lift, push = np.linalg.solve(M, S.T), np.linalg.inv(corner["unsprung_mass"])
 
     A = np.vstack([d_dot, P @ z_u_dot, lift @ f, -push @ (f + corner["tyre_stiffness"] @ t)])
@@ -185,7 +219,9 @@ def write_mjcf(spec: Any, body: RigidBody) -> None:
     """Writes a body on corners into the MjSpec of its kind: masses, places, springs and preloads.
 
     Elements are named by corner: bodies `road_NAME` and `unsprung_NAME`, sites `suspension_NAME_bottom` and `_top`, tendons
-    `suspension_NAME` and `tyre_NAME`. At qpos = 0 the preloads carry the weight, so that it is the static equilibrium.
+    `suspension_NAME` and `tyre_NAME`. At qpos = 0 the preloads carry the weight, so that it is the static equilibrium. An
+    anti-roll bar, where there is one, is a fixed tendon `anti_roll_bar_NAME`: its length is the angle of the joint `roll` to its
+    axle.
     """
     sprung = spec.body("sprung")
     sprung.mass = body.mass
@@ -210,3 +246,11 @@ def write_mjcf(spec: Any, body: RigidBody) -> None:
         suspension.springlength = [length + load / corner.suspension_stiffness] * 2
         tyre.stiffness[0] = corner.tyre_stiffness
         tyre.springlength[0] = unsprung.pos[2] - road.pos[2] + squeeze
+    for bar in body.bars:
+        if bar.stiffness > 0:
+            torsion = spec.add_tendon(name=f"anti_roll_bar_{bar.name}", springlength=[0.0, 0.0])
+            torsion.stiffness[0] = bar.stiffness
+            torsion.wrap_joint("roll", 1.0)
+            for corner, arm in zip(body.corners, body.arms(bar), strict=True):
+                if arm:
+                    torsion.wrap_joint(f"unsprung_{corner.name}", -arm)

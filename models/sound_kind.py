@@ -43,6 +43,10 @@ def wrong_parts(kind: VehicleKind) -> str:
         varied = part.varied
         if varied is not None and not (isinstance(varied, Variation) and isinstance(varied.name, str)):
             return f"parameter {part.name!r} has varied = {quoted(varied)}; give Variation(name, smallest, largest)"
+        if part.usual is not None and not _is_number(part.usual):
+            return f"parameter {part.name!r} is usually {quoted(part.usual)}; give a finite number, or leave usual out"
+    if not isinstance(kind.lacking, Mapping) or not all(isinstance(text, str) for pair in kind.lacking.items() for text in pair):
+        return f"its lacking is {quoted(kind.lacking)}; give {{beginning of a parameter's name: why there is none}}"
     return _wrong_wheels(kind) or _wrong_sums(kind) or _wrong_suspensions(kind) or _wrong_invariants(kind)
 
 

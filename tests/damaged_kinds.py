@@ -93,7 +93,9 @@ def _parts() -> Iterator[Damage]:
     parts = {
         "parameters": ("None", "3", "('mass', 'stiffness')", "OTHER['parameters'] * 2", "(Parameter(3, 'kg', 'x'),)",
                        "(Parameter('a mass', 'kg', 'x'),)", "(Parameter('', 'kg', 'x'),)", "(Parameter('mass', 1, 'x'),)",
-                       "(Parameter('mass', 'kg', None),)", "(Parameter('mass', 'kg', 'x', varied=2),)"),
+                       "(Parameter('mass', 'kg', None),)", "(Parameter('mass', 'kg', 'x', varied=2),)",
+                       "(Parameter('mass', 'kg', 'x', usual='1'),)"),
+        "lacking": ("None", "('bar',)", "{'bar': 1}", "{1: 'no bar'}"),
         "signals": ("None", "()", "OTHER['signals'] * 2", "OTHER['signals'][1:]", "OTHER['signals'][:-1]",
                     "tuple(one.name for one in OTHER['signals'])", "(*OTHER['signals'], signals.PITCH_RATE)",
                     "(*OTHER['signals'], signals.Signal('x', None, 'm', 'x'))",

@@ -18,11 +18,13 @@ from synth.controller import Controller
 
 
 def reads_out(vehicle: Vehicle, timestep: float) -> bytes:
-    """A key that is the same for vehicles whose signals come out of MuJoCo alike: those of the same geometry."""
-    readout = prepared(vehicle, timestep)[1]
+    """A key that is the same for vehicles that can be stepped side by side: of the same geometry, and of as many elements."""
+    model, readout = prepared(vehicle, timestep)
+    elements = np.array([model.ntendon, model.nwrap, model.nu])  # one without a stop or a bar has no place for that of another
     used = np.where(readout.linear[:, None], readout.of_state, 0.0)
     return b"".join(
-        part.tobytes() for part in (readout.linear, readout.stage, used, readout.of_sensors, readout.of_road, readout.rest)
+        part.tobytes()
+        for part in (elements, readout.linear, readout.stage, used, readout.of_sensors, readout.of_road, readout.rest)
     )
 
 
