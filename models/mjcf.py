@@ -18,6 +18,7 @@ from models.vehicle import Vehicle
 GIVE = "give the model of the kind of vehicle"
 # Begins the name of an actuator that a vehicle file puts into the model, after those of the MJCF, which are the inputs.
 FITTED = "fitted_"
+SLACK = 1e3  # m; no suspension is that long
 MUJOCO_SAYS = (ValueError, mujoco.FatalError)  # against a model
 
 
@@ -107,13 +108,14 @@ def _said(error: Exception) -> str:
 def _write_limits(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
     """Bump stops, largest force and lag, into every suspension and actuator.
 
-    A bump stop is a second spring beside each suspension's tendon, with a dead band of the stroke.
+    A bump stop is a second spring beside each suspension's tendon, with a dead band of the stroke; where bump and rebound are not
+    alike, each is a spring of its own, slack to the other side.
 
     Raises:
         InputError: the kind has no suspensions, or its MJCF not their tendons.
     """
-    limits = vehicle.limits
-    if limits.suspension_stroke is not None and limits.stop_stiffness is not None:
+    limits, stops = vehicle.limits, vehicle.limits.stops
+    if stops is not None and limits.stop_stiffness is not None:
         names = [one.tendon for one in vehicle.kind.suspensions]
         if not names:
             raise InputError("[limits] suspension_stroke: this kind of vehicle has no suspension to stop; leave it out")
@@ -126,14 +128,24 @@ def _write_limits(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
         at_rest = _compiled(vehicle, spec.copy())
         for tendon in suspensions.values():
             rest = float(at_rest.tendon_length0[at_rest.tendon(tendon.name).id])
-            stop = spec.add_tendon(name=f"stop_{tendon.name}")
-            stop.stiffness[0] = limits.stop_stiffness
-            stop.springlength = [rest - limits.suspension_stroke, rest + limits.suspension_stroke]
-            for wrap in tendon.path:
-                if wrap.type == mujoco.mjtWrap.mjWRAP_JOINT:
-                    stop.wrap_joint(wrap.target.name, wrap.coef)
-                else:
-                    stop.wrap_site(wrap.target.name)
+            band = [rest - stops.bump.stroke, rest + stops.rebound.stroke]
+            if stops.alike:
+                springs = {"stop": (band, stops.bump.stiffness)}
+            else:
+                first, second, third = stops.bump.stiffness
+                springs = {  # beyond the bump's end the spring's x is below 0
+                    "stop_bump": ([band[0], SLACK], (first, -second, third)),
+                    "stop_rebound": ([-SLACK, band[1]], stops.rebound.stiffness),
+                }
+            for name, (slack, stiffness) in springs.items():
+                stop = spec.add_tendon(name=f"{name}_{tendon.name}")
+                stop.stiffness[:] = stiffness
+                stop.springlength = slack
+                for wrap in tendon.path:
+                    if wrap.type == mujoco.mjtWrap.mjWRAP_JOINT:
+                        stop.wrap_joint(wrap.target.name, wrap.coef)
+                    else:
+                        stop.wrap_site(wrap.target.name)
     for actuator in spec.actuators:
         if limits.actuator_force is not None:
             actuator.forcelimited = True

@@ -1,16 +1,16 @@
 """What a real car has and the analysis has not: `[limits]` and `[implementation]` of a vehicle file, each off where absent."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 from models.common.errors import InputError, listing, quoted
 from models.kind import Parameter
+from models.stops.stops import Sides, Stiffness, Stops, read_stiffness, read_stroke, stops
 
+STOPS = {"suspension_stroke": read_stroke, "stop_stiffness": read_stiffness}
 LIMITS = (
-    Parameter("suspension_stroke", "m", "how far every suspension moves either way before its bump stop"),
-    Parameter("stop_stiffness", "N/m", "of the bump stops; needs suspension_stroke"),
     Parameter("actuator_force", "N", "largest force of every actuator, either way"),
     Parameter("actuator_bandwidth", "rad/s", "corner frequency of every actuator, a first-order lag"),
 )
@@ -26,23 +26,39 @@ class Limits:
     """Where the hardware ends. None means: no such limit.
 
     Attributes:
-        suspension_stroke: travel either way before the bump stop [m].
-        stop_stiffness: stiffness of the bump stop [N/m].
+        suspension_stroke: travel either way before the bump stop [m], or one for each side.
+        stop_stiffness: stiffness of the bump stop [N/m], or the coefficients of a progressive one, or these for each side.
         actuator_force: largest force [N].
         actuator_bandwidth: corner frequency of the first-order lag from the force asked for to the force [rad/s].
     """
 
-    suspension_stroke: float | None = None
-    stop_stiffness: float | None = None
+    suspension_stroke: float | Sides | None = None
+    stop_stiffness: Stiffness | Sides | None = None
     actuator_force: float | None = None
     actuator_bandwidth: float | None = None
+
+    @property
+    def stops(self) -> Stops | None:
+        """The bump stops of every suspension; those of a stroke alone, of which nothing is run, push back with nothing."""
+        return None if self.suspension_stroke is None else stops(self.suspension_stroke, self.stop_stiffness or 0.0)
+
+    @property
+    def written(self) -> dict[str, str]:
+        """What there is of them as a vehicle file has it, by key; of both sides apart by `key.side`."""
+        given = {name: value for name, value in vars(self).items() if value is not None}
+        flat = {}
+        for name, value in given.items():
+            flat |= {f"{name}.{side}": one for side, one in vars(value).items()} if isinstance(value, Sides) else {name: value}
+        return {
+            name: f"[{', '.join(f'{k:g}' for k in one)}]" if isinstance(one, tuple) else f"{one:g}" for name, one in flat.items()
+        }
 
     @property
     def words(self) -> tuple[str, ...]:
         """What there is of them, a phrase each."""
         found = []
-        if self.suspension_stroke is not None:
-            found.append(f"bump stops at ±{self.suspension_stroke:g} m")
+        if self.stops is not None:
+            found.append(self.stops.words)
         if self.actuator_force is not None:
             found.append(f"forces up to ±{self.actuator_force:g} N")
         if self.actuator_bandwidth is not None:
@@ -143,16 +159,20 @@ def read_limits(section: Mapping[str, Any]) -> Limits:
     Raises:
         InputError: a key that is unknown, a value that is not allowed, a stroke without a stiffness or the other way round.
     """
-    allowed = {parameter.name: parameter for parameter in LIMITS}
+    allowed = STOPS | {parameter.name: _number(parameter) for parameter in LIMITS}
     for name in section:
         if name not in allowed:
             raise InputError(f"[limits] unknown key {name!r}; known: {listing(allowed)}")
-    limits = Limits(**{name: allowed[name].check(value) for name, value in section.items()})
+    limits = Limits(**{name: allowed[name](name, value) for name, value in section.items()})
     if (limits.suspension_stroke is None) != (limits.stop_stiffness is None):
         raise InputError(
             "[limits] suspension_stroke [m] and stop_stiffness [N/m] make a bump stop together; give both or neither"
         )
     return limits
+
+
+def _number(parameter: Parameter) -> Callable[[str, Any], float]:
+    return lambda name, value: parameter.check(value)
 
 
 def read_implementation(section: Mapping[str, Any], measurable: tuple[str, ...]) -> Implementation:

@@ -27,7 +27,8 @@ ROOMS = {
     "models.formats": "models.common",
     "models.own": "models.common",
     "models.goals": "models.common",
-    "models": "models.common models.filters models.formats models.goals models.own",
+    "models.stops": "models.common",
+    "models": "models.common models.filters models.formats models.goals models.own models.stops",
     "models.roads": "models models.common",
     # synth: what a controller is; of vehicles it knows nothing below `controller`
     "synth": "",

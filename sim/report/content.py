@@ -1,7 +1,6 @@
 """What a report says: its answer, then section by section."""
 
 import json
-from dataclasses import asdict
 from typing import Any
 
 from models.figures.page import Page, Section, Table
@@ -98,8 +97,7 @@ def _provenance(scope: Scope, provenance: dict[str, str]) -> Section:
     settings += [(f"weight of {name}", f"{value:g}") for name, value in vehicle.performance.items()]
     settings += [(f"filter of {name}", one.words) for name, one in vehicle.filters.items()]
     settings += [("filter of the road", vehicle.road_filter.words)] if vehicle.road_filter is not None else []
-    limits = {name: value for name, value in asdict(vehicle.limits).items() if value is not None}
-    settings += [(f"[limits] {name}", f"{value:g}") for name, value in limits.items()] or [("[limits]", "none")]
+    settings += [(f"[limits] {name}", text) for name, text in vehicle.limits.written.items()] or [("[limits]", "none")]
     built = {"sample_period": how.sample_period, "delay": how.delay or None}
     built |= {f"noise of {name}": rms for name, rms in how.noise.items()}
     built |= {f"quantisation of {name}": step for name, step in how.quantisation.items()}

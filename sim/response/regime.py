@@ -81,6 +81,14 @@ def _either_way(
     return thresholds
 
 
+def _at_the_stops(vehicle: Vehicle) -> list[Threshold]:
+    """Thresholds on every suspension's deflection, one to each side, if the vehicle has stops."""
+    stops, names = vehicle.limits.stops, [one.deflection for one in vehicle.kind.suspensions]
+    if stops is None:
+        return []
+    return [Threshold(name, sign, stop.stroke) for name in names for sign, stop in ((-1.0, stops.bump), (1.0, stops.rebound))]
+
+
 LIFT_OFF = End(
     "lift-off",
     "a tyre leaves the road",
@@ -97,9 +105,7 @@ BUMP_STOP = End(
     "bump stop: a suspension is at the end of its stroke first at {when:.4g} s",
     "#e8955a",
     ("Square", (255, 0, 200)),
-    _either_way(
-        lambda vehicle: [one.deflection for one in vehicle.kind.suspensions], lambda vehicle: vehicle.limits.suspension_stroke
-    ),
+    _at_the_stops,
 )
 SATURATION = End(
     "force saturation",

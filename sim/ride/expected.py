@@ -147,8 +147,8 @@ def expect(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: f
     for name in where.suspensions:
         signal = root(f"{name}_rms", index[name])
         mean[f"{name}_peak"] = signal.largest(window) * signal.sigma
-        if vehicle.limits.suspension_stroke is not None:
-            mean[f"{name}_at_stops"] = 2 * signal.beyond(vehicle.limits.suspension_stroke)
+        if (stops := vehicle.limits.stops) is not None:
+            mean[f"{name}_at_stops"] = signal.beyond(stops.bump.stroke) + signal.beyond(stops.rebound.stroke)
     for name in where.tyres:
         signal = root(dynamic_load(name), index[name], static[name], 1 / static[name])
         mean[off_ground(name)] = signal.beyond(static[name])

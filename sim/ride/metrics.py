@@ -84,7 +84,7 @@ def metrics_of(vehicle: Vehicle) -> tuple[Metric, ...]:
         found += [_of(name, what, unit) for what, unit in units.items()]
     for name in where.suspensions:
         found += [_of(name, "rms", "m"), _of(name, "peak", "m")]
-        if vehicle.limits.suspension_stroke is not None:
+        if vehicle.limits.stops is not None:
             found.append(_of(name, "at_stops", "-"))
     for name in where.tyres:
         found += [Metric(dynamic_load(name), "-", name, "dynamic_load"), Metric(off_ground(name), "-", name, "off_ground")]
@@ -133,7 +133,7 @@ class Meter:
     def __init__(self, vehicles: Sequence[Vehicle], timestep: float, first: int) -> None:
         """For signals a timestep [s] apart, from sample `first` on."""
         self.vehicle, self.timestep, self.first, count = vehicles[0], timestep, first, len(vehicles)
-        self.where, self.stroke = points(self.vehicle), self.vehicle.limits.suspension_stroke
+        self.where, self.stops = points(self.vehicle), self.vehicle.limits.stops
         names = [signal.name for signal in self.vehicle.kind.signals]
         self.index = {name: names.index(name) for name in self.vehicle.linear_model.outputs}
         statics = [vehicle.kind.static_tyre_deflection(vehicle.parameters) for vehicle in vehicles]
@@ -164,8 +164,9 @@ class Meter:
             deflection = self._signal(values, name)
             self._add(f"{name}_rms", _squares(deflection))
             self._keep(f"{name}_peak", deflection)
-            if self.stroke is not None:
-                self._add(f"{name}_at_stops", np.count_nonzero(np.abs(deflection) >= self.stroke, axis=1))
+            if self.stops is not None:
+                beyond = (deflection <= -self.stops.bump.stroke) | (deflection >= self.stops.rebound.stroke)
+                self._add(f"{name}_at_stops", np.count_nonzero(beyond, axis=1))
         for name in self.where.tyres:
             deflection, static = self._signal(values, name), self.static[name][:, None]
             self._add(off_ground(name), np.count_nonzero(deflection >= static, axis=1))
@@ -194,7 +195,7 @@ class Meter:
             found[f"{name}_crest"] = np.where(still, 0.0, self.largest[f"{name}_crest"] / np.where(still, 1.0, weighted))
         for name in self.where.suspensions:
             found |= {f"{name}_rms": np.sqrt(mean[f"{name}_rms"]), f"{name}_peak": self.largest[f"{name}_peak"]}
-            if self.stroke is not None:
+            if self.stops is not None:
                 found[f"{name}_at_stops"] = mean[f"{name}_at_stops"]
         for name in self.where.tyres:
             found[dynamic_load(name)] = np.sqrt(mean[dynamic_load(name)]) / self.static[name]

@@ -1,0 +1,159 @@
+"""Bump stops that are progressive, or unlike in bump and rebound: their force, their events, their energy."""
+
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's bindings carry no type stubs.
+
+import dataclasses
+import json
+
+import mujoco
+import numpy as np
+import pytest
+
+from models.common.errors import InputError
+from models.mjcf import build_model, mjcf_text
+from models.reality import Limits, read_limits
+from models.roads.road import Bump
+from models.stops.stops import Sides, Stop
+from models.vehicle import parse_vehicle, read_vehicle
+from sim.bump import main
+from sim.inspect.__main__ import main as inspect
+from sim.physics.energy import energy
+from sim.physics.simulate import simulate
+from sim.response.regime import reached
+from sim.runs.run import sample_times
+from synth.designer import Designer
+from tests.commands import prose
+
+UNLIKE = "\n[limits]\nsuspension_stroke = { bump = 0.05, rebound = 0.07 }\nstop_stiffness = "
+STOPS = {
+    "linear": "1e5",
+    "progressive": "[4e4, 2e6, 3e8]",
+    "of each side": "{ bump = [4e4, 2e6, 3e8], rebound = 2e5 }",
+}
+
+
+def built(text, kind="quarter_car"):
+    """A vehicle that ships, with limits."""
+    return parse_vehicle(read_vehicle(kind).text + text)
+
+
+def push_of(stop: Stop, beyond):
+    """What a stop pushes back with where it is squeezed by so much, from its coefficients."""
+    return sum(k * beyond**power for power, k in enumerate(stop.stiffness, start=1))
+
+
+@pytest.mark.parametrize("stiffness", STOPS.values(), ids=STOPS)
+def test_force_is_the_polynomial_of_how_far_it_is_squeezed(stiffness):
+    """Over the whole travel, the stops push a quarter-car's body back with k1 x + k2 x^2 + k3 x^3, and not before their end."""
+    vehicle = built(UNLIKE + stiffness)
+    stops = vehicle.limits.stops
+    assert stops is not None
+    with_stops, without = build_model(vehicle, 1e-3), build_model(dataclasses.replace(vehicle, limits=Limits()), 1e-3)
+
+    def passive(model, deflection):
+        data = mujoco.MjData(model)
+        data.joint("sprung").qpos[0] = deflection
+        mujoco.mj_forward(model, data)
+        return float(data.joint("sprung").qfrc_passive[0])
+
+    for deflection in np.linspace(-0.12, 0.12, 49):
+        force = passive(with_stops, deflection) - passive(without, deflection)
+        up = push_of(stops.bump, max(-deflection - 0.05, 0.0)) - push_of(stops.rebound, max(deflection - 0.07, 0.0))
+        assert force == pytest.approx(up, abs=1e-9, rel=1e-12)  # rounding beside the weight of 5 kN
+
+
+@pytest.mark.parametrize("kind", ["quarter_car", "half_car", "full_car"])
+@pytest.mark.parametrize("stiffness", STOPS.values(), ids=STOPS)
+def test_energy_balances(kind, stiffness):
+    """Deep in its stops a vehicle's energy balances as it does with a linear stop: MuJoCo stores what it pushes with."""
+    vehicle = built(UNLIKE + stiffness, kind)
+    road, time = Bump(height=0.15, length=2.0, speed=8.0), sample_times(vehicle, 1.5, 1e-3)
+    runs = simulate([vehicle], [Designer(vehicle).design("passive")], [road], time)
+    deepest = min(float(runs.response.run(0)[one.deflection].min()) for one in vehicle.kind.suspensions)
+    assert deepest < -0.051  # it is in them
+    found = energy(vehicle, runs, 0, road)
+    assert found.residual < 1e-4  # kinks where a stop begins to act; measured up to 5.3e-5
+
+
+def test_a_stop_ends_the_regime_at_its_own_end(paper):
+    """The event comes where the deflection first is at the stop of its side: at 50 mm in bump, at 70 in rebound."""
+    time, road = sample_times(paper, 1.5, 1e-3), Bump(height=0.15, length=2.0, speed=8.0)
+    passive = Designer(paper).design("passive")
+    free = simulate([paper], [passive], [road], time).response.run(0)["suspension_deflection"]
+    for bump, rebound in ((0.05, 0.07), (0.07, 0.05), (0.05, 10.0), (10.0, 0.05)):
+        vehicle = built(f"\n[limits]\nsuspension_stroke = {{ bump = {bump}, rebound = {rebound} }}\nstop_stiffness = 1e5")
+        response = simulate([vehicle], [passive], [road], time).response.run(0)
+        touched = np.flatnonzero((free <= -bump) | (free >= rebound))
+        expected = time[touched[0]] if len(touched) else np.inf
+        assert reached(vehicle, response)[1] == expected
+    assert (free <= -0.05).any()
+    assert (free >= 0.05).any()
+
+
+@pytest.mark.parametrize("kind", ["quarter_car", "full_car"])
+def test_alike_stops_are_one_spring_as_before(kind):
+    """Stops given for each side that are the same are the model that one number gives, bit for bit."""
+    plain = "\n[limits]\nsuspension_stroke = 0.05\nstop_stiffness = 1e5"
+    sides = "\n[limits]\nsuspension_stroke = { bump = 0.05, rebound = 0.05 }\nstop_stiffness = { bump = [1e5], rebound = 1e5 }"
+    one, other = (built(text, kind) for text in (plain, sides))
+    assert mjcf_text(one, 1e-3) == mjcf_text(other, 1e-3)
+    assert one.limits.words == other.limits.words == ("bump stops at ±0.05 m",)
+
+
+def test_limits_are_read_back_from_logs():
+    """What a log writes down of limits is read back as the same limits, with lists and sides."""
+    for stiffness in STOPS.values():
+        limits = built(UNLIKE + stiffness).limits
+        assert (
+            read_limits({k: v for k, v in json.loads(json.dumps(dataclasses.asdict(limits))).items() if v is not None}) == limits
+        )
+        hash(limits)
+
+
+def test_words_and_settings():
+    """A page and a verdict say both strokes, and that stops are progressive."""
+    limits = built(UNLIKE + STOPS["of each side"]).limits
+    assert limits.words == ("progressive bump stops at -0.05 m in bump and +0.07 m in rebound",)
+    assert limits.written == {
+        "suspension_stroke.bump": "0.05",
+        "suspension_stroke.rebound": "0.07",
+        "stop_stiffness.bump": "[40000, 2e+06, 3e+08]",
+        "stop_stiffness.rebound": "200000",
+    }
+    assert limits.suspension_stroke == Sides(0.05, 0.07)
+
+
+def test_a_log_proves_its_stops(tmp_path, capsys):
+    """A run into unlike progressive stops is logged, and the log proves it again."""
+    file = tmp_path / "car.toml"
+    file.write_text(read_vehicle("quarter_car").text + UNLIKE + STOPS["of each side"])
+    arguments = ["--vehicle", str(file), "--controller", "passive", "--logs", str(tmp_path)]
+    assert main(arguments) == 0
+    assert "bump stop: a suspension is at the end of its stroke first at" in prose(capsys.readouterr().out)
+    (log,) = tmp_path.glob("*.mcap")
+    assert inspect([str(log)]) == 0
+
+
+@pytest.mark.parametrize(
+    ("section", "words"),
+    [
+        ("suspension_stroke = { bump = 0.1 }\nstop_stiffness = 1e5", ["suspension_stroke", "bump = ..., rebound = ..."]),
+        ("suspension_stroke = { up = 0.1, down = 0.1 }\nstop_stiffness = 1e5", ["'up'", "bump = ..., rebound = ..."]),
+        ("suspension_stroke = { bump = 0.1, rebound = -0.1 }\nstop_stiffness = 1e5", ["suspension_stroke rebound = -0.1"]),
+        ("suspension_stroke = 0.1\nstop_stiffness = [1e5, nan]", ["stop_stiffness[1] = nan", "N/m2"]),
+        ("suspension_stroke = 0.1\nstop_stiffness = [1e5, -1.0]", ["stop_stiffness[1] = -1.0", "from 0"]),
+        ("suspension_stroke = 0.1\nstop_stiffness = [0.0, 1e5]", ["stop_stiffness[0] = 0", "from 1e-06"]),
+        ("suspension_stroke = 0.1\nstop_stiffness = []", ["has 0 coefficients", "1 to 3"]),
+        ("suspension_stroke = 0.1\nstop_stiffness = [1.0, 1.0, 1.0, 1.0]", ["has 4 coefficients", "k_3 x^3"]),
+        ("suspension_stroke = 0.1\nstop_stiffness = [[1e5]]", ["is not a number", "N/m"]),
+        ('suspension_stroke = "0.1"\nstop_stiffness = 1e5', ["'0.1' is not a number"]),
+        ("suspension_stroke = true\nstop_stiffness = 1e5", ["suspension_stroke = True"]),
+    ],
+)
+def test_bad_stops_are_refused(section, words):
+    """A stop that is none is refused in one line that says what is allowed."""
+    with pytest.raises(InputError) as refused:
+        built(f"\n[limits]\n{section}\n")
+    assert all(word in str(refused.value) for word in words), refused.value
+    assert "\n" not in str(refused.value)
