@@ -12,6 +12,7 @@ from sim.command.comparison import check_view, compared_lines, run_beside_passiv
 from sim.command.logs import log_lines, recorded
 from sim.ride.measured import first_sample, measure_run, metric_lines, metrics_object
 from sim.ride.metrics import DEFINITIONS
+from sim.ride.roughness import driven_roughness, roughness_object
 from sim.runs.run import sample_times
 from sim.runs.words import half_step_object, run_object, summary_lines
 from synth.designer import Designer
@@ -34,6 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     runs, passive = run_beside_passive(vehicle, names, Designer(vehicle).design, road, time)
     first = first_sample(vehicle, [run.controller for run in runs], road, options.duration, options.timestep)
     measured = [measure_run(run, first) for run in runs]
+    roughness = driven_roughness(vehicle, road, time)
     result = {
         "runs": [
             run_object(run) | {"half_step": half_step_object(run)} | metrics_object(run, one)
@@ -43,6 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "timestep": options.timestep,
         "measured_from": float(time[first]),
         "definitions": DEFINITIONS,
+        "iri": roughness_object(roughness),
     }
     logs = recorded(options, vehicle, names, lambda: dict(zip(names, runs, strict=True)), result)
     if options.json:
@@ -56,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         )
         for run, one in zip(runs, measured, strict=True):
             lines += ["", *compared_lines(run, passive), ""]
-            lines += metric_lines(run, one, float(time[first]), options.duration)
+            lines += metric_lines(run, one, float(time[first]), options.duration, roughness)
         say([*lines, *log_lines(logs), "", *summary_lines(runs)])
     view(options, logs)
     return 0 if all(run.holds for run in runs) else 1

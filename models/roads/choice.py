@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from models.common.errors import InputError, listing
-from models.roads.iso8608 import Iso8608, long_enough, roughness
+from models.roads.iso8608 import Iso8608, long_enough
 from models.roads.obstacles import OBSTACLES
 from models.roads.opencrg import Surface, read_surface
 from models.roads.profile import Profile
@@ -61,7 +61,7 @@ class RoadChoice:
             InputError: a number that is not allowed.
         """
         if self.kind == "iso8608":
-            return Iso8608(self.values["class"], seed, speed, track_width(vehicle), long_enough(distance))
+            return _random(self.values, seed, speed, track_width(vehicle), long_enough(distance))
         if self.profile is not None:
             return replace(self.profile, speed=speed)
         if self.surface is not None:
@@ -93,7 +93,7 @@ def choose_road(text: str, folder: Path = Path()) -> RoadChoice:
     kind, colon, rest = text.partition(":")
     if kind not in KINDS:
         raise InputError(f"unknown road {text!r}; {SYNTAX}")
-    allowed = {"class": "C"} if kind == "iso8608" else _defaults(OBSTACLES[kind])
+    allowed = {"class": "C", "iri": 0.0} if kind == "iso8608" else _defaults(OBSTACLES[kind])
     try:
         settings = _settings(colon + rest, allowed)
     except InputError as error:
@@ -104,11 +104,15 @@ def choose_road(text: str, folder: Path = Path()) -> RoadChoice:
     if values.get("track", "both") not in ("left", "right", "both"):
         raise InputError(f"road {text!r}: track = {values['track']!r} is not allowed; give left, right or both")
     if kind == "iso8608":
-        values = {"class": "C"} | values
-        roughness(values["class"])
+        _random(values)
     else:
         OBSTACLES[kind](**values)  # numbers that are not allowed at any speed
     return RoadChoice(text, kind, values)
+
+
+def _random(values: Mapping[str, Any], *rest: Any) -> Iso8608:
+    """A random road, as rough as was asked for: of class C, unless another or an IRI was."""
+    return Iso8608(values.get("class", "" if "iri" in values else "C"), *rest, iri=values.get("iri"))
 
 
 def _settings(text: str, allowed: Iterable[str]) -> dict[str, str]:

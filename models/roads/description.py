@@ -6,7 +6,7 @@ from dataclasses import fields
 from typing import Any
 
 from models.common.errors import InputError, listing, quoted
-from models.roads.iso8608 import HIGHEST, LOWEST, Iso8608, check_seed, roughness
+from models.roads.iso8608 import HIGHEST, LOWEST, Iso8608, check_seed
 from models.roads.obstacles import OBSTACLES
 from models.roads.profile import from_csv
 from models.roads.road import Road, Scaled
@@ -53,13 +53,14 @@ def described_road(description: Mapping[str, Any], points: bytes | None = None) 
 
 
 def _random(description: Mapping[str, Any]) -> Iso8608:
-    seed, road_class = check_seed(description.get("seed")), description.get("class")
-    if not isinstance(road_class, str):
-        raise InputError("road iso8608: its class is missing")
+    seed, road_class = check_seed(description.get("seed")), description.get("class", "")
+    iri = _number(description, "iri") if "iri" in description else None
+    if not isinstance(road_class, str) or (not road_class and iri is None):
+        raise InputError("road iso8608: its class is missing, or its iri")
     factor = _number({"factor": 1.0, **description}, "factor")
     speed, width, length = (_number(description, name) for name in ("speed", "track_width", "length"))
-    road = Iso8608(road_class, seed, speed, width, length, factor)
-    follows = {"lowest": LOWEST, "highest": HIGHEST, "roughness": roughness(road_class) * factor**2}
+    road = Iso8608(road_class, seed, speed, width, length, factor, iri)
+    follows = {"lowest": LOWEST, "highest": HIGHEST, "roughness": road.roughness * factor**2}
     for name, value in follows.items():
         if not math.isclose(_number(description, name), value, rel_tol=SAME):
             raise InputError(f"road iso8608: {name} was {description[name]:g}, and is {value:g} here: it is another road")

@@ -7,7 +7,7 @@ The vertical displacement of a road of a class has the one-sided power spectral 
 the geometric means of the classes; their limits are half and twice as much. A road is a sum of lines n_k = k / length, each with
 the amplitude sqrt(2 G_d(n_k) / length) and a phase of its own, from 0.01 to 10 cycles/m. The standard reports 0.011 to 2.83.
 Below the band there is nothing: no hills. Above it there is nothing either: waves shorter than a tyre's print do not reach the
-wheel. Within `length` nothing repeats.
+wheel. Within `length` nothing repeats. In place of a class a road's IRI may be given: that G_d(n0) of which it is the mean.
 
 The standard leaves the coherence of two tracks to measurement. Here it is that of an isotropic surface, which the one spectrum
 determines (C. J. Dodds and J. D. Robson (1973), J. Sound Vib. 31, 175-183; K. M. A. Kamash and J. D. Robson (1978), J. Sound Vib.
@@ -28,6 +28,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
+from models.roads.iri import white_slope
 from models.roads.road import Road, check_numbers
 from models.roads.spectrum import Spectrum, coherency
 
@@ -36,6 +37,7 @@ N0 = 0.1  # cycle/m
 LOWEST, HIGHEST = 0.01, 10.0  # cycle/m
 LENGTH = 1024.0  # m
 MOST_SEED = 2**63 - 1
+IRI_LIMITS = (0.01, 300.0)  # m/km; class H has 200
 LIMITS = {"speed": (0.1, 200.0), "track_width": (0.0, 10.0), "length": (100.0, 1e6)}  # SI
 BLOCK = 1_000_000  # terms that are summed at once where times are not evenly spaced
 USUAL_LINES, LINES_PER_SAMPLE = 40_000, 100  # more no run needs that this road does not repeat under
@@ -51,6 +53,17 @@ def roughness(road_class: str) -> float:
     if len(road_class) != 1 or road_class not in CLASSES:
         raise InputError(f"unknown road class {road_class!r}; ISO 8608 has {', '.join(CLASSES)}")
     return 16e-6 * 4.0 ** CLASSES.index(road_class)
+
+
+def roughness_by_iri(iri: float) -> float:
+    """G_d(n0) of roads that have this IRI in the mean [m/km], in m3: four times as much for twice the IRI.
+
+    Raises:
+        InputError: no road has such an IRI.
+    """
+    if not IRI_LIMITS[0] <= iri <= IRI_LIMITS[1]:
+        raise InputError(f"road iri = {iri:g} is not allowed; give a number from {IRI_LIMITS[0]:g} to {IRI_LIMITS[1]:g} [m/km]")
+    return white_slope(iri, LOWEST, HIGHEST) / (2 * np.pi * N0) ** 2
 
 
 def check_seed(seed: Any) -> int:
@@ -73,15 +86,16 @@ class Iso8608(Road):
     there, so its vertical velocity jumps, as that of a vehicle from rest in front of white noise.
 
     Attributes:
-        road_class: "A" to "H".
+        road_class: "A" to "H"; empty where the IRI says how rough it is.
         seed: of the phases.
         speed: V [m/s].
         track_width: from the right track to the left [m].
         length: after this distance it repeats [m]; a longer one is another road.
         factor: multiplies its heights.
+        iri: in place of a class, what such roads have in the mean [m/km], before the factor; None where there is a class.
 
     Raises:
-        InputError: an unknown class, a seed that is no whole number, another number beyond `LIMITS`.
+        InputError: an unknown class, a class and an IRI, a seed that is no whole number, another number beyond `LIMITS`.
     """
 
     road_class: str = "C"
@@ -90,9 +104,12 @@ class Iso8608(Road):
     track_width: float = 0.0
     length: float = LENGTH
     factor: float = 1.0
+    iri: float | None = None
 
     def __post_init__(self) -> None:
-        roughness(self.road_class)
+        if self.road_class and self.iri is not None:
+            raise InputError(f"a road of class = {self.road_class} and iri = {self.iri:g}; give one of them, for how rough it is")
+        _ = self.roughness
         check_seed(self.seed)
         check_numbers("road", self, LIMITS)
 
@@ -111,11 +128,11 @@ class Iso8608(Road):
         return (0.0,)
 
     def describe(self) -> dict[str, float | str]:
-        """Class, roughness, seed, band, speed, track width, length, factor."""
+        """Class or IRI, roughness, seed, band, speed, track width, length, factor."""
         return {
             "type": "iso8608",
-            "class": self.road_class,
-            "roughness": roughness(self.road_class) * self.factor**2,
+            **({"class": self.road_class} if self.iri is None else {"iri": self.iri}),
+            "roughness": self.roughness * self.factor**2,
             "seed": self.seed,
             "lowest": LOWEST,
             "highest": HIGHEST,
@@ -130,6 +147,11 @@ class Iso8608(Road):
         return replace(self, factor=self.factor * factor)
 
     @property
+    def roughness(self) -> float:
+        """G_d(n0), before the factor [m3]."""
+        return roughness(self.road_class) if self.iri is None else roughness_by_iri(self.iri)
+
+    @property
     def n(self) -> Array:
         """Spatial frequencies of its lines [cycle/m], shape (K,)."""
         return _frequencies(self.length)
@@ -141,9 +163,9 @@ class Iso8608(Road):
 
     @property
     def spectrum(self) -> Spectrum:
-        """That of its class."""
+        """That of its class, or of its IRI."""
         low, high = (2 * np.pi * self.speed * n for n in self.band)
-        density = (2 * np.pi * N0) ** 2 * roughness(self.road_class) * self.factor**2 * self.speed
+        density = (2 * np.pi * N0) ** 2 * self.roughness * self.factor**2 * self.speed
         return Spectrum(density, (low, high), self.speed, self.length, self.track_width)
 
     def cost(self, samples: int) -> float:
@@ -168,7 +190,7 @@ class Iso8608(Road):
 
     def _lines(self, side: str) -> Array:
         """Complex amplitude of every line [m], shape (K,)."""
-        amplitudes = self.factor * np.sqrt(2 * roughness(self.road_class) * (self.n / N0) ** -2 / self.length)
+        amplitudes = self.factor * np.sqrt(2 * self.roughness * (self.n / N0) ** -2 / self.length)
         if side != "right":
             return amplitudes * self._left
         alike = _coherency_of_lines(self.length, self.track_width)

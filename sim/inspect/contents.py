@@ -19,6 +19,7 @@ from sim.recording.provenance import attachments, common_metadata
 from sim.recording.run_log import RunLog
 from sim.ride.measured import first_sample
 from sim.ride.metrics import DEFINITIONS
+from sim.ride.roughness import driven_roughness, roughness_object
 from sim.runs.prediction import Prediction
 
 ELSEWHERE = (  # claims of a run that other checks hold, with a tolerance and words of their own
@@ -92,6 +93,9 @@ def check_whole_result(log: Recorded, again: Sequence[Prediction]) -> Iterator[F
             yield Finding("result", FAILS, "measured_from is not when measuring of such runs begins")
         if result["definitions"] != DEFINITIONS:
             yield Finding("result", MISSING, "the definitions of its metrics are not this version's")
+        roughness = roughness_object(driven_roughness(first.vehicle, first.road, first.time))
+        if "iri" in result and list(different(result["iri"], roughness, exact=True)):
+            yield Finding("result", FAILS, "the iri is not that of the road")
 
 
 def _objects(runs: Any) -> bool:

@@ -17,7 +17,7 @@ MUJOCO, SAMPLED, CONTINUOUS = "mujoco", "linear", "continuous"
 SINCE = ("half_step",)  # claims of a run that came with the first format that has a number: no older log has them
 RESULTS: Mapping[str, tuple[str, ...]] = {  # of the commands that record, the keys of result.json
     "bump": ("runs", "road", "timestep"),
-    "drive": ("runs", "road", "timestep", "measured_from", "definitions"),
+    "drive": ("runs", "road", "timestep", "measured_from", "definitions", "iri"),
     "sweep": ("sweeps", "amplitude", "timestep", "speed"),
     "margins": ("controller", "gain", "phase", "delay", "sample_period", "loops", "robustness", "loop", "fragility"),
     "envelope": (
@@ -33,7 +33,7 @@ RESULTS: Mapping[str, tuple[str, ...]] = {  # of the commands that record, the k
         "picture",
     ),
 }
-LATER = ("fragility",)  # of these, what came when there were logs of this format: an older one lacks it
+LATER = ("fragility", "iri")  # of these, what came when there were logs of this format: an older one lacks it
 WHOLE = ("bump", "drive")  # whose log holds every run that the result is of, so that all of it is computed again
 
 

@@ -10,10 +10,12 @@ import numpy as np
 from models.common.numbers import cell, finite, percent
 from models.common.printed import table
 from models.own.python_law import Programmed
+from models.roads.iri import Roughness
 from models.roads.road import Road
 from models.vehicle import Vehicle
 from sim.ride.expected import APPROXIMATE, EXACT, Expected, expect, settling_time
 from sim.ride.metrics import measure, metrics_of
+from sim.ride.roughness import ABOUT_IRI, roughness_rows
 from sim.ride.settled import Settled, settled
 from sim.runs.run import Run
 from synth.controller import Controller
@@ -108,8 +110,8 @@ def beside(vehicle: Vehicle) -> list[str]:
     return lines
 
 
-def metric_lines(run: Run, found: RunMetrics, start: float, end: float) -> list[str]:
-    """The metrics of a run as a table, and what they rest on in sentences."""
+def metric_lines(run: Run, found: RunMetrics, start: float, end: float, roughness: Sequence[Roughness]) -> list[str]:
+    """The metrics of a run and its road as a table, and what they rest on in sentences."""
     measured, notes = found.metrics, []
     if run.broke_off is not None:
         notes.append(f"no metrics of this run: {run.broke_off[0]} at {run.broke_off[1]:.4g} s, and what follows is no vehicle's")
@@ -134,6 +136,9 @@ def metric_lines(run: Run, found: RunMetrics, start: float, end: float) -> list[
     random = any(one.expected is not None for one in measured.values())
     rows: list[Sequence[str] | str] = [("", "unit", "MuJoCo", "sampled", *(("expected", "+- by road") if random else ()))]
     source = ""
+    if roughness:
+        rows += ["road", *roughness_rows(roughness, random)]
+        notes.append(ABOUT_IRI)
     for metric in metrics_of(run.vehicle):
         if metric.source != source:
             rows.append(source := metric.source)
