@@ -130,7 +130,7 @@ def _expected(spectrum: Spectrum, distance: float) -> dict[str, tuple[float, flo
             covariance += variance / math.pi * float(weight @ (np.sqrt(1 - rho**2) + rho * np.arcsin(rho) - 1))
         squares = own**2 + other**2
         left = 1 - (1 - float(squares @ free) / float(squares.sum())) * distance / spectrum.length
-        begun = 1 - _lost(low, high, spectrum.track_width if own is both else 0.0, distance) / distance
+        begun = 1 - _lost(low, high, distance) / distance
         return 1e3 * math.sqrt(2 / math.pi * variance) * begun, 1e3 * math.sqrt(max(covariance * left, 0.0))
 
     both = lines * (1 + a) / 2
@@ -142,13 +142,13 @@ def _expected(spectrum: Spectrum, distance: float) -> dict[str, tuple[float, flo
     }
 
 
-def _lost(low: float, high: float, width: float, distance: float) -> float:
-    """Way that counts for nothing because the car has to forget its start [m], of tracks that far apart, or one."""
-    ways = _ways_lost(low, high, width)
+def _lost(low: float, high: float, distance: float) -> float:
+    """Way that counts for nothing as the car has to forget its start [m]: of white slopes, near enough of two tracks' mean, too."""
+    ways = _ways_lost(low, high)
     return float(ways[min(round(distance / BASE), len(ways)) - 1])
 
 
 @lru_cache(maxsize=16)
-def _ways_lost(low: float, high: float, width: float) -> Array:
+def _ways_lost(low: float, high: float) -> Array:
     n = np.arange(math.ceil(low * COUNTED), math.floor(high * COUNTED) + 1) / COUNTED
-    return missing(n, (1 + coherency(n, width)) / 2, STEP)
+    return missing(n, np.ones(len(n)), STEP)
