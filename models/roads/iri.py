@@ -105,8 +105,8 @@ def _sampled(road: Road, distance: float, sides: tuple[str, ...]) -> tuple[float
 def _expected(spectrum: Spectrum, distance: float) -> dict[str, tuple[float, float]]:
     """Mean and standard deviation of every IRI over roads of a spectrum, driven so far [m].
 
-    A road's lines have fixed amplitudes, where a Gaussian signal's are free: over all of its length its mean square is known. What
-    is left of their variance there is 0 on the left track, and 2 a^2 (1 - a^2) on the right one, of coherency a. (Of |y| not all
+    A road's lines have fixed amplitudes, where a Gaussian signal's are free: over all of its length its mean square is known.
+    What is left of their variance there is 0 on the left track, and 2 a^2 (1 - a^2) on the right one, of coherency a. (Of |y| not all
     follows from y^2: over a whole road a spread of a percent is left, which is not in it.)
     """
     low, high = (edge / (2 * math.pi * spectrum.speed) for edge in spectrum.band)
@@ -143,7 +143,7 @@ def _expected(spectrum: Spectrum, distance: float) -> dict[str, tuple[float, flo
 
 
 def _lost(low: float, high: float, distance: float) -> float:
-    """Way that counts for nothing as the car has to forget its start [m]: of white slopes, near enough of two tracks' mean, too."""
+    """Way that counts for nothing as the car has to forget its start [m]: of white slopes, and nearly so of two tracks' mean."""
     ways = _ways_lost(low, high)
     return float(ways[min(round(distance / BASE), len(ways)) - 1])
 
