@@ -106,8 +106,8 @@ def _expected(spectrum: Spectrum, distance: float) -> dict[str, tuple[float, flo
     """Mean and standard deviation of every IRI over roads of a spectrum, driven so far [m].
 
     A road's lines have fixed amplitudes, where a Gaussian signal's are free: over all of its length its mean square is known.
-    What is left of their variance there is 0 on the left track, and 2 a^2 (1 - a^2) on the right one, of coherency a. (Of |y| not all
-    follows from y^2: over a whole road a spread of a percent is left, which is not in it.)
+    What is left of their variance there is 0 on the left track, and 2 a^2 (1 - a^2) on the right one, of coherency a. (Of |y| not
+    all follows from y^2: over a whole road a spread of a percent is left, which is not in it.)
     """
     low, high = (edge / (2 * math.pi * spectrum.speed) for edge in spectrum.band)
     first, last = math.ceil(low * spectrum.length), math.floor(high * spectrum.length)
