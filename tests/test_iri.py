@@ -130,7 +130,7 @@ def test_200_roads(vehicle, distance):
 
 
 def test_start():
-    """What the start of the car costs is that of lines of any phase, each a cosine and a sine; by itself 0.95 m of white slopes."""
+    """What the start of the car costs is that of lines of any phase, a cosine and a sine each; 0.95 m of white slopes."""
     n, variances, x = np.array([0.02, 0.11, 0.7]), np.array([2.0, 1.0, 0.5]), np.arange(8000) * STEP
     square = np.zeros(len(x) - 10)
     for each, variance in zip(n, variances, strict=True):
