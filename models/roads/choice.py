@@ -13,16 +13,19 @@ from models.roads.obstacles import OBSTACLES
 from models.roads.opencrg import Surface, read_surface
 from models.roads.profile import Profile
 from models.roads.profile_file import read_profile, read_table
+from models.roads.rig import Rig
+from models.roads.rig_file import SETTINGS, read_rig
 from models.roads.road import Road, track_width
 from models.vehicle import Vehicle
 
-KINDS = ("iso8608", *OBSTACLES)
+KINDS = ("iso8608", *OBSTACLES, "rig")
 SYNTAX = (
     f"give {', '.join(KINDS)}, each with :NAME=VALUE for its numbers, as in pothole:depth=0.03:length=2, or a .csv, .txt or .crg "
-    "file, as in road.csv:height_unit=mm"
+    "file, as in road.csv:height_unit=mm; or a rig's drive file, as in rig:file=drive.csv"
 )
 TABLE = ("distance_unit", "height_unit", "separator", "columns")  # of a .csv or .txt file
 FILE = re.compile(r"(?P<path>.+\.(?P<suffix>csv|txt|crg))(?P<settings>(:\w+=[^:]*|:[^:\\/]*)*)", re.IGNORECASE | re.DOTALL)
+RIG = re.compile(r"rig:file=(?P<path>.+\.(?P<suffix>csv|txt))(?P<settings>(:\w+=[^:]*|:[^:\\/]*)*)", re.IGNORECASE | re.DOTALL)
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +38,7 @@ class RoadChoice:
         values: what was given for it.
         profile: of a CSV file.
         surface: of an OpenCRG file.
+        rig: of a drive file.
     """
 
     text: str
@@ -42,6 +46,7 @@ class RoadChoice:
     values: Mapping[str, Any]
     profile: Profile | None = None
     surface: Surface | None = None
+    rig: Rig | None = None
 
     @property
     def random(self) -> bool:
@@ -64,13 +69,15 @@ class RoadChoice:
             return _random(self.values, seed, speed, track_width(vehicle), long_enough(distance))
         if self.profile is not None:
             return replace(self.profile, speed=speed)
+        if self.rig is not None:
+            return self.rig
         if self.surface is not None:
             return self.surface.profile(track_width(vehicle), speed)
         return OBSTACLES[self.kind](**self.values, speed=speed)
 
 
 def choose_road(text: str, folder: Path = Path()) -> RoadChoice:
-    """A road from its text: `iso8608:class=C`, `pothole:depth=0.03`, `profile.csv`.
+    """A road from its text: `iso8608:class=C`, `pothole:depth=0.03`, `profile.csv`, `rig:file=drive.csv`.
 
     Args:
         text: the text.
@@ -79,6 +86,8 @@ def choose_road(text: str, folder: Path = Path()) -> RoadChoice:
     Raises:
         InputError: an unknown kind or name, a value that is not allowed, a file that is no profile.
     """
+    if text.partition(":")[0] == "rig":
+        return _rig(text, folder)
     file = FILE.fullmatch(text)
     if file and file["suffix"].lower() == "crg":
         if file["settings"]:
@@ -108,6 +117,28 @@ def choose_road(text: str, folder: Path = Path()) -> RoadChoice:
     else:
         OBSTACLES[kind](**values)  # numbers that are not allowed at any speed
     return RoadChoice(text, kind, values)
+
+
+def named_file(text: str) -> tuple[str, str] | None:
+    """The file that a road's text names, and what a road of it describes itself as; None where it names none."""
+    if found := RIG.fullmatch(text):
+        return found["path"], "rig"
+    found = FILE.fullmatch(text)
+    return (found["path"], "profile") if found else None
+
+
+def _rig(text: str, folder: Path) -> RoadChoice:
+    """A rig's posts, of a drive file."""
+    file = RIG.fullmatch(text)
+    if file is None:
+        raise InputError(f"road {text!r}: a rig is given by its drive file; give a .csv or .txt file, as in rig:file=drive.csv")
+    try:
+        settings = _settings(file["settings"], SETTINGS)
+        rig = read_rig(folder / file["path"], settings)
+    except InputError as error:
+        said = str(error)
+        raise InputError(said if said.startswith("drive file") else f"road {text!r}: {said}") from error
+    return RoadChoice(text, "rig", {}, rig=rig)
 
 
 def _random(values: Mapping[str, Any], *rest: Any) -> Iso8608:

@@ -9,10 +9,11 @@ from models.common.errors import InputError, listing, quoted
 from models.roads.iso8608 import HIGHEST, LOWEST, Iso8608, check_seed
 from models.roads.obstacles import OBSTACLES
 from models.roads.profile import from_csv
+from models.roads.rig import rig_from_csv
 from models.roads.road import Road, Scaled
 from models.roads.sinusoids import MULTISINES, Multisine
 
-KINDS = ("iso8608", "profile", *OBSTACLES, *MULTISINES)
+KINDS = ("iso8608", "profile", "rig", *OBSTACLES, *MULTISINES)
 MOST_LINES = 1000  # of a sum of sinusoids
 SAME = 1e-12  # relative; numbers that follow from others, as they were written down
 SIDES = ("left", "right", "both")
@@ -23,7 +24,7 @@ def described_road(description: Mapping[str, Any], points: bytes | None = None) 
 
     Args:
         description: what `Road.describe` gave, through JSON or not.
-        points: of a profile, what `Profile.points` gave; a description has not room for them.
+        points: of a profile or a rig, what its `points` gave; a description has not room for them.
 
     Raises:
         InputError: it describes no road, or not all of one.
@@ -31,10 +32,11 @@ def described_road(description: Mapping[str, Any], points: bytes | None = None) 
     kind = description.get("type")
     if not isinstance(kind, str) or kind not in KINDS:
         raise InputError(f"a road of unknown type; known: {listing(KINDS)}")
-    if kind == "profile":
+    if kind in ("profile", "rig"):
         if points is None:
-            raise InputError("the points of a profile are missing")
-        return from_csv(points, _number(description, "speed"), str(description.get("source", "")))
+            raise InputError(f"the points of a {kind} are missing")
+        source = str(description.get("source", ""))
+        return rig_from_csv(points, source) if kind == "rig" else from_csv(points, _number(description, "speed"), source)
     if kind == "iso8608":
         return _random(description)
     if kind in MULTISINES:

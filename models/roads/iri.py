@@ -49,13 +49,15 @@ class Roughness:
 
 
 def roughness_of(road: Road, vehicle: Vehicle, distance: float) -> tuple[Roughness, ...]:
-    """Every IRI of a road as far as a vehicle drives on it; none of a road too short, or measured too coarsely, to have one.
+    """Every IRI of a road as far as a vehicle drives on it; none of a road too short, or measured too coarsely, or of a rig.
 
     Args:
         road: of which a profile ends with its last point.
         vehicle: its track width counts.
         distance: how far it drives [m].
     """
+    if not road.laid:
+        return ()
     width = track_width(vehicle)
     step, tracks = _sampled(road, min(distance, LONGEST), ("left", "right") if width else ("left",))
     if step > COARSEST or len(tracks) * step <= SHORTEST:

@@ -11,7 +11,7 @@ import numpy as np
 from models.common.errors import InputError, listing
 from models.common.read_file import TABLE, read_text
 from models.roads.profile import Profile, check_points
-from models.roads.profile_headings import UNITS, Heading, choose_columns, headings_of, read_heading, unit_of
+from models.roads.profile_headings import A_RIG, UNITS, Heading, choose_columns, headings_of, read_heading, unit_of
 
 SEPARATORS: Mapping[str, str] = {"comma": ",", "semicolon": ";", "tab": "\t", "space": " "}
 HEADINGS = 50  # lines that may come before the numbers
@@ -82,11 +82,11 @@ def read_profile(path: Path, speed: float, table: Table | None = None) -> Profil
 def _profile(text: str, speed: float, source: str, table: Table) -> Profile:
     rows = text.replace("\r", "\n").split("\n")  # lines of old Macs end so
     first, mark = _first(rows, table)
-    count = len(_cells(rows[first], mark)) if first < len(rows) else 2
+    count = len(split_cells(rows[first], mark)) if first < len(rows) else 2
     headings = headings_of([_heading_cells(line, mark, count) for line in rows[:first] if line.strip()], count)
     columns = choose_columns(headings, table.columns)
     if len(columns) not in (2, 3):
-        raise InputError(f"line {first + 1} has {count} column(s); {FORMAT}, or say which, as in :columns=1,4")
+        raise InputError(f"line {first + 1} has {count} column(s); {FORMAT}, or say which, as in :columns=1,4{A_RIG}")
 
     # 0,0,01 may be two heights, or one with a decimal comma.
     doubtful = mark == "," and len(columns) == 3 and not (table.separator or table.columns or headings[columns[1]].meaning)
@@ -96,7 +96,7 @@ def _profile(text: str, speed: float, source: str, table: Table) -> Profile:
     for number, line in enumerate(rows[first:], first + 1):
         if not line.strip() or line.lstrip().startswith("#"):
             continue
-        cells = _cells(line, mark)
+        cells = split_cells(line, mark)
         used = [cells[column] if column < len(cells) else "" for column in columns]
         found = _numbers(used)
         if not table.columns and len(cells) != count and _numbers(cells) is not None:
@@ -130,8 +130,8 @@ def _first(rows: Sequence[str], table: Table) -> tuple[int, str]:
     for i, line in enumerate(rows):
         if not line.strip() or line.lstrip().startswith("#"):
             continue
-        mark = SEPARATORS.get(table.separator) or _separator(line)
-        if _numbers(_cells(line, mark)[column : column + 1] or [""]) is not None:
+        mark = SEPARATORS.get(table.separator) or separator_of(line)
+        if _numbers(split_cells(line, mark)[column : column + 1] or [""]) is not None:
             return i, mark
         headings += 1
         if headings > HEADINGS:
@@ -139,7 +139,8 @@ def _first(rows: Sequence[str], table: Table) -> tuple[int, str]:
     return len(rows), ","
 
 
-def _cells(line: str, mark: str) -> list[str]:
+def split_cells(line: str, mark: str) -> list[str]:
+    """The cells of a line of numbers; where no comma separates them, one may be the decimal point."""
     cells = line.split() if mark == " " else [cell.strip() for cell in line.split(mark)]
     if mark != ",":  # then a comma can only be a decimal point
         cells = [cell.replace(",", ".", 1) if cell.count(",") == 1 and "." not in cell else cell for cell in cells]
@@ -153,15 +154,15 @@ def _heading_cells(line: str, mark: str, count: int) -> list[str]:
     text = line.lstrip("# \t")
     if mark == " ":  # a unit in brackets belongs to the word before it
         text = re.sub(r"\s+(?=[\[(])", "", text)
-    cells = _cells(text, mark)
-    if len(cells) != count and _separator(text) != " ":
-        cells = _cells(text, _separator(text))
+    cells = split_cells(text, mark)
+    if len(cells) != count and separator_of(text) != " ":
+        cells = split_cells(text, separator_of(text))
     loose = mark == " " or line.lstrip().startswith("#")
     named = re.search(r"[\[(]", text) or any(read_heading(cell).meaning for cell in cells)
     return cells if named or not loose else []  # "in metres" is no pair of units
 
 
-def _separator(line: str) -> str:
+def separator_of(line: str) -> str:
     """What separates the cells of a line: the least doubtful of what it holds."""
     return next((mark for mark in (";", "\t", ",") if mark in line), " ")
 

@@ -26,6 +26,7 @@ BESIDE = frozenset({"wheel", "wheelpath", "path", "track", "road", "surface", "a
 IN_BRACKETS = re.compile(r"\s*[\[(]\s*([^\])]*?)\s*[\])]$")
 AT_THE_END = re.compile(r"(?<=\w)\s*[\s_/,-]\s*([a-z]+)$")
 SAY = "say which columns are meant, as in :columns=1,3 or :columns=1,3,4, or mend the headings"
+A_RIG = "; heights over time are of a rig's posts: give rig:file=..., then the file"
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,12 @@ def read_heading(text: str) -> Heading:
     bracket = IN_BRACKETS.search(rest)
     if bracket:
         rest, unit = rest[: bracket.start()], WORDS.get(bracket[1], bracket[1])
-        if unit not in UNITS and any(word in words for word in re.findall(r"[a-z]+", unit) for words in MEANT.values()):
+        timed = unit == "s" and {"time", "t"} & set(re.findall(r"[a-z]+", rest))
+        if (
+            unit not in UNITS
+            and not timed
+            and any(word in words for word in re.findall(r"[a-z]+", unit) for words in MEANT.values())
+        ):
             rest, unit = f"{rest} {unit}", ""  # as in "height (left)"
     else:
         end = AT_THE_END.search(rest)
@@ -119,7 +125,7 @@ def choose_columns(headings: Sequence[Heading], columns: Sequence[int]) -> tuple
         meaning = headings[i].meaning if i < len(headings) else ""
         if meaning and meaning not in allowed:
             role = allowed[0] if len(allowed) == 1 or len(used) == 2 else f"the height of the {allowed[-1]} track"
-            raise InputError(f"column {i + 1} is called {headings[i].text!r}, and would be read as {role}; {SAY}")
+            raise InputError(f"column {i + 1} is called {headings[i].text!r}, and would be read as {role}; {SAY}{A_RIG}")
     return used
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
+from models.kind import Parameters, Wheel
 from models.roads.spectrum import Spectrum
 from models.vehicle import Vehicle
 
@@ -16,7 +17,7 @@ LOWEST = 1e-5  # m; what a lower road does to a vehicle is lost in the rounding 
 
 
 class Road(ABC):
-    """A road driven at constant speed. Time 0 is when the first wheel reaches its start."""
+    """A road driven at constant speed, or posts that move. Time 0 is when the first wheel reaches its start."""
 
     speed: float
     """Forward velocity of the vehicle [m/s]."""
@@ -24,10 +25,21 @@ class Road(ABC):
     track: str = "both"
     """The side that it lies under: "left", "right" or "both"."""
 
+    laid: bool = True
+    """Whether it lies along the way, so that every wheel of a side meets it; on a rig each wheel stands on a post of its own."""
+
     @property
     def duration(self) -> float:
         """How long a wheel is on it [s]; infinite where it has no end."""
         return math.inf
+
+    def met_by(self, wheel: Wheel) -> str:
+        """What a wheel meets of it, as `displacement` takes it: what lies under its side."""
+        return wheel.side
+
+    def later(self, wheel: Wheel, parameters: Parameters) -> float:
+        """How much later than the first wheel a wheel meets it [s]."""
+        return wheel.behind(parameters) / self.speed
 
     @property
     def spectrum(self) -> Spectrum | None:
@@ -41,7 +53,7 @@ class Road(ABC):
 
     @abstractmethod
     def displacement(self, t: Array, side: str = "") -> Array:
-        """Height under the first wheel of a side [m] at times t [s], same shape. See `Wheel.side`."""
+        """Height under the first wheel of a side [m] at times t [s], same shape. See `Wheel.side`, and `met_by`."""
 
     @abstractmethod
     def velocity(self, t: Array, side: str = "") -> Array:
@@ -208,7 +220,7 @@ class Scaled(Road):
 
 def delays(road: Road, vehicle: Vehicle) -> list[float]:
     """How much later than the first wheel each wheel meets the road [s]."""
-    return [wheel.behind(vehicle.parameters) / road.speed for wheel in vehicle.kind.wheels]
+    return [road.later(wheel, vehicle.parameters) for wheel in vehicle.kind.wheels]
 
 
 def track_width(vehicle: Vehicle) -> float:
@@ -226,5 +238,5 @@ def under_wheels(function: Callable[[Array, str], Array], road: Road, vehicle: V
         vehicle: r wheels.
         t: times [s].
     """
-    later = delays(road, vehicle)
-    return np.stack([function(t - delay, wheel.side) for wheel, delay in zip(vehicle.kind.wheels, later, strict=True)], axis=-1)
+    met = [(delay, road.met_by(wheel)) for wheel, delay in zip(vehicle.kind.wheels, delays(road, vehicle), strict=True)]
+    return np.stack([function(t - delay, what) for delay, what in met], axis=-1)

@@ -7,7 +7,7 @@ from typing import Any
 from models.common.arrays import Array
 from models.common.command import Parser, chosen
 from models.common.errors import InputError
-from models.roads.choice import FILE, SYNTAX, RoadChoice, choose_road
+from models.roads.choice import SYNTAX, RoadChoice, choose_road, named_file
 from models.roads.iso8608 import CLASSES
 from models.roads.road import Road
 from models.vehicle import Vehicle
@@ -25,6 +25,7 @@ examples:
   python -m sim.drive --controller I --road measured.csv --speed 15 --json
   python -m sim.drive --controller I --road survey.txt:separator=semicolon:columns=1,3:height_unit=mm --speed 15
   python -m sim.drive --vehicle full_car --controller I --class B --seed 7
+  python -m sim.drive --vehicle full_car --controller I --road rig:file=drive.csv --duration 30
 """
 
 
@@ -49,12 +50,13 @@ def parser() -> Parser:
 def asked(vehicle: Vehicle, options: argparse.Namespace) -> Asked:
     """What a log of these options holds. Of a road file only the name: it is not read."""
     text = _road_text(options)
-    file = FILE.fullmatch(text)
+    file = named_file(text)
 
     def is_it(road: Mapping[str, Any]) -> bool:
         if file:
-            named = same_path(str(road.get("source")), file["path"])
-            return named and (road.get("type"), road.get("speed")) == ("profile", options.speed)
+            path, kind = file
+            speed = None if kind == "rig" else options.speed
+            return same_path(str(road.get("source")), path) and (road.get("type"), road.get("speed")) == (kind, speed)
         return road == _built(vehicle, options, choose_road(text)).describe()
 
     names = chosen(vehicle.controller_names, options.controller)
@@ -67,6 +69,8 @@ def asked_road(vehicle: Vehicle, options: argparse.Namespace, time: Array) -> Ro
     choice = choose_road(_road_text(options))
     if "seed" in options.given and not choice.random:
         raise InputError(f"--seed says which random road, and {choice.text!r} is none; leave it out")
+    if "speed" in options.given and choice.kind == "rig":
+        raise InputError("--speed says how fast a vehicle drives, and on a rig it stands; leave it out")
     road = _built(vehicle, options, choice)
     try:
         road.check(vehicle, time)

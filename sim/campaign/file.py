@@ -209,6 +209,7 @@ def _what_it_is(road: RoadChoice, vehicle: Vehicle) -> Hashable:
 def _measured(road: RoadChoice) -> list[str]:
     """Checksums of the file that a road was measured in; none of a road that is computed."""
     arrays = [road.profile.distance, road.profile.heights] if road.profile else []
+    arrays += [road.rig.time, road.rig.heights] if road.rig else []
     arrays += [road.surface.u, road.surface.v, road.surface.z] if road.surface else []
     return [f"{array.shape} {hashlib.sha256(np.ascontiguousarray(array).data).hexdigest()}" for array in arrays]
 

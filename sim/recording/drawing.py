@@ -76,7 +76,7 @@ def scene_of(vehicle: Vehicle, road: Road, physics: Response, qpos: Array) -> Sc
 
 
 def _tracks(vehicle: Vehicle, road: Road, places: Array, time: Array, heights: Array) -> tuple[Track, ...]:
-    """The road's profiles, one for all wheels that run in each other's track.
+    """The road's profiles, one for all wheels that run in each other's track; none of a rig, whose posts are bodies.
 
     Args:
         vehicle: the vehicle.
@@ -85,7 +85,7 @@ def _tracks(vehicle: Vehicle, road: Road, places: Array, time: Array, heights: A
         time: of the frames [s], shape (F,).
         heights: of the road under the wheels at that time [m], shape (F, r).
     """
-    if not len(time):
+    if not len(time) or not road.laid:
         return ()
     # To the micrometre: where the drawing has its wheels elsewhere than the parameters do, each has a profile of its own.
     wheels: dict[tuple[str, float, float], list[int]] = {}

@@ -1,0 +1,208 @@
+"""The posts of a test rig: the height under each wheel over time, as a four-post rig's drive file has it."""
+
+import io
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from models.common.arrays import Array
+from models.common.errors import InputError, listing, quoted
+from models.kind import Parameters, Wheel
+from models.roads.profile import FEWEST, GAP
+from models.roads.road import Road
+from models.vehicle import Vehicle
+
+STROKE = 2.0  # m from where it begins; no post moves further
+MOST_POSTS = 1000
+SHORT = {"fl": "front_left", "lf": "front_left", "fr": "front_right", "rf": "front_right"}
+SHORT |= {"rl": "rear_left", "lr": "rear_left", "rr": "rear_right"}  # as drive files call corners
+
+
+@dataclass(frozen=True, eq=False)
+class Rig(Road):
+    """The cubic spline through the heights of every post over time: they are met exactly, the derivative is that of the spline.
+
+    A post begins at its first height, rests there before, and stays at the last one after. Slopes are zero at both ends. The
+    vehicle stands, so no wheel meets what another one met, and speed changes nothing.
+
+    Attributes:
+        time: ascending [s], shape (P,).
+        heights: [m], shape (P, K).
+        posts: which wheel stands on each: the name of its road signal, of its road's body, or how either ends; K of them.
+        source: the file.
+
+    Raises:
+        InputError: times that do not ascend or leave a gap, numbers that are not finite, strokes of no post, too few points.
+    """
+
+    time: Array
+    heights: Array
+    posts: tuple[str, ...]
+    source: str = ""
+
+    speed = 0.0
+    laid = False
+
+    def __post_init__(self) -> None:
+        check_history(self.time, self.heights)
+
+    @property
+    def duration(self) -> float:
+        """From the first point to the last [s]."""
+        return float(self.time[-1] - self.time[0])
+
+    def met_by(self, wheel: Wheel) -> str:
+        """The post that it stands on.
+
+        Raises:
+            InputError: there is none.
+        """
+        for post in self.posts:
+            if post_name(post) in _names(wheel):
+                return post
+        raise InputError(
+            f"no column is called {_names(wheel)[0]}, after the wheel that would stand on it, but {listing(self.posts[:20])}"
+        )
+
+    def later(self, wheel: Wheel, parameters: Parameters) -> float:
+        """Nothing: the vehicle stands."""
+        return 0.0
+
+    def displacement(self, t: Array, side: str = "") -> Array:
+        """The spline of a post, from its first height; without a name that of the first."""
+        return self._splines[self._index(side)](np.clip(t, 0.0, self.duration))
+
+    def velocity(self, t: Array, side: str = "") -> Array:
+        """Its own derivative."""
+        t = np.asarray(t, dtype=float)
+        on = (t >= 0) & (t <= self.duration)
+        return np.where(on, self._splines[self._index(side)](np.clip(t, 0.0, self.duration), 1), 0.0)
+
+    @property
+    def kinks(self) -> tuple[float, ...]:
+        """Both ends. At the other points only the third derivative jumps: a step's quadrature does not see it."""
+        return (0.0, self.duration)
+
+    @property
+    def points(self) -> bytes:
+        """Its points to the last bit, as a file that is read again: time [s], heights [m]."""
+        rows = np.column_stack([self.time, self.heights]).tolist()
+        return (",".join(["time", *self.posts]) + "\n" + "".join(",".join(map(repr, row)) + "\n" for row in rows)).encode()
+
+    def describe(self) -> dict[str, float | str]:
+        """File, posts, points, duration, lowest and highest height."""
+        return {
+            "type": "rig",
+            "source": self.source,
+            "posts": " ".join(self.posts),
+            "points": len(self.time),
+            "duration": self.duration,
+            "lowest": float(self.heights.min()),
+            "highest": float(self.heights.max()),
+        }
+
+    def check(self, vehicle: Vehicle, time: Array) -> None:
+        """As for any road; every wheel of the vehicle stands on a post."""
+        for wheel in vehicle.kind.wheels:
+            self.met_by(wheel)
+        super().check(vehicle, time)
+
+    def scaled(self, factor: float) -> "Rig":
+        """The same histories, higher or lower."""
+        return replace(self, heights=factor * self.heights)
+
+    def _index(self, side: str) -> int:
+        return self.posts.index(side) if side else 0
+
+    @cached_property
+    def _splines(self) -> list[CubicSpline]:
+        rises = self.heights - self.heights[0]
+        return [CubicSpline(self.time - self.time[0], rise, bc_type="clamped") for rise in rises.T]
+
+
+def post_name(text: str) -> str:
+    """What a column is called, however it is written: `Front Left`, `LF` and `road_displacement_front_left` are one."""
+    name = "_".join(text.lower().replace("-", " ").replace("_", " ").split())
+    return SHORT.get(name, name)
+
+
+def _names(wheel: Wheel) -> tuple[str, ...]:
+    """What the post under a wheel may be called, the usual name first."""
+    signal, body = wheel.road_displacement, wheel.road_body
+    ending = signal.removeprefix("road_displacement_")
+    return tuple(dict.fromkeys(post_name(name) for name in (ending, signal, body)))
+
+
+def check_history(time: Array, heights: Array, where: Callable[[int], str] = lambda i: f"point {i + 1}") -> None:
+    """Whether points make the histories of posts.
+
+    Args:
+        time: [s], shape (P,).
+        heights: of every post [m], shape (P, K).
+        where: index -> what a message calls the point.
+
+    Raises:
+        InputError: times that do not ascend or leave a gap, numbers that are not finite, strokes of no post, too few points.
+    """
+    if len(time) < FEWEST:
+        raise InputError(f"a time history of {len(time)} points is none; give at least {FEWEST}")
+    for i in np.flatnonzero(~np.isfinite(time) | ~np.all(np.isfinite(heights), axis=1))[:1]:
+        raise InputError(f"{where(i)} is not finite: time {time[i]:g}, heights {' '.join(f'{z:g}' for z in heights[i][:8])}")
+    steps = np.diff(time)
+    for i in np.flatnonzero(steps <= 0)[:1]:
+        raise InputError(
+            f"time falls or repeats, {time[i]:g} s, then {time[i + 1]:g} s ({where(i)} and {where(i + 1)}); sort the points"
+        )
+    usual = float(np.median(steps))
+    for i in np.flatnonzero(steps > GAP * usual)[:1]:
+        raise InputError(
+            f"there is a gap from {time[i]:g} s to {time[i + 1]:g} s ({where(i)} and {where(i + 1)}): more than {GAP:g} times "
+            f"the usual step of {usual:g} s; fill it, or cut the history there"
+        )
+    rises = np.abs(heights - heights[0])
+    for i in np.flatnonzero(rises.max(axis=1) > STROKE)[:1]:
+        raise InputError(
+            f"{where(i)} lies {rises[i].max():g} m from where its post begins; {STROKE:g} m are allowed. Heights in mm? then say "
+            "so, as in front_left [mm]"
+        )
+
+
+def check_posts(posts: Sequence[str]) -> None:
+    """Whether every post has a name of its own.
+
+    Raises:
+        InputError: two mean the same wheel, one has none, or there are far too many.
+    """
+    if not 1 <= len(posts) <= MOST_POSTS:
+        raise InputError(f"{len(posts)} columns of heights; give one for each wheel, at most {MOST_POSTS}")
+    seen: dict[str, str] = {}
+    for post in posts:
+        name = post_name(post)
+        if not name or "," in name:
+            raise InputError(f"a column is called {quoted(post)}; give it the name of the wheel that stands on it")
+        if name in seen:
+            raise InputError(f"two columns, {quoted(seen[name])} and {quoted(post)}, are of one wheel; leave one out")
+        seen[name] = post
+
+
+def rig_from_csv(content: bytes, source: str) -> Rig:
+    """A rig from what `Rig.points` wrote, to the last bit.
+
+    Raises:
+        InputError: it is not that.
+    """
+    head, _, rest = content.partition(b"\n")
+    if rest.count(b"\n") < FEWEST:
+        raise InputError("no points of a rig")
+    try:
+        posts = tuple(head.decode().split(",")[1:])
+        table = np.loadtxt(io.BytesIO(rest), delimiter=",", ndmin=2, comments=None, encoding="utf-8")
+    except ValueError as error:
+        raise InputError(f"no points of a rig ({str(error).splitlines()[0]})") from error
+    if table.shape[1] != 1 + len(posts):
+        raise InputError(f"points of a rig in {table.shape[1]} column(s); time and {len(posts)} post(s) are {1 + len(posts)}")
+    check_posts(posts)
+    return Rig(table[:, 0], table[:, 1:], posts, source)
