@@ -9,7 +9,7 @@ import numpy as np
 
 from models.common.errors import InputError, listing, quoted
 from models.linear_model import LinearModel
-from models.signals import CONTROL_FORCE, SUSPENSION_DEFLECTION, Signal
+from models.signals import CONTROL_FORCE, SUSPENSION_DEFLECTION, SUSPENSION_VELOCITY, Signal
 
 HERE = Path(__file__).parent
 GRAVITY = 9.81  # m/s2, written into every MJCF
@@ -116,11 +116,26 @@ class Suspension:
         deflection: signal of how far it is stretched.
         tendon: MJCF tendon that it is; its bump stop lies beside it.
         force: input that pushes along it; empty where none does.
+        stiffness, damping: parameters of its spring and its damper, which curves can stand in for; empty where there is none.
     """
 
     deflection: str
     tendon: str
     force: str = ""
+    stiffness: str = ""
+    damping: str = ""
+
+    @property
+    def ending(self) -> str:
+        """Of the names of what lies at its corner."""
+        return self.deflection.removeprefix(SUSPENSION_DEFLECTION.name)
+
+    @property
+    def velocity(self) -> Signal:
+        """The signal of how fast it is stretched."""
+        common = self.deflection.startswith(SUSPENSION_DEFLECTION.name)
+        corner = self.ending.removeprefix("_") if common else self.deflection
+        return SUSPENSION_VELOCITY.at(corner) if corner else SUSPENSION_VELOCITY
 
 
 @dataclass(frozen=True)
@@ -181,7 +196,9 @@ class VehicleKind:
 
     def naming(self, names: Collection[str]) -> "VehicleKind":
         """The kind whose vehicles have those of the signals on demand that are named, after their other signals."""
-        named = tuple(signal for signal in self.on_demand if signal.name in names and signal.name in self.unnamed)
+        known = {signal.name for signal in self.signals}
+        more = (*self.on_demand, *(one.velocity for one in self.suspensions))
+        named = tuple(signal for signal in more if signal.name in names and signal.name not in known)
         return replace(self, signals=(*self.signals, *named)) if named else self
 
     @property
@@ -191,7 +208,18 @@ class VehicleKind:
 
     def model(self, parameters: Parameters) -> LinearModel:
         """The linear model of a vehicle of the kind: of the signals that it has."""
-        return self.linear_model(parameters).without(self.unnamed)
+        names = {signal.name for signal in self.signals}
+        return self._with_rates(self.linear_model(parameters).without(self.unnamed), names)
+
+    def whole_model(self, parameters: Parameters) -> LinearModel:
+        """The linear model with all signals that a vehicle of the kind may have: those on demand, and suspensions' velocities."""
+        model = self.linear_model(parameters)
+        return self._with_rates(model, {one.velocity.name for one in self.suspensions if model.has_rate(one.deflection)})
+
+    def _with_rates(self, model: LinearModel, names: Collection[str]) -> LinearModel:
+        """The model with the velocities of suspensions that are named, where it has not got them itself."""
+        rates = {one.velocity.name: one.deflection for one in self.suspensions}
+        return model.with_rates({name: of for name, of in rates.items() if name in names and name not in model.outputs})
 
     @property
     def suspensions(self) -> tuple[Suspension, ...]:
@@ -204,8 +232,15 @@ class VehicleKind:
             if name.startswith(SUSPENSION_DEFLECTION.name):
                 ending = name.removeprefix(SUSPENSION_DEFLECTION.name)
                 force = f"{CONTROL_FORCE.name}{ending}"
-                found.append(Suspension(name, f"suspension{ending}", force if force in names else ""))
+                parameters = (self._of_corner(part, ending) for part in ("suspension_stiffness", "suspension_damping"))
+                found.append(Suspension(name, f"suspension{ending}", force if force in names else "", *parameters))
         return tuple(found)
+
+    def _of_corner(self, parameter: str, ending: str) -> str:
+        """The parameter at a corner, or of the axle that it is on, or of all alike; empty where there is none."""
+        corners, names = ending.split("_"), {one.name for one in self.parameters}
+        beginnings = ("_".join((parameter, *corners[1:count])) for count in range(len(corners), 0, -1))
+        return next((name for name in beginnings if name in names), "")
 
     def pushed(self, force: str) -> str:
         """The suspension deflection that a force pushes along; empty where it has none, and pushes against something else."""
@@ -214,7 +249,7 @@ class VehicleKind:
     @property
     def corners(self) -> dict[str, str]:
         """Of every force of a suspension, the ending of the names of what lies at its corner."""
-        return {one.force: one.deflection.removeprefix(SUSPENSION_DEFLECTION.name) for one in self.suspensions if one.force}
+        return {one.force: one.ending for one in self.suspensions if one.force}
 
     @property
     def variations(self) -> dict[Variation, tuple[str, ...]]:

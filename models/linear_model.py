@@ -6,7 +6,7 @@ with the road's heights z_r under the wheels and their velocities w = z_r'. In t
 motions of the body too, Br and Cr are zero: only the road's velocity acts. Under four wheels its twist acts as a displacement.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -81,6 +81,18 @@ class LinearModel:
         kept = [i for i, name in enumerate(self.outputs) if name not in outputs]
         names = tuple(self.outputs[i] for i in kept)
         return replace(self, C=self.C[kept], D=self.D[kept], Cr=self.Cr[kept], outputs=names)
+
+    def has_rate(self, output: str) -> bool:
+        """Whether how fast an output signal changes is one, too: not of one that follows the road or a force at once."""
+        i = self.outputs.index(output)
+        return not (np.any(self.D[i]) or np.any(self.C[i] @ self.Bw + self.Cr[i]))
+
+    def with_rates(self, rates: Mapping[str, str]) -> "LinearModel":
+        """With more output signals, each how fast another one changes: names of those others, which have rates, by their own."""
+        index = [self.outputs.index(name) for name in rates.values()]
+        rows = {"C": self.C[index] @ self.A, "D": self.C[index] @ self.B, "Cr": self.C[index] @ self.Br}
+        more = {name: np.vstack([getattr(self, name), found]) for name, found in rows.items()}
+        return replace(self, outputs=(*self.outputs, *rates), **more) if rates else self
 
     def behind_lag(self, bandwidth: float | None) -> "LinearModel":
         """The model with actuators that lag: its inputs are the forces asked for, and those that act are states.

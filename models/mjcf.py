@@ -12,6 +12,7 @@ import numpy as np
 
 from models.common.errors import InputError, quoted
 from models.common.read_file import MIB, TEXT, open_plain
+from models.curves.actuators import fit_curves, sense_velocities
 from models.kind import GRAVITY, LOWEST_HUB
 from models.vehicle import Vehicle
 
@@ -63,6 +64,7 @@ def build_spec(vehicle: Vehicle, timestep: float) -> mujoco.MjSpec:
     spec.option.gravity = [0.0, 0.0, -GRAVITY]
     vehicle.kind.write_mjcf(spec, vehicle.parameters)
     _write_limits(spec, vehicle)
+    _write_curves(spec, vehicle)
     return spec
 
 
@@ -154,6 +156,25 @@ def _write_limits(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
             # Integrated with the rest by RK4. `filterexact` is exact by itself, but reaches RK4's stages half a step late.
             actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTER
             actuator.dynprm[0] = 1 / limits.actuator_bandwidth
+
+
+def _write_curves(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
+    """What curves have beyond their lines, and sensors of the velocities that suspensions have as signals.
+
+    Raises:
+        InputError: the kind's MJCF has not what they need.
+    """
+    names, sensed = {signal.name for signal in vehicle.kind.signals}, {sensor.name for sensor in spec.sensors}
+    pairs = [(one.velocity.name, one.deflection) for one in vehicle.kind.suspensions]
+    rest = {}
+    if vehicle.fitted:
+        at_rest = _compiled(vehicle, spec.copy())
+        rest = {at_rest.tendon(i).name: float(at_rest.tendon_length0[i]) for i in range(at_rest.ntendon)}
+    try:
+        sense_velocities(spec, [pair for pair in pairs if pair[0] in names - sensed])
+        fit_curves(spec, vehicle.fitted, FITTED, rest)
+    except InputError as error:
+        raise InputError(f"MJCF {vehicle.kind.mjcf}: {error}") from error
 
 
 def build_model(vehicle: Vehicle, timestep: float) -> mujoco.MjModel:

@@ -33,6 +33,9 @@ class Signal:
 ROAD_DISPLACEMENT = Signal("road_displacement", "z_r", "m", "road height under the wheel, up")
 ROAD_VELOCITY = Signal("road_velocity", "w", "m/s", "vertical velocity of the road under the wheel, up")
 SUSPENSION_DEFLECTION = Signal("suspension_deflection", "z_s - z_u", "m", "suspension extension")
+SUSPENSION_VELOCITY = Signal(
+    "suspension_velocity", "z_s' - z_u'", "m/s", "velocity of the suspension, positive where it stretches"
+)
 TYRE_DEFLECTION = Signal("tyre_deflection", "z_u - z_r", "m", "tyre extension, negative when squeezed")
 SPRUNG_VELOCITY = Signal("sprung_velocity", "z_s'", "m/s", "vertical velocity of the sprung mass, up")
 UNSPRUNG_VELOCITY = Signal("unsprung_velocity", "z_u'", "m/s", "vertical velocity of the unsprung mass, up")

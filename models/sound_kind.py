@@ -95,8 +95,11 @@ def _wrong_suspensions(kind: VehicleKind) -> str:
     }.items():
         if wrong := _wrong_names(f"{what} of a suspension", names):
             return wrong
-    signals = {signal.name for signal in kind.signals}
+    signals, parameters = {signal.name for signal in kind.signals}, {parameter.name for parameter in kind.parameters}
     for one in kind.suspended:
+        for what, name in {"stiffness": one.stiffness, "damping": one.damping}.items():
+            if name != "" and name not in parameters:
+                return f"a suspension's {what} {quoted(name)} is none of its parameters; add it to them, or leave it out"
         if one.deflection not in signals:
             return f"a suspension's deflection {one.deflection!r} is none of its signals; add it to them"
     return ""

@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -12,8 +11,13 @@ from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
 from models.common.read_file import TEXT, read_text
 from models.common.toml import parse_toml
-from models.controllers import IDEAL, RESERVED, ControllerEntry, Hardware, is_number, read_controllers
-from models.filters.filter import KEYS, Filter, read_filter
+from models.controllers import IDEAL, RESERVED, ControllerEntry, Hardware, read_controllers
+from models.curves.curve import Curve
+from models.curves.fitted import Fitted, curvable, fitted, with_slopes
+from models.curves.reading import read_curves
+from models.curves.table_file import with_tables
+from models.filters.filter import Filter
+from models.filters.performance import read_performance
 from models.formats.family_file import with_families
 from models.formats.law_file import with_laws
 from models.goals.goals import signals_of
@@ -22,9 +26,7 @@ from models.kinds import kind, kinds, shipped
 from models.linear_model import LinearModel
 from models.reality import Implementation, Limits, read_implementation, read_limits, read_sampled
 
-SECTIONS = ("type", "parameters", "performance", "controllers", "limits", "implementation")
-ROAD = "road"  # in [performance]: the filter from the disturbance w to the road's velocity
-SMALLEST_WEIGHT, LARGEST_WEIGHT = 1e-12, 1e12  # relative to one another; beyond these rounding decides
+SECTIONS = ("type", "parameters", "performance", "controllers", "limits", "implementation", "curves")
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,11 +43,12 @@ class Vehicle:
         source: where it came from, for messages.
         limits: where the hardware ends.
         implementation: the controller as it would be built.
-        law_files: the files with matrices, and those with families.
+        law_files: the files with matrices, those with families, and those with tables.
         filters: what a weighted signal goes through on its way into z, by signal; those of a constant weight are not in it.
         road_filter: what the disturbance w goes through on its way to the road's velocity under every wheel, where that is not
             w itself: its spectrum.
         sampled: whether designs are for the loop that the computer closes, `state` and all whose sections do not say otherwise.
+        curves: of dampers and springs, by the parameter that each stands in for.
     """
 
     kind: VehicleKind
@@ -60,6 +63,17 @@ class Vehicle:
     filters: Mapping[str, Filter] = field(default_factory=dict)
     road_filter: Filter | None = None
     sampled: bool = False
+    curves: Mapping[str, Curve] = field(default_factory=dict)
+
+    @cached_property
+    def fitted(self) -> tuple[Fitted, ...]:
+        """The curves of its suspensions, scaled to its parameters."""
+        return fitted(self.kind.suspensions, self.curves, self.parameters)
+
+    @property
+    def straight(self) -> "Vehicle":
+        """The vehicle of linear analysis: every curve is its line at rest."""
+        return replace(self, curves={}) if self.curves else self
 
     @cached_property
     def linear_model(self) -> LinearModel:
@@ -118,7 +132,7 @@ class Vehicle:
             InputError: one is missing, unknown or not allowed.
         """
         parameters = self.kind.check(self.parameters)
-        performance, filters, road_filter = _performance(self.performance, self.kind.linear_model(parameters))
+        performance, filters, road_filter = read_performance(self.performance, self.kind.whole_model(parameters).outputs)
         sound = replace(self, kind=self.kind.naming(performance), parameters=parameters)
         filters = {signal: one for signal, one in {**self.filters, **filters}.items() if performance.get(signal)}
         return replace(sound, performance=performance, filters=filters, road_filter=road_filter or self.road_filter)
@@ -180,7 +194,8 @@ def read_vehicle(file: str | Path, own_kinds: bool = True) -> Vehicle:
             )
         (whole, families), folder = with_families(text, path.parent), path.parent
         whole, laws = with_laws(whole, folder)
-        return replace(parse_vehicle(whole, source=str(path), folder=folder), law_files=(*families, *laws))
+        whole, tables = with_tables(whole, folder)
+        return replace(parse_vehicle(whole, source=str(path), folder=folder), law_files=(*families, *laws, *tables))
     except InputError as error:
         raise InputError(f"vehicle file {path}: {error}") from error
 
@@ -212,8 +227,9 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
         raise InputError(f"type = {quoted(data['type'])} is not a name in quotes; known: {listing(kinds())}")
 
     vehicle_kind = kind(data["type"], folder)
-    parameters = vehicle_kind.check(data["parameters"])
-    model = vehicle_kind.linear_model(parameters)
+    curves = read_curves(data.get("curves", {}), curvable(vehicle_kind.suspensions))
+    parameters = vehicle_kind.check(with_slopes(data["parameters"], curves))
+    model = vehicle_kind.whole_model(parameters)
     limits, implementation = (
         read_limits(data.get("limits", {})),
         read_implementation(data.get("implementation", {}), model.measurable),
@@ -223,8 +239,9 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
     controllers = read_controllers(section, model, limits, implementation, folder, sampled, vehicle_kind)
     for entry in controllers.values():
         check_period(entry, implementation)
-    performance, filters, road_filter = _performance(data["performance"], model)
+    performance, filters, road_filter = read_performance(data["performance"], model.outputs)
     named = {signal for entry in controllers.values() for signal in (*entry.measured, *signals_of(entry.goals))}
+    named |= {one.velocity.name for one in vehicle_kind.suspensions if {one.stiffness, one.damping} & {*curves}}
     return Vehicle(
         kind=vehicle_kind.naming(named.union(performance, implementation.noise, implementation.quantisation)),
         parameters=parameters,
@@ -237,6 +254,7 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
         filters=filters,
         road_filter=road_filter,
         sampled=sampled,
+        curves=curves,
     )
 
 
@@ -252,39 +270,3 @@ def check_period(entry: ControllerEntry, implementation: Implementation) -> None
             f"[controllers.{entry.name}] has a sample period of {period!r} s of its own, and [implementation] says "
             f"{implementation.sample_period or 'none'}; give [implementation] sample_period = {period!r}"
         )
-
-
-def _performance(section: Mapping[str, Any], model: LinearModel) -> tuple[dict[str, float], dict[str, Filter], Filter | None]:
-    """The weights by signal, the filters of those that have one, and that of the road."""
-    weights, filters, road_filter = {}, {}, None
-    for signal, given in section.items():
-        where, weight = f"[performance] {signal}", given
-        if signal == ROAD:
-            if not isinstance(given, Mapping) or "weight" in given:
-                raise InputError(f"{where} = {quoted(given)} is no filter; give it a numerator and a denominator, and no weight")
-            _known_keys(where, given)
-            road_filter = read_filter(where, given)
-            continue
-        if signal not in model.outputs:
-            raise InputError(
-                f"[performance] unknown signal {signal!r}; this vehicle has {listing(model.outputs)}; {ROAD!r} "
-                "is the road's filter"
-            )
-        if isinstance(given, Mapping):
-            _known_keys(where, given)
-            filters[signal], weight = read_filter(where, given), given.get("weight", 1.0)
-        if not is_number(weight) or not (weight == 0 or SMALLEST_WEIGHT <= weight <= LARGEST_WEIGHT):
-            raise InputError(
-                f"{where} = {quoted(weight)} is not allowed; give 0 or a weight from {SMALLEST_WEIGHT:g} to {LARGEST_WEIGHT:g}, "
-                'or one with a filter, as in { weight = 1.0, filter = "iso2631_wk" }'
-            )
-        weights[signal] = float(weight)
-    if not any(weights.values()):
-        raise InputError(f"[performance] weighs nothing; give at least one weight above 0 to: {listing(model.outputs)}")
-    return weights, {signal: one for signal, one in filters.items() if weights[signal]}, road_filter
-
-
-def _known_keys(where: str, given: Mapping[str, Any]) -> None:
-    for key in given:
-        if key not in KEYS:
-            raise InputError(f"{where} unknown key {key!r}; a weight with a filter has {listing(KEYS)}")

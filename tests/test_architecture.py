@@ -27,8 +27,9 @@ ROOMS = {
     "models.formats": "models.common",
     "models.own": "models.common",
     "models.goals": "models.common",
+    "models.curves": "models.common",
     "models.stops": "models.common",
-    "models": "models.common models.filters models.formats models.goals models.own models.stops",
+    "models": "models.common models.curves models.filters models.formats models.goals models.own models.stops",
     "models.roads": "models models.common",
     # synth: what a controller is; of vehicles it knows nothing below `controller`
     "synth": "",
@@ -82,9 +83,9 @@ ROOMS = {
     "synth.errors synth.front synth.goals synth.implemented synth.problem synth.rates synth.search synth.words",
     # sim: what a run is
     "sim": "",
-    "sim.response": "",
-    "sim.linear": "sim.response models.roads",
-    "sim.physics": "sim.response models.roads",
+    "sim.response": "models.curves",
+    "sim.linear": "sim.response models.curves models.roads",
+    "sim.physics": "models.curves sim.response models.roads",
     "sim.runs": "sim.linear sim.physics sim.response models.roads synth.words",
     "sim.ride": "models.filters sim.linear sim.response models.roads sim.runs",
     "sim.validity": "models.figures sim.linear sim.physics sim.response models.roads",
@@ -96,7 +97,7 @@ ROOMS = {
     "sim.asked": "models.figures sim.command sim.frequency sim.response models.roads sim.runs sim.stability sim.validity",
     "sim.inspect": "sim.asked sim.linear sim.physics sim.recording sim.response sim.ride models.roads sim.runs "
     "synth.designs synth.dynamic synth.problem synth.words",
-    "sim.campaign": "sim.command sim.physics sim.response sim.ride models.roads sim.runs synth.designer",
+    "sim.campaign": "sim.command sim.linear sim.physics sim.response sim.ride models.roads sim.runs synth.designer",
     "sim.report": "sim.command models.figures sim.frequency sim.linear sim.physics sim.response sim.ride models.roads "
     "sim.runs sim.stability sim.validity synth.designer synth.designs synth.errors synth.front synth.paper synth.words",
     "sim.bump": "models.figures sim.asked sim.command models.roads sim.runs synth.designer",
@@ -128,6 +129,7 @@ OWNERS = {
     "tomllib": {"models/common/toml.py"},
     "mujoco": {
         "models/mjcf.py",
+        "models/curves/actuators.py",
         "sim/physics/readout.py",
         "sim/physics/blocks.py",
         "sim/physics/stepping.py",

@@ -143,6 +143,19 @@ def test_vehicle_file_snippets():
     assert vehicle.implementation.delay == 1
 
 
+def test_curves_snippet(tmp_path):
+    """The curves are read where nothing else gives their parameters, and are what the text says of them."""
+    (snippet,) = section("models/README.md", "Curves of dampers").blocks("toml")
+    (tmp_path / "spring.csv").write_text("deflection [mm], force [kN]\n-80, -1.4\n0, 0\n90, 1.2\n")
+    lines = read_vehicle("quarter_car").text.splitlines()
+    kept = [line for line in lines if not line.startswith(("suspension_damping =", "suspension_stiffness ="))]
+    (tmp_path / "mine.toml").write_text("\n".join([*kept, snippet]))
+    vehicle = read_vehicle(tmp_path / "mine.toml")
+    assert {*vehicle.curves} == {"suspension_damping", "suspension_stiffness"}
+    assert vehicle.parameters["suspension_stiffness"] == pytest.approx((1400 / 0.08 + 1200 / 0.09) / 2)  # the mean of both sides
+    assert "suspension_velocity" in vehicle.linear_model.outputs
+
+
 def test_campaign_snippet(tmp_path):
     """The campaign file is one."""
     (snippet,) = section("sim/README.md", "What comes out over thousands").blocks("toml")

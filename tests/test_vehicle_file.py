@@ -7,7 +7,7 @@ from models.common.errors import InputError
 from models.kind import MOST_SQUEEZE
 from models.vehicle import parse_vehicle, read_vehicle
 
-MEASURABLE = "sprung_velocity, suspension_deflection, tyre_deflection, unsprung_acceleration, unsprung_velocity"
+MEASURABLE = "suspension_deflection, suspension_velocity, tyre_deflection, unsprung_acceleration, unsprung_velocity"
 MASS = "sprung_mass = 504.5"
 WEIGHT = "sprung_acceleration = 1.0"
 LAW = "A = [[-1.0]]\nB = [[1.0, 1.0]]\nC = [[1.0]]\nD = [[1.0, 1.0]]"
@@ -23,7 +23,7 @@ CHANGES = [
         "unknown section",
         "[performance]",
         "[comfort]",
-        ["'comfort'", "controllers, implementation, limits, parameters, performance, type"],
+        ["'comfort'", "controllers, curves, implementation, limits, parameters, performance, type"],
     ),
     ("a key beside the sections", "type = ", 'colour = "red"\ntype = ', ["unknown key 'colour'", "known: controllers"]),
     ("no type", 'type = "quarter_car"', "", ["'type'", "missing"]),

@@ -15,7 +15,7 @@ from sim.physics.geometry import has_geometry
 from sim.physics.simulate import simulate
 from sim.response.response import Response
 from sim.runs.agreement import SMALL, compare, look_closer
-from sim.runs.prediction import Prediction, predict
+from sim.runs.prediction import Prediction, predict, smaller
 from sim.runs.run import Run, judge, run_all, sample_times
 from sim.runs.words import verdict, verdict_lines
 from synth.controller import Controller
@@ -187,10 +187,10 @@ def test_rounding_counts_alike_over_every_height(vehicle, controllers):
 
     agreement = compare(prediction, moved(1.0, 1.0))
     assert agreement.agrees
-    assert look_closer(agreement, prediction, moved(SMALL, 1.0)).agrees
+    assert look_closer(agreement, smaller(prediction, SMALL), moved(SMALL, 1.0)).agrees
     # RK4's own error is 1e-10 of a peak at this step, and the 1e-9 that are allowed of any are 60 roundings of a length here.
     assert not compare(prediction, moved(1.0, 300.0)).agrees
-    assert not look_closer(agreement, prediction, moved(SMALL, 300.0)).agrees
+    assert not look_closer(agreement, smaller(prediction, SMALL), moved(SMALL, 300.0)).agrees
 
 
 def test_the_signal_that_fails_is_named():

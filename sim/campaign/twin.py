@@ -9,6 +9,7 @@ from scipy import linalg
 from models.common.arrays import Array
 from models.vehicle import Vehicle
 from sim.campaign.plan import PlannedRun
+from sim.linear.curved import is_curved
 from sim.physics.blocks import DIVERGED
 from sim.response.response import SILENT
 from sim.ride.metrics import Meter
@@ -20,14 +21,15 @@ from synth.sampled.hold import held_inputs
 class Twin:
     """The exact linear responses of the runs, sampled as in `sim.linear.loop`, beside them and as fast.
 
-    Sums run over states one by one, as in `sim.physics.simulate`. A controller that is more than a gain has no twin here.
+    Sums run over states one by one, as in `sim.physics.simulate`. A controller that is more than a gain, and
+    a vehicle with curves, have no twin here.
     """
 
     def __init__(self, runs: Sequence[PlannedRun], now: Array, midway: Array, timestep: float, first: int | None) -> None:
         """Measured from sample `first` on; not at all, if that is None."""
         vehicle = runs[0].vehicle
         self.signals, self.now, self.midway = vehicle.kind.signals, now, midway
-        self.ideal = vehicle.implementation.ideal
+        self.ideal = vehicle.implementation.ideal and not is_curved(vehicle)
         systems: dict[Any, Any] = {}
         for run in runs:
             if run.system not in systems:

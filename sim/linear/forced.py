@@ -13,7 +13,8 @@ from scipy import linalg
 from models.common.arrays import Array
 from models.roads.road import Road, under_wheels
 from models.vehicle import Vehicle
-from sim.linear.loop import recursion, response_of, road_forcing
+from sim.linear.curved import CurvedSteps, is_curved
+from sim.linear.loop import recursion, response_of, road_forcing, taylor4
 from sim.response.response import Response
 from synth.implemented.controlled import with_lag
 from synth.sampled.hold import held_inputs
@@ -34,8 +35,16 @@ def forced_response(
     h, model = float(time[1] - time[0]), with_lag(vehicle)
     Phi, Gamma, Gamma_r = held_inputs(model.A, h, exponential, model.B, model.A @ model.Bw + model.Br)
     now, midway = (under_wheels(road.displacement, road, vehicle, times) for times in (time, time + h / 2))
-    states = recursion(Phi, midway @ Gamma_r.T + forces @ Gamma.T) + now @ model.Bw.T
-    return response_of(vehicle, model, road, time, states, forces)
+    jump = now @ model.Bw.T
+    if not is_curved(vehicle):
+        states = recursion(Phi, midway @ Gamma_r.T + forces @ Gamma.T) + jump
+        return response_of(vehicle, model, road, time, states, forces)
+    steps = CurvedSteps(vehicle, model, h, exact=exponential is not taylor4)
+    xi = np.zeros((len(time), 1, len(model.A)))
+    for k in range(len(time) - 1):
+        xi[k + 1] = steps(xi[k], forces[k : k + 1], midway[k : k + 1])
+    states = xi[:, 0] + jump
+    return response_of(vehicle, model, road, time, states, forces, steps.beyond(states, now))
 
 
 def forced_continuous_response(vehicle: Vehicle, forces: Array, road: Road, time: Array) -> Response:

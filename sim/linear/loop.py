@@ -6,6 +6,8 @@ everything on the right but xi is constant:
 
     xi[k+1] = Phi xi[k] + Gamma [u[k]; z_r(t_k + h/2)],    x[k] = xi[k] + Bw z_r(t_k),    u[k] = K C_y x[k].
 
+Where a damper or a spring has a curve, every step is as in `sim.linear.curved`, and the rest stays.
+
 A law with states, and a measured acceleration, make the vehicle larger (`synth/implemented/controlled.py`), and the formulas stay
 as they are.
 
@@ -29,6 +31,7 @@ from models.reality import steps_held, steps_per_sample
 from models.roads.road import Road, delays, under_wheels
 from models.signals import kept_signals
 from models.vehicle import Vehicle
+from sim.linear.curved import CurvedSteps, is_curved
 from sim.response.response import Response
 from synth.controller import Controller
 from synth.implemented.controlled import continuous, sampled
@@ -82,8 +85,10 @@ def sampled_responses(
     now = np.stack([under_wheels(road.displacement, road, vehicle, time) for road in roads])
     midway = np.stack([under_wheels(road.displacement, road, vehicle, time + h / 2) for road in roads])
 
+    measured = [model.outputs.index(name) for name in controller.measured]
     jump, push = now @ model.Bw.T, midway @ Gamma_r.T  # x - xi, and what the road does to xi
-    if how.prompt:
+    steps = CurvedSteps(vehicle, model, h, exact=exponential is not taylor4) if is_curved(vehicle) else None
+    if how.prompt and steps is None:
         G = cut.inputs(cut.asked)
         states = recursion(Phi + Gamma @ G, push + jump @ (Gamma @ G).T) + jump
         inputs = states @ G.T
@@ -96,13 +101,18 @@ def sampled_responses(
             states[:, k] = xi + jump[:, k]
             if k % period == 0:
                 newest = k // period + how.waiting
-                computed[newest] = states[:, k] @ cut.asked.T
-                forces, kept = [computed[newest - late].T for _, late in held], cut.kept @ states[:, k].T
+                computed[newest], kept = states[:, k] @ cut.asked.T, cut.kept @ states[:, k].T
+                if steps is not None:  # accelerations that are measured have the curves' forces in them
+                    felt = steps.beyond(states[:, k], now[:, k])[:, measured] @ cut.reading.T
+                    computed[newest], kept = computed[newest] + felt[:, : cut.forces], kept + felt[:, cut.forces :].T
+                forces = [computed[newest - late].T for _, late in held]
                 of_parts = [cut.inputs(one, kept, forces[-1]).T for one in forces]
                 acting = [one for (steps, _), one in zip(held, of_parts, strict=True) for _ in range(steps)]
             inputs[:, k] = acting[k % period]
-            xi = xi @ Phi.T + inputs[:, k] @ Gamma.T + push[:, k]
-    runs = [response_of(vehicle, model, road, time, states[i], inputs[i]).values for i, road in enumerate(roads)]
+            held_over = inputs[:, k], midway[:, k]
+            xi = xi @ Phi.T + held_over[0] @ Gamma.T + push[:, k] if steps is None else steps(xi, *held_over)
+    beyond = steps.beyond(states, now) if steps is not None else np.zeros(len(roads))
+    runs = [response_of(vehicle, model, road, time, states[i], inputs[i], beyond[i]).values for i, road in enumerate(roads)]
     last = np.arange(len(time)) // period * period
     kept = controller.law.of_state(period * h) * states[:, last, cut.law_states]
     return _with_kept(Response(time, vehicle.kind.signals, np.stack(runs)), kept)
@@ -163,13 +173,25 @@ def recursion(Phi: Array, forcing: Array) -> Array:
     return states
 
 
-def response_of(vehicle: Vehicle, model: LinearModel, road: Road, time: Array, states: Array, inputs: Array) -> Response:
-    """Every signal of the vehicle from the states and inputs of a model of it over time, shapes (T, n) and (T, m)."""
+def response_of(
+    vehicle: Vehicle, model: LinearModel, road: Road, time: Array, states: Array, inputs: Array, beyond: Array | float = 0.0
+) -> Response:
+    """Every signal of the vehicle from the states and inputs of a model of it over time.
+
+    Args:
+        vehicle: the vehicle.
+        model: n states, m inputs, p outputs.
+        road: the road.
+        time: shape (T,).
+        states: shape (T, n).
+        inputs: shape (T, m).
+        beyond: what curves add to the outputs, shape (T, p), or 0.
+    """
     z_r, w = (under_wheels(function, road, vehicle, time) for function in (road.displacement, road.velocity))
     values = {}
     for i, wheel in enumerate(vehicle.kind.wheels):
         values |= {wheel.road_displacement: z_r[:, i], wheel.road_velocity: w[:, i]}
-    outputs = states @ model.C.T + inputs @ model.D.T + z_r @ model.Cr.T
+    outputs = states @ model.C.T + inputs @ model.D.T + z_r @ model.Cr.T + beyond
     values |= dict(zip(model.outputs, outputs.T, strict=True))
     signals = vehicle.kind.signals
     return Response(time, signals, np.stack([values[signal.name] for signal in signals], axis=-1))

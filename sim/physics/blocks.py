@@ -122,7 +122,7 @@ def in_shares(course: Course, shares: Sequence[slice]) -> list[Callable[[Callabl
     now, midway, undelayed, going = course.now, course.midway, course.undelayed, course.going
     vehicle = vehicles[0]
     model, readout = prepared(vehicle, timestep)
-    hardware = [(*other.parameters.values(), other.limits) for other in vehicles]
+    hardware = [(*other.parameters.values(), *other.curves.values(), other.limits) for other in vehicles]
     models = {}
     if len(set(hardware)) > 1:
         models = {key: build_model(other, timestep) for key, other in dict(zip(hardware, vehicles, strict=True)).items()}

@@ -9,7 +9,8 @@ with E the kinetic and potential energy (gravity, springs, tyres, bump stops), a
 error of the integrator, and of the integrals: Simpson's rule, the middle of a step from lengths l and speeds l' at both its ends
 by Hermite's cubic, whose slope there is right to the fourth power of the step. So the residual is of RK4's order, 4, while every
 spring is linear in its length. Where one begins or ends to act within a step (a tyre leaves the road, a bump stop is touched),
-RK4 itself has a kink in its step, and the residual is only of about second order.
+RK4 itself has a kink in its step, and the residual is only of about second order; so it is at the knots of curves. What a
+spring's curve stores, and a damper's takes, beyond their lines, is the integral of the curve, and Simpson's rule of its power.
 
 Nothing else may do work: a force that is neither spring, weight, damper nor one of the vehicle's actuators is left over.
 
@@ -33,6 +34,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from models.common.arrays import Array
+from models.curves.reading import VELOCITY
 from models.mjcf import build_spec, mocap_indices
 from models.roads.road import Road, under_wheels
 from models.vehicle import Vehicle
@@ -93,7 +95,7 @@ def energy(vehicle: Vehicle, runs: PhysicsRuns, index: int, road: Road, until: f
     ends[moved] = _look(vehicle, model, qpos[1:][moved], qvel[1:][moved], midway[:-1][moved])
     rest = _look(vehicle, model, np.zeros_like(qpos[:1]), np.zeros_like(qvel[:1]), np.zeros_like(midway[:1]))
 
-    actuators = len(vehicle.linear_model.inputs)
+    actuators, curves = len(vehicle.linear_model.inputs), vehicle.fitted
     stored = starts[:, 0] + starts[:, 1]
     lengths, speeds = (starts[:, 2 + k :: 2] for k in (0, 1))
     middle = 1.5 * np.diff(lengths, axis=0) / h - (speeds[:-1] + speeds[1:]) / 4
@@ -102,13 +104,20 @@ def energy(vehicle: Vehicle, runs: PhysicsRuns, index: int, road: Road, until: f
     work = (before * speeds[:-1, :actuators] + 4 * between * middle[:, :actuators] + after * speeds[1:, :actuators]) * h / 6
     if vehicle.limits.actuator_bandwidth is None:
         work = forces[:-1] * np.diff(lengths[:, :actuators], axis=0)  # a held force's is exact
-    damping = _damping(model)
-    losses = (speeds[:-1, actuators:] ** 2 + 4 * middle[:, actuators:] ** 2 + speeds[1:, actuators:] ** 2) * damping * h / 6
+    dampers, damping = slice(actuators, speeds.shape[1] - len(curves)), _damping(model)
+    losses = (speeds[:-1, dampers] ** 2 + 4 * middle[:, dampers] ** 2 + speeds[1:, dampers] ** 2) * damping * h / 6
+    in_springs, in_dampers = np.zeros(count), np.zeros(count - 1)
+    for i, one in enumerate(curves, dampers.stop):
+        if one.over is VELOCITY:
+            power = [v * one.curve.pieces.force(v) for v in (speeds[:-1, i], middle[:, i], speeds[1:, i])]
+            in_dampers += (power[0] + 4 * power[1] + power[2]) * h / 6
+        else:
+            in_springs += one.curve.work(lengths[:, i] - rest[0, 2 + 2 * i])
 
     by_road = np.cumsum(np.concatenate([[stored[0] - rest[0, :2].sum()], stored[1:] - ends[:, :2].sum(axis=1)]))
     by_actuators = np.concatenate([[0.0], np.cumsum(work.sum(axis=1))])
-    lost = np.concatenate([[0.0], np.cumsum(losses.sum(axis=1))])
-    change = stored - rest[0, :2].sum()
+    lost = np.concatenate([[0.0], np.cumsum(losses.sum(axis=1) + in_dampers)])
+    change = stored + in_springs - rest[0, :2].sum()
     turnover = float(lost[-1] + np.abs(work).sum() + starts[:, 1].max())
     scale = max(turnover, ROUNDING * abs(float(rest[0, :2].sum()))) or 1.0
     residual = float(np.max(np.abs(by_road + by_actuators - change - lost))) / scale
@@ -119,8 +128,8 @@ def energy(vehicle: Vehicle, runs: PhysicsRuns, index: int, road: Road, until: f
 def _observed(vehicle: Vehicle, timestep: float) -> tuple[mujoco.MjModel, Array]:
     """The vehicle's model with sensors of all that makes its energy, and no others; and how every force counts along its length.
 
-    In this order: potential and kinetic energy; then length and speed that every actuator is to push along, and of every damped
-    tendon and joint.
+    In this order: potential and kinetic energy; then length and speed that every actuator is to push along, of every damped
+    tendon and joint, and of the tendon of every curve.
     """
     spec = build_spec(vehicle, timestep)
     kind, of = mujoco.mjtSensor, mujoco.mjtObj
@@ -145,6 +154,7 @@ def _observed(vehicle: Vehicle, timestep: float) -> tuple[mujoco.MjModel, Array]
     for joint in spec.joints:
         if joint.damping[0] > 0:
             pairs.append((kind.mjSENS_JOINTPOS, kind.mjSENS_JOINTVEL, of.mjOBJ_JOINT, joint.name))
+    pairs += [(kind.mjSENS_TENDONPOS, kind.mjSENS_TENDONVEL, of.mjOBJ_TENDON, one.tendon) for one in vehicle.fitted]
     for number, (length, speed, what, name) in enumerate(pairs):
         for sensor in (length, speed):
             spec.add_sensor(name=f"{sensor.name}_{number}", type=sensor, objtype=what, objname=name)

@@ -61,7 +61,7 @@ def regime_end(vehicle: Vehicle, controller: Controller, bump: Bump, time: Array
         bump: its height does not matter.
         time: equidistant sample times from 0 [s].
     """
-    used = utilisation(vehicle, sampled_response(vehicle, controller, replace(bump, height=1.0), time))
+    used = utilisation(vehicle, sampled_response(vehicle.straight, controller, replace(bump, height=1.0), time))
     if used.max() * LIMITS["height"][1] < REACHES[-1]:
         return None
     predicted = float(1 / used.max())

@@ -1,4 +1,4 @@
-"""What ends the linear regime, and when: a tyre off the road, a suspension at its bump stop, an actuator at its limit."""
+"""What ends the linear regime, and when: a tyre off the road, a suspension at its bump stop, an actuator or curve at its end."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -6,6 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.arrays import Array
+from models.curves.curve import LEAVES
+from models.curves.fitted import Fitted
+from models.curves.reading import DEFLECTION
 from models.kind import MOST_SQUEEZE
 from models.vehicle import Vehicle
 from sim.response.response import Response
@@ -48,6 +51,7 @@ class End:
         color: in a map, on light ground.
         marker: on curves, on dark ground: its shape, as Rerun names it, and a colour that no curve has.
         thresholds: of a vehicle; none where it has no such limit.
+        exact: whether the exact response as built goes on beyond it, and only what is linear ends.
     """
 
     name: str
@@ -57,6 +61,7 @@ class End:
     color: str
     marker: tuple[str, tuple[int, int, int]]
     thresholds: Callable[[Vehicle], list[Threshold]]
+    exact: bool = False
 
 
 def _on_every_tyre(sign: float, limit: Callable[[float], float]) -> Callable[[Vehicle], list[Threshold]]:
@@ -87,6 +92,31 @@ def _at_the_stops(vehicle: Vehicle) -> list[Threshold]:
     if stops is None:
         return []
     return [Threshold(name, sign, stop.stroke) for name in names for sign, stop in ((-1.0, stops.bump), (1.0, stops.rebound))]
+
+
+def over(vehicle: Vehicle, one: Fitted) -> str:
+    """The signal that a curve's force is over."""
+    if one.over is DEFLECTION:
+        return one.deflection
+    return next(suspension.velocity.name for suspension in vehicle.kind.suspensions if suspension.deflection == one.deflection)
+
+
+def _off_the_line(vehicle: Vehicle) -> list[Threshold]:
+    """Thresholds where curves have left their lines at rest, one to each side."""
+    found = []
+    for one in vehicle.fitted:
+        low, high = one.curve.left_at
+        found += [Threshold(over(vehicle, one), sign, far) for sign, far in ((-1.0, -low), (1.0, high)) if far < np.inf]
+    return found
+
+
+def departures(vehicle: Vehicle, response: Response) -> dict[str, float]:
+    """How far curves were from their lines at most, over their largest forces, by parameter: of wheels that with most."""
+    found: dict[str, float] = {}
+    for one in vehicle.fitted:
+        apart = np.abs(one.curve.pieces.force(response[over(vehicle, one)])).max(initial=0.0) / one.curve.range
+        found[one.parameter] = max(found.get(one.parameter, 0.0), float(apart))
+    return found
 
 
 LIFT_OFF = End(
@@ -125,12 +155,22 @@ FLAT = End(  # no model of the vehicle holds from there
     ("Cross", (20, 20, 20)),
     _on_every_tyre(-1.0, lambda static: MOST_SQUEEZE),
 )
-REGIME_ENDS = (LIFT_OFF, BUMP_STOP, SATURATION, FLAT)
+CURVE = End(
+    "curve",
+    "a damper or spring leaves the line of its curve at rest",
+    "curve left",
+    f"curve: a damper's or spring's force is off its line at rest by {100 * LEAVES:g} % of its largest first at {{when:.4g}} s",
+    "#a3b86c",
+    ("Asterisk", (150, 255, 60)),
+    _off_the_line,
+    exact=True,
+)
+REGIME_ENDS = (LIFT_OFF, BUMP_STOP, SATURATION, FLAT, CURVE)
 END_NAMES = tuple(end.name for end in REGIME_ENDS)
 
 
 def utilisation(vehicle: Vehicle, response: Response) -> Array:
-    """How much of the way to each of `REGIME_ENDS` a response goes, shape (..., 4): 1 reaches it, 0 where there is none."""
+    """How much of the way to each of `REGIME_ENDS` a response goes, shape (..., E): 1 reaches it, 0 where there is none."""
     columns = []
     for end in REGIME_ENDS:
         share = np.zeros(response.values.shape[:-2])
@@ -148,7 +188,7 @@ class EndDetector:
     the road has risen that far over where the hub would be, had it gone on as before.
 
     Attributes:
-        times: when each is first reached [s], infinite where it is not, shape (N, 4).
+        times: when each is first reached [s], infinite where it is not, shape (N, E).
     """
 
     def __init__(self, vehicles: Sequence[Vehicle], time: Array, predicted: bool = False) -> None:
@@ -202,7 +242,7 @@ class EndDetector:
 
 
 def reached(vehicle: Vehicle, response: Response) -> Array:
-    """When physics first reaches each of `REGIME_ENDS` [s], infinite where it does not, shape (..., 4); leading axes are runs."""
+    """When physics first reaches each of `REGIME_ENDS` [s], infinite where it does not, shape (..., E); leading axes are runs."""
     leading, whole = response.values.shape[:-2], response.values.shape[-2:]
     runs = response.values.reshape(-1, *whole)
     detector = EndDetector([vehicle] * len(runs), response.time)
@@ -211,7 +251,7 @@ def reached(vehicle: Vehicle, response: Response) -> Array:
 
 
 def scaled_reached(vehicle: Vehicle, response: Response, factors: Array) -> Array:
-    """When a linear response, which no limit stops, would reach each of `REGIME_ENDS` [s], times N factors, shape (N, 4).
+    """When a linear response, which no limit stops, would reach each of `REGIME_ENDS` [s], times N factors, shape (N, E).
 
     Args:
         vehicle: the vehicle.
@@ -225,7 +265,7 @@ def scaled_reached(vehicle: Vehicle, response: Response, factors: Array) -> Arra
 
 
 def first_end(times: Array) -> Array:
-    """Which of `REGIME_ENDS` comes first, as its index, and -1 where none does; from `reached`, shape (..., 4) to (...,).
+    """Which of `REGIME_ENDS` comes first, as its index, and -1 where none does; from `reached`, shape (..., E) to (...,).
 
     Of two at one sample, the one that is named first.
     """

@@ -19,7 +19,7 @@ import numpy as np
 
 from models.vehicle import Vehicle
 from sim.linear.rounding import grown, roundings
-from sim.response.regime import AT, END_NAMES, FLAT, LIFT_OFF, reached
+from sim.response.regime import AT, END_NAMES, FLAT, LIFT_OFF, REGIME_ENDS, reached
 from sim.response.response import Response
 from sim.runs.prediction import Prediction
 from synth.controller import Controller
@@ -75,7 +75,8 @@ class Agreement:
         signals: by name.
         lift_off: intervals [s] in which a tyre is off the road.
         ended: when each of `REGIME_ENDS` first happens [s], by name; infinite where it does not.
-        until: the linear comparison applies before this time [s]; infinite where it always does.
+        until: the comparison applies before this time [s]; infinite where it always does. What the exact response goes on beyond
+            does not end it.
         blurred: whether measurements are noisy or quantised: then the comparison is with their predicted spread.
     """
 
@@ -96,7 +97,7 @@ def compare(prediction: Prediction, physics: Response) -> Agreement:
     vehicle, spread, diverged = prediction.vehicle, prediction.spread, physics.diverged
     sampled, integrated, continuous = prediction.sampled, prediction.integrated, prediction.continuous
     ended = dict(zip(END_NAMES, reached(vehicle, physics).tolist(), strict=True))
-    until = min(*ended.values(), _first_loose(vehicle, physics), diverged)
+    until = min(*(ended[end.name] for end in REGIME_ENDS if not end.exact), _first_loose(vehicle, physics), diverged)
     # A loop that grows threefold in a step is through the road and back within one, which the prediction's own squeeze shows.
     foretold = dict(zip(END_NAMES, reached(vehicle, sampled).tolist(), strict=True))[FLAT.name]
     if foretold < until:
@@ -121,16 +122,14 @@ def compare(prediction: Prediction, physics: Response) -> Agreement:
     return Agreement(signals, lift_off, ended, until, blurred=bool(spread))
 
 
-def look_closer(agreement: Agreement, prediction: Prediction, physics: Response) -> Agreement:
+def look_closer(agreement: Agreement, small: Response, physics: Response) -> Agreement:
     """Asks of a run that does not agree whether that is geometry: then it vanishes with the amplitude.
 
     Args:
         agreement: the run's.
-        prediction: the run's, over the road at its full height.
-        physics: what MuJoCo did over the same road at `SMALL` of its height.
+        small: the exact response over the same road at `SMALL` of its height.
+        physics: what MuJoCo did over that.
     """
-    sampled = prediction.sampled
-    small = Response(sampled.time, sampled.signals, SMALL * sampled.values)
     # As long as the comparison is of: what is allowed is, too.
     physics, small = physics.until(agreement.until), small.until(agreement.until)
     signals = {name: replace(signal, small=_difference(physics, small, name)) for name, signal in agreement.signals.items()}

@@ -1,4 +1,7 @@
-"""What linear analysis says of one vehicle with one controller over one road, before any physics is run."""
+"""What analysis says of one vehicle with one controller over one road, before any physics is run.
+
+It is linear but for the curves of dampers and springs, where a vehicle has some: `sampled` and `integrated` follow these.
+"""
 
 import math
 from collections.abc import Mapping
@@ -12,6 +15,7 @@ from models.own.python_law import Programmed
 from models.roads.road import Road
 from models.vehicle import Vehicle
 from sim.linear.blur import most_quantised, noise_rms
+from sim.linear.curved import is_curved
 from sim.linear.forced import forced_continuous_response, forced_response
 from sim.linear.loop import continuous_response, sampled_response, taylor4
 from sim.response.response import Response
@@ -32,7 +36,7 @@ class Prediction:
         vehicle: the vehicle, with the limits and implementation of this run.
         controller: its controller.
         road: the road.
-        sampled: exact linear response of the sampled loop.
+        sampled: exact response of the sampled loop: linear, but for curves.
         integrated: the same as RK4 makes it.
         continuous: exact linear response of the continuous closed loop.
         spread: how far noise (in `SIGMAS` deviations) and quantisation of the measurements move each output signal at most, at
@@ -125,3 +129,14 @@ def predict_forced(vehicle: Vehicle, controller: Programmed, road: Road, time: A
         radius=math.nan,
         asked=asked,
     )
+
+
+def smaller(prediction: Prediction, share: float) -> Response:
+    """The exact sampled response over a share of the road's height, and under the same share of the forces of a law in Python."""
+    whole, vehicle, controller = prediction.sampled, prediction.vehicle, prediction.controller
+    if not is_curved(vehicle):
+        return Response(whole.time, whole.signals, share * whole.values)
+    road = prediction.road.scaled(share)
+    if isinstance(controller, Controller):
+        return sampled_response(vehicle, controller, road, whole.time)
+    return forced_response(vehicle, share * prediction.asked, road, whole.time)

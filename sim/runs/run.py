@@ -19,7 +19,7 @@ from sim.physics.simulate import PhysicsRuns, simulate
 from sim.response.regime import FLAT
 from sim.response.response import Response
 from sim.runs.agreement import SMALL, Agreement, compare, look_closer
-from sim.runs.prediction import Prediction, predict, predict_forced
+from sim.runs.prediction import Prediction, predict, predict_forced, smaller
 from synth.controller import Controller
 
 MOST_SAMPLES = 1_000_000  # a run of these takes 0.4 GB and half a minute
@@ -174,7 +174,7 @@ def judge(predictions: Sequence[Prediction], physics: Sequence[Response]) -> lis
         again = [predictions[i] for i in doubtful]
         small = _simulated(again, again[0].time, _with_small_noise, SMALL).response
         for k, i in enumerate(doubtful):
-            runs[i] = replace(runs[i], agreement=look_closer(runs[i].agreement, predictions[i], small.run(k)))
+            runs[i] = replace(runs[i], agreement=look_closer(runs[i].agreement, smaller(predictions[i], SMALL), small.run(k)))
     return runs
 
 

@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from models.common.numbers import cell, finite
+from models.common.numbers import cell, finite, percent
 from models.common.printed import table, wrapped
 from models.kind import MOST_SQUEEZE
 from models.own.python_law import Programmed
 from models.vehicle import Vehicle
 from sim.physics.energy import BALANCED, Energy
-from sim.response.regime import FLAT, LIFT_OFF, REGIME_ENDS
+from sim.response.regime import CURVE, FLAT, LIFT_OFF, REGIME_ENDS, departures
 from sim.runs.agreement import COARSEST, SLACK, SMALL
 from sim.runs.run import Run
 from synth.controller import Controller
@@ -184,6 +184,8 @@ def verdict_lines(run: Run) -> list[str]:
         lines.append(f"how good the physics is after lift-off is not said: at half the step its {blur} would be another")
     times = agreement.ended
     lines += [end.verdict.format(when=times[end.name]) for end in REGIME_ENDS if end.verdict and math.isfinite(times[end.name])]
+    left = departures(run.vehicle, run.physics) if math.isfinite(times[CURVE.name]) else {}
+    lines += [f"{name} is off its line at rest by up to {percent(share)} of its largest force" for name, share in left.items()]
     when = "throughout"
     if times[FLAT.name] == agreement.until < math.inf:
         lines.append(

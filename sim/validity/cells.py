@@ -18,10 +18,11 @@ from models.common.cores import cores
 from models.common.side_by_side import side_by_side
 from models.roads.road import Bump
 from models.vehicle import Vehicle
+from sim.linear.curved import is_curved
 from sim.linear.loop import sampled_responses
 from sim.physics.blocks import runs_at_once
 from sim.physics.watched import Watched
-from sim.response.regime import END_NAMES, first_end, scaled_reached, utilisation
+from sim.response.regime import END_NAMES, EndDetector, first_end, scaled_reached, utilisation
 from synth.controller import Controller
 
 ENOUGH = 0.99  # of the cells have to break as predicted; the others lie at a boundary
@@ -41,7 +42,7 @@ class Cells:
         time: when [s], infinite for never, shape (N,).
         predicted: the same from the linear response, shape (N,).
         predicted_time: the same [s], shape (N,).
-        used: how much of the way to each of `REGIME_ENDS` the linear response goes, shape (N, 4).
+        used: how much of the way to each of `REGIME_ENDS` the linear response goes, shape (N, E).
         edge: whether the prediction is another one at a height 1 % lower or higher, shape (N,).
     """
 
@@ -146,7 +147,7 @@ def _run(
     column = np.array([columns[key] for key in keys])
 
     # Of bumps one metre high: all else is proportional to it.
-    unit = sampled_responses(vehicle, controller, [Bump(1.0, *key) for key in columns], time)
+    unit = sampled_responses(vehicle.straight, controller, [Bump(1.0, *key) for key in columns], time)
     outputs = [i for i, name in enumerate(unit.names) if name in vehicle.linear_model.outputs]
     linear = np.moveaxis(unit.values, 0, 2)[:, outputs]
     hole = replace(unit, values=-unit.values)
@@ -158,6 +159,8 @@ def _run(
         mine = np.flatnonzero(column == i)
         factors = heights[mine, None] * np.array([1, 1 - EDGE, 1 + EDGE])
         times[mine] = scaled_reached(vehicle, unit.run(i), factors.ravel()).reshape(len(mine), 3, len(END_NAMES))
+    if is_curved(vehicle):
+        used, times = _with_curves(vehicle, controller, bumps, time)
     predicted = first_end(times)
 
     watched, apart = Watched([vehicle] * count, [controller] * count, bumps, time), np.zeros((len(outputs), count))
@@ -183,6 +186,19 @@ def _run(
         used=used,
         edge=np.any(predicted != predicted[:, :1], axis=1),
     )
+
+
+def _with_curves(vehicle: Vehicle, controller: Controller, bumps: Sequence[Bump], time: Array) -> tuple[Array, Array]:
+    """Of responses with curves, which are not proportional to the height: how much of the way they go, shape (N, E), and when.
+
+    The times are of every bump as it is, and 1 % lower and higher, shape (N, 3, E).
+    """
+    near = [replace(bump, height=factor * bump.height) for factor in (1, 1 - EDGE, 1 + EDGE) for bump in bumps]
+    made = sampled_responses(vehicle, controller, near, time)
+    detector = EndDetector([vehicle] * len(near), time, predicted=True)
+    detector.update(0, np.moveaxis(made.values, 0, 2))
+    times = np.moveaxis(detector.times.reshape(3, len(bumps), len(END_NAMES)), 0, 1)
+    return utilisation(vehicle, replace(made, values=made.values[: len(bumps)])), times
 
 
 def _not_run(bumps: Sequence[Bump]) -> Cells:

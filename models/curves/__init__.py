@@ -1,0 +1,1 @@
+"""Curves of dampers and springs: as data, as they are read, and as actuators in the model."""

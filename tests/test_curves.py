@@ -1,0 +1,392 @@
+"""Curves of dampers and springs: as data, in MuJoCo, against an integration of their own, in verdicts and logs."""
+
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's bindings carry no type stubs.
+
+import dataclasses
+import json
+
+import mujoco
+import numpy as np
+import pytest
+
+from models.common.errors import InputError
+from models.curves.curve import LEAVES, Curve
+from models.curves.fitting import FRICTION_ERROR
+from models.curves.reading import VELOCITY, read_curves
+from models.mjcf import build_model
+from models.roads.road import Bump
+from models.vehicle import parse_vehicle, read_vehicle
+from sim.bump import main
+from sim.inspect.__main__ import main as inspect
+from sim.linear.loop import sampled_response, taylor4
+from sim.physics.energy import energy
+from sim.physics.simulate import simulate
+from sim.response.regime import CURVE, departures, reached
+from sim.runs.run import run_all, sample_times
+from synth.designer import Designer, design
+from tests.commands import prose
+from tests.curved import AXLES, DIGRESSIVE, PROGRESSIVE, curved_text, integrated_by_scipy, with_curves
+
+STATES = ("suspension_deflection", "tyre_deflection", "sprung_velocity", "unsprung_velocity")
+BOTH = {"suspension_damping": DIGRESSIVE, "suspension_stiffness": PROGRESSIVE}
+ROAD = Bump(height=0.08, length=5.0, speed=12.5)
+
+
+def damper(velocity, force, **more) -> Curve:
+    """A damper's curve from its table."""
+    table = {"velocity": list(velocity), "force": list(force), **more}
+    return read_curves({"damping": table}, {"damping": VELOCITY})["damping"]
+
+
+def random_table(rng):
+    """A damper's table with a point at rest, rising and falling, of the velocity's sign."""
+    v = np.sort(rng.uniform(-2, 2, 9))
+    v[4] = 0.0
+    v = np.sort(v)
+    force = np.sign(v) * rng.uniform(50, 2000, 9)
+    force[0], force[-1] = min(force[0], force[1]), max(force[-1], force[-2])  # its ends do not fall
+    return v, force
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_pieces_make_the_curve(seed):
+    """A line and its clipped pieces are the table, whether it rises or falls, and go on beyond it as straight as it ends."""
+    v, force = random_table(np.random.default_rng(seed))
+    if v[0] >= 0 or v[-1] <= 0:
+        pytest.skip("rest is not inside")
+    curve, largest = damper(v, force), np.abs(force).max()
+    x = np.linspace(v[0], v[-1], 501)
+    np.testing.assert_allclose(curve(x), np.interp(x, v, force), atol=1e-12 * largest)  # rounding
+    for end, inner in ((0, 1), (-1, -2)):
+        slope = (force[end] - force[inner]) / (v[end] - v[inner])
+        assert curve(v[end] * 3) == pytest.approx(force[end] + slope * 2 * v[end], rel=1e-12)
+    i = int(np.flatnonzero(v == 0)[0])
+    assert curve.slope == pytest.approx(np.mean(np.diff(force)[i - 1 : i + 1] / np.diff(v)[i - 1 : i + 1]), rel=1e-12)
+    x = np.linspace(-3, 3, 200_001)
+    work = np.concatenate([[0.0], np.cumsum((curve.pieces.force(x[1:]) + curve.pieces.force(x[:-1])) / 2 * np.diff(x))])
+    assert np.abs(curve.work(x) - (work - np.interp(0, x, work))).max() < 1e-6 * largest  # a sum of 200,000 strips
+
+
+def test_it_has_left_its_line_where_it_says():
+    """`left_at` is where the difference from the line at rest is a tenth of the largest force, and nothing nearer is."""
+    curve = damper([-1.5, -0.6, -0.15, 0.0, 0.15, 0.6, 1.5], [-1350, -750, -262.5, 0, 262.5, 1000, 1900])
+    for side, at in zip((-1, 1), curve.left_at, strict=True):
+        assert side * at > 0
+        off = np.abs(curve(np.linspace(0, at, 100)) - curve.slope * np.linspace(0, at, 100))
+        assert off[-1] == pytest.approx(LEAVES * 1900, rel=1e-12)
+        assert off[:-1].max() < off[-1]
+
+
+def test_a_fine_table_is_fewer_lines_to_the_error_it_says():
+    """Of thousands of points remain as few lines as will do, no farther from any than is said; more error, fewer lines."""
+    v = np.linspace(-2, 2, 4001)
+    force = 1500 * np.tanh(2 * v) + 100 * v
+    counts = []
+    for error in (0.02, 0.005, 0.003):
+        curve = damper(v.tolist(), force.tolist(), fit_error=error)
+        assert np.abs(curve(v) - force).max() <= error * force.max() * (1 + 1e-9)
+        counts.append(len(curve.x) - 1)
+        assert f"4001 points as {counts[-1]} straight lines, within {100 * error:g} % of {force.max():.4g} N" in curve.words
+    assert counts == sorted(counts)
+    assert counts[0] < 12
+    assert damper([-1, -0.5, 0, 0.5, 1], [-1000, -500, 0, 500, 1000]).pieces.slope.size == 0  # on one line
+
+
+def test_friction_is_smooth_to_the_error_it_says():
+    """Friction is F tanh(v / v0) to 2 % of F; it is beside the damper, and no part of the slope that analysis takes."""
+    v, force = [-1.0, -0.2, 0.0, 0.2, 1.0], [-900.0, -300, 0, 300, 900]
+    plain, rough = damper(v, force), damper(v, force, friction=80.0, friction_velocity=0.02)
+    at = np.linspace(-0.9, 0.9, 20_001)
+    assert np.abs(rough(at) - plain(at) - 80 * np.tanh(at / 0.02)).max() <= 80 * FRICTION_ERROR
+    assert rough.slope == plain.slope
+    assert rough(-at) == pytest.approx(-rough(at), abs=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["quarter_car", "half_car", "full_car"])
+def test_mujoco_pulls_as_the_tables_say(kind):
+    """At any deflection and speed, what MuJoCo's suspensions pull with beyond their line is what the tables have beyond it."""
+    vehicle = with_curves(kind, **(BOTH if kind == "quarter_car" else AXLES))
+    model, straight = build_model(vehicle, 1e-3), build_model(vehicle.straight, 1e-3)
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        found = []
+        motion = rng.uniform(-0.02, 0.02, model.nq), rng.uniform(-0.3, 0.3, model.nv)  # within the tables
+        for one in (model, straight):
+            data = mujoco.MjData(one)
+            data.qpos[:], data.qvel[:] = motion
+            mujoco.mj_forward(one, data)
+            found.append(data)
+        assert model.nu > straight.nu
+        total = np.zeros(model.nv)
+        for one in vehicle.fitted:
+            name = one.tendon
+            rest = model.tendon_length0[model.tendon(name).id]
+            x = found[0].tendon(name).velocity[0] if one.over is VELOCITY else found[0].tendon(name).length[0] - rest
+            J = np.zeros((model.ntendon, model.nv))
+            mujoco.mju_sparse2dense(J, found[0].ten_J, model.ten_J_rownnz, model.ten_J_rowadr, model.ten_J_colind)
+            total -= float(np.interp(x, one.curve.x, one.curve.force) - one.curve.slope * x) * J[model.tendon(name).id]
+        assert np.abs(found[0].qfrc_actuator - total).max() < 1e-8 * np.abs(total).max()  # of tendons' rounded lengths
+
+
+def test_a_straight_curve_is_the_linear_vehicle(paper):
+    """A table that lies on the parameter's line gives the linear vehicle's numbers: nothing is fitted."""
+    straight = with_curves(
+        suspension_damping="{ velocity = [-1.0, -0.3, 0.4, 1.0], force = [-400.0, -120.0, 160.0, 400.0] }",
+        suspension_stiffness="{ deflection = [-0.1, 0.0, 0.1], force = [-1310.0, 0.0, 1310.0] }",
+    )
+    assert straight.parameters == pytest.approx(paper.parameters, rel=1e-14)
+    time = sample_times(paper, 1.0, 1e-3)
+    for one in run_all(straight, [design(straight, name) for name in ("passive", "I")], ROAD, time):
+        (plain,) = run_all(paper, [design(paper, one.controller.name)], ROAD, time)
+        for name in plain.physics.names:
+            for response in ("physics", "sampled"):
+                a, b = getattr(one, response)[name], getattr(plain, response)[name]
+                assert np.abs(a - b).max() <= 1e-9 * np.abs(b).max()
+        assert np.isinf(one.agreement.ended[CURVE.name])
+
+
+def test_against_equations_written_out_and_integrated_by_scipy():
+    """With curves of damper and spring our exact response is SciPy's to 1e-8; MuJoCo is within 2e-5, at half the step less."""
+    vehicle = with_curves(**BOTH)
+    passive, errors = design(vehicle, "passive"), []
+    for h in (1e-3, 5e-4):
+        time = sample_times(vehicle, 0.6, h)
+        reference = integrated_by_scipy(vehicle, ROAD, time)
+        exact = sampled_response(vehicle, passive, ROAD, time)
+        physics = simulate([vehicle], [passive], [ROAD], time).run(0)
+        off = []
+        for name, column in zip(STATES, reference.T, strict=True):
+            peak = np.abs(column).max()
+            assert np.abs(exact[name] - column).max() < 1e-8 * peak  # SciPy goes on past a knot by a millionth of a step
+            off.append(np.abs(physics[name] - column).max() / peak)
+        errors.append(max(off))
+    assert errors[0] < 2e-5
+    assert errors[1] < 0.6 * errors[0]
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        "",
+        "[limits]\nactuator_bandwidth = 60.0",
+        "[implementation]\nsample_period = 0.005\ndelay = 1.4",
+        '[controllers.by_acceleration]\nmeasured = ["sprung_acceleration", "suspension_velocity"]\ngain = [[-80.0, 100.0]]',
+        "[controllers.dynamic]\nmeasured = ['sprung_acceleration']\nA = [[-8.0]]\nB = [[1.0]]\nC = [[900.0]]\nD = [[-50.0]]",
+    ],
+    ids=["ideal", "lagging", "late", "acceleration", "states"],
+)
+def test_rk4_is_foretold_to_rounding(more):
+    """What RK4 makes of a quarter-car with curves is foretold stage by stage: MuJoCo does just that, whatever the loop."""
+    vehicle = with_curves(more=more, **BOTH)
+    time = sample_times(vehicle, 1.0, 1e-3)
+    for name in vehicle.controllers if "controllers" in more else ("passive", "I"):
+        controller = Designer(vehicle).design(name)
+        physics = simulate([vehicle], [controller], [ROAD], time).run(0)
+        foretold = sampled_response(vehicle, controller, ROAD, time, taylor4)
+        for signal in vehicle.linear_model.outputs:
+            scale = foretold.scale(signal) or 1.0
+            assert np.abs(physics[signal] - foretold[signal]).max() < 1e-9 * scale, (name, signal)
+
+
+@pytest.mark.parametrize("kind", ["quarter_car", "half_car", "full_car"])
+def test_a_run_agrees_and_says_what_its_curves_did(kind):
+    """Physics follows its reference far beyond the line at rest, cars to first order; the energy balances; event and share are
+    those of the signals."""
+    vehicle = with_curves(kind, **(BOTH if kind == "quarter_car" else AXLES))
+    time = sample_times(vehicle, 1.0, 1e-3)
+    controllers = [design(vehicle, name) for name in ("passive", "I")]
+    for run in run_all(vehicle, controllers, ROAD, time):
+        assert run.agreement.agrees
+        assert run.energy is not None
+        assert run.energy.balances
+        assert run.energy.residual < 1e-5  # measured 3e-7
+        assert np.isinf(run.agreement.until)  # the reference goes on
+        left, when = departures(vehicle, run.physics), run.agreement.ended[CURVE.name]
+        worst = {}
+        for one in vehicle.fitted:
+            ending = one.deflection.removeprefix("suspension_deflection")
+            signal = run.physics[f"suspension_velocity{ending}" if one.over is VELOCITY else one.deflection]
+            off = np.abs(one.curve(signal) - one.curve.slope * signal) / np.abs(one.curve.force).max()
+            worst[one.parameter] = np.maximum(worst.get(one.parameter, 0), off)
+        assert left == pytest.approx({name: off.max() for name, off in worst.items()}, rel=1e-9)
+        first = np.flatnonzero(np.max(list(worst.values()), axis=0) >= LEAVES)
+        assert when == (time[first[0]] if len(first) else np.inf)
+        assert np.isfinite(when)
+
+
+def test_energy_tells_a_curve_that_nobody_wrote_down():
+    """Were a curve's force left out of the balance, that would not balance."""
+    vehicle = with_curves(**BOTH)
+    time = sample_times(vehicle, 1.0, 1e-3)
+    runs = simulate([vehicle], [design(vehicle, "passive")], [ROAD], time)
+    assert energy(vehicle, runs, 0, ROAD).balances
+    for left_out in BOTH:
+        other = dataclasses.replace(vehicle, curves={name: one for name, one in vehicle.curves.items() if name != left_out})
+        assert not energy(other, runs, 0, ROAD).balances
+
+
+def test_a_parameter_that_changes_scales_its_curve():
+    """With another parameter, as campaigns sample them, the curve's forces are so many times as large, in physics, too."""
+    vehicle = with_curves(suspension_damping=DIGRESSIVE)
+    harder = dataclasses.replace(vehicle, parameters={**vehicle.parameters, "suspension_damping": 3 * 1750.0})
+    assert vehicle.parameters["suspension_damping"] == 1750.0
+    (plain,), (hard,) = vehicle.fitted, harder.fitted
+    assert hard.curve(np.array([-1.0, 0.3, 2.0])) == pytest.approx(3 * plain.curve(np.array([-1.0, 0.3, 2.0])))
+    time = sample_times(vehicle, 0.5, 1e-3)
+    both = simulate([vehicle, harder], [design(one, "passive") for one in (vehicle, harder)], [ROAD, ROAD], time)
+    for i, one in enumerate((vehicle, harder)):
+        foretold = sampled_response(one, design(one, "passive"), ROAD, time, taylor4)
+        assert np.abs(both.run(i)["sprung_velocity"] - foretold["sprung_velocity"]).max() < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ("3", "3 is no curve; give { velocity = [...], force = [...] }"),
+        ("{ velocity = [0.0], force = [0.0] }", "velocity has 1 point(s); give a list of at least two"),
+        ("{ velocity = [-1.0, 1.0] }", "force is missing"),
+        ("{ velocity = [-1.0, 1.0], force = [-1.0] }", "force has 1 point(s)"),
+        ("{ velocity = [-1.0, 0.0, 1.0], force = [-1.0, 1.0] }", "has 3 values of velocity and 2 of force"),
+        ("{ velocity = [-1.0, 1.0, 0.0], force = [-1.0, 0.0, 1.0] }", "from 1 to 0 m/s at point 3; sort the points by velocity"),
+        ("{ velocity = [-1.0, 0.0, 0.0, 1.0], force = [-1.0, 0.0, 0.5, 1.0] }", "from 0 to 0 m/s at point 3"),
+        ("{ velocity = [-1.0, nan, 1.0], force = [-1.0, 0.0, 1.0] }", "velocity has nan as point 2; give finite numbers"),
+        ("{ velocity = [-1.0, 1.0], force = [-1.0, inf] }", "force has inf as point 2"),
+        ("{ velocity = [-1.0, 1.0], force = [-1.0, 'x'] }", "force has 'x' as point 2"),
+        ("{ velocity = [0.1, 1.0], force = [10.0, 100.0] }", "give both sides of rest"),
+        ("{ velocity = [-1000, 0, 1000], force = [-900, 0, 900] }", "at most 50 m/s is allowed; give m/s, not mm/s"),
+        ("{ velocity = [-1.0, 1.0], force = [1000.0, -1000.0] }", "its force at -1 m/s is 1000 N: that feeds energy in"),
+        ("{ velocity = [-1.0, 0.0, 1.0], force = [-800.0, 100.0, 1000.0] }", "its force at rest is 100 N"),
+        ("{ velocity = [-1.0, 0.0, 1.0, 2.0], force = [-800, 0, 900, 700] }", "its force falls beyond its last point"),
+        ("{ velocity = [-1.0, 1.0], force = [0, 0] }", "has no force at any point"),
+        ("{ velocity = [-1.0, 1.0], force = [-1, 1], speed = 3 }", "unknown key 'speed'"),
+        ("{ velocity = [-1.0, 1.0], force = [-1, 1], fit_error = 2 }", "fit_error = 2 is not allowed"),
+        ("{ velocity = [-1.0, 1.0], force = [-1, 1], friction = 30 }", "friction_velocity = None is not allowed"),
+        ('{ file = "x.csv" }', "names a file, which is read for a vehicle file alone"),
+    ],
+)
+def test_a_table_that_is_none(table, said):
+    """Whatever is wrong with a damper's table is one line that says what, and what to give."""
+    with pytest.raises(InputError) as error:
+        with_curves(suspension_damping=table)
+    assert said in str(error.value)
+    assert "[curves] suspension_damping" in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ("{ deflection = [-0.1, 0.0, 0.1], force = [1000, 0, -1000] }", "its slope at rest is not above 0"),
+        ("{ deflection = [-0.1, -0.01, 0.01, 0.1], force = [-1000, 0, 0, 1000] }", "its slope at rest is not above 0"),
+        ("{ deflection = [-100, 0, 100], force = [-1000, 0, 1000] }", "at most 5 m is allowed; give m, not mm"),
+        ("{ deflection = [-0.1, 0.0, 0.1], force = [-1000, 0, 1000], friction = 3 }", "unknown key 'friction'"),
+        ("{ velocity = [-0.1, 0.0, 0.1], force = [-1000, 0, 1000] }", "unknown key 'velocity'"),
+    ],
+)
+def test_a_spring_that_is_none(table, said):
+    """So is what is wrong with a spring's."""
+    with pytest.raises(InputError, match="\\[curves\\] suspension_stiffness") as error:
+        with_curves(suspension_stiffness=table)
+    assert said in str(error.value)
+
+
+def test_what_curves_cannot_stand_in_for():
+    """A curve of what is no stiffness or damping, of what is a number, too, and of a million points is refused."""
+    text = curved_text(suspension_damping=DIGRESSIVE)
+    with pytest.raises(InputError, match="suspension_damping stands in \\[parameters\\] and in \\[curves\\]"):
+        parse_vehicle(text.replace("[parameters]", "[parameters]\nsuspension_damping = 400.0\n#", 1))
+    with pytest.raises(
+        InputError, match="'sprung_mass' is no stiffness or damping of a suspension; this vehicle has suspension_d"
+    ):
+        with_curves(sprung_mass=DIGRESSIVE)
+    with pytest.raises(InputError, match="velocity has 1000000 points; at most 20000 are read"):
+        damper(np.linspace(-1, 1, 1_000_000).tolist(), [0.0])
+
+
+DPR = """$------------------------------------------MDI_HEADER
+[MDI_HEADER]
+ FILE_TYPE = 'dpr'
+[UNITS]
+ LENGTH = 'mm'
+ ANGLE = 'degrees'
+ FORCE = 'newton'
+ TIME = 'second'
+$------------------------------------------CURVE
+[CURVE]
+{ vel   force}
+ -1500.0 -1350.0
+ -600.0  -750.0
+ -150.0  -262.5
+ 0.0     0.0
+ 150.0   262.5   ! rebound
+ 600.0   1000.0
+ 1500.0  1900.0
+"""
+CSV = "# measured\nvelocity [mm/s]; force (kN)\n" + "\n".join(
+    f"{v}; {f}" for v, f in zip([-1500, -600, -150, 0, 150, 600, 1500], [-1.35, -0.75, -0.2625, 0, 0.2625, 1.0, 1.9], strict=True)
+)
+
+
+@pytest.mark.parametrize(("name", "content"), [("damper.csv", CSV), ("damper.dpr", DPR)])
+@pytest.mark.parametrize("form", ["[curves]\nsuspension_damping = {{ file = '{}' }}", "[curves.suspension_damping]\nfile = '{}'"])
+def test_a_table_in_a_file_is_the_table_in_its_place(tmp_path, name, content, form):
+    """A CSV file or a damper property file, in its units, is the same curve as its table in SI, and the text has the table."""
+    (tmp_path / name).write_text(content)
+    text = curved_text(suspension_damping=DIGRESSIVE)
+    text = text[: text.index("[curves]")] + form.format(name) + "\n"
+    (tmp_path / "mine.toml").write_text(text)
+    vehicle, plain = read_vehicle(tmp_path / "mine.toml"), with_curves(suspension_damping=DIGRESSIVE)
+    for what in ("x", "force"):
+        np.testing.assert_allclose(getattr(vehicle.fitted[0].curve, what), getattr(plain.fitted[0].curve, what), rtol=1e-12)
+    assert f"# from '{name}', {len(content)} bytes, SHA-256" in vehicle.text
+    again = parse_vehicle(vehicle.text)
+    np.testing.assert_array_equal(again.fitted[0].curve.force, vehicle.fitted[0].curve.force)
+    assert tmp_path / name in vehicle.files
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("a.csv", "velocity, force [N]\n-1, -10\n1, 10\n", "says no unit of velocity; give one of"),
+        ("a.csv", "velocity [m/s], force\n-1, -10\n1, 10\n", "says no unit of force"),
+        ("a.csv", "velocity [km/h], force [N]\n-1, -10\n1, 10\n", "has velocity in 'km/h'; give one of"),
+        ("a.csv", "speed [m/s], force [N]\n-1, -10\n1, 10\n", "has a column 'speed [m/s]'"),
+        ("a.csv", "-1, -10\n1, 10\n", "has a column '-1'"),
+        ("a.csv", "velocity [m/s], force [N]\n-1, -10\n1, x\n", "point 2 is ['1', 'x']; give 2 finite numbers"),
+        ("a.csv", "velocity [m/s], force [N]\n-1, -10\n1, nan\n", "point 2 is"),
+        ("a.csv", "velocity [m/s], force [N]\n", "no table below a header"),
+        ("a.csv", "deflection [m], force [N]\n-1, -10\n1, 10\n", "unknown key 'deflection'"),
+        ("a.dpr", DPR.replace("FORCE = 'newton'", ""), "says no unit of FORCE in [UNITS]"),
+        ("a.dpr", DPR.replace("'mm'", "'furlong'"), "has LENGTH = 'furlong' in [UNITS]"),
+        ("a.dpr", DPR.replace("[CURVE]", "[CURVES]"), "has no block [CURVE]"),
+        ("a.dpr", DPR.replace("{ vel   force}", "{ disp force}"), "has a table of disp, force in [CURVE]"),
+        ("gone.csv", None, "gone.csv: is not there"),
+    ],
+)
+def test_a_file_that_is_no_curve(tmp_path, name, content, said):
+    """Whatever is wrong with a curve's file is one line with its name; a missing unit is asked for, never guessed."""
+    if content is not None:
+        (tmp_path / name).write_text(content)
+    text = curved_text(suspension_damping=f"{{ file = '{name}' }}")
+    (tmp_path / "mine.toml").write_text(text)
+    with pytest.raises(InputError) as error:
+        read_vehicle(tmp_path / "mine.toml")
+    assert said.replace("is not there", "") in str(error.value)
+
+
+def test_a_user_sees_it_and_a_log_proves_it(tmp_path, capsys):
+    """The verdict says when the curve leaves its line and by how much; from the log alone all of it is computed again."""
+    (tmp_path / "mine.toml").write_text(curved_text(suspension_damping=DIGRESSIVE))
+    arguments = ["--vehicle", str(tmp_path / "mine.toml"), "--controller", "I", "--duration", "0.6"]
+    assert main([*arguments, "--logs", str(tmp_path / "logs")]) == 0
+    said = prose(capsys.readouterr().out)
+    assert main([*arguments, "--json"]) == 0
+    signals = json.loads(capsys.readouterr().out)["runs"][0]["signals"]
+    assert "suspension_velocity" in signals
+    vehicle = read_vehicle(tmp_path / "mine.toml")
+    (run,) = run_all(vehicle, [design(vehicle, "I")], Bump(), sample_times(vehicle, 0.6, 1e-3))
+    when, (share,) = reached(vehicle, run.physics)[-1], departures(vehicle, run.physics).values()
+    assert f"off its line at rest by 10 % of its largest first at {when:.4g} s" in said
+    assert f"suspension_damping is off its line at rest by up to {100 * share:.2g} % of its largest force" in said
+    assert inspect([str(path) for path in (tmp_path / "logs").glob("*.mcap")]) == 0
+    assert "the log still proves what it claims" in capsys.readouterr().out
