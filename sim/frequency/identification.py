@@ -104,7 +104,7 @@ def identify(vehicle: Vehicle, controllers: Sequence[Controller], amplitude: flo
     vehicle, period = ideal_measurements(vehicle), round(1 / LOWEST / timestep / steps) * steps
     omega = 2 * np.pi / (period * timestep) * np.unique(np.round(np.geomspace(1, HIGHEST / LOWEST, LINES)))
     omega = omega[omega < ALIASED * np.pi / (steps * timestep)]
-    time = sample_times(vehicle, (1 + _lead_in(vehicle, controllers, timestep, period)) * period * timestep, timestep)[:-1]
+    time = sample_times(vehicle, (1 + lead_in(vehicle, controllers, timestep, period)) * period * timestep, timestep)[:-1]
     road = chirp(omega, period * timestep, speed).to_height(amplitude, time[-period:])
     response = simulate([vehicle] * len(controllers), controllers, [road] * len(controllers), time, threads=0).response
 
@@ -168,7 +168,7 @@ def _free_motion(vehicle: Vehicle, controller: Controller, timestep: float, samp
     """How the loop moves by itself over some samples, shape (samples, k), without what has decayed in as many before them."""
     if steps_per_sample(vehicle.implementation, timestep) > 1:
         if controller.measured:
-            return np.zeros((samples, 0))  # see `_lead_in`
+            return np.zeros((samples, 0))  # see `lead_in`
         vehicle = replace(vehicle, implementation=Implementation())
     loop = implemented_loop(vehicle, controller, timestep).transition
     poles = np.linalg.eigvals(loop)
@@ -177,7 +177,7 @@ def _free_motion(vehicle: Vehicle, controller: Controller, timestep: float, samp
     return np.hstack([np.real(motion), np.imag(motion)])
 
 
-def _lead_in(vehicle: Vehicle, controllers: Sequence[Controller], timestep: float, period: int) -> int:
+def lead_in(vehicle: Vehicle, controllers: Sequence[Controller], timestep: float, period: int) -> int:
     """How many periods a run has before the one that is fitted.
 
     Between the samples of a slower controller its force makes lines besides those of the road, which are not fitted. They look

@@ -18,6 +18,7 @@ from sim.frequency.describing_function import (
     describing_object,
     describing_verdict,
 )
+from sim.frequency.eusama import MinimumLoad, load_failures, load_lines, load_object, minimum_loads
 from sim.frequency.extremes import Extremes, extremes
 from sim.frequency.identification import Lines, difference, ideal_measurements, identify
 from sim.frequency.periodic import WorstRoad, worst_road
@@ -44,6 +45,7 @@ class Sweep:
     extremes: Extremes
     sampled: SampledNorm | None  # of the loop as it is implemented, exact; None where the vehicle file says nothing of that
     road: WorstRoad | None  # the one that reaches it; None where there is none such
+    loads: tuple[MinimumLoad, ...]  # by wheel, on EUSAMA's plate
     without: str  # what the vehicle file has of noise and quantisation, and these runs had not, in words; empty for neither
 
     @property
@@ -89,11 +91,12 @@ def sweep(
     lines = identify(vehicle, controllers, amplitude, timestep, speed)
     progress(EXTREMES)
     most = extremes(vehicle, controllers, amplitude, timestep, speed)
+    loads = minimum_loads(vehicle, controllers, timestep)
     ideal, found = ideal_measurements(vehicle), []
-    for controller, line, extreme in zip(controllers, lines, most, strict=True):
+    for controller, line, extreme, load in zip(controllers, lines, most, loads, strict=True):
         norm = norm_if_implemented(ideal, controller, timestep)
         road = worst_road(ideal, controller, norm, amplitude, timestep) if norm is not None else None
-        found.append(Sweep(line, extreme, norm, road, vehicle.implementation.blur))
+        found.append(Sweep(line, extreme, norm, road, load, vehicle.implementation.blur))
     return found
 
 
@@ -114,7 +117,7 @@ def failures(one: Sweep | DescribingFunction) -> list[str]:
     for invariant in one.extremes.invariants:
         if not invariant.error <= invariant.allowed:
             failed.append(f"{invariant.name} is {invariant.error:.1e} off its invariant; {invariant.allowed:.1e} is allowed")
-    failed += _road_failures(one)
+    failed += _road_failures(one) + load_failures(one.loads)
     if not one.extremes.lti:
         assert one.sampled is not None, "it is slower than the timestep"
         most = one.sampled.value
@@ -193,7 +196,7 @@ def sweep_lines(one: Sweep | DescribingFunction) -> list[str]:
     lines.append(f"  L2 gains in MuJoCo: worst sinusoid {worst:.7g} ({share}){gains}")
     if not one.extremes.lti:
         lines.append("  the controller is slower than the timestep, so its loop has harmonics: this norm is without them")
-    lines += _road_lines(one)
+    lines += [*_road_lines(one), *load_lines(one.loads)]
     if failed and not one.ended:
         lines += [f"  DOES NOT AGREE: {text}" for text in failed]
     return lines
@@ -246,6 +249,7 @@ def sweep_object(one: Sweep | DescribingFunction) -> dict[str, Any]:
         ],
         "norm": {"sampled": norm.gain, "peak_frequency": norm.omega, "continuous": finite(_norm(one))},
         **_road_object(one),
+        "minimum_load": load_object(one.loads),
         "gains": {name: finite(gain) for name, gain in one.gains.items()},
         "ended": list(one.ended),
         "failures": failures(one),

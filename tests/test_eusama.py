@@ -1,0 +1,128 @@
+"""EUSAMA's minimum load: in closed form, on the plate that MuJoCo moves, and as workshops measure it; disputed, and said so."""
+
+import dataclasses
+import json
+import math
+
+import numpy as np
+import pytest
+
+from models.roads.rig import Rig
+from models.vehicle import Vehicle, parse_vehicle, read_vehicle
+from sim.frequency.eusama import STROKE, load_failures, minimum_loads
+from sim.runs.run import run_all, sample_times
+from sim.sweep import main
+from synth.designer import design
+from tests.commands import prose
+
+H = 1e-3  # s
+PARAMETERS = {
+    "sprung_mass": 380.0,
+    "unsprung_mass": 38.0,
+    "suspension_stiffness": 20e3,
+    "suspension_damping": 1800.0,
+    "tyre_stiffness": 180e3,
+}
+
+
+def car(extra: str = "", /, **changed: float) -> Vehicle:
+    """A quarter-car that stays on its plate."""
+    numbers = "".join(f"{name} = {value!r}\n" for name, value in {**PARAMETERS, **changed}.items())
+    return parse_vehicle(
+        f'type = "quarter_car"\n[parameters]\n{numbers}[performance]\nsprung_acceleration = 1.0\ncontrol_force = 1e-3\n'
+        f'[controllers.I]\nmeasured = ["suspension_deflection", "sprung_velocity"]\n{extra}'
+    )
+
+
+def by_hand(p) -> float:
+    """1 - 3 mm max |t / z_r| / t_0 of a passive quarter-car, from its transfer function."""
+    s = 2j * np.pi * np.linspace(0.1, 25, 200_001)
+    m_s, m_u, k, c, k_t = (p[name] for name in PARAMETERS)
+    strut, body = c * s + k, m_s * s**2
+    wheel = k_t / (m_u * s**2 + k_t + strut * body / (body + strut))  # z_u / z_r, the body behind its strut
+    return 1 - STROKE * float(np.abs(wheel - 1).max()) / ((m_s + m_u) * 9.81 / k_t)
+
+
+def test_transfer_function():
+    """The minimum load of a passive quarter-car is that of its transfer function, to the hold of the road over a step."""
+    vehicle = car()
+    ((load,),) = minimum_loads(vehicle, [design(vehicle, "passive")], H)
+    assert load.ratio == pytest.approx(by_hand(vehicle.parameters), abs=3e-4)  # (omega h)^2 / 24 of 0.5, at 12 Hz
+    ((finer,),) = minimum_loads(vehicle, [design(vehicle, "passive")], H / 4)
+    assert finer.ratio == pytest.approx(by_hand(vehicle.parameters), abs=3e-5)  # a sixteenth
+    assert 0.3 < load.ratio < 0.8
+    assert 8 < load.omega / (2 * math.pi) < 16  # wheel hop
+
+
+def test_as_workshops_do():
+    """A plate that slows down from 25 Hz, driven in MuJoCo as a rig's drive file, leaves the load that was predicted."""
+    vehicle, end = car(), 30.0
+    t = np.arange(round(end / H)) * H
+    angle = 2 * math.pi * (25 * t - 12 * t**2 / end)  # from 25 Hz down to 1 Hz
+    rig = Rig(t, STROKE * np.sin(angle)[:, None], ("road",))
+    (run,) = run_all(vehicle, [design(vehicle, "passive")], rig, sample_times(vehicle, end, H))
+    static = vehicle.kind.static_tyre_deflection(vehicle.parameters)["tyre_deflection"]
+    found = 1 - run.physics["tyre_deflection"].max() / static
+    ((load,),) = minimum_loads(vehicle, [design(vehicle, "passive")], H)
+    assert found == pytest.approx(load.ratio, abs=5e-3)  # it passes the resonance, and is sampled 80 times a period
+
+
+@pytest.mark.parametrize(
+    ("extra", "controller"),
+    [
+        ("", "I"),
+        ("[implementation]\nsample_period = 0.005\ndelay = 1\n", "I"),
+        ("[limits]\nactuator_bandwidth = 60.0\n", "I"),
+        ("[implementation]\nsample_period = 0.005\n", "passive"),
+    ],
+    ids=["every step", "a slow computer", "lag", "passive beside a slow computer"],
+)
+def test_as_built(extra, controller):
+    """MuJoCo has the predicted load on the plate whatever the loop is: to RK4's own error, 1e-5 of the load."""
+    vehicle = car(extra)
+    ((load,),) = minimum_loads(vehicle, [design(vehicle, controller)], H)
+    assert load.ended == ()
+    assert load.measured == pytest.approx(load.driven, abs=1e-5)
+    assert load_failures([load]) == []
+    wrong = dataclasses.replace(load, measured=load.driven - 2 * load.allowed)
+    assert "is predicted" in load_failures([wrong])[0]
+    assert load_failures([dataclasses.replace(load, measured=math.nan)])
+
+
+@pytest.mark.parametrize("name", ["half_car", "full_car"])
+def test_every_wheel(name):
+    """Every wheel of a car has its own plate, and left and right the same load."""
+    vehicle = read_vehicle(name)
+    (loads,) = minimum_loads(vehicle, [design(vehicle, "passive")], H)
+    assert [one.tyre for one in loads] == [wheel.tyre_deflection for wheel in vehicle.kind.wheels]
+    assert load_failures(loads) == []
+    for one in loads:
+        assert one.measured == pytest.approx(one.driven, abs=2e-5)  # the body turns a little
+        beside = next(other for other in loads if other.tyre == one.tyre.replace("left", "right"))
+        assert one.ratio == pytest.approx(beside.ratio, rel=1e-9)
+
+
+def test_why_it_is_disputed():
+    """Half a car on the same tyre loses a third of its grade, though its damper is as strong for its masses as before."""
+    half = {name: value / 2 for name, value in PARAMETERS.items() if name != "tyre_stiffness"}
+    sound, light = car(), car(**half)
+    loads = [minimum_loads(one, [design(one, "passive")], H)[0][0] for one in (sound, light)]
+    assert loads[0].ratio > 0.6 > 0.4 > loads[1].ratio
+
+
+def test_printed(capsys, tmp_path):
+    """The table has what JSON has, per wheel, and both say that it is disputed; the paper's car lifts off its plate."""
+    path = tmp_path / "car.toml"
+    path.write_text(car().text)
+    for vehicle, ended in ((str(path), []), ("quarter_car", ["lift-off"])):
+        assert main(["--vehicle", vehicle, "--controller", "passive"]) == 0
+        out = capsys.readouterr().out
+        assert main(["--vehicle", vehicle, "--controller", "passive", "--json"]) == 0
+        found = json.loads(capsys.readouterr().out)["sweeps"][0]["minimum_load"]
+        assert found["disputed"] in prose(out)
+        ((tyre, one),) = found["tyres"].items()
+        row = next(line.split() for line in out.partition("EUSAMA's least load")[2].splitlines() if line.split()[:1] == [tyre])
+        numbers = [f"{100 * one['ratio']:.2f}", f"{100 * one['mujoco']:.2f}", f"{one['omega'] / (2 * math.pi):.2f}"]
+        assert row == [tyre, *numbers, *ended]
+        assert one["ended"] == ended
+        assert (one["ratio"] == 0) == bool(ended)
