@@ -13,6 +13,7 @@ import numpy as np
 from models.common.errors import InputError, quoted
 from models.common.read_file import MIB, TEXT, open_plain
 from models.curves.actuators import fit_curves, sense_velocities
+from models.damping.mjcf import write_dampers
 from models.kind import GRAVITY, LOWEST_HUB
 from models.vehicle import Vehicle
 
@@ -65,6 +66,8 @@ def build_spec(vehicle: Vehicle, timestep: float) -> mujoco.MjSpec:
     vehicle.kind.write_mjcf(spec, vehicle.parameters)
     _write_limits(spec, vehicle)
     _write_curves(spec, vehicle)
+    tendons = {one.force: one.tendon for one in vehicle.kind.suspensions}
+    write_dampers(spec, vehicle.adjustable, tendons, str(vehicle.kind.mjcf))
     return spec
 
 

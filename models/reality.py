@@ -54,6 +54,11 @@ class Limits:
         }
 
     @property
+    def of_actuators(self) -> tuple[str, ...]:
+        """The keys that limit actuators."""
+        return tuple(name for name in ("actuator_force", "actuator_bandwidth") if getattr(self, name) is not None)
+
+    @property
     def words(self) -> tuple[str, ...]:
         """What there is of them, a phrase each."""
         found = []

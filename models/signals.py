@@ -48,9 +48,17 @@ HEAVE_ACCELERATION = Signal("heave_acceleration", "z''", "m/s2", "vertical accel
 PITCH_ACCELERATION = Signal("pitch_acceleration", "theta''", "rad/s2", "pitch acceleration of the body, nose down")
 ROLL_ACCELERATION = Signal("roll_acceleration", "phi''", "rad/s2", "roll acceleration of the body, right side down")
 CONTROL_FORCE = Signal("control_force", "u", "N", "actuator force, positive lifts the body and presses the wheel down")
+DAMPING = Signal("damping", "c", "N s/m", "coefficient of the adjustable damper")
+MISSING_FORCE = Signal("missing_force", "u* - u", "N", "force asked of the adjustable damper that it did not give at its sample")
 
 OWN = "own"  # unit of a controller's state: whatever its law takes it for
 KEPT = "controller_"  # begins the name of one, and of no signal of a vehicle
+
+
+def of_dampers(endings: Iterable[str]) -> tuple["Signal", ...]:
+    """What adjustable dampers have of signals, from the endings of the names at their suspensions; empty where there is one."""
+    corners = [ending.removeprefix("_") for ending in endings]
+    return tuple(signal.at(corner) if corner else signal for signal in (DAMPING, MISSING_FORCE) for corner in corners)
 
 
 def kept_signals(names: Iterable[int | str]) -> tuple["Signal", ...]:

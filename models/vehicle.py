@@ -16,6 +16,7 @@ from models.curves.curve import Curve
 from models.curves.fitted import Fitted, curvable, fitted, with_slopes
 from models.curves.reading import read_curves
 from models.curves.table_file import with_tables
+from models.damping.damper import Adjustable, Damper, adjustable, read_actuators
 from models.filters.filter import Filter
 from models.filters.performance import read_performance
 from models.formats.family_file import with_families
@@ -25,8 +26,9 @@ from models.kind import HERE, VehicleKind
 from models.kinds import kind, kinds, shipped
 from models.linear_model import LinearModel
 from models.reality import Implementation, Limits, read_implementation, read_limits, read_sampled
+from models.signals import of_dampers
 
-SECTIONS = ("type", "parameters", "performance", "controllers", "limits", "implementation", "curves")
+SECTIONS = ("type", "parameters", "performance", "controllers", "limits", "implementation", "curves", "actuators")
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +51,7 @@ class Vehicle:
             w itself: its spectrum.
         sampled: whether designs are for the loop that the computer closes, `state` and all whose sections do not say otherwise.
         curves: of dampers and springs, by the parameter that each stands in for.
+        dampers: the suspensions that have an adjustable damper where others have an actuator, by force.
     """
 
     kind: VehicleKind
@@ -64,6 +67,7 @@ class Vehicle:
     road_filter: Filter | None = None
     sampled: bool = False
     curves: Mapping[str, Curve] = field(default_factory=dict)
+    dampers: Mapping[str, Damper] = field(default_factory=dict)
 
     @cached_property
     def fitted(self) -> tuple[Fitted, ...]:
@@ -79,6 +83,20 @@ class Vehicle:
     def linear_model(self) -> LinearModel:
         """The linear model of these parameters."""
         return self.kind.model(self.parameters)
+
+    @cached_property
+    def adjustable(self) -> tuple[Adjustable, ...]:
+        """Its adjustable dampers, in the order of its forces."""
+        return adjustable(self.dampers, self.kind.suspensions, self.parameters)
+
+    @cached_property
+    def pushing(self) -> "Vehicle":
+        """It with actuators that push in place of its adjustable dampers, so that every force is given that is asked for."""
+        if not self.dampers:
+            return self
+        names = {name for one in self.adjustable for name in (one.coefficient, one.missing)}
+        signals = tuple(signal for signal in self.kind.signals if signal.name not in names)
+        return replace(self, dampers={}, kind=replace(self.kind, signals=signals))
 
     @property
     def filtered(self) -> bool:
@@ -134,6 +152,7 @@ class Vehicle:
         parameters = self.kind.check(self.parameters)
         performance, filters, road_filter = read_performance(self.performance, self.kind.whole_model(parameters).outputs)
         sound = replace(self, kind=self.kind.naming(performance), parameters=parameters)
+        adjustable(self.dampers, self.kind.suspensions, parameters)
         filters = {signal: one for signal, one in {**self.filters, **filters}.items() if performance.get(signal)}
         return replace(sound, performance=performance, filters=filters, road_filter=road_filter or self.road_filter)
 
@@ -240,10 +259,13 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
     for entry in controllers.values():
         check_period(entry, implementation)
     performance, filters, road_filter = read_performance(data["performance"], model.outputs)
+    dampers = read_actuators(data.get("actuators", {}), vehicle_kind.corners, limits.of_actuators, [*curves])
+    adjusted = adjustable(dampers, vehicle_kind.suspensions, parameters)
     named = {signal for entry in controllers.values() for signal in (*entry.measured, *signals_of(entry.goals))}
     named |= {one.velocity.name for one in vehicle_kind.suspensions if {one.stiffness, one.damping} & {*curves}}
+    measured = vehicle_kind.naming(named.union(performance, implementation.noise, implementation.quantisation))
     return Vehicle(
-        kind=vehicle_kind.naming(named.union(performance, implementation.noise, implementation.quantisation)),
+        kind=replace(measured, signals=(*measured.signals, *of_dampers([one.ending for one in adjusted]))),
         parameters=parameters,
         performance=performance,
         controllers=controllers,
@@ -255,6 +277,7 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
         road_filter=road_filter,
         sampled=sampled,
         curves=curves,
+        dampers=dampers,
     )
 
 

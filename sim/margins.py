@@ -38,7 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser().parse_args(arguments)
     # What is asked is how much the loop bears beyond an ideal implementation.
     as_built = read_vehicle(options.vehicle)
-    vehicle = replace(as_built, implementation=Implementation())
+    vehicle = replace(as_built.pushing, implementation=Implementation())
     name = one_chosen(vehicle.controller_names, options.controller)
     outputs = {"picture": options.picture}
     check_outputs(outputs | {"logs": options.logs}, vehicle.files)
@@ -60,17 +60,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         write_picture(margins_figure(vehicle, controller, found[""], fragile, box, options.timestep), options.picture)
     result = {
         **margins_object(vehicle, controller, found, fragile, box),
-        "loop": None if as_built.ideal else _which_loop(as_built),
+        "loop": _which_loop(as_built) or None,
     }
-    delayed = functools.partial(_delayed_runs, vehicle, controller, found[""], options.timestep)
-    logs = recorded(options, vehicle, [controller.name], delayed, result)
+    built = replace(as_built, implementation=Implementation())
+    delayed = functools.partial(_delayed_runs, built, controller, found[""], options.timestep)
+    logs = recorded(options, built, [controller.name], delayed, result)
     stage.end()
     if options.json:
         print(json.dumps({**result, **written(outputs), "logs": logs}, allow_nan=False))
     else:
         lines = titled(f"{vehicle.kind.name} with controller {controller.name}; MuJoCo at {options.timestep:g} s", vehicle.source)
-        if not as_built.ideal:
-            lines.append(_which_loop(as_built))
+        lines += filter(None, [_which_loop(as_built)])
         lines += margins_lines(vehicle, controller, found, fragile, box)
         say([*lines, *written_lines(outputs), *log_lines(logs), "", verdict(found, fragile, box)])
     return 0 if (box is None or box.holds) and fragile.agrees and all(one.agrees for one in found.values()) else 1
@@ -117,12 +117,17 @@ def _delayed_runs(vehicle: Vehicle, controller: Controller, loop: LoopMargins, t
 
 def _which_loop(vehicle: Vehicle) -> str:
     """Which loop has these margins, and which the norms of other vehicles, where the vehicle file says more than parameters."""
+    if vehicle.ideal and not vehicle.dampers:
+        return ""
     lag = "with" if vehicle.limits.actuator_bandwidth is not None else "without"
     without = " and without the file's [implementation], whose delay and period are part of what it bears"
     if vehicle.implementation.blurred:
         without += f", and whose {vehicle.implementation.blur} is not tried"
     computer = "" if vehicle.implementation.ideal else without
-    return f"borne by the loop {lag} an actuator's lag{computer}; norms of other vehicles are of the ideal loop"
+    follow = "; they hold only while the adjustable dampers of [actuators] give the force, as those do that push" * bool(
+        vehicle.dampers
+    )
+    return f"borne by the loop {lag} an actuator's lag{computer}{follow}; norms of other vehicles are of the ideal loop"
 
 
 if __name__ == "__main__":

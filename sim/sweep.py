@@ -49,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     controllers, how = driven(vehicle, names, designer.design), (options.amplitude, options.timestep, options.speed)
     say_false_claims(controllers)
     linear = [one for one in controllers if isinstance(one, Controller)]
-    swept = sweep(vehicle, linear, *how, stage) if linear else []
+    swept = sweep(vehicle.pushing, linear, *how, stage) if linear else []
     stage(OWN)
     own = [describing_function(vehicle, one, *how) for one in controllers if isinstance(one, Programmed)]
     stage("picture and logs")

@@ -67,7 +67,10 @@ def ideal_lines(vehicle: Vehicle, controllers: Sequence[Controller]) -> list[str
     """Which loop the numbers of these controllers are of, where the vehicle file has another one, too."""
     asked = [one.name for one in controllers if one.hardware != IDEAL]
     but = f", but for the noise and lag that {', '.join(asked)} {'ask' if len(asked) > 1 else 'asks'} for" if asked else ""
-    return [] if vehicle.ideal else [f"bound, norm and poles are {IDEAL_LOOP}{but}"]
+    found = [] if vehicle.ideal else [f"bound, norm and poles are {IDEAL_LOOP}{but}"]
+    if vehicle.dampers and any(one.law.acts for one in controllers):
+        found.append("they are of a loop whose forces are all given, and hold only while the adjustable dampers give them")
+    return found
 
 
 def filter_lines(vehicle: Vehicle) -> list[str]:

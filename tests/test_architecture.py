@@ -23,13 +23,14 @@ ROOMS = {
     # models: what a vehicle is
     "models.common": "",
     "models.figures": "models.common",
+    "models.damping": "models.common",
     "models.filters": "models.common",
     "models.formats": "models.common",
     "models.own": "models.common",
     "models.goals": "models.common",
     "models.curves": "models.common",
     "models.stops": "models.common",
-    "models": "models.common models.curves models.filters models.formats models.goals models.own models.stops",
+    "models": "models.common models.curves models.damping models.filters models.formats models.goals models.own models.stops",
     "models.roads": "models models.common",
     # synth: what a controller is; of vehicles it knows nothing below `controller`
     "synth": "",
@@ -92,7 +93,7 @@ ROOMS = {
     "sim.stability": "models.figures sim.linear sim.physics models.roads sim.runs synth.problem synth.tolerance",
     "sim.frequency": "models.figures models.filters sim.linear sim.physics sim.response models.roads sim.runs synth.problem "
     "synth.words",
-    "sim.recording": "models.figures sim.physics sim.response models.roads sim.runs",
+    "sim.recording": "models.figures sim.linear sim.physics sim.response models.roads sim.runs",
     "sim.command": "models.roads sim.recording sim.runs",
     "sim.asked": "models.figures sim.command sim.frequency sim.response models.roads sim.runs sim.stability sim.validity",
     "sim.inspect": "sim.asked sim.linear sim.physics sim.recording sim.response sim.ride models.roads sim.runs "
@@ -111,6 +112,7 @@ OF_ALL = "models.common"
 OF_SIM = {
     "models",
     "models.own",
+    "models.damping",
     "synth.certificate",
     "synth.controller",
     "synth.implemented",
@@ -130,6 +132,7 @@ OWNERS = {
     "mujoco": {
         "models/mjcf.py",
         "models/curves/actuators.py",
+        "models/damping/mjcf.py",
         "sim/physics/readout.py",
         "sim/physics/blocks.py",
         "sim/physics/stepping.py",

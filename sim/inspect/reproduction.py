@@ -26,10 +26,13 @@ from models.roads.road import Road
 from models.signals import Signal, kept_signals
 from models.vehicle import Vehicle, parse_vehicle
 from sim.inspect.log import Recorded, RecordedRun
+from sim.linear.dampers import command_names
 from sim.linear.loop import largest_timestep
+from sim.recording.format import MUJOCO
 from sim.response.response import Response
 from sim.runs.forces import read_forces
-from sim.runs.prediction import Prediction, predict, predict_forced
+from sim.runs.made import predict_made
+from sim.runs.prediction import Prediction, predict
 from synth.certificate.record import SAMPLED_NORM
 from synth.controller import Controller, checked
 from synth.problem.problem import problem
@@ -178,12 +181,16 @@ def predicted_again(
     if not timestep <= largest_timestep(vehicle):
         raise InputError(f"the timestep of {timestep:g} s is one with which RK4 is unstable on this vehicle")
     road, time = recorded_road(log, run, samples), np.arange(samples) * timestep
-    if isinstance(controller, Controller):
+    if isinstance(controller, Controller) and not vehicle.dampers:
         return predict(vehicle, controller, road, time, MOST_STATES)
-    content = log.attachments.get(run.claims.get("forces_file", ""))
-    if content is None:
-        raise InputError("the forces of its law in Python are not attached")
-    return predict_forced(vehicle, controller, road, time, read_forces(content, vehicle.linear_model.inputs, samples))
+    asked = np.zeros((0, 0))
+    if isinstance(controller, Programmed):
+        content = log.attachments.get(run.claims.get("forces_file", ""))
+        if content is None:
+            raise InputError("the forces of its law in Python are not attached")
+        asked = read_forces(content, command_names(vehicle), samples)
+    physics = as_response(vehicle, run, MUJOCO, samples, timestep, kept(controller))
+    return predict_made(vehicle, controller, road, time, physics, asked)
 
 
 def usable_samples(run: RecordedRun, timestep: float) -> int:

@@ -20,18 +20,20 @@ by Gauss-Legendre quadrature with 8 nodes: exact to rounding for a smooth road. 
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
+from models.damping.damper import range_of
 from models.linear_model import LinearModel
 from models.reality import steps_held, steps_per_sample
 from models.roads.road import Road, delays, under_wheels
 from models.signals import kept_signals
 from models.vehicle import Vehicle
 from sim.linear.curved import CurvedSteps, is_curved
+from sim.linear.dampers import linear_signals, stretching
 from sim.response.response import Response
 from synth.controller import Controller
 from synth.implemented.controlled import continuous, sampled
@@ -174,32 +176,55 @@ def recursion(Phi: Array, forcing: Array) -> Array:
 
 
 def response_of(
-    vehicle: Vehicle, model: LinearModel, road: Road, time: Array, states: Array, inputs: Array, beyond: Array | float = 0.0
+    vehicle: Vehicle,
+    model: LinearModel,
+    road: Road,
+    time: Array,
+    states: Array,
+    inputs: Array,
+    beyond: Array | float = 0.0,
+    beside: Mapping[str, Array] | None = None,
 ) -> Response:
-    """Every signal of the vehicle from the states and inputs of a model of it over time.
+    """Every signal of the vehicle from the states and inputs of a model of it over time, shapes (T, n) and (T, m).
 
     Args:
         vehicle: the vehicle.
-        model: n states, m inputs, p outputs.
+        model: its own, or a larger one that has its states and inputs first.
         road: the road.
         time: shape (T,).
-        states: shape (T, n).
-        inputs: shape (T, m).
+        states, inputs: over time.
         beyond: what curves add to the outputs, shape (T, p), or 0.
+        beside: signals that are no outputs of the model, of shape (T,); None for what its dampers would be for these inputs.
     """
+    if beside is None:
+        n, m = vehicle.linear_model.B.shape
+        beside = linear_signals(vehicle, states[:, :n], inputs[:, :m])
     z_r, w = (under_wheels(function, road, vehicle, time) for function in (road.displacement, road.velocity))
     values = {}
     for i, wheel in enumerate(vehicle.kind.wheels):
         values |= {wheel.road_displacement: z_r[:, i], wheel.road_velocity: w[:, i]}
     outputs = states @ model.C.T + inputs @ model.D.T + z_r @ model.Cr.T + beyond
-    values |= dict(zip(model.outputs, outputs.T, strict=True))
+    values |= dict(zip(model.outputs, outputs.T, strict=True)) | dict(beside)
     signals = vehicle.kind.signals
     return Response(time, signals, np.stack([values[signal.name] for signal in signals], axis=-1))
 
 
 def largest_timestep(vehicle: Vehicle) -> float:
-    """The step [s] above which RK4 itself is unstable on the vehicle without control, to 1 %; infinite where nothing moves."""
-    A = vehicle.linear_model.A
+    """The step [s] above which RK4 itself is unstable on the vehicle without control, to 1 %; infinite where nothing moves.
+
+    Of adjustable dampers, with the softest and the hardest, and with the lag of their valves.
+    """
+    A, forces = vehicle.linear_model.A, vehicle.linear_model.inputs
+    systems = [A]
+    if vehicle.dampers:
+        of, V = range_of([vehicle.adjustable], forces), stretching(vehicle)
+        systems += [A - (vehicle.linear_model.B * np.where(of.adjustable, one[0], 0.0)) @ V for one in (of.low, of.high)]
+        systems += [np.array([[-one.bandwidth]]) for one in vehicle.dampers.values() if one.bandwidth is not None]
+    return min(_largest_timestep(system) for system in systems)
+
+
+def _largest_timestep(A: Array) -> float:
+    """The same of x' = A x."""
     rate = float(np.abs(np.linalg.eigvals(A)).max())
     if rate <= SLOWEST_RATE:
         return math.inf

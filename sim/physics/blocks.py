@@ -16,6 +16,7 @@ from models.mjcf import build_model, quiet
 from models.own.python_law import Programmed
 from models.reality import Implementation
 from models.vehicle import Vehicle
+from sim.physics.damping import Damped, Dampers, dampers_of
 from sim.physics.python_laws import Again, Driven, Failure, Played, PythonLaws
 from sim.physics.readout import Readout, force_from_road, laws_on, mix, prepared, sensed_stage, signal_from_road
 from sim.physics.sampler import Laws, LinearLaws, Sampler
@@ -39,7 +40,8 @@ class Block:
         qpos: generalized positions, shape (B, N, nq).
         qvel: generalized velocities, shape (B, N, nv).
         largest: largest magnitude of any signal, and of any force that was asked for, shape (B, N).
-        asked: the forces that were asked for [N], shape (B, N, m).
+        asked: the forces that were asked for [N], shape (B, N, m); of vehicles with adjustable dampers the commands, shape
+            (B, N, 2 m), see `models.damping.damper.Range.commands`.
         kept: what the states of linear laws were at their last sample, shape (B, N, k), with the k of the one that has most.
     """
 
@@ -122,7 +124,7 @@ def in_shares(course: Course, shares: Sequence[slice]) -> list[Callable[[Callabl
     now, midway, undelayed, going = course.now, course.midway, course.undelayed, course.going
     vehicle = vehicles[0]
     model, readout = prepared(vehicle, timestep)
-    hardware = [(*other.parameters.values(), *other.curves.values(), other.limits) for other in vehicles]
+    hardware = [(*other.parameters.values(), *other.curves.values(), other.limits, *other.dampers.values()) for other in vehicles]
     models = {}
     if len(set(hardware)) > 1:
         models = {key: build_model(other, timestep) for key, other in dict(zip(hardware, vehicles, strict=True)).items()}
@@ -147,6 +149,13 @@ def in_shares(course: Course, shares: Sequence[slice]) -> list[Callable[[Callabl
         gain = np.concatenate([gain, of_sensors @ readout.of_sensors], axis=-1)
     plain = undelayed is None and not others and all(other.implementation.ideal for other in vehicles)
     unseen = np.zeros(0) if plain else signal_from_road(now, readout, True) + signal_from_road(unmoved, readout, False)
+    of_reading = _of_reading(readout, stage)
+    dampers = dampers_of(vehicles, readout)
+    reads = (gain, memory, offset)
+    if dampers is not None:
+        reads = dampers.beside(gain, memory, offset)
+        if not plain:
+            of_reading, unseen = dampers.after(of_reading, unseen)
 
     # What is recorded was sensed inside the step, where the road was midway, or before it, where the last step had left it.
     signals = vehicle.kind.signals
@@ -160,22 +169,29 @@ def in_shares(course: Course, shares: Sequence[slice]) -> list[Callable[[Callabl
         batch = Batch(model, len(vehicles[runs]), 1)
         if models:
             batch.set_models([models[key] for key in hardware[runs]])
-        law = None
+        law, mine = None, dampers_of(vehicles[runs], readout)
         if not plain:
             how = [one.implementation for one in vehicles[runs]]
-            samplers = [Sampler(how, _laws_of(course, runs, readout.names, K, memory), readout.names, timestep, len(now))]
+            laws = _laws_of(course, runs, readout.names, K, memory, mine)
+            seen = readout.names if mine is None else (*readout.names, *("" for _ in mine.closing))
+            samplers = [Sampler(how, laws, seen, timestep, len(now))]
             if undelayed is not None:
                 ideal = [Implementation()] * len(how)
                 laws = LinearLaws(beside[runs], beside_memory[runs])
                 samplers.append(Sampler(ideal, laws, readout.names, timestep, len(now)))
             played = [one.forces for one in controllers[runs] if isinstance(one, Played)]
-            law = Again(np.stack(played, axis=1)) if played else _Sampled(samplers, readout, unseen[:, runs], stage)
+            law = Again(np.stack(played, axis=1)) if played else _Sampled(samplers, of_reading, unseen[:, runs])
         level, road, left = now[:, runs], midway[:, runs], before[:, runs]
         at_samples = level if felt else None
         wanted = going[runs] if going is not None else None
-        reading = Reading(gain[runs], memory[runs], offset[:, runs], stage, fresh, fresh and not course.accelerations)
+        reading = Reading(
+            *(reads[0][runs], reads[1][runs], reads[2][:, runs]),
+            *(stage, fresh, fresh and not course.accelerations),
+            damped=None if mine is None else mine.of,
+            lagging=mine is not None and mine.lags,
+        )
         steps = step_batch(batch, readout.mocap, reading, road, at_samples, law, edges, wanted, stopped)
-        for start, sensed, qpos, qvel, asked, kept in steps:
+        for start, sensed, qpos, qvel, asked, kept, acts in steps:
             some = slice(start, start + len(sensed))
             recorded = np.zeros((len(sensed), len(signals), batch.nsim))
             mix(place @ readout.of_sensors, sensed, recorded)
@@ -185,6 +201,8 @@ def in_shares(course: Course, shares: Sequence[slice]) -> list[Callable[[Callabl
             if stage and not felt:
                 mix(place[:, ~inside] @ readout.of_road[~inside], np.moveaxis(level[some] - left[some], 1, 2), recorded)
             recorded[:, heights] = np.moveaxis(level[some], 1, 2)
+            if mine is not None:
+                mine.record(recorded, asked, acts)
             # A force beyond 1e10 MuJoCo replaces by none at all, and runs on: what was asked for counts, not only what came.
             largest = np.maximum(recorded.max(axis=1), -recorded.min(axis=1))
             for force in np.moveaxis(asked, 2, 0):
@@ -198,7 +216,15 @@ def in_shares(course: Course, shares: Sequence[slice]) -> list[Callable[[Callabl
     return [functools.partial(quietly, runs) for runs in shares]
 
 
-def _laws_of(course: Course, runs: slice, names: Sequence[str], gain: Array, memory: Array) -> Laws:
+def _of_reading(readout: Readout, stage: int) -> Array:
+    """Every signal from the reading, see `sim.physics.stepping.Reading`, shape (S, r)."""
+    of_state = np.where(readout.linear[:, None], readout.of_state, 0.0)
+    if not stage:
+        return of_state
+    return np.concatenate([of_state, np.where(readout.linear[:, None], 0.0, readout.of_sensors)], axis=-1)
+
+
+def _laws_of(course: Course, runs: slice, names: Sequence[str], gain: Array, memory: Array, dampers: Dampers | None) -> Laws:
     """What some of the runs make of what they measure, of signals of these names.
 
     Args:
@@ -206,13 +232,16 @@ def _laws_of(course: Course, runs: slice, names: Sequence[str], gain: Array, mem
         runs: which.
         names: of the signals.
         gain, memory: of all the linear laws, as for `LinearLaws`.
+        dampers: of those runs, if they have any, which then are told what to be.
     """
     programmed = [one for one in course.controllers[runs] if isinstance(one, Programmed)]
     if not programmed:
-        return LinearLaws(gain[runs], memory[runs])
+        linear = LinearLaws(gain[runs], memory[runs])
+        return linear if dampers is None else Damped(linear, dampers.of)
     ahead = course.now if course.beyond is None else np.concatenate([course.now, course.beyond])
     numbers = range(len(course.vehicles))[runs]
-    return PythonLaws(programmed, course.vehicles[runs], names, course.timestep, ahead[:, runs], course.failures, numbers)
+    laws = PythonLaws(programmed, course.vehicles[runs], names, course.timestep, ahead[:, runs], course.failures, numbers)
+    return laws if dampers is None else Damped(laws, dampers.of)
 
 
 def _ideal(vehicle: Vehicle) -> Vehicle:
@@ -222,12 +251,14 @@ def _ideal(vehicle: Vehicle) -> Vehicle:
 class _Sampled:
     """The forces of step k from the reading, the sum of all samplers', for controllers that are not ideal."""
 
-    def __init__(self, samplers: Sequence[Sampler], readout: Readout, unseen_of_road: Array, stage: int) -> None:
-        self.samplers, self.unseen, self.used = samplers, unseen_of_road, samplers[0].laws.used
-        of_reading = np.where(readout.linear[:, None], readout.of_state, 0.0)
-        if stage:
-            of_reading = np.concatenate([of_reading, np.where(readout.linear[:, None], 0.0, readout.of_sensors)], axis=-1)
-        self.of_reading = of_reading
+    def __init__(self, samplers: Sequence[Sampler], of_reading: Array, unseen_of_road: Array) -> None:
+        """From every signal that samplers take by the reading, shape (S, r), and what that has not seen, shape (T, N, S)."""
+        self.samplers, self.unseen, self.of_reading = samplers, unseen_of_road, of_reading
+
+    @property
+    def used(self) -> Array:
+        """See `sim.physics.stepping.Law`."""
+        return self.samplers[0].laws.used
 
     def __call__(self, k: int, reading: Array) -> Array:
         """See `sim.physics.stepping.Law`."""

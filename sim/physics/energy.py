@@ -17,6 +17,10 @@ Nothing else may do work: a force that is neither spring, weight, damper nor one
 An actuator is to push along the deflection of its suspension, so its work is counted along that signal: that of one that acts on
 one end only, or through a gear, is left over too. Where it has no suspension (nothing to push against but the world), work is
 counted along MuJoCo's actuator itself, and such a fault is for the comparison with the linear model.
+An adjustable damper takes energy and gives none: beyond the nominal one its force is -d l', with d held over a step, or
+following what is asked of it as a lag does; its work is taken by Simpson's rule, too. That it takes energy is looked at by
+itself, from the force and the speed at every sample, whatever coefficient was asked for.
+
 Masses, springs and dampers are those of the MJCF: whether they are the vehicle's is the comparison's too.
 
 What is left over is a share of what was turned over: taken by the dampers, moved by the actuators either way, and the largest
@@ -39,6 +43,7 @@ from models.mjcf import build_spec, mocap_indices
 from models.roads.road import Road, under_wheels
 from models.vehicle import Vehicle
 from sim.physics.simulate import PhysicsRuns
+from sim.response.response import Response
 
 # Of what is turned over. RK4 leaves 2e-7 at 1 ms and 4e-5 at 4 ms, with kinks 5e-5 and 6e-4 (every vehicle and controller that
 # ships, over two bumps); a damper that is 1 % off leaves 3e-3 and more.
@@ -58,6 +63,8 @@ class Energy:
         dissipated: by the dampers [J].
         turnover: what the dampers took, the actuators moved either way, and the largest kinetic energy [J].
         residual: the largest sum of works less what is stored and dissipated at any time, over `turnover`.
+        least: the least power that an adjustable damper took at any sample, over the most, below 0 where it gave some; None where
+            there are none.
     """
 
     road: float
@@ -66,11 +73,12 @@ class Energy:
     dissipated: float
     turnover: float
     residual: float
+    least: float | None = None
 
     @property
     def balances(self) -> bool:
-        """Whether no more is left over than integration makes."""
-        return self.residual <= BALANCED
+        """Whether no more is left over than integration makes, and no damper gave energy."""
+        return self.residual <= BALANCED and (self.least is None or self.least >= -ROUNDING)
 
 
 def energy(vehicle: Vehicle, runs: PhysicsRuns, index: int, road: Road, until: float = np.inf) -> Energy:
@@ -86,7 +94,7 @@ def energy(vehicle: Vehicle, runs: PhysicsRuns, index: int, road: Road, until: f
     time, (model, along) = runs.response.time, _observed(vehicle, float(runs.response.time[1]))
     h, count = float(time[1]), int(np.searchsorted(time, min(until, runs.diverged[index])))
     if count < 2:
-        return Energy(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        return Energy(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0 if vehicle.dampers else None)
     qpos, qvel = runs.qpos[index, :count], runs.qvel[index, :count]
     midway = under_wheels(road.displacement, road, vehicle, time[:count] + h / 2)
     # A step ends with the road where it held it, and the next begins with it elsewhere: every state is looked at twice.
@@ -104,6 +112,10 @@ def energy(vehicle: Vehicle, runs: PhysicsRuns, index: int, road: Road, until: f
     work = (before * speeds[:-1, :actuators] + 4 * between * middle[:, :actuators] + after * speeds[1:, :actuators]) * h / 6
     if vehicle.limits.actuator_bandwidth is None:
         work = forces[:-1] * np.diff(lengths[:, :actuators], axis=0)  # a held force's is exact
+    least = None
+    if vehicle.dampers:
+        response = runs.response.run(index).until(float(time[count - 1]) + h / 2)
+        least = _by_dampers(vehicle, response, along * speeds[:, :actuators], along * middle[:, :actuators], work)
     dampers, damping = slice(actuators, speeds.shape[1] - len(curves)), _damping(model)
     losses = (speeds[:-1, dampers] ** 2 + 4 * middle[:, dampers] ** 2 + speeds[1:, dampers] ** 2) * damping * h / 6
     in_springs, in_dampers = np.zeros(count), np.zeros(count - 1)
@@ -121,7 +133,30 @@ def energy(vehicle: Vehicle, runs: PhysicsRuns, index: int, road: Road, until: f
     turnover = float(lost[-1] + np.abs(work).sum() + starts[:, 1].max())
     scale = max(turnover, ROUNDING * abs(float(rest[0, :2].sum()))) or 1.0
     residual = float(np.max(np.abs(by_road + by_actuators - change - lost))) / scale
-    return Energy(float(by_road[-1]), float(by_actuators[-1]), float(change[-1]), float(lost[-1]), turnover, residual)
+    return Energy(float(by_road[-1]), float(by_actuators[-1]), float(change[-1]), float(lost[-1]), turnover, residual, least)
+
+
+def _by_dampers(vehicle: Vehicle, response: Response, speeds: Array, middle: Array, work: Array) -> float:
+    """Writes the work of adjustable dampers beyond the nominal ones, shape (T - 1, m); see `Energy.least`.
+
+    Args:
+        vehicle: the vehicle.
+        response: its signals, of T samples.
+        speeds: of the suspensions at the samples [m/s], shape (T, m).
+        middle: of them amid the steps, shape (T - 1, m).
+        work: takes theirs [J].
+    """
+    h, least = float(response.time[1]), np.inf
+    for one in vehicle.adjustable:
+        j = vehicle.linear_model.inputs.index(one.force)
+        beyond, v = response[one.coefficient] - one.nominal, speeds[:, j]
+        before, after, bandwidth = beyond[:-1], beyond[1:], one.damper.bandwidth
+        share = 1 / (1 + np.exp(-bandwidth * h / 2)) if bandwidth else 0.0
+        between, end = before + share * (after - before), after if bandwidth else before
+        work[:, j] = -(before * v[:-1] ** 2 + 4 * between * middle[:, j] ** 2 + end * v[1:] ** 2) * h / 6
+        power = (one.nominal * v - response[one.force]) * v
+        least = min(least, float(power.min()) / (float(np.abs(power).max()) or 1.0))
+    return least
 
 
 @functools.lru_cache(maxsize=16)

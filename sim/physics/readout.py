@@ -43,6 +43,8 @@ class Readout:
         rest: what `of_sensors` gives at rest, shape (S,).
         felt: whether an acceleration feels the road at once; then sensing it inside the step, road midway, is not enough.
         mocap: mocap index of every wheel's road.
+        stretching: how fast the inputs' actuators move out, from qvel, shape (m, nv); as at rest.
+        lagging: of every input's actuator, where its activation lies among those of the model, -1 for none, shape (m,).
     """
 
     names: tuple[str, ...]
@@ -54,6 +56,8 @@ class Readout:
     rest: Array
     felt: bool
     mocap: list[int]
+    stretching: Array
+    lagging: Array
 
 
 @functools.lru_cache(maxsize=16)
@@ -97,7 +101,25 @@ def _readout(vehicle: Vehicle, model: mujoco.MjModel) -> Readout:
     for _ in range(3):  # linear, if a few states far from the axes say so
         move, height = rng.uniform(-0.1, 0.1, len(still)), rng.uniform(-0.1, 0.1, len(flat))
         linear &= np.abs(read(move, height) - rest - of_state @ move - of_road @ height) < 1e-12
-    return Readout(names, stage, linear, of_state, of_sensors, np.where(late[:, None], 0.0, of_road), rest, felt, mocap)
+    inputs, stretching = len(vehicle.linear_model.inputs), []
+    mujoco.mj_resetData(model, data)
+    for speeds in np.eye(model.nv):
+        data.qvel[:] = speeds
+        mujoco.mj_forward(model, data)
+        stretching.append(np.array(data.actuator_velocity[:inputs]))
+    return Readout(
+        names=names,
+        stage=stage,
+        linear=linear,
+        of_state=of_state,
+        of_sensors=of_sensors,
+        of_road=np.where(late[:, None], 0.0, of_road),
+        rest=rest,
+        felt=felt,
+        mocap=mocap,
+        stretching=np.stack(stretching, axis=-1),
+        lagging=np.array(model.actuator_actadr[:inputs]),
+    )
 
 
 def laws_on(

@@ -13,12 +13,15 @@ class Laws(Protocol):
     """What N controllers make of what they measure.
 
     Attributes:
-        forces: m.
-        used: what their states were at their last sample, shape (N, k).
+        forces: m, or how many commands there are for them.
     """
 
     forces: int
-    used: Array
+
+    @property
+    def used(self) -> Array:
+        """What their states were at their last sample, shape (N, k)."""
+        ...
 
     def __call__(self, due: Array | slice, which: Array, k: int, seen: Array) -> Array:
         """The forces of step k of those that are due, shape (d, m), from the signals as they read them, shape (d, S).

@@ -12,6 +12,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from models.common.arrays import Array
+from models.damping.damper import Range
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,6 +27,9 @@ class Reading:
         stage: mjtStage up to which sensors are evaluated before a step.
         fresh: whether they are evaluated there by themselves, with the road at the samples, so that accelerations count.
         once: whether what is recorded is read there, too, so that accelerations and forces are those until then.
+        damped: what adjustable dampers can be, m forces of which the gain then gives twice as many rows: those asked for, and how
+            fast every suspension closes; None where all actuators push.
+        lagging: whether the activations are recorded.
     """
 
     gain: Array
@@ -34,19 +38,20 @@ class Reading:
     stage: int
     fresh: bool
     once: bool
+    damped: Range | None = None
+    lagging: bool = False
 
 
 class Law(Protocol):
-    """What N controllers that are not ideal ask for.
+    """What N controllers that are not ideal ask for, and what known forces are."""
 
-    Attributes:
-        used: what their k states were at their last sample, shape (N, k).
-    """
-
-    used: Array
+    @property
+    def used(self) -> Array:
+        """What their k states were at their last sample, shape (N, k)."""
+        ...
 
     def __call__(self, k: int, reading: Array) -> Array:
-        """The forces of step k, shape (N, m), from the reading, shape (N, r)."""
+        """The commands of step k, from the reading, shape (N, r): forces, shape (N, m), or as `step_batch` yields them."""
         ...
 
 
@@ -60,7 +65,7 @@ def step_batch(
     edges: Sequence[int],
     going: Array | None,
     stopped: Callable[[], bool],
-) -> Iterator[tuple[int, Array, Array, Array, Array, Array]]:
+) -> Iterator[tuple[int, Array, Array, Array, Array, Array, Array]]:
     """All samples of a batch.
 
     Args:
@@ -77,11 +82,15 @@ def step_batch(
     Yields:
         Of every block its first sample, and `sensordata`, shape (B, nsensordata, N): that of the samples; else up to the stage
         from before the step, the rest from inside it. Then qpos, shape (B, N, nq), qvel, shape (B, N, nv), the forces asked for,
-        shape (B, N, m), and the states of the controllers at their last sample, shape (B, N, k).
+        shape (B, N, m), the states of the controllers at their last sample, shape (B, N, k), and the activations, shape
+        (B, N, na), or (0, N, na) where none lags. Of adjustable dampers, of which there is a range, the forces asked for are
+        commands, shape (B, N, 2 m): coefficients beyond the nominal ones, or forces of what pushes, and then the forces that
+        were asked for beyond what those give.
     """
     gain, offset, stage, fresh = reading.gain, reading.offset, reading.stage, reading.fresh
     (count, known), kept = offset.shape[1:], reading.memory.shape[2]
-    m = known - kept
+    commands, damped = known - kept, reading.damped
+    m = commands if damped is None else commands // 2
     # The motors come first in ctrl, in the order of the linear model's inputs; what is fitted beside them is not asked.
     acting, heights, sensors = batch.bind("ctrl")[:, :m], batch.bind("mocap_pos")[:, :, 2], batch.bind("sensordata").T
     motion, width = _motion(batch), gain.shape[2]
@@ -91,9 +100,12 @@ def step_batch(
 
     # A numpy call costs a tenth of a step, so there are few: what is known of the forces lies beside the reading, with unit gain.
     # Of controllers with states more is known, and they lie there instead: in a batch the gains have to come from memory.
-    beside = kept or m
-    gain = np.concatenate([gain, reading.memory if kept else np.broadcast_to(np.eye(m), (count, m, m))], axis=-1)
+    beside = kept or commands
+    known_beside = reading.memory if kept else np.broadcast_to(np.eye(commands), (count, commands, commands))
+    gain = np.concatenate([gain, known_beside], axis=-1)
     states, asks = np.zeros((count, kept)), np.empty((count, known))
+    turned, activations = np.empty((count, m)), batch.bind("act")
+    acts = np.zeros((0, *activations.shape))
     for start, end in itertools.pairwise(edges):
         block, length = slice(start, end), end - start
         some = None if going is None or going.all() else np.flatnonzero(going)
@@ -102,7 +114,9 @@ def step_batch(
             seen[..., width:] = offset[block]
         roads = np.zeros((length, *heights.shape))
         roads[..., mocap] = midway[block]
-        sensed, asked = np.empty((length, *sensors.shape)), np.empty((length, count, m))
+        sensed, asked = np.empty((length, *sensors.shape)), np.empty((length, count, commands))
+        if reading.lagging:
+            acts = np.empty((length, *activations.shape))
         rows: Any = zip(seen, seen[..., :moved], seen[..., moved:width], roads, sensed, asked, strict=True)
         for k, (all_seen, moving, sensing, road, result, forces) in enumerate(rows, start):
             if stopped():
@@ -119,12 +133,19 @@ def step_batch(
                 all_seen[:, width:] = states
                 np.matvec(gain, all_seen, asks)
                 asks += offset[k]
-                forces[...], states = asks[:, :m], asks[:, m:]
+                forces[...], states = asks[:, :commands], asks[:, commands:]
             else:
                 forces[...] = law(k, all_seen[:, :width])
                 if kept:
                     all_seen[:, width:] = law.used
-            acting[...] = forces
+            if damped is not None and law is None:  # as `Range.beyond`, and so below
+                np.divide(forces[:, :m], forces[:, m:], turned)
+                np.maximum(turned, damped.low, out=turned)
+                np.minimum(turned, damped.high, out=acting)
+            else:
+                acting[...] = forces[:, :m]
+            if reading.lagging:
+                acts[k - start] = activations
             if at_samples is not None:
                 if not reading.once:
                     heights[:, mocap] = at_samples[k]
@@ -137,7 +158,9 @@ def step_batch(
         if stage and at_samples is None:
             # The evaluation after a step has overwritten what the step itself had sensed.
             sensed[:, early] = np.moveaxis(seen[..., moved:width][..., early], 1, 2)
-        yield start, sensed, seen[..., :positions], seen[..., positions:moved], asked, seen[..., width : width + kept]
+        if damped is not None and law is None:
+            asked = damped.commands(asked)
+        yield start, sensed, seen[..., :positions], seen[..., positions:moved], asked, seen[..., width : width + kept], acts
 
 
 def _motion(batch: Batch) -> Array:

@@ -17,6 +17,7 @@ from models.mjcf import mjcf_text
 from models.own.python_law import Programmed
 from models.signals import is_kept
 from models.vehicle import Vehicle
+from sim.linear.dampers import command_names
 from sim.recording.drawing import scene_of
 from sim.recording.format import CONTINUOUS, FORMAT, MUJOCO, SAMPLED, check_keys
 from sim.recording.run_log import RunLog
@@ -128,7 +129,7 @@ def run_log(run: Run, name: str) -> RunLog:
     if isinstance(controller, Programmed):
         for what, suffix, media_type, content in (
             ("law", "py", "text/x-python", controller.text.encode()),
-            ("forces", "csv", "text/csv", written_forces(vehicle.linear_model.inputs, run.prediction.asked)),
+            ("forces", "csv", "text/csv", written_forces(command_names(vehicle), run.prediction.asked)),
         ):
             named[f"{what}_file"] = _named(what, suffix, content)
             files[named[f"{what}_file"]] = (media_type, content)

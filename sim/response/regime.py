@@ -1,4 +1,4 @@
-"""What ends the linear regime, and when: a tyre off the road, a suspension at its bump stop, an actuator or curve at its end."""
+"""What ends the linear regime, and when: a tyre off the road, a suspension, actuator, damper or curve at its end."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -17,6 +17,7 @@ AT = 1 - 1e-12  # of a threshold: a force at its limit is equal to it, to roundi
 # m; the stiffest tyre, squeezed nearly flat, flings a hub 1 mm off its way within 1 ms. A reading that is through a hub, and yet
 # not that of a flat tyre, has jumped by 0.1 m and more, as hubs are 0.3 m and more over their roads.
 JUMP = 0.02
+MISSED = 1e-3  # N of an adjustable damper; less is rounding
 BLOCK = 200  # samples of many runs at once that stay in the cache
 
 
@@ -165,7 +166,17 @@ CURVE = End(
     _off_the_line,
     exact=True,
 )
-REGIME_ENDS = (LIFT_OFF, BUMP_STOP, SATURATION, FLAT, CURVE)
+DAMPER = End(
+    "damper",
+    "an adjustable damper does not give the force",
+    "damper at its end",
+    "damper: an adjustable damper first does not give the force that is asked of it at {when:.4g} s; no linear claim from there",
+    "#8fbf7f",
+    ("Circle", (120, 255, 120)),
+    lambda vehicle: [Threshold(one.missing, 0.0, MISSED) for one in vehicle.adjustable],
+    exact=True,
+)
+REGIME_ENDS = (LIFT_OFF, BUMP_STOP, SATURATION, FLAT, CURVE, DAMPER)
 END_NAMES = tuple(end.name for end in REGIME_ENDS)
 
 

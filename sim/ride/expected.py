@@ -33,6 +33,7 @@ from models.common.threads import one_thread
 from models.reality import steps_per_sample
 from models.roads.spectrum import Spectrum
 from models.vehicle import Vehicle
+from sim.linear.dampers import is_linear
 from sim.linear.frequency import as_met, stepwise_frequency_response
 from sim.ride.gaussian import Gaussian, positive_part
 from sim.ride.metrics import RUNNING, dynamic_load, energy, off_ground, points, power
@@ -66,6 +67,8 @@ class Expected:
 
 def settling_time(vehicle: Vehicle, controller: Controller) -> float:
     """When the slowest mode of a vehicle from rest has all but `FORGOTTEN` of its variance [s]; infinite for an unstable loop."""
+    if not is_linear(vehicle, controller):
+        return math.inf
     cut = continuous(vehicle, controller)
     found = stability(cut.model.A + cut.model.B @ cut.G)
     return math.log(FORGOTTEN) / (2 * found.worst.real) if found.stable else math.inf
@@ -85,7 +88,7 @@ def sources(vehicle: Vehicle, road: Spectrum, omega: Array) -> Array:
 
 @one_thread()
 def expect(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: float, window: float) -> Expected | None:
-    """The expected metrics; None where the loop is not stable and has no variance.
+    """The expected metrics; None where the loop is not stable and has no variance, or adjustable dampers make it none.
 
     Args:
         vehicle: the vehicle.
@@ -94,7 +97,7 @@ def expect(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: f
         timestep: of the sampled loop [s].
         window: how long is measured [s].
     """
-    if sampled_radius(vehicle, controller, timestep) >= 1:
+    if not is_linear(vehicle, controller) or sampled_radius(vehicle, controller, timestep) >= 1:
         return None
     low, high = road.band
     poles, doubt = loop_poles(vehicle, controller, timestep, high)

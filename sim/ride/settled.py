@@ -23,6 +23,7 @@ from models.common.arrays import Array
 from models.reality import steps_per_sample
 from models.roads.spectrum import Spectrum
 from models.vehicle import Vehicle
+from sim.linear.dampers import is_linear
 from sim.linear.frequency import as_met, sampled_states
 from sim.ride.expected import longest_panel, loop_poles, power_of, tracks
 from sim.ride.metrics import points
@@ -65,7 +66,7 @@ def settled(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: 
 
 def settled_shares(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: float, start: float) -> dict[str, float]:
     """The same of every measured signal that moves, by name; empty for an unstable loop."""
-    if sampled_radius(vehicle, controller, timestep) >= 1:
+    if not is_linear(vehicle, controller) or sampled_radius(vehicle, controller, timestep) >= 1:
         return {}
     implemented = implemented_loop(vehicle, controller, timestep)
     loop, cut, model = implemented.transition, implemented.cut, implemented.cut.model

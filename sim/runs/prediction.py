@@ -6,18 +6,24 @@ It is linear but for the curves of dampers and springs, where a vehicle has some
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.own.python_law import Programmed
+from models.reality import steps_per_sample
 from models.roads.road import Road
+from models.signals import kept_signals
 from models.vehicle import Vehicle
 from sim.linear.blur import most_quantised, noise_rms
 from sim.linear.curved import is_curved
+from sim.linear.dampers import commands_of, damper_signals, stretching
+from sim.linear.deciding import VELOCITY, Decisions, Otherwise
 from sim.linear.forced import forced_continuous_response, forced_response
-from sim.linear.loop import continuous_response, sampled_response, taylor4
+from sim.linear.loop import continuous_response, response_of, sampled_response, taylor4
+from sim.linear.switched import Switched, switched
 from sim.response.response import Response
 from synth.controller import Controller
 from synth.implemented.controlled import sampled
@@ -43,7 +49,10 @@ class Prediction:
             every sample, shape (T,); empty without them.
         radius: growth per timestep of the sampled loop: above 1 it is unstable; NaN where it is too large to be asked, or there
             is no linear loop.
-        asked: forces that a law in Python asked for [N], shape (T, m); empty of a linear controller, from which they follow.
+        asked: what a law in Python asked for, shape (T, m): forces [N], or of vehicles with adjustable dampers the commands,
+            shape (T, 2 m), see `models.damping.damper.Range.commands`; empty of a linear controller, from which they follow.
+        otherwise: where physics decided otherwise on adjustable dampers, as rounding had it, and the responses follow it.
+        played: whether they follow physics in all that it decided, for what is measured is noisy or a law in Python decides.
     """
 
     vehicle: Vehicle
@@ -55,6 +64,8 @@ class Prediction:
     spread: Mapping[str, Array]
     radius: float
     asked: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    otherwise: tuple[Otherwise, ...] = ()
+    played: bool = False
 
     @property
     def time(self) -> Array:
@@ -140,3 +151,68 @@ def smaller(prediction: Prediction, share: float) -> Response:
     if isinstance(controller, Controller):
         return sampled_response(vehicle, controller, road, whole.time)
     return forced_response(vehicle, share * prediction.asked, road, whole.time)
+
+
+def predict_switched(
+    vehicle: Vehicle,
+    controller: Controller | Programmed,
+    road: Road,
+    time: Array,
+    physics: Response,
+    near: float,
+    asked: Array | None = None,
+) -> Prediction:
+    """What the exact response of a vehicle with adjustable dampers is in a run from rest: a linear system that is switched.
+
+    Of a law in Python there is no continuous loop, and `continuous` is the same response.
+
+    Args:
+        vehicle: the vehicle.
+        controller: its controller.
+        road: the road.
+        time: equidistant sample times from 0 [s], shape (T,).
+        physics: what MuJoCo made of it.
+        near: how far physics may be from it, of a peak, for a decision to be otherwise for that alone.
+        asked: the commands of a law in Python, shape (T, 2 m).
+    """
+    linear = controller if isinstance(controller, Controller) else None
+    played = linear is None or vehicle.implementation.blurred
+    h = float(time[1])
+    period = steps_per_sample(vehicle.implementation, h) * h
+    made = commands_of(vehicle, physics) if asked is None else asked
+    peaks = partial(_peak, vehicle, physics)
+    measured = () if played else controller.measured
+
+    def response(as_rk4: bool) -> tuple[Response, Switched]:
+        decisions = None if played or linear is None else Decisions(vehicle, linear, period, near, peaks)
+        found = switched(vehicle, road, time, decisions, made, measured, as_rk4)
+        beside = damper_signals(vehicle, found.beyond, found.missing)
+        whole = response_of(vehicle, vehicle.linear_model, road, time, found.states, found.inputs, beside)
+        if linear is None:
+            return whole, found
+        kept = np.zeros((len(time), linear.law.states)) if played else linear.law.of_state(period) * found.kept
+        return whole.beside(kept_signals(range(1, linear.law.states + 1)), kept), found
+
+    sampled_one, found = response(False)
+    return Prediction(
+        vehicle=vehicle,
+        controller=controller,
+        road=road,
+        sampled=sampled_one,
+        integrated=response(True)[0],
+        continuous=sampled_one if linear is None else continuous_response(vehicle, linear, road, time),
+        spread={},
+        radius=math.nan,
+        asked=np.zeros((0, 0)) if linear is not None else made,
+        otherwise=found.otherwise,
+        played=played,
+    )
+
+
+def _peak(vehicle: Vehicle, physics: Response, signal: str) -> float:
+    """The peak of a signal in physics as long as it goes, or of "velocity", that of all the suspensions."""
+    whole = physics.until(physics.diverged)
+    if signal != VELOCITY:
+        return float(whole.peak(signal))
+    states = np.stack([whole[name] for name in vehicle.linear_model.states], axis=-1)
+    return float(np.abs(states @ stretching(vehicle).T).max(initial=0.0))

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from models.common.errors import InputError, listing
 from models.own.python_law import Programmed
 from models.roads.road import Road
 from models.vehicle import Vehicle
+from sim.linear.dampers import scaled_commands
 from sim.linear.loop import largest_timestep
 from sim.physics.energy import Energy, energy
 from sim.physics.geometry import has_geometry
@@ -19,7 +21,8 @@ from sim.physics.simulate import PhysicsRuns, simulate
 from sim.response.regime import FLAT
 from sim.response.response import Response
 from sim.runs.agreement import SMALL, Agreement, compare, look_closer
-from sim.runs.prediction import Prediction, predict, predict_forced, smaller
+from sim.runs.made import predict_made, reference_at, with_noise
+from sim.runs.prediction import Prediction, predict
 from synth.controller import Controller
 
 MOST_SAMPLES = 1_000_000  # a run of these takes 0.4 GB and half a minute
@@ -151,10 +154,11 @@ def run_all(vehicle: Vehicle, controllers: Sequence[Controller | Programmed], ro
         time: equidistant sample times from 0 [s], see `sample_times`.
     """
     _check_noise(vehicle, controllers)
-    known = [predict(vehicle, each, road, time) if isinstance(each, Controller) else each for each in controllers]
+    ahead = not vehicle.dampers  # what those do follows from what physics has made of them
+    known = [predict(vehicle, each, road, time) if ahead and isinstance(each, Controller) else each for each in controllers]
     made = simulate([vehicle] * len(controllers), controllers, [road] * len(controllers), time)
     predictions = [
-        each if isinstance(each, Prediction) else predict_forced(vehicle, each, road, time, made.asked[i])
+        each if isinstance(each, Prediction) else predict_made(vehicle, each, road, time, made.run(i), made.asked[i])
         for i, each in enumerate(known)
     ]
     return balanced(judge(predictions, [made.run(i) for i in range(len(predictions))]), made)
@@ -172,9 +176,10 @@ def judge(predictions: Sequence[Prediction], physics: Sequence[Response]) -> lis
     doubtful = [i for i, run in enumerate(runs) if not run.agreement.agrees and has_geometry(run.vehicle)]
     if doubtful:
         again = [predictions[i] for i in doubtful]
-        small = _simulated(again, again[0].time, _with_small_noise, SMALL).response
+        small = _simulated(again, again[0].time, partial(with_noise, SMALL), SMALL).response
         for k, i in enumerate(doubtful):
-            runs[i] = replace(runs[i], agreement=look_closer(runs[i].agreement, smaller(predictions[i], SMALL), small.run(k)))
+            reference = reference_at(SMALL, predictions[i], small.run(k))
+            runs[i] = replace(runs[i], agreement=look_closer(runs[i].agreement, reference, small.run(k)))
     return runs
 
 
@@ -230,12 +235,8 @@ def driven(prediction: Prediction, time: Array, share: float = 1.0) -> Driven:
     if isinstance(prediction.controller, Controller):
         return prediction.controller
     held = round(prediction.timestep / float(time[1]))
-    return Played(prediction.controller.measured, share * np.repeat(prediction.asked, held, axis=0)[: len(time)])
-
-
-def _with_small_noise(vehicle: Vehicle) -> Vehicle:
-    """The vehicle with noise as small as its road, where that is `SMALL`."""
-    return replace(vehicle, implementation=vehicle.implementation.scaled(SMALL))
+    asked = scaled_commands(prediction.vehicle, prediction.asked, share)
+    return Played(prediction.controller.measured, np.repeat(asked, held, axis=0)[: len(time)])
 
 
 def _sampled_as_before(vehicle: Vehicle, timestep: float) -> Vehicle:

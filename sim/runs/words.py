@@ -15,6 +15,7 @@ from models.vehicle import Vehicle
 from sim.physics.energy import BALANCED, Energy
 from sim.response.regime import CURVE, FLAT, LIFT_OFF, REGIME_ENDS, departures
 from sim.runs.agreement import COARSEST, SLACK, SMALL
+from sim.runs.dampers import damper_lines, dampers_object
 from sim.runs.run import Run
 from synth.controller import Controller
 from synth.implemented.claims import failures_as_it_runs, norm_if_implemented, notes_as_it_runs
@@ -43,12 +44,16 @@ def run_object(run: Run) -> dict[str, Any]:
         "until": finite(agreement.until),
         "lift_off": [list(interval) for interval in agreement.lift_off],
         "agrees": agreement.agrees,
+        **({"dampers": dampers_object(run.prediction, run.physics)} if run.vehicle.dampers else {}),
     } | ({"energy": energy_object(run.energy)} if run.energy is not None else {})
 
 
 def energy_object(energy: Energy) -> dict[str, float | bool | None]:
     """An energy balance as JSON has it [J]; its residual is a share of `turnover`."""
-    return {name: finite(value) for name, value in asdict(energy).items()} | {"balances": energy.balances}
+    found = asdict(energy)
+    if energy.least is None:
+        del found["least"]
+    return {name: finite(value) for name, value in found.items()} | {"balances": energy.balances}
 
 
 def energy_lines(run: Run) -> list[str]:
@@ -57,6 +62,8 @@ def energy_lines(run: Run) -> list[str]:
     if energy is None:
         return []
     of = f"{energy.residual:.1e} of the {energy.turnover:.4g} J turned over"
+    if energy.least is not None and energy.least < 0 and not energy.balances:
+        return [f"energy DOES NOT BALANCE: an adjustable damper gave energy, {-energy.least:.1e} of the most that it took"]
     if energy.balances:
         return [f"energy balances: the work of road and actuators is stored or dissipated, all but {of}"]
     why = "a force does work that is none of the vehicle's, or the timestep is too coarse"
@@ -106,7 +113,8 @@ def python_text(controller: Programmed) -> str:
 def _found(vehicle: Vehicle, controller: Controller | Programmed) -> list[str]:
     """What is known of a controller beside its gain, in sentences."""
     if isinstance(controller, Programmed):
-        return [NO_CLAIM, "sampled and continuous are the linear vehicle's under the forces that the law asked for"]
+        what = "with the coefficients" if vehicle.dampers else "under the forces"
+        return [NO_CLAIM, f"sampled and continuous are the linear vehicle's {what} that the law asked for"]
     certificate = controller.certificate
     norm, lines = certificate.norm, []
     built = None if certificate.stable else norm_if_implemented(vehicle, controller)
@@ -186,6 +194,7 @@ def verdict_lines(run: Run) -> list[str]:
     lines += [end.verdict.format(when=times[end.name]) for end in REGIME_ENDS if end.verdict and math.isfinite(times[end.name])]
     left = departures(run.vehicle, run.physics) if math.isfinite(times[CURVE.name]) else {}
     lines += [f"{name} is off its line at rest by up to {percent(share)} of its largest force" for name, share in left.items()]
+    lines += damper_lines(run.prediction, run.physics)
     when = "throughout"
     if times[FLAT.name] == agreement.until < math.inf:
         lines.append(

@@ -1,0 +1,1 @@
+"""Adjustable (semi-active) dampers: what they are, and the laws that ship for them."""

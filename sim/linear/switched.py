@@ -1,0 +1,203 @@
+"""The exact response of a vehicle with adjustable dampers: a linear system that is switched at samples.
+
+While its coefficients are held the vehicle is linear. With d the coefficients beyond the nominal ones and V from the state to the
+velocities of the suspensions, u = -d V x, so that over a step, as in `sim.linear.loop`,
+
+    xi' = (A - B diag(d) V) xi + (A Bw + Br) z_r,    x = xi + Bw z_r,
+
+with the road held midway: a matrix exponential. At every sample of the controller it decides d anew, from this response alone.
+Where a valve lags, d(t) goes to what was decided exponentially, and xi is a power series in time, taken to rounding.
+
+A decision that is a switch can differ between physics and this response by rounding. Then that of physics is played, here, if a
+change of what it was decided on as small as the two may differ by makes the controller decide so; and this is said.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from models.common.arrays import Array
+from models.reality import steps_per_sample
+from models.roads.road import Road, under_wheels
+from models.vehicle import Vehicle
+from sim.linear.dampers import stretching
+from sim.linear.deciding import OTHERWISE, Decisions, Otherwise
+from sim.linear.loop import taylor4
+from synth.sampled.hold import held_inputs
+
+MOST_KEPT = 256  # steps of as many coefficients are kept; a law that switches has few
+MOST_TERMS = 60  # of a power series over a step, whose terms fall from the tenth on
+
+
+@dataclass(frozen=True, eq=False)
+class Switched:
+    """A response of a vehicle with adjustable dampers.
+
+    Attributes:
+        states: of the vehicle, shape (T, n).
+        inputs: what acts on it beyond the nominal dampers [N], shape (T, m).
+        beyond: coefficients that act, beyond the nominal ones [N s/m], 0 of actuators that push, shape (T, m).
+        missing: forces that were asked for and are not given [N], shape (T, m).
+        kept: states of the controller at its last sample, shape (T, k).
+        otherwise: where physics decided otherwise, as rounding had it, and was followed.
+    """
+
+    states: Array
+    inputs: Array
+    beyond: Array
+    missing: Array
+    kept: Array
+    otherwise: tuple[Otherwise, ...]
+
+
+def switched(
+    vehicle: Vehicle,
+    road: Road,
+    time: Array,
+    decisions: Decisions | None,
+    made: Array,
+    measured: tuple[str, ...] = (),
+    as_rk4: bool = False,
+) -> Switched:
+    """The response from rest.
+
+    Args:
+        vehicle: the vehicle.
+        road: the road.
+        time: equidistant sample times [s], shape (T,).
+        decisions: what its controller decides; None where the commands are known.
+        made: those commands, shape (T, 2 m), see `Range.commands`; with decisions, those that physics was given.
+        measured: by the controller.
+        as_rk4: whether it is that of RK4's own arithmetic.
+    """
+    h, model, how = float(time[1] - time[0]), vehicle.linear_model, vehicle.implementation
+    period, m = steps_per_sample(how, h), len(model.inputs)
+    late = round(how.delay * period)
+    C, D = model.rows(measured)
+    V, step = stretching(vehicle), _Step(vehicle, h, as_rk4)
+    now, midway = (under_wheels(road.displacement, road, vehicle, times) for times in (time, time + h / 2))
+    jump, push = now @ model.Bw.T, midway @ (model.A @ model.Bw + model.Br).T
+    states, inputs, beyond, missing = (np.zeros((len(time), width)) for width in (len(model.A), m, m, m))
+    kept = np.zeros((len(time), len(decisions.kept) if decisions is not None else 0))
+    dampers = np.array([force in vehicle.dampers for force in model.inputs])
+    waiting: list[tuple[int, Array]] = []
+    otherwise: list[Otherwise] = []
+    xi, acting, command = np.zeros(len(model.A)), np.zeros(m), np.zeros(2 * m)
+    for k in range(len(time)):
+        x = xi + jump[k]
+        v = V @ x
+        if decisions is None:
+            command = made[k]
+        else:
+            if k % period == 0:
+                y = C @ x + D @ np.where(dampers, -acting * v, command[:m])  # a reading has in it what has acted until then
+                decided = decisions(y, v)
+                if k + late < len(time):
+                    decided = _followed(decisions, decided, y, v, made[k + late, :m], float(time[k]), otherwise)
+                waiting.append((k + late, decided))
+            while waiting and waiting[0][0] <= k:
+                command = waiting.pop(0)[1]
+            kept[k] = decisions.kept
+        acting = np.where(step.lags, acting, command[:m])
+        states[k], beyond[k], missing[k] = x, np.where(dampers, acting, 0.0), command[m:]
+        inputs[k] = np.where(dampers, -acting * v, command[:m])
+        xi, acting = step(xi, acting, command[:m], push[k])
+    return Switched(states, inputs, beyond, missing, kept, tuple(otherwise))
+
+
+def _followed(
+    decisions: Decisions, decided: Array, y: Array, v: Array, other: Array, time: float, otherwise: list[Otherwise]
+) -> Array:
+    """What was decided, or what physics has decided where the two were near one another, which is then noted.
+
+    Args:
+        decisions: which have just been made.
+        decided: the commands, shape (2 m,).
+        y, v: on which.
+        other: those of physics, shape (m,).
+        time: of the sample [s].
+        otherwise: takes where physics is followed.
+    """
+    of, m = decisions.of, len(other)
+    apart = of.adjustable & ~(np.abs(decided[:m] - other) <= OTHERWISE * np.where(of.adjustable, of.high[0] - of.low[0], 1.0))
+    if not apart.any() or not np.all(np.isfinite(other)):
+        return decided
+    near = decisions.nearness(y, v, other)
+    followed = decided.copy()
+    for j in np.flatnonzero(apart & np.isfinite(near)):
+        otherwise.append(Otherwise(time, decisions.forces[j], float(near[j])))
+        followed[j] = other[j]
+        followed[m + j] += (other[j] - decided[j]) * v[j]
+    return followed
+
+
+class _Step:
+    """A step of a vehicle with adjustable dampers, from what is set at its start.
+
+    Attributes:
+        lags: whether what is set of each actuator is what acts only in time, shape (m,).
+    """
+
+    def __init__(self, vehicle: Vehicle, h: float, as_rk4: bool) -> None:
+        """Of h seconds."""
+        model = vehicle.linear_model
+        self.h, self.as_rk4, self.A, self.B, self.V = h, as_rk4, model.A, model.B, stretching(vehicle)
+        self.dampers = np.array([force in vehicle.dampers for force in model.inputs])
+        bandwidths = [vehicle.dampers[force].bandwidth if force in vehicle.dampers else None for force in model.inputs]
+        self.lags = np.array([bandwidth is not None for bandwidth in bandwidths])
+        self.rates = np.array([bandwidth or 0.0 for bandwidth in bandwidths])
+        self._known: dict[bytes, list[Array]] = {}
+
+    def __call__(self, xi: Array, acting: Array, set_to: Array, push: Array) -> tuple[Array, Array]:
+        """The state after it, and what acts then; beyond what is set only where there is a lag.
+
+        Args:
+            xi: the state, shape (n,).
+            acting: coefficients that act at its start, shape (m,).
+            set_to: what is set: coefficients, or forces of actuators that push, shape (m,).
+            push: what the road adds to the state's rate, shape (n,).
+        """
+        if self.lags.any():
+            push = push + self.B @ np.where(self.dampers, 0.0, set_to)
+            return (self._stages if self.as_rk4 else self._series)(xi, acting, set_to, push)
+        beyond = np.where(self.dampers, set_to, 0.0)
+        key = beyond.tobytes()
+        if key not in self._known:
+            if len(self._known) >= MOST_KEPT:
+                self._known.clear()
+            exponential = taylor4 if self.as_rk4 else linalg.expm
+            A = self.A - (self.B * beyond) @ self.V
+            self._known[key] = held_inputs(A, self.h, exponential, self.B, np.eye(len(A)))
+        Phi, Gamma, pushed = self._known[key]
+        return Phi @ xi + Gamma @ np.where(self.dampers, 0.0, set_to) + pushed @ push, set_to
+
+    def _rate(self, xi: Array, acting: Array, push: Array) -> Array:
+        return self.A @ xi - self.B @ (np.where(self.dampers, acting, 0.0) * (self.V @ xi)) + push
+
+    def _stages(self, xi: Array, acting: Array, set_to: Array, push: Array) -> tuple[Array, Array]:
+        """By RK4, of state and coefficients together, as MuJoCo does."""
+        h, moves, changes = self.h, [], []
+        at, now = xi, acting
+        for share in (0.5, 0.5, 1.0, 0.0):
+            moves.append(self._rate(at, now, push))
+            changes.append(self.rates * (set_to - now))
+            at, now = xi + share * h * moves[-1], acting + share * h * changes[-1]
+        mean = [(one[0] + 2 * one[1] + 2 * one[2] + one[3]) / 6 for one in (moves, changes)]
+        return xi + h * mean[0], np.where(self.lags, acting + h * mean[1], set_to)
+
+    def _series(self, xi: Array, acting: Array, set_to: Array, push: Array) -> tuple[Array, Array]:
+        """By the power series of state and coefficients, to rounding."""
+        h, total, terms = self.h, xi.copy(), [xi]
+        far = np.where(self.lags, acting - set_to, 0.0)
+        coefficients = [np.where(self.dampers, set_to + far, 0.0)]
+        for j in range(MOST_TERMS):
+            forces = sum(d * (self.V @ x) for d, x in zip(coefficients, reversed(terms), strict=True))
+            term = h / (j + 1) * (self.A @ terms[-1] - self.B @ forces + (push if j == 0 else 0.0))
+            total += term
+            terms.append(term)
+            far = far * (-self.rates * h / (j + 1))
+            coefficients.append(far)
+            if j > 3 and np.abs(term).max() <= 1e-18 * np.abs(total).max() and np.abs(far).max() <= 1e-18 * np.abs(set_to).max():
+                break
+        return total, np.where(self.lags, set_to + (acting - set_to) * np.exp(-self.rates * h), set_to)

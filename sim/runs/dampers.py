@@ -1,0 +1,83 @@
+"""Adjustable dampers in a run: what they did not give of what was asked, and where decisions were a matter of rounding."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from models.common.numbers import percent
+from models.reality import steps_per_sample
+from models.vehicle import Vehicle
+from sim.linear.dampers import commands_of, stretching
+from sim.response.regime import MISSED
+from sim.response.response import Response
+from sim.runs.prediction import Prediction
+
+
+@dataclass(frozen=True)
+class Shortfall:
+    """What an adjustable damper did not give of the force that was asked of it, at the samples of its controller.
+
+    Attributes:
+        rms: of what is missing, over that of what was asked; 0 where nothing was.
+        time: share of the samples at which something is missing.
+        softest, hardest: its smallest and largest coefficient [N s/m].
+    """
+
+    rms: float
+    time: float
+    softest: float
+    hardest: float
+
+
+def shortfalls(vehicle: Vehicle, physics: Response) -> Mapping[str, Shortfall]:
+    """Of every adjustable damper in a run as long as it goes, by force."""
+    whole = physics.until(physics.diverged)
+    if not vehicle.dampers or len(whole.time) < 2:
+        return {}
+    commands, how = commands_of(vehicle, whole), vehicle.implementation
+    period = steps_per_sample(how, float(whole.time[1]))
+    late = round(how.delay * period)
+    decided = np.arange(0, len(whole.time) - late, period)
+    states = np.stack([whole[name] for name in vehicle.linear_model.states], axis=-1)
+    speeds, m = states @ stretching(vehicle).T, len(vehicle.linear_model.inputs)
+    found = {}
+    for one in vehicle.adjustable:
+        j = vehicle.linear_model.inputs.index(one.force)
+        missing = commands[decided + late, m + j]
+        asked, c = missing - commands[decided + late, j] * speeds[decided, j], whole[one.coefficient]
+        most = float(np.sqrt(np.mean(asked**2)))
+        share = float(np.sqrt(np.mean(missing**2))) / most if most else 0.0
+        found[one.force] = Shortfall(share, float(np.mean(np.abs(missing) > MISSED)), float(c.min()), float(c.max()))
+    return found
+
+
+def dampers_object(prediction: Prediction, physics: Response) -> dict[str, Any]:
+    """What there is to say of a run's adjustable dampers, as JSON has it."""
+    short = {name: asdict(one) for name, one in shortfalls(prediction.vehicle, physics).items()}
+    return {"shortfall": short, "otherwise": [asdict(one) for one in prediction.otherwise], "played": prediction.played}
+
+
+def damper_lines(prediction: Prediction, physics: Response) -> list[str]:
+    """The same in sentences; none where there are none."""
+    vehicle, lines = prediction.vehicle, []
+    names = {one.force: one.coefficient for one in vehicle.adjustable}
+    for force, one in shortfalls(vehicle, physics).items():
+        if one.time:
+            lines.append(
+                f"{names[force]} is from {one.softest:.4g} to {one.hardest:.4g} N s/m; of the force asked of it, "
+                f"{percent(one.rms)} (rms) cannot be given, at {percent(one.time)} of the samples"
+            )
+    if prediction.otherwise:
+        first, count = prediction.otherwise[0], len(prediction.otherwise)
+        how = "1 decision differs" if count == 1 else f"{count} decisions differ"
+        most = max(one.near for one in prediction.otherwise)
+        lines.append(
+            f"{how} from those of the exact response, first of {names[first.force]} at {first.time:.4g} s, and physics is "
+            f"followed there: a change of what is decided on by {most:.0e} of its peak makes the other decision"
+        )
+    if prediction.played:
+        why = vehicle.implementation.blur or "a law in Python"
+        lines.append(f"the exact response takes over what physics decided, with {why}")
+    return lines

@@ -1,0 +1,341 @@
+"""Adjustable dampers: what they can give, their exact response, and what of what was asked is missing."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from models.common.errors import InputError
+from models.roads.road import Bump
+from models.vehicle import parse_vehicle
+from sim.linear.deciding import Decisions
+from sim.linear.loop import largest_timestep, sampled_response
+from sim.physics.simulate import simulate
+from sim.runs.made import NEAR, predict_made
+from sim.runs.prediction import predict_switched
+from sim.runs.run import judge, run_all, sample_times
+from sim.runs.words import energy_lines, run_object, verdict, verdict_lines
+from synth.controller import Controller
+from synth.designer import design
+
+QUARTER = """
+type = "quarter_car"
+[parameters]
+sprung_mass = 504.5
+unsprung_mass = 62.0
+suspension_stiffness = 13100.0
+suspension_damping = 1000.0
+tyre_stiffness = 252000.0
+[performance]
+sprung_acceleration = 1.0
+control_force = 1e-4
+[controllers.sky]
+measured = ["sprung_velocity", "unsprung_velocity"]
+gain = [[-3000.0, 500.0]]
+[controllers.leaky]
+measured = ["suspension_deflection", "sprung_acceleration"]
+A = [[-0.5]]
+B = [[0.0, 1.0]]
+C = [[-2000.0]]
+D = [[11000.0, 0.0]]
+"""
+DAMPER = """
+[actuators]
+kind = "damper"
+c_min = 300.0
+c_max = 4000.0
+"""
+LATE = """
+[implementation]
+sample_period = 0.005
+delay = 0.4
+"""
+HALF = """
+type = "half_car"
+[parameters]
+sprung_mass = 690.0
+pitch_inertia = 1222.0
+axle_distance_front = 1.3
+axle_distance_rear = 1.5
+unsprung_mass_front = 40.0
+unsprung_mass_rear = 45.0
+suspension_stiffness_front = 18000.0
+suspension_stiffness_rear = 22000.0
+suspension_damping_front = 1000.0
+suspension_damping_rear = 1000.0
+tyre_stiffness_front = 200000.0
+tyre_stiffness_rear = 200000.0
+[performance]
+heave_acceleration = 1.0
+[actuators.front]
+kind = "damper"
+c_min = 300.0
+c_max = 3000.0
+[actuators.rear]
+kind = "REAR"
+[controllers.sky]
+measured = ["heave_velocity", "pitch_rate"]
+gain = [[-2000.0, 2600.0], [-2000.0, -3000.0]]
+"""
+MIXED = HALF.replace('"REAR"', '"force"')
+BOTH = HALF.replace('"REAR"', '"damper"\nc_min = 400.0\nc_max = 2500.0\nbandwidth = 90.0')
+BUMP = Bump(0.1, 5.0, 12.5)
+
+
+def runs(text, *names, road=BUMP, duration=1.5):
+    """The runs of some controllers."""
+    vehicle = parse_vehicle(text)
+    return run_all(vehicle, [design(vehicle, name) for name in names], road, sample_times(vehicle, duration, 1e-3))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('"damper"', '"valve"', r"kind = 'valve' is not known; known: damper, force"),
+        ("c_min = 300.0", "", "c_min is missing; an adjustable damper has c_min and c_max"),
+        ("c_min = 300.0", "c_min = 4000.0", r"c_min = 4000 N s/m is not below c_max = 4000 N s/m; give a smaller"),
+        ("c_min = 300.0", "c_min = nan", r"c_min = nan is not allowed; give a number from 0 to"),
+        ("c_min = 300.0", "c_min = -1.0", r"c_min = -1.0 is not allowed"),
+        (
+            "c_min = 300.0",
+            "c_min = 1100.0",
+            "suspension_damping = 1000 N s/m, which acts where no force is asked for, is not among",
+        ),
+        ("c_max = 4000.0", "c_max = [1, 2]", r"c_max = \[1, 2\] is not allowed"),
+        ("c_max = 4000.0", "c_max = 4000.0\nbandwidth = 0", r"bandwidth = 0 is not allowed; give a number from 1e-06 .* rad/s"),
+        ("c_max = 4000.0", "c_max = 4000.0\nfast = true", r"\[actuators\] unknown key 'fast'"),
+        (
+            "c_max = 4000.0",
+            "c_max = 4000.0\n[actuators.front]\nc_min = 1",
+            r"\[actuators.front\] is no suspension of this vehicle",
+        ),
+        ('kind = "damper"\n', "", r'has c_min and no kind = "damper"'),
+        ('kind = "damper"\n', 'kind = "force"\n', r'has c_min and no kind = "damper"'),
+        ("[actuators]", "[limits]\nactuator_force = 900.0\n[actuators]", r"\[limits\] actuator_force is of actuators that push"),
+    ],
+)
+def test_bad_dampers(old, new, said):
+    """What is wrong with [actuators] is said in one line."""
+    with pytest.raises(InputError, match=said) as error:
+        parse_vehicle(QUARTER + DAMPER.replace(old, new))
+    assert "\n" not in str(error.value)
+
+
+def test_one_for_all_and_for_one():
+    """What [actuators] says goes for every suspension that has no section, and for what its section leaves out."""
+    text = HALF[: HALF.index("[actuators.front]")] + DAMPER + "[actuators.rear]\nc_max = 2500.0\nbandwidth = 80.0\n"
+    front, rear = parse_vehicle(text).adjustable
+    assert (front.force, front.damper.c_min, front.damper.c_max, front.damper.bandwidth) == (
+        "control_force_front",
+        300,
+        4000,
+        None,
+    )
+    assert (rear.force, rear.damper.c_min, rear.damper.c_max, rear.damper.bandwidth) == ("control_force_rear", 300, 2500, 80)
+    (only,) = parse_vehicle(MIXED).adjustable
+    assert (only.force, only.coefficient, only.missing) == ("control_force_front", "damping_front", "missing_force_front")
+    (other,) = parse_vehicle(text.replace("c_max = 2500.0\nbandwidth = 80.0", 'kind = "force"')).adjustable
+    assert other.force == "control_force_front"
+
+
+def test_no_curves_beside():
+    """A damper that has a curve and is adjustable, too, is refused in a line."""
+    curve = "[curves]\nsuspension_damping = { velocity = [-1.0, 0.0, 1.0], force = [-900.0, 0.0, 1200.0] }\n"
+    text = QUARTER.replace("suspension_damping = 1000.0\n", "") + curve
+    parse_vehicle(text)
+    with pytest.raises(InputError, match=r"suspension_damping and the adjustable dampers of \[actuators\] are not run together"):
+        parse_vehicle(text + DAMPER)
+
+
+@pytest.mark.parametrize("name", ["passive", "sky", "leaky"])
+def test_what_a_damper_gives(name):
+    """At every sample u = -(c - c_s) v, with c the nearest to c_s - u*/v that there is, and what is missing is u* - u.
+
+    All are products of the same doubles, so they are alike to rounding: 1e-9 N of some thousand.
+    """
+    (run,) = runs(QUARTER + DAMPER, name)
+    physics = run.physics
+    v = physics["sprung_velocity"] - physics["unsprung_velocity"]
+    u, c = physics["control_force"], physics["damping"]
+    asked = u + physics["missing_force"]
+    assert np.abs(u + (c - 1000.0) * v).max() < 1e-9
+    assert c.min() >= 300.0
+    assert c.max() <= 4000.0
+    moving = np.abs(v) > 1e-9
+    assert np.allclose(c[moving], np.clip(1000.0 - asked[moving] / v[moving], 300.0, 4000.0), rtol=0, atol=1e-6)
+    if name == "passive":
+        assert np.all(c == 1000.0)
+        assert not asked.any()
+    elif name == "sky":
+        assert np.abs(asked - (-3000.0 * physics["sprung_velocity"] + 500.0 * physics["unsprung_velocity"])).max() < 1e-9
+        assert {300.0, 4000.0} <= set(c)
+
+
+def test_passive_is_the_linear_vehicle():
+    """A damper of which nothing is asked makes the run of the vehicle that has none, to the last bit."""
+    (damper,), (none,) = runs(QUARTER + DAMPER, "passive"), runs(QUARTER, "passive")
+    for name in none.physics.names:
+        assert np.array_equal(damper.physics[name], none.physics[name])
+    assert damper.qpos is not None
+    assert none.qpos is not None
+    assert np.array_equal(damper.qpos, none.qpos)
+
+
+@pytest.mark.parametrize("name", ["sky", "leaky"])
+@pytest.mark.parametrize("more", ["", "bandwidth = 100.0\n", LATE, "bandwidth = 100.0\n" + LATE], ids=["", "lag", "late", "both"])
+def test_the_exact_response(name, more):
+    """MuJoCo is within 1e-6 of a peak of the exact response that decides for itself, and RK4's own arithmetic within 1e-9.
+
+    1e-6: RK4's error at 1 ms is 2e-7 to 7e-7; it follows no decision of physics. 1e-9: rounding, over 1500 steps.
+    """
+    (run,) = runs(QUARTER + DAMPER + more, name)
+    assert not run.prediction.otherwise
+    assert not run.prediction.played
+    assert run.agreement.agrees
+    assert run.energy is not None
+    assert run.energy.balances
+    for signal in run.vehicle.linear_model.outputs:
+        peak = float(run.sampled.peak(signal))
+        assert np.abs(run.physics[signal] - run.sampled[signal]).max() < 1e-6 * peak
+        assert np.abs(run.physics[signal] - run.prediction.integrated[signal]).max() < 1e-9 * peak
+    assert np.abs(run.physics["damping"] - run.sampled["damping"]).max() < 4.0  # N s/m: a thousandth of the range, where v is 0
+    kept = [signal for signal in run.physics.names if signal not in [one.name for one in run.vehicle.kind.signals]]
+    assert len(kept) == (name == "leaky")
+    for signal in kept:
+        assert np.abs(run.physics[signal] - run.sampled[signal]).max() < 1e-6 * float(run.sampled.peak(signal))
+
+
+@pytest.mark.parametrize("text", [MIXED, BOTH], ids=["front only", "both, one lags"])
+def test_a_car(text):
+    """Where a body turns, all but geometry is exact: at a millimetre of bump every signal is within 1e-5 of its peak.
+
+    Geometry is in proportion to the bump: 1e-3 of a peak at 0.1 m, 1e-5 at 1 mm.
+    """
+    (run,) = runs(text, "sky", road=Bump(0.001, 5.0, 12.5))
+    assert run.agreement.agrees
+    assert run.energy is not None
+    assert run.energy.balances
+    for signal in run.vehicle.linear_model.outputs:
+        assert np.abs(run.physics[signal] - run.sampled[signal]).max() < 1e-5 * run.sampled.scale(signal)
+    (whole,) = runs(text, "sky", duration=1.0, road=Bump(0.05, 5.0, 12.5))
+    assert verdict(whole).startswith("agrees to first order throughout")
+
+
+@pytest.mark.parametrize("change", ["c_max", "c_min", "nominal", "bandwidth"])
+def test_another_damper_is_found(change):
+    """Physics of a damper that is 1 % off does not agree with the exact response: that follows nothing that it cannot be."""
+    vehicle = parse_vehicle(QUARTER + DAMPER + "bandwidth = 100.0")
+    controller, time = design(vehicle, "sky"), sample_times(vehicle, 1.0, 1e-3)
+    (one,) = vehicle.dampers.values()
+    if change == "nominal":
+        other = replace(vehicle, parameters={**vehicle.parameters, "suspension_damping": 1010.0})
+    else:
+        other = replace(vehicle, dampers={"control_force": replace(one, **{change: 1.01 * getattr(one, change)})})
+    made = simulate([other], [controller], [BUMP], time)
+    prediction = predict_made(vehicle, controller, BUMP, time, made.run(0), made.asked[0])
+    (run,) = judge([prediction], [made.run(0)])
+    assert not run.agreement.agrees
+    assert "DOES NOT AGREE" in verdict(run)
+
+
+def test_a_decision_that_rounding_makes():
+    """A decision is followed only where what it is made on is that near to another one."""
+    vehicle = parse_vehicle(QUARTER + DAMPER)
+    decisions = Decisions(vehicle, design(vehicle, "sky"), 1e-3, NEAR, lambda name: 1.0)
+    for v, near in ((1e-8, 1e-8), (1e-6, 1e-6), (1e-3, np.inf)):
+        y = np.array([0.1, 0.1 - v])  # asks for -250 N: at v > 0 all that there is, at v < 0 the least
+        decided = decisions(y, np.array([v]))
+        assert decided[0] == 3000.0
+        (found,) = decisions.nearness(y, np.array([v]), np.array([-700.0]))
+        assert near <= found <= 100 * near
+
+
+def test_physics_is_followed_where_rounding_decides():
+    """A coefficient that physics could have set for rounding is played from there on, and said; one that it could not is not."""
+    vehicle = parse_vehicle(QUARTER + DAMPER)
+    controller, time = design(vehicle, "sky"), sample_times(vehicle, 1.0, 1e-3)
+    made = simulate([vehicle], [controller], [BUMP], time)
+    physics = made.run(0)
+    v = np.abs(physics["sprung_velocity"] - physics["unsprung_velocity"])
+    moving = np.abs(physics["control_force"] + physics["missing_force"]) > 100.0
+    nearest = int(np.argmin(np.where(moving, v, np.inf)))
+    for k, followed in ((nearest, 1), (int(np.argmax(v)), 0)):
+        column = physics.names.index("damping")
+        changed = physics.values.copy()
+        changed[k, column] = 4300.0 - changed[k, column]
+        tampered = replace(physics, values=changed)
+        near = max(NEAR, 20 * v[k] / v.max()) if followed else NEAR
+        prediction = predict_switched(vehicle, controller, BUMP, time, tampered, near)
+        assert [one.time for one in prediction.otherwise[:1]] == [float(time[k])] * followed
+        assert bool(prediction.sampled["damping"][k] == tampered["damping"][k]) == followed
+        if followed:
+            (run,) = judge([prediction], [physics])
+            (line,) = [line for line in verdict_lines(run) if "decision" in line]
+            assert f"from those of the exact response, first of damping at {time[k]:.4g} s" in line
+
+
+def test_a_damper_takes_energy():
+    """The power of a damper is never below zero in physics, and one that gave energy would not balance."""
+    (run,) = runs(QUARTER + DAMPER, "sky")
+    assert run.energy is not None
+    assert run.energy.least is not None
+    assert run.energy.least >= 0.0
+    assert energy_lines(run)[0].startswith("energy balances")
+    worse = replace(run, energy=replace(run.energy, least=-1e-3))
+    assert not worse.holds
+    assert "an adjustable damper gave energy, 1.0e-03 of the most that it took" in energy_lines(worse)[0]
+    (none,) = runs(QUARTER, "passive")
+    assert none.energy is not None
+    assert none.energy.least is None
+
+
+def test_what_is_missing_is_said():
+    """The verdict says when a force was first not given, and how much of all was not; and so does JSON."""
+    (run,) = runs(QUARTER + DAMPER, "sky")
+    physics = run.physics
+    asked = physics["control_force"] + physics["missing_force"]
+    rms, share = float(np.std(physics["missing_force"])), float(np.mean(np.abs(physics["missing_force"]) > 1e-3))
+    rms = float(np.sqrt(np.mean(physics["missing_force"] ** 2)) / np.sqrt(np.mean(asked**2)))
+    found = run_object(run)["dampers"]["shortfall"]["control_force"]
+    assert found == pytest.approx({"rms": rms, "time": share, "softest": 300.0, "hardest": 4000.0}, rel=1e-9)
+    first = float(physics.time[np.argmax(np.abs(physics["missing_force"]) > 1e-3)])
+    lines = verdict_lines(run)
+    assert any(line.startswith("damper: ") and f"at {first:.4g} s" in line for line in lines)
+    assert any(f"{100 * rms:.2g} % (rms) cannot be given, at {100 * share:.2g} % of the samples" in line for line in lines)
+    assert run.agreement.until == np.inf
+    assert run.agreement.ended["damper"] == first
+    (none,) = runs(QUARTER + DAMPER, "passive")
+    assert "dampers" in run_object(none)
+    assert not [line for line in verdict_lines(none) if "damp" in line]
+    assert "dampers" not in run_object(runs(QUARTER, "passive", duration=0.1)[0])
+
+
+def test_the_linear_response_foretells_the_first_force_missing():
+    """Until a force is missing the vehicle is linear, so the linear response says when that is, to a sample."""
+    (run,) = runs(QUARTER + DAMPER, "sky")
+    assert isinstance(run.controller, Controller)
+    linear = sampled_response(run.vehicle, run.controller, BUMP, run.physics.time)
+    first = linear.time[np.argmax(np.abs(linear["missing_force"]) > 1e-3)]
+    assert abs(first - run.agreement.ended["damper"]) < 1.5e-3
+
+
+def test_runs_side_by_side():
+    """Runs of dampers that differ, in ranges and lags' rates, are those of each by itself, to the last bit."""
+    vehicle = parse_vehicle(QUARTER + DAMPER + "bandwidth = 100.0")
+    (one,) = vehicle.dampers.values()
+    ranges = ((2000, 100), (4000, 50))
+    others = [replace(vehicle, dampers={"control_force": replace(one, c_max=c, bandwidth=b)}) for c, b in ranges]
+    controller, time = design(vehicle, "sky"), sample_times(vehicle, 0.5, 1e-3)
+    together = simulate(others, [controller] * 2, [BUMP] * 2, time)
+    for i, other in enumerate(others):
+        pair = simulate([other] * 2, [controller] * 2, [BUMP] * 2, time)
+        assert np.array_equal(together.response.values[i], pair.response.values[0])
+        assert together.run(i)["damping"].max() <= others[i].dampers["control_force"].c_max
+
+
+def test_a_timestep_that_rk4_bears_with_every_coefficient():
+    """The largest timestep is that of the hardest damper, and of its valve."""
+    usual = largest_timestep(parse_vehicle(QUARTER))
+    assert largest_timestep(parse_vehicle(QUARTER + DAMPER)) <= usual
+    assert largest_timestep(parse_vehicle(QUARTER + DAMPER.replace("4000", "40000"))) < 0.5 * usual
+    assert largest_timestep(parse_vehicle(QUARTER + DAMPER + "bandwidth = 5000.0")) == pytest.approx(2.785 / 5000.0, rel=0.01)
