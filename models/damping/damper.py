@@ -196,13 +196,13 @@ def adjustable(
         damper = dampers[one.force]
         if not one.damping:
             raise InputError(
-                f"[actuators] no parameter of this kind of vehicle is said to be the damper at {one.force}; say it in its Suspension"
+                f"[actuators] the kind does not say which parameter is the damper at {one.force}; let its Suspension say it"
             )
         nominal = parameters[one.damping]
         if not damper.c_min <= nominal <= damper.c_max:
             raise InputError(
-                f"{one.damping} = {nominal:g} N s/m, which acts where no force is asked for, is not among the {damper.c_min:g} to "
-                f"{damper.c_max:g} N s/m of [actuators]; widen these or move that"
+                f"{one.damping} = {nominal:g} N s/m, which acts where no force is asked for, is not among the "
+                f"{damper.c_min:g} to {damper.c_max:g} N s/m of [actuators]; widen these or move that"
             )
         found.append(Adjustable(one.force, one.ending, damper, nominal))
     return tuple(found)

@@ -187,7 +187,7 @@ def predict_switched(
         decisions = None if played or linear is None else Decisions(vehicle, linear, period, near, peaks)
         found = switched(vehicle, road, time, decisions, made, measured, as_rk4)
         beside = damper_signals(vehicle, found.beyond, found.missing)
-        whole = response_of(vehicle, vehicle.linear_model, road, time, found.states, found.inputs, beside)
+        whole = response_of(vehicle, vehicle.linear_model, road, time, found.states, found.inputs, beside=beside)
         if linear is None:
             return whole, found
         kept = np.zeros((len(time), linear.law.states)) if played else linear.law.of_state(period) * found.kept
