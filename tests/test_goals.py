@@ -509,7 +509,10 @@ def test_a_bound_with_errors_is_proved_where_it_is_kept():
     controller = Designer(vehicle_with(section)).design("goal")
     with_errors = {promise.what: promise for promise in controller.promises}
     assert with_errors["norm, with errors"].holds
-    assert with_errors["slowest pole, with errors"].value <= -1.0
+    slowest = with_errors["slowest pole, with errors"]
+    assert slowest.value <= -1.0
+    assert slowest.holds
+    assert slowest.proved == -1.0
 
 
 def test_the_picture_of_a_band(tmp_path, capsys):

@@ -23,6 +23,7 @@ from synth.goals.problem import Errors, GoalProblem, NormGoal, Posed
 from synth.goals.road_largest import largest_over_road
 from synth.goals.worst import worst_of_norm
 from synth.plant import GeneralizedPlant
+from synth.tolerance.stable import stable_with_errors
 from synth.tolerance.worst import WorstNorm, worst_norm
 
 FAR = 1e4  # times a norm: of loops that are only known to be stable
@@ -143,10 +144,16 @@ class Judged:
             met.append(max(_slowest(errors.on(member.posed[0]), self.K), slowest[i]))
             moved = _moved(member.posed[0], rate)
             norm = _norm(errors.on(moved), self.K, NormGoal())[0] if beyond < 1 else np.inf
-            whole = self.worst_of(moved, FAR * norm) if np.isfinite(norm) else None
-            proved = max(proved, -rate if whole is not None and np.isfinite(whole.proved) else np.inf)
+            proved = max(proved, -rate if np.isfinite(norm) and self.stable(moved, FAR * norm) else np.inf)
         i = int(np.argmax(met))
         return [*found, Promise("slowest pole, with errors", met[i], proved, -rate, "rad/s", self.names[i])]
+
+    def stable(self, posed: Posed, enough: float) -> bool:
+        """Whether one plant is proved to be stable with all errors: by itself, or by a bound on its norm."""
+        tolerance = self.asked.tolerance
+        if stable_with_errors(posed.plant, posed.Cy, self.K, tolerance.sensors, tolerance.forces):
+            return True
+        return bool(np.isfinite(self.worst_of(posed, enough).proved))
 
     def energy_peak(self, bound: EnergyBound, which: int) -> Promise:
         """The largest magnitude of a signal for all roads of given energy."""

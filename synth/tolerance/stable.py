@@ -1,0 +1,118 @@
+"""Whether all loops of a box of errors are stable, proved by a Lyapunov function that moves with the errors.
+
+    minimise t   so that   (the inequality of `certificate/moving.py`)  <=  t I,   X_i > 0,
+
+by Newton's method on a barrier, in coordinates in which the middle of the box has X = I and its fastest pole the rate 1; once t
+is below zero, it is proved.
+"""
+
+import numpy as np
+from scipy import linalg
+
+from models.common.arrays import Array
+from models.law import LinearLaw
+from synth.certificate.box import Box, ScaledGain
+from synth.certificate.moving import MovingX, left_side
+from synth.lmi.barrier import Barrier, newton
+from synth.plant import GeneralizedPlant
+from synth.tolerance.scaled import box_of, scaled_gain
+
+MOST_UNKNOWNS = 700  # of one problem: a second
+PARTS = 12  # into which a box may fall
+BEGIN = 0.1  # G at the start, in the coordinates of the middle
+FASTER, CENTRES, NEAR = 8.0, 16, 1e-2  # of the path, as in `tolerance/common.py`
+LARGEST = 1e3  # of X, F and G, where the middle's X is I: the inequality is homogeneous, and they would grow without end
+
+
+def stable_with_errors(plant: GeneralizedPlant, Cy: Array, K: Array | LinearLaw, d: Array, e: Array) -> bool:
+    """Whether the loop is proved to be stable whatever the errors; arguments as for `worst_norm`."""
+    gain = scaled_gain(plant, Cy, K)
+    return stable_throughout(gain, box_of(gain, d, e)) is not None
+
+
+def unknowns(gain: ScaledGain, box: Box) -> int:
+    """How many unknowns the problem of a box has."""
+    n = len(gain.plant.A)
+    return 2 ** len(box.free) * n * (n + 1) // 2 + 2 * n * n + 1
+
+
+def stable_throughout(gain: ScaledGain, box: Box) -> list[tuple[Box, MovingX]] | None:
+    """Parts that fill a box, each with a proof that all its loops are stable; None where none is found.
+
+    Args:
+        gain: its loops.
+        box: of as many free factors as `MOST_UNKNOWNS` allows.
+    """
+    if unknowns(gain, box) > MOST_UNKNOWNS:
+        return None
+    todo, done = [box], []
+    while todo:
+        part = todo.pop()
+        try:
+            found = moving_x(gain, part)
+        except (np.linalg.LinAlgError, ValueError):  # rounding leaves no answer
+            found = None
+        if found is not None and found.proves_stable(gain, part):
+            done.append((part, found))
+        elif len(todo) + len(done) + 2 > PARTS or not len(part.free):
+            return None
+        else:
+            todo += part.halves(int(part.free[np.argmax((part.high - part.low)[part.free])]))
+    return done
+
+
+def moving_x(gain: ScaledGain, box: Box) -> MovingX | None:
+    """What satisfies the inequality at all corners of a box; None where there is nothing, or next to nothing.
+
+    Raises:
+        LinAlgError: rounding leaves no answer.
+    """
+    if not gain.posed(box):
+        return None
+    A, middle = gain.loops(box.corners).A, gain.loops(box.middle).A
+    if not np.all(np.linalg.eigvals(A).real < 0) or not np.all(np.linalg.eigvals(middle).real < 0):
+        return None
+    n, V = len(middle), len(A)
+    balanced, units = linalg.matrix_balance(middle, permute=False)  # the same in any units
+    X0 = linalg.solve_continuous_lyapunov(balanced.T, -np.eye(n))
+    T = units @ np.linalg.inv(np.linalg.cholesky((X0 + X0.T) / 2).T)  # x = T (new coordinates), in which X0 is I
+    inverse, rate = np.linalg.inv(T), float(np.abs(np.linalg.eigvals(middle)).max())
+    own = inverse @ A @ T / rate
+    rows, columns = np.triu_indices(n)
+    N = len(rows)
+    count = V * N + 2 * n * n + 1
+    symmetric = np.zeros((N, n, n))
+    symmetric[np.arange(N), rows, columns] = symmetric[np.arange(N), columns, rows] = 1.0
+    general = np.eye(n * n).reshape(n * n, n, n)
+    zero, none = np.zeros((n, n)), np.zeros((1, n, n))
+    blocks = []
+    for i, Ai in enumerate(own):
+        at = slice(i * N, (i + 1) * N)
+        F, alone = np.zeros((count, 2 * n, 2 * n)), np.zeros((count, n, n))
+        F[at] = [-left_side(Ai[None], X[None], zero, zero)[0] for X in symmetric]
+        F[V * N : V * N + n * n] = [-left_side(Ai[None], none, unit, zero)[0] for unit in general]
+        F[V * N + n * n : -1] = [-left_side(Ai[None], none, zero, unit)[0] for unit in general]
+        F[-1], alone[at] = np.eye(2 * n), symmetric
+        blocks += [(np.zeros((2 * n, 2 * n)), F), (zero, alone), (LARGEST * np.eye(n), -alone)]
+    for start in (V * N, V * N + n * n):  # norms of F and G
+        among = np.zeros((count, 2 * n, 2 * n))
+        among[start : start + n * n, :n, n:], among[start : start + n * n, n:, :n] = general, general.swapaxes(-1, -2)
+        blocks.append((LARGEST * np.eye(2 * n), among))
+    p = np.zeros(count)
+    p[: V * N] = np.tile((rows == columns).astype(float), V)
+    p[V * N : V * N + n * n] = np.eye(n).ravel()
+    p[V * N + n * n : -1] = BEGIN * np.eye(n).ravel()
+    least = max(-float(np.linalg.eigvalsh(F0 + np.tensordot(p, F, 1))[0]) for F0, F in blocks[: 3 * V : 3])
+    p[-1] = 1.5 * max(least, 1e-3)
+    barrier, c, weight = Barrier(blocks), np.zeros(count), 1.0 / p[-1]
+    for _ in range(CENTRES):
+        c[-1] = weight
+        p, _, _ = newton(barrier, p, c, NEAR, leave=lambda p: p[-1] < 0)
+        if p[-1] < 0:
+            X = np.zeros((V, n, n))
+            X[:, rows, columns] = X[:, columns, rows] = p[: V * N].reshape(V, N)
+            F, G = p[V * N : -1].reshape(2, n, n)
+            X, F, G = (inverse.T @ matrix @ inverse for matrix in (rate * X, rate * F, G))
+            return MovingX((X + X.swapaxes(-1, -2)) / 2, F, G)
+        weight *= FASTER
+    return None
