@@ -7,8 +7,9 @@ that are what they are. Let A be one of the loops of a box, in the convex hull o
     [ X_i - F' + G A_i      -(G + G')       ]  <  0,     X_i > 0,
 
 with F and G the same for all. With the same weights as A = sum l_i A_i, X = sum l_i X_i satisfies the same inequality, and
-between [I, A'] and its transpose that is A' X + X A < 0 (de Oliveira, Skelton 2001, Stability tests for constrained linear systems, in
-Perspectives in Robust Control). What is computed in floating point is bounded entry by entry, and counted (`definite.py`).
+between [I, A'] and its transpose that is A' X + X A < 0 (de Oliveira, Skelton 2001, Stability tests for constrained linear
+systems, in Perspectives in Robust Control). What is computed in floating point is bounded entry by entry, and counted
+(`definite.py`).
 """
 
 from dataclasses import dataclass
