@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.arrays import Array
-from synth.certificate.box import Box, ScaledGain
+from synth.certificate.box import Box, Loops, ScaledGain
 from synth.certificate.definite import UNIT, definite_beyond
 
 
@@ -37,7 +37,7 @@ class MovingX:
     def proves_stable(self, gain: ScaledGain, box: Box) -> bool:
         """Whether it proves that all loops of a box are stable, beyond rounding."""
         corners = box.corners
-        if not gain.posed(box) or len(self.X) != len(corners):
+        if not gain.posed(box) or len(self.X) != len(corners) or not hermitian(self.X):
             return False
         (m, q), n, parts = gain.K.shape, len(self.F), (self.X, self.F, self.G)
         sizes = left_side(gain.sizes(corners).A, *map(np.abs, parts), sign=1.0)
@@ -58,3 +58,80 @@ def left_side(A: Array, X: Array, F: Array, G: Array, sign: float = -1.0) -> Arr
         ],
         axis=-2,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class MovingBand:
+    """What proves a bound on the norm in a band, of all loops of a box, stable or not: the generalized KYP lemma, moving.
+
+    Let (a, c, b) be (-1, (w1 + w2) / 2, -w1 w2) of a band that ends, else (1, 0, -w1^2). For one loop a bound gamma follows from
+
+        [ a Q        P + j c Q    0          0   ]
+        [ P - j c Q  b Q          0          C'  ]  +  He [-I A Bw 0]' W  <  0,     Q > 0
+        [ 0          0           -gamma I    Dw' ]
+        [ 0          C            Dw        -gamma I ]
+
+    (Iwasaki, Hara 2005, theorem 2, with Finsler's lemma): W vanishes on all motions x' = A x + Bw w. With one W for all corners
+    the sum with weights l_i is the inequality of the loop between them.
+
+    Attributes:
+        P, Q: at every corner, in the order of `Box.corners`, complex, shapes (2^k, n, n).
+        W: shape (n, 2 n + r).
+        low, high: the band [rad/s].
+        gamma: the bound.
+    """
+
+    P: Array
+    Q: Array
+    W: Array
+    low: float
+    high: float
+    gamma: float
+
+    def holds(self, gain: ScaledGain, box: Box) -> bool:
+        """Whether it proves its bound for all loops of a box, beyond rounding."""
+        corners = box.corners
+        if not gain.posed(box) or not len(self.P) == len(self.Q) == len(corners) or not (hermitian(self.P) and hermitian(self.Q)):
+            return False
+        (m, q), (n, r) = gain.K.shape, gain.plant.Bw.shape
+        loops, sizes = gain.loops(corners), gain.sizes(corners)
+        M = band_side(loops, self.P, self.Q, self.W, self.low, self.high, self.gamma)
+        P, Q, W = (_size(one) for one in (self.P, self.Q, self.W))
+        lost = band_side(sizes, P, Q, W, self.low, self.high, self.gamma, sign=1.0)
+        lost *= 4 * (2 * n + m * m + m + q + r + 12) * UNIT
+        positive = definite_beyond(_real(self.Q), np.zeros((len(corners), 2 * n, 2 * n)))
+        return positive and definite_beyond(_real(-M), np.tile(lost, (2, 2)))
+
+
+def band_side(loops: Loops, P: Array, Q: Array, W: Array, low: float, high: float, gamma: float, sign: float = -1.0) -> Array:
+    """The left side of `MovingBand` at all corners, shape (V, k, k); of sizes, and with `sign` 1, its terms' sizes."""
+    a, c, b = (sign, (low + high) / 2, sign * low * high) if np.isfinite(high) else (1.0, 0.0, sign * low**2)
+    A, Bw, C, Dw = loops
+    (V, n, r), d = Bw.shape, C.shape[1]
+    turn = 1j * c if sign < 0 else c
+    M = np.zeros((V, 2 * n + r + d, 2 * n + r + d), dtype=complex if sign < 0 else float)
+    x, w, z = slice(n, 2 * n), slice(2 * n, 2 * n + r), slice(2 * n + r, None)
+    M[:, :n, :n], M[:, :n, x], M[:, x, x] = a * Q, P + turn * Q, b * Q
+    M[:, x, :n] = M[:, :n, x].conj().swapaxes(-1, -2)
+    M[:, z, x], M[:, x, z], M[:, z, w], M[:, w, z] = C, C.swapaxes(-1, -2), Dw, Dw.swapaxes(-1, -2)
+    M[:, w, w], M[:, z, z] = sign * gamma * np.eye(r), sign * gamma * np.eye(d)
+    motion = np.concatenate([np.broadcast_to(sign * np.eye(n), A.shape), A, Bw, np.zeros((V, n, d))], axis=-1)
+    of_motion = motion.swapaxes(-1, -2) @ np.hstack([W, np.zeros((n, d))])
+    return M + of_motion + of_motion.conj().swapaxes(-1, -2)
+
+
+def _real(M: Array) -> Array:
+    """The symmetric matrices that are positive definite where Hermitian ones are, shape (..., 2 k, 2 k)."""
+    real, imaginary = np.real(M), np.imag(M)
+    upper, lower = (np.concatenate(pair, axis=-1) for pair in ((real, -imaginary), (imaginary, real)))
+    return np.concatenate([upper, lower], axis=-2)
+
+
+def _size(M: Array) -> Array:
+    """At least the size of each complex entry."""
+    return np.abs(np.real(M)) + np.abs(np.imag(M))
+
+
+def hermitian(M: Array) -> bool:
+    """Whether all matrices of a stack are Hermitian, to the last bit."""
+    return np.array_equal(M, M.conj().swapaxes(-1, -2))

@@ -73,10 +73,8 @@ def moving_x(gain: ScaledGain, box: Box) -> MovingX | None:
     if not np.all(np.linalg.eigvals(A).real < 0) or not np.all(np.linalg.eigvals(middle).real < 0):
         return None
     n, V = len(middle), len(A)
-    balanced, units = linalg.matrix_balance(middle, permute=False)  # the same in any units
-    X0 = linalg.solve_continuous_lyapunov(balanced.T, -np.eye(n))
-    T = units @ np.linalg.inv(np.linalg.cholesky((X0 + X0.T) / 2).T)  # x = T (new coordinates), in which X0 is I
-    inverse, rate = np.linalg.inv(T), float(np.abs(np.linalg.eigvals(middle)).max())
+    T, rate = own_coordinates(middle)
+    inverse = np.linalg.inv(T)
     own = inverse @ A @ T / rate
     rows, columns = np.triu_indices(n)
     N = len(rows)
@@ -116,3 +114,10 @@ def moving_x(gain: ScaledGain, box: Box) -> MovingX | None:
             return MovingX((X + X.swapaxes(-1, -2)) / 2, F, G)
         weight *= FASTER
     return None
+
+
+def own_coordinates(A: Array) -> tuple[Array, float]:
+    """T with x = T (new coordinates), in which a stable A has the Lyapunov matrix I, and A's fastest rate; in whatever units."""
+    balanced, units = linalg.matrix_balance(A, permute=False)
+    X = linalg.solve_continuous_lyapunov(balanced.T, -np.eye(len(A)))
+    return units @ np.linalg.inv(np.linalg.cholesky((X + X.T) / 2).T), float(np.abs(np.linalg.eigvals(A)).max())
