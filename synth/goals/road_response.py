@@ -141,7 +141,7 @@ class Response:
 
     def motion(self, A: Array) -> tuple[Array, Array]:
         """xi at all times, shape (T, n), and at the ends of all pieces, shape (P, n), for a loop matrix."""
-        values, vectors = np.linalg.eig(A)
+        values, vectors = (np.asarray(part, complex) for part in np.linalg.eig(A))  # numpy's are real where all poles are
         E = A @ self.driven.Bw + self.driven.Br
         try:
             inverse = np.linalg.inv(vectors)
