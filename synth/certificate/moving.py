@@ -23,41 +23,51 @@ from synth.certificate.definite import UNIT, definite_beyond
 
 @dataclass(frozen=True, eq=False)
 class MovingX:
-    """What proves the stability of a box.
+    """What proves the stability of a box, and a bound on its norms if it has one.
 
     Attributes:
         X: at every corner, in the order of `Box.corners`, shape (2^k, n, n).
         F, G: at all of them, shapes (n, n).
+        gamma: the bound; infinite for stability alone.
     """
 
     X: Array
     F: Array
     G: Array
+    gamma: float = np.inf
 
-    def proves_stable(self, gain: ScaledGain, box: Box) -> bool:
-        """Whether it proves that all loops of a box are stable, beyond rounding."""
+    def holds(self, gain: ScaledGain, box: Box) -> bool:
+        """Whether it proves that all loops of a box are stable, and their norms below the bound, beyond rounding."""
         corners = box.corners
         if not gain.posed(box) or len(self.X) != len(corners) or not hermitian(self.X):
             return False
-        (m, q), n, parts = gain.K.shape, len(self.F), (self.X, self.F, self.G)
-        sizes = left_side(gain.sizes(corners).A, *map(np.abs, parts), sign=1.0)
-        lost = 4 * (2 * n + m * m + m + q + 8) * UNIT * sizes
+        (m, q), (n, r), parts = gain.K.shape, gain.plant.Bw.shape, (self.X, self.F, self.G)
+        sizes = left_side(gain.sizes(corners), *map(np.abs, parts), self.gamma, sign=1.0)
+        lost = 4 * (2 * n + m * m + m + q + r + 8) * UNIT * sizes
         alone = definite_beyond(self.X, np.zeros_like(self.X))
-        return alone and definite_beyond(-left_side(gain.loops(corners).A, *parts), lost)
+        return alone and definite_beyond(-left_side(gain.loops(corners), *parts, self.gamma), lost)
 
 
-def left_side(A: Array, X: Array, F: Array, G: Array, sign: float = -1.0) -> Array:
-    """The left side of the inequality at all corners, shape (V, 2 n, 2 n); of sizes, and with `sign` 1, its terms' sizes."""
-    upper = F @ A
-    across = X + sign * F + A.swapaxes(-1, -2) @ G.T
-    low = np.broadcast_to(sign * (G + G.T), A.shape)
-    return np.concatenate(
-        [
-            np.concatenate([upper + upper.swapaxes(-1, -2), across], axis=-1),
-            np.concatenate([across.swapaxes(-1, -2), low], axis=-1),
-        ],
-        axis=-2,
-    )
+def left_side(loops: Loops, X: Array, F: Array, G: Array, gamma: float = np.inf, sign: float = -1.0) -> Array:
+    """The left side of the inequality at all corners, shape (V, k, k); of sizes, and with `sign` 1, its terms' sizes.
+
+    With a bound it is that of the bounded real lemma: beside the first rows stand [F Bw, C'] and [G Bw, 0], below them
+    [-gamma I, Dw'; Dw, -gamma I].
+    """
+    A, Bw, C, Dw = loops
+    (V, n, r), d = Bw.shape, C.shape[1]
+    k = 2 * n if np.isinf(gamma) else 2 * n + r + d
+    M = np.zeros((V, k, k))
+    M[:, :n, :n] = F @ A + A.swapaxes(-1, -2) @ F.T
+    M[:, :n, n : 2 * n] = X + sign * F + A.swapaxes(-1, -2) @ G.T
+    M[:, n : 2 * n, n : 2 * n] = sign * (G + G.T)
+    if np.isfinite(gamma):
+        w, z = slice(2 * n, 2 * n + r), slice(2 * n + r, k)
+        M[:, :n, w], M[:, n : 2 * n, w] = F @ Bw, G @ Bw
+        M[:, :n, z], M[:, w, z] = C.swapaxes(-1, -2), Dw.swapaxes(-1, -2)
+        M[:, w, w], M[:, z, z] = sign * gamma * np.eye(r), sign * gamma * np.eye(d)
+    upper = np.triu(M)
+    return upper + np.triu(M, 1).swapaxes(-1, -2)
 
 
 @dataclass(frozen=True, eq=False)

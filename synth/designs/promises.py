@@ -26,7 +26,7 @@ from synth.goals.worst import worst_of_norm
 from synth.plant import GeneralizedPlant
 from synth.tolerance.banded import proof_in_band
 from synth.tolerance.scaled import box_of, scaled_gain
-from synth.tolerance.stable import stable_throughout, stable_with_errors
+from synth.tolerance.stable import bound_throughout, stable_throughout, stable_with_errors
 from synth.tolerance.worst import WorstNorm, worst_norm
 
 FAR = 1e4  # times a norm: of loops that are only known to be stable
@@ -226,6 +226,8 @@ def member_text(i: int, member) -> str:
 
 def _proved(gain: ScaledGain, box: Box, band: Band, unit: float) -> float:
     """What the norm in a band is proved to be at most, by what moves with the errors; infinite where that proves nothing."""
+    if band == EVERYWHERE:
+        return bound_throughout(gain, box, unit)
     proof = proof_in_band(gain, box, *band, unit) if stable_throughout(gain, box) is not None else None
     return proof.gamma if proof is not None else np.inf
 

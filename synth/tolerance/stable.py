@@ -11,13 +11,14 @@ from scipy import linalg
 
 from models.common.arrays import Array
 from models.law import LinearLaw
-from synth.certificate.box import Box, ScaledGain
+from synth.certificate.box import Box, Loops, ScaledGain
 from synth.certificate.moving import MovingX, left_side
 from synth.lmi.barrier import Barrier, newton
 from synth.plant import GeneralizedPlant
 from synth.tolerance.scaled import box_of, scaled_gain
 
 MOST_UNKNOWNS = 700  # of one problem: a second
+CLOSER = (1e-3, 1e-2, 0.1)  # relative; how far above the largest norm met a bound is tried
 PARTS = 12  # into which a box may fall
 BEGIN = 0.1  # G at the start, in the coordinates of the middle
 FASTER, CENTRES, NEAR = 8.0, 16, 1e-2  # of the path, as in `tolerance/common.py`
@@ -52,7 +53,7 @@ def stable_throughout(gain: ScaledGain, box: Box) -> list[tuple[Box, MovingX]] |
             found = moving_x(gain, part)
         except (np.linalg.LinAlgError, ValueError):  # rounding leaves no answer
             found = None
-        if found is not None and found.proves_stable(gain, part):
+        if found is not None and found.holds(gain, part):
             done.append((part, found))
         elif len(todo) + len(done) + 2 > PARTS or not len(part.free):
             return None
@@ -61,37 +62,69 @@ def stable_throughout(gain: ScaledGain, box: Box) -> list[tuple[Box, MovingX]] |
     return done
 
 
-def moving_x(gain: ScaledGain, box: Box) -> MovingX | None:
+def bound_throughout(gain: ScaledGain, box: Box, met: float) -> float:
+    """A bound on all norms of a box that is proved, just above the largest norm met; infinite where none is found."""
+    if unknowns(gain, box) > MOST_UNKNOWNS:
+        return np.inf
+    for above in CLOSER:
+        try:
+            found = moving_x(gain, box, met * (1 + above))
+        except (np.linalg.LinAlgError, ValueError):  # rounding leaves no answer
+            continue
+        if found is not None and found.holds(gain, box):
+            return found.gamma
+    return np.inf
+
+
+def moving_x(gain: ScaledGain, box: Box, gamma: float = np.inf) -> MovingX | None:
     """What satisfies the inequality at all corners of a box; None where there is nothing, or next to nothing.
+
+    Args:
+        gain: its loops.
+        box: of errors.
+        gamma: a bound on its norms; infinite for stability alone.
 
     Raises:
         LinAlgError: rounding leaves no answer.
     """
     if not gain.posed(box):
         return None
-    A, middle = gain.loops(box.corners).A, gain.loops(box.middle).A
-    if not np.all(np.linalg.eigvals(A).real < 0) or not np.all(np.linalg.eigvals(middle).real < 0):
+    everywhere, middle = gain.loops(box.corners), gain.loops(box.middle)
+    if not np.all(np.linalg.eigvals(everywhere.A).real < 0) or not np.all(np.linalg.eigvals(middle.A).real < 0):
         return None
-    n, V = len(middle), len(A)
-    T, rate = own_coordinates(middle)
-    inverse = np.linalg.inv(T)
-    own = inverse @ A @ T / rate
+    T, rate = own_coordinates(middle.A)
+    whole = np.isfinite(gamma)
+    if whole:  # what w moves x by has size one
+        T = T * (np.linalg.norm(np.linalg.solve(T, middle.Bw), 2) / rate)
+    inverse, unit = np.linalg.inv(T), gamma if whole else 1.0
+    A, Bw, C, Dw = everywhere
+    own = Loops(inverse @ A @ T / rate, inverse @ Bw / rate, C @ T / unit, Dw / unit)
+    found = _own_x(own, 1.0 if whole else np.inf)
+    if found is None:
+        return None
+    X, F, G = (unit / rate * inverse.T @ matrix @ inverse for matrix in (found.X, found.F, found.G / rate))
+    return MovingX((X + X.swapaxes(-1, -2)) / 2, F, G, gamma)
+
+
+def _own_x(loops: Loops, gamma: float) -> MovingX | None:
+    """The same in coordinates and units in which all numbers have size one."""
+    (V, n, _), k = loops.Bw.shape, left_side(loops, np.zeros(1), *np.zeros((2, *loops.A.shape[1:])), gamma).shape[-1]
     rows, columns = np.triu_indices(n)
     N = len(rows)
     count = V * N + 2 * n * n + 1
     symmetric = np.zeros((N, n, n))
     symmetric[np.arange(N), rows, columns] = symmetric[np.arange(N), columns, rows] = 1.0
-    general = np.eye(n * n).reshape(n * n, n, n)
-    zero, none = np.zeros((n, n)), np.zeros((1, n, n))
+    general, zero = np.eye(n * n).reshape(n * n, n, n), np.zeros((n, n))
     blocks = []
-    for i, Ai in enumerate(own):
-        at = slice(i * N, (i + 1) * N)
-        F, alone = np.zeros((count, 2 * n, 2 * n)), np.zeros((count, n, n))
-        F[at] = [-left_side(Ai[None], X[None], zero, zero)[0] for X in symmetric]
-        F[V * N : V * N + n * n] = [-left_side(Ai[None], none, unit, zero)[0] for unit in general]
-        F[V * N + n * n : -1] = [-left_side(Ai[None], none, zero, unit)[0] for unit in general]
-        F[-1], alone[at] = np.eye(2 * n), symmetric
-        blocks += [(np.zeros((2 * n, 2 * n)), F), (zero, alone), (LARGEST * np.eye(n), -alone)]
+    for i in range(V):
+        one, at = Loops(*(part[i : i + 1] for part in loops)), slice(i * N, (i + 1) * N)
+        constant = -left_side(one, zero, zero, zero, gamma)[0]
+        F, alone = np.zeros((count, k, k)), np.zeros((count, n, n))
+        F[at] = [-left_side(one, X, zero, zero, gamma)[0] - constant for X in symmetric]
+        F[V * N : V * N + n * n] = [-left_side(one, zero, part, zero, gamma)[0] - constant for part in general]
+        F[V * N + n * n : -1] = [-left_side(one, zero, zero, part, gamma)[0] - constant for part in general]
+        F[-1], alone[at] = np.eye(k), symmetric
+        blocks += [(constant, F), (zero, alone), (LARGEST * np.eye(n), -alone)]
     for start in (V * N, V * N + n * n):  # norms of F and G
         among = np.zeros((count, 2 * n, 2 * n))
         among[start : start + n * n, :n, n:], among[start : start + n * n, n:, :n] = general, general.swapaxes(-1, -2)
@@ -109,9 +142,7 @@ def moving_x(gain: ScaledGain, box: Box) -> MovingX | None:
         if p[-1] < 0:
             X = np.zeros((V, n, n))
             X[:, rows, columns] = X[:, columns, rows] = p[: V * N].reshape(V, N)
-            F, G = p[V * N : -1].reshape(2, n, n)
-            X, F, G = (inverse.T @ matrix @ inverse for matrix in (rate * X, rate * F, G))
-            return MovingX((X + X.swapaxes(-1, -2)) / 2, F, G)
+            return MovingX(X, *p[V * N : -1].reshape(2, n, n), gamma)
         weight *= FASTER
     return None
 
