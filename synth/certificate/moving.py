@@ -41,11 +41,11 @@ class MovingX:
         corners = box.corners
         if not gain.posed(box) or len(self.X) != len(corners) or not hermitian(self.X):
             return False
-        (m, q), (n, r), parts = gain.K.shape, gain.plant.Bw.shape, (self.X, self.F, self.G)
-        sizes = left_side(gain.sizes(corners), *map(np.abs, parts), self.gamma, sign=1.0)
+        (m, q), (n, r) = gain.K.shape, gain.plant.Bw.shape
+        sizes = left_side(gain.sizes(corners), np.abs(self.X), np.abs(self.F), np.abs(self.G), self.gamma, sign=1.0)
         lost = 4 * (2 * n + m * m + m + q + r + 8) * UNIT * sizes
         alone = definite_beyond(self.X, np.zeros_like(self.X))
-        return alone and definite_beyond(-left_side(gain.loops(corners), *parts, self.gamma), lost)
+        return alone and definite_beyond(-left_side(gain.loops(corners), self.X, self.F, self.G, self.gamma), lost)
 
 
 def left_side(loops: Loops, X: Array, F: Array, G: Array, gamma: float = np.inf, sign: float = -1.0) -> Array:

@@ -108,7 +108,8 @@ def moving_x(gain: ScaledGain, box: Box, gamma: float = np.inf) -> MovingX | Non
 
 def _own_x(loops: Loops, gamma: float) -> MovingX | None:
     """The same in coordinates and units in which all numbers have size one."""
-    (V, n, _), k = loops.Bw.shape, left_side(loops, np.zeros(1), *np.zeros((2, *loops.A.shape[1:])), gamma).shape[-1]
+    (V, n, r), d = loops.Bw.shape, loops.C.shape[1]
+    k = 2 * n + (r + d if np.isfinite(gamma) else 0)
     rows, columns = np.triu_indices(n)
     N = len(rows)
     count = V * N + 2 * n * n + 1
@@ -142,7 +143,8 @@ def _own_x(loops: Loops, gamma: float) -> MovingX | None:
         if p[-1] < 0:
             X = np.zeros((V, n, n))
             X[:, rows, columns] = X[:, columns, rows] = p[: V * N].reshape(V, N)
-            return MovingX(X, *p[V * N : -1].reshape(2, n, n), gamma)
+            F, G = p[V * N : -1].reshape(2, n, n)
+            return MovingX(X, F, G, gamma)
         weight *= FASTER
     return None
 
