@@ -9,6 +9,30 @@ from models.common.errors import InputError
 from models.common.threads import one_thread
 from synth.errors import DesignError
 
+# Shapes that do not fit are a fault of this package's own, even where numpy calls them a LinAlgError.
+OF_SHAPES = ("dimension", "square", "shape")
+NUMERIC = ("infs", "NaN", "finite", "singular", "hermitian", "math domain error", "illegal value")  # numpy's, Python's, LAPACK's
+
+
+def of_rounding(error: BaseException) -> bool:
+    """Whether an error says that floats leave no answer: a singular or infinite matrix, and no mistake such as a wrong shape."""
+    said = str(error)
+    if isinstance(error, np.linalg.LinAlgError):
+        return not any(word in said for word in OF_SHAPES)
+    return isinstance(error, ArithmeticError) or (
+        isinstance(error, ValueError) and not isinstance(error, InputError) and any(word in said for word in NUMERIC)
+    )
+
+
+@contextmanager
+def up_to_rounding() -> Iterator[None]:
+    """What floats leave no answer to ends what is within, in silence: as a descent on the border of stability."""
+    try:
+        yield
+    except (ValueError, ArithmeticError) as error:
+        if not of_rounding(error):
+            raise
+
 
 @contextmanager
 def numerics() -> Iterator[None]:
@@ -22,7 +46,7 @@ def numerics() -> Iterator[None]:
     with one_thread(), np.errstate(all="ignore"):
         try:
             yield
-        except InputError:
-            raise
-        except (ValueError, ArithmeticError) as error:  # a ValueError is LinAlgError, and scipy's word for what is not finite
+        except (ValueError, ArithmeticError) as error:
+            if not of_rounding(error):
+                raise
             raise DesignError(f"rounding leaves no answer ({error}); give the plant in other units") from error

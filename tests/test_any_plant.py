@@ -1,5 +1,6 @@
 """Whatever the plant: a design, a bound or a certificate, or one line that says why there is none; and nothing on stderr."""
 
+import math
 import time
 import warnings
 from collections.abc import Callable
@@ -7,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy import linalg
 
 from models.common.errors import InputError
 from synth.certificate.bounding import certify_tightly
@@ -16,7 +18,7 @@ from synth.errors import DesignError
 from synth.fallback import two_steps_or_descent
 from synth.lmi.barrier import Barrier, newton
 from synth.lmi.full_order import find_lower_bound
-from synth.numerics import numerics
+from synth.numerics import numerics, up_to_rounding
 from synth.plant import SHAPES, Feedback, GeneralizedPlant
 from synth.redesign import two_step_designs
 from synth.search.descent import along_edges, lowest_point
@@ -162,6 +164,39 @@ def test_what_rounding_leaves_without_an_answer_is_said():
         door(InputError("Cy has no rows"))
     with pytest.raises(AssertionError):
         door(AssertionError())
+
+
+def test_what_does_not_fit_is_no_rounding():
+    """A mistake of this package's own, as shapes that do not fit, is never said to be rounding, nor ends a search in silence."""
+    wrong = (
+        lambda: np.ones(12) + np.ones(4),
+        lambda: np.ones((2, 3)) @ np.ones((2, 3)),
+        lambda: np.linalg.inv(np.ones((2, 3))),
+        lambda: np.linalg.eigvals(np.ones(3)),
+        lambda: linalg.solve_continuous_lyapunov(np.eye(2), np.eye(3)),
+        lambda: linalg.solve(np.eye(2), np.ones(3)),
+        lambda: [*zip([1], [1, 2], strict=True)],
+        lambda: float("nonsense"),
+    )
+    for mistake in wrong:
+        for within in (numerics, up_to_rounding):
+            with pytest.raises(ValueError) as raised, within():  # noqa: PT011 - whatever numpy says
+                mistake()
+            assert not isinstance(raised.value, InputError)
+    for answer in (
+        lambda: np.linalg.inv(np.zeros((2, 2))),
+        lambda: np.linalg.cholesky(-np.eye(2)),
+        lambda: linalg.eigvals(np.full((2, 2), np.nan)),
+        lambda: linalg.solve(np.zeros((2, 2)), np.ones(2)),
+        lambda: np.linalg.eigvals(np.full((2, 2), np.inf)),
+        lambda: linalg.solve_continuous_are(np.eye(2), np.zeros((2, 1)), np.eye(2), np.eye(1)),
+        lambda: math.log(-1.0),
+        lambda: int(float("nan")),
+    ):
+        with up_to_rounding():
+            answer()
+        with pytest.raises(DesignError, match="rounding leaves no answer"), numerics():
+            answer()
 
 
 @pytest.mark.parametrize("count", [0, 1])

@@ -53,7 +53,8 @@ ROOMS = {
     "synth.plant synth.scaling",
     "synth.full": "models synth.certificate synth.discrete synth.dynamic synth.errors synth.lmi synth.modes synth.numerics "
     "synth.plant synth.scaling synth.search",
-    "synth.tolerance": "models synth.certificate synth.discrete synth.dynamic synth.lmi synth.numerics synth.plant synth.search",
+    "synth.tolerance": "models synth.certificate synth.discrete synth.dynamic synth.errors synth.lmi synth.numerics synth.plant "
+    "synth.search",
     "synth.fallback": "synth.certificate synth.design synth.errors synth.lmi synth.plant synth.search",
     "synth.redesign": "synth.design synth.errors synth.fallback synth.lmi synth.numerics synth.plant synth.scaling",
     "synth.problem": "models models.filters synth.dynamic synth.plant",
@@ -127,7 +128,13 @@ LONG: dict[str, str] = {  # files with more lines, and why
 
 # Who may import what is heavy, or replaceable.
 OWNERS = {
-    "cvxpy": {"synth/energy/lmi.py", "synth/lmi/clarabel.py", "synth/band/witness.py", "synth/family/lmi.py"},
+    "cvxpy": {
+        "synth/energy/lmi.py",
+        "synth/lmi/clarabel.py",
+        "synth/band/witness.py",
+        "synth/family/lmi.py",
+        "synth/tolerance/banded.py",
+    },
     "tomllib": {"models/common/toml.py"},
     "mujoco": {
         "models/mjcf.py",

@@ -3,6 +3,7 @@
 import itertools
 import json
 import re
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -509,7 +510,10 @@ def test_a_bound_with_errors_is_proved_where_it_is_kept():
     controller = Designer(vehicle_with(section)).design("goal")
     with_errors = {promise.what: promise for promise in controller.promises}
     assert with_errors["norm, with errors"].holds
-    assert with_errors["slowest pole, with errors"].value <= -1.0
+    slowest = with_errors["slowest pole, with errors"]
+    assert slowest.value <= -1.0
+    assert slowest.holds
+    assert slowest.proved == -1.0
 
 
 def test_the_picture_of_a_band(tmp_path, capsys):
@@ -563,3 +567,35 @@ def test_ctrl_c_keeps_the_best_so_far(tmp_path, capsys, monkeypatch):
     printed = capsys.readouterr().out
     assert "interrupted: the best within all bounds until then" in printed
     assert "promise: norm from 4 to 8 Hz" in printed
+
+
+def test_an_energy_peak_beside_a_filter():
+    """Whatever is minimised beside filters in [performance], a road's energy bounds a signal as where there are none."""
+    bound = '{ energy_peak = "tyre_deflection", energy = 0.01, at_most = 0.05 }'
+    section = f"measured = {TWO}\nminimise = {{ signals = {{ sprung_acceleration = 1.0 }} }}\nbounds = [{bound}]"
+    plain = vehicle_with(section)
+    filtered = parse_vehicle(
+        plain.text.replace("sprung_acceleration = 1.0\n", 'sprung_acceleration = { filter = "iso2631_wk" }\n', 1)
+    )
+    assert filtered.filters
+    one, other = (Designer(vehicle).design("goal") for vehicle in (plain, filtered))
+    assert other.promises[1].what == "largest tyre_deflection for roads of 0.01 m2/s"
+    assert [each.value for each in other.promises] == pytest.approx(
+        [each.value for each in one.promises], rel=1e-3
+    )  # other starts
+
+
+@pytest.mark.parametrize("signal", ["suspension_deflection", "control_force"])
+def test_a_peak_of_a_loop_whose_poles_are_all_real(signal):
+    """Where no pole swings a road's response is computed as where one does, without a warning, and is the other solver's."""
+    gain = [[10121.047619047633, -108653.04761904797, -1630.6525396825323, 5240.445079365075]]
+    measured = '["suspension_deflection", "tyre_deflection", "sprung_velocity", "unsprung_velocity"]'
+    bound = f'{{ peak = "{signal}", road = "bump", at_most = 1e4 }}'
+    vehicle = vehicle_with(f"measured = {measured}\ngain = {gain}\nbounds = [{bound}]")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        controller = Designer(vehicle).design("goal")
+    assert all(pole.imag == 0 for pole in controller.certificate.poles)
+    response = continuous_response(vehicle, controller, Bump(), np.linspace(0.0, 4.0, 8001))
+    peak = next(each for each in controller.promises if "over bump" in each.what)
+    assert peak.value == pytest.approx(np.abs(response[signal]).max(), rel=1e-5)  # its times are 0.5 ms apart

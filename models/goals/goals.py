@@ -63,7 +63,7 @@ class PeakBound:
     Attributes:
         signal: its name.
         road: as `--road` takes it.
-        speed: [m/s]; None for the road's own.
+        speed: [m/s]; None for the usual 12.5 m/s, whatever road it is.
         at_most: the bound.
     """
 

@@ -55,3 +55,25 @@ def definiteness(M: Array) -> Definiteness:
         factor = np.full_like(M, np.nan)
     smallest = float(np.linalg.eigvalsh(M)[0]) if k else np.inf
     return Definiteness(smallest, shift, bool(np.all(np.isfinite(factor))))
+
+
+def definite_beyond(M: Array, lost: Array) -> bool:
+    """Whether all matrices of a stack are positive definite whose entries are within a distance of those of M.
+
+    Args:
+        M: shape (V, k, k); their symmetric parts are meant.
+        lost: the distance of each entry, shape (V, k, k).
+    """
+    M = (M + M.swapaxes(-1, -2)) / 2
+    diagonal = np.diagonal(M, axis1=-2, axis2=-1)
+    if not (np.all(diagonal >= SMALLEST) and np.abs(M).max() <= 1 / SMALLEST):  # not if there is a NaN, either
+        return False
+    scale = np.exp2(-np.round(np.log2(diagonal) / 2))  # powers of two: nothing is rounded
+    across = scale[..., :, None] * scale[..., None, :]
+    M, lost, k = M * across, lost * across, M.shape[-1]
+    shift = 2 * (lost.sum(axis=-1).max(axis=-1) + (k + 5) * UNIT * np.trace(M, axis1=-2, axis2=-1)) + TINY
+    try:
+        factors = np.linalg.cholesky(M - shift[:, None, None] * np.eye(k))
+    except np.linalg.LinAlgError:
+        return False
+    return bool(np.all(np.isfinite(factors)))

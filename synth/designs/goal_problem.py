@@ -54,11 +54,12 @@ def goal_problem(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> Goal
     vehicles = family_of(vehicle, entry, goals)
     norms = [goals.minimise, *(bound.norm for bound in goals.bounds if isinstance(bound, NormBound))]
     peaks = [(bound, _road(vehicle, entry, bound)) for bound in goals.bounds if isinstance(bound, PeakBound)]
+    energies = [bound for bound in goals.bounds if isinstance(bound, EnergyBound)]
     members = tuple(
         Member(
             tuple(_posed(each, entry, norm) for norm in norms),
             tuple(_driven(each, entry, bound, road) for bound, road in peaks),
-            tuple(_signal(each, entry, bound) for bound in goals.bounds if isinstance(bound, EnergyBound)),
+            tuple(_signal(weighing(each, goals.minimise), entry, bound) for bound in energies),
         )
         for each in vehicles
     )

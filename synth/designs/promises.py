@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -12,20 +12,40 @@ from models.goals.goals import DecayBound, EnergyBound, GainBound, Goals, NormBo
 from models.law import static_law
 from models.vehicle import Vehicle
 from synth.band.norm import norm_in_band
+from synth.certificate.box import Box, ScaledGain
 from synth.certificate.promise import Promise
 from synth.certificate.stability import stability
 from synth.dynamic.loop import on_larger_plant
 from synth.energy.peaks import energy_peaks
 from synth.errors import DesignError
-from synth.goals.banded import EVERYWHERE
+from synth.goals.banded import EVERYWHERE, Band
 from synth.goals.filtered import in_band
 from synth.goals.problem import Errors, GoalProblem, NormGoal, Posed
 from synth.goals.road_largest import largest_over_road
 from synth.goals.worst import worst_of_norm
 from synth.plant import GeneralizedPlant
+from synth.tolerance.banded import proof_in_band
+from synth.tolerance.scaled import box_of, scaled_gain
+from synth.tolerance.stable import bound_throughout, stable_throughout, stable_with_errors
 from synth.tolerance.worst import WorstNorm, worst_norm
 
 FAR = 1e4  # times a norm: of loops that are only known to be stable
+NEAR = 1.01  # times what is met: a bound that is so close needs no other
+
+
+@dataclass(frozen=True, eq=False)
+class Worst:
+    """A norm with the worst errors.
+
+    Attributes:
+        found: the largest met.
+        proved: what none exceeds; infinite where that is not known.
+        errors: at which it was met.
+    """
+
+    found: float
+    proved: float
+    errors: Errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +64,7 @@ class Judged:
     goals: Goals
     asked: GoalProblem
     K: Array
-    known: dict[NormGoal, list[WorstNorm]] = field(default_factory=dict)
+    known: dict[NormGoal, list[Worst]] = field(default_factory=dict)
 
     @property
     def names(self) -> list[str]:
@@ -88,7 +108,7 @@ class Judged:
         wholes = self.worst(asked)
         i = int(np.argmax([whole.found for whole in wholes]))
         names = (*self.entry.measured, *self.vehicle.linear_model.inputs)
-        off = zip(names, (*wholes[i].readings, *wholes[i].forces), strict=True)
+        off = zip(names, (*wholes[i].errors.sensors, *wholes[i].errors.forces), strict=True)
         where = ", ".join(text for text in (self.names[i], *(f"{name} {100 * e:+.3g} %" for name, e in off if e)) if text)
         proved = max(whole.proved for whole in wholes)
         return [*found, Promise(f"{what}, with errors", wholes[i].found, proved, at_most, where=where)]
@@ -106,24 +126,42 @@ class Judged:
         with_errors = ", with errors" if asked.errors else ""
         return Promise(f"largest ratio to a vehicle's own best{with_errors}", ratios[i], upper, where=self.names[i])
 
-    def worst(self, asked: NormGoal) -> list[WorstNorm]:
-        """The norm of every member with the worst errors; in a band proved through a filter that is at least one there."""
-        if asked in self.known:
-            return self.known[asked]
-        found = []
-        for i, member in enumerate(self.asked.members):
-            best = self.asked.bests[i] if asked is self.asked.minimise and self.asked.bests is not None else 1.0
-            enough = asked.at_most if np.isfinite(asked.at_most) else None
-            whole = self.worst_of(in_band(member.posed[asked.which], asked.band), enough)
-            if asked.band != EVERYWHERE:  # what is proved is of the filter's norm; what is met, of the band's own
-                _, met = worst_of_norm(self.asked, i, asked, best, self.K)
-                tried = [met, Errors(whole.readings, whole.forces), self.asked.none]
-                values = [_norm(each.on(member.posed[asked.which]), self.K, asked)[0] for each in tried]
-                at = tried[int(np.argmax(values))]
-                whole = replace(whole, found=max(values), readings=at.sensors, forces=at.forces)
-            found.append(whole)
-        self.known[asked] = found
-        return found
+    def worst(self, asked: NormGoal) -> list[Worst]:
+        """The norm of every member with the worst errors."""
+        if asked not in self.known:
+            whole = asked.band == EVERYWHERE
+            self.known[asked] = [self.worst_whole(i, asked) if whole else self.worst_in_band(i, asked) for i in range(self.count)]
+        return self.known[asked]
+
+    @property
+    def count(self) -> int:
+        """Of the members of the family."""
+        return len(self.asked.members)
+
+    def worst_whole(self, i: int, asked: NormGoal) -> Worst:
+        """The norm of a member at all frequencies with the worst errors."""
+        posed, tolerance = self.asked.members[i].posed[asked.which], self.asked.tolerance
+        found = self.worst_of(posed, asked.at_most if np.isfinite(asked.at_most) else None)
+        proved, enough = found.proved, max(NEAR * found.found, asked.at_most if np.isfinite(asked.at_most) else 0.0)
+        if not proved <= enough and posed.plant.dt is None and not found.unstable:
+            gain = scaled_gain(posed.plant, posed.Cy, self.K, posed.Dyw)
+            proved = min(proved, _proved(gain, box_of(gain, tolerance.sensors, tolerance.forces), EVERYWHERE, found.found))
+        return Worst(found.found, proved, Errors(found.readings, found.forces))
+
+    def worst_in_band(self, i: int, asked: NormGoal) -> Worst:
+        """The norm of a member in a band with the worst errors: met, and proved by what moves with them, or through a filter."""
+        posed, tolerance = self.asked.members[i].posed[asked.which], self.asked.tolerance
+        best = self.asked.bests[i] if asked is self.asked.minimise and self.asked.bests is not None else 1.0
+        tried = [worst_of_norm(self.asked, i, asked, best, self.K)[1], self.asked.none]
+        unit = max(_norm(each.on(posed), self.K, asked)[0] for each in tried)
+        gain = scaled_gain(posed.plant, posed.Cy, self.K, posed.Dyw)
+        box = box_of(gain, tolerance.sensors, tolerance.forces)
+        proved = np.inf if posed.plant.dt is not None else _proved(gain, box, asked.band, unit)
+        if not proved <= NEAR * unit:  # the norm behind the filter is at least that in the band
+            behind = self.worst_of(in_band(posed, asked.band), asked.at_most if np.isfinite(asked.at_most) else None)
+            tried, proved = [Errors(behind.readings, behind.forces), *tried], min(proved, behind.proved)
+        values = [_norm(each.on(posed), self.K, asked)[0] for each in tried]
+        return Worst(max(values), proved, tried[int(np.argmax(values))])
 
     def worst_of(self, posed: Posed, enough: float | None = None) -> WorstNorm:
         """The norm of one plant with the worst errors; a bound that would be enough is tried by itself."""
@@ -143,10 +181,16 @@ class Judged:
             met.append(max(_slowest(errors.on(member.posed[0]), self.K), slowest[i]))
             moved = _moved(member.posed[0], rate)
             norm = _norm(errors.on(moved), self.K, NormGoal())[0] if beyond < 1 else np.inf
-            whole = self.worst_of(moved, FAR * norm) if np.isfinite(norm) else None
-            proved = max(proved, -rate if whole is not None and np.isfinite(whole.proved) else np.inf)
+            proved = max(proved, -rate if np.isfinite(norm) and self.stable(moved, FAR * norm) else np.inf)
         i = int(np.argmax(met))
         return [*found, Promise("slowest pole, with errors", met[i], proved, -rate, "rad/s", self.names[i])]
+
+    def stable(self, posed: Posed, enough: float) -> bool:
+        """Whether one plant is proved to be stable with all errors: by itself, or by a bound on its norm."""
+        tolerance = self.asked.tolerance
+        if stable_with_errors(posed.plant, posed.Cy, self.K, tolerance.sensors, tolerance.forces):
+            return True
+        return bool(np.isfinite(self.worst_of(posed, enough).proved))
 
     def energy_peak(self, bound: EnergyBound, which: int) -> Promise:
         """The largest magnitude of a signal for all roads of given energy."""
@@ -178,6 +222,14 @@ def member_text(i: int, member) -> str:
     """A member of a family in words."""
     factors = " and ".join(f"{name} x {factor:g}" for name, factor in member.items())
     return f"vehicle {i}, {factors or 'as it is'}"
+
+
+def _proved(gain: ScaledGain, box: Box, band: Band, unit: float) -> float:
+    """What the norm in a band is proved to be at most, by what moves with the errors; infinite where that proves nothing."""
+    if band == EVERYWHERE:
+        return bound_throughout(gain, box, unit)
+    proof = proof_in_band(gain, box, *band, unit) if stable_throughout(gain, box) is not None else None
+    return proof.gamma if proof is not None else np.inf
 
 
 def _norm(posed: Posed, K: Array, asked: NormGoal) -> tuple[float, float, float]:

@@ -4,13 +4,13 @@ It is `synth.search.descent.along_edges`, over the terms of a problem instead of
 functions that support the terms, linearised, plus their curvature; what a failed step met joins the model.
 """
 
-import contextlib
 from collections.abc import Callable
 
 import numpy as np
 
 from models.common.arrays import Array
 from synth.goals.terrain import Height, Model, Terrain, stacked
+from synth.numerics import up_to_rounding
 from synth.search.descent import convex, lowest_point
 
 ROUNDS = 60
@@ -41,7 +41,7 @@ def descend(
         settled: the relative fall that a step promises at which it ends there, too; else it looks closer first.
     """
     walk = _Walk(terrain, x, M, settled)
-    with contextlib.suppress(ValueError):  # singular, says numpy, or not finite, says scipy: of a loop on the border of stability
+    with up_to_rounding():  # of a loop on the border of stability
         for _ in range(rounds):
             if walk.height.goal <= enough or not walk.step():
                 break

@@ -141,7 +141,7 @@ class Response:
 
     def motion(self, A: Array) -> tuple[Array, Array]:
         """xi at all times, shape (T, n), and at the ends of all pieces, shape (P, n), for a loop matrix."""
-        values, vectors = np.linalg.eig(A)
+        values, vectors = (np.asarray(part, complex) for part in np.linalg.eig(A))  # numpy's are real where all poles are
         E = A @ self.driven.Bw + self.driven.Br
         try:
             inverse = np.linalg.inv(vectors)
@@ -153,14 +153,16 @@ class Response:
         from scipy.signal import lfilter  # half a second
 
         driven = inverse @ E
-        forcing = self._modal(values, driven, self.at_nodes, self.h)
+        forcing = self._modal(values, driven, self.at_nodes, np.full(1, self.h))
         ends, state, into = np.zeros((len(self.pieces), len(A)), complex), np.zeros(len(A), complex), -1
+        lengths = np.array([piece.length for piece in self.pieces])
+        decays = np.exp(lengths[:, None] * values)
+        nodes = np.array([piece.nodes for piece in self.pieces]).reshape(len(lengths), *self.at_nodes.shape[1:])
+        of_road = self._modal(values, driven, nodes, lengths)
         for i, piece in enumerate(self.pieces):  # from rest at the begin of its step, the step's own motion comes later
             if piece.step != into:
                 into, state = piece.step, np.zeros(len(A), complex)
-            state = np.exp(values * piece.length) * state
-            state = state + self._modal(values, driven, piece.nodes[None], piece.length)[0]
-            ends[i] = forcing[piece.step] = state
+            ends[i] = forcing[piece.step] = state = decays[i] * state + of_road[i]
         modes = np.zeros((len(self.time), len(A)), complex)
         for i, factor in enumerate(np.exp(values * self.h)):
             modes[1:, i] = lfilter([1.0], [1.0, -factor], forcing[:, i])
@@ -168,10 +170,10 @@ class Response:
             ends[i] += np.exp(values * (piece.start + piece.length - self.time[piece.step])) * modes[piece.step]
         return np.real(modes @ vectors.T), np.real(ends @ vectors.T)
 
-    def _modal(self, values: Array, driven: Array, nodes: Array, length: float) -> Array:
-        """What the road adds to the modes over steps of a length, shape (T, n)."""
-        kernel = length * self.w[:, None] * np.exp(values * length * (1 - self.s[:, None]))
-        return np.einsum("tqk,nk,qn->tn", nodes, driven, kernel, optimize=True)
+    def _modal(self, values: Array, driven: Array, nodes: Array, lengths: Array) -> Array:
+        """What the road adds to the modes over steps of T lengths, or of one, shape (T, n)."""
+        kernel = lengths[:, None, None] * self.w[:, None] * np.exp(lengths[:, None, None] * values * (1 - self.s[:, None]))
+        return ((nodes @ driven.T) * kernel).sum(axis=1)
 
     def _step_by_step(self, A: Array, E: Array) -> tuple[Array, Array]:
         """The same where the modes lose too many digits."""

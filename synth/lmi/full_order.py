@@ -24,9 +24,10 @@ from synth.certificate.side import Side, meeting, transposed
 from synth.certificate.stability import balance
 from synth.certificate.zeros import zero_limit
 from synth.discrete.bilinear import mapped, true_frequency
+from synth.errors import DesignError
 from synth.lmi.barrier import Barrier, Block, boundary, newton
 from synth.lmi.central import CENTRED, INSIDE, CentralPoint, along_path
-from synth.numerics import numerics
+from synth.numerics import numerics, up_to_rounding
 from synth.plant import GeneralizedPlant, measurement_matrices
 from synth.scaling import size
 
@@ -104,7 +105,7 @@ def _for_state_feedback(plant: GeneralizedPlant, one: Side, path: Sequence[Centr
 def _along_the_walk(plant: GeneralizedPlant, dual: GeneralizedPlant | None, one: Side, other: Side | None) -> LowerBound:
     """The best bound of `_walk`; 0 where the problem has no solution, or none at a finite gain."""
     points = []
-    with contextlib.suppress(np.linalg.LinAlgError, OverflowError, ValueError), np.errstate(all="ignore"):
+    with contextlib.suppress(DesignError), up_to_rounding(), np.errstate(all="ignore"):
         for point in _walk(plant, dual, one, other):
             points.append(point)
     return _sharpest(one, other, points)

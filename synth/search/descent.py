@@ -7,13 +7,13 @@
   far a step may go where the curvature says nothing, or has the wrong sign, is measured in the coordinates of `coordinates.py`.
 """
 
-import contextlib
 from collections.abc import Callable, Iterator
 
 import numpy as np
 from scipy import linalg, optimize
 
 from models.common.arrays import Array
+from synth.numerics import up_to_rounding
 from synth.search.coordinates import alike
 from synth.search.landscape import Landscape
 
@@ -95,7 +95,7 @@ def along_edges(landscape: Landscape, x: Array, limit: Array, rounds: int) -> tu
 def _stage(landscape: Landscape, x: Array, limit: Array, rounds: int) -> tuple[Array, float]:
     """Rounds of one stage: until ten of them gain less than a hundred thousandth, or rounding leaves no model of the norm."""
     height, at = landscape.norm(x)
-    with contextlib.suppress(ValueError):  # singular, says numpy, or not finite, says scipy
+    with up_to_rounding():
         for each in _rounds(landscape, x, height, at, limit, rounds):
             x, height = each
     return x, height

@@ -29,7 +29,7 @@ from synth.certificate.lower_bound import LowerBound
 from synth.design import Design, two_step_design
 from synth.dynamic.loop import on_larger_plant
 from synth.errors import DesignError
-from synth.numerics import numerics
+from synth.numerics import numerics, up_to_rounding
 from synth.plant import GeneralizedPlant, check_states
 from synth.scaling import size
 from synth.search.coordinates import alike
@@ -258,10 +258,9 @@ class _Search:
         """A candidate after a descent; as it was where that led no lower."""
         if self.reached(candidate):
             return candidate
-        try:
+        moved: list[Candidate] = []
+        with up_to_rounding():  # of a loop on the border of stability
             moved = self.admitted(descent(candidate.x, rounds), candidate.origin)
-        except ValueError:  # of a loop on the border of stability: singular, says numpy, or not finite, says scipy
-            return candidate
         return min([candidate, *moved], key=lambda each: each.norm)
 
     def reached(self, candidate: Candidate, to: float = REACHED) -> bool:
