@@ -9,7 +9,7 @@ import pytest
 
 from models.roads.rig import Rig
 from models.vehicle import Vehicle, parse_vehicle, read_vehicle
-from sim.frequency.eusama import load_failures, minimum_loads
+from sim.frequency.eusama import load_failures, load_object, minimum_loads
 from sim.runs.run import run_all, sample_times
 from sim.sweep import main
 from synth.designer import design
@@ -111,7 +111,7 @@ def test_why_it_is_disputed():
 
 
 def test_outside_the_linear_regime():
-    """Where a bump stop is touched MuJoCo's own least load is given, as a plate driven as a rig is finds it, and is no failure."""
+    """Where a bump stop is touched MuJoCo's own least load is given, as on a plate driven like a rig, and is no failure."""
     vehicle, h = car("[limits]\nsuspension_stroke = 1e-3\nstop_stiffness = 1e5\n"), 5e-4
     ((load,),) = minimum_loads(vehicle, [design(vehicle, "passive")], h)
     assert load.ended == ("bump stop",)
@@ -122,6 +122,17 @@ def test_outside_the_linear_regime():
     static = vehicle.kind.static_tyre_deflection(vehicle.parameters)["tyre_deflection"]
     assert load.measured == pytest.approx(max(0.0, 1 - run.physics["tyre_deflection"][-8000:].max() / static), abs=5e-3)
     assert load.measured != pytest.approx(load.driven, abs=5e-3)
+
+
+def test_curve():
+    """Where a damper has a curve MuJoCo's least load is the curve's, held to no line of it, and a digressive one leaves less."""
+    curve = "[curves]\nsuspension_damping = { velocity = [-1.0, -0.2, 0, 0.2, 1.0], force = [-700, -360, 0, 360, 700] }\n"
+    text = car().text.replace("suspension_damping = 1800.0\n", "") + curve
+    straight, curved = (minimum_loads(one, [design(one, "passive")], H)[0][0] for one in (car(), parse_vehicle(text)))
+    assert straight.ratio == pytest.approx(curved.ratio, abs=1e-9)
+    assert curved.measured < straight.measured - 0.02
+    assert load_failures([curved]) == []
+    assert load_object([curved])["tyres"]["tyre_deflection"]["allowed"] is None
 
 
 def test_printed(capsys, tmp_path):

@@ -207,6 +207,7 @@ def test_bad_files(text, said, tmp_path, capsys):
     [
         (["--road", "rig"], "a rig is given by its drive file"),
         (["--road", "rig:depth=2"], "a rig is given by its drive file"),
+        (["--road", "rig:file=drive.rsp"], "a file in RPC III (.rsp, .drv) is not read: have its channels exported as text"),
         (["--road", "rig:file=none.csv"], "drive file none.csv: there is no such file"),
         (["--road", "rig:file=DRIVE:height_unit=foot"], "height_unit = 'foot' is unknown"),
         (["--road", "rig:file=DRIVE:speed=2"], "'speed=2' is not NAME=VALUE with a NAME out of"),

@@ -25,6 +25,7 @@ SYNTAX = (
 )
 TABLE = ("distance_unit", "height_unit", "separator", "columns")  # of a .csv or .txt file
 FILE = re.compile(r"(?P<path>.+\.(?P<suffix>csv|txt|crg))(?P<settings>(:\w+=[^:]*|:[^:\\/]*)*)", re.IGNORECASE | re.DOTALL)
+RPC = "; a file in RPC III (.rsp, .drv) is not read: have its channels exported as text"
 RIG = re.compile(r"rig:file=(?P<path>.+\.(?P<suffix>csv|txt))(?P<settings>(:\w+=[^:]*|:[^:\\/]*)*)", re.IGNORECASE | re.DOTALL)
 
 
@@ -131,7 +132,9 @@ def _rig(text: str, folder: Path) -> RoadChoice:
     """A rig's posts, of a drive file."""
     file = RIG.fullmatch(text)
     if file is None:
-        raise InputError(f"road {text!r}: a rig is given by its drive file; give a .csv or .txt file, as in rig:file=drive.csv")
+        raise InputError(
+            f"road {text!r}: a rig is given by its drive file; give a .csv or .txt file, as in rig:file=drive.csv{RPC}"
+        )
     try:
         settings = _settings(file["settings"], SETTINGS)
         rig = read_rig(folder / file["path"], settings)

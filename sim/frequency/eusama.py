@@ -52,7 +52,7 @@ class MinimumLoad:
         omega: where that is [rad/s].
         driven: predicted at the frequency that MuJoCo drives, next to it, before it is cut at 0.
         measured: there in MuJoCo.
-        allowed: how far they may be apart, where the regime is linear.
+        allowed: how far they may be apart; infinite where a damper or spring has a curve, and what is predicted is of its line.
         ended: what ended it.
     """
 
@@ -121,12 +121,15 @@ def _driven(
     waves[0, wheel] = STROKE * tried[0]
     run = simulate([vehicle], [controller], [Apart.under(vehicle, tried, waves, float(time[-1]))], time).response.run(0)
     ended = ended_by(vehicle, run)
-    if ended:
+    curved = bool(vehicle.fitted)
+    if ended or curved:
         measured = max(0.0, 1 - float(run[tyre][-samples:].max()) / static[tyre])
     else:
         lines = fit(vehicle, controller, run, tried, samples, images(tried, vehicle, timestep))
         measured = 1 - float(np.abs(lines[tyre][0])) / static[tyre]
     allowed = share * exact * (min(SLACK * abs(integrated / exact - 1), COARSEST) + TURNING)
+    if curved:
+        allowed = math.inf
     peak = float(_amplitude(vehicle, controller, wheel, np.array([omega]), timestep, linalg.expm)[0])
     return MinimumLoad(tyre, max(0.0, 1 - share * peak), omega, 1 - share * exact, measured, allowed, tuple(ended))
 
@@ -148,7 +151,7 @@ def load_lines(loads: Sequence[MinimumLoad]) -> list[str]:
             f"{100 * one.ratio:.2f}",
             f"{100 * one.measured:.2f}",
             f"{one.omega / (2 * math.pi):.2f}",
-            ", ".join(one.ended),
+            ", ".join(one.ended) or ("curve" if math.isinf(one.allowed) else ""),
         )
         for one in loads
     ]
@@ -166,7 +169,7 @@ def load_object(loads: Sequence[MinimumLoad]) -> dict[str, Any]:
                 "omega": one.omega,
                 "driven": one.driven,
                 "mujoco": finite(one.measured),
-                "allowed": one.allowed,
+                "allowed": finite(one.allowed),
                 "ended": list(one.ended),
             }
             for one in loads

@@ -1,0 +1,29 @@
+"""The published semi-active car that ships: its numbers are its source's, and every command takes it."""
+
+import json
+
+from models.vehicle import read_vehicle
+from sim.bump import main as bump
+from synth.__main__ import main as synth
+
+VEHICLE = "quarter_car_semi_active"
+# eFMI's test case M06, QuarterVehiclePlant: m_b, m_w, c_b, c_w; dMin and dMax.
+SOURCE = {"sprung_mass": 250.0, "unsprung_mass": 30.0, "suspension_stiffness": 20e3, "tyre_stiffness": 250e3}
+LEAST, MOST = 200.0, 1000.0
+
+
+def test_numbers_of_the_source():
+    """Masses and stiffnesses are the source's, and the nominal damper is midway between its limits."""
+    vehicle = read_vehicle(VEHICLE)
+    assert {name: vehicle.parameters[name] for name in SOURCE} == SOURCE
+    assert vehicle.parameters["suspension_damping"] == (LEAST + MOST) / 2
+
+
+def test_every_claim_holds(capsys):
+    """Its controllers are designed and certified, the given one too, and they agree with physics over a bump."""
+    assert synth(["--vehicle", VEHICLE, "--json"]) == 0
+    capsys.readouterr()
+    assert bump(["--vehicle", VEHICLE, "--controller", "all", "--height", "0.02", "--duration", "1", "--no-logs", "--json"]) == 0
+    runs = json.loads(capsys.readouterr().out)["runs"]
+    assert {run["controller"]["name"] for run in runs} == {"passive", "state", "I", "sky"}
+    assert all(run["agrees"] for run in runs)
