@@ -1,8 +1,8 @@
 """A rig's drive file as text: a column of time, and one of heights for each wheel, named and with its unit above it.
 
-MTS's binary RPC III is not read. The public package for it, rpc-reader 0.9 of 2022, is not fit for files that may be damaged or
-of another machine: it ends the process where a header is wrong, takes as much memory as the header says, reads big-endian files as
-if they were little-endian, and prints as it goes.
+MTS's binary RPC III is not read. The public package for it, rpc-reader 0.9 of 2022, is not fit for files that may be damaged,
+or of another machine: it ends the process where a header is wrong, takes as much memory as the header says, reads big-endian
+files as if they were little-endian, and prints as it goes.
 """
 
 import re
