@@ -13,9 +13,11 @@ LEAST, MOST = 200.0, 1000.0
 
 
 def test_numbers_of_the_source():
-    """Masses and stiffnesses are the source's, and the nominal damper is midway between its limits."""
+    """Masses, stiffnesses and the damper's limits are the source's, and the nominal damper is midway between these."""
     vehicle = read_vehicle(VEHICLE)
     assert {name: vehicle.parameters[name] for name in SOURCE} == SOURCE
+    (damper,) = vehicle.dampers.values()
+    assert (damper.c_min, damper.c_max) == (LEAST, MOST)
     assert vehicle.parameters["suspension_damping"] == (LEAST + MOST) / 2
 
 
