@@ -99,7 +99,8 @@ ROOMS = {
     "sim.asked": "models.figures sim.command sim.frequency sim.response models.roads sim.runs sim.stability sim.validity",
     "sim.inspect": "sim.asked sim.linear sim.physics sim.recording sim.response sim.ride models.roads sim.runs "
     "synth.designs synth.dynamic synth.problem synth.words",
-    "sim.campaign": "sim.command sim.linear sim.physics sim.response sim.ride models.roads sim.runs synth.designer",
+    "sim.campaign": "models.figures sim.command sim.linear sim.physics sim.response sim.ride models.roads sim.runs "
+    "synth.designer",
     "sim.report": "sim.command models.figures sim.frequency sim.linear sim.physics sim.response sim.ride models.roads "
     "sim.runs sim.stability sim.validity synth.designer synth.designs synth.errors synth.front synth.paper synth.words",
     "sim.bump": "models.figures sim.asked sim.command models.roads sim.runs synth.designer",

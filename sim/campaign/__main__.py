@@ -3,8 +3,7 @@
 import argparse
 import json
 import sys
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
 
@@ -16,11 +15,15 @@ from models.common.printed import Whole, say
 from models.common.progress import Stages
 from models.common.read_file import TEXT, read_text
 from models.common.versions import versions
+from models.figures.outputs import check_outputs, written, written_lines
+from models.figures.picture import write_picture
 from sim.campaign.columns import columns, described
 from sim.campaign.controllers import as_begun, designed
+from sim.campaign.figure import trade_off
 from sim.campaign.file import Campaign, parse_campaign, read_campaign
 from sim.campaign.manifest import FaultError, Gains, Manifest, check_same, digest, gains_of, held, read_manifest
 from sim.campaign.plan import Plan
+from sim.campaign.progress import Progress
 from sim.campaign.samples import MOST_RUNS
 from sim.campaign.store import Store
 from sim.campaign.summary import summarise, summary_lines
@@ -35,9 +38,6 @@ LEFT_OUT = (
     "file that you name, as in --verify DIR FILE"
 )
 NUMBERS = ("roadproof", "mujoco", "numpy", "scipy")  # packages whose versions decide the numbers
-
-LOST = 3.0  # s of a worker's time in a batch, about: what an interruption may lose
-FEWEST = 16  # runs in a batch all the same; 16 cost 11 % more than 192, each, 32 cost 5 %, 64 cost 2 %
 
 EPILOG = """
 A law in Python that fails, ends its process, or takes longer than 10 s a call or 100 times real time, fails its run: the row has
@@ -70,6 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if name in options.given:
             raise InputError(f"--{name} says what --verify drives again; give it with --verify, or leave it out")
     campaign = read_campaign(options.file)
+    check_outputs({"picture": options.picture}, [options.file])
     folder = options.results or options.file.with_name(f"{options.file.stem}-results")
     if options.ray is not None and "workers" in options.given:
         raise InputError("--workers are threads of this machine, and --ray has workers of its own; leave one of them out")
@@ -83,7 +84,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(f"roadproof: {remark}", file=sys.stderr)
         gaps = store.missing()
         stage("runs")
-        progress = _Progress(plan, sum(stop - start for start, stop in gaps), options.batch or RUNS_AT_ONCE, stage)
+        progress = Progress(plan, sum(stop - start for start, stop in gaps), options.batch or RUNS_AT_ONCE, stage)
 
         def write(start: int, rows: Rows, took: float) -> None:
             store.write(start, rows)
@@ -105,6 +106,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         stage("results")
         store.finish()
         entries = summarise(plan, store)
+        if options.picture is not None:
+            write_picture(trade_off(plan, entries), options.picture)
         stage.end()
         if options.json:
             result = {
@@ -113,12 +116,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 "new": progress.done,
                 "damaged": store.damaged,
                 "summary": entries,
+                **written({"picture": options.picture}),
             }
             print(json.dumps(result, allow_nan=False))
         else:
             now = f"{progress.done} of them now: {progress.rate:.3g} steps/s" if progress.done else "all of them there already"
             lines = [f"{plan.count} runs of {campaign.duration:g} s at {campaign.timestep:g} s, {now}"]
-            say([*lines, "", "results", Whole(f"  {store.results}"), *summary_lines(entries)])
+            say(
+                [
+                    *lines,
+                    "",
+                    "results",
+                    Whole(f"  {store.results}"),
+                    *summary_lines(entries),
+                    *written_lines({"picture": options.picture}),
+                ]
+            )
     return 0
 
 
@@ -128,7 +141,7 @@ def _verify(options: argparse.Namespace) -> int:
     Raises:
         InputError: an option that does not go with it; there is no finished campaign, or it cannot be read here.
     """
-    for name in ("results", "workers", "batch", "ray"):
+    for name in ("results", "workers", "batch", "ray", "picture"):
         if name in options.given:
             raise InputError(f"--verify runs no campaign, so --{name} does not go with it; leave it out")
     folder = options.verify
@@ -236,31 +249,6 @@ def _versions() -> dict[str, str]:
     return {name: version for name, version in versions().items() if name in NUMBERS}
 
 
-class _Progress:
-    """How many runs are done, how fast, how long it will take, and how many the next batch should have."""
-
-    def __init__(self, plan: Plan, total: int, most: int, tell: Callable[[str], None]) -> None:
-        self.steps, self.total, self.done, self.began = len(plan.campaign.time), total, 0, time.monotonic()
-        self._most, self._next, self._tell = most, min(FEWEST, most), tell
-
-    @property
-    def rate(self) -> float:
-        """Run-steps a second."""
-        return self.done * self.steps / max(time.monotonic() - self.began, 1e-9)
-
-    def next_batch(self) -> int:
-        """How many runs the next batch has: as many as a worker does in the time that an interruption may cost."""
-        return self._next
-
-    def add(self, runs: int, took: float) -> None:
-        """Shows that some more are done, by one worker in so many seconds."""
-        self._next = min(self._most, max(FEWEST, round(LOST * runs / max(took, 1e-9))))
-        self.done += runs
-        left = (self.total - self.done) * self.steps / self.rate
-        clock = f"{int(left // 3600)}:{int(left // 60 % 60):02d}:{int(left % 60):02d}"
-        self._tell(f"{self.done} of {self.total} runs, {self.rate:.3g} steps/s, {clock} left")
-
-
 def _parser() -> Parser:
     parser = Parser(
         "sim.campaign", "Runs every combination that a campaign file names, and compares with linear predictions.", EPILOG
@@ -268,6 +256,9 @@ def _parser() -> Parser:
     parser.add_argument("file", type=Path, nargs="?", metavar="FILE", help="campaign file (TOML)")
     parser.add_argument(
         "--results", type=Path, metavar="DIR", help="folder of the results (default: FILE without .toml, and -results)"
+    )
+    parser.add_argument(
+        "--picture", type=Path, metavar="FILE", help="draw ride against road holding, a point a controller (.png or .svg)"
     )
     parser.add_count("--workers", "threads that run batches", "one per core", 1, MOST_WORKERS)
     parser.add_count("--batch", "most runs in a batch", "what is done in a few seconds", 1, RUNS_AT_ONCE)

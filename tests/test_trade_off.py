@@ -1,0 +1,107 @@
+"""The picture of a campaign: ride against road holding, points from MuJoCo, a line of constant dampers, crosses fully active."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from models.roads.choice import choose_road
+from models.vehicle import read_vehicle
+from sim.campaign.figure import CONSTANT, trade_off
+from sim.campaign.file import parse_campaign
+from sim.campaign.plan import Plan
+from sim.ride.expected import expect
+from sim.ride.metrics import dynamic_load
+from synth.designer import Designer
+from tests.commands import main_of
+
+CAMPAIGN = """
+vehicles = ["quarter_car_semi_active"]
+controllers = ["passive", "I", "sky"]
+roads = ["iso8608:class=B", "bump"]
+speeds = [20.0]
+seeds = 2
+duration = 3.0
+settle = 1.0
+"""
+
+
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory):
+    """A campaign that was run and drawn: its plan, what it came to, and the picture."""
+    folder = tmp_path_factory.mktemp("campaign")
+    (folder / "c.toml").write_text(CAMPAIGN, encoding="utf-8")
+    campaign = parse_campaign(CAMPAIGN, folder / "c.toml")
+    ((name, vehicle),) = campaign.vehicles.items()
+    designer = Designer(vehicle)
+    plan = Plan(campaign, {name: {one: designer.design(one) for one in campaign.controllers}})
+    return folder, plan
+
+
+def test_points_are_the_numbers_of_the_table(drawn, capsys):
+    """Every circle of the figure is a controller's ride and tyre load as `--json` has them, in the panel of its road."""
+    folder, plan = drawn
+    picture = folder / "t.svg"
+    assert main_of("sim.campaign")([str(folder / "c.toml"), "--json", "--picture", str(picture)]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["picture"] == str(picture)
+    assert picture.read_text(encoding="utf-8").count("constant dampers, expected") >= 1
+    figure = trade_off(plan, result["summary"])
+    assert [panel.title for panel in figure.panels] == ["iso8608:class=B at 20 m/s", "bump at 20 m/s"]
+    for panel, road in zip(figure.panels, ("iso8608:class=B", "bump"), strict=True):
+        circles = {curve.label: (float(curve.x[0]), float(curve.y[0])) for curve in panel.curves if curve.marker == "o"}
+        said = {one["controller"]: (one["load"]["rms"], one["ride"]["rms"]) for one in result["summary"] if one["road"] == road}
+        assert circles == said
+    lines = [[curve.label for curve in panel.curves if curve.marker != "o"] for panel in figure.panels]
+    assert lines[0] == ["constant dampers, expected", "I, fully active, expected", "sky, fully active, expected"]
+    assert lines[1] == []  # over a bump nothing is expected
+
+
+def test_the_line_is_of_cars_with_those_dampers(drawn):
+    """The ends of the line are what is expected of the same car with c_min and c_max for good, crosses of one whose actuators
+    push: by vehicles that have no adjustable damper at all."""
+    _, plan = drawn
+    semi = read_vehicle("quarter_car_semi_active")
+    damper = next(iter(semi.dampers.values()))
+    plain = replace(semi, dampers={}, kind=read_vehicle("quarter_car").kind)
+    entries = [
+        {"vehicle": "quarter_car_semi_active", "controller": "passive", "road": "iso8608:class=B", "speed": 20.0}
+        | {"load": {"rms": 0.1}, "ride": {"rms": 1.0}}
+    ]
+    (panel,) = trade_off(plan, entries).panels
+    curves = {curve.label: curve for curve in panel.curves}
+    spectrum = choose_road("iso8608:class=B").build(plain, 20.0, 0, 20.0 * 3.0).spectrum
+
+    assert spectrum is not None
+
+    def expected(vehicle, controller) -> tuple[float, float]:
+        found = expect(vehicle, controller, spectrum, 1e-3, 2.0)
+        assert found is not None
+        return found.mean[dynamic_load("tyre_deflection")], found.mean["sprung_acceleration_weighted"]
+
+    line = curves["constant dampers, expected"]
+    assert len(line.x) == CONSTANT
+    for end, damping in ((0, damper.c_min), (-1, damper.c_max)):
+        vehicle = replace(plain, parameters={**plain.parameters, "suspension_damping": damping})
+        there = expected(vehicle, Designer(vehicle).design("passive"))
+        assert (line.x[end], line.y[end]) == pytest.approx(there, rel=1e-9)  # rounding: the same formulas
+    cross = curves["sky, fully active, expected"]
+    assert (cross.x[0], cross.y[0]) == pytest.approx(expected(plain, Designer(plain).design("sky")), rel=1e-9)
+    assert np.all(np.isfinite(line.x))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["c.toml", "--picture", "x.txt"], "not a kind of picture"),
+        (["--verify", ".", "--picture", "x.png"], "--picture does not go with it"),
+    ],
+)
+def test_bad_pictures(drawn, monkeypatch, arguments, said):
+    """A picture of another kind, or of a campaign that is not run, is refused in one line before any work."""
+    from models.common.errors import InputError
+
+    monkeypatch.chdir(drawn[0])
+    with pytest.raises(InputError, match=said):
+        main_of("sim.campaign")(arguments)
