@@ -16,6 +16,7 @@ from models.roads.rig import Rig
 from models.roads.road import track_width, under_wheels
 from models.vehicle import read_vehicle
 from sim.campaign.__main__ import main as campaign
+from sim.campaign.file import read_campaign
 from sim.drive import main
 from sim.inspect.__main__ import main as inspect
 from sim.runs.run import run_all, sample_times
@@ -146,6 +147,23 @@ def test_log_and_campaign(tmp_path, capsys):
     (tmp_path / "drive.csv").unlink()
     capsys.readouterr()
     assert inspect([str(log)]) == 0
+
+
+def test_what_is_twice_in_a_campaign(tmp_path):
+    """A campaign has the same drive file once, and another one that differs by who stands on which post."""
+    rig = history(end=0.5)
+    written(rig, tmp_path / "drive.csv")
+    written(rig, tmp_path / "other.csv", [*CORNERS[2:], *CORNERS[:2]])
+    text = 'vehicles = ["full_car"]\ncontrollers = ["passive"]\nspeeds = [10.0]\nduration = 0.1\n'
+    read_campaign(_file(tmp_path, text + 'roads = ["rig:file=drive.csv", "rig:file=other.csv"]\n'))
+    with pytest.raises(InputError, match="are the same; name each once"):
+        read_campaign(_file(tmp_path, text + 'roads = ["rig:file=drive.csv", "rig:file=drive.csv:time_unit=s"]\n'))
+
+
+def _file(folder, text):
+    path = folder / "campaign.toml"
+    path.write_text(text)
+    return path
 
 
 def test_written_down():

@@ -78,8 +78,7 @@ def slope_response(n: Array, step: float) -> Array:
     rates, of_slopes, _ = _modes(step)
     turn = np.exp(2j * np.pi * np.asarray(n) * step)
     averaged = (turn ** _samples(step) - 1) / (2j * np.pi * np.asarray(n) * _samples(step) * step)
-    ahead = np.multiply.outer(1 / turn, np.exp(rates))
-    return averaged * np.sum(of_slopes / (1 - ahead), axis=-1)  # residues are in pairs, so their sum is real in time
+    return averaged * sum(share / (1 - np.exp(rate) / turn) for rate, share in zip(rates, of_slopes, strict=True))
 
 
 def missing(n: Array, variances: Array, step: float) -> Array:

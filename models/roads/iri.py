@@ -27,7 +27,8 @@ COARSEST = 0.3  # m; ASTM E1926 has no IRI of what was measured further apart
 EVEN = 1e-6  # of the spacing: how far distances are off by the digits of a file
 SHORTEST = START + BASE  # m; less has no IRI
 LONGEST = 1e5  # m that are looked at
-COUNTED = 1024.0  # lines per cycle/m, of a start: it is over in a tenth of 1024 m
+COUNTED = 512.0  # lines per cycle/m, of a start: it is over in a fifth of 512 m
+GRAIN = 4096.0  # lines per cycle/m of a spectrum that is looked at: a car forgets within a tenth of 4096 m
 LINES = 8192  # per cycle/m, of integrals over a spectrum: its resonances are a hundred times as wide
 
 
@@ -112,12 +113,13 @@ def _expected(spectrum: Spectrum, distance: float) -> dict[str, tuple[float, flo
     all follows from y^2: over a whole road a spread of a percent is left, which is not in it.)
     """
     low, high = (edge / (2 * math.pi * spectrum.speed) for edge in spectrum.band)
-    first, last = math.ceil(low * spectrum.length), math.floor(high * spectrum.length)
-    n = np.arange(first, last + 1) / spectrum.length
-    lines = np.abs(slope_response(n, STEP)) ** 2 * spectrum.density / spectrum.speed / spectrum.length
+    length = min(spectrum.length, GRAIN)
+    first, last = math.ceil(low * length), math.floor(high * length)
+    n = np.arange(first, last + 1) / length
+    lines = np.abs(slope_response(n, STEP)) ** 2 * spectrum.density / spectrum.speed / length
     a = coherency(n, spectrum.track_width)
-    lags = 2 * max(last, math.ceil(spectrum.length / STEP / 2))
-    step = spectrum.length / lags
+    lags = 2 * max(last, math.ceil(length / STEP / 2))
+    step = length / lags
     x = np.arange(min(lags // 2, math.floor(distance / step)) + 1) * step
     weight = 2 * step / distance * (1 - x / distance)
     weight[0] /= 2

@@ -210,8 +210,9 @@ def _measured(road: RoadChoice) -> list[str]:
     """Checksums of the file that a road was measured in; none of a road that is computed."""
     arrays = [road.profile.distance, road.profile.heights] if road.profile else []
     arrays += [road.rig.time, road.rig.heights] if road.rig else []
+    named = [*road.rig.posts] if road.rig else []
     arrays += [road.surface.u, road.surface.v, road.surface.z] if road.surface else []
-    return [f"{array.shape} {hashlib.sha256(np.ascontiguousarray(array).data).hexdigest()}" for array in arrays]
+    return [*named, *(f"{array.shape} {hashlib.sha256(np.ascontiguousarray(array).data).hexdigest()}" for array in arrays)]
 
 
 def _texts(data: Mapping[str, Any], key: str, example: str) -> Sequence[str]:
