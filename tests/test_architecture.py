@@ -89,7 +89,7 @@ ROOMS = {
     "sim.linear": "sim.response models.curves models.roads",
     "sim.physics": "models.curves sim.response models.roads",
     "sim.runs": "sim.linear sim.physics sim.response models.roads synth.words",
-    "sim.ride": "models.filters sim.linear sim.response models.roads sim.runs",
+    "sim.ride": "models.curves models.filters sim.linear sim.response models.roads sim.runs",
     "sim.validity": "models.figures sim.linear sim.physics sim.response models.roads",
     "sim.stability": "models.figures sim.linear sim.physics models.roads sim.runs synth.problem synth.tolerance",
     "sim.frequency": "models.figures models.filters sim.linear sim.physics sim.response models.roads sim.runs synth.problem "

@@ -133,9 +133,14 @@ class _Expectations:
         key = (*of, spectrum.density)
         if key not in self.made:
             self.made[key] = expect(run.vehicle, controller, spectrum, c.timestep, (len(c.time) - c.first) * c.timestep)
-        if of not in self.begun:
-            self.begun[of] = settled(run.vehicle, controller, spectrum, c.timestep, float(c.time[c.first]))
-        expected, begun = self.made[key], self.begun[of]
+        expected = self.made[key]
+        # How rough the road is does not matter, but for what of a curve is met on it.
+        where, linear = (
+            (key, expected.line.vehicle) if expected is not None and expected.line.rounds else (of, run.vehicle.straight)
+        )
+        if where not in self.begun:
+            self.begun[where] = settled(linear, controller, spectrum, c.timestep, float(c.time[c.first]))
+        begun = self.begun[where]
         found: dict[str, Any] = {}
         if expected is not None:
             found |= {f"{EXPECTED}{name}": finite(value) for name, value in expected.mean.items()}

@@ -12,6 +12,7 @@ from models.own.python_law import Programmed
 from models.roads.iso8608 import Iso8608, long_enough
 from models.roads.road import track_width
 from models.vehicle import Vehicle
+from sim.linear.curved import is_curved
 from sim.physics.simulate import simulate
 from sim.report.scope import joined, number
 from sim.response.regime import FLAT, REGIME_ENDS, reached
@@ -112,6 +113,7 @@ def ride_text(vehicle: Vehicle) -> str:
         f"Random roads of ISO 8608 at {SPEED:g} m/s, {len(SEEDS)} of each class, {WINDOW:g} s each. Weighted is ISO 2631-1's rms "
         "acceleration, Wk; dynamic load is the rms of the tyre's force over its static value; lift-off is the largest share of "
         "time that a tyre is off one of these roads. Predicted is from the road's spectrum through the sampled linear loop"
+        f"{', with the line in place of every curve that does the same on average' if is_curved(vehicle) else ''}"
         f"{f', which leaves out {left_out}' if left_out else ''}. Both are roots of mean squares, over the roads driven and over "
         "all roads; road to road is by how much one such road differs from that, one standard deviation, so MuJoCo's differs by "
         "half of it. Runs that diverged or squeezed a tyre flat are left out."

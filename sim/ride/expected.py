@@ -14,7 +14,8 @@ Means over time are means over the steps. Memories, and so spreads, are those of
 The band is that of the road's lines, half a line further out at both ends: a sum over lines is the integral over it, to second
 order in their distance. Signals are Gaussian, and the rest follows (`gaussian.py`): the metrics that are means (mean squares,
 of the tyre's load as it is, never negative; shares of time, power, energy) and the integral in the VDV, by E a^4 = 3 sigma^4, are
-exact for a linear run that has forgotten its beginning; power and energy are those of the held force, step by step.
+exact for a linear run that has forgotten its beginning; power and energy are those of the held force, step by step. A vehicle
+whose dampers or springs have curves counts as the line that does the same on average (`equivalent.py`), which is approximate.
 
 Largest values are approximate, too large where a window has few of a vehicle's memory. Against linear responses over 200 roads
 each, of the three vehicles as they ship with `passive`, `I` and `II`, at 10, 20 and 35 m/s for 10 s: MTVV within 2.5 %, crest
@@ -30,19 +31,20 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.threads import one_thread
-from models.reality import steps_per_sample
 from models.roads.spectrum import Spectrum
 from models.vehicle import Vehicle
 from sim.linear.dampers import is_linear
-from sim.linear.frequency import as_met, stepwise_frequency_response
+from sim.linear.frequency import stepwise_frequency_response
+from sim.ride.band import longest_panel, loop_poles, power_of, sources
+from sim.ride.equivalent import Equivalent, equivalent
 from sim.ride.gaussian import Gaussian, positive_part
 from sim.ride.metrics import RUNNING, dynamic_load, energy, off_ground, points, power
 from sim.ride.quadrature import sample_band
-from sim.ride.weighting import POLES, SampledWk, sampled_wk
+from sim.ride.weighting import SampledWk, sampled_wk
 from synth.certificate.stability import stability
 from synth.controller import Controller
 from synth.implemented.controlled import continuous
-from synth.implemented.loop import implemented_loop, sampled_radius
+from synth.implemented.loop import sampled_radius
 
 FORGOTTEN = 0.01  # share of its variance that the slowest mode of a vehicle from rest may still miss when measuring begins
 EXACT = 1e-4  # what an expectation may be off for its integral
@@ -58,11 +60,13 @@ class Expected:
             expected integral. Means over roads of such roots are lower: by half, and 1.5 times, their relative variance.
         spread: standard deviation of the metric from road to road over the window, for those roots; by metric.
         error: estimate of what the integrals are off, relative, at most; above `EXACT`, say so beside the numbers.
+        line: the linear vehicle that the numbers are of; where dampers or springs have curves, that of `sim.ride.equivalent`.
     """
 
     mean: dict[str, float]
     spread: dict[str, float]
     error: float
+    line: Equivalent
 
 
 def settling_time(vehicle: Vehicle, controller: Controller) -> float:
@@ -74,21 +78,9 @@ def settling_time(vehicle: Vehicle, controller: Controller) -> float:
     return math.log(FORGOTTEN) / (2 * found.worst.real) if found.stable else math.inf
 
 
-def tracks(vehicle: Vehicle, road: Spectrum, omega: Array) -> Array:
-    """What every wheel's track has of the two independent sources of a road, shape (F, r, 2)."""
-    alike = road.coherency(omega)
-    left, right = np.stack([np.ones_like(alike), np.zeros_like(alike)]), np.stack([alike, np.sqrt(1 - alike**2)])
-    return np.moveaxis(np.stack([right if wheel.side == "right" else left for wheel in vehicle.kind.wheels]), -1, 0)
-
-
-def sources(vehicle: Vehicle, road: Spectrum, omega: Array) -> Array:
-    """What every wheel meets of the two independent sources of a road, complex, shape (F, r, 2)."""
-    return as_met(vehicle, omega, road.speed)[..., None] * tracks(vehicle, road, omega)
-
-
 @one_thread()
 def expect(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: float, window: float) -> Expected | None:
-    """The expected metrics; None where the loop is not stable and has no variance, or adjustable dampers make it none.
+    """The expected metrics; None where the loop is not stable, adjustable dampers make it none, or no line does as its curves.
 
     Args:
         vehicle: the vehicle.
@@ -97,8 +89,12 @@ def expect(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: f
         timestep: of the sampled loop [s].
         window: how long is measured [s].
     """
-    if not is_linear(vehicle, controller) or sampled_radius(vehicle, controller, timestep) >= 1:
+    if not is_linear(vehicle, controller) or sampled_radius(vehicle.straight, controller, timestep) >= 1:
         return None
+    line = equivalent(vehicle, controller, road, timestep)
+    if line is None:
+        return None
+    vehicle = line.vehicle
     low, high = road.band
     poles, doubt = loop_poles(vehicle, controller, timestep, high)
     where, static = points(vehicle), vehicle.kind.static_tyre_deflection(vehicle.parameters)
@@ -132,13 +128,14 @@ def expect(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: f
     # A road's lines have fixed amplitudes: over its whole length it has no spread.
     rest = max(1 - window * road.speed / road.length, 0.0)
 
-    def root(metric: str, column: int, clip: float = math.inf, scale: float = 1.0) -> Gaussian:
+    def root(metric: str, column: int, clip: float = math.inf, scale: float = 1.0, offset: float = 0.0) -> Gaussian:
         signal = Gaussian(band.values[:, :, column].T, band.omega, band.share)
         square = signal.clipped_mean_square(clip)
-        mean[metric] = math.sqrt(square) * scale
+        whole = square + offset**2
+        mean[metric] = math.sqrt(whole) * scale
         # Half of the relative spread of a mean square is that of its root.
         variance = signal.mean_square_variance(window, clip)
-        spread[metric] = mean[metric] * math.sqrt(rest * variance) / (2 * square) if square else 0.0
+        spread[metric] = mean[metric] * math.sqrt(rest * variance) / (2 * whole) if square else 0.0
         return signal
 
     for i, name in enumerate(where.accelerations, start=len(index)):
@@ -148,23 +145,26 @@ def expect(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: f
         mean[f"{name}_mtvv"] = weighted.largest_running(window, RUNNING)
         mean[f"{name}_crest"] = weighted.largest(window)
     for name in where.suspensions:
-        signal = root(f"{name}_rms", index[name])
-        mean[f"{name}_peak"] = signal.largest(window) * signal.sigma
+        offset = line.mean.get(name, 0.0)
+        signal = root(f"{name}_rms", index[name], offset=offset)
+        mean[f"{name}_peak"] = signal.largest(window) * signal.sigma + abs(offset)
         if (stops := vehicle.limits.stops) is not None:
-            mean[f"{name}_at_stops"] = signal.beyond(stops.bump.stroke) + signal.beyond(stops.rebound.stroke)
+            beyond = signal.beyond(stops.bump.stroke + offset), signal.beyond(stops.rebound.stroke - offset)
+            mean[f"{name}_at_stops"] = sum(beyond)
     for name in where.tyres:
         signal = root(dynamic_load(name), index[name], static[name], 1 / static[name])
         mean[off_ground(name)] = signal.beyond(static[name])
     for name, *_ in where.actuators:
-        signal = root(f"{name}_rms", index[name])
-        mean[f"{name}_peak"] = signal.largest(window) * signal.sigma
+        offset = line.mean.get(name, 0.0)
+        signal = root(f"{name}_rms", index[name], offset=offset)
+        mean[f"{name}_peak"] = signal.largest(window) * signal.sigma + abs(offset)
     works = np.einsum("f,fsc->cs", band.share, band.values[:, :, len(index) + len(ride) :])
     works = works.reshape(len(pushing), 3, band.values.shape[1])
     for (name, _), work in zip(pushing, works, strict=True):
         net, positive = work_rate(*work)
         # n samples have n - 1 steps between them.
         mean[power(name)], mean[energy(name)] = net / timestep, positive / timestep * (window - timestep)
-    return Expected(mean, spread, error)
+    return Expected(mean, spread, error, line)
 
 
 def weigh_images(at_steps: Array, omega: Array, timestep: float, weigh: SampledWk) -> Array:
@@ -208,29 +208,3 @@ def work_rate(together: Array, force: Array, moved: Array) -> tuple[float, float
     """
     steps = zip(together.tolist(), np.sqrt(force * moved).tolist(), strict=True)
     return float(together.mean()), float(np.mean([positive_part(*step) for step in steps]))
-
-
-def longest_panel(vehicle: Vehicle, speed: float) -> float:
-    """How far frequencies may be apart that see how much later the last axle meets the road [rad/s]."""
-    delay = max(wheel.behind(vehicle.parameters) for wheel in vehicle.kind.wheels) / speed
-    return 2 * np.pi / delay if delay else math.inf
-
-
-def loop_poles(vehicle: Vehicle, controller: Controller, timestep: float, high: float) -> tuple[Array, float]:
-    """Poles of the sampled loop and of the weighting up to a frequency [rad/s], and what rounding leaves open of the slowest.
-
-    A loop that is sampled has every pole again at every multiple of its sampling frequency, and so has the weighting of images.
-    """
-    loop = implemented_loop(vehicle, controller, timestep).transition
-    period = timestep * steps_per_sample(vehicle.implementation, timestep)
-    values = np.linalg.eigvals(loop)
-    found = np.log(values[np.abs(values) > 1e-12].astype(complex)) / period
-    again = np.arange(0, math.ceil(high * period / (2 * np.pi)) + 1) * (2j * np.pi / period)
-    weighting = [2 * np.pi * f * (-1 / (2 * q) + 1j * math.sqrt(1 - 1 / (4 * q**2))) for f, q in POLES]
-    doubt = np.finfo(float).eps * len(loop) / (-float(found.real.max()) * period)
-    return np.add.outer(again, np.concatenate([found, weighting, np.conj(weighting)])).ravel(), doubt
-
-
-def power_of(amplitude: Array) -> Array:
-    """Spectrum of a signal from its amplitudes by source, shape (..., 2) to (...)."""
-    return np.sum(np.abs(amplitude) ** 2, axis=-1)

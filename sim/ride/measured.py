@@ -13,6 +13,7 @@ from models.own.python_law import Programmed
 from models.roads.iri import Roughness
 from models.roads.road import Road
 from models.vehicle import Vehicle
+from sim.ride.equivalent import Equivalent, line_object, line_words
 from sim.ride.expected import APPROXIMATE, EXACT, Expected, expect, settling_time
 from sim.ride.metrics import measure, metrics_of
 from sim.ride.roughness import ABOUT_IRI, roughness_rows
@@ -52,11 +53,13 @@ class RunMetrics:
         settled: how far a variance is from its own when measuring begins; None for roads without a spectrum, unstable loops, and
             laws in Python.
         error: what the expectations' integrals are off, relative, at most; None where there are none.
+        line: the linear vehicle that is expected; None where there is no expectation.
     """
 
     metrics: Mapping[str, Measured]
     settled: Settled | None
     error: float | None
+    line: Equivalent | None = None
 
 
 def first_sample(
@@ -80,7 +83,9 @@ def measure_run(run: Run, first: int) -> RunMetrics:
     controller = run.controller
     if (spectrum := road.spectrum) is not None and isinstance(controller, Controller):
         expected = expect(vehicle, controller, spectrum, timestep, (len(time) - first) * timestep)
-        begun = settled(vehicle, controller, spectrum, timestep, float(time[first]))
+        begun = settled(
+            expected.line.vehicle if expected else vehicle.straight, controller, spectrum, timestep, float(time[first])
+        )
     mujoco: Mapping[str, float] = {}
     sampled: Mapping[str, float] = {}
     if run.broke_off is None:
@@ -97,7 +102,7 @@ def measure_run(run: Run, first: int) -> RunMetrics:
         )
         for metric in metrics_of(vehicle)
     }
-    return RunMetrics(metrics, begun, expected.error if expected else None)
+    return RunMetrics(metrics, begun, expected.error if expected else None, expected.line if expected else None)
 
 
 def beside(vehicle: Vehicle) -> list[str]:
@@ -125,6 +130,7 @@ def metric_lines(run: Run, found: RunMetrics, start: float, end: float, roughnes
             "~ is approximate: mtvv to 7 %, crest to 10 %, peaks to 20 %; vdv is the fourth root of a mean; of short or lightly "
             "damped runs the +- is up to 45 % too large"
         )
+    notes += line_words(run.vehicle, found.line) if found.line is not None else []
     notes += beside(run.vehicle)
     if found.error is not None and found.error > EXACT:
         notes.append(
@@ -158,7 +164,7 @@ def metrics_object(run: Run, found: RunMetrics) -> dict[str, Any]:
         "settled": {"share": found.settled.share, "signal": found.settled.signal} if found.settled else None,
         "expected_error": finite(found.error),
         "metrics": _metrics(found.metrics),
-    }
+    } | ({"expected_line": line_object(run.vehicle, found.line)} if found.line is not None and found.line.rounds else {})
 
 
 def _metrics(measured: Mapping[str, Measured]) -> dict[str, Any]:

@@ -25,7 +25,7 @@ from models.roads.spectrum import Spectrum
 from models.vehicle import Vehicle
 from sim.linear.dampers import is_linear
 from sim.linear.frequency import as_met, sampled_states
-from sim.ride.expected import longest_panel, loop_poles, power_of, tracks
+from sim.ride.band import longest_panel, loop_poles, power_of, tracks
 from sim.ride.metrics import points
 from sim.ride.quadrature import sample_band
 from synth.controller import Controller
