@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from models.roads.iso8608 import Iso8608
-from models.roads.road import track_width
+from models.roads.road import Road, track_width
 from models.vehicle import read_vehicle
 from sim.linear.frequency import stepwise_frequency_response
 from sim.linear.loop import sampled_responses
@@ -20,6 +20,7 @@ class Line:
     """One line of a random road, from its own height at the start."""
 
     kinks, speed = (0.0,), 20.0
+    met_by, later = Road.met_by, Road.later
 
     def __init__(self, height, omega):
         self.height, self.omega = height, omega
