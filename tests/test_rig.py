@@ -2,6 +2,7 @@
 
 import json
 import math
+import random
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +13,7 @@ from models.roads.choice import choose_road
 from models.roads.description import described_road
 from models.roads.iri import roughness_of
 from models.roads.profile import Profile
-from models.roads.rig import Rig
+from models.roads.rig import Rig, rig_from_csv
 from models.roads.road import track_width, under_wheels
 from models.vehicle import read_vehicle
 from sim.campaign.__main__ import main as campaign
@@ -251,3 +252,48 @@ def test_a_wheel_without_a_post():
     assert track_width(CAR) > 0
     still = replace(history(), heights=np.zeros((200, 4)))
     still.check(CAR, sample_times(CAR, 1.0, 1e-3))
+
+
+@pytest.mark.attack
+@pytest.mark.parametrize("seed", range(4))
+def test_damaged_files(seed, tmp_path):
+    """A drive file or the points of a log that were damaged make a rig that moves finitely, or one line that says why not."""
+    rng, path = random.Random(seed), tmp_path / "drive.csv"
+    written(history(CORNERS[:2], end=0.2), path)
+    bits = (
+        b"nan",
+        b"inf",
+        b"1e400",
+        b",",
+        b";",
+        b"\n",
+        b"\0",
+        b"\xff",
+        b"[",
+        b"]",
+        b"time",
+        b"-",
+        b"\r",
+        b"#",
+        b'"',
+        b" ",
+        b"9" * 400,
+    )
+    found, said = 0, list[str]()
+    for good, points in ((path.read_bytes(), False), (history(CORNERS[:2], end=0.2).points, True)) * 500:
+        data = bytearray(good)
+        for _ in range(rng.randint(1, 3)):
+            at = rng.randrange(len(data))
+            data[at : at + rng.choice((0, 1, 20))] = rng.choice((b"", b"", rng.choice(bits), bytes([rng.randrange(256)])))
+        path.write_bytes(data)
+        try:
+            rig = rig_from_csv(bytes(data), "") if points else choose_road(f"rig:file={path}").rig
+        except InputError as error:
+            said.append(str(error))
+            continue
+        assert rig is not None
+        assert np.isfinite(rig.displacement(np.linspace(-1, 3, 9), rig.posts[0])).all()
+        assert rig_from_csv(rig.points, "").points == rig.points
+        found += 1
+    assert not any("\n" in one for one in said)
+    assert 10 < found < 990  # neither all nor none: something was tried
