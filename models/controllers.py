@@ -13,10 +13,11 @@ from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
 from models.goals.goals import Goals
 from models.goals.reading import GOAL_KEYS, read_goals
-from models.kind import LARGEST, VehicleKind
+from models.kind import VehicleKind
 from models.law import MATRICES, LinearLaw, static_law
 from models.linear_model import LinearModel
 from models.own.python_law import PythonLaw, read_law
+from models.parts.parameter import LARGEST, is_number, is_within
 from models.reality import LONGEST_PERIOD, Implementation, Limits, designed_for_samples
 
 DESIGNS = ("lqr", "lqg", "h2")  # what `design` may be; without it the paper's two steps
@@ -288,13 +289,4 @@ def _size(rows: list[Any]) -> str:
 
 def _is_real(value: Any) -> bool:
     """Whether it is a number; how large a law's entries may be depends on its states' units, and is the law's to say."""
-    return _is_within(value, sys.float_info.max)
-
-
-def is_number(value: Any) -> bool:
-    """Whether it is a number that a vehicle file may hold."""
-    return _is_within(value, LARGEST)
-
-
-def _is_within(value: Any, most: float) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and -most <= value <= most  # NaN is not
+    return is_within(value, sys.float_info.max)

@@ -42,6 +42,7 @@ PARAMETERS = (
     *_per_axle("suspension_stiffness", "N/m", "k_s at one wheel"),
     *_per_axle("suspension_damping", "N s/m", "c_s at one wheel", positive=False),
     *_per_axle("tyre_stiffness", "N/m", "k_u of one tyre", varied=Variation("tyre stiffness", 0.75, 1.25)),
+    rigid_body.CENTRE_HEIGHT,
     *(
         Parameter(
             f"anti_roll_stiffness_{axle}",
@@ -150,4 +151,6 @@ KIND = VehicleKind(
         for mode, pattern in zip(TYRE_MODES, MODES.values(), strict=True)
     },
     on_demand=ON_DEMAND,
+    loads=rigid_body.LOADS,
+    angles=lambda p: rigid_body.angles(_body(p)),
 )

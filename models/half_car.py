@@ -24,6 +24,7 @@ PARAMETERS = (
     *_per_corner("suspension_stiffness", "N/m", "k_s"),
     *_per_corner("suspension_damping", "N s/m", "c_s", positive=False),
     *_per_corner("tyre_stiffness", "N/m", "k_u", varied=Variation("tyre stiffness", 0.75, 1.25)),
+    rigid_body.CENTRE_HEIGHT,
 )
 
 
@@ -105,5 +106,7 @@ KIND = VehicleKind(
     write_mjcf=lambda spec, p: rigid_body.write_mjcf(spec, _body(p)),
     check_together=check,
     on_demand=ON_DEMAND,
+    loads=rigid_body.LOADS[:2],
+    angles=lambda p: rigid_body.angles(_body(p)),
     lacking={"anti_roll": "an anti-roll bar acts where a body rolls, and a half-car only heaves and pitches: take a full_car"},
 )

@@ -5,84 +5,17 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from models.common.errors import InputError, listing, quoted
+from models.common.errors import InputError, listing
 from models.linear_model import LinearModel
+from models.parts.parameter import Parameter, Variation
 from models.signals import CONTROL_FORCE, SUSPENSION_DEFLECTION, SUSPENSION_VELOCITY, Signal
 
 HERE = Path(__file__).parent
 GRAVITY = 9.81  # m/s2, written into every MJCF
-SMALLEST, LARGEST = 1e-6, 1e12  # SI; beyond these a parameter is a slip of the pen, and rounding decides
 MOST_SQUEEZE = 0.25  # m; no tyre survives it
 LOWEST_HUB = 0.26  # m above the road, at rest, at least: until the end of a step a tyre may be squeezed by more than that
 
 Parameters = Mapping[str, float]
-
-
-@dataclass(frozen=True)
-class Variation:
-    """How far other vehicles of a kind may be from the one that a controller was designed for.
-
-    Attributes:
-        name: of what varies, in words. Parameters with the same variation vary together.
-        smallest, largest: factors on the parameter, at most 1 and at least 1.
-
-    Raises:
-        InputError: they are none.
-    """
-
-    name: str
-    smallest: float
-    largest: float
-
-    def __post_init__(self) -> None:
-        if not (0 < self.smallest <= 1 <= self.largest <= LARGEST and self.smallest < self.largest):
-            raise InputError(
-                f"{self.name} varies by factors from {self.smallest:g} to {self.largest:g}; give one above 0 and at most 1, and "
-                "a larger one that is at least 1"
-            )
-
-    def __str__(self) -> str:
-        low, high = (100 * (factor - 1) for factor in (self.smallest, self.largest))
-        return f"{self.name} {low:+.4g} to {high:+.4g} %"
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """One number of a vehicle file.
-
-    Attributes:
-        name: key under `[parameters]`.
-        unit: SI unit.
-        meaning: one line.
-        positive: whether zero is refused too. Negative, infinite, NaN and absurdly large values always are.
-        varied: how far it varies where a controller's robustness is asked for; None where it is taken as it is.
-        largest: that is allowed.
-        usual: what it is where a vehicle file does not say; None where every file must.
-    """
-
-    name: str
-    unit: str
-    meaning: str
-    positive: bool = True
-    varied: Variation | None = None
-    largest: float = LARGEST
-    usual: float | None = None
-
-    def check(self, value: Any) -> float:
-        """The value as a float.
-
-        Raises:
-            InputError: not a number of the allowed range.
-        """
-        smallest = SMALLEST if self.positive else 0.0
-        allowed = f"a number from {smallest:g} to {self.largest:g} {self.unit}"
-        if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
-            raise InputError(f"{self.name} = {quoted(value)} is not a number; give {allowed}")
-        if not smallest <= value <= self.largest:  # NaN is in no range
-            raise InputError(f"{self.name} = {quoted(value)} is not allowed; give {allowed}")
-        return float(value)
 
 
 @dataclass(frozen=True)
@@ -139,6 +72,19 @@ class Suspension:
 
 
 @dataclass(frozen=True)
+class BodyLoad:
+    """A way in which something from outside pushes the body.
+
+    Attributes:
+        name: of the linear model's load: `heave_load` [N], `pitch_load` or `roll_load` [N m].
+        joint: MJCF slide or hinge along which it pushes, in the load's direction.
+    """
+
+    name: str
+    joint: str
+
+
+@dataclass(frozen=True)
 class Invariant:
     """A transmissibility, from the road's displacement under every wheel, that no suspension force can change.
 
@@ -176,6 +122,9 @@ class VehicleKind:
         invariants: what no suspension force can change.
         on_demand: signals that only a vehicle has whose file names them: outputs and sensors like the others, which cost nothing
             where nobody asks for them.
+        loads: how its body can be pushed from outside, in the order of the linear model's loads.
+        angles: parameters -> the body's angles over level ground [rad] as sums of signals, {"pitch_angle": {signal: factor}},
+            `roll_angle` likewise; of those that it has.
         lacking: what somebody may look for and it cannot have, as {beginning of a parameter's name: why}.
     """
 
@@ -192,6 +141,8 @@ class VehicleKind:
     suspended: tuple[Suspension, ...] | None = None
     invariants: tuple[Invariant, ...] = ()
     on_demand: tuple[Signal, ...] = ()
+    loads: tuple[BodyLoad, ...] = ()
+    angles: Callable[[Parameters], Mapping[str, Mapping[str, float]]] = lambda p: {}
     lacking: Mapping[str, str] = field(default_factory=dict)
 
     def naming(self, names: Collection[str]) -> "VehicleKind":

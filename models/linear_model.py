@@ -1,13 +1,14 @@
 """A vehicle as a linear system with names.
 
-    x' = A x + B u + Bw w + Br z_r,     signals = C x + D u + Cr z_r,
+    x' = A x + B u + Bw w + Br z_r + Bl f,     signals = C x + D u + Cr z_r + Dl f,
 
-with the road's heights z_r under the wheels and their velocities w = z_r'. In the paper, and wherever the wheels' motions are all
-motions of the body too, Br and Cr are zero: only the road's velocity acts. Under four wheels its twist acts as a displacement.
+with the road's heights z_r under the wheels, their velocities w = z_r', and loads f on the body (`models/loads`). In the paper,
+and wherever the wheels' motions are all motions of the body too, Br and Cr are zero: only the road's velocity acts. Under four
+wheels its twist acts as a displacement.
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -32,6 +33,9 @@ class LinearModel:
         Br: what the road's heights add to x', shape (n, r).
         Cr: what they add to the output signals, shape (p, r).
         twist_rate: as what velocity [m/s] a metre of Br and Cr counts in a design [rad/s].
+        loads: names of the loads on the body, l of them [N, N m].
+        Bl: what they add to x', shape (n, l); where it is not given, nothing.
+        Dl: what they add to the output signals, shape (p, l); likewise.
 
     Raises:
         ValueError: a matrix does not fit the names or is not finite, or the names are no tuples of different texts.
@@ -49,14 +53,31 @@ class LinearModel:
     Br: Array
     Cr: Array
     twist_rate: float = 1.0
+    loads: tuple[str, ...] = ()
+    Bl: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    Dl: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     def __post_init__(self) -> None:
-        for what in ("states", "inputs", "disturbances", "outputs"):
+        for what in ("states", "inputs", "disturbances", "outputs", "loads"):
             names = getattr(self, what)
             if not isinstance(names, tuple) or not all(isinstance(name, str) for name in names) or len(set(names)) < len(names):
                 raise ValueError(f"{what} = {quoted(names)} is no tuple of different names")
         n, m, r, p = len(self.states), len(self.inputs), len(self.disturbances), len(self.outputs)
-        shapes = {"A": (n, n), "B": (n, m), "Bw": (n, r), "C": (p, n), "D": (p, m), "Br": (n, r), "Cr": (p, r)}
+        pushes = len(self.loads)
+        if not pushes:
+            object.__setattr__(self, "Bl", np.zeros((n, 0)))
+            object.__setattr__(self, "Dl", np.zeros((p, 0)))
+        shapes = {
+            "Bl": (n, pushes),
+            "Dl": (p, pushes),
+            "A": (n, n),
+            "B": (n, m),
+            "Bw": (n, r),
+            "C": (p, n),
+            "D": (p, m),
+            "Br": (n, r),
+            "Cr": (p, r),
+        }
         for name, shape in shapes.items():
             if np.iscomplexobj(getattr(self, name)):
                 raise ValueError(f"{name} has complex entries; give real ones")
@@ -80,7 +101,7 @@ class LinearModel:
         """The same model without some of its output signals."""
         kept = [i for i, name in enumerate(self.outputs) if name not in outputs]
         names = tuple(self.outputs[i] for i in kept)
-        return replace(self, C=self.C[kept], D=self.D[kept], Cr=self.Cr[kept], outputs=names)
+        return replace(self, C=self.C[kept], D=self.D[kept], Cr=self.Cr[kept], Dl=self.Dl[kept], outputs=names)
 
     def has_rate(self, output: str) -> bool:
         """Whether how fast an output signal changes is one, too: not of one that follows the road or a force at once."""
@@ -90,7 +111,12 @@ class LinearModel:
     def with_rates(self, rates: Mapping[str, str]) -> "LinearModel":
         """With more output signals, each how fast another one changes: names of those others, which have rates, by their own."""
         index = [self.outputs.index(name) for name in rates.values()]
-        rows = {"C": self.C[index] @ self.A, "D": self.C[index] @ self.B, "Cr": self.C[index] @ self.Br}
+        rows = {
+            "C": self.C[index] @ self.A,
+            "D": self.C[index] @ self.B,
+            "Cr": self.C[index] @ self.Br,
+            "Dl": self.C[index] @ self.Bl,
+        }
         more = {name: np.vstack([getattr(self, name), found]) for name, found in rows.items()}
         return replace(self, outputs=(*self.outputs, *rates), **more) if rates else self
 
@@ -111,6 +137,7 @@ class LinearModel:
             B=np.vstack([np.zeros((n, m)), bandwidth * np.eye(m)]),
             Bw=np.vstack([self.Bw, np.zeros((m, r))]),
             Br=np.vstack([self.Br, np.zeros((m, r))]),
+            Bl=np.vstack([self.Bl, np.zeros((m, len(self.loads)))]),
             C=np.hstack([self.C, self.D]),
             D=np.zeros_like(self.D),
             states=(*self.states, *(f"lagged_{name}" for name in self.inputs)),

@@ -20,7 +20,6 @@ from models.vehicle import Vehicle
 GIVE = "give the model of the kind of vehicle"
 # Begins the name of an actuator that a vehicle file puts into the model, after those of the MJCF, which are the inputs.
 FITTED = "fitted_"
-SLACK = 1e3  # m; no suspension is that long
 MUJOCO_SAYS = (ValueError, mujoco.FatalError)  # against a model
 
 
@@ -133,16 +132,7 @@ def _write_limits(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
         at_rest = _compiled(vehicle, spec.copy())
         for tendon in suspensions.values():
             rest = float(at_rest.tendon_length0[at_rest.tendon(tendon.name).id])
-            band = [rest - stops.bump.stroke, rest + stops.rebound.stroke]
-            if stops.alike:
-                springs = {"stop": (band, stops.bump.stiffness)}
-            else:
-                first, second, third = stops.bump.stiffness
-                springs = {  # beyond the bump's end the spring's x is below 0
-                    "stop_bump": ([band[0], SLACK], (first, -second, third)),
-                    "stop_rebound": ([-SLACK, band[1]], stops.rebound.stiffness),
-                }
-            for name, (slack, stiffness) in springs.items():
+            for name, (slack, stiffness) in stops.springs(rest).items():
                 stop = spec.add_tendon(name=f"{name}_{tendon.name}")
                 stop.stiffness[:] = stiffness
                 stop.springlength = slack
@@ -213,6 +203,8 @@ def _check_names(vehicle: Vehicle, model: mujoco.MjModel) -> None:
         )
     mocap = {model.body(i).name for i in range(model.nbody) if model.body(i).mocapid[0] >= 0}
     missing += [f"mocap body {wheel.road_body!r}" for wheel in kind.wheels if wheel.road_body not in mocap]
+    joints = {model.joint(i).name for i in range(model.njnt)}
+    missing += [f"joint {load.joint!r}" for load in kind.loads if load.joint not in joints]
     if missing:
         raise InputError(f"MJCF {kind.mjcf}: has no {', no '.join(missing)}, which the equations name; add what is missing")
 
@@ -291,6 +283,11 @@ def mjcf_text(vehicle: Vehicle, timestep: float) -> str:
     spec = build_spec(vehicle, timestep)
     spec.compiler.savecompiled = False  # every number exactly, not with the six digits of compiled values
     return spec.to_xml()
+
+
+def pushed_dofs(vehicle: Vehicle, model: mujoco.MjModel) -> list[int]:
+    """Degree of freedom along which each of the kind's loads pushes."""
+    return [int(model.joint(load.joint).dofadr[0]) for load in vehicle.kind.loads]
 
 
 def mocap_indices(vehicle: Vehicle, model: mujoco.MjModel) -> list[int]:

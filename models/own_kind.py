@@ -11,7 +11,7 @@ from models.common.errors import InputError
 from models.common.read_file import TEXT, read_text
 from models.kind import VehicleKind
 from models.own.code import compiled, run_own
-from models.sound_kind import wrong_distance, wrong_linear_model, wrong_parts, wrong_place, wrong_rest, wrong_size
+from models.sound_kind import wrong_angles, wrong_distance, wrong_linear_model, wrong_parts, wrong_place, wrong_rest, wrong_size
 
 GIVE = "give the equations of the kind, as models/README.md shows them"
 
@@ -42,7 +42,7 @@ def read_kind(folder: Path, name: str) -> VehicleKind:
 
 def _guarded_kind(path: Path, kind: VehicleKind) -> VehicleKind:
     """The same kind, whose functions give what they should or raise InputError."""
-    for name in ("linear_model", "static_tyre_deflection", "write_mjcf", "check_together"):
+    for name in ("linear_model", "static_tyre_deflection", "write_mjcf", "check_together", "angles"):
         if not callable(getattr(kind, name)):
             raise InputError(f"kind of vehicle {path}: its {name} is no function; give one of the parameters")
     return replace(
@@ -59,6 +59,7 @@ def _guarded_kind(path: Path, kind: VehicleKind) -> VehicleKind:
         static_tyre_deflection=_guarded(
             path, "static_tyre_deflection", kind.static_tyre_deflection, lambda squeezes: wrong_rest(squeezes, kind)
         ),
+        angles=_guarded(path, "angles", kind.angles, lambda angles: wrong_angles(angles, kind)),
         write_mjcf=_guarded(path, "write_mjcf", kind.write_mjcf, lambda nothing: ""),
         check_together=_guarded(path, "check_together", kind.check_together, lambda nothing: "", refuses=True),
     )

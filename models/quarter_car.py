@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from models import signals
-from models.kind import GRAVITY, Invariant, Parameter, Parameters, Variation, VehicleKind, Wheel
+from models.kind import GRAVITY, BodyLoad, Invariant, Parameter, Parameters, Variation, VehicleKind, Wheel
 from models.linear_model import LinearModel
 
 PARAMETERS = (
@@ -59,6 +59,10 @@ def linear_model(p: Parameters) -> LinearModel:
     C = np.vstack([np.eye(4), A[2], np.zeros(4), A[3]])
     D = np.vstack([np.zeros((4, 1)), B[2], [[1]], B[3]])
 
+    # A vertical force on the body acts as the first line of (28) says, and as u does, but for the wheel.
+    Bl = np.array([[0], [0], [1 / m_s], [0]])
+    Dl = np.vstack([np.zeros((4, 1)), Bl[2], [[0]], Bl[3]])
+
     return LinearModel(
         A=A,
         B=B,
@@ -71,6 +75,9 @@ def linear_model(p: Parameters) -> LinearModel:
         outputs=tuple(signal.name for signal in (*OUTPUTS, *ON_DEMAND)),
         Br=np.zeros((4, 1)),
         Cr=np.zeros((7, 1)),
+        loads=(signals.HEAVE_LOAD.name,),
+        Bl=Bl,
+        Dl=Dl,
     )
 
 
@@ -134,5 +141,6 @@ KIND = VehicleKind(
     write_mjcf=write_mjcf,
     invariants=INVARIANTS,
     on_demand=ON_DEMAND,
+    loads=(BodyLoad(signals.HEAVE_LOAD.name, "sprung"),),
     lacking={"anti_roll": "an anti-roll bar acts where a body rolls, and a quarter-car only goes up and down: take a full_car"},
 )

@@ -5,9 +5,9 @@ heave z, pitch theta and roll phi of the body, small, its height above corner i 
 the manner of the paper's (28), with the suspension's force f_i up on the body,
 
     d = S q - z_u,     t = z_u - z_r,     f = -K_s d - C_s d' + u,
-    M q'' = S' f,      m_u z_u'' = -f - K_u t,
+    M q'' = S' f + l,      m_u z_u'' = -f - K_u t,
 
-and the state is made of relative displacements and velocities: x = (d, P t, q', z_u').
+with loads l on the body, a force and moments. The state is made of relative displacements and velocities: x = (d, P t, q', z_u').
 
 An anti-roll bar is a torsion spring between body and axle: it turns by the angle a = (d_left - d_right) / track that the body
 rolls over its axle, and its moment k a is a pair of forces at the two wheels. So K_s, which is diagonal without bars, has
@@ -31,9 +31,23 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.kind import GRAVITY, Parameters
+from models.kind import GRAVITY, BodyLoad, Parameter, Parameters
 from models.linear_model import LinearModel
-from models.signals import Signal
+from models.signals import (
+    HEAVE_LOAD,
+    PITCH_LOAD,
+    ROAD_DISPLACEMENT,
+    ROLL_LOAD,
+    SUSPENSION_DEFLECTION,
+    TYRE_DEFLECTION,
+    Signal,
+)
+
+# What pushes the body from outside, along its own joints: they are the modes q, in their order.
+LOADS = tuple(BodyLoad(load.name, joint) for load, joint in ((HEAVE_LOAD, "heave"), (PITCH_LOAD, "pitch"), (ROLL_LOAD, "roll")))
+CENTRE_HEIGHT = Parameter(
+    "centre_height", "m", "h, of the body's centre of mass over the ground: brakes and curves push with m_s a h", usual=0.55
+)
 
 
 @dataclass(frozen=True)
@@ -169,6 +183,7 @@ def linear_model(
     B = np.vstack([np.zeros((c + p, c)), lift, -push])
     Bw = np.vstack([np.zeros((c, c)), -P, np.zeros((k + c, c))])
     Br = np.vstack([np.zeros((c + p + k, c)), push @ corner["tyre_stiffness"] @ N])
+    Bl = np.vstack([np.zeros((c + p, k)), np.linalg.inv(M), np.zeros((c, k))])
 
     q_ddot, q_ddot_u = A[c + p : c + p + k], B[c + p : c + p + k]
     z_u_ddot, z_u_ddot_u = A[c + p + k :], B[c + p + k :]
@@ -179,6 +194,10 @@ def linear_model(
     Cr = np.zeros((len(C), c))
     Cr[n : n + len(extra_t)] = -N[: len(extra_t)]
     Cr[-c:] = Br[c + p + k :]
+    Dl = np.zeros((len(C), k))
+    first = n + len(extra_t)
+    Dl[first : first + k] = Bl[c + p : c + p + k]
+    Dl[first + k + c : first + k + 2 * c] = S @ Bl[c + p : c + p + k]
     rate = np.sqrt(np.mean(np.diag(corner["tyre_stiffness"]) / np.diag(corner["unsprung_mass"])))
     return LinearModel(
         A=A,
@@ -193,7 +212,20 @@ def linear_model(
         Br=Br,
         Cr=Cr,
         twist_rate=float(rate),
+        loads=tuple(load.name for load in LOADS[:k]),
+        Bl=Bl,
+        Dl=Dl,
     )
+
+
+def angles(body: RigidBody) -> dict[str, dict[str, float]]:
+    """The body's angles [rad] as sums of signals: q = S+ (d + t + z_r), from its heights over the corners."""
+    q, names = np.linalg.pinv(body.shape), [corner.name for corner in body.corners]
+    parts = [signal.name for signal in (SUSPENSION_DEFLECTION, TYRE_DEFLECTION, ROAD_DISPLACEMENT)]
+    return {
+        angle: {f"{part}_{name}": float(share) for part in parts for name, share in zip(names, row, strict=True)}
+        for angle, row in zip(("pitch_angle", "roll_angle"), q[1:], strict=False)
+    }
 
 
 def wheelbase(p: Parameters) -> float:

@@ -50,6 +50,9 @@ ROLL_ACCELERATION = Signal("roll_acceleration", "phi''", "rad/s2", "roll acceler
 CONTROL_FORCE = Signal("control_force", "u", "N", "actuator force, positive lifts the body and presses the wheel down")
 DAMPING = Signal("damping", "c", "N s/m", "coefficient of the adjustable damper")
 MISSING_FORCE = Signal("missing_force", "u* - u", "N", "force asked of the adjustable damper that it did not give at its sample")
+HEAVE_LOAD = Signal("heave_load", "F", "N", "force from outside on the body at its centre of mass, up")
+PITCH_LOAD = Signal("pitch_load", "M_theta", "N m", "moment from outside on the body, nose down")
+ROLL_LOAD = Signal("roll_load", "M_phi", "N m", "moment from outside on the body, right side down")
 
 OWN = "own"  # unit of a controller's state: whatever its law takes it for
 KEPT = "controller_"  # begins the name of one, and of no signal of a vehicle

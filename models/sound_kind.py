@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 
 from models.common.errors import quoted, some
-from models.kind import MOST_SQUEEZE, Invariant, Parameter, Suspension, Variation, VehicleKind, Wheel
+from models.kind import MOST_SQUEEZE, BodyLoad, Invariant, Parameter, Suspension, Variation, VehicleKind, Wheel
 from models.linear_model import LinearModel
-from models.signals import KEPT, Signal
+from models.signals import HEAVE_LOAD, KEPT, PITCH_LOAD, ROLL_LOAD, Signal
 
 LARGEST = 1e30  # SI; of any entry. A parameter over a parameter is at most 1e18, and its square is no longer a vehicle's
 LONGEST = 60  # characters of a name
 SIDES = ("", "left", "right")
+LOADS = (HEAVE_LOAD.name, PITCH_LOAD.name, ROLL_LOAD.name)
 
 
 def wrong_parts(kind: VehicleKind) -> str:
@@ -47,7 +48,7 @@ def wrong_parts(kind: VehicleKind) -> str:
             return f"parameter {part.name!r} is usually {quoted(part.usual)}; give a finite number, or leave usual out"
     if not isinstance(kind.lacking, Mapping) or not all(isinstance(text, str) for pair in kind.lacking.items() for text in pair):
         return f"its lacking is {quoted(kind.lacking)}; give {{beginning of a parameter's name: why there is none}}"
-    return _wrong_wheels(kind) or _wrong_sums(kind) or _wrong_suspensions(kind) or _wrong_invariants(kind)
+    return _wrong_loads(kind) or _wrong_wheels(kind) or _wrong_sums(kind) or _wrong_suspensions(kind) or _wrong_invariants(kind)
 
 
 def _wrong_wheels(kind: VehicleKind) -> str:
@@ -65,6 +66,15 @@ def _wrong_wheels(kind: VehicleKind) -> str:
             if not callable(getattr(wheel, what)):
                 return f"a wheel's {what} is {quoted(getattr(wheel, what))}; give a function of the parameters"
     return ""
+
+
+def _wrong_loads(kind: VehicleKind) -> str:
+    if not isinstance(kind.loads, (tuple, list)) or not all(isinstance(one, BodyLoad) for one in kind.loads):
+        return f"its loads are {quoted(kind.loads)}; give a tuple of BodyLoads, or leave it out"
+    for load in kind.loads:
+        if load.name not in LOADS or not isinstance(load.joint, str):
+            return f"a load is {quoted(load)}; give BodyLoad(name, joint), with a name out of {some(LOADS)}"
+    return _wrong_names("load", [load.name for load in kind.loads])
 
 
 def _wrong_sums(kind: VehicleKind) -> str:
@@ -127,7 +137,7 @@ def wrong_linear_model(model: Any, kind: VehicleKind) -> str:
     for what in ("states", "inputs", "disturbances", "outputs"):
         if not getattr(model, what):
             return f"a model without {what}; give at least one"
-    for name in ("A", "B", "Bw", "C", "D", "Br", "Cr"):
+    for name in ("A", "B", "Bw", "C", "D", "Br", "Cr", "Bl", "Dl"):
         for row, column in np.argwhere(np.abs(getattr(model, name)) > LARGEST)[:1]:
             return (
                 f"{name}[{row}, {column}] = {getattr(model, name)[row, column]:g}, larger than any vehicle's; at most {LARGEST:g}"
@@ -141,6 +151,9 @@ def wrong_linear_model(model: Any, kind: VehicleKind) -> str:
     roads = tuple(wheel.road_velocity for wheel in kind.wheels)
     if tuple(model.disturbances) != roads:
         return f"the disturbances {some(model.disturbances)}; its wheels' road velocities, in their order, are {some(roads)}"
+    if model.loads != tuple(load.name for load in kind.loads):
+        own = some([load.name for load in kind.loads])
+        return f"the loads {some(model.loads) or 'none'}; the kind's, in their order, are {own or 'none'}"
     driven = {*roads, *(wheel.road_displacement for wheel in kind.wheels)}
     own = [signal.name for signal in (*kind.signals, *kind.on_demand) if signal.name not in driven]
     for name in own:
@@ -164,6 +177,16 @@ def wrong_linear_model(model: Any, kind: VehicleKind) -> str:
     for wheel in kind.wheels:
         if wheel.tyre_deflection not in model.outputs:
             return f"no output {wheel.tyre_deflection!r}, a wheel's tyre; add it"
+    return ""
+
+
+def wrong_angles(angles: Any, kind: VehicleKind) -> str:
+    """What is wrong with the sums of signals that are the body's angles."""
+    names = {signal.name for signal in kind.signals}
+    for angle, parts in angles.items() if isinstance(angles, Mapping) else [("", None)]:
+        sound = isinstance(parts, Mapping) and all(name in names and _is_number(share) for name, share in parts.items())
+        if angle not in ("pitch_angle", "roll_angle") or not sound:
+            return f"{quoted(angles)}; give {{'pitch_angle': {{signal: factor}}}}, 'roll_angle' likewise, of the kind's signals"
     return ""
 
 

@@ -89,12 +89,15 @@ def _rests() -> Iterator[Damage]:
 
 
 def _parts() -> Iterator[Damage]:
-    wheel = "OTHER['wheels'][0].__dict__"
+    wheel, load = "OTHER['wheels'][0].__dict__", "__import__('models.kind').kind.BodyLoad"
     parts = {
         "parameters": ("None", "3", "('mass', 'stiffness')", "OTHER['parameters'] * 2", "(Parameter(3, 'kg', 'x'),)",
                        "(Parameter('a mass', 'kg', 'x'),)", "(Parameter('', 'kg', 'x'),)", "(Parameter('mass', 1, 'x'),)",
                        "(Parameter('mass', 'kg', None),)", "(Parameter('mass', 'kg', 'x', varied=2),)",
                        "(Parameter('mass', 'kg', 'x', usual='1'),)"),
+        "loads": ("None", "3", "('heave_load',)", f"({load}('push', 'mass'),)", f"({load}('heave_load', 3),)",
+                  f"({load}('heave_load', 'mass'),) * 2", f"({load}('heave_load', 'mass'),)"),
+        "angles": ("None", "3"),
         "lacking": ("None", "('bar',)", "{'bar': 1}", "{1: 'no bar'}"),
         "signals": ("None", "()", "OTHER['signals'] * 2", "OTHER['signals'][1:]", "OTHER['signals'][:-1]",
                     "tuple(one.name for one in OTHER['signals'])", "(*OTHER['signals'], signals.PITCH_RATE)",

@@ -30,8 +30,11 @@ ROOMS = {
     "models.goals": "models.common",
     "models.curves": "models.common",
     "models.stops": "models.common",
-    "models": "models.common models.curves models.damping models.filters models.formats models.goals models.own models.stops",
-    "models.roads": "models models.common",
+    "models.parts": "models.common",
+    "models": "models.common models.curves models.damping models.filters models.formats models.goals models.own "
+    "models.parts models.stops",
+    "models.loads": "models models.common",
+    "models.roads": "models models.common models.loads",
     # synth: what a controller is; of vehicles it knows nothing below `controller`
     "synth": "",
     "synth.errors": "",
@@ -96,7 +99,8 @@ ROOMS = {
     "synth.words",
     "sim.recording": "models.figures sim.linear sim.physics sim.response models.roads sim.runs",
     "sim.command": "models.roads sim.recording sim.runs",
-    "sim.asked": "models.figures sim.command sim.frequency sim.response models.roads sim.runs sim.stability sim.validity",
+    "sim.asked": "models.figures models.loads sim.command sim.frequency sim.response models.roads sim.runs sim.stability "
+    "sim.validity",
     "sim.inspect": "sim.asked sim.linear sim.physics sim.recording sim.response sim.ride models.roads sim.runs "
     "synth.designs synth.dynamic synth.problem synth.words",
     "sim.campaign": "models.figures sim.command sim.linear sim.physics sim.response sim.ride models.roads sim.runs "

@@ -29,7 +29,7 @@ SAMPLES = 20_000  # 800 m
 X = np.linspace(0, 30, 301)
 ROADS = [
     Iso8608("C", 3, 20.0, 1.5),
-    *(obstacle() for obstacle in OBSTACLES.values()),
+    *(obstacle() for name, obstacle in OBSTACLES.items() if name != "flat"),
     Profile(X, 0.01 * np.stack([np.sin(X), np.cos(2 * X)], axis=-1), 10.0),
     Iso8608("A", 1, 15.0).scaled(0.3),
     WattsHump().scaled(0.01),
@@ -155,6 +155,15 @@ def test_velocity_is_the_derivative(road, side):
             assert abs(change - integral) < ROUNDING.get(road.describe()["type"], 1e-12) * size
             tested += change != 0
     assert tested > 2
+
+
+def test_flat_is_flat():
+    """A flat road is nothing anywhere, and can be driven."""
+    road, t = choose_road("flat").build(read_vehicle("quarter_car"), 20.0, 0, 40.0), np.linspace(-1, 5, 100)
+    assert not road.displacement(t).any()
+    assert not road.velocity(t).any()
+    assert described_road(road.describe()) == road == road.scaled(0.1)
+    road.check(read_vehicle("quarter_car"), np.arange(10) * 1e-3)
 
 
 ROUNDING = {"profile": 1e-7}  # a step of the quadrature may hold a point, where the third derivative jumps

@@ -11,9 +11,9 @@ import sim.frequency.periodic
 import sim.frequency.sweep
 from models.common.errors import InputError
 from models.reality import Implementation, Limits
-from models.roads.apart import Apart
 from models.roads.road import Bump, under_wheels
 from models.vehicle import Vehicle, parse_vehicle, read_vehicle
+from sim.frequency.apart import Apart
 from sim.frequency.gain import l2_gain
 from sim.frequency.periodic import worst_road
 from sim.frequency.sweep import DRIVEN, REACHED

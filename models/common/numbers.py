@@ -1,8 +1,10 @@
-"""Numbers as JSON and tables have them."""
+"""Numbers as JSON and tables have them, and as names with values are written down."""
 
 import math
 from collections.abc import Iterable
 from typing import Any
+
+from models.common.errors import InputError, listing
 
 
 def finite(value: Any) -> float | None:
@@ -25,3 +27,20 @@ def percent(share: float) -> str:
     if share <= 1e-9:
         return "0 %"
     return f"{100 * share:.2g} %" if share < 0.995 else f"{100 * share:.0f} %"
+
+
+def settings(text: str, allowed: Iterable[str]) -> dict[str, str]:
+    """`:NAME=VALUE:NAME=VALUE`, each name once.
+
+    Raises:
+        InputError: it is not that.
+    """
+    found: dict[str, str] = {}
+    for setting in text.split(":")[1:]:
+        name, equals, value = setting.partition("=")
+        if not equals or name not in allowed:
+            raise InputError(f"{setting!r} is not NAME=VALUE with a NAME out of {listing(allowed)}")
+        if name in found:
+            raise InputError(f"{name} is given twice, {found[name]!r} and {value!r}; give it once")
+        found[name] = value
+    return found

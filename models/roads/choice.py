@@ -2,13 +2,17 @@
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from models.common.errors import InputError, listing
+from models.common.errors import InputError
+from models.common.numbers import settings
+from models.loads.choice import choose_load, split_off
+from models.loads.load import Load
 from models.roads.iso8608 import Iso8608, long_enough
+from models.roads.loaded import Loaded
 from models.roads.obstacles import OBSTACLES
 from models.roads.opencrg import Surface, read_surface
 from models.roads.profile import Profile
@@ -21,7 +25,8 @@ from models.vehicle import Vehicle
 KINDS = ("iso8608", *OBSTACLES, "rig")
 SYNTAX = (
     f"give {', '.join(KINDS)}, each with :NAME=VALUE for its numbers, as in pothole:depth=0.03:length=2, or a .csv, .txt or .crg "
-    "file, as in road.csv:height_unit=mm; or a rig's drive file, as in rig:file=drive.csv"
+    "file, as in road.csv:height_unit=mm; or a rig's drive file, as in rig:file=drive.csv; loads may be added, as in "
+    "bump + brake:g=0.5"
 )
 TABLE = ("distance_unit", "height_unit", "separator", "columns")  # of a .csv or .txt file
 FILE = re.compile(r"(?P<path>.+\.(?P<suffix>csv|txt|crg))(?P<settings>(:\w+=[^:]*|:[^:\\/]*)*)", re.IGNORECASE | re.DOTALL)
@@ -40,6 +45,7 @@ class RoadChoice:
         profile: of a CSV file.
         surface: of an OpenCRG file.
         rig: of a drive file.
+        loads: on the body, beside it.
     """
 
     text: str
@@ -48,11 +54,17 @@ class RoadChoice:
     profile: Profile | None = None
     surface: Surface | None = None
     rig: Rig | None = None
+    loads: tuple[Load, ...] = ()
 
     @property
     def random(self) -> bool:
         """Whether its seed matters."""
         return self.kind == "iso8608"
+
+    @property
+    def stationary(self) -> bool:
+        """Whether a vehicle on it forgets its start, and is measured from then on."""
+        return self.random and not self.loads
 
     def build(self, vehicle: Vehicle, speed: float, seed: int, distance: float) -> Road:
         """The road.
@@ -66,6 +78,10 @@ class RoadChoice:
         Raises:
             InputError: a number that is not allowed.
         """
+        road = self._road(vehicle, speed, seed, distance)
+        return Loaded(road, self.loads) if self.loads else road
+
+    def _road(self, vehicle: Vehicle, speed: float, seed: int, distance: float) -> Road:
         if self.kind == "iso8608":
             return _random(self.values, seed, speed, track_width(vehicle), long_enough(distance))
         if self.profile is not None:
@@ -78,7 +94,7 @@ class RoadChoice:
 
 
 def choose_road(text: str, folder: Path = Path()) -> RoadChoice:
-    """A road from its text: `iso8608:class=C`, `pothole:depth=0.03`, `profile.csv`, `rig:file=drive.csv`.
+    """A road from its text: `iso8608:class=C`, `profile.csv`, `rig:file=drive.csv`, `bump + brake:g=0.3`.
 
     Args:
         text: the text.
@@ -87,6 +103,13 @@ def choose_road(text: str, folder: Path = Path()) -> RoadChoice:
     Raises:
         InputError: an unknown kind or name, a value that is not allowed, a file that is no profile.
     """
+    road, loads = split_off(text)
+    choice = _choose(road, folder)
+    return replace(choice, text=text, loads=tuple(choose_load(one, folder) for one in loads)) if loads else choice
+
+
+def _choose(text: str, folder: Path) -> RoadChoice:
+    """A road without loads, as `choose_road`."""
     if text.partition(":")[0] == "rig":
         return _rig(text, folder)
     file = FILE.fullmatch(text)
@@ -96,7 +119,7 @@ def choose_road(text: str, folder: Path = Path()) -> RoadChoice:
         return RoadChoice(text, "profile", {}, surface=read_surface(folder / file["path"]))
     if file:
         try:
-            table = read_table(_settings(file["settings"], TABLE))
+            table = read_table(settings(file["settings"], TABLE))
         except InputError as error:
             raise InputError(f"road {text!r}: {error}") from error
         return RoadChoice(text, "profile", {}, read_profile(folder / file["path"], 20.0, table))
@@ -105,11 +128,11 @@ def choose_road(text: str, folder: Path = Path()) -> RoadChoice:
         raise InputError(f"unknown road {text!r}; {SYNTAX}")
     allowed = {"class": "C", "iri": 0.0} if kind == "iso8608" else _defaults(OBSTACLES[kind])
     try:
-        settings = _settings(colon + rest, allowed)
+        given = settings(colon + rest, allowed)
     except InputError as error:
         raise InputError(f"road {text!r}: {error}") from error
     values: dict[str, Any] = {
-        name: value if isinstance(allowed[name], str) else _number(text, name, value) for name, value in settings.items()
+        name: value if isinstance(allowed[name], str) else _number(text, name, value) for name, value in given.items()
     }
     if values.get("track", "both") not in ("left", "right", "both"):
         raise InputError(f"road {text!r}: track = {values['track']!r} is not allowed; give left, right or both")
@@ -136,8 +159,8 @@ def _rig(text: str, folder: Path) -> RoadChoice:
             f"road {text!r}: a rig is given by its drive file; give a .csv or .txt file, as in rig:file=drive.csv{RPC}"
         )
     try:
-        settings = _settings(file["settings"], SETTINGS)
-        rig = read_rig(folder / file["path"], settings)
+        given = settings(file["settings"], SETTINGS)
+        rig = read_rig(folder / file["path"], given)
     except InputError as error:
         said = str(error)
         raise InputError(said if said.startswith("drive file") else f"road {text!r}: {said}") from error
@@ -147,23 +170,6 @@ def _rig(text: str, folder: Path) -> RoadChoice:
 def _random(values: Mapping[str, Any], *rest: Any) -> Iso8608:
     """A random road, as rough as was asked for: of class C, unless another or an IRI was."""
     return Iso8608(values.get("class", "" if "iri" in values else "C"), *rest, iri=values.get("iri"))
-
-
-def _settings(text: str, allowed: Iterable[str]) -> dict[str, str]:
-    """`:NAME=VALUE:NAME=VALUE`, each name once.
-
-    Raises:
-        InputError: it is not that.
-    """
-    found: dict[str, str] = {}
-    for setting in text.split(":")[1:]:
-        name, equals, value = setting.partition("=")
-        if not equals or name not in allowed:
-            raise InputError(f"{setting!r} is not NAME=VALUE with a NAME out of {listing(allowed)}")
-        if name in found:
-            raise InputError(f"{name} is given twice, {found[name]!r} and {value!r}; give it once")
-        found[name] = value
-    return found
 
 
 def _defaults(road: type) -> dict[str, Any]:

@@ -6,7 +6,9 @@ from dataclasses import fields
 from typing import Any
 
 from models.common.errors import InputError, listing, quoted
+from models.loads.choice import described_loads
 from models.roads.iso8608 import HIGHEST, LOWEST, Iso8608, check_seed
+from models.roads.loaded import PLUS, Loaded
 from models.roads.obstacles import OBSTACLES
 from models.roads.profile import from_csv
 from models.roads.rig import rig_from_csv
@@ -14,6 +16,7 @@ from models.roads.road import Road, Scaled
 from models.roads.sinusoids import MULTISINES, Multisine
 
 KINDS = ("iso8608", "profile", "rig", *OBSTACLES, *MULTISINES)
+MOST_LOADS = 8_000_000  # characters
 MOST_LINES = 1000  # of a sum of sinusoids
 SAME = 1e-12  # relative; numbers that follow from others, as they were written down
 SIDES = ("left", "right", "both")
@@ -29,6 +32,12 @@ def described_road(description: Mapping[str, Any], points: bytes | None = None) 
     Raises:
         InputError: it describes no road, or not all of one.
     """
+    if "loads" in description:
+        loads = description["loads"]
+        if not isinstance(loads, str) or len(loads) > MOST_LOADS:
+            raise InputError(f"its loads are no text of at most {MOST_LOADS} characters")
+        road = described_road({name: value for name, value in description.items() if name != "loads"}, points)
+        return Loaded(road, described_loads(loads.split(PLUS)))
     kind = description.get("type")
     if not isinstance(kind, str) or kind not in KINDS:
         raise InputError(f"a road of unknown type; known: {listing(KINDS)}")

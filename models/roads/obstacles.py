@@ -179,6 +179,44 @@ class Pothole(Road):
         return 1.0 if not side or self.track in ("both", side) else 0.0
 
 
+@dataclass(frozen=True)
+class Flat(Road):
+    """No road at all: what a vehicle drives on that something else moves.
+
+    Attributes:
+        speed: V [m/s].
+
+    Raises:
+        InputError: a number beyond its limits.
+    """
+
+    speed: float = 20.0
+
+    def __post_init__(self) -> None:
+        check_numbers("flat", self, {"speed": LIMITS["speed"]})
+
+    def displacement(self, t: Array, side: str = "") -> Array:
+        """Zero."""
+        return np.zeros_like(t)
+
+    def velocity(self, t: Array, side: str = "") -> Array:
+        """Zero."""
+        return np.zeros_like(t)
+
+    @property
+    def kinks(self) -> tuple[float, ...]:
+        """None."""
+        return ()
+
+    def describe(self) -> dict[str, float | str]:
+        """Its speed."""
+        return {"type": "flat", **asdict(self)}
+
+    def scaled(self, factor: float) -> "Flat":
+        """Itself."""
+        return self
+
+
 # By the name that a command line, a campaign file or a log has for them.
 OBSTACLES: Mapping[str, type] = {
     "bump": Bump,
@@ -186,4 +224,5 @@ OBSTACLES: Mapping[str, type] = {
     "step": Step,
     "pothole": Pothole,
     "sweep": SineSweep,
+    "flat": Flat,
 }

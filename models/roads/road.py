@@ -51,6 +51,20 @@ class Road(ABC):
         """What `describe` has not room for, as a CSV file; None where its description makes a road again."""
         return None
 
+    @property
+    def loaded(self) -> bool:
+        """Whether loads push the vehicle's body while it drives."""
+        return False
+
+    @property
+    def load_kinks(self) -> tuple[float, ...]:
+        """Times [s] at which a load or one of its derivatives jumps."""
+        return ()
+
+    def loads(self, vehicle: Vehicle, t: Array) -> Array:
+        """What loads push a vehicle's body with [N, N m] at times t [s], shapes (T,) and (T, l), in the order of its kind's."""
+        return np.zeros((len(t), len(vehicle.kind.loads)))
+
     @abstractmethod
     def displacement(self, t: Array, side: str = "") -> Array:
         """Height under the first wheel of a side [m] at times t [s], same shape. See `Wheel.side`, and `met_by`."""

@@ -13,6 +13,7 @@ from models.common.errors import InputError, quoted
 
 SIDES = ("bump", "rebound")  # the suspension squeezed, and stretched
 MOST = 3  # coefficients, as MuJoCo's polynomial springs have
+SLACK = 1e3  # m; no suspension is that long
 SMALLEST, LARGEST = 1e-6, 1e12  # SI, of numbers above 0
 
 Stiffness = float | tuple[float, ...]
@@ -50,6 +51,19 @@ class Stops:
     def alike(self) -> bool:
         """Whether one spring with a dead band is both: its force is odd, so has no x^2 in it."""
         return self.bump.stiffness == self.rebound.stiffness and not self.bump.stiffness[1]
+
+    def springs(self, rest: float) -> dict[str, tuple[tuple[float, float], tuple[float, float, float]]]:
+        """The springs that they are, by name: where each is slack, from and to, and its coefficients, f = -(a x + b x^2 + c x^3).
+
+        Args:
+            rest: length of the suspension at rest [m].
+        """
+        low, high = rest - self.bump.stroke, rest + self.rebound.stroke
+        if self.alike:
+            return {"stop": ((low, high), self.bump.stiffness)}
+        first, second, third = self.bump.stiffness
+        # Beyond the bump's end the spring's x is below 0.
+        return {"stop_bump": ((low, SLACK), (first, -second, third)), "stop_rebound": ((-SLACK, high), self.rebound.stiffness)}
 
     @property
     def words(self) -> str:

@@ -2,13 +2,18 @@
 
 import argparse
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from models.common.arrays import Array
 from models.common.command import Parser, chosen
 from models.common.errors import InputError
+from models.loads.choice import SYNTAX as LOAD_SYNTAX
+from models.loads.choice import choose_load, is_file, split_off
+from models.loads.table import named
 from models.roads.choice import SYNTAX, RoadChoice, choose_road, named_file
 from models.roads.iso8608 import CLASSES
+from models.roads.loaded import PLUS
 from models.roads.road import Road
 from models.vehicle import Vehicle
 from sim.asked.asked import Asked, same_path
@@ -26,6 +31,7 @@ examples:
   python -m sim.drive --controller I --road survey.txt:separator=semicolon:columns=1,3:height_unit=mm --speed 15
   python -m sim.drive --vehicle full_car --controller I --class B --seed 7
   python -m sim.drive --vehicle full_car --controller I --road rig:file=drive.csv --duration 30
+  python -m sim.drive --vehicle full_car --controller I --load brake:g=0.5 --load corner:g=0.3
 """
 
 
@@ -42,22 +48,34 @@ def parser() -> Parser:
     )
     parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="of the random road (default: 0)")
     parser.add_argument("--road", metavar="ROAD", help=f"another road: {SYNTAX}".replace("%", "%%"))
+    parser.add_argument(
+        "--load",
+        dest="loads",
+        action="append",
+        default=[],
+        metavar="LOAD",
+        help=f"pushes the body, on a flat road where none is named; several act together: {LOAD_SYNTAX}",
+    )
     parser.add_number("--speed", 20.0, "m/s", "forward speed of the vehicle")
     add_run_options(parser, 20.0)
     return parser
 
 
 def asked(vehicle: Vehicle, options: argparse.Namespace) -> Asked:
-    """What a log of these options holds. Of a road file only the name: it is not read."""
-    text = _road_text(options)
-    file = named_file(text)
+    """What a log of these options holds. Of a file of a road or a load only the name: it is not read."""
+    text, added = split_off(_road_text(options))
+    loads, file = [*added, *options.loads], named_file(text)
 
     def is_it(road: Mapping[str, Any]) -> bool:
+        alone = {name: value for name, value in road.items() if name != "loads"}
+        pushed = str(road["loads"]).split(PLUS) if "loads" in road else []
+        if len(pushed) != len(loads) or not all(_is_load(*pair) for pair in zip(pushed, loads, strict=True)):
+            return False
         if file:
             path, kind = file
             speed = None if kind == "rig" else options.speed
             return same_path(str(road.get("source")), path) and (road.get("type"), road.get("speed")) == (kind, speed)
-        return road == _built(vehicle, options, choose_road(text)).describe()
+        return alone == _built(vehicle, options, choose_road(text)).describe()
 
     names = chosen(vehicle.controller_names, options.controller)
     samples = len(sample_times(vehicle, options.duration, options.timestep))
@@ -67,6 +85,7 @@ def asked(vehicle: Vehicle, options: argparse.Namespace) -> Asked:
 def asked_road(vehicle: Vehicle, options: argparse.Namespace, time: Array) -> Road:
     """The road that was asked for, if it can be driven."""
     choice = choose_road(_road_text(options))
+    choice = replace(choice, loads=(*choice.loads, *map(choose_load, options.loads)))
     if "seed" in options.given and not choice.random:
         raise InputError(f"--seed says which random road, and {choice.text!r} is none; leave it out")
     if "speed" in options.given and choice.kind == "rig":
@@ -79,10 +98,17 @@ def asked_road(vehicle: Vehicle, options: argparse.Namespace, time: Array) -> Ro
     return road
 
 
+def _is_load(described: str, asked: str) -> bool:
+    """Whether a load that describes itself so was asked for."""
+    if is_file(asked):
+        return same_path(described.partition(";")[0], named(asked))
+    return described == choose_load(asked).text
+
+
 def _road_text(options: argparse.Namespace) -> str:
     """Which road was asked for."""
     if options.road_class is None:
-        return options.road or "iso8608:class=C"
+        return options.road or ("flat" if options.loads and "seed" not in options.given else "iso8608:class=C")
     if options.road is not None:
         raise InputError("give --class or --road, not both: --class C is --road iso8608:class=C")
     return f"iso8608:class={options.road_class.upper()}"

@@ -42,7 +42,7 @@ def run_batch(plan: Plan, start: int, stop: int, stopped: Callable[[], bool] = l
     # Where one controller needs a sensor before the step, signals of all are read so: a rounding that must not depend on company.
     alike: dict[tuple[int, bytes, bool], list[int]] = {}
     for i, key in enumerate(keys):
-        of = (key.controller, reads_out(made[key.sample], campaign.timestep), campaign.roads[key.road].random)
+        of = (key.controller, reads_out(made[key.sample], campaign.timestep), campaign.roads[key.road].stationary)
         alike.setdefault(of, []).append(i)
     for group in alike.values():
         todo = [group]
@@ -71,11 +71,11 @@ class _Driven:
 def _drive(campaign: Campaign, runs: Sequence[PlannedRun], stopped: Callable[[], bool]) -> _Driven | None:
     vehicles, time = [run.vehicle for run in runs], campaign.time
     watched = Watched(vehicles, [run.controller for run in runs], [run.road for run in runs], time)
-    random = runs[0].choice.random
+    random = runs[0].choice.stationary
     first = campaign.first if random else 0
-    meter = Meter(vehicles, campaign.timestep, first)
+    meter = Meter(vehicles, campaign.timestep, first, campaign.loaded)
     linear_runs = [run for run in runs if isinstance(run.controller, Controller)]  # all, or none
-    twin = Twin(linear_runs, watched.now, watched.midway, campaign.timestep, None if random else first) if linear_runs else None
+    twin = Twin(linear_runs, watched, None if random else first, campaign.loaded) if linear_runs else None
     for block in watched.blocks():
         if stopped():
             return None
@@ -110,7 +110,7 @@ def _drive(campaign: Campaign, runs: Sequence[PlannedRun], stopped: Callable[[],
         row["linear_error"] = finite(errors[i])
         row |= {name: None if absent else finite(values[i]) for name, values in measured.items()}
         row |= {f"{LINEAR}{name}": None if absent else finite(values[i]) for name, values in linear.items()}
-        if run.choice.random:
+        if run.choice.stationary:
             row |= expected(run)
         rows.append(row)
     return _Driven(rows, [i for i, failure in watched.failures.items() if failure.together])

@@ -34,7 +34,7 @@ class Column:
 
 def columns(campaign: Campaign) -> dict[str, Column]:
     """Every column of the results by name, in order."""
-    metrics = {metric.name: metric for vehicle in campaign.vehicles.values() for metric in metrics_of(vehicle)}
+    metrics = {metric.name: metric for vehicle in campaign.vehicles.values() for metric in metrics_of(vehicle, campaign.loaded)}
     sampled = dict.fromkeys(name for samples in campaign.samples.values() for name in samples[0])
     return {
         "run": Column(int, {}),

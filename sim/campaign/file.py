@@ -57,6 +57,11 @@ class Campaign:
         return np.arange(round(self.duration / self.timestep) + 1) * self.timestep
 
     @property
+    def loaded(self) -> bool:
+        """Whether a body is pushed on any of its roads: then the angles of all are measured."""
+        return any(road.loads for road in self.roads)
+
+    @property
     def first(self) -> int:
         """The sample from which is measured."""
         return round(self.settle / self.timestep)

@@ -10,7 +10,9 @@ from models.common.arrays import Array
 from models.vehicle import Vehicle
 from sim.campaign.plan import PlannedRun
 from sim.linear.curved import is_curved
+from sim.linear.loop import readings_of_loads
 from sim.physics.blocks import DIVERGED
+from sim.physics.watched import Watched
 from sim.response.response import SILENT
 from sim.ride.metrics import Meter
 from synth.controller import Controller
@@ -25,19 +27,21 @@ class Twin:
     a vehicle with curves, have no twin here.
     """
 
-    def __init__(self, runs: Sequence[PlannedRun], now: Array, midway: Array, timestep: float, first: int | None) -> None:
-        """Measured from sample `first` on; not at all, if that is None."""
+    def __init__(self, runs: Sequence[PlannedRun], watched: Watched, first: int | None, loaded: bool) -> None:
+        """Of runs that are watched, measured from sample `first` on, as a `Meter` does; not at all, if that is None."""
         vehicle = runs[0].vehicle
-        self.signals, self.now, self.midway = vehicle.kind.signals, now, midway
+        self.signals, self.now, self.midway, self.loads = vehicle.kind.signals, watched.now, watched.midway, watched.loads
+        timestep = watched.timestep
         self.ideal = vehicle.implementation.ideal and not is_curved(vehicle)
         systems: dict[Any, Any] = {}
         for run in runs:
             if run.system not in systems:
                 assert isinstance(run.controller, Controller), "it is linear"
                 systems[run.system] = _system(run.vehicle, run.controller, timestep)
-        # By entry of the matrices, runs last: shapes (n, n, N), (n, r, N), (n, r, N), (n, r, N), (p, n, N), (p, r, N).
-        self.loop, self.of_now, self.of_midway, self.jump, self.C, self.Cr = (
-            np.stack([systems[run.system][i] for run in runs], axis=-1) for i in range(6)
+        # By entry of the matrices, runs last: shapes (n, n, N), (n, r, N), (n, r, N), (n, r, N), (p, n, N), (p, r, N); and of
+        # loads (n, l, N), (n, l, N), (p, l, N), (p, l, N).
+        self.loop, self.of_now, self.of_midway, self.jump, self.C, self.Cr, self.of_loads, self.of_felt, self.Dl, self.D_felt = (
+            np.stack([systems[run.system][i] for run in runs], axis=-1) for i in range(10)
         )
         self.outputs = vehicle.linear_model.outputs
         place = [signal.name for signal in self.signals]
@@ -45,7 +49,7 @@ class Twin:
         self.xi = np.zeros((self.loop.shape[0], len(runs)))
         self.off, self.peak = np.zeros((len(self.outputs), len(runs))), np.zeros((len(self.outputs), len(runs)))
         self.known = [i for i, name in enumerate(self.outputs) if name in vehicle.linear_model.states]
-        self.meter = None if first is None else Meter([run.vehicle for run in runs], timestep, first)
+        self.meter = None if first is None else Meter([run.vehicle for run in runs], timestep, first, loaded)
 
     def update(self, start: int, values: Array, until: Array, times: Array) -> None:
         """Compares the next block of signals, shape (B, S, N), before the times [s] until which it is linear, shape (N,)."""
@@ -54,6 +58,11 @@ class Twin:
         some = slice(start, start + len(values))
         now, midway = np.moveaxis(self.now[some], 1, 2), np.moveaxis(self.midway[some], 1, 2)
         push, jump = _applied(self.of_now, now) + _applied(self.of_midway, midway), _applied(self.jump, now)
+        loads = felt = None
+        if self.loads is not None:  # an acceleration is measured before a new load acts
+            before = self.loads[start - 1 : start] if start else np.zeros_like(self.loads[:1])
+            loads, felt = (np.moveaxis(one, 1, 2) for one in (self.loads[some], np.concatenate([before, self.loads[some]])[:-1]))
+            push += _applied(self.of_loads, loads) + _applied(self.of_felt, felt)
         states = np.empty_like(push)
         with np.errstate(over="ignore", invalid="ignore"):  # an unstable loop overflows; its run says so
             for k in range(len(values)):
@@ -63,6 +72,8 @@ class Twin:
             linear = times[-1] < until
             for i in self.known if self.meter is None else range(len(self.outputs)):
                 output = states[:, i] if self.meter is None else _row(self.C[i], states) + _row(self.Cr[i], now)
+                if self.meter is not None and loads is not None and felt is not None:
+                    output = output + _row(self.Dl[i], loads) + _row(self.D_felt[i], felt)
                 apart = np.abs(values[:, self.index[i]] - output)
                 size = np.abs(output)
                 if not linear.all():
@@ -93,11 +104,17 @@ class Twin:
 
 
 def _system(vehicle: Vehicle, controller: Controller, timestep: float) -> tuple[Array, ...]:
-    """The sampled loop as `sim.linear.loop` has it: xi' = loop xi + of_now z_r + of_midway z_r(h/2), x = xi + jump z_r."""
+    """The sampled loop as `sim.linear.loop` has it: xi' = loop xi + of_now z_r + of_midway z_r(h/2), x = xi + jump z_r.
+
+    Loads f add of_loads f, and of_felt times those of the step before, by way of measured accelerations; so do they to outputs.
+    """
     cut = sampled(vehicle, controller, timestep)
     model, G = cut.model, cut.inputs(cut.asked)
+    felt = cut.inputs(*np.split(readings_of_loads(cut, controller), [cut.forces]))
     Phi, Gamma_u, Gamma_r = held_inputs(model.A, timestep, linalg.expm, model.B, model.A @ model.Bw + model.Br)
-    return Phi + Gamma_u @ G, Gamma_u @ G @ model.Bw, Gamma_r, model.Bw, model.C + model.D @ G, model.Cr
+    Gamma_l = held_inputs(model.A, timestep, linalg.expm, model.Bl)[1]
+    of_road = (Gamma_u @ G @ model.Bw, Gamma_r, model.Bw, model.C + model.D @ G, model.Cr)
+    return Phi + Gamma_u @ G, *of_road, Gamma_l, Gamma_u @ felt, model.Dl, model.D @ felt
 
 
 def _applied(matrix: Array, inputs: Array) -> Array:

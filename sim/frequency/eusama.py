@@ -23,8 +23,8 @@ from models.common.arrays import Array
 from models.common.numbers import finite
 from models.common.printed import table
 from models.reality import steps_per_sample
-from models.roads.apart import Apart
 from models.vehicle import Vehicle
+from sim.frequency.apart import Apart
 from sim.frequency.extremes import whole_periods
 from sim.frequency.identification import ALIASED, HIGHEST, fit, ideal_measurements, images, lead_in
 from sim.linear.frequency import sampled_frequency_response

@@ -17,8 +17,8 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.reality import steps_per_sample
-from models.roads.apart import Apart
 from models.vehicle import Vehicle
+from sim.frequency.apart import Apart
 from sim.frequency.gain import beside_leaps, mean_square
 from sim.linear.frequency import leaps_by_step, stepwise_frequency_response
 from sim.physics.simulate import simulate

@@ -14,8 +14,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError, listing
 from models.common.read_file import TEXT
-from models.controllers import ControllerEntry
-from models.kind import LARGEST
+from models.controllers import LARGEST, ControllerEntry
 from models.kinds import kinds as kind_names
 from models.law import MATRICES, LinearLaw, static_law
 from models.law import MOST_STATES as MOST_OF_A_LAW

@@ -170,7 +170,9 @@ class CurvedSteps:
         slope, start, low, high = self.pieces
         return np.clip(slope * (y[..., None] - start), low, high).sum(axis=-1)
 
-    def __call__(self, xi: Array, inputs: Array, heights: Array, coefficients: Array | None = None) -> Array:
+    def __call__(
+        self, xi: Array, inputs: Array, heights: Array, coefficients: Array | None = None, pushed: Array | None = None
+    ) -> Array:
         """xi after a step, shape (N, n).
 
         Args:
@@ -178,8 +180,11 @@ class CurvedSteps:
             inputs: held, shape (N, m).
             heights: of the road, held [m], shape (N, r).
             coefficients: of every element, held, to its slope [N s/m], shape (N, e); None for none.
+            pushed: what loads, held, add to xi', shape (N, n); None for nothing.
         """
         constant, offset = inputs @ self.of_inputs + heights @ self.of_road, heights @ self.elements.of_road.T
+        if pushed is not None:
+            constant = constant + pushed
         if self.exact:
             for _ in range(self.parts):
                 xi = self._exactly(xi, constant, offset, coefficients)

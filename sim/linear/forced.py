@@ -14,7 +14,7 @@ from models.common.arrays import Array
 from models.roads.road import Road, under_wheels
 from models.vehicle import Vehicle
 from sim.linear.curved import CurvedSteps, is_curved
-from sim.linear.loop import recursion, response_of, road_forcing, taylor4
+from sim.linear.loop import held_loads, load_forcing, recursion, response_of, road_forcing, taylor4
 from sim.response.response import Response
 from synth.implemented.controlled import with_lag
 from synth.sampled.hold import held_inputs
@@ -33,23 +33,31 @@ def forced_response(
         exponential: the matrix exponential; `taylor4` to predict an RK4 integrator to rounding.
     """
     h, model = float(time[1] - time[0]), with_lag(vehicle)
-    Phi, Gamma, Gamma_r = held_inputs(model.A, h, exponential, model.B, model.A @ model.Bw + model.Br)
+    loads = held_loads(road, vehicle, time) if road.loaded else None
+    outside = [] if loads is None else [model.Bl]
+    Phi, Gamma, Gamma_r, *Gamma_l = held_inputs(model.A, h, exponential, model.B, model.A @ model.Bw + model.Br, *outside)
     now, midway = (under_wheels(road.displacement, road, vehicle, times) for times in (time, time + h / 2))
-    jump = now @ model.Bw.T
+    jump, add = now @ model.Bw.T, 0.0 if loads is None else loads @ model.Dl.T
     if not is_curved(vehicle):
-        states = recursion(Phi, midway @ Gamma_r.T + forces @ Gamma.T) + jump
-        return response_of(vehicle, model, road, time, states, forces)
+        push = midway @ Gamma_r.T + forces @ Gamma.T
+        if loads is not None:
+            push += loads @ Gamma_l[0].T
+        return response_of(vehicle, model, road, time, recursion(Phi, push) + jump, forces, add)
     steps = CurvedSteps(vehicle, model, h, exact=exponential is not taylor4)
     xi = np.zeros((len(time), 1, len(model.A)))
     for k in range(len(time) - 1):
-        xi[k + 1] = steps(xi[k], forces[k : k + 1], midway[k : k + 1])
+        pushed = None if loads is None else loads[k : k + 1] @ model.Bl.T
+        xi[k + 1] = steps(xi[k], forces[k : k + 1], midway[k : k + 1], pushed=pushed)
     states = xi[:, 0] + jump
-    return response_of(vehicle, model, road, time, states, forces, steps.beyond(states, now))
+    return response_of(vehicle, model, road, time, states, forces, steps.beyond(states, now) + add)
 
 
 def forced_continuous_response(vehicle: Vehicle, forces: Array, road: Road, time: Array) -> Response:
     """The response to forces that are held, and to the road as it is, from rest. Arguments as for `forced_response`."""
     h, model = float(time[1] - time[0]), with_lag(vehicle)
     Phi, Gamma = held_inputs(model.A, h, linalg.expm, model.B)
-    states = recursion(Phi, road_forcing(model.A, model, road, vehicle, time) + forces @ Gamma.T)
-    return response_of(vehicle, model, road, time, states, np.asarray(forces))
+    forcing, loads = road_forcing(model.A, model, road, vehicle, time) + forces @ Gamma.T, None
+    if road.loaded:
+        forcing, loads = forcing + load_forcing(model.A, model.Bl, road, vehicle, time), road.loads(vehicle, time)
+    add = 0.0 if loads is None else loads @ model.Dl.T
+    return response_of(vehicle, model, road, time, recursion(Phi, forcing), np.asarray(forces), add)

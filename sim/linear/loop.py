@@ -8,8 +8,9 @@ everything on the right but xi is constant:
 
 Where a damper or a spring has a curve, every step is as in `sim.linear.curved`, and the rest stays.
 
-A law with states, and a measured acceleration, make the vehicle larger (`synth/implemented/controlled.py`), and the formulas stay
-as they are.
+Loads f on the body (`models/loads`) are held over a step as the road is, at what they are midway through it, and enter as u
+does, with Bl in the place of B. A law with states, and a measured acceleration, make the vehicle larger
+(`synth/implemented/controlled.py`), and the formulas stay as they are.
 
 Continuous. x' = A_G x + Bw z_r'(t) + Br z_r(t) with A_G = A + B K C_y. Over a step,
 
@@ -36,7 +37,7 @@ from sim.linear.curved import CurvedSteps, is_curved
 from sim.linear.dampers import linear_signals, stretching
 from sim.response.response import Response
 from synth.controller import Controller
-from synth.implemented.controlled import continuous, sampled
+from synth.implemented.controlled import Controlled, continuous, sampled
 from synth.sampled.hold import held_inputs
 
 SLOWEST_RATE = 1e-12  # rad/s; a mode that is slower does not move within any run, and a step for it would be beyond numbers
@@ -83,17 +84,29 @@ def sampled_responses(
     period = steps_per_sample(how, h)
     cut = sampled(vehicle, controller, period * h)
     model = cut.model
-    Phi, Gamma, Gamma_r = held_inputs(model.A, h, exponential, model.B, model.A @ model.Bw + model.Br)
+    loads = np.stack([held_loads(road, vehicle, time) for road in roads]) if any(road.loaded for road in roads) else None
+    outside = [] if loads is None else [model.Bl]
+    Phi, Gamma, Gamma_r, *Gamma_l = held_inputs(model.A, h, exponential, model.B, model.A @ model.Bw + model.Br, *outside)
     now = np.stack([under_wheels(road.displacement, road, vehicle, time) for road in roads])
     midway = np.stack([under_wheels(road.displacement, road, vehicle, time + h / 2) for road in roads])
 
     measured = [model.outputs.index(name) for name in controller.measured]
     jump, push = now @ model.Bw.T, midway @ Gamma_r.T  # x - xi, and what the road does to xi
     steps = CurvedSteps(vehicle, model, h, exact=exponential is not taylor4) if is_curved(vehicle) else None
+    felt = None  # of loads, by way of accelerations: what they add to the forces asked for and to the rates of what is kept
+    if loads is not None:
+        push += loads @ Gamma_l[0].T
+        # A reading is taken before a new load acts, as before a new force does.
+        felt = np.concatenate([np.zeros_like(loads[:, :1]), loads[:, :-1]], axis=1) @ readings_of_loads(cut, controller).T
     if how.prompt and steps is None:
         G = cut.inputs(cut.asked)
+        if felt is not None:
+            felt = np.swapaxes(cut.inputs(*np.split(np.swapaxes(felt, 1, 2), [cut.forces], axis=1)), 1, 2)
+            push += felt @ Gamma.T
         states = recursion(Phi + Gamma @ G, push + jump @ (Gamma @ G).T) + jump
         inputs = states @ G.T
+        if felt is not None:
+            inputs += felt
     else:
         states, inputs = np.zeros_like(jump), np.zeros((*jump.shape[:2], model.B.shape[1]))
         # By the sample at which they are computed, after as many as were on their way before the first.
@@ -104,16 +117,23 @@ def sampled_responses(
             if k % period == 0:
                 newest = k // period + how.waiting
                 computed[newest], kept = states[:, k] @ cut.asked.T, cut.kept @ states[:, k].T
+                more = [] if felt is None else [felt[:, k]]
                 if steps is not None:  # accelerations that are measured have the curves' forces in them
-                    felt = steps.beyond(states[:, k], now[:, k])[:, measured] @ cut.reading.T
-                    computed[newest], kept = computed[newest] + felt[:, : cut.forces], kept + felt[:, cut.forces :].T
+                    more.append(steps.beyond(states[:, k], now[:, k])[:, measured] @ cut.reading.T)
+                for one in more:
+                    computed[newest], kept = computed[newest] + one[:, : cut.forces], kept + one[:, cut.forces :].T
                 forces = [computed[newest - late].T for _, late in held]
                 of_parts = [cut.inputs(one, kept, forces[-1]).T for one in forces]
                 acting = [one for (steps, _), one in zip(held, of_parts, strict=True) for _ in range(steps)]
             inputs[:, k] = acting[k % period]
-            held_over = inputs[:, k], midway[:, k]
-            xi = xi @ Phi.T + held_over[0] @ Gamma.T + push[:, k] if steps is None else steps(xi, *held_over)
+            if steps is None:
+                xi = xi @ Phi.T + inputs[:, k] @ Gamma.T + push[:, k]
+            else:
+                xi = steps(xi, inputs[:, k], midway[:, k], pushed=None if loads is None else loads[:, k] @ model.Bl.T)
     beyond = steps.beyond(states, now) if steps is not None else np.zeros(len(roads))
+    if loads is not None:
+        add = loads @ model.Dl.T
+        beyond = add if steps is None else beyond + add
     runs = [response_of(vehicle, model, road, time, states[i], inputs[i], beyond[i]).values for i, road in enumerate(roads)]
     last = np.arange(len(time)) // period * period
     kept = controller.law.of_state(period * h) * states[:, last, cut.law_states]
@@ -127,9 +147,15 @@ def continuous_response(vehicle: Vehicle, controller: Controller, road: Road, ti
     model, G = cut.model, cut.G
     A = model.A + model.B @ G
 
-    forcing = road_forcing(A, model, road, vehicle, time)
+    forcing, felt, loads = road_forcing(A, model, road, vehicle, time), None, None
+    if road.loaded:
+        felt, loads = readings_of_loads(cut, controller), road.loads(vehicle, time)
+        forcing += load_forcing(A, model.Bl + model.B @ felt, road, vehicle, time)
     states = recursion(linalg.expm(A * h), forcing)
-    response = response_of(vehicle, model, road, time, states, states @ G.T)
+    inputs = states @ G.T
+    if loads is not None and felt is not None:
+        inputs += loads @ felt.T
+    response = response_of(vehicle, model, road, time, states, inputs, 0.0 if loads is None else loads @ model.Dl.T)
     return _with_kept(response, controller.law.of_state(None) * states[:, cut.law_states])
 
 
@@ -138,30 +164,53 @@ def _with_kept(response: Response, kept: Array) -> Response:
     return response.beside(kept_signals(range(1, kept.shape[-1] + 1)), kept)
 
 
+def held_loads(road: Road, vehicle: Vehicle, time: Array) -> Array:
+    """Loads on the body as they are held over the step from each of these times [s]: as they are midway, shape (T, l)."""
+    return road.loads(vehicle, time + float(time[1] - time[0]) / 2)
+
+
+def readings_of_loads(cut: Controlled, controller: Controller) -> Array:
+    """What loads add to all inputs by way of measured accelerations, before what acts adds to rates, shape (m + k, l)."""
+    rows = [cut.model.outputs.index(name) for name in controller.measured]
+    return cut.reading @ cut.model.Dl[rows]
+
+
 def road_forcing(A: Array, model: LinearModel, road: Road, vehicle: Vehicle, time: Array) -> Array:
     """What a road adds to the states of x' = A x + ... over the step from each of these times [s], shape (T, n)."""
+
+    def push(t: Array) -> Array:
+        pushed = under_wheels(road.velocity, road, vehicle, t) @ model.Bw.T
+        return pushed + under_wheels(road.displacement, road, vehicle, t) @ model.Br.T
+
+    return _forcing(A, push, np.array([kink + delay for kink in road.kinks for delay in delays(road, vehicle)]), time)
+
+
+def load_forcing(A: Array, Bl: Array, road: Road, vehicle: Vehicle, time: Array) -> Array:
+    """What the loads of a road add likewise, by way of Bl, shape (n, l)."""
+    return _forcing(A, lambda t: road.loads(vehicle, t) @ Bl.T, np.array(road.load_kinks), time)
+
+
+def _forcing(A: Array, push: Callable[[Array], Array], kinks: Array, time: Array) -> Array:
+    """What x' = A x + push(t) gains over the step from each of these times [s], shape (T, n); cut at kinks [s]."""
     h = float(time[1] - time[0])
-    forcing = _convolution(A, model, road, vehicle, time, h)
-    kinks = np.array([kink + delay for kink in road.kinks for delay in delays(road, vehicle)])
+    forcing = _convolution(A, push, time, h)
     for k in np.unique(np.floor((kinks - time[0]) / h).astype(int)):
         if 0 <= k < len(time):
             start, end = time[k], time[k] + h
             edges = [start, *np.unique(kinks[(kinks > start) & (kinks < end)]), end]
             forcing[k] = 0.0
             for left, right in itertools.pairwise(edges):
-                piece = _convolution(A, model, road, vehicle, np.array([left]), right - left)[0]
+                piece = _convolution(A, push, np.array([left]), right - left)[0]
                 forcing[k] += linalg.expm(A * (end - right)) @ piece
     return forcing
 
 
-def _convolution(A: Array, model: LinearModel, road: Road, vehicle: Vehicle, start: Array, h: float) -> Array:
-    """Integral of exp(A (h - s)) (Bw z_r' + Br z_r)(start + s) ds over 0..h, shape (T, n), for start times of shape (T,)."""
+def _convolution(A: Array, push: Callable[[Array], Array], start: Array, h: float) -> Array:
+    """Integral of exp(A (h - s)) push(start + s) ds over 0..h, shape (T, n), for start times of shape (T,)."""
     nodes, weights = np.polynomial.legendre.leggauss(8)
     total = np.zeros((len(start), len(A)))
     for s, weight in zip(h * (nodes + 1) / 2, h * weights / 2, strict=True):
-        forcing = under_wheels(road.velocity, road, vehicle, start + s) @ model.Bw.T
-        forcing += under_wheels(road.displacement, road, vehicle, start + s) @ model.Br.T
-        total += weight * forcing @ linalg.expm(A * (h - s)).T
+        total += weight * push(start + s) @ linalg.expm(A * (h - s)).T
     return total
 
 
@@ -193,7 +242,7 @@ def response_of(
         road: the road.
         time: shape (T,).
         states, inputs: over time.
-        beyond: what curves add to the outputs, shape (T, p), or 0.
+        beyond: what curves and loads add to the outputs, shape (T, p), or 0.
         beside: signals that are no outputs of the model, of shape (T,); None for what its dampers would be for these inputs.
     """
     if beside is None:

@@ -5,8 +5,9 @@ velocities of the suspensions, u = -d V x, so that over a step, as in `sim.linea
 
     xi' = (A - B diag(d) V) xi + (A Bw + Br) z_r,    x = xi + Bw z_r,
 
-with the road held midway: a matrix exponential. At every sample of the controller it decides d anew, from this response alone.
-Where a valve lags, d(t) goes to what was decided exponentially, and xi is a power series in time, taken to rounding.
+with the road held midway, and loads on the body as in `sim.linear.loop`: a matrix exponential. At every sample of the controller
+it decides d anew, from this response alone. Where a valve lags, d(t) goes to what was decided exponentially, and xi is a power
+series in time, taken to rounding.
 
 A decision that is a switch can differ between physics and this response by rounding. Then that of physics is played, here, if a
 change of what it was decided on as small as the two may differ by makes the controller decide so; and this is said.
@@ -23,7 +24,7 @@ from models.roads.road import Road, under_wheels
 from models.vehicle import Vehicle
 from sim.linear.dampers import stretching
 from sim.linear.deciding import OTHERWISE, Decisions, Otherwise
-from sim.linear.loop import taylor4
+from sim.linear.loop import held_loads, taylor4
 from synth.sampled.hold import held_inputs
 
 MOST_KEPT = 256  # steps of as many coefficients are kept; a law that switches has few
@@ -78,6 +79,10 @@ def switched(
     V, step = stretching(vehicle), _Step(vehicle, h, as_rk4)
     now, midway = (under_wheels(road.displacement, road, vehicle, times) for times in (time, time + h / 2))
     jump, push = now @ model.Bw.T, midway @ (model.A @ model.Bw + model.Br).T
+    loads = held_loads(road, vehicle, time)
+    felt = np.concatenate([np.zeros_like(loads[:1]), loads[:-1]]) @ model.Dl[[model.outputs.index(name) for name in measured]].T
+    if road.loaded:
+        push += loads @ model.Bl.T
     states, inputs, beyond, missing = (np.zeros((len(time), width)) for width in (len(model.A), m, m, m))
     kept = np.zeros((len(time), len(decisions.kept) if decisions is not None else 0))
     dampers = np.array([force in vehicle.dampers for force in model.inputs])
@@ -92,6 +97,7 @@ def switched(
         else:
             if k % period == 0:
                 y = C @ x + D @ np.where(dampers, -acting * v, command[:m])  # a reading has in it what has acted until then
+                y = y + felt[k] if road.loaded else y
                 decided = decisions(y, v)
                 if k + late < len(time):
                     decided = _followed(decisions, decided, y, v, made[k + late, :m], float(time[k]), otherwise)

@@ -20,7 +20,7 @@ from sim.physics.damping import Damped, Dampers, dampers_of
 from sim.physics.python_laws import Again, Driven, Failure, Played, PythonLaws
 from sim.physics.readout import Readout, force_from_road, laws_on, mix, prepared, sensed_stage, signal_from_road
 from sim.physics.sampler import Laws, LinearLaws, Sampler
-from sim.physics.stepping import Reading, step_batch
+from sim.physics.stepping import Push, Reading, step_batch
 from synth.controller import Controller
 
 DIVERGED = 1e8  # a signal beyond this, in SI units, is no vehicle any more
@@ -89,6 +89,7 @@ class Course:
             the first failure ends them all.
         accelerations: whether they and forces are recorded as of their sample; else, where an accelerometer is measured, as of
             the one before, which saves an evaluation of it.
+        loads: on the bodies half a step after the samples, where MuJoCo holds them [N, N m], shape (T, N, l); None for none.
     """
 
     vehicles: Sequence[Vehicle]
@@ -102,6 +103,7 @@ class Course:
     beyond: Array | None = None
     failures: dict[int, Failure] | None = None
     accelerations: bool = True
+    loads: Array | None = None
 
 
 def in_blocks(course: Course) -> Iterator[Block]:
@@ -190,7 +192,8 @@ def in_shares(course: Course, shares: Sequence[slice]) -> list[Callable[[Callabl
             damped=None if mine is None else mine.of,
             lagging=mine is not None and mine.lags,
         )
-        steps = step_batch(batch, readout.mocap, reading, road, at_samples, law, edges, wanted, stopped)
+        push = None if course.loads is None else Push(readout.pushed, course.loads[:, runs])
+        steps = step_batch(batch, readout.mocap, reading, road, at_samples, law, edges, wanted, stopped, push)
         for start, sensed, qpos, qvel, asked, kept, acts in steps:
             some = slice(start, start + len(sensed))
             recorded = np.zeros((len(sensed), len(signals), batch.nsim))

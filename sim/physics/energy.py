@@ -3,7 +3,7 @@
 Within a step MuJoCo holds the road, so what it does to the vehicle it does between two steps: its work is what the jump of its
 height adds to the tyres' springs. Within a step, then, what is stored changes by the actuators' work less what the dampers take:
 
-    E[k+1, road k] - E[k, road k] = sum of integral f_a l_a' dt - sum of integral c_j l_j'^2 dt,
+    E[k+1, road k] - E[k, road k] = sum of integral f_a l_a' dt + work of loads - sum of integral c_j l_j'^2 dt,
 
 with E the kinetic and potential energy (gravity, springs, tyres, bump stops), all of it MuJoCo's own. What is left over is the
 error of the integrator, and of the integrals: Simpson's rule, the middle of a step from lengths l and speeds l' at both its ends
@@ -12,7 +12,7 @@ spring is linear in its length. Where one begins or ends to act within a step (a
 RK4 itself has a kink in its step, and the residual is only of about second order; so it is at the knots of curves. What a
 spring's curve stores, and a damper's takes, beyond their lines, is the integral of the curve, and Simpson's rule of its power.
 
-Nothing else may do work: a force that is neither spring, weight, damper nor one of the vehicle's actuators is left over.
+Nothing else may do work: a force that is neither spring, weight, damper, load nor one of the vehicle's actuators is left over.
 
 An actuator is to push along the deflection of its suspension, so its work is counted along that signal: that of one that acts on
 one end only, or through a gear, is left over too. Where it has no suspension (nothing to push against but the world), work is
@@ -39,7 +39,7 @@ from mujoco.batch import Batch
 
 from models.common.arrays import Array
 from models.curves.reading import VELOCITY
-from models.mjcf import build_spec, mocap_indices
+from models.mjcf import build_spec, mocap_indices, pushed_dofs
 from models.roads.road import Road, under_wheels
 from models.vehicle import Vehicle
 from sim.physics.simulate import PhysicsRuns
@@ -62,6 +62,7 @@ class Energy:
         stored: change of the kinetic and potential energy [J].
         dissipated: by the dampers [J].
         turnover: what the dampers took, the actuators moved either way, and the largest kinetic energy [J].
+        loads: work of the loads on the body [J]; None where there are none.
         residual: the largest sum of works less what is stored and dissipated at any time, over `turnover`.
         least: the least power that an adjustable damper took at any sample, over the most, below 0 where it gave some; None where
             there are none.
@@ -74,6 +75,7 @@ class Energy:
     turnover: float
     residual: float
     least: float | None = None
+    loads: float | None = None
 
     @property
     def balances(self) -> bool:
@@ -94,7 +96,8 @@ def energy(vehicle: Vehicle, runs: PhysicsRuns, index: int, road: Road, until: f
     time, (model, along) = runs.response.time, _observed(vehicle, float(runs.response.time[1]))
     h, count = float(time[1]), int(np.searchsorted(time, min(until, runs.diverged[index])))
     if count < 2:
-        return Energy(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0 if vehicle.dampers else None)
+        least, loads = 0.0 if vehicle.dampers else None, 0.0 if road.loaded else None
+        return Energy(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, least, loads)
     qpos, qvel = runs.qpos[index, :count], runs.qvel[index, :count]
     midway = under_wheels(road.displacement, road, vehicle, time[:count] + h / 2)
     # A step ends with the road where it held it, and the next begins with it elsewhere: every state is looked at twice.
@@ -128,12 +131,18 @@ def energy(vehicle: Vehicle, runs: PhysicsRuns, index: int, road: Road, until: f
 
     by_road = np.cumsum(np.concatenate([[stored[0] - rest[0, :2].sum()], stored[1:] - ends[:, :2].sum(axis=1)]))
     by_actuators = np.concatenate([[0.0], np.cumsum(work.sum(axis=1))])
+    by_loads, pushed = np.zeros(count), 0.0
+    if road.loaded:  # held, and along joints, so that their work is exact
+        pushes = road.loads(vehicle, time[: count - 1] + h / 2) * np.diff(qpos[:, pushed_dofs(vehicle, model)], axis=0)
+        by_loads, pushed = np.concatenate([[0.0], np.cumsum(pushes.sum(axis=1))]), float(np.abs(pushes).sum())
     lost = np.concatenate([[0.0], np.cumsum(losses.sum(axis=1) + in_dampers)])
     change = stored + in_springs - rest[0, :2].sum()
-    turnover = float(lost[-1] + np.abs(work).sum() + starts[:, 1].max())
+    turnover = float(lost[-1] + np.abs(work).sum() + starts[:, 1].max()) + pushed
     scale = max(turnover, ROUNDING * abs(float(rest[0, :2].sum()))) or 1.0
-    residual = float(np.max(np.abs(by_road + by_actuators - change - lost))) / scale
-    return Energy(float(by_road[-1]), float(by_actuators[-1]), float(change[-1]), float(lost[-1]), turnover, residual, least)
+    residual = float(np.max(np.abs(by_road + by_actuators + by_loads - change - lost))) / scale
+    loads = float(by_loads[-1]) if road.loaded else None
+    road_did, forces_did, changed, taken = (float(one[-1]) for one in (by_road, by_actuators, change, lost))
+    return Energy(road_did, forces_did, changed, taken, turnover, residual, least, loads)
 
 
 def _by_dampers(vehicle: Vehicle, response: Response, speeds: Array, middle: Array, work: Array) -> float:

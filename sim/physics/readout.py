@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from models.common.arrays import Array
-from models.mjcf import build_model, mocap_indices
+from models.mjcf import build_model, mocap_indices, pushed_dofs
 from models.reality import steps_per_sample
 from models.vehicle import Vehicle
 from synth.controller import Controller
@@ -45,6 +45,7 @@ class Readout:
         mocap: mocap index of every wheel's road.
         stretching: how fast the inputs' actuators move out, from qvel, shape (m, nv); as at rest.
         lagging: of every input's actuator, where its activation lies among those of the model, -1 for none, shape (m,).
+        pushed: along which degree of freedom each load pushes the body.
     """
 
     names: tuple[str, ...]
@@ -58,6 +59,7 @@ class Readout:
     mocap: list[int]
     stretching: Array
     lagging: Array
+    pushed: list[int]
 
 
 @functools.lru_cache(maxsize=16)
@@ -119,6 +121,7 @@ def _readout(vehicle: Vehicle, model: mujoco.MjModel) -> Readout:
         mocap=mocap,
         stretching=np.stack(stretching, axis=-1),
         lagging=np.array(model.actuator_actadr[:inputs]),
+        pushed=pushed_dofs(vehicle, model),
     )
 
 

@@ -4,6 +4,7 @@ What makes it agree with the analysis to the integrator's own error (RK4's, to t
 
 - the road is a mocap body that MuJoCo holds over a step, so it is put at its height midway through the step;
 - but signals are read with the road where it is at the sample;
+- loads on the body are held over a step as they are midway through it, and signals are under the load that is held from then on;
 - the controller is sampled: it reads the signals once a step, and its force is held.
 """
 
@@ -89,7 +90,8 @@ def simulate(
         beyond = on_each(vehicles, roads, "displacement", time[-1] + timestep * np.arange(1, ahead + 1))
     shares = shared(len(vehicles), 1 if Programmed in kinds else threads or cores())  # Python is run by one thread at a time
     edges = (0, len(time))
-    course = Course(vehicles, controllers, now, midway, timestep, edges, undelayed, beyond=beyond)
+    loads = loads_on(vehicles, roads, time + timestep / 2)
+    course = Course(vehicles, controllers, now, midway, timestep, edges, undelayed, beyond=beyond, loads=loads)
     block = _whole(in_shares(course, shares))
 
     recorded, names = block.values, [signal.name for signal in signals]
@@ -172,3 +174,13 @@ def on_each(vehicles: Sequence[Vehicle], roads: Sequence[Road], what: str, time:
     one_of = dict(zip(keys, zip(vehicles, roads, strict=True), strict=True))
     once = {key: under_wheels(getattr(road, what), road, vehicle, time) for key, (vehicle, road) in one_of.items()}
     return np.stack([once[key] for key in keys], axis=1)
+
+
+def loads_on(vehicles: Sequence[Vehicle], roads: Sequence[Road], time: Array) -> Array | None:
+    """What loads push the bodies of all runs with [N, N m], shape (T, N, l); None where no run has any.
+
+    Arguments as for `on_each`.
+    """
+    if not any(road.loaded for road in roads):
+        return None
+    return np.stack([road.loads(vehicle, time) for vehicle, road in zip(vehicles, roads, strict=True)], axis=1)

@@ -42,6 +42,19 @@ class Reading:
     lagging: bool = False
 
 
+@dataclass(frozen=True, eq=False)
+class Push:
+    """What pushes the bodies of N runs from outside, held over every step.
+
+    Attributes:
+        dofs: along which joints, l of them.
+        midway: forces [N] and moments [N m] during the steps, shape (T, N, l).
+    """
+
+    dofs: list[int]
+    midway: Array
+
+
 class Law(Protocol):
     """What N controllers that are not ideal ask for, and what known forces are."""
 
@@ -65,6 +78,7 @@ def step_batch(
     edges: Sequence[int],
     going: Array | None,
     stopped: Callable[[], bool],
+    push: Push | None = None,
 ) -> Iterator[tuple[int, Array, Array, Array, Array, Array, Array]]:
     """All samples of a batch.
 
@@ -78,6 +92,7 @@ def step_batch(
         edges: of the blocks, see `in_blocks`.
         going: whether each run is still stepped, shape (N,), asked at the beginning of every block; None where all are.
         stopped: says whether to give up.
+        push: what loads do; None where there are none.
 
     Yields:
         Of every block its first sample, and `sensordata`, shape (B, nsensordata, N): that of the samples; else up to the stage
@@ -93,6 +108,7 @@ def step_batch(
     m = commands if damped is None else commands // 2
     # The motors come first in ctrl, in the order of the linear model's inputs; what is fitted beside them is not asked.
     acting, heights, sensors = batch.bind("ctrl")[:, :m], batch.bind("mocap_pos")[:, :, 2], batch.bind("sensordata").T
+    pushed = batch.bind("qfrc_applied") if push is not None else None
     motion, width = _motion(batch), gain.shape[2]
     moved, positions = motion.shape[1], batch.bind("qpos").shape[1]
     early = np.repeat(batch.model.sensor_needstage, batch.model.sensor_dim) <= stage
@@ -146,6 +162,8 @@ def step_batch(
                 acting[...] = forces[:, :m]
             if reading.lagging:
                 acts[k - start] = activations
+            if push is not None and pushed is not None:
+                pushed[:, push.dofs] = push.midway[k]
             if at_samples is not None:
                 if not reading.once:
                     heights[:, mocap] = at_samples[k]

@@ -9,6 +9,7 @@ from models.roads.road import Road, under_wheels
 from models.vehicle import Vehicle
 from sim.physics.blocks import Block, Course, in_blocks
 from sim.physics.python_laws import Driven, Failure, steps_ahead
+from sim.physics.simulate import loads_on
 from sim.response.regime import BLOCK, EndDetector
 
 
@@ -19,6 +20,7 @@ class Watched:
         now: heights of the roads under the wheels at the samples [m], shape (T, N, r).
         midway: the same half a step later, where MuJoCo holds them.
         ends: what ends their linear regime, and when, in the blocks so far.
+        loads: on their bodies [N, N m], midway through the steps, shape (T, N, l); None where there are none.
         beyond: heights of the roads at the samples after the last, as far as laws in Python are told of them.
         failures: by run, the laws in Python that have failed; such a run goes on without forces.
         diverged: when each diverged in them [s], infinite where it did not, shape (N,).
@@ -33,6 +35,7 @@ class Watched:
         for i, (vehicle, road) in enumerate(zip(vehicles, roads, strict=True)):
             heights[:, i] = under_wheels(road.displacement, road, vehicle, halves)
         self.now, self.midway = heights[: 2 * len(time) : 2], heights[1 : 2 * len(time) : 2]
+        self.loads = loads_on(vehicles, roads, time + self.timestep / 2)
         self.beyond, self.failures = heights[2 * len(time) :: 2], dict[int, Failure]()
         self.ends, self.diverged = EndDetector(vehicles, time), np.full(len(vehicles), np.inf)
 
@@ -58,6 +61,7 @@ class Watched:
             edges,
             beyond=self.beyond,
             failures=self.failures,
+            loads=self.loads,
         )
         for block in in_blocks(course):
             self.diverged = np.minimum(self.diverged, block.diverged(self.time))

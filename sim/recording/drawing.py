@@ -110,9 +110,9 @@ def _tracks(vehicle: Vehicle, road: Road, places: Array, time: Array, heights: A
 def _actuators(model: mujoco.MjModel) -> dict[str, str]:
     """The signal of every actuator that pulls on a tendon, by the tendon's name; what is fitted beside them has none."""
     on_tendon = int(mujoco.mjtTrn.mjTRN_TENDON)
-    acting = [i for i in range(model.nu) if int(model.actuator_trntype[i]) == on_tendon]
-    names = {model.tendon(int(model.actuator_trnid[i, 0])).name: model.actuator(i).name for i in reversed(acting)}
-    return {tendon: name for tendon, name in names.items() if not name.startswith(FITTED)}
+    names = {i: model.actuator(i).name for i in range(model.nu) if int(model.actuator_trntype[i]) == on_tendon}
+    asked = {i: name for i, name in names.items() if not name.startswith(FITTED)}
+    return {model.tendon(int(model.actuator_trnid[i, 0])).name: name for i, name in asked.items()}
 
 
 def _tyre(model: mujoco.MjModel, i: int, tendon: int, lengths: Array) -> Tyre:

@@ -13,6 +13,7 @@ from models.own.python_law import Programmed
 from models.roads.iri import Roughness
 from models.roads.road import Road
 from models.vehicle import Vehicle
+from sim.ride.attitude import static_angles
 from sim.ride.equivalent import Equivalent, line_object, line_words
 from sim.ride.expected import APPROXIMATE, EXACT, Expected, expect, settling_time
 from sim.ride.metrics import measure, metrics_of
@@ -54,12 +55,15 @@ class RunMetrics:
             laws in Python.
         error: what the expectations' integrals are off, relative, at most; None where there are none.
         line: the linear vehicle that is expected; None where there is no expectation.
+        static: where the linear loop rests under the loads of the end, by angle [deg]; None without loads, and empty where there
+            is no such loop, or no rest.
     """
 
     metrics: Mapping[str, Measured]
     settled: Settled | None
     error: float | None
     line: Equivalent | None = None
+    static: Mapping[str, float] | None = None
 
 
 def first_sample(
@@ -90,7 +94,7 @@ def measure_run(run: Run, first: int) -> RunMetrics:
     sampled: Mapping[str, float] = {}
     if run.broke_off is None:
         with np.errstate(over="ignore", invalid="ignore"):  # an unstable loop overflows
-            mujoco, sampled = (measure(vehicle, response, first) for response in (run.physics, run.sampled))
+            mujoco, sampled = (measure(vehicle, response, first, road.loaded) for response in (run.physics, run.sampled))
     metrics = {
         metric.name: Measured(
             metric.unit,
@@ -100,9 +104,12 @@ def measure_run(run: Run, first: int) -> RunMetrics:
             expected.spread.get(metric.name) if expected else None,
             expected is not None and metric.name.endswith(APPROXIMATE),
         )
-        for metric in metrics_of(vehicle)
+        for metric in metrics_of(vehicle, road.loaded)
     }
-    return RunMetrics(metrics, begun, expected.error if expected else None, expected.line if expected else None)
+    static = None
+    if road.loaded:
+        static = static_angles(vehicle, controller, road, float(time[-1])) if isinstance(controller, Controller) else {}
+    return RunMetrics(metrics, begun, expected.error if expected else None, expected.line if expected else None, static)
 
 
 def beside(vehicle: Vehicle) -> list[str]:
@@ -131,6 +138,11 @@ def metric_lines(run: Run, found: RunMetrics, start: float, end: float, roughnes
             "damped runs the +- is up to 45 % too large"
         )
     notes += line_words(run.vehicle, found.line) if found.line is not None else []
+    if found.static:
+        rests = ", ".join(f"{name} {value:.4g} deg" for name, value in found.static.items())
+        notes.append(
+            f"under the loads of the end the linear loop rests at {rests}; pitch is positive nose down, roll right side down"
+        )
     notes += beside(run.vehicle)
     if found.error is not None and found.error > EXACT:
         notes.append(
@@ -145,7 +157,7 @@ def metric_lines(run: Run, found: RunMetrics, start: float, end: float, roughnes
     if roughness:
         rows += ["road", *roughness_rows(roughness, random)]
         notes.append(ABOUT_IRI)
-    for metric in metrics_of(run.vehicle):
+    for metric in metrics_of(run.vehicle, run.road.loaded):
         if metric.source != source:
             rows.append(source := metric.source)
         one = measured[metric.name]
@@ -159,12 +171,17 @@ def metric_lines(run: Run, found: RunMetrics, start: float, end: float, roughnes
 def metrics_object(run: Run, found: RunMetrics) -> dict[str, Any]:
     """The same as JSON has it: None for what is infinite or does not exist."""
     broke = run.broke_off
-    return {
+    whole: dict[str, Any] = {
         "broke_off": {"by": broke[0], "at": broke[1]} if broke else None,
         "settled": {"share": found.settled.share, "signal": found.settled.signal} if found.settled else None,
         "expected_error": finite(found.error),
         "metrics": _metrics(found.metrics),
-    } | ({"expected_line": line_object(run.vehicle, found.line)} if found.line is not None and found.line.rounds else {})
+    }
+    if found.line is not None and found.line.rounds:
+        whole["expected_line"] = line_object(run.vehicle, found.line)
+    if found.static is not None:
+        whole["static_angles"] = dict(found.static)
+    return whole
 
 
 def _metrics(measured: Mapping[str, Measured]) -> dict[str, Any]:

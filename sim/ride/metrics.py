@@ -11,6 +11,8 @@ actuator: force, mean power into the suspension, and the energy that it puts in 
 brakes. Both are of its work: a force u is held from one sample to the next while the suspension's travel s goes on, so that is
 u[k] (s[k+1] - s[k]), exactly; of a force that lags, which goes on too, the mean of u[k] and u[k+1] counts.
 
+Of a body that loads push, how far it dives, squats and rolls: `sim/ride/attitude.py`.
+
 All are means over a window that leaves out the beginning, in which a vehicle from rest still knows nothing of its road.
 """
 
@@ -23,6 +25,7 @@ from models.common.arrays import Array
 from models.signals import CONTROL_FORCE, TYRE_DEFLECTION, UNSPRUNG_ACCELERATION, Signal
 from models.vehicle import Vehicle
 from sim.response.response import Response
+from sim.ride.attitude import KINDS, angle_metrics, angles_of
 from sim.ride.weighting import sampled_wk
 
 RUNNING = 1.0  # s, of the running rms
@@ -76,9 +79,10 @@ def points(vehicle: Vehicle) -> Points:
     )
 
 
-def metrics_of(vehicle: Vehicle) -> tuple[Metric, ...]:
-    """The metrics of a vehicle, in the order of a table."""
-    where, found = points(vehicle), []
+def metrics_of(vehicle: Vehicle, loaded: bool = False) -> tuple[Metric, ...]:
+    """The metrics of a vehicle, in the order of a table; where its body is loaded, with its angles first."""
+    where = points(vehicle)
+    found = [_of(angle, what, "deg") for angle in angles_of(vehicle) for what in KINDS[angle]] if loaded else []
     for name in where.accelerations:
         units = {"rms": "m/s2", "weighted": "m/s2", "vdv": "m/s1.75", "mtvv": "m/s2", "crest": "-"}
         found += [_of(name, what, unit) for what, unit in units.items()]
@@ -130,14 +134,21 @@ class Meter:
     A run's numbers are the same to the last bit whatever runs beside it: each is summed along its own time.
     """
 
-    def __init__(self, vehicles: Sequence[Vehicle], timestep: float, first: int) -> None:
-        """For signals a timestep [s] apart, from sample `first` on."""
+    def __init__(self, vehicles: Sequence[Vehicle], timestep: float, first: int, loaded: bool = False) -> None:
+        """For signals a timestep [s] apart, from sample `first` on; of loaded bodies their angles, too."""
         self.vehicle, self.timestep, self.first, count = vehicles[0], timestep, first, len(vehicles)
         self.where, self.stops = points(self.vehicle), self.vehicle.limits.stops
         names = [signal.name for signal in self.vehicle.kind.signals]
         self.index = {name: names.index(name) for name in self.vehicle.linear_model.outputs}
         statics = [vehicle.kind.static_tyre_deflection(vehicle.parameters) for vehicle in vehicles]
         self.static = {name: np.array([static[name] for static in statics]) for name in self.where.tyres}
+        # Of every angle its signals, by index, each with its share of all runs.
+        angles = [angles_of(vehicle) for vehicle in vehicles] if loaded else []
+        self.angles = {
+            angle: {names.index(name): np.array([one[angle][name] for one in angles]) for name in parts}
+            for angle, parts in (angles[0].items() if angles else ())
+        }
+        self.ends: dict[str, Array] = {}
         self.filter = sampled_wk(timestep)
         self.memory = {
             name: np.zeros((*np.shape(self.filter.denominators)[:1], count, self.filter.numerators.shape[1] - 1))
@@ -160,6 +171,14 @@ class Meter:
         if skip == len(values):
             return
         values = values[skip:]
+        for angle, parts in self.angles.items():
+            over = np.zeros(values.shape[:1:-1] + values.shape[:1])
+            for i, share in parts.items():
+                over += share[:, None] * values[:, i].T
+            made = angle_metrics(over)
+            for what in KINDS[angle]:
+                name = f"{angle}_{what}"
+                self.ends[name] = made[what] if what == "at_end" else np.maximum(self.ends.get(name, 0.0), made[what])
         for name in self.where.suspensions:
             deflection = self._signal(values, name)
             self._add(f"{name}_rms", _squares(deflection))
@@ -185,7 +204,7 @@ class Meter:
     def result(self) -> dict[str, Array]:
         """Every metric, shape (N,)."""
         mean, duration = {name: total / self.samples for name, total in self.sums.items()}, self.samples * self.timestep
-        found: dict[str, Array] = {}
+        found: dict[str, Array] = dict(self.ends)
         for name in self.where.accelerations:
             weighted = np.sqrt(mean[f"{name}_weighted"])
             found |= {f"{name}_rms": np.sqrt(mean[f"{name}_rms"]), f"{name}_weighted": weighted}
@@ -243,9 +262,9 @@ class Meter:
         self.largest[name] = np.maximum(self.largest[name], largest) if name in self.largest else largest
 
 
-def measure(vehicle: Vehicle, response: Response, first: int) -> dict[str, float]:
-    """The metrics of one run's response from sample `first` on; NaN from where it broke off."""
-    meter = Meter([vehicle], float(response.time[1] - response.time[0]), first)
+def measure(vehicle: Vehicle, response: Response, first: int, loaded: bool = False) -> dict[str, float]:
+    """The metrics of one run's response from sample `first` on; NaN from where it broke off. Arguments as for `Meter`."""
+    meter = Meter([vehicle], float(response.time[1] - response.time[0]), first, loaded)
     meter.update(response.values[:, :, None])
     return {name: float(value[0]) for name, value in meter.result().items()}
 

@@ -22,7 +22,7 @@ from sim.linear.curved import is_curved
 from sim.linear.dampers import commands_of, damper_signals, stretching
 from sim.linear.deciding import VELOCITY, Decisions, Otherwise
 from sim.linear.forced import forced_continuous_response, forced_response
-from sim.linear.loop import continuous_response, response_of, sampled_response, taylor4
+from sim.linear.loop import continuous_response, held_loads, response_of, sampled_response, taylor4
 from sim.linear.switched import Switched, switched
 from sim.response.response import Response
 from synth.controller import Controller
@@ -181,13 +181,14 @@ def predict_switched(
     period = steps_per_sample(vehicle.implementation, h) * h
     made = commands_of(vehicle, physics) if asked is None else asked
     peaks = partial(_peak, vehicle, physics)
-    measured = () if played else controller.measured
+    measured, model = () if played else controller.measured, vehicle.linear_model
 
     def response(as_rk4: bool) -> tuple[Response, Switched]:
         decisions = None if played or linear is None else Decisions(vehicle, linear, period, near, peaks)
         found = switched(vehicle, road, time, decisions, made, measured, as_rk4)
         beside = damper_signals(vehicle, found.beyond, found.missing)
-        whole = response_of(vehicle, vehicle.linear_model, road, time, found.states, found.inputs, beside=beside)
+        loads = held_loads(road, vehicle, time) @ model.Dl.T if road.loaded else 0.0
+        whole = response_of(vehicle, model, road, time, found.states, found.inputs, loads, beside)
         if linear is None:
             return whole, found
         kept = np.zeros((len(time), linear.law.states)) if played else linear.law.of_state(period) * found.kept

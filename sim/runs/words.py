@@ -50,10 +50,10 @@ def run_object(run: Run) -> dict[str, Any]:
 
 def energy_object(energy: Energy) -> dict[str, float | bool | None]:
     """An energy balance as JSON has it [J]; its residual is a share of `turnover`."""
-    found = asdict(energy)
-    if energy.least is None:
-        del found["least"]
-    return {name: finite(value) for name, value in found.items()} | {"balances": energy.balances}
+    numbers = {
+        name: finite(value) for name, value in asdict(energy).items() if name not in ("least", "loads") or value is not None
+    }
+    return numbers | {"balances": energy.balances}
 
 
 def energy_lines(run: Run) -> list[str]:
@@ -65,7 +65,8 @@ def energy_lines(run: Run) -> list[str]:
     if energy.least is not None and energy.least < 0 and not energy.balances:
         return [f"energy DOES NOT BALANCE: an adjustable damper gave energy, {-energy.least:.1e} of the most that it took"]
     if energy.balances:
-        return [f"energy balances: the work of road and actuators is stored or dissipated, all but {of}"]
+        sources = "road and actuators" if energy.loads is None else "road, loads and actuators"
+        return [f"energy balances: the work of {sources} is stored or dissipated, all but {of}"]
     why = "a force does work that is none of the vehicle's, or the timestep is too coarse"
     return [f"energy DOES NOT BALANCE: {of} is neither stored nor dissipated, where {BALANCED:.0e} is allowed: {why}"]
 
@@ -210,7 +211,8 @@ def verdict_lines(run: Run) -> list[str]:
     worst = max(agreement.signals, key=lambda name: agreement.signals[name].excess)
     error = agreement.signals[worst]
     difference, allowed = error.judged
-    where = "" if error.small is None else f" at {SMALL:g} of this road's height"
+    small = f"{SMALL:g} of this road's height{' and loads' * run.road.loaded}"
+    where = "" if error.small is None else f" at {small}"
     numbers = f"worst {worst}, {difference:.1e} of its peak{where}; {allowed:.1e} is allowed"
     if agreement.agrees and error.small is not None:
         worst = max(agreement.signals, key=lambda name: agreement.signals[name].sampled - agreement.signals[name].allowed / SLACK)
@@ -220,8 +222,8 @@ def verdict_lines(run: Run) -> list[str]:
             made, with_it, is_it = (f"geometry and {blur} make", f" and {blur}", "is within")
         off = error.sampled - (0.0 if agreement.blurred else error.allowed / SLACK)
         lines.append(
-            f"agrees to first order {when}: {made} up to {off:.1e} of a peak ({worst}); at {SMALL:g} of this road's "
-            f"height{with_it} MuJoCo {is_it} {error.small:.1e} of it"
+            f"agrees to first order {when}: {made} up to {off:.1e} of a peak ({worst}); at "
+            f"{small}{with_it} MuJoCo {is_it} {error.small:.1e} of it"
         )
     elif agreement.agrees and agreement.blurred:
         lines.append(f"agrees {when}: MuJoCo stays within the spread that is predicted of its measurements' {blur} ({numbers})")

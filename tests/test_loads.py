@@ -1,0 +1,560 @@
+"""Loads on the body: what they push with, in MuJoCo as in linear analysis, and what the commands say of them."""
+
+import dataclasses
+import itertools
+import json
+import math
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from scipy.integrate import solve_ivp
+
+from models.common.errors import InputError
+from models.kind import GRAVITY
+from models.loads.choice import choose_load, described_loads
+from models.loads.load import LOADS
+from models.loads.table import History, parse_history
+from models.reality import Implementation, Limits
+from models.roads.choice import choose_road
+from models.roads.description import described_road
+from models.roads.loaded import Loaded
+from models.roads.obstacles import Flat
+from models.roads.road import Bump
+from models.vehicle import parse_vehicle, read_vehicle
+from sim.campaign.__main__ import main as campaign
+from sim.command.driven import programmed
+from sim.drive import main
+from sim.inspect.__main__ import main as inspect
+from sim.linear.loop import continuous_response, sampled_response
+from sim.physics.energy import energy
+from sim.physics.simulate import simulate
+from sim.ride.attitude import PITCH, ROLL, static_angles
+from sim.ride.metrics import Meter, measure
+from sim.runs.run import run_all, sample_times
+from synth.designer import Designer
+from tests.commands import prose
+from tests.curved import DIGRESSIVE, PROGRESSIVE, with_curves
+from tests.rewriting import contents, written
+
+BAR = "[parameters]\nanti_roll_stiffness_front = 2e4"
+REALITIES = {
+    "ideal": (Implementation(), Limits()),
+    "slow": (Implementation(sample_period=0.004), Limits()),
+    "late": (Implementation(sample_period=0.002, delay=3), Limits()),
+    "between": (Implementation(sample_period=0.004, delay=1.5), Limits()),
+    "lagging": (Implementation(delay=1), Limits(actuator_bandwidth=60.0)),
+}
+QUARTER = ("flat + payload:mass=60", "bump:height=0.05 + lift:force=-500:hold=0.4:rise=0.1")
+
+
+def road_of(text, vehicle, speed=20.0, duration=2.0):
+    """A road with loads, from its text."""
+    return choose_road(text).build(vehicle, speed, 0, speed * duration)
+
+
+def car(kind, more=""):
+    """A car that ships, perhaps with more parameters."""
+    return parse_vehicle(read_vehicle(kind).text.replace("[parameters]", more or "[parameters]", 1))
+
+
+@pytest.mark.parametrize("reality", REALITIES)
+@pytest.mark.parametrize("text", QUARTER)
+def test_exact_in_the_quarter_car(text, reality):
+    """However its controller is built, MuJoCo follows the exact sampled response to RK4's own error; no geometry."""
+    implementation, limits = REALITIES[reality]
+    vehicle = dataclasses.replace(read_vehicle("quarter_car"), implementation=implementation, limits=limits)
+    design = Designer(vehicle).design
+    runs = run_all(vehicle, [design(name) for name in ("passive", "I")], road_of(text, vehicle), sample_times(vehicle, 2.0, 1e-3))
+    for run in runs:
+        assert run.agreement.agrees
+        assert all(one.small is None for one in run.agreement.signals.values())
+        assert max(one.sampled for one in run.agreement.signals.values()) < 2e-6  # RK4's at 1 ms; measured up to 1.4e-6
+        assert run.energy is not None
+        assert run.energy.residual < 1e-6  # measured 5e-8
+
+
+@pytest.mark.parametrize("name", ["I", "accelerometer"])
+@pytest.mark.parametrize("reality", ["ideal", "slow", "late"])
+def test_accelerometers_feel_loads(name, reality):
+    """A measured acceleration has the load in it, as it was until then, in MuJoCo as in the response that is predicted."""
+    implementation = REALITIES[reality][0]
+    vehicle = dataclasses.replace(read_vehicle("quarter_car_accelerometer"), implementation=implementation)
+    time, road = sample_times(vehicle, 2.0, 1e-3), road_of("flat + lift:force=400:rise=0.05", vehicle)
+    (run,) = run_all(vehicle, [Designer(vehicle).design(name)], road, time)
+    assert run.agreement.agrees
+    assert max(one.sampled for one in run.agreement.signals.values()) < 2e-6  # measured 1e-7; without the load in it 1e-2
+
+
+@pytest.mark.parametrize(
+    ("kind", "text"),
+    [
+        ("half_car", "flat + brake:g=0.3"),
+        ("half_car", "bump:height=0.02 + payload:mass=80:x=-1.2"),
+        ("full_car", "flat + brake:g=0.3 + corner:g=0.2:start=0.8"),
+        ("full_car", "bump:height=0.02:track=left + gust:force=800"),
+    ],
+)
+@pytest.mark.parametrize("name", ["passive", "I"])
+def test_geometry_is_all_that_differs_in_cars(kind, text, name):
+    """A car agrees; where it turns far, at a hundredth of road and loads it is a thousand times nearer."""
+    vehicle = car(kind, BAR if kind == "full_car" else "")
+    (run,) = run_all(vehicle, [Designer(vehicle).design(name)], road_of(text, vehicle), sample_times(vehicle, 2.0, 1e-3))
+    assert run.agreement.agrees
+    smalls = [one.small for one in run.agreement.signals.values() if one.small is not None]
+    assert max(smalls, default=0.0) < 1e-5  # measured up to 2e-6
+    assert run.energy is not None
+    assert run.energy.residual < 1e-6
+
+
+def test_error_is_of_the_fourth_order(paper, designer):
+    """Held midway through a step, a load leaves MuJoCo RK4's order: half the step, a sixteenth of the difference."""
+    road, controller = road_of("flat + lift:force=-500:rise=0.1", paper), designer.design("I")
+    errors = []
+    for step in (2e-3, 1e-3):
+        time = sample_times(paper, 1.5, step)
+        physics = simulate([paper], [controller], [road], time).response.run(0)
+        sampled = sampled_response(paper, controller, road, time)
+        errors.append(max(np.abs(physics[n] - sampled[n]).max() / sampled.scale(n) for n in paper.linear_model.states))
+    assert math.log2(errors[0] / errors[1]) == pytest.approx(4.0, abs=0.3)  # the next order
+
+
+@pytest.mark.parametrize("text", ["flat + lift:force=300:rise=0.0305:hold=0.1", "bump + payload:mass=40"])
+@pytest.mark.parametrize("kind", ["quarter_car", "quarter_car_accelerometer"])
+def test_continuous_response_is_that_of_the_differential_equation(kind, text):
+    """The continuous loop's response to road and load is what an independent integrator makes of x' = A x + B u + Bw w + Bl f."""
+    vehicle = read_vehicle(kind)
+    controller = Designer(vehicle).design("I")
+    road, time, model = road_of(text, vehicle), sample_times(vehicle, 1.2, 1e-2), vehicle.linear_model
+    C, D = model.rows(controller.measured)
+    Dl = model.Dl[[model.outputs.index(name) for name in controller.measured]]
+    K = np.linalg.solve(np.eye(1) - controller.gain @ D, controller.gain)
+
+    def force(t, x):
+        return K @ (C @ x + Dl @ road.loads(vehicle, np.array([t]))[0])
+
+    def rate(t, x):
+        w = road.velocity(np.array([t]))
+        return model.A @ x + model.B @ force(t, x) + model.Bw @ w + model.Bl @ road.loads(vehicle, np.array([t]))[0]
+
+    response, edges = continuous_response(vehicle, controller, road, time), sorted({0.0, 1.2, *road.kinks, *road.load_kinks})
+    found, x = {}, np.zeros(4)
+    for start, end in itertools.pairwise(edges):  # no integrator steps over a kink
+        if start < 1.2:
+            solved = solve_ivp(rate, (start, min(end, 1.2)), x, "DOP853", rtol=1e-11, atol=1e-13, dense_output=True)
+            found |= {t: solved.sol(t) for t in time if start <= t <= min(end, 1.2)}
+            x = solved.y[:, -1]
+    states = np.stack([found[t] for t in time])
+    for i, name in enumerate(model.states):
+        assert np.abs(states[:, i] - response[name]).max() < 1e-8 * response.scale(name)  # the integrator's interpolant
+    for k in (30, 55, 80):
+        expected = model.C[4] @ states[k] + model.D[4] @ force(time[k], states[k])
+        expected += model.Dl[4] @ road.loads(vehicle, time[[k]])[0]
+        assert response["sprung_acceleration"][k] == pytest.approx(expected, abs=1e-8)
+
+
+def test_a_law_in_python_carries_too(tmp_path):
+    """A law in Python under a load is held against the exact response to its forces and the load."""
+    (tmp_path / "mine.py").write_text(
+        "def step(sample, state):\n"
+        "    return 9000.0 * sample['suspension_deflection'] - 1500.0 * sample['sprung_velocity'], state\n"
+    )
+    entry = '\n[controllers.mine]\nmeasured = ["suspension_deflection", "sprung_velocity"]\nlaw = "mine.py:step"\n'
+    path = tmp_path / "car.toml"
+    path.write_text(read_vehicle("quarter_car").text + entry)
+    vehicle = read_vehicle(path)
+    time, road = sample_times(vehicle, 1.5, 1e-3), road_of("bump + payload:mass=50", vehicle)
+    (run,) = run_all(vehicle, [programmed(vehicle, "mine")], road, time)
+    assert run.agreement.agrees
+    assert max(one.sampled for one in run.agreement.signals.values()) < 2e-6
+    assert max(one.continuous for one in run.agreement.signals.values()) < 1e-2
+
+
+@pytest.mark.parametrize("name", ["passive", "I", "accelerometer"])
+@pytest.mark.parametrize("text", QUARTER)
+def test_curves_carry_too(text, name):
+    """A vehicle whose damper and spring have curves follows its own exact response under a load, but for RK4's knots."""
+    vehicle = with_curves("quarter_car_accelerometer", suspension_damping=DIGRESSIVE, suspension_stiffness=PROGRESSIVE)
+    (run,) = run_all(vehicle, [Designer(vehicle).design(name)], road_of(text, vehicle), sample_times(vehicle, 2.0, 1e-3))
+    assert run.agreement.agrees
+    assert max(one.sampled for one in run.agreement.signals.values()) < 5e-5  # RK4 at knots; 2.2e-5 of a wheel that hardly moves
+    integrated, physics = run.prediction.integrated, run.physics
+    for signal in vehicle.linear_model.states:  # stage by stage MuJoCo's own arithmetic
+        assert np.abs(integrated[signal] - physics[signal]).max() < 1e-9 * physics.scale(signal)
+    assert run.energy is not None
+    assert run.energy.balances
+
+
+@pytest.mark.parametrize("name", ["passive", "I", "accelerometer"])
+@pytest.mark.parametrize("lag", ["", "bandwidth = 90.0"])
+def test_adjustable_dampers_carry_too(name, lag):
+    """A vehicle with an adjustable damper follows its exact switched response under a load as it does over a road alone."""
+    damper = f'\n[actuators]\nkind = "damper"\nc_min = 200.0\nc_max = 3000.0\n{lag}\n'
+    vehicle = parse_vehicle(read_vehicle("quarter_car_accelerometer").text + damper)
+    for text in QUARTER:
+        (run,) = run_all(vehicle, [Designer(vehicle).design(name)], road_of(text, vehicle), sample_times(vehicle, 2.0, 1e-3))
+        assert run.agreement.agrees
+        assert all(one.time <= 0.5 for one in run.prediction.otherwise)  # before, nothing moves but rounding
+        assert max(one.sampled for one in run.agreement.signals.values()) < 5e-6  # RK4's at 1 ms
+        assert run.energy is not None
+        assert run.energy.balances
+
+
+@pytest.mark.parametrize("kind", ["half_car", "full_car"])
+def test_braking_moves_the_load_that_statics_say(kind):
+    """Under steady braking the front tyres carry m_s a h over the wheelbase more, the rear ones as much less."""
+    vehicle = car(kind, BAR if kind == "full_car" else "")
+    p, time = vehicle.parameters, sample_times(vehicle, 12.0, 2e-3)
+    run = simulate(
+        [vehicle], [Designer(vehicle).design("passive")], [road_of("flat + brake:g=0.02", vehicle)], time
+    ).response.run(0)
+    moved = p["sprung_mass"] * 0.02 * GRAVITY * p["centre_height"] / (p["axle_distance_front"] + p["axle_distance_rear"])
+    for axle, sign in (("front", 1.0), ("rear", -1.0)):
+        tyres = [wheel.tyre_deflection for wheel in vehicle.kind.wheels if axle in wheel.tyre_deflection]
+        gained = -p[f"tyre_stiffness_{axle}"] * sum(run[name][-1] for name in tyres)
+        assert gained == pytest.approx(sign * moved, rel=1e-3)  # geometry at a milliradian, and what still moves after 12 s
+
+
+def test_cornering_is_shared_by_the_axles_roll_stiffness():
+    """In a curve the body rolls by m_s a h over the roll stiffness; the outer wheels gain it over the track."""
+    vehicle = car("full_car", BAR)
+    p, time = vehicle.parameters, sample_times(vehicle, 12.0, 2e-3)
+    run = simulate(
+        [vehicle], [Designer(vehicle).design("passive")], [road_of("flat + corner:g=0.02", vehicle)], time
+    ).response.run(0)
+    moment = p["sprung_mass"] * 0.02 * GRAVITY * p["centre_height"]
+    stiffness = 0.0
+    for axle, bar in (("front", 2e4), ("rear", 0.0)):
+        springs = p[f"suspension_stiffness_{axle}"] * p["track"] ** 2 / 2 + bar
+        tyres = p[f"tyre_stiffness_{axle}"] * p["track"] ** 2 / 2
+        stiffness += springs * tyres / (springs + tyres)
+    angles = vehicle.kind.angles(p)
+    rolled, pitched = (
+        np.sum([share * run[name] for name, share in angles[angle].items()], axis=0) for angle in ("roll_angle", "pitch_angle")
+    )
+    assert rolled[-1] == pytest.approx(moment / stiffness, rel=1e-3)  # geometry, as above
+    assert abs(pitched).max() < 1e-3 * rolled[-1]
+    right = sum(run[wheel.tyre_deflection][-1] for wheel in vehicle.kind.wheels if wheel.side == "right")
+    assert -p["tyre_stiffness_front"] * right == pytest.approx(moment / p["track"], rel=1e-3)  # the same tyres all round
+
+
+@pytest.mark.parametrize("kind", ["half_car", "full_car"])
+def test_a_payload_pushes_where_it_lies(kind):
+    """A weight right over an axle squeezes that axle's springs by its weight, and hardly the others."""
+    vehicle = car(kind)
+    p, time = vehicle.parameters, sample_times(vehicle, 12.0, 2e-3)
+    text = f"flat + payload:mass=10:x={-p['axle_distance_rear']}"
+    run = simulate([vehicle], [Designer(vehicle).design("passive")], [road_of(text, vehicle)], time).response.run(0)
+    for axle, weight in (("front", 0.0), ("rear", 10 * GRAVITY)):
+        names = [one.deflection for one in vehicle.kind.suspensions if axle in one.deflection]
+        pushed = -p[f"suspension_stiffness_{axle}"] * sum(run[name][-1] for name in names)
+        assert pushed == pytest.approx(weight, abs=0.1)  # N; geometry at a milliradian
+    if kind == "full_car":
+        text += f":y={p['track'] / 2}"
+        run = simulate([vehicle], [Designer(vehicle).design("passive")], [road_of(text, vehicle)], time).response.run(0)
+        tyres = {wheel.tyre_deflection: wheel.side for wheel in vehicle.kind.wheels}
+        gained = {side: -175500.0 * sum(run[name][-1] for name, on in tyres.items() if on == side) for side in ("left", "right")}
+        assert gained["left"] == pytest.approx(10 * GRAVITY, abs=0.1)
+        assert gained["right"] == pytest.approx(0.0, abs=0.1)
+
+
+@pytest.mark.parametrize("kind", LOADS)
+def test_histories_are_smooth_and_as_said(kind):
+    """A load is zero before its start, all there a rise later, and gone a rise after its hold; its slope has no jump."""
+    vehicle = read_vehicle("full_car")
+    load = choose_load(f"{kind}:start=0.4:rise=0.2:hold=0.3")
+    (full,) = load.amplitudes(vehicle.parameters).values()  # pyright: ignore[reportAttributeAccessIssue]
+
+    def over(t):
+        return next(iter(load.over(np.atleast_1d(t), vehicle.parameters).values()))
+
+    np.testing.assert_allclose(over([0.0, 0.4, 0.5, 0.6, 0.9, 1.0, 1.1, 5.0]) / full, [0, 0, 0.5, 1, 1, 0.5, 0, 0], atol=1e-12)
+    assert load.kinks == pytest.approx((0.4, 0.6, 0.9, 1.1))
+    t = np.linspace(0, 1.5, 15001)
+    assert np.abs(np.diff(over(t))).max() / 1e-4 <= abs(full) * np.pi / 2 / 0.2 * (1 + 1e-6)  # a cosine's steepest slope
+    assert np.abs(np.diff(over(t), n=2)).max() < abs(full) * 1e-5  # no edge: (pi / 0.2)^2 / 2 dt^2 is 1.2e-6
+    np.testing.assert_allclose(load.scaled(0.01).over(t, vehicle.parameters).popitem()[1], 0.01 * over(t), rtol=1e-12)  # pyright: ignore
+    assert choose_load(load.text) == load
+    assert choose_load(kind).text.count("hold") == (kind == "gust")
+
+
+def test_signs():
+    """Brakes push the nose down, driving off up; a curve to the left and a wind from the left roll to the right; a payload ahead
+    pushes the nose down, on the left the left side."""
+    p = read_vehicle("full_car").parameters
+    came = {
+        text: {name: float(values[0]) for name, values in choose_load(text).over(np.array([9.0]), p).items()}
+        for text in ("brake:g=0.5", "brake:g=-0.2", "corner:g=0.3", "gust:force=1000:hold=20", "payload:x=1:y=0.5", "lift:x=-1")
+    }
+    assert came["brake:g=0.5"] == {"pitch_load": pytest.approx(1460.0 * 0.5 * GRAVITY * 0.55)}
+    assert came["brake:g=-0.2"]["pitch_load"] < 0
+    assert came["corner:g=0.3"] == {"roll_load": pytest.approx(1460.0 * 0.3 * GRAVITY * 0.55)}
+    assert came["gust:force=1000:hold=20"] == {"roll_load": pytest.approx(800.0)}
+    weight = 100 * GRAVITY
+    assert came["payload:x=1:y=0.5"] == pytest.approx({"heave_load": -weight, "pitch_load": weight, "roll_load": -weight / 2})
+    assert came["lift:x=-1"] == pytest.approx({"heave_load": 500.0, "pitch_load": 500.0})
+
+
+def test_a_run_beside_a_loaded_one_is_as_it_is_alone(paper, designer):
+    """In one batch, a run without loads is bit for bit what it is among its like."""
+    time, passive = sample_times(paper, 1.0, 1e-3), designer.design("passive")
+    loaded, plain = road_of("bump + payload", paper), Bump()
+    together = simulate([paper] * 4, [passive] * 4, [loaded, plain] * 2, time).response.values
+    alone = simulate([paper] * 4, [passive] * 4, [plain] * 4, time).response.values
+    np.testing.assert_array_equal(together[1], alone[1])
+    assert np.abs(together[0] - alone[0]).max() > 1e-3
+
+
+def test_the_work_of_loads_is_in_the_balance(paper, designer):
+    """A load that the balance does not know of is left over."""
+    time, passive, road = sample_times(paper, 1.5, 1e-3), designer.design("passive"), road_of("flat + payload:mass=50", paper)
+    runs = simulate([paper], [passive], [road], time)
+    found = energy(paper, runs, 0, road)
+    assert found.balances
+    assert found.loads == pytest.approx(50 * GRAVITY * -runs.response.run(0)["suspension_deflection"][-1], rel=0.3)
+    assert not energy(paper, runs, 0, Flat()).balances
+
+
+HISTORY = "time [s], pitch [kN m], heave [N]\n0.2, 0, 0\n0.5, 1.5, -100\n1.5, 1.5, 50\n1.6, 0, 0\n"
+
+
+def test_a_file_is_its_numbers(tmp_path):
+    """A CSV file is read in its headings' units, drawn straight between its points, and written down with every digit."""
+    file = tmp_path / "pull + push;1.csv"
+    file.write_text(HISTORY)
+    load = choose_load(str(file))
+    assert isinstance(load, History)
+    came = load.over(np.array([0.0, 0.35, 0.5, 1.0, 9.0]), {})
+    np.testing.assert_allclose(came["pitch_load"], [0.0, 750.0, 1500.0, 1500.0, 0.0])
+    np.testing.assert_allclose(came["heave_load"], [0.0, -50.0, -100.0, -25.0, 0.0])
+    road = described_road(json.loads(json.dumps(Loaded(Bump(), [load, choose_load("brake")]).describe())))
+    assert isinstance(road, Loaded)
+    again, brake = road.on_body
+    assert isinstance(again, History)
+    np.testing.assert_array_equal(again.time, load.time)
+    assert again.text == load.text
+    assert brake == choose_load("brake")
+    half = load.scaled(0.5).over(np.array([0.5]), {})
+    assert half["pitch_load"] == 750.0
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", ["is empty", "time [s]"]),
+        ("time [s], pitch [N m]\n0, 0\n", ["1 rows", "2 to"]),
+        ("time, pitch\n0, 0\n1, 1\n", ["heading 'time'", "time [s]"]),
+        ("time [s], pitch [N]\n0, 0\n1, 1\n", ["pitch in 'N'", "N m"]),
+        ("time [s], yaw [N m]\n0, 0\n1, 1\n", ["heading 'yaw [N m]'"]),
+        ("time [s], pitch [N m], pitch [N m]\n0, 0, 0\n1, 1, 1\n", ["there twice"]),
+        ("pitch [N m], roll [N m]\n0, 0\n1, 1\n", ["headings are pitch, roll"]),
+        ("time [s], pitch [N m]\n0, 0\n1, nan\n", ["line 3", "'nan'"]),
+        ("time [s], pitch [N m]\n0, 0\n1, x\n", ["line 3", "'x'"]),
+        ("time [s], pitch [N m]\n0, 0\n1, 1, 1\n", ["line 3 has 3 numbers", "2 headings"]),
+        ("time [s], pitch [N m]\n0, 0\n2, 1\n1, 1\n", ["line 4", "1 s, is not after", "sort"]),
+        ("time [s], pitch [N m]\n" + "".join(f"{i}, 1\n" for i in range(20_001)), ["20001 rows", "to 20000"]),
+    ],
+)
+def test_bad_files_are_refused(text, words):
+    """A file that is no load is refused in one line that names the line and what is allowed."""
+    with pytest.raises(InputError) as refused:
+        parse_history(text, "pull.csv")
+    assert all(word in str(refused.value) for word in ("pull.csv", *words)), refused.value
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--load", "brake"], ["brake", "pitches", "a quarter_car only goes up and down"]),
+        (["--load", "payload:x=1"], ["pitches", "only goes up and down"]),
+        (["--vehicle", "half_car", "--load", "corner"], ["rolls", "half_car only goes up and down and pitches"]),
+        (["--load", "push:g=1"], ["unknown load 'push:g=1'", "brake, corner, payload, lift, gust"]),
+        (["--load", "brake:gs=1"], ["gs=1", "g, hold, rise, start"]),
+        (["--load", "brake:g=x"], ["g = 'x' is not a finite number"]),
+        (["--load", "brake:g=nan"], ["g = 'nan' is not a finite number"]),
+        (["--load", "brake:g=3"], ["brake g = 3 is not allowed", "from -2 to 2"]),
+        (["--load", "brake:rise=0"], ["brake rise = 0", "from 0.001"]),
+        (["--load", "brake:g=0.1:g=0.2"], ["g is given twice"]),
+        (["--load", "payload:hold=-1"], ["hold = -1", "from 0 to inf"]),
+        (["--load", "nowhere.csv"], ["nowhere.csv"]),
+        (["--road", "bump + payload:mass=1e9"], ["mass = 1e+09"]),
+        (["--load", "payload", "--road", "flat", "--seed", "3"], ["--seed"]),
+    ],
+)
+def test_bad_loads_are_refused(arguments, words):
+    """A load that is none, or one that the vehicle cannot feel, is refused in one line."""
+    with pytest.raises(InputError) as refused:
+        main(["--controller", "passive", "--no-logs", *arguments])
+    assert all(word in str(refused.value) for word in words), refused.value
+    assert "\n" not in str(refused.value)
+
+
+def drive(folder, capsys, *arguments):
+    """What `sim.drive` prints, and the log that it writes."""
+    assert main(["--controller", "passive", "--duration", "1.2", "--logs", str(folder), *arguments]) == 0
+    (log,) = folder.glob("*.mcap")
+    return prose(capsys.readouterr().out), log
+
+
+@pytest.mark.parametrize("way", ["alone", "with a road", "from a file"])
+def test_a_log_carries_its_loads_and_proves_them(tmp_path, capsys, way):
+    """Driven alone, over a road or from a file, a log proves its loads again, from itself alone; of others it says so."""
+    (tmp_path / "pull.csv").write_text(HISTORY)
+    arguments = {
+        "alone": ["--load", "brake:g=0.2", "--load", "payload:mass=50:x=-1"],
+        "with a road": ["--road", "bump + brake:g=0.3", "--load", "payload:mass=50"],
+        "from a file": ["--load", str(tmp_path / "pull.csv"), "--class", "B"],
+    }[way]
+    printed, log = drive(tmp_path / "logs", capsys, "--vehicle", "half_car", *arguments)
+    assert "energy balances: the work of road, loads and actuators" in printed
+    assert {"alone": "type flat, speed 20, loads brake:g=0.2:", "with a road": "loads brake:g=0.3:", "from a file": "pull.csv"}[
+        way
+    ] in printed
+    (tmp_path / "pull.csv").unlink()
+    assert inspect([str(log)]) == 0
+
+    forged = tmp_path / "forged.mcap"
+    old, new = ("0.3", "0.31") if way == "with a road" else ("0.2", "0.21")
+    forged.write_bytes(written(contents(log).with_claim("run/passive", "road", lambda text: text.replace(old, new, 1))))
+    capsys.readouterr()
+    assert inspect([str(forged)]) == 1
+    assert "FAILS linear response" in prose(capsys.readouterr().out)
+
+
+def test_another_line_is_found(tmp_path, capsys):
+    """A log whose line asks for another load than it holds is no proof of it."""
+    _, log = drive(tmp_path / "logs", capsys, "--load", "payload:mass=50")
+    for old, new in (("mass=50", "mass=51"), (" --load payload:mass=50", " --road flat"), ("mass=50", "mass=50 --load lift")):
+        forged = tmp_path / "forged.mcap"
+        change = contents(log).with_claim("roadproof", "command_line", lambda text, pair=(old, new): text.replace(*pair))
+        forged.write_bytes(written(change))
+        capsys.readouterr()
+        assert inspect([str(forged)]) == 1
+        assert "its line asks for another road" in prose(capsys.readouterr().out)
+
+
+@pytest.mark.parametrize("text", ["brake;1", "pull.csv;time [s],pitch [N m];0.0,1.0", "push:g=1", "", "../../etc/passwd.csv"])
+def test_described_loads_are_checked(text):
+    """What a log says of its loads is read as a stranger's: no file of that name is, and what is none is refused."""
+    with pytest.raises(InputError):
+        described_loads([text])
+
+
+@pytest.mark.parametrize("kind", ["half_car", "full_car"])
+@pytest.mark.parametrize("name", ["passive", "I"])
+def test_static_angles_are_the_closed_form(kind, name):
+    """Where a loop rests is K q = f, with the vehicle's springs and, of a controller, the stiffness of its deflection gains."""
+    vehicle = car(kind, BAR if kind == "full_car" else "")
+    controller, p = Designer(vehicle).design(name), vehicle.parameters
+    text = "flat + brake:g=0.02 + payload:mass=5:x=0.3" + (" + corner:g=0.01" if kind == "full_car" else "")
+    road, wheels = road_of(text, vehicle), vehicle.kind.wheels
+    found = static_angles(vehicle, controller, road, 9.0)
+    x = [-wheel.behind(p) + p["axle_distance_front"] for wheel in wheels]
+    y = [wheel.lateral(p) for wheel in wheels]
+    S = np.stack([np.ones(len(x)), -np.array(x), np.array(y)], axis=-1)[:, : 2 if kind == "half_car" else 3]
+    axles = ["front" if each > 0 else "rear" for each in x]
+    springs = np.diag([p[f"suspension_stiffness_{axle}"] for axle in axles])
+    if kind == "full_car":
+        arm = np.array([1.0, -1.0, 0.0, 0.0]) / p["track"]
+        springs = springs + 2e4 * np.outer(arm, arm)
+    C, _ = vehicle.linear_model.rows(controller.measured) if controller.measured else (np.zeros((0, 1)), None)
+    names = [one.deflection for one in vehicle.kind.suspensions]
+    if len(C):
+        columns = [list(controller.measured).index(name) for name in names]
+        springs = springs - controller.gain[:, columns]  # u = K d is a spring of -K
+    tyres = np.diag([p[f"tyre_stiffness_{axle}"] for axle in axles])
+    # Suspensions and tyres one upon the other; S q is what both give together.
+    together = np.linalg.inv(np.linalg.inv(springs) + np.linalg.inv(tyres))
+    q = np.linalg.solve(S.T @ together @ S, road.loads(vehicle, np.array([9.0]))[0])
+    expected = np.degrees(q[1:])
+    np.testing.assert_allclose(list(found.values()), expected, rtol=1e-9)  # rounding of a stiff loop's inverse
+
+
+def test_angles_are_measured_and_printed(tmp_path, capsys):
+    """Dive, squat and roll stand in the table as in `--json`, of MuJoCo and sampled; static angles are their ends."""
+    arguments = ["--vehicle", "full_car", "--controller", "passive", "--load", "brake:g=0.1:hold=2", "--load", "corner:g=-0.1"]
+    arguments += ["--duration", "10", "--no-logs"]
+    assert main([*arguments, "--json"]) == 0
+    (run,) = json.loads(capsys.readouterr().out)["runs"]
+    metrics = {name: one for name, one in run["metrics"].items() if "angle" in name}
+    assert list(metrics) == [f"{PITCH}_{what}" for what in ("dive", "squat", "at_end")] + [f"{ROLL}_peak", f"{ROLL}_at_end"]
+    assert all(one["unit"] == "deg" for one in metrics.values())
+    for one in metrics.values():
+        assert one["mujoco"] == pytest.approx(one["linear"], rel=2e-3, abs=1e-3)  # geometry at a degree
+    assert metrics["pitch_angle_dive"]["linear"] > 0.3
+    assert metrics["pitch_angle_squat"]["linear"] > 0.05  # it swings back when the brake goes
+    assert metrics["roll_angle_at_end"]["linear"] == pytest.approx(run["static_angles"][ROLL], rel=1e-4)
+    assert run["static_angles"][ROLL] < -1
+    assert run["static_angles"][PITCH] == pytest.approx(0.0, abs=1e-9)
+    assert main(arguments) == 0
+    printed = prose(capsys.readouterr().out)
+    assert f"pitch_angle dive deg {metrics['pitch_angle_dive']['mujoco']:.4g}" in printed
+    assert f"roll_angle peak deg {metrics['roll_angle_peak']['mujoco']:.4g}" in printed
+    assert f"roll_angle {run['static_angles'][ROLL]:.4g} deg; pitch is positive nose down" in printed
+
+
+def test_angles_are_those_of_the_body():
+    """Measured from deflections, tyres and road, the angles are MuJoCo's own joints' to the square of the angle."""
+    vehicle = car("full_car")
+    time, road = sample_times(vehicle, 3.0, 1e-3), road_of("bump:height=0.05:track=left + brake:g=0.3 + corner:g=0.2", vehicle)
+    (run,) = run_all(vehicle, [Designer(vehicle).design("passive")], road, time)
+    found = measure(vehicle, run.physics, 0, loaded=True)
+    assert run.qpos is not None
+    pitch, roll = np.degrees(run.qpos[:, 5]), np.degrees(run.qpos[:, 6])
+    assert found["pitch_angle_dive"] == pytest.approx(pitch.max(), rel=3e-3)
+    assert found["roll_angle_peak"] == pytest.approx(np.abs(roll).max(), rel=3e-3)
+    assert found["roll_angle_at_end"] == pytest.approx(roll[-1], rel=3e-3)
+    blocks = Meter([vehicle], 1e-3, 0, loaded=True)
+    for start in range(0, len(time), 700):
+        blocks.update(run.physics.values[start : start + 700, :, None])
+    assert {name: float(value[0]) for name, value in blocks.result().items() if "angle" in name} == {
+        name: value for name, value in found.items() if "angle" in name
+    }
+
+
+CAMPAIGN = """
+vehicles = ["quarter_car", "quarter_car_accelerometer"]
+controllers = ["passive", "I"]
+roads = ["flat + payload:mass=50", "bump:height=0.03 + lift:force=200", "iso8608:class=A + payload:mass=20"]
+speeds = [20.0]
+seeds = 2
+duration = 1.5
+settle = 0.2
+"""
+
+
+def test_campaigns_know_loads(tmp_path):
+    """In a campaign loads are part of a road; MuJoCo is beside the exact linear response, from the start."""
+    (tmp_path / "campaign.toml").write_text(CAMPAIGN)
+    assert campaign([str(tmp_path / "campaign.toml"), "--results", str(tmp_path / "results"), "--workers", "1"]) == 0
+    rows = pq.read_table(next((tmp_path / "results").glob("*.parquet"))).to_pylist()
+    assert len(rows) == 2 * 2 * (1 + 1 + 2)
+    assert {row["road"] for row in rows} == {"flat + payload:mass=50", "bump:height=0.03 + lift:force=200",
+                                            "iso8608:class=A + payload:mass=20"}  # fmt: skip
+    vehicle, time = read_vehicle("quarter_car"), sample_times(read_vehicle("quarter_car"), 1.5, 1e-3)
+    for row in rows:
+        assert row["linear_error"] < 2e-6
+        assert row["linear_sprung_acceleration_rms"] == pytest.approx(row["sprung_acceleration_rms"], rel=1e-5)
+        assert row["expected_sprung_acceleration_rms"] is None
+    (row,) = (r for r in rows if (r["vehicle"], r["controller"], r["road"][:4]) == ("quarter_car", "passive", "flat"))
+    response = sampled_response(vehicle, Designer(vehicle).design("passive"), road_of("flat + payload:mass=50", vehicle), time)
+    assert row["linear_suspension_deflection_peak"] == pytest.approx(float(response.peak("suspension_deflection")), rel=1e-12)
+
+
+def test_campaigns_measure_angles(tmp_path):
+    """A campaign with loads has a car's angles among its columns, with their unit, as the linear response has them."""
+    text = """
+vehicles = ["half_car"]
+controllers = ["passive"]
+roads = ["flat + brake:g=0.2", "bump:height=0.02"]
+speeds = [20.0]
+duration = 1.5
+"""
+    (tmp_path / "campaign.toml").write_text(text)
+    assert campaign([str(tmp_path / "campaign.toml"), "--results", str(tmp_path / "results"), "--workers", "1"]) == 0
+    table = pq.read_table(next((tmp_path / "results").glob("*.parquet")))
+    assert table.schema.field("pitch_angle_dive").metadata[b"unit"] == b"deg"
+    for row in table.to_pylist():
+        assert row["linear_pitch_angle_dive"] == pytest.approx(row["pitch_angle_dive"], rel=1e-3)
+    assert table["pitch_angle_dive"][0].as_py() > 0.5
