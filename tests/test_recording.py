@@ -12,14 +12,19 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from models.common.errors import InputError
 from models.common.whole_file import check_folder, made_folder
+from models.roads.road import Bump
 from models.signals import CONTROL_FORCE, ROAD_DISPLACEMENT, SPRUNG_ACCELERATION, SUSPENSION_DEFLECTION
+from models.vehicle import read_vehicle
 from sim.recording import files as recording
+from sim.recording.drawing import scene_of
 from sim.recording.files import opening_lines, record
 from sim.recording.mcap_writer import write_mcap
 from sim.recording.rerun_writer import write_rrd
 from sim.recording.run_log import RunLog
 from sim.recording.scene import Motion, Scene, Shape
 from sim.response.response import Response
+from sim.runs.run import run_all, sample_times
+from synth.designer import design
 
 SIGNALS = (ROAD_DISPLACEMENT, SUSPENSION_DEFLECTION, SPRUNG_ACCELERATION, CONTROL_FORCE)
 METADATA = {"command": "sim.bump", "road": json.dumps({"type": "bump", "height_m": 0.1}), "vehicle_file": "a\nb | c"}
@@ -322,3 +327,13 @@ def test_opening_lines_can_be_pasted() -> None:
         "    'my logs/x.mcap'",
         "    'my logs/x.layout.json'",
     ]
+
+
+@pytest.mark.parametrize("name", ["half_car", "full_car"])
+def test_forces_are_drawn_in_the_order_of_the_inputs(name):
+    """A scene has its forces in the order of the model's inputs, as logs have that were written before anything was fitted."""
+    vehicle = read_vehicle(name)
+    (run,) = run_all(vehicle, [design(vehicle, "passive")], Bump(0.01), sample_times(vehicle, 0.1, 1e-3))
+    assert run.qpos is not None
+    scene = scene_of(vehicle, run.road, run.physics, run.qpos)
+    assert [f"control_force{force.removeprefix('suspension')}" for force in scene.forces] == list(vehicle.linear_model.inputs)

@@ -108,7 +108,7 @@ def _tracks(vehicle: Vehicle, road: Road, places: Array, time: Array, heights: A
 
 
 def _actuators(model: mujoco.MjModel) -> dict[str, str]:
-    """The signal of every actuator that pulls on a tendon, by the tendon's name; what is fitted beside them has none."""
+    """The signal of every actuator that pulls on a tendon, by tendon, in their order; what is fitted beside them has none."""
     on_tendon = int(mujoco.mjtTrn.mjTRN_TENDON)
     names = {i: model.actuator(i).name for i in range(model.nu) if int(model.actuator_trntype[i]) == on_tendon}
     asked = {i: name for i, name in names.items() if not name.startswith(FITTED)}
