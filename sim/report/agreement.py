@@ -13,6 +13,7 @@ from models.figures.page import Section, Table
 from models.roads.road import Bump
 from sim.physics.energy import BALANCED
 from sim.report.scope import BUMP_DURATION, Scope, number
+from sim.report.suspension import suspension_figure
 from sim.runs.run import Run
 from sim.runs.words import verdict_lines
 from synth.controller import Controller
@@ -85,7 +86,9 @@ def bump_section(scope: Scope, runs: Sequence[Run], road: Bump) -> Section:
         f"so where that has ended before {BUMP_DURATION:g} s, MuJoCo's peaks are of something else than theirs."
     )
     verdicts = tuple(f"{run.controller.name}: {line}." for run in runs for line in verdict_lines(run))
-    return Section("What happens over a bump?", "the paper's bump, over time", (about, *verdicts), (table,), (figure,))
+    diagram = suspension_figure(scope, runs, f"over the bump of {road.height:g} m")
+    figures = (figure,) if diagram is None else (figure, diagram)
+    return Section("What happens over a bump?", "the paper's bump, over time", (about, *verdicts), (table,), figures)
 
 
 @dataclass(frozen=True, eq=False)

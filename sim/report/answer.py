@@ -8,6 +8,7 @@ from models.figures.page import State
 from models.roads.road import Bump
 from sim.frequency.identification import Lines
 from sim.frequency.sweep import Sweep, failures
+from sim.linear.curved import is_curved
 from sim.report.regime_end import REACHES, RegimeEnd
 from sim.report.scope import BUMP_DURATION, Scope, at_most, joined, percents
 from sim.response.regime import REGIME_ENDS
@@ -82,13 +83,15 @@ def norms(scope: Scope) -> list[Finding]:
 
 def over_the_bump(scope: Scope, runs: Sequence[Run]) -> list[Finding]:
     """Whether MuJoCo is the linear analysis over the paper's bump, and until when."""
-    which = "" if scope.plain else " of the loop as built"
+    which = "the analysis with its curves" if is_curved(scope.vehicle) else "the linear analysis"
+    built = "" if scope.plain else " of the loop as built"
+    which += built
     throughout = [run.controller.name for run in runs if run.agreement.agrees and math.isinf(run.agreement.until)]
     found = []
     if throughout:
         found.append(
             Finding(
-                f"Over the paper's bump MuJoCo agrees with the linear analysis{which} throughout its {BUMP_DURATION:g} s for "
+                f"Over the paper's bump MuJoCo agrees with {which} throughout its {BUMP_DURATION:g} s for "
                 f"{joined(throughout)}{_how(scope, runs)}."
             )
         )
@@ -96,17 +99,17 @@ def over_the_bump(scope: Scope, runs: Sequence[Run]) -> list[Finding]:
         until = run.agreement.until
         if run.agreement.agrees and until < math.inf:
             text = (
-                f"Over the paper's bump, {run.controller.name} agrees with the linear analysis{which} until {until:.3g} s of "
+                f"Over the paper's bump, {run.controller.name} agrees with {which} until {until:.3g} s of "
                 f"{BUMP_DURATION:g} s: {what_ended(run)}."
             )
             found.append(Finding(text, "ends"))
     wrong = [run.controller.name for run in runs if not run.agreement.agrees]
     if wrong:
-        text = f"Over the paper's bump MuJoCo DOES NOT AGREE with the linear analysis{which} for {joined(wrong)}."
+        text = f"Over the paper's bump MuJoCo DOES NOT AGREE with {which} for {joined(wrong)}."
         found.append(Finding(text, "fails"))
     unbalanced = [run.controller.name for run in runs if run.energy is not None and not run.energy.balances]
     if unbalanced:
-        text = f"Over the paper's bump energy DOES NOT BALANCE{which} for {joined(unbalanced)}: see the table of energy."
+        text = f"Over the paper's bump energy DOES NOT BALANCE{built} for {joined(unbalanced)}: see the table of energy."
         found.append(Finding(text, "fails"))
     return found
 
