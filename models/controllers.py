@@ -11,6 +11,9 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
+from models.damping.laws import SemiActiveLaw, read_semi_active
+from models.formats.naming import check_name
+from models.formats.rows import size
 from models.goals.goals import Goals
 from models.goals.reading import GOAL_KEYS, read_goals
 from models.kind import VehicleKind
@@ -23,11 +26,10 @@ from models.reality import LONGEST_PERIOD, Implementation, Limits, designed_for_
 DESIGNS = ("lqr", "lqg", "h2")  # what `design` may be; without it the paper's two steps
 FULL = "full"  # what `order` may be
 CONTROLLER_KEYS = (
-    *("measured", "gain", *MATRICES, "sample_period", "file", "law", "preview", "certificate"),  # what it is
+    *("measured", "gain", *MATRICES, "sample_period", "file", "law", "preview", "semi_active", "certificate"),  # what it is
     *("order", "design", "noise", "lag", "sampled", *GOAL_KEYS),  # how it is designed
 )
 RESERVED = ("passive", "state")  # these two always exist: u = 0, and full state feedback
-LONGEST_NAME = 60  # bytes; the names of three controllers go into a file name
 SHORTEST, LONGEST = 1e-6, LONGEST_PERIOD  # s, of a discrete controller's sample period
 
 
@@ -61,6 +63,7 @@ class ControllerEntry:
         hardware: what of sensors and actuators it is designed for and judged with.
         sampled: whether it is designed for the loop that the computer closes.
         goals: what it is designed for instead of the least norm; None where that is it.
+        semi_active: the law for adjustable dampers that it is, of which nothing is claimed; None of all others.
     """
 
     name: str
@@ -72,6 +75,12 @@ class ControllerEntry:
     hardware: Hardware = IDEAL
     sampled: bool = False
     goals: Goals | None = None
+    semi_active: SemiActiveLaw | None = None
+
+    @property
+    def linear(self) -> bool:
+        """Whether linear analysis speaks of it."""
+        return self.python is None and self.semi_active is None
 
 
 def read_controllers(
@@ -82,6 +91,7 @@ def read_controllers(
     folder: Path | None = None,
     sampled: bool = False,
     kind: VehicleKind | None = None,
+    dampers: Mapping[str, str] | None = None,
 ) -> dict[str, ControllerEntry]:
     """`[controllers]`, checked: by name, each in the one spelling (NFC) of those that look alike, letters and marks composed.
 
@@ -91,40 +101,39 @@ def read_controllers(
         limits, implementation, kind: of the vehicle, for controllers that are designed for them.
         folder: of the vehicle file, where laws in Python lie; None for one that is text alone.
         sampled: whether designs are for the loop that the computer closes, unless a section says otherwise.
+        dampers: the forces that are of adjustable ones, and the ending of the names there.
     """
     found: dict[str, ControllerEntry] = {}
     for written, entry in section.items():
         name = unicodedata.normalize("NFC", written)
         if name in found:
             raise InputError(f"[controllers.{name}] is there twice, in two spellings that look alike; rename one")
-        one = _controller(name, entry, model, limits, implementation, folder)
+        check_name(f"[controllers.{name}]", name, RESERVED)
+        one = _controller(name, entry, model, limits, implementation, folder, dampers or {})
         if kind is not None:
             one = replace(one, goals=read_goals(f"[controllers.{name}]", entry, one.measured, model.outputs, kind))
-        two_steps = one.law is None and not (one.design or one.python or one.hardware.noise or one.goals)
+        lawless = one.law is None and one.semi_active is None
+        two_steps = lawless and not (one.design or one.python or one.hardware.noise or one.goals)
         asked = designed_for_samples(f"[controllers.{name}]", entry, two_steps, implementation, sampled)
         found[name] = replace(one, sampled=asked)
     return found
 
 
-def _is_name(name: str) -> bool:
-    """Whether a controller may be called so; vowel signs, as in Hindi and Thai, are marks on letters."""
-    kinds = ["L" if one.isalnum() else "-" if one in "_-" else unicodedata.category(one) for one in name]
-    return "L" in kinds and {*kinds} <= {"L", "-", "Mn", "Mc"} and kinds[0] not in ("Mn", "Mc") and not name.startswith("-")
-
-
 def _controller(
-    name: str, entry: Any, model: LinearModel, limits: Limits, implementation: Implementation, folder: Path | None
+    name: str,
+    entry: Any,
+    model: LinearModel,
+    limits: Limits,
+    implementation: Implementation,
+    folder: Path | None,
+    dampers: Mapping[str, str],
 ) -> ControllerEntry:
     where = f"[controllers.{name}]"
-    if name in RESERVED or name == "all":
-        raise InputError(f"{where} the name {name!r} is taken: passive, state and all always exist; rename it")
-    if len(name.encode()) > LONGEST_NAME or not _is_name(name):
-        raise InputError(
-            f"{where} a controller's name has letters, digits, '_' and '-' only, at most {LONGEST_NAME} bytes of UTF-8, and no "
-            "'-' first, as an option has"
-        )
     if not isinstance(entry, dict):
         raise InputError(f"{where} is not a section with measured = [signals]")
+    semi_active = read_semi_active(where, entry, model.outputs, model.inputs, dampers)
+    if semi_active is not None:
+        return ControllerEntry(name, semi_active.measured, semi_active=semi_active)
     for key in entry:
         if key not in CONTROLLER_KEYS:
             raise InputError(
@@ -255,7 +264,7 @@ def _law(where: str, entry: Mapping[str, Any], model: LinearModel, measured: lis
             continue  # of a law without states, however it is written down
         if len(there) != rows or any(len(row) != columns for row in there):
             raise InputError(
-                f"{where} {key} has {_size(there)}; give {rows} row(s) of {columns} number(s), as A has {k} row(s), this vehicle "
+                f"{where} {key} has {size(there)}; give {rows} row(s) of {columns} number(s), as A has {k} row(s), this vehicle "
                 f"{m} actuator(s), and {q} signal(s) are measured"
             )
     try:
@@ -275,16 +284,10 @@ def _gain(where: str, gain: Any, model: LinearModel, measured: list[str]) -> Arr
     if not all(isinstance(row, list) and all(is_number(entry) for entry in row) for row in rows):
         raise InputError(f"{where} gain = {quoted(gain)} is not a matrix of numbers; {allowed}")
     if len(rows) != m or any(len(row) != q for row in rows):
-        raise InputError(f"{where} gain has {_size(rows)}; {allowed}")
+        raise InputError(f"{where} gain has {size(rows)}; {allowed}")
     matrix = np.array(rows, dtype=float)
     matrix.flags.writeable = False
     return matrix
-
-
-def _size(rows: list[Any]) -> str:
-    """How many rows there are, and how long they are."""
-    lengths = " or ".join(str(length) for length in sorted({len(row) for row in rows})) or "no"
-    return f"{len(rows)} row(s) of {lengths} number(s)"
 
 
 def _is_real(value: Any) -> bool:

@@ -163,8 +163,8 @@ class Vehicle:
 
     @property
     def linear_names(self) -> tuple[str, ...]:
-        """Those of them of which linear analysis speaks: all but laws in Python."""
-        return (*RESERVED, *(name for name, entry in self.controllers.items() if entry.python is None))
+        """Those of them of which linear analysis speaks: all but laws in Python and semi-active ones."""
+        return (*RESERVED, *(name for name, entry in self.controllers.items() if entry.linear))
 
     def found_wrong(self, error: InputError) -> InputError:
         """What was found wrong of it when it was worked with, with the file that it stands in, as where it is read."""
@@ -183,10 +183,11 @@ class Vehicle:
         if name not in self.controllers:
             raise InputError(f"unknown controller {name!r}; this vehicle has {listing(self.controller_names)}")
         entry = self.controllers[name]
-        if entry.python is not None:
+        if not entry.linear:
+            what = "law in Python, " + entry.python.law if entry.python else "semi-active law"
             raise InputError(
-                f"controller {name!r} is a law in Python, {entry.python.law}, of which there is no linear claim, and here "
-                "is nothing else; sim.bump, sim.drive, sim.sweep, sim.campaign and sim.report drive it: name another one here"
+                f"controller {name!r} is a {what}, of which there is no linear claim, and here is nothing else; sim.bump, "
+                "sim.drive, sim.sweep, sim.campaign and sim.report drive it: name another one here"
             )
         return entry
 
@@ -255,12 +256,13 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
     )
     sampled = read_sampled(data.get("implementation", {}))
     section = data.get("controllers", {})
-    controllers = read_controllers(section, model, limits, implementation, folder, sampled, vehicle_kind)
+    dampers = read_actuators(data.get("actuators", {}), vehicle_kind.corners, limits.of_actuators, [*curves])
+    adjusted = adjustable(dampers, vehicle_kind.suspensions, parameters)
+    endings = {one.force: one.ending for one in adjusted}
+    controllers = read_controllers(section, model, limits, implementation, folder, sampled, vehicle_kind, endings)
     for entry in controllers.values():
         check_period(entry, implementation)
     performance, filters, road_filter = read_performance(data["performance"], model.outputs)
-    dampers = read_actuators(data.get("actuators", {}), vehicle_kind.corners, limits.of_actuators, [*curves])
-    adjusted = adjustable(dampers, vehicle_kind.suspensions, parameters)
     named = {signal for entry in controllers.values() for signal in (*entry.measured, *signals_of(entry.goals))}
     named |= {one.velocity.name for one in vehicle_kind.suspensions if {one.stiffness, one.damping} & {*curves}}
     measured = vehicle_kind.naming(named.union(performance, implementation.noise, implementation.quantisation))

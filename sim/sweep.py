@@ -13,7 +13,6 @@ from models.common.progress import Stages
 from models.figures.figure import styles
 from models.figures.outputs import check_outputs, written, written_lines
 from models.figures.picture import write_picture
-from models.own.python_law import Programmed
 from models.vehicle import Vehicle, read_vehicle
 from sim.asked.sweep import asked_names, parser, worst_road, worst_times
 from sim.command.claims import say_false_claims
@@ -51,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     linear = [one for one in controllers if isinstance(one, Controller)]
     swept = sweep(vehicle.pushing, linear, *how, stage) if linear else []
     stage(OWN)
-    own = [describing_function(vehicle, one, *how) for one in controllers if isinstance(one, Programmed)]
+    own = [describing_function(vehicle, one, *how) for one in controllers if not isinstance(one, Controller)]
     stage("picture and logs")
     if options.picture is not None:
         from sim.frequency.figure import sweep_figure

@@ -89,8 +89,9 @@ ROOMS = {
     # sim: what a run is
     "sim": "",
     "sim.response": "models.curves",
-    "sim.linear": "sim.response models.curves models.roads",
-    "sim.physics": "models.curves sim.response models.roads",
+    "sim.semi_active": "",
+    "sim.linear": "sim.response sim.semi_active models.curves models.roads",
+    "sim.physics": "models.curves sim.response sim.semi_active models.roads",
     "sim.runs": "sim.linear sim.physics sim.response models.roads synth.words",
     "sim.ride": "models.curves models.filters sim.linear sim.response models.roads sim.runs",
     "sim.validity": "models.figures sim.linear sim.physics sim.response models.roads",

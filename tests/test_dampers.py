@@ -11,10 +11,11 @@ from models.vehicle import parse_vehicle
 from sim.linear.deciding import Decisions
 from sim.linear.loop import largest_timestep, sampled_response
 from sim.physics.simulate import simulate
+from sim.runs.energy import energy_lines
 from sim.runs.made import NEAR, predict_made
 from sim.runs.prediction import predict_switched
 from sim.runs.run import judge, run_all, sample_times
-from sim.runs.words import energy_lines, run_object, verdict, verdict_lines
+from sim.runs.words import run_object, verdict, verdict_lines
 from synth.controller import Controller
 from synth.designer import design
 

@@ -239,6 +239,17 @@ class Range:
         beyond = np.minimum(np.maximum(forces / closing, self.low[which]), self.high[which])
         return np.concatenate([beyond, forces - beyond * closing], axis=-1)
 
+    def set_to(self, asked: Array, closing: Array, which: Array | slice = slice(None)) -> Array:
+        """The same where coefficients are asked for, shape (..., N, 2 m).
+
+        Args:
+            asked: coefficients beyond the nominal ones [N s/m], shape (..., N, m).
+            closing: how fast each suspension closes [m/s], shape (..., N, m).
+            which: of the N.
+        """
+        beyond = np.minimum(np.maximum(asked, self.low[which]), self.high[which])
+        return np.concatenate([beyond, (asked - beyond) * closing], axis=-1)
+
     @property
     def at_rest(self) -> Array:
         """What to add to -v, so that there is no 0 among what `commands` takes, shape (m,)."""

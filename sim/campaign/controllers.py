@@ -8,17 +8,18 @@ from pathlib import Path
 from typing import Any
 
 from models.common.errors import InputError
+from models.damping.laws import SemiActive
 from models.law import law_of
 from models.own.python_law import Programmed
 from models.vehicle import Vehicle
 from sim.campaign.file import Campaign
 from sim.campaign.manifest import ELSEWHERE, FaultError, Gains, gains_of
 from sim.command.claims import say_false_claims
-from sim.command.driven import driven, programmed
+from sim.command.driven import driven, lawful, programmed
 from synth.controller import Controller
 from synth.designer import Designer, given
 
-Controllers = Mapping[str, Mapping[str, Controller | Programmed]]  # by vehicle and name
+Controllers = Mapping[str, Mapping[str, Controller | Programmed | SemiActive]]  # by vehicle and name
 
 
 def designed(campaign: Campaign) -> Controllers:
@@ -48,7 +49,7 @@ def as_begun(campaign: Campaign, gains: Gains, folder: Path) -> Controllers:
         InputError: the file of a law cannot be read, is not as it was, or lies in that folder.
     """
 
-    found: dict[str, dict[str, Controller | Programmed]] = {}
+    found: dict[str, dict[str, Controller | Programmed | SemiActive]] = {}
     for name, vehicle in campaign.vehicles.items():
         found[name] = {}
         for each in campaign.controllers:
@@ -56,7 +57,14 @@ def as_begun(campaign: Campaign, gains: Gains, folder: Path) -> Controllers:
                 entry, linear = gains[name][each], each in vehicle.linear_names
             except KeyError as error:
                 raise _strange(error) from error
-            found[name][each] = _gain_of_then(vehicle, each, entry) if linear else _law_of_then(vehicle, each, entry, folder)
+            if linear:
+                found[name][each] = _gain_of_then(vehicle, each, entry)
+            elif isinstance(law := lawful(vehicle, each), SemiActive):  # ours, as the campaign's own vehicle file has it
+                found[name][each] = law
+                if gains_of({"": {each: law}})[""][each] != entry:
+                    raise FaultError(f"the folder's gains are not those of the campaign (controller {each!r}); {ELSEWHERE}")
+            else:
+                found[name][each] = _law_of_then(vehicle, each, entry, folder)
     return found
 
 

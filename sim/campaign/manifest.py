@@ -17,6 +17,7 @@ from models.common import interrupt
 from models.common.errors import InputError, quoted, some
 from models.common.read_file import MIB, read_text
 from models.common.whole_file import made_folder, whole_file
+from models.damping.laws import SemiActive
 from models.law import MATRICES
 from models.own.python_law import Programmed
 from synth.controller import Controller
@@ -137,6 +138,9 @@ def _is_its_kind(name: str, value: Any) -> bool:
             return False
         if "law" in value:
             return set(value) - {"preview"} == {"measured", "law", "sha256"} and text(value["law"]) and text(value["sha256"])
+        if "semi_active" in value:
+            numbers = [value[key] for key in set(value) - {"measured", "semi_active"}]
+            return text(value["semi_active"]) and row(numbers)
         matrices = set(value) - {"measured", "sample_period"}
         return matrices in ({"gain"}, set(MATRICES)) and all(matrix(value[each]) for each in matrices)
 
@@ -185,10 +189,12 @@ def digest(sources: str) -> str:
     return hashlib.sha256(sources.encode()).hexdigest()
 
 
-def gains_of(controllers: Mapping[str, Mapping[str, Controller | Programmed]]) -> dict[str, dict[str, dict[str, Any]]]:
+def gains_of(
+    controllers: Mapping[str, Mapping[str, Controller | Programmed | SemiActive]],
+) -> dict[str, dict[str, dict[str, Any]]]:
     """The gains, by vehicle and controller, as JSON has them, every digit; of a law in Python its checksum, and no code."""
 
-    def record(one: Controller | Programmed) -> dict[str, Any]:
+    def record(one: Controller | Programmed | SemiActive) -> dict[str, Any]:
         known = {"sha256": one.sha256} if isinstance(one, Programmed) else {}
         return {"measured": list(one.measured), **one.law.record, **known}
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
+from models.damping.laws import SemiActive
 from models.own.python_law import Programmed
 from models.roads.road import Road
 from models.vehicle import Vehicle
@@ -38,7 +39,7 @@ class Plan:
     """
 
     campaign: Campaign
-    controllers: Mapping[str, Mapping[str, Controller | Programmed]]
+    controllers: Mapping[str, Mapping[str, Controller | Programmed | SemiActive]]
 
     @cached_property
     def _blocks(self) -> list[tuple[int, int, int, int, int]]:

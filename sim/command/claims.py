@@ -3,11 +3,12 @@
 from collections.abc import Iterable
 
 from models.common.command import complain
+from models.damping.laws import SemiActive
 from models.own.python_law import Programmed
 from synth.controller import Controller
 
 
-def say_false_claims(controllers: Iterable[Controller | Programmed]) -> None:
+def say_false_claims(controllers: Iterable[Controller | Programmed | SemiActive]) -> None:
     """One line on stderr for every controller whose certificate does not hold: it is driven all the same."""
     for one in controllers:
         if isinstance(one, Controller) and one.false_claims:

@@ -11,8 +11,9 @@ from models.roads.road import Road
 from models.vehicle import Vehicle
 from sim.command.claims import say_false_claims
 from sim.command.driven import driven
+from sim.runs.energy import energy_lines
 from sim.runs.run import Run, run_all
-from sim.runs.words import controller_lines, energy_lines, run_lines, verdict_lines
+from sim.runs.words import controller_lines, run_lines, verdict_lines
 from synth.controller import Controller
 
 

@@ -3,12 +3,15 @@
 from collections.abc import Callable, Sequence
 
 from models.common.errors import InputError
+from models.damping.laws import SemiActive
 from models.own.python_law import Programmed
 from models.vehicle import Vehicle
 from synth.controller import Controller
 
 
-def driven(vehicle: Vehicle, names: Sequence[str], design: Callable[[str], Controller]) -> list[Controller | Programmed]:
+def driven(
+    vehicle: Vehicle, names: Sequence[str], design: Callable[[str], Controller]
+) -> list[Controller | Programmed | SemiActive]:
     """The controllers of these names; no law in Python is run.
 
     Args:
@@ -20,7 +23,13 @@ def driven(vehicle: Vehicle, names: Sequence[str], design: Callable[[str], Contr
         InputError: one cannot be designed, or the file of a law cannot be read.
     """
     linear = vehicle.linear_names
-    return [design(name) if name in linear else programmed(vehicle, name) for name in names]
+    return [design(name) if name in linear else lawful(vehicle, name) for name in names]
+
+
+def lawful(vehicle: Vehicle, name: str) -> Programmed | SemiActive:
+    """The controller of that name, of which linear analysis does not speak; arguments and errors as for `programmed`."""
+    law = vehicle.controllers[name].semi_active
+    return programmed(vehicle, name) if law is None else SemiActive(name, law)
 
 
 def programmed(vehicle: Vehicle, name: str) -> Programmed:

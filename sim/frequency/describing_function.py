@@ -14,6 +14,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.numbers import cell, finite, finite_pairs, percent
 from models.common.printed import table
+from models.damping.laws import SemiActive
 from models.own.python_law import Programmed
 from models.reality import steps_per_sample
 from models.roads.sinusoids import sinusoid
@@ -24,6 +25,7 @@ from sim.physics.simulate import simulate
 from sim.response.regime import ended_by
 from sim.response.response import SILENT, Response
 from sim.runs.run import sample_times
+from sim.runs.words import law_text
 
 SINUSOIDS = 20  # of the chirp's lines, from its first to its last
 ENTRIES = 2e7  # numbers in a batch's record
@@ -60,7 +62,7 @@ class DescribingFunction:
         ended: what ended the linear regime, in whichever run.
     """
 
-    controller: Programmed
+    controller: Programmed | SemiActive
     outputs: tuple[str, ...]
     units: tuple[str, ...]
     omega: Array
@@ -96,7 +98,7 @@ class DescribingFunction:
 
 
 def describing_function(
-    vehicle: Vehicle, controller: Programmed, amplitude: float, timestep: float, speed: float
+    vehicle: Vehicle, controller: Programmed | SemiActive, amplitude: float, timestep: float, speed: float
 ) -> DescribingFunction:
     """Drives a controller over one sinusoid after another, three periods of the lowest each, of which the first is for settling.
 
@@ -151,10 +153,12 @@ def _found(vehicle: Vehicle, units: Sequence[str], response: Response, omega: fl
 
 def describing_lines(one: DescribingFunction) -> list[str]:
     """It in words and numbers."""
-    hertz, law = one.omega / (2 * np.pi), one.controller.law.law
+    hertz, law = one.omega / (2 * np.pi), law_text(one.controller)
+    if isinstance(one.controller, Programmed):
+        law = f"law in Python {one.controller.law.law}"
     lines = [
         f"controller {one.controller.name}",
-        f"  law in Python {law}: no linear claim, and no line of analysis beside it. Its describing function, from {len(hertz)} "
+        f"  {law}: no linear claim, and no line of analysis beside it. Its describing function, from {len(hertz)} "
         "sinusoids, one at a time; a road of another height may have another one",
     ]
     if one.without:

@@ -10,12 +10,12 @@ from models.common.command import Parser, complain, run_command
 from models.common.errors import InputError
 from models.common.printed import Whole, say, wrapped
 from models.common.whole_file import check_file
-from models.own.python_law import Programmed
 from sim.inspect.findings import HOLDS, NOTE, Finding
 from sim.inspect.log import Recorded, RecordedRun, read_json, read_log
 from sim.inspect.proof import Inspected, Proof, prove
 from sim.inspect.table import write_signals
-from sim.runs.words import controller_object, python_text, run_object
+from sim.runs.words import controller_object, law_text, run_object
+from synth.controller import Controller
 from synth.words import law_lines
 
 LONGEST = 400  # characters of a text from a log on the terminal
@@ -145,8 +145,8 @@ def _text(proof: Proof) -> list[str]:
             )
             lines += wrapped(_shown(numbers), f"  {'road':10}", 12)
             lines += wrapped(f"{controller.name} measures {', '.join(controller.measured) or 'nothing'}", f"  {'law':10}", 12)
-            if isinstance(controller, Programmed):
-                lines += wrapped(_shown(python_text(controller)), f"  {'':10}", 12)
+            if not isinstance(controller, Controller):
+                lines += wrapped(_shown(law_text(controller)), f"  {'':10}", 12)
             elif controller.measured:
                 lines += law_lines(controller.law, f"  {'gain':10}", f"  {'':10}")
         lines += _lines(one.findings)

@@ -20,9 +20,10 @@ from sim.recording.format import CONTINUOUS, RESULTS, SAMPLED, WHOLE
 from sim.response.response import Response
 from sim.ride.metrics import DEFINITIONS
 from sim.runs.agreement import ROUNDING
+from sim.runs.energy import energy_lines, energy_object
 from sim.runs.prediction import Prediction
 from sim.runs.run import Run
-from sim.runs.words import energy_lines, energy_object, half_step_object, run_object, verdict_lines
+from sim.runs.words import half_step_object, run_object, verdict_lines
 from synth.certificate.record import false_claims, to_record
 from synth.controller import Controller
 from synth.designs.in_the_mean import best_in_the_mean, mean_of

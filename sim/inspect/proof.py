@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from models.common.errors import InputError
+from models.own.python_law import Programmed
 from models.vehicle import Vehicle
 from sim.inspect.claims import (
     check_certificate,
@@ -40,7 +41,7 @@ from sim.recording.format import MUJOCO
 from sim.recording.run_log import RunLog
 from sim.runs.prediction import Prediction
 from sim.runs.run import Run, judge
-from sim.runs.words import NO_CLAIM
+from sim.runs.words import NO_CLAIM, NO_CLAIM_OF_SWITCHING
 from synth.controller import Controller
 
 UNCHECKED = (
@@ -207,7 +208,8 @@ def _inspect(log: Recorded, vehicle: Vehicle, recorded: RecordedRun, h: float, c
         findings += _guarded("certificate", FAILS, lambda: check_certificate(own, controller, recorded, h, current))
         findings += _guarded("design", FAILS, lambda: check_design(vehicle, controller))
     else:
-        findings.append(Finding("certificate", NOTE, f"{NO_CLAIM}; {NOT_RUN}"))
+        said = f"{NO_CLAIM}; {NOT_RUN}" if isinstance(controller, Programmed) else NO_CLAIM_OF_SWITCHING
+        findings.append(Finding("certificate", NOTE, said))
     if samples < FEWEST:
         return inspected()
     try:

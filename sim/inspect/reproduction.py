@@ -15,6 +15,7 @@ from models.common.arrays import Array
 from models.common.errors import InputError, listing
 from models.common.read_file import TEXT
 from models.controllers import LARGEST, ControllerEntry
+from models.damping.laws import SemiActive
 from models.kinds import kinds as kind_names
 from models.law import MATRICES, LinearLaw, static_law
 from models.law import MOST_STATES as MOST_OF_A_LAW
@@ -81,7 +82,7 @@ def implemented(vehicle: Vehicle, run: RecordedRun) -> Vehicle:
     return replace(vehicle, implementation=read_implementation(_given(run.claim("implementation"), "implementation"), measurable))
 
 
-def recorded_controller(log: Recorded, vehicle: Vehicle, run: RecordedRun) -> Controller | Programmed:
+def recorded_controller(log: Recorded, vehicle: Vehicle, run: RecordedRun) -> Controller | Programmed | SemiActive:
     """The controller of a run, with a certificate computed anew from its gain and the proof in the log; numpy and scipy alone.
 
     A law in Python is the text that is attached. Nobody runs it.
@@ -99,6 +100,8 @@ def recorded_controller(log: Recorded, vehicle: Vehicle, run: RecordedRun) -> Co
     entry = vehicle.controllers.get(name)
     if entry is not None and entry.python is not None:
         return _programmed(log, run, entry.name, signals, entry.python)
+    if entry is not None and entry.semi_active is not None:
+        return _semi_active(run, SemiActive(entry.name, entry.semi_active))
     law = _law(run, len(vehicle.linear_model.inputs), len(signals))
     none = static_law(np.zeros_like(law.D))
     given = none if name == "passive" else None if name == "state" else vehicle.controllers[name].law
@@ -133,10 +136,27 @@ def _programmed(log: Recorded, run: RecordedRun, name: str, signals: Sequence[st
         raise InputError("what is attached as its law in Python is no text") from None
     if run.claims.get("sha256") != found.sha256:
         raise InputError("the text of its law in Python is not the one whose checksum the log has")
+    _check_unclaimed(run, "a law in Python")
+    return found
+
+
+def _semi_active(run: RecordedRun, found: SemiActive) -> SemiActive:
+    """A law that ships, as vehicle.toml has it.
+
+    Raises:
+        InputError: the log says another one, or something is claimed of it.
+    """
+    record = found.law.record
+    if {key: run.claims.get(key) if key == "semi_active" else run.claim(key) for key in record} != record:
+        raise InputError("its semi-active law is not that of vehicle.toml")
+    _check_unclaimed(run, "a semi-active law")
+    return found
+
+
+def _check_unclaimed(run: RecordedRun, what: str) -> None:
     claimed = [key for key in ("bound", "norm", "peak_frequency") if run.claim(key) is not None]
     if claimed:
-        raise InputError(f"it claims a {claimed[0]}, and linear analysis says nothing of a law in Python")
-    return found
+        raise InputError(f"it claims a {claimed[0]}, and linear analysis says nothing of {what}")
 
 
 def recorded_road(log: Recorded, run: RecordedRun, samples: int) -> Road:
@@ -161,7 +181,12 @@ def recorded_road(log: Recorded, run: RecordedRun, samples: int) -> Road:
 
 
 def predicted_again(
-    log: Recorded, run: RecordedRun, vehicle: Vehicle, controller: Controller | Programmed, samples: int, timestep: float
+    log: Recorded,
+    run: RecordedRun,
+    vehicle: Vehicle,
+    controller: Controller | Programmed | SemiActive,
+    samples: int,
+    timestep: float,
 ) -> Prediction:
     """What linear analysis says of a run, anew: of a law in Python, under the forces that are attached.
 
@@ -202,7 +227,7 @@ def usable_samples(run: RecordedRun, timestep: float) -> int:
     return min(counts, default=0)
 
 
-def kept(controller: Controller | Programmed) -> tuple[Signal, ...]:
+def kept(controller: Controller | Programmed | SemiActive) -> tuple[Signal, ...]:
     """The signals of a controller's states."""
     return kept_signals(range(1, controller.law.states + 1)) if isinstance(controller, Controller) else ()
 

@@ -7,8 +7,10 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.damping.damper import range_of
+from models.damping.laws import SemiActive, SemiActiveLaw
 from models.law import LinearLaw
 from models.vehicle import Vehicle
+from sim.semi_active.numbers import numbers_of
 from synth.controller import Controller
 
 OTHERWISE = 1e-4  # of a damper's range: two coefficients that are further apart were decided otherwise
@@ -40,7 +42,7 @@ class Decisions:
     """
 
     def __init__(
-        self, vehicle: Vehicle, controller: Controller, period: float, near: float, peaks: Callable[[str], float]
+        self, vehicle: Vehicle, controller: Controller | SemiActive, period: float, near: float, peaks: Callable[[str], float]
     ) -> None:
         """For a controller that samples every so many seconds.
 
@@ -53,10 +55,13 @@ class Decisions:
         """
         self.forces, self._near = vehicle.linear_model.inputs, near
         self.of = range_of([vehicle.adjustable], self.forces)
-        self._law: LinearLaw = controller.law.sampled(period)
-        self.kept, self._next = np.zeros(self._law.states), np.zeros(self._law.states)
+        self._law = controller.law.sampled(period) if isinstance(controller, Controller) else controller.law
+        states = self._law.states if isinstance(self._law, LinearLaw) else 0
+        self._nominal = np.array([one.nominal for one in vehicle.adjustable])
+        self._numbers = numbers_of(self._law, [vehicle]) if isinstance(self._law, SemiActiveLaw) else None
+        self.kept, self._next = np.zeros(states), np.zeros(states)
         self._scales = np.array([peaks(name) for name in controller.measured] + [peaks(VELOCITY)] * len(self.forces))
-        self._largest = np.zeros(self._law.states)
+        self._largest = np.zeros(states)
 
     def __call__(self, y: Array, velocity: Array) -> Array:
         """The commands (see `Range.commands`) at the next sample, shape (2 m,).
@@ -66,7 +71,8 @@ class Decisions:
             velocity: of the suspensions [m/s], shape (m,).
         """
         self.kept = self._next
-        self._next = self._law.A @ self.kept + self._law.B @ y
+        if isinstance(self._law, LinearLaw):
+            self._next = self._law.A @ self.kept + self._law.B @ y
         self._largest = np.maximum(self._largest, np.abs(self.kept))
         return self._decided(np.concatenate([y, velocity])[None], self.kept[None])[0]
 
@@ -93,7 +99,11 @@ class Decisions:
 
     def _decided(self, seen: Array, kept: Array) -> Array:
         """Commands from what is measured and the velocities, shape (P, q + m), and the states, shape (P, k)."""
-        m, count = len(self.forces), len(seen)
-        asked = seen[:, :-m] @ self._law.D.T + kept @ self._law.C.T
+        m, which = len(self.forces), np.zeros(len(seen), dtype=int)
         closing = np.where(self.of.adjustable, -seen[:, -m:], 0.0) + self.of.at_rest
-        return self.of.commands(np.concatenate([asked, closing], axis=-1), np.zeros(count, dtype=int))
+        if not isinstance(self._law, LinearLaw):
+            assert self._numbers is not None, "of a semi-active law"
+            asked = self._law.coefficients(seen[:, :-m], self._numbers.some(which)) - self._nominal
+            return self.of.set_to(asked, closing, which)
+        asked = seen[:, :-m] @ self._law.D.T + kept @ self._law.C.T
+        return self.of.commands(np.concatenate([asked, closing], axis=-1), which)

@@ -12,11 +12,12 @@ import numpy as np
 from mujoco.batch import Batch
 
 from models.common.arrays import Array
+from models.damping.laws import SemiActive
 from models.mjcf import build_model, quiet
 from models.own.python_law import Programmed
 from models.reality import Implementation
 from models.vehicle import Vehicle
-from sim.physics.damping import Damped, Dampers, dampers_of
+from sim.physics.damping import Damped, Dampers, SemiActiveLaws, dampers_of
 from sim.physics.python_laws import Again, Driven, Failure, Played, PythonLaws
 from sim.physics.readout import Readout, force_from_road, laws_on, mix, prepared, sensed_stage, signal_from_road
 from sim.physics.sampler import Laws, LinearLaws, Sampler
@@ -75,7 +76,7 @@ class Course:
 
     Attributes:
         vehicles: N vehicles of the same kind that read out alike, see `reads_out`.
-        controllers: N controllers, all linear, all in Python, or all played.
+        controllers: N controllers, all linear, all in Python, all semi-active, or all played.
         now: road heights at the samples [m], shape (T, N, r).
         midway: the same half a step later, where MuJoCo holds them.
         timestep: [s].
@@ -237,6 +238,10 @@ def _laws_of(course: Course, runs: slice, names: Sequence[str], gain: Array, mem
         gain, memory: of all the linear laws, as for `LinearLaws`.
         dampers: of those runs, if they have any, which then are told what to be.
     """
+    semi_active = [one for one in course.controllers[runs] if isinstance(one, SemiActive)]
+    if semi_active:
+        assert dampers is not None, "a vehicle file has such a law with adjustable dampers alone"
+        return SemiActiveLaws(semi_active, dampers, names)
     programmed = [one for one in course.controllers[runs] if isinstance(one, Programmed)]
     if not programmed:
         linear = LinearLaws(gain[runs], memory[runs])

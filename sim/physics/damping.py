@@ -7,9 +7,11 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.damping.damper import Range, range_of
+from models.damping.laws import SemiActive
 from models.vehicle import Vehicle
 from sim.physics.readout import Readout
 from sim.physics.sampler import Laws
+from sim.semi_active.numbers import numbers_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,3 +107,32 @@ class Damped:
         m = self.laws.forces
         asked = self.laws(due, which, k, seen[:, :-m])
         return self.of.commands(np.concatenate([asked, seen[:, -m:]], axis=-1), due)
+
+
+class SemiActiveLaws:
+    """N laws that ship, which set adjustable dampers."""
+
+    def __init__(self, controllers: Sequence[SemiActive], dampers: Dampers, names: Sequence[str]) -> None:
+        """For laws on signals of these names, behind which, in what they are given, stands how fast every suspension closes.
+
+        Args:
+            controllers: N of them.
+            dampers: those of their N vehicles.
+            names: of the signals.
+        """
+        self.of, self.forces, self.used = dampers.of, 2 * len(dampers.closing), np.zeros((len(controllers), 0))
+        self._nominal = np.array([[one.nominal for one in vehicle.adjustable] for vehicle in dampers.vehicles])
+        self._groups = []
+        for law in dict.fromkeys(one.law for one in controllers):
+            mine = np.array([one.law == law for one in controllers])
+            numbers = numbers_of(law, dampers.vehicles)
+            self._groups.append((law, mine, numbers, [names.index(name) for name in law.measured]))
+
+    def __call__(self, due: Array | slice, which: Array, k: int, seen: Array) -> Array:
+        """See `Laws`."""
+        closing = seen[:, -len(self._nominal[0]) :]
+        asked = np.empty_like(closing)
+        for law, mine, numbers, places in self._groups:
+            some = mine[which]
+            asked[some] = law.coefficients(seen[some][:, places], numbers.some(which[some]))
+        return self.of.set_to(asked - self._nominal[due], closing, due)

@@ -7,6 +7,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
+from models.damping.laws import SemiActive
 from models.own.python_law import Programmed
 from models.own.running import OwnLaw
 from models.reality import steps_per_sample
@@ -53,7 +54,7 @@ class Failure:
     together: bool
 
 
-Driven = Controller | Programmed | Played
+Driven = Controller | Programmed | SemiActive | Played
 
 
 def preview_samples(controller: Driven, period: float) -> int:

@@ -21,9 +21,10 @@ from sim.linear.dampers import command_names
 from sim.recording.drawing import scene_of
 from sim.recording.format import CONTINUOUS, FORMAT, MUJOCO, SAMPLED, check_keys
 from sim.recording.run_log import RunLog
+from sim.runs.energy import energy_object
 from sim.runs.forces import written_forces
 from sim.runs.run import Run
-from sim.runs.words import controller_object, energy_object, events, half_step_object, summary, verdict
+from sim.runs.words import controller_object, events, half_step_object, summary, verdict
 from synth.certificate.record import to_record
 from synth.controller import Controller
 from synth.implemented.claims import norm_if_implemented, norm_record
@@ -133,7 +134,7 @@ def run_log(run: Run, name: str) -> RunLog:
         ):
             named[f"{what}_file"] = _named(what, suffix, content)
             files[named[f"{what}_file"]] = (media_type, content)
-    else:
+    elif isinstance(controller, Controller):
         certificate = controller.certificate
         norm = norm_if_implemented(vehicle, controller, run.prediction.timestep)
         proved = {

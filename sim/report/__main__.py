@@ -17,7 +17,6 @@ from models.common.whole_file import made_folder, together, whole_file
 from models.figures.outputs import check_outputs, written, written_lines
 from models.figures.page import Page, check_page, write_page
 from models.figures.picture import check_drawing, write_picture
-from models.own.python_law import Programmed
 from models.vehicle import Vehicle, read_vehicle
 from sim.command.claims import say_false_claims
 from sim.command.driven import driven
@@ -72,7 +71,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     controllers = driven(vehicle, names, designer.design)
     say_false_claims(controllers)
     linear = tuple(one for one in controllers if isinstance(one, Controller))
-    laws = tuple(one for one in controllers if isinstance(one, Programmed))
+    laws = tuple(one for one in controllers if not isinstance(one, Controller))
     scope = Scope(vehicle, designer, linear, options.timestep, options.quick, stage, laws, options.front)
     about = {
         "written": datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC"),

@@ -13,7 +13,7 @@ from sim.frequency.figure import sweep_figure
 from sim.frequency.identification import Lines
 from sim.frequency.sweep import Sweep
 from sim.report.scope import AMPLITUDE, Scope, number
-from sim.runs.words import python_text
+from sim.runs.words import law_text
 from synth.controller import Controller
 from synth.implemented.claims import against, failures_as_it_runs, notes_as_it_runs
 from synth.words import judged_lines, states_text
@@ -60,7 +60,7 @@ def design_section(scope: Scope) -> Section:
         "its lower bound.",
     )
     if scope.laws:
-        laws = "; ".join(f"{one.name}: {python_text(one)}" for one in scope.laws)
+        laws = "; ".join(f"{one.name}: {law_text(one)}" for one in scope.laws)
         text = (
             *text,
             f"What a law in Python asks for is known only of the measurements that it was called with, so that nothing is proved "

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from models.damping.laws import SemiActive
 from models.figures.figure import Curve, Dash, Figure, Panel
 from models.figures.page import Section, Table
 from models.own.python_law import Programmed
@@ -120,12 +121,12 @@ def ride_text(vehicle: Vehicle) -> str:
     )
 
 
-def rides_of(vehicle: Vehicle, controllers: Sequence[Controller | Programmed], timestep: float) -> list[Ride]:
+def rides_of(vehicle: Vehicle, controllers: Sequence[Controller | Programmed | SemiActive], timestep: float) -> list[Ride]:
     """Drives every controller over every class."""
     return [ride for one in controllers for ride in _rides(vehicle, one, timestep)]
 
 
-def _rides(vehicle: Vehicle, controller: Controller | Programmed, timestep: float) -> Iterator[Ride]:
+def _rides(vehicle: Vehicle, controller: Controller | Programmed | SemiActive, timestep: float) -> Iterator[Ride]:
     linear = isinstance(controller, Controller)
     start = min(settling_time(vehicle, controller), LONGEST) if linear else LONGEST  # how long a law in Python takes is not known
     time = sample_times(vehicle, start + WINDOW, timestep)

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
+from models.damping.laws import SemiActive
 from models.figures.figure import Dash, styles
 from models.own.python_law import Programmed
 from models.reality import Limits, steps_per_sample
@@ -36,7 +37,7 @@ class Scope:
         timestep: of the physics [s].
         quick: without margins, map and ride.
         progress: is told what is being done.
-        laws: those in Python, of which it does not.
+        laws: those in Python, and semi-active ones, of which it does not.
         front: the axes of a trade-off, as `--front` has them; None without one.
     """
 
@@ -46,15 +47,15 @@ class Scope:
     timestep: float
     quick: bool
     progress: Callable[[str], None]
-    laws: tuple[Programmed, ...] = ()
+    laws: tuple[Programmed | SemiActive, ...] = ()
     front: str | None = None
 
     @property
-    def driven(self) -> tuple[Controller | Programmed, ...]:
+    def driven(self) -> tuple[Controller | Programmed | SemiActive, ...]:
         """All that MuJoCo runs."""
         return (*self.controllers, *self.laws)
 
-    def unstable(self, controller: Controller | Programmed) -> bool:
+    def unstable(self, controller: Controller | Programmed | SemiActive) -> bool:
         """Whether a loop is known not to be stable, ideal or as built."""
         return isinstance(controller, Controller) and controller not in self.stable
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from models.common.numbers import cell, finite, percent
 from models.common.printed import table
+from models.damping.laws import SemiActive
 from models.own.python_law import Programmed
 from models.roads.iri import Roughness
 from models.roads.road import Road
@@ -67,7 +68,7 @@ class RunMetrics:
 
 
 def first_sample(
-    vehicle: Vehicle, controllers: Sequence[Controller | Programmed], road: Road, duration: float, timestep: float
+    vehicle: Vehicle, controllers: Sequence[Controller | Programmed | SemiActive], road: Road, duration: float, timestep: float
 ) -> int:
     """The sample from which is measured: when a random road's vehicle has forgotten its start, half of the run at the latest.
 

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 from models.common.arrays import Array
+from models.damping.laws import SemiActive
 from models.own.python_law import Programmed
 from models.roads.road import Road
 from models.vehicle import Vehicle
@@ -18,7 +19,7 @@ NEAR_GEOMETRY = 1e-2  # where bodies turn, over the whole road: geometry's share
 
 
 def predict_made(
-    vehicle: Vehicle, controller: Controller | Programmed, road: Road, time: Array, physics: Response, asked: Array
+    vehicle: Vehicle, controller: Controller | Programmed | SemiActive, road: Road, time: Array, physics: Response, asked: Array
 ) -> Prediction:
     """What the exact response is in a run from rest whose decisions are known from physics alone.
 
@@ -32,7 +33,7 @@ def predict_made(
     """
     if vehicle.dampers:
         near = NEAR_GEOMETRY if has_geometry(vehicle) else min(NEAR * max(1.0, float(time[1]) / 1e-3) ** ORDER, NEAR_GEOMETRY)
-        programmed = None if isinstance(controller, Controller) else asked
+        programmed = asked if isinstance(controller, Programmed) else None
         return predict_switched(vehicle, controller, road, time, physics, near, programmed)
     assert isinstance(controller, Programmed), "a linear one is predicted by itself"
     return predict_forced(vehicle, controller, road, time, asked)

@@ -12,6 +12,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
+from models.damping.laws import SemiActive
 from models.own.python_law import Programmed
 from models.reality import steps_per_sample
 from models.roads.road import Road
@@ -56,7 +57,7 @@ class Prediction:
     """
 
     vehicle: Vehicle
-    controller: Controller | Programmed
+    controller: Controller | Programmed | SemiActive
     road: Road
     sampled: Response
     integrated: Response
@@ -155,7 +156,7 @@ def smaller(prediction: Prediction, share: float) -> Response:
 
 def predict_switched(
     vehicle: Vehicle,
-    controller: Controller | Programmed,
+    controller: Controller | Programmed | SemiActive,
     road: Road,
     time: Array,
     physics: Response,
@@ -164,7 +165,7 @@ def predict_switched(
 ) -> Prediction:
     """What the exact response of a vehicle with adjustable dampers is in a run from rest: a linear system that is switched.
 
-    Of a law in Python there is no continuous loop, and `continuous` is the same response.
+    Of a law that is not linear there is no continuous loop, and `continuous` is the same response.
 
     Args:
         vehicle: the vehicle.
@@ -176,7 +177,7 @@ def predict_switched(
         asked: the commands of a law in Python, shape (T, 2 m).
     """
     linear = controller if isinstance(controller, Controller) else None
-    played = linear is None or vehicle.implementation.blurred
+    played = isinstance(controller, Programmed) or vehicle.implementation.blurred
     h = float(time[1])
     period = steps_per_sample(vehicle.implementation, h) * h
     made = commands_of(vehicle, physics) if asked is None else asked
@@ -184,7 +185,9 @@ def predict_switched(
     measured, model = () if played else controller.measured, vehicle.linear_model
 
     def response(as_rk4: bool) -> tuple[Response, Switched]:
-        decisions = None if played or linear is None else Decisions(vehicle, linear, period, near, peaks)
+        decisions = None
+        if not (played or isinstance(controller, Programmed)):
+            decisions = Decisions(vehicle, controller, period, near, peaks)
         found = switched(vehicle, road, time, decisions, made, measured, as_rk4)
         beside = damper_signals(vehicle, found.beyond, found.missing)
         loads = held_loads(road, vehicle, time) @ model.Dl.T if road.loaded else 0.0
@@ -204,7 +207,7 @@ def predict_switched(
         continuous=sampled_one if linear is None else continuous_response(vehicle, linear, road, time),
         spread={},
         radius=math.nan,
-        asked=np.zeros((0, 0)) if linear is not None else made,
+        asked=made if isinstance(controller, Programmed) else np.zeros((0, 0)),
         otherwise=found.otherwise,
         played=played,
     )

@@ -9,6 +9,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, listing
+from models.damping.laws import SemiActive
 from models.own.python_law import Programmed
 from models.roads.road import Road
 from models.vehicle import Vehicle
@@ -71,7 +72,7 @@ class Run:
         return self.prediction.vehicle
 
     @property
-    def controller(self) -> Controller | Programmed:
+    def controller(self) -> Controller | Programmed | SemiActive:
         """Its controller."""
         return self.prediction.controller
 
@@ -129,7 +130,7 @@ def sample_times(vehicle: Vehicle, duration: float, timestep: float) -> Array:
     return np.arange(round(duration / timestep) + 1) * timestep
 
 
-def _check_noise(vehicle: Vehicle, controllers: Sequence[Controller | Programmed]) -> None:
+def _check_noise(vehicle: Vehicle, controllers: Sequence[Controller | Programmed | SemiActive]) -> None:
     """Refuses noise or quantisation of a signal that no controller measures, of these or of the vehicle file.
 
     Raises:
@@ -144,7 +145,7 @@ def _check_noise(vehicle: Vehicle, controllers: Sequence[Controller | Programmed
 
 
 @np.errstate(over="ignore", invalid="ignore")  # an unstable loop overflows; its run says so
-def run_all(vehicle: Vehicle, controllers: Sequence[Controller | Programmed], road: Road, time: Array) -> list[Run]:
+def run_all(vehicle: Vehicle, controllers: Sequence[Controller | Programmed | SemiActive], road: Road, time: Array) -> list[Run]:
     """Runs every controller over the road, from rest, and compares.
 
     Args:
@@ -232,7 +233,7 @@ def driven(prediction: Prediction, time: Array, share: float = 1.0) -> Driven:
         time: sample times of the run that is made [s], whose timestep divides that of the prediction.
         share: of the forces of a law in Python.
     """
-    if isinstance(prediction.controller, Controller):
+    if not isinstance(prediction.controller, Programmed):
         return prediction.controller
     held = round(prediction.timestep / float(time[1]))
     asked = scaled_commands(prediction.vehicle, prediction.asked, share)

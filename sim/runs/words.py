@@ -2,26 +2,27 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
 from models.common.numbers import cell, finite, percent
 from models.common.printed import table, wrapped
+from models.damping.laws import SemiActive
 from models.kind import MOST_SQUEEZE
 from models.own.python_law import Programmed
 from models.vehicle import Vehicle
-from sim.physics.energy import BALANCED, Energy
 from sim.response.regime import CURVE, FLAT, LIFT_OFF, REGIME_ENDS, departures
 from sim.runs.agreement import COARSEST, SLACK, SMALL
 from sim.runs.dampers import damper_lines, dampers_object
+from sim.runs.energy import energy_lines, energy_object
 from sim.runs.run import Run
 from synth.controller import Controller
 from synth.implemented.claims import failures_as_it_runs, norm_if_implemented, notes_as_it_runs
 from synth.words import filter_lines, gain_text, heading_lines, ideal_lines, law_lines, notes
 
 NO_CLAIM = "no linear claim: a law in Python"
+NO_CLAIM_OF_SWITCHING = "no linear claim: a law that sets adjustable dampers"
 MOST_FLIGHTS = 4  # of a run that are told one by one
 
 
@@ -48,41 +49,19 @@ def run_object(run: Run) -> dict[str, Any]:
     } | ({"energy": energy_object(run.energy)} if run.energy is not None else {})
 
 
-def energy_object(energy: Energy) -> dict[str, float | bool | None]:
-    """An energy balance as JSON has it [J]; its residual is a share of `turnover`."""
-    numbers = {
-        name: finite(value) for name, value in asdict(energy).items() if name not in ("least", "loads") or value is not None
-    }
-    return numbers | {"balances": energy.balances}
-
-
-def energy_lines(run: Run) -> list[str]:
-    """A run's energy balance in a sentence; none where it is not known."""
-    energy = run.energy
-    if energy is None:
-        return []
-    of = f"{energy.residual:.1e} of the {energy.turnover:.4g} J turned over"
-    if energy.least is not None and energy.least < 0 and not energy.balances:
-        return [f"energy DOES NOT BALANCE: an adjustable damper gave energy, {-energy.least:.1e} of the most that it took"]
-    if energy.balances:
-        sources = "road and actuators" if energy.loads is None else "road, loads and actuators"
-        return [f"energy balances: the work of {sources} is stored or dissipated, all but {of}"]
-    why = "a force does work that is none of the vehicle's, or the timestep is too coarse"
-    return [f"energy DOES NOT BALANCE: {of} is neither stored nor dissipated, where {BALANCED:.0e} is allowed: {why}"]
-
-
 def half_step_object(run: Run) -> dict[str, Any] | None:
     """What half the step changes after a lift-off, as JSON has it; None where that is not known."""
     found = run.half_step
     return {"difference": finite(found.difference), "signal": found.signal} if found else None
 
 
-def controller_object(controller: Controller | Programmed) -> dict[str, Any]:
+def controller_object(controller: Controller | Programmed | SemiActive) -> dict[str, Any]:
     """A controller as JSON has it; of a law in Python there are no linear claims, which are None."""
-    if isinstance(controller, Programmed):
+    if not isinstance(controller, Controller):
         about = {"name": controller.name, "measured": list(controller.measured)}
         claims = dict.fromkeys(("bound", "norm", "peak_frequency", "stability"))
-        return {**about, **controller.law.record, "sha256": controller.sha256, **claims}
+        code = {"sha256": controller.sha256} if isinstance(controller, Programmed) else {}
+        return {**about, **controller.law.record, **code, **claims}
     certificate = controller.certificate
     return {
         "name": controller.name,
@@ -95,24 +74,28 @@ def controller_object(controller: Controller | Programmed) -> dict[str, Any]:
     }
 
 
-def controller_lines(vehicle: Vehicle, controller: Controller | Programmed) -> list[str]:
+def controller_lines(vehicle: Vehicle, controller: Controller | Programmed | SemiActive) -> list[str]:
     """A controller and what is known of it."""
-    if isinstance(controller, Programmed):
-        heading = [f"controller {controller.name}: measures {', '.join(controller.measured)}", f"  {python_text(controller)}"]
+    if not isinstance(controller, Controller):
+        heading = [f"controller {controller.name}: measures {', '.join(controller.measured)}", f"  {law_text(controller)}"]
     else:
         heading = heading_lines(controller)
     return [*heading, *(f"  {sentence}" for sentence in _found(vehicle, controller))]
 
 
-def python_text(controller: Programmed) -> str:
-    """Which law in Python drives."""
+def law_text(controller: Programmed | SemiActive) -> str:
+    """Which law drives, of which nothing is claimed."""
+    if isinstance(controller, SemiActive):
+        return controller.law.text
     preview = controller.law.preview
     ahead = "" if preview is None else f", told the road {preview:g} s ahead"
     return f"law in Python {controller.law.law}{ahead}; SHA-256 of its file {controller.sha256[:16]}..."
 
 
-def _found(vehicle: Vehicle, controller: Controller | Programmed) -> list[str]:
+def _found(vehicle: Vehicle, controller: Controller | Programmed | SemiActive) -> list[str]:
     """What is known of a controller beside its gain, in sentences."""
+    if isinstance(controller, SemiActive):
+        return [NO_CLAIM_OF_SWITCHING, "sampled and continuous are the exact response of the system that it switches at samples"]
     if isinstance(controller, Programmed):
         what = "with the coefficients" if vehicle.dampers else "under the forces"
         return [NO_CLAIM, f"sampled and continuous are the linear vehicle's {what} that the law asked for"]
@@ -276,10 +259,10 @@ def events(run: Run) -> tuple[tuple[float, str], ...]:
     return tuple(sorted(happened))
 
 
-def _law_text(controller: Controller | Programmed) -> str:
+def _law_text(controller: Controller | Programmed | SemiActive) -> str:
     """A law on one line."""
-    if isinstance(controller, Programmed):
-        return python_text(controller)
+    if not isinstance(controller, Controller):
+        return law_text(controller)
     if not controller.measured:
         return "no control force"
     return law_lines(controller.law, "gain ", "")[0] if controller.law.states else f"gain {gain_text(controller.gain)}"
