@@ -16,7 +16,8 @@ from models.controllers import IDEAL, RESERVED, ControllerEntry, Hardware, is_nu
 from models.filters.filter import KEYS, Filter, read_filter
 from models.formats.family_file import with_families
 from models.formats.law_file import with_laws
-from models.goals.goals import signals_of
+from models.formats.road_name import FILE
+from models.goals.goals import PeakBound, signals_of
 from models.kind import HERE, VehicleKind
 from models.kinds import kind, kinds, shipped
 from models.linear_model import LinearModel
@@ -101,10 +102,13 @@ class Vehicle:
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The files that it is of: its own, unless it is text alone, those of its laws, and its kind's."""
-        python = [entry.python.path for entry in self.controllers.values() if entry.python]
-        laws = (*self.law_files, *(path for path in python if path))
-        return (*((Path(self.source),) if self.source else ()), *laws, *self.kind_files)
+        """The files that are read for it: its own, unless it is text alone, those of laws and bounds' roads, and its kind's."""
+        entries = self.controllers.values()
+        laws = (*self.law_files, *(entry.python.path for entry in entries if entry.python and entry.python.path))
+        bounds = [bound for entry in entries if entry.goals for bound in entry.goals.bounds]
+        named = [FILE.fullmatch(bound.road) for bound in bounds if isinstance(bound, PeakBound)]
+        roads = [Path(file["path"]) for file in named if file]
+        return (*((Path(self.source),) if self.source else ()), *laws, *roads, *self.kind_files)
 
     @property
     def ideal(self) -> bool:

@@ -53,10 +53,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     names = [] if options.check else _names(vehicle, options)
     if options.rates:
         return answer(vehicle, names if options.controller else [name for name in names if name != "passive"], options)
-    if options.picture:
-        check_outputs({"picture": options.picture, "save": options.save}, vehicle.files)
+    check_outputs({"picture": options.picture, "save": options.save}, vehicle.files, options.json)
     if options.save:
-        check_save(options.save, vehicle, [name for name in names if _designs(vehicle, name, options)])
+        check_save(vehicle, [name for name in names if _designs(vehicle, name, options)])
     designer, interrupted = Designer(vehicle), False
     stage = Stages(*(f"controller {name}" for name in names), FREE)
     if options.check:

@@ -28,7 +28,7 @@ ROOMS = {
     "models.own": "models.common",
     "models.goals": "models.common",
     "models": "models.common models.filters models.formats models.goals models.own",
-    "models.roads": "models models.common",
+    "models.roads": "models models.common models.formats",
     # synth: what a controller is; of vehicles it knows nothing below `controller`
     "synth": "",
     "synth.errors": "",
@@ -93,8 +93,9 @@ ROOMS = {
     "synth.words",
     "sim.recording": "models.figures sim.physics sim.response models.roads sim.runs",
     "sim.command": "models.roads sim.recording sim.runs",
-    "sim.asked": "models.figures sim.command sim.frequency sim.response models.roads sim.runs sim.stability sim.validity",
-    "sim.inspect": "sim.asked sim.linear sim.physics sim.recording sim.response sim.ride models.roads sim.runs "
+    "sim.asked": "models.figures models.formats sim.command sim.frequency sim.response models.roads sim.runs sim.stability "
+    "sim.validity",
+    "sim.inspect": "models.figures sim.asked sim.linear sim.physics sim.recording sim.response sim.ride models.roads sim.runs "
     "synth.designs synth.dynamic synth.problem synth.words",
     "sim.campaign": "sim.command sim.physics sim.response sim.ride models.roads sim.runs synth.designer",
     "sim.report": "sim.command models.figures sim.frequency sim.linear sim.physics sim.response sim.ride models.roads "

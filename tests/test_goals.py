@@ -13,6 +13,7 @@ from scipy.linalg import expm
 
 from models.common.errors import InputError
 from models.figures.figure import Spans
+from models.goals.reading import BOUND_KINDS
 from models.law import static_law
 from models.roads.road import Bump
 from models.vehicle import parse_vehicle, read_vehicle
@@ -114,8 +115,10 @@ def test_a_family_from_a_file(tmp_path):
     (tmp_path / "fleet.csv").write_text("sprung_mass,tyre_stiffness\n" + "".join(f"{a},{b}\n" for a, b in rows))
     listed = ", ".join(f"{{ sprung_mass = {a}, tyre_stiffness = {b} }}" for a, b in rows)
     (tmp_path / "fleet.toml").write_text(f"family = [{listed}]")
+    for name, end in (("old_mac.csv", b"\r"), ("windows.csv", b"\r\n")):
+        (tmp_path / name).write_bytes((tmp_path / "fleet.csv").read_bytes().replace(b"\n", end))
     path = tmp_path / "car.toml"
-    for name in ("fleet.csv", "fleet.toml"):
+    for name in ("fleet.csv", "fleet.toml", "old_mac.csv", "windows.csv"):
         text = vehicle_with(f"measured = {TWO}").text + f'family = "{name}"\n'
         path.write_text(text)
         vehicle = read_vehicle(path)
@@ -133,6 +136,8 @@ def test_a_family_from_a_file(tmp_path):
         ("sprung_mass\nheavy\n", "give numbers"),
         ("sprung_mass\nnan\n", "is not allowed"),
         ("colour\n1.0\n", "has no parameter 'colour'"),
+        ("sprung_mass\n" + "1" * 140_000, "is no table (field larger than field limit (131072))"),
+        ("sprung_mass,tyre_stiffness, sprung_mass\n1,1,2\n", "has 'sprung_mass' as the name of 2 columns"),
     ],
 )
 def test_a_wrong_file_of_a_family(tmp_path, content, said):
@@ -230,6 +235,40 @@ def test_wrong_goals_are_refused_in_one_line(section, said):
         Designer(vehicle_with(f"measured = {TWO}\n{section}")).design("goal")
     assert said in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_what_is_no_bound_is_offered_every_kind():
+    """An unknown bound is answered by one of each kind, and each of those is read."""
+    with pytest.raises(InputError) as error:
+        vehicle_with(f"measured = {TWO}\nbounds = [{{ foo = 1 }}]")
+    offered = re.findall(r"\{ (?!foo)[^}]*\}", str(error.value).partition("give one of")[2])
+    assert [text.split()[1] for text in offered] == list(BOUND_KINDS)
+    bounds = ", ".join(offered).replace("SIGNAL", '"suspension_deflection"').replace("ROAD", '"bump"')
+    goals = vehicle_with(f"measured = {TWO}\nbounds = [{bounds}]").controllers["goal"].goals
+    assert goals is not None
+    assert len(goals.bounds) == len(BOUND_KINDS)
+
+
+@pytest.mark.parametrize(
+    ("bound", "said"),
+    [
+        ('peak = "suspension_deflection", road = "mountain"', "bounds[1] road = 'mountain': unknown road"),
+        (
+            'peak = "suspension_deflection", road = "absent.csv"',
+            "bounds[1] road = 'absent.csv': road file absent.csv: ",
+        ),
+        ('peak = "suspension_deflection", road = "iso8608:class=C"', "bounds[1] road = 'iso8608:class=C' has no end"),
+    ],
+)
+def test_a_bound_that_cannot_be_is_named_with_its_file(bound, said, tmp_path):
+    """What is found wrong where a bound is posed, not read, names the vehicle file and the bound, of designs and gains alike."""
+    path = tmp_path / "car.toml"
+    for gain in ("", "gain = [[1e4, -2e3]]"):
+        goal = f"measured = {TWO}\n{gain}\nbounds = [{{ decay = 0.1 }}, {{ {bound}, at_most = 0.1 }}]"
+        path.write_text(vehicle_with(goal).text)
+        with pytest.raises(InputError) as error:
+            Designer(read_vehicle(path)).design("goal")
+        assert str(error.value).startswith(f"vehicle file {path}: [controllers.goal] {said}")
 
 
 def test_a_corner_needs_signals_of_its_own():

@@ -1,13 +1,13 @@
 """Roads by name: the text `KIND[:NAME=VALUE...]`, as on a command line or in a campaign file, becomes a road."""
 
 import math
-import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 from models.common.errors import InputError, listing
+from models.formats.road_name import FILE
 from models.roads.iso8608 import Iso8608, long_enough, roughness
 from models.roads.obstacles import OBSTACLES
 from models.roads.opencrg import Surface, read_surface
@@ -22,7 +22,6 @@ SYNTAX = (
     "file, as in road.csv:height_unit=mm"
 )
 TABLE = ("distance_unit", "height_unit", "separator", "columns")  # of a .csv or .txt file
-FILE = re.compile(r"(?P<path>.+\.(?P<suffix>csv|txt|crg))(?P<settings>(:\w+=[^:]*|:[^:\\/]*)*)", re.IGNORECASE | re.DOTALL)
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,8 @@ from typing import Any
 from models.common.arrays import Array
 from models.common.command import Parser, chosen
 from models.common.errors import InputError
-from models.roads.choice import FILE, SYNTAX, RoadChoice, choose_road
+from models.formats.road_name import FILE
+from models.roads.choice import SYNTAX, RoadChoice, choose_road
 from models.roads.iso8608 import CLASSES
 from models.roads.road import Road
 from models.vehicle import Vehicle

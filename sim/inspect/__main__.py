@@ -9,7 +9,7 @@ from typing import Any
 from models.common.command import Parser, complain, run_command
 from models.common.errors import InputError
 from models.common.printed import Whole, say, wrapped
-from models.common.whole_file import check_file
+from models.figures.outputs import check_outputs
 from models.own.python_law import Programmed
 from sim.inspect.findings import HOLDS, NOTE, Finding
 from sim.inspect.log import Recorded, RecordedRun, read_json, read_log
@@ -50,11 +50,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             )
         return _several(options.logs, options.kinds, options.json)
     (path,) = options.logs
+    kinds = [file for ending in ("py", "xml") for file in options.kinds.glob(f"*.{ending}")] if options.kinds is not None else []
+    check_outputs({"csv": options.csv}, [path, *kinds], options.json)
     log = read_log(path)
-    if options.csv is not None and options.csv.exists() and options.csv.samefile(path):
-        raise InputError(f"csv {options.csv} is the log itself; give another file")
-    if options.csv is not None:
-        check_file(options.csv, "csv")
     proof = prove(log, options.kinds)
     if options.csv is not None:
         write_signals(options.csv, proof)
