@@ -61,7 +61,8 @@ ROOMS = {
     "synth.implemented": "models synth.certificate synth.controller synth.dynamic synth.plant synth.problem synth.sampled",
     "synth.held": "synth.design synth.errors synth.lmi synth.modes synth.numerics synth.plant synth.sampled synth.scaling "
     "synth.search",
-    "synth.goals": "synth.certificate synth.discrete synth.dynamic synth.errors synth.numerics synth.plant synth.search",
+    "synth.goals": "synth.certificate synth.discrete synth.dynamic synth.errors synth.numerics synth.plant synth.search "
+    "synth.tolerance",
     "synth.designs": "models models.goals models.roads synth.band synth.certificate synth.controller synth.design synth.dynamic "
     "synth.energy synth.errors synth.family synth.goals synth.held synth.implemented synth.lmi synth.plant synth.problem "
     "synth.search synth.tolerance",

@@ -24,10 +24,11 @@ from synth.command.responses import responses_figure
 from synth.command.table import Row
 from synth.designer import Designer, given
 from synth.designs.goal_problem import goal_problem
+from synth.designs.goals import searched
 from synth.errors import DesignError
 from synth.goals.banded import BandLandscape
 from synth.goals.energy_peak import EnergyPeak
-from synth.goals.engine import Interrupted, design_for_goals
+from synth.goals.engine import GoalDesign, Interrupted, design_for_goals
 from synth.goals.filtered import band_filter
 from synth.goals.problem import Errors, GoalProblem, Member, NormGoal, Posed
 from synth.goals.road_largest import largest_over_road
@@ -638,3 +639,90 @@ def test_a_peak_of_a_loop_whose_poles_are_all_real(signal):
     response = continuous_response(vehicle, controller, Bump(), np.linspace(0.0, 4.0, 8001))
     peak = next(each for each in controller.promises if "over bump" in each.what)
     assert peak.value == pytest.approx(np.abs(response[signal]).max(), rel=1e-5)  # its times are 0.5 ms apart
+
+
+def boxed(seed: int) -> GoalProblem:
+    """A random plant whose sensors and actuators are off: only a norm in a band counts, and no bound speaks of poles."""
+    rng = np.random.default_rng(seed)
+    A = rng.standard_normal((2, 2)) * 2
+    A = A - np.eye(2) * (np.linalg.eigvals(A).real.max() - 0.2)
+    B, Bw, C = rng.standard_normal((2, 2)), rng.standard_normal((2, 1)), np.eye(3, 2) * [[1.0, 0.0]]
+    plant = GeneralizedPlant(A, B, Bw, C, np.array([[0, 0], [0.1, 0], [0, 0.1]]), np.zeros((3, 1)))
+    posed, errors = Posed(plant, rng.standard_normal((3, 2))), Errors(np.array([0.06, 0.115, 0.026]), np.array([0.03, 0.01]))
+    return GoalProblem((Member((posed,)),), NormGoal(band=(1.0, 2.0)), errors, np.ones((2, 3), dtype=bool), gain=3.6)
+
+
+def stable_in_its_box(seed: int) -> bool:
+    """Whether a design is stable at all corners of its box and inside, by its loops as they read; proved, and so said, if so."""
+    asked, rng = boxed(seed), np.random.default_rng(seed)
+    design = design_for_goals(asked, [np.zeros((2, 3)), *(rng.standard_normal((2, 3)) for _ in range(3))])
+    posed, sides = asked.members[0].posed[0], np.concatenate([asked.tolerance.sensors, asked.tolerance.forces])
+    corners = np.array(list(itertools.product((-1.0, 1.0), repeat=5)))
+    slowest = -np.inf
+    for signs in (*corners, *rng.uniform(-1, 1, (200, 5))):
+        off = 1 + signs * sides
+        loop = posed.plant.A + posed.plant.B @ (off[3:, None] * design.gain * off[:3]) @ posed.Cy
+        slowest = max(slowest, float(np.linalg.eigvals(loop).real.max()))
+    return slowest < 0 and design.unproved == ()
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_a_band_alone_leaves_no_loop_of_the_box_unstable(seed):
+    """Where only a norm in a band counts, errors that make a loop unstable are looked for all the same; it is proved."""
+    assert stable_in_its_box(seed)
+
+
+@pytest.mark.attack
+@pytest.mark.parametrize("seed", range(5, 25))
+def test_no_design_is_unstable_in_its_box(seed):
+    """So of many random plants."""
+    try:
+        stable = stable_in_its_box(seed)
+    except DesignError as error:
+        stable = "makes every loop of the goals stable" in str(error)
+    assert stable
+
+
+def test_a_design_says_of_what_stability_is_not_proved():
+    """Of a gain that some errors make unstable it is said, by the member."""
+    asked = boxed(3)
+    found = GoalDesign(np.zeros((2, 3)), 1.0, None, (), asked)  # the plant itself is unstable
+    assert found.unproved == (0,)
+    stable = replace(asked.members[0].posed[0].plant, A=-np.eye(2))
+    members = (Member((replace(asked.members[0].posed[0], plant=stable),)), asked.members[0])
+    assert replace(found, problem=replace(asked, members=members)).unproved == (1,)
+
+
+def test_errors_with_a_band_keep_a_decay(paper):
+    """A band and errors alone: the slowest pole, whatever the errors, keeps a tenth of what the two steps' has with them."""
+    text = f"measured = {TWO}\n{BAND}\ntolerance = {{ suspension_deflection = 0.1, sprung_velocity = 0.1 }}"
+    vehicle = vehicle_with(text)
+    entry = vehicle.controllers["goal"]
+    assert entry.goals is not None
+    design = searched(goal_problem(vehicle, entry, entry.goals))
+    posed = Designer(paper).problem(json.loads(TWO))
+    two_steps = Designer(paper).design("I").gain
+
+    def slowest(K: np.ndarray) -> float:
+        corners = itertools.product((0.9, 1.1), repeat=2)
+        return max(np.linalg.eigvals(posed.plant.A + posed.plant.B @ (K * off) @ posed.Cy).real.max() for off in corners)
+
+    assert slowest(design.gain) <= 0.1 * slowest(two_steps) < -0.03
+
+
+def test_an_interrupted_design_is_stable_with_errors(monkeypatch):
+    """However early Ctrl-C comes, what is kept is stable with all errors, although they count only as they are met."""
+    kept = 0
+    for calls in (1, 3, 10, 30):
+        asked, rng, heard = boxed(4), np.random.default_rng(4), itertools.count()
+
+        def told(goal: float, within: bool, heard=heard, calls=calls) -> None:
+            if next(heard) == calls:
+                raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt) as stopped:
+            design_for_goals(asked, [np.zeros((2, 3)), *(rng.standard_normal((2, 3)) for _ in range(3))], told)
+        if isinstance(stopped.value, Interrupted):
+            kept += 1
+            assert stopped.value.best.unproved == ()
+    assert kept

@@ -79,6 +79,13 @@ class Terrain:
                 break
         return Height(goal, excess)
 
+    def passed(self, x: Array) -> dict[str, float]:
+        """The bounds that a point passes, by name, and by how much, relative, the worst first."""
+        excess: dict[str, float] = {}
+        for term in sorted(self.bounds, key=lambda term: -term.value(x)):
+            excess.setdefault(term.name, term.value(x) - 1)
+        return {name: share for name, share in excess.items() if share > KEPT}
+
     def model(self, x: Array, height: Height, depth: float) -> Model:
         """What supports the goals within a share of the largest, and the bounds that are near."""
         goals, bounds = [], []
