@@ -151,7 +151,9 @@ def _text(proof: Proof) -> list[str]:
     broken = [f"the {name}" for name in _broken(proof.findings)]
     broken += [f"{name} of {one.recorded.name}" for one in proof.runs for name in _broken(one.findings)]
     fails = f"the log DOES NOT PROVE what it claims: {', '.join(broken)}"
-    return [*lines, "", "the log still proves what it claims" if proof.holds else fails]
+    goals = any(finding.part == "goals" for one in proof.runs for finding in one.findings)
+    holds = f"the log still proves what it claims{', and of goals it claims nothing' if goals else ''}"
+    return [*lines, "", holds if proof.holds else fails]
 
 
 def _lines(findings: Sequence[Finding]) -> list[str]:
