@@ -79,8 +79,8 @@ ROOMS = {
     "synth.designer synth.designs synth.errors synth.goals synth.lmi synth.numerics synth.plant synth.problem synth.search "
     "synth.tolerance",
     "synth.asked": "synth.front",
-    "synth.__main__": "models models.figures synth.asked synth.certificate synth.command synth.controller synth.designer "
-    "synth.errors synth.front synth.goals synth.implemented synth.problem synth.rates synth.search synth.words",
+    "synth.__main__": "models models.figures synth.asked synth.certificate synth.command synth.designer "
+    "synth.designs synth.errors synth.front synth.implemented synth.problem synth.rates synth.search synth.words",
     # sim: what a run is
     "sim": "",
     "sim.response": "",

@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import pkgutil
 import re
 import warnings
 from dataclasses import replace
@@ -24,7 +25,7 @@ from synth.command.responses import responses_figure
 from synth.command.table import Row
 from synth.designer import Designer, given
 from synth.designs.goal_problem import goal_problem
-from synth.designs.goals import searched
+from synth.designs.goals import InterruptedDesign, searched
 from synth.errors import DesignError
 from synth.goals.banded import BandLandscape
 from synth.goals.energy_peak import EnergyPeak
@@ -591,10 +592,10 @@ def test_ctrl_c_keeps_the_best_so_far(tmp_path, capsys, monkeypatch):
         if len(heard) == 3:
             raise KeyboardInterrupt
 
-    with pytest.raises(Interrupted) as stopped:
+    with pytest.raises(InterruptedDesign) as stopped:
         Designer(vehicle).design("goal", told=told)
-    assert stopped.value.best.broken == ()
-    assert stopped.value.best.promises[0].value <= min(heard) * (1 + 1e-9)
+    assert stopped.value.controller.broken == ()
+    assert stopped.value.controller.promises[0].value <= min(heard) * (1 + 1e-9)
 
     path, design = tmp_path / "car.toml", Designer.design
     path.write_text(vehicle.text)
@@ -726,3 +727,66 @@ def test_an_interrupted_design_is_stable_with_errors(monkeypatch):
             kept += 1
             assert stopped.value.best.unproved == ()
     assert kept
+
+
+LATER = {  # where Ctrl-C comes, and what is said of the controller that was at work then, None where it is not there
+    "synth.designs.goals.searched": None,
+    "synth.designs.goals.with_bests": None,
+    "synth.designs.goals.Judged.promises": "interrupted: of its promises none is proved",
+    "synth.designs.goals.price": "interrupted: what its structure costs is not known",
+    "synth.__main__._flatness": "",
+    "synth.__main__.fragile": "",
+    "synth.__main__.notes": "interrupted: designed, and not all that was asked about it is known",
+    "synth.__main__.norm_if_implemented": "",
+}
+
+
+@pytest.mark.parametrize("where", LATER)
+def test_ctrl_c_keeps_what_is_finished(tmp_path, capsys, monkeypatch, where):
+    """Wherever it comes while a second controller is made, the first is printed and saved; so is the second, if it was found."""
+    more = {"with_bests": "family = [{}, { sprung_mass = 1.1 }]", "price": "structure = [[1, 0]]"}
+    path, saved = tmp_path / "car.toml", tmp_path / "saved.toml"
+    name, section = where.rsplit(".", 1)[1], f"measured = {ONE}\nbounds = [{{ norm = 9.0 }}]"
+    path.write_text(
+        f"{vehicle_with(section).text}\n[controllers.second]\nmeasured = {TWO}\n{more.get(name, 'bounds = [{ gain = 1e4 }]')}\n"
+    )
+    true, calls = pkgutil.resolve_name(where.replace("synth.designs.goals.J", "synth.designs.goals:J")), itertools.count()
+    early = name in ("with_bests", "price", "_flatness", "fragile")  # they are called for the second controller alone, or after
+
+    def stopped(*given, **options):
+        if early or next(calls):
+            monkeypatch.setattr(where, true)
+            raise KeyboardInterrupt
+        return true(*given, **options)
+
+    monkeypatch.setattr(where, stopped)
+    with pytest.raises(KeyboardInterrupt):
+        main_of("synth")(
+            ["--vehicle", str(path), "--controller", "goal", "--controller", "second", "--save", str(saved)]
+            + ["--fragility"] * (name == "fragile")
+        )
+    printed, said = " ".join(capsys.readouterr().out.split()), LATER[where]
+    kept = {"goal_designed"} | ({"second_designed"} if said is not None else set())
+    assert {each for each in read_vehicle(saved).controllers if each.endswith("_designed")} == kept
+    assert "controller goal: measures sprung_velocity" in printed
+    assert ("controller second: measures" in printed) == (said is not None)
+    assert (said or "") in printed
+
+
+def test_ctrl_c_before_anything_is_finished(tmp_path, capsys, monkeypatch):
+    """Then there is nothing to print or save, and nothing is."""
+    path, saved = tmp_path / "car.toml", tmp_path / "saved.toml"
+    path.write_text(vehicle_with(f"measured = {ONE}\nbounds = [{{ norm = 9.0 }}]").text)
+
+    def stopped(*given):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("synth.designs.goals.searched", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        main_of("synth")(["--vehicle", str(path), "--controller", "goal", "--save", str(saved)])
+    assert capsys.readouterr().out == ""
+    assert not saved.exists()
+    with pytest.raises(KeyboardInterrupt):
+        main_of("synth")(["--vehicle", str(path), "--controller", "passive", "--controller", "goal", "--save", str(saved)])
+    assert "controller passive" in capsys.readouterr().out
+    assert not saved.exists()

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 from models.common.arrays import Array
 from models.common.errors import InputError
@@ -52,10 +51,10 @@ class Interrupted(KeyboardInterrupt):
     """Ctrl-C, with the best so far within all bounds.
 
     Attributes:
-        best: a `GoalDesign`; what is made of it on the way out takes its place.
+        best: of what the search had met.
     """
 
-    def __init__(self, best: Any) -> None:
+    def __init__(self, best: GoalDesign) -> None:
         super().__init__()
         self.best = best
 
