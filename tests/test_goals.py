@@ -34,6 +34,7 @@ from synth.goals.filtered import band_filter
 from synth.goals.problem import Errors, GoalProblem, Member, NormGoal, Posed
 from synth.goals.road_largest import largest_over_road
 from synth.goals.road_peak import RoadPeak
+from synth.goals.search import Search
 from synth.plant import GeneralizedPlant
 from tests.commands import main_of
 
@@ -790,3 +791,27 @@ def test_ctrl_c_before_anything_is_finished(tmp_path, capsys, monkeypatch):
         main_of("synth")(["--vehicle", str(path), "--controller", "passive", "--controller", "goal", "--save", str(saved)])
     assert "controller passive" in capsys.readouterr().out
     assert not saved.exists()
+
+
+def test_no_height_is_computed_twice(monkeypatch):
+    """A point whose height is known is modelled, and its height told again, without another norm; a tighter bound is another."""
+    vehicle = vehicle_with(f"measured = {TWO}\nbounds = [{{ norm = 9.0 }}]\ntolerance = {{ sprung_velocity = 0.1 }}")
+    entry = vehicle.controllers["goal"]
+    assert entry.goals is not None
+    search = Search(goal_problem(vehicle, entry, entry.goals), lambda goal, within: None)
+    terrain, x = search.terrain, search.full.point(np.array([[10000.0, -2000.0]]))
+    true, calls = BandLandscape.norm, itertools.count()
+
+    def counted(self, *given):
+        next(calls)
+        return true(self, *given)
+
+    monkeypatch.setattr(BandLandscape, "norm", counted)
+    height = terrain.height(x)
+    terrain.model(x, height, 0.1)
+    assert terrain.height(x) == height
+    assert next(calls) == len(terrain.goals) + len(terrain.bounds) == 6  # two vertices and none, each minimised and bounded
+    assert height.goal == max(true(term.landscape, x)[0] for term in search.norms())
+    for term in terrain.bounds:
+        term.unit /= 2
+    assert terrain.height(x).excess == pytest.approx(2 * height.excess + 1, rel=1e-12)
