@@ -21,7 +21,8 @@ from models.filters.filter import Filter
 from models.filters.performance import read_performance
 from models.formats.family_file import with_families
 from models.formats.law_file import with_laws
-from models.goals.goals import signals_of
+from models.formats.road_name import named_file
+from models.goals.goals import PeakBound, signals_of
 from models.kind import HERE, VehicleKind
 from models.kinds import kind, kinds, shipped
 from models.linear_model import LinearModel
@@ -133,10 +134,13 @@ class Vehicle:
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The files that it is of: its own, unless it is text alone, those of its laws, and its kind's."""
-        python = [entry.python.path for entry in self.controllers.values() if entry.python]
-        laws = (*self.law_files, *(path for path in python if path))
-        return (*((Path(self.source),) if self.source else ()), *laws, *self.kind_files)
+        """The files that are read for it: its own, unless it is text alone, those of laws and bounds' roads, and its kind's."""
+        entries, own = self.controllers.values(), (Path(self.source),) if self.source else ()
+        laws = (*self.law_files, *(entry.python.path for entry in entries if entry.python and entry.python.path))
+        bounds = [bound for entry in entries if entry.goals for bound in entry.goals.bounds]
+        named = (named_file(bound.road) for bound in bounds if isinstance(bound, PeakBound))
+        roads = (Path(file[0]) for file in named if file)
+        return (*own, *laws, *roads, *self.kind_files)
 
     @property
     def ideal(self) -> bool:
@@ -200,8 +204,7 @@ def read_vehicle(file: str | Path, own_kinds: bool = True) -> Vehicle:
         own_kinds: whether it may be of a kind that does not ship, whose Python is then run.
 
     Raises:
-        InputError: the file is not there, not TOML, or something in it is missing, unknown or not allowed. The message names
-            the file, the key, what is allowed.
+        InputError: it is not there, not TOML, or something in it is missing, unknown or not allowed: file, key, what is.
     """
     path = Path(file)
     if str(file) in shipped() and not path.is_file():

@@ -30,7 +30,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     check_view(options)
     check_outputs({"logs": options.logs}, vehicle.files)
 
-    runs, passive = run_beside_passive(vehicle, names, Designer(vehicle).design, road, time)
+    runs, passive = run_beside_passive(vehicle, names, Designer(vehicle, search=False).design, road, time)
     result = {
         "runs": [run_object(run) | {"half_step": half_step_object(run)} for run in runs],
         "road": road.describe(),

@@ -32,7 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     check_view(options)
     check_outputs({"logs": options.logs}, vehicle.files)
 
-    runs, passive = run_beside_passive(vehicle, names, Designer(vehicle).design, road, time)
+    runs, passive = run_beside_passive(vehicle, names, Designer(vehicle, search=False).design, road, time)
     first = first_sample(vehicle, [run.controller for run in runs], road, options.duration, options.timestep)
     measured = [measure_run(run, first) for run in runs]
     roughness = driven_roughness(vehicle, road, time)

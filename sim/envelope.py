@@ -25,7 +25,7 @@ from sim.validity.cells import Cells, Interrupted, validity
 from sim.validity.grid import UNITS, grid, read_axes
 from sim.validity.words import envelope_lines, envelope_object, write_csv
 from synth.controller import Controller
-from synth.designer import design
+from synth.designer import Designer
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -48,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     check_outputs(outputs | {"logs": options.logs}, vehicle.files, options.json)
     stage = Stages("design", "map", "picture and logs")
     stage("design")
-    controller = design(vehicle, name)
+    controller = Designer(vehicle, search=False).design(name)
     say_false_claims([controller])
     try:
         cells = validity(vehicle, controller, bumps, time, stage.counted("map", len(bumps), "cells"))

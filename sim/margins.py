@@ -25,7 +25,7 @@ from sim.stability.margins import LoopMargins, find_margins
 from sim.stability.robustness import robustness
 from sim.stability.words import margins_lines, margins_object, verdict
 from synth.controller import Controller
-from synth.designer import design
+from synth.designer import Designer
 from synth.implemented.loop import sampled_radius
 
 
@@ -45,7 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     stage = Stages("design", "margins", "fragility", "other vehicles", "picture and logs")
     stage("design")
     sample_times(vehicle, LONGEST, options.timestep)
-    controller = _with_loop(vehicle, design(as_built, name), options.timestep)
+    controller = _with_loop(vehicle, Designer(as_built, search=False).design(name), options.timestep)
     say_false_claims([controller])
     stage("margins")
     found = find_margins(vehicle, controller, options.timestep, stage)

@@ -44,7 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     check_outputs(outputs | {"logs": options.logs}, vehicle.files)
     stage = Stages("designs", LINES, EXTREMES, OWN, "picture and logs")
     stage("designs")
-    designer = Designer(vehicle)
+    designer = Designer(vehicle, search=False)
     controllers, how = driven(vehicle, names, designer.design), (options.amplitude, options.timestep, options.speed)
     say_false_claims(controllers)
     linear = [one for one in controllers if isinstance(one, Controller)]

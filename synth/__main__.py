@@ -10,6 +10,7 @@ import numpy as np
 
 from models.common.command import ALL, chosen, run_command
 from models.common.errors import InputError, listing
+from models.common.interrupt import Parts, finishing
 from models.common.printed import Whole, say, table, titled
 from models.common.progress import Stages
 from models.figures.outputs import check_outputs, written_lines
@@ -25,11 +26,10 @@ from synth.command.responses import responses_figure
 from synth.command.save import check_save, save
 from synth.command.table import Row, detail_lines, refine_lines, row_object, table_lines, verdict_lines
 from synth.command.witness import cross_check
-from synth.controller import Controller
 from synth.designer import Designer
+from synth.designs.goals import InterruptedDesign
 from synth.errors import DesignError
 from synth.front.answer import answer as front_answer
-from synth.goals.engine import Interrupted
 from synth.implemented.claims import failures_as_it_runs, norm_if_implemented, notes_as_it_runs, sampled_lines
 from synth.problem.problem import measurements
 from synth.rates.answer import answer
@@ -53,69 +53,84 @@ def main(arguments: Sequence[str] | None = None) -> int:
     names = [] if options.check else _names(vehicle, options)
     if options.rates:
         return answer(vehicle, names if options.controller else [name for name in names if name != "passive"], options)
-    if options.picture:
-        check_outputs({"picture": options.picture, "save": options.save}, vehicle.files)
+    check_outputs({"picture": options.picture, "save": options.save}, vehicle.files, options.json)
     if options.save:
-        check_save(options.save, vehicle, [name for name in names if _designs(vehicle, name, options)])
-    designer, interrupted = Designer(vehicle), False
+        check_save(vehicle, [name for name in names if _designs(vehicle, name, options)])
+    designer, parts = Designer(vehicle), Parts()
     stage = Stages(*(f"controller {name}" for name in names), FREE)
     if options.check:
         rows = check(designer, options.controller)
     else:
         rows = []
-        for name in names:
-            stage(f"controller {name}")
-            try:
-                rows.append(_built(vehicle, _row(designer, name, options, stage)))
-            except Interrupted as stopped:  # what it has so far is the result, and the last
-                rows.append(_built(vehicle, _kept(stopped.best)))
-                interrupted = True
-                break
-    if options.cross_check and not any(row.witness for row in rows) and not any(row.controller is None for row in rows):
+        with parts.part("designs"):
+            for name in names:
+                stage(f"controller {name}")
+                try:
+                    rows.append(_row(designer, name, options, stage))
+                except InterruptedDesign as stopped:
+                    rows.append(_built(vehicle, _kept(stopped)))
+                    raise
+                rows[-1] = _built(vehicle, rows[-1])
+    if parts.cut and not rows:
+        raise KeyboardInterrupt
+    if (
+        options.cross_check
+        and not parts.cut
+        and not any(row.witness for row in rows)
+        and not any(row.controller is None for row in rows)
+    ):
         raise InputError(
             "--cross-check has nothing to solve: no controller asked for comes from an LMI problem without filters; ask for one"
         )
-    figure = responses_figure(vehicle, rows) if options.picture else None
-    if options.fragility:
-        rows = [replace(row, fragile=fragile(vehicle, row.controller)) for row in rows]
-    if options.save:
-        save(options.save, vehicle, [row.controller for row in rows if row.controller is not None])
-    if figure is not None:
-        write_picture(figure, options.picture)
+    if options.fragility and not parts.cut:
+        with parts.part("fragility"):
+            for i, row in enumerate(rows):
+                rows[i] = replace(row, fragile=fragile(vehicle, row.controller))
     stage(FREE)
-    limit = designer.beyond_control
-    moved = {} if options.check else _flatness(designer, rows)
-    stage.end()
-    if options.json:
-        result = {
-            "vehicle": vehicle.kind.name,
-            "controllers": [row_object(row) for row in rows],
-            "invariant_limit": {"norm": limit.gamma, "frequency": limit.limit_at} if limit.gamma else None,
-            "flat": {"gamma": FLAT, "gain_down_up": moved},
-            "saved": str(options.save) if options.save else None,
-            **({"picture": str(options.picture) if figure is not None else None} if options.picture else {}),
-        }
-        print(json.dumps(result, allow_nan=False))
-    else:
-        lines = titled(vehicle.kind.name, vehicle.source)
-        for row in rows:
-            lines += ["", *detail_lines(row, vehicle)]
-        held = limit.limit_at is not None and is_pole(designer.plant, limit.limit_at)
-        lines += ["", _limit(limit, held)]
-        if moved:
-            of = "the ideal loop's gamma, which a sampled design is not for," if designer.vehicle.sampled else "gamma"
-            share = f"{100 * FLAT:g} % more of {of}"
-            lines.append(f"flat: for {share} the state feedback's largest gain on each state, by itself, may be")
-            lines += table([(state, *_range(*values)) for state, values in moved.items()])
-        lines += refine_lines(rows, options.vehicle)
-        if options.save:
-            lines += ["", "saved", Whole(f"  {options.save}")]
-        if options.picture:
-            lines += written_lines({"picture": options.picture}) if figure is not None else ["", "no picture: no loop is stable"]
+    moved = {}
+    with parts.part("what else is said"):
+        moved = {} if options.check or parts.cut else _flatness(designer, rows)
+    with finishing(work_goes_on=True):  # it takes a moment, and all of the work is in it
         designs = [row.controller for row in rows if row.controller is not None]
-        about = [*ideal_lines(vehicle, designs), *sampled_lines(vehicle), *filter_lines(vehicle), *twist_lines(vehicle)]
-        say([*lines, "", *table_lines(rows), *about, "", *verdict_lines(rows)])
-    if interrupted:
+        saved = bool(options.save) and not (parts.cut and not any(each.designed and each.measured for each in designs))
+        if saved:
+            save(options.save, vehicle, designs)
+        figure = responses_figure(vehicle, rows) if options.picture else None
+        if figure is not None:
+            write_picture(figure, options.picture)
+        limit = designer.beyond_control
+        stage.end()
+        if options.json:
+            result = {
+                "vehicle": vehicle.kind.name,
+                "controllers": [row_object(row) for row in rows],
+                "invariant_limit": {"norm": limit.gamma, "frequency": limit.limit_at} if limit.gamma else None,
+                "flat": {"gamma": FLAT, "gain_down_up": moved},
+                "saved": str(options.save) if saved else None,
+                **({"picture": str(options.picture) if figure is not None else None} if options.picture else {}),
+            }
+            print(json.dumps(result, allow_nan=False))
+        else:
+            lines = titled(vehicle.kind.name, vehicle.source)
+            for row in rows:
+                lines += ["", *detail_lines(row, vehicle)]
+            held = limit.limit_at is not None and is_pole(designer.plant, limit.limit_at)
+            lines += ["", _limit(limit, held)]
+            if moved:
+                of = "the ideal loop's gamma, which a sampled design is not for," if designer.vehicle.sampled else "gamma"
+                share = f"{100 * FLAT:g} % more of {of}"
+                lines.append(f"flat: for {share} the state feedback's largest gain on each state, by itself, may be")
+                lines += table([(state, *_range(*values)) for state, values in moved.items()])
+            lines += refine_lines(rows, options.vehicle)
+            if saved:
+                lines += ["", "saved", Whole(f"  {options.save}")]
+            if options.picture:
+                lines += (
+                    written_lines({"picture": options.picture}) if figure is not None else ["", "no picture: no loop is stable"]
+                )
+            about = [*ideal_lines(vehicle, designs), *sampled_lines(vehicle), *filter_lines(vehicle), *twist_lines(vehicle)]
+            say([*lines, "", *table_lines(rows), *about, "", *verdict_lines(rows)])
+    if parts.cut:
         raise KeyboardInterrupt
     return 1 if any(row.failures for row in rows) else 0
 
@@ -151,9 +166,10 @@ def _designs(vehicle: Vehicle, name: str, options: Namespace) -> bool:
     return options.refine or name == "state" or vehicle.controllers[name].law is None
 
 
-def _kept(controller: Controller) -> Row:
-    """The best that there was when Ctrl-C came."""
-    notes_of = (*notes(controller), "interrupted: the best within all bounds until then")
+def _kept(stopped: InterruptedDesign) -> Row:
+    """What there was when Ctrl-C came."""
+    controller = stopped.controller
+    notes_of = (*notes(controller), stopped.said)
     return Row(controller.name, controller, notes_of, (*controller.certificate.failures, *controller.broken))
 
 
@@ -168,13 +184,17 @@ def _row(designer: Designer, name: str, options: Namespace, stage: Stages) -> Ro
     except DesignError as error:
         return Row(name, None, (), (str(error),))
     said: tuple[str, ...] = ()
-    if options.prove:
-        controller, said = proved(designer, controller)
-    failures, witness = (*controller.certificate.failures, *controller.broken), None
-    if options.cross_check:
-        witness = cross_check(designer, controller, options.zero_l)
-        failures += witness.failures if witness is not None else ()
-    return Row(name, controller, (*notes(controller), *said), failures, designer.worth_refining(controller), witness)
+    witness = None
+    try:
+        if options.prove:
+            controller, said = proved(designer, controller)
+        failures = (*controller.certificate.failures, *controller.broken)
+        if options.cross_check:
+            witness = cross_check(designer, controller, options.zero_l)
+            failures += witness.failures if witness is not None else ()
+        return Row(name, controller, (*notes(controller), *said), failures, designer.worth_refining(controller), witness)
+    except KeyboardInterrupt as error:
+        raise InterruptedDesign(controller, "interrupted: designed, and not all that was asked about it is known") from error
 
 
 def _built(vehicle: Vehicle, row: Row) -> Row:

@@ -37,10 +37,13 @@ from synth.search.static import static_output_feedback
 
 
 class Designer:
-    """Designs the controllers of one vehicle. The state-feedback step (22) is shared by them all, and done when first needed."""
+    """Designs the controllers of one vehicle. The state-feedback step (22) is shared by them all, and done when first needed.
 
-    def __init__(self, vehicle: Vehicle) -> None:
-        self.vehicle = vehicle
+    With `search` gains that are given are held against each vehicle's own best, too, which takes designs (`promises_of`).
+    """
+
+    def __init__(self, vehicle: Vehicle, search: bool = True) -> None:
+        self.vehicle, self.search = vehicle, search
         self._shared: dict[float | None, Shared] = {None: Shared(vehicle)}
 
     def shared(self, hardware: Hardware = IDEAL) -> Shared:
@@ -129,15 +132,12 @@ class Designer:
 
     def _given(self, entry: ControllerEntry, law: LinearLaw) -> Controller:
         posed, hardware = self.problem(entry.measured, entry.hardware), entry.hardware
-        below = self.lower_bound(entry.measured, hardware)
         try:
-            certificate, wrong = certified(posed, entry, below)
+            certificate, wrong = certified(posed, entry, self.lower_bound(entry.measured, hardware))
         except InputError as error:
             raise self.vehicle.found_wrong(error) from error
-        kept = promises_of(self.vehicle, entry, law)
-        found = Controller(
-            entry.name, entry.measured, law, False, certificate, false_claims=wrong, hardware=hardware, promises=kept
-        )
+        kept = promises_of(self.vehicle, entry, law, self.search)
+        found = Controller(entry.name, entry.measured, law, False, certificate, hardware=hardware, promises=kept)
         wrong += false_norm(entry.certificate, self.vehicle, lambda: norm_if_implemented(self.vehicle, found))
         return replace(found, false_claims=still_false(self.vehicle, found, wrong))
 

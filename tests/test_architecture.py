@@ -34,7 +34,7 @@ ROOMS = {
     "models": "models.common models.curves models.damping models.filters models.formats models.goals models.own "
     "models.parts models.stops",
     "models.loads": "models models.common",
-    "models.roads": "models models.common models.loads",
+    "models.roads": "models models.common models.formats models.loads",
     # synth: what a controller is; of vehicles it knows nothing below `controller`
     "synth": "",
     "synth.errors": "",
@@ -67,7 +67,8 @@ ROOMS = {
     "synth.implemented": "models synth.certificate synth.controller synth.dynamic synth.plant synth.problem synth.sampled",
     "synth.held": "synth.design synth.errors synth.lmi synth.modes synth.numerics synth.plant synth.sampled synth.scaling "
     "synth.search",
-    "synth.goals": "synth.certificate synth.discrete synth.dynamic synth.errors synth.numerics synth.plant synth.search",
+    "synth.goals": "synth.certificate synth.discrete synth.dynamic synth.errors synth.numerics synth.plant synth.search "
+    "synth.tolerance",
     "synth.designs": "models models.goals models.roads synth.band synth.certificate synth.controller synth.design synth.dynamic "
     "synth.energy synth.errors synth.family synth.goals synth.held synth.implemented synth.lmi synth.plant synth.problem "
     "synth.search synth.tolerance",
@@ -84,8 +85,8 @@ ROOMS = {
     "synth.designer synth.designs synth.errors synth.goals synth.lmi synth.numerics synth.plant synth.problem synth.search "
     "synth.tolerance",
     "synth.asked": "synth.front",
-    "synth.__main__": "models models.figures synth.asked synth.certificate synth.command synth.controller synth.designer "
-    "synth.errors synth.front synth.goals synth.implemented synth.problem synth.rates synth.search synth.words",
+    "synth.__main__": "models models.figures synth.asked synth.certificate synth.command synth.designer "
+    "synth.designs synth.errors synth.front synth.implemented synth.problem synth.rates synth.search synth.words",
     # sim: what a run is
     "sim": "",
     "sim.response": "models.curves",
@@ -100,9 +101,9 @@ ROOMS = {
     "synth.words",
     "sim.recording": "models.figures sim.linear sim.physics sim.response models.roads sim.runs",
     "sim.command": "models.roads sim.recording sim.runs",
-    "sim.asked": "models.figures models.loads sim.command sim.frequency sim.response models.roads sim.runs sim.stability "
-    "sim.validity",
-    "sim.inspect": "sim.asked sim.linear sim.physics sim.recording sim.response sim.ride models.roads sim.runs "
+    "sim.asked": "models.figures models.formats models.loads sim.command sim.frequency sim.response models.roads sim.runs "
+    "sim.stability sim.validity",
+    "sim.inspect": "models.figures sim.asked sim.linear sim.physics sim.recording sim.response sim.ride models.roads sim.runs "
     "synth.designs synth.dynamic synth.problem synth.words",
     "sim.campaign": "models.figures sim.command sim.linear sim.physics sim.response sim.ride models.roads sim.runs "
     "synth.designer",

@@ -1,13 +1,20 @@
 """`python -m synth --front`: designs of which none beats another in all, each certified, above a line that nobody crosses."""
 
+import contextlib
 import csv
+import itertools
 import json
 import re
+import signal
+import subprocess
+import sys
+import time
 
 import numpy as np
 import pytest
 
 import synth.front.answer
+import synth.front.front
 from models.common.errors import InputError
 from models.law import static_law
 from models.vehicle import Vehicle, parse_vehicle, read_vehicle
@@ -21,7 +28,7 @@ from synth.designs.goal_problem import weighing
 from synth.front.answer import others_of
 from synth.front.axes import axes_of
 from synth.front.figure import front_figure, line
-from synth.front.front import Front, entry_of, front
+from synth.front.front import MARKED, Front, entry_of, front
 from synth.front.norms import norm_on
 from synth.front.trace import rays, rays_of, undominated
 from synth.problem.problem import problem
@@ -226,6 +233,80 @@ def test_interrupted(quick, capsys, monkeypatch, tmp_path):
     with pytest.raises(KeyboardInterrupt):
         main(["--front", "ride:travel", "--csv", str(path)])
     assert not list(tmp_path.iterdir())
+
+
+LATER = {  # where Ctrl-C comes, at which call, and what it cuts short
+    "certify_tightly": (6, "their certificates"),
+    "norm_on": (7, "their certificates"),
+    "_limits": (1, "what is shown beside them"),
+    "largest_over_road": (3, "what is shown beside them"),
+}
+
+
+@pytest.mark.parametrize("where", LATER)
+def test_interrupted_later(quick, capsys, monkeypatch, tmp_path, where):
+    """Wherever it comes after the search, what is certified by then is printed and written, and what is missing is said."""
+    path, (at, cut) = tmp_path / "front.csv", LATER[where]
+    true, calls = getattr(synth.front.front, where), itertools.count(1)
+
+    def stopped(*given, **options):
+        if next(calls) == at:
+            raise KeyboardInterrupt
+        return true(*given, **options)
+
+    monkeypatch.setattr(synth.front.front, where, stopped)
+    with pytest.raises(KeyboardInterrupt):
+        main(["--front", "ride:travel", "--csv", str(path), "--picture", str(tmp_path / "front.svg")])
+    printed = prose(capsys.readouterr().out)
+    rows = list(csv.DictReader(path.read_text().splitlines()))
+    points = [row for row in rows if row["point"].isdigit()]
+    assert f"{len(points)} certified designs" in printed
+    assert f"interrupted at {cut}: that is not whole" in printed
+    assert len(rows) - len(points) == 7  # the others are there
+    certified = {"certify_tightly": at - 1, "norm_on": (at - 1) // 2}
+    assert len(points) == certified.get(where, len(points)) > 0
+    assert sum(bool(row["bump_travel"]) for row in points) == (
+        at - 1 if where == "largest_over_road" else min(len(points), MARKED)
+    )
+    assert (tmp_path / "front.svg").read_text().startswith("<?xml")
+
+
+def test_interrupted_while_it_is_written(quick, capsys, monkeypatch, tmp_path):
+    """Then all of it is written and printed first."""
+    path, true = tmp_path / "front.csv", synth.front.answer.front_figure
+
+    def stopped(found):
+        signal.raise_signal(signal.SIGINT)
+        return true(found)
+
+    monkeypatch.setattr(synth.front.answer, "front_figure", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        main(["--front", "ride:travel", "--csv", str(path), "--picture", str(tmp_path / "front.svg")])
+    assert "certified designs" in capsys.readouterr().out
+    assert path.exists()
+
+
+@pytest.mark.attack
+@pytest.mark.parametrize("arguments", [["--front", "ride:travel"], ["--vehicle", "quarter_car_goals"]], ids=["front", "goals"])
+def test_nothing_finished_is_lost(tmp_path, arguments):
+    """The later Ctrl-C comes, the more is kept: designs of a front, and controllers with goals; nothing drops what was there."""
+    command = [sys.executable, "-m", "synth", *arguments]
+    start = time.monotonic()
+    subprocess.run(command, stdout=subprocess.PIPE, check=True)
+    whole, counts = time.monotonic() - start, []
+    for share in (0.3, 0.45, 0.6, 0.7, 0.8, 0.9, 0.96):
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(share * whole)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate()
+        kept = re.findall(r"(\d+) certified designs", out) if "--front" in arguments else [str(out.count("\ncontroller "))]
+        counts.append(int(kept[0]) if kept else 0)
+        assert process.returncode in (0, 130), err
+        assert not out or process.returncode == 0 or "interrupted" in err
+    assert counts[-1] > 1
+    slack = 0.1 * max(counts)  # one is as far as another at a time only as far as a busy machine lets it
+    assert all(later >= earlier - slack for earlier, later in itertools.pairwise(counts)), counts
 
 
 REFUSED = [

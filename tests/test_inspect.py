@@ -634,10 +634,12 @@ def test_csv(log, parts, tmp_path, capsys):
     assert [float(row[column]) for row in rows[1001:]] == np.frombuffer(b"".join(logged), "<f8").tolist()
     assert [row[column + 1] for row in rows] == [row[column + 2] for row in rows]
     assert [path.name for path in tmp_path.iterdir()] == ["signals.csv"]
-    with pytest.raises(InputError, match="is the log itself"):
+    with pytest.raises(InputError, match="is what is read"):
         main([str(log), "--csv", str(log)])
     with pytest.raises(InputError, match=r"there is no folder"):
         main([str(log), "--csv", str(tmp_path / "absent" / "x.csv")])
+    with pytest.raises(InputError, match=r"csv .*x\.txt: a table is written as CSV; give a name that ends in \.csv"):
+        main([str(log), "--csv", str(tmp_path / "x.txt")])
 
 
 def test_vehicle_of_the_log_not_of_the_machine(log, parts, tmp_path, capsys):

@@ -204,7 +204,8 @@ def test_honest_log_is_proved_and_says_what_is_not_checked(parts, tmp_path, caps
     assert printed.count(" note ") == 1
     assert (
         " note unchecked: who wrote it and when, with which versions and library, in which folders vehicle file and log lay, "
-        "what a road file held before it was read, the index behind the data, which players ask "
+        "what a road file held before it was read, the index behind the data, which players ask, whether a controller keeps "
+        "goals of its section "
     ) in printed
 
 

@@ -31,10 +31,10 @@ OUTPUTS = {
     "sim.envelope": ("--csv", "--picture", "--logs"),
     "sim.margins": ("--picture", "--logs"),
     "sim.report": ("--out", "--figures"),
-    "synth": ("--save",),
+    "synth": ("--save", "--picture"),
 }
 FOLDERS = ("--logs", "--figures")
-NAMES = {"--picture": "out.png", "--out": "out.html"}
+NAMES = {"--picture": "out.png", "--out": "out.html", "--csv": "out.csv", "--save": "out.toml"}
 
 
 def tree(folder: Path) -> list[str]:
@@ -75,7 +75,15 @@ REFUSED = [
     ("sim.envelope", ["--controller", "I", *MAP, "--csv", "hard.csv", "--vehicle", "car.toml"], "is what is read"),
     ("sim.envelope", ["--controller", "I", *MAP, "--csv", "a.csv", "--picture", "a.svg"], "is the file of --csv too"),
     ("sim.sweep", ["--picture", "hopper.svg", "--vehicle", "hopper.toml"], "is what is read"),
-    ("synth", ["--save", "hopper.xml", "--vehicle", "hopper.toml"], "is the vehicle's kind"),
+    ("synth", ["--save", "hopper.xml", "--vehicle", "hopper.toml"], "is what is read"),
+    ("synth", ["--save", "car.toml", "--vehicle", "car.toml"], "is what is read"),
+    ("synth", ["--save", "x.toml", "--picture", "x.svg"], "--save x.toml is the file of --picture too"),
+    ("synth", ["--save", "/dev/stdout", "--json"], "print into one another"),
+    ("synth", ["--front", "ride:travel", "--csv", "hard.csv", "--vehicle", "car.toml"], "is what is read"),
+    ("synth", ["--front", "ride:travel", "--csv", "hump.csv", "--vehicle", "bounded.toml"], "--csv hump.csv is what is read"),
+    ("synth", ["--front", "ride:travel", "--csv", "fleet.csv", "--vehicle", "bounded.toml"], "--csv fleet.csv is what is read"),
+    ("sim.report", ["--figures", ".", "--vehicle", "bounded.toml"], "--figures . holds fleet.csv, which is read"),
+    ("sim.inspect", ["car.mcap", "--csv", "kind.csv", "--kinds", "."], "--csv kind.csv is what is read"),
     ("sim.envelope", ["--controller", "I", *MAP, "--csv", "/dev/stdout", "--json"], "print into one another"),
     ("sim.margins", ["--controller", "passive", "--controller", "I"], "--controller: is given twice"),
     ("sim.report", ["--controller", "all", "--controller", "I"], "all has every controller in it"),
@@ -101,7 +109,18 @@ def test_what_makes_no_sense_together_is_refused(name, arguments, words, tmp_pat
         text[: text.index("[controllers")] + '[controllers.mine]\nmeasured = ["sprung_velocity"]\ngain = [[-9000.0]]\n'
     )
     hopper(tmp_path)
-    for one, other in (("car.toml", "hard.csv"), ("hopper.xml", "hopper.svg"), ("a.csv", "a.svg")):
+    (tmp_path / "fleet.csv").write_text("sprung_mass\n1.1\n")
+    (tmp_path / "hump.csv").write_text("0,0\n1,0.01\n2,0\n")
+    bound = '{ peak = "suspension_deflection", road = "hump.csv", at_most = 0.09 }'
+    goal = f'[controllers.goal]\nmeasured = ["sprung_velocity"]\nbounds = [{bound}]\nfamily = "fleet.csv"\n'
+    (tmp_path / "bounded.toml").write_text(f"{text}\n{goal}")
+    for one, other in (
+        ("car.toml", "hard.csv"),
+        ("hopper.xml", "hopper.svg"),
+        ("hopper.xml", "kind.csv"),
+        ("a.csv", "a.svg"),
+        ("x.toml", "x.svg"),
+    ):
         (tmp_path / one).touch()
         os.link(tmp_path / one, tmp_path / other)
     monkeypatch.chdir(tmp_path)
@@ -115,23 +134,30 @@ def test_what_makes_no_sense_together_is_refused(name, arguments, words, tmp_pat
 
 @pytest.mark.parametrize(("name", "option"), [(name, option) for name, options in OUTPUTS.items() for option in options])
 def test_an_output_that_cannot_be_written_is_said_before_the_work(name, option, tmp_path, monkeypatch, nothing_designed):
-    """Of every output of every command, whatever stands in its way; and what can be written leaves nothing until it is."""
+    """Of every output of every command, whatever stands in its way; and what can be written leaves nothing until it is.
+
+    Nor is anything written under a name that says that it is something else.
+    """
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "file").touch()
-    (tmp_path / "folder").mkdir()
-    (tmp_path / "loop").symlink_to("loop")
     plain = NAMES.get(option, "out")
-    ways = ["file/below", "loop"] if option in FOLDERS else [f"nowhere/{plain}", "file/out", "folder"]
-    if option not in (*FOLDERS, *NAMES):
-        ways.append("loop")
-    if hasattr(os, "mkfifo") and option not in (*FOLDERS, *NAMES):
-        os.mkfifo(tmp_path / "pipe")
-        ways.append("pipe")
+    ending = Path(plain).suffix
+    loop, pipe = f"loop{ending}", f"pipe{ending}"
+    (tmp_path / "file").touch()
+    (tmp_path / f"folder{ending}").mkdir()
+    (tmp_path / loop).symlink_to(loop)
+    ways = ["file/below", loop] if option in FOLDERS else [f"nowhere/{plain}", f"file/{plain}", f"folder{ending}", loop]
+    if hasattr(os, "mkfifo") and option not in FOLDERS:
+        os.mkfifo(tmp_path / pipe)
+        ways.append(pipe)
     before = tree(tmp_path)
     for way in ways:
         with pytest.raises(InputError) as caught:
             main_of(name)([*COMMANDS[name], option, way])
         assert way in str(caught.value), caught.value
+        assert "give a name that ends in" not in str(caught.value)
+    for other in ("out", "out.txt", f"out{ending}.json") if option not in FOLDERS else ():
+        with pytest.raises(InputError, match=rf"{other}: .*; give a name that ends in .*\{ending}"):
+            main_of(name)([*COMMANDS[name], option, other])
     with pytest.raises(AssertionError, match="the work was begun"):
         main_of(name)([*COMMANDS[name], option, "out" if option in FOLDERS else plain])
     assert tree(tmp_path) == before

@@ -5,6 +5,7 @@ import dataclasses
 import hashlib
 import itertools
 import json
+import os
 import re
 import xml.etree.ElementTree as ElementTree
 from html.parser import HTMLParser
@@ -17,6 +18,7 @@ from models.figures.contrast import GRAPHICS, TEXT, contrast, readable
 from models.figures.describe import about
 from models.figures.figure import OTHERS, STYLES, Bars, Classes, Curve, Figure, Panel, Shades, styles, thinned
 from models.figures.names import page_text
+from models.figures.outputs import check_outputs
 from models.figures.page import DARK, LIGHT, Page, Section, Table, by_night, render
 from models.figures.svg import svg
 from models.law import static_law
@@ -210,6 +212,26 @@ def test_nothing_leaves_a_picture(tmp_path, monkeypatch):
         for axis in canvas.axes:
             texts = [text.get_window_extent() for text in axis.texts]
             assert all(name.x1 < number.x0 for name, number in zip(texts[::2], texts[1::2], strict=True))
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links of POSIX")
+@pytest.mark.parametrize("target", ["picture", "other.svg", "other.png", "x.TXT", "absent"])
+def test_the_name_that_is_given_says_what_a_picture_is(target, tmp_path):
+    """Through a link of that name, whatever the name of what it leads to."""
+    pytest.importorskip("matplotlib", reason="pictures need the extra [report]")
+    from models.figures.picture import write_picture
+
+    figure = Figure("a", "b", (Panel("c", "x", "y", (Curve(np.arange(2.0), np.arange(2.0), "d", "#000000"),)),))
+    if target != "absent":
+        (tmp_path / target).touch()
+    for name, begins in (("l.png", b"\x89PNG"), ("l.PNG", b"\x89PNG"), ("l.svg", b"<?xml"), ("l.SVG", b"<?xml")):
+        link = tmp_path / name
+        link.symlink_to(target)
+        check_outputs({"picture": link})
+        write_picture(figure, link)
+        assert (tmp_path / target).read_bytes().startswith(begins)
+        assert link.is_symlink()
+        link.unlink()
 
 
 def test_only_long_names_may_be_broken():

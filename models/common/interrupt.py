@@ -109,6 +109,25 @@ def finishing(work_goes_on: bool = False) -> Iterator[None]:
         before[late.came](late.came, None)  # an outer one of these, or what raises KeyboardInterrupt
 
 
+class Parts:
+    """Work in parts, of which a Ctrl-C cuts one short: what that has done so far, and the others, are kept.
+
+    Attributes:
+        cut: the first that was cut short; empty where none was.
+    """
+
+    def __init__(self) -> None:
+        self.cut = ""
+
+    @contextmanager
+    def part(self, name: str) -> Iterator[None]:
+        """One of them, in words."""
+        try:
+            yield
+        except KeyboardInterrupt:
+            self.cut = self.cut or name
+
+
 def ignore_from_now_on() -> None:
     """The work is done; what is left takes a moment and is not worth a traceback."""
     # An interrupt inside an `exec` of text, as `dataclass` and `namedtuple` do, makes Python remember that it is to end by the

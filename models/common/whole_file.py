@@ -30,7 +30,7 @@ WRITABLE = stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH
 
 @contextmanager
 def whole_file(path: Path, what: str, instead: str = "give another") -> Iterator[Path]:
-    """A place to write to, of the same suffix; what is written there gets its name when it is whole.
+    """A place to write to, of the suffix of the name that is given, whatever that leads to; it gets its name when it is whole.
 
     Args:
         path: the file, a link to it, or `/dev/stdout`.
@@ -42,7 +42,7 @@ def whole_file(path: Path, what: str, instead: str = "give another") -> Iterator
     """
     target, before = _target(path, what, instead)
     folder = Path(tempfile.gettempdir()) if target == STDOUT else target.parent
-    beside = folder / f".{target.stem[:100]}.{secrets.token_hex(4)}.part{target.suffix}"
+    beside = folder / f".{target.stem[:100]}.{secrets.token_hex(4)}.part{path.suffix}"
     try:
         yield beside
         if target == STDOUT:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from models.common.errors import InputError
-from models.common.whole_file import check_file, whole_file
+from models.common.whole_file import whole_file
 from models.figures.figure import Bars, Classes, Figure, Panel, Shades, Spans
 
 SUFFIXES = (".png", ".svg")
@@ -24,18 +24,6 @@ DASHES: dict[str, Any] = {
     "longdash": (0, (8, 2)),
     "none": "",
 }
-
-
-def check_picture(path: Path) -> None:
-    """Whether a picture can be drawn there, before the work.
-
-    Raises:
-        InputError: another kind of file, a folder that is not there, or matplotlib is not installed.
-    """
-    if path.suffix.lower() not in SUFFIXES:
-        raise InputError(f"picture {path}: not a kind of picture that is drawn; give a name that ends in {' or '.join(SUFFIXES)}")
-    check_file(path, "picture")
-    check_drawing()
 
 
 def check_drawing() -> None:

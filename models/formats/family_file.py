@@ -78,10 +78,16 @@ def _of_toml(text: str) -> list[dict[str, Any]]:
 
 
 def _of_csv(text: str) -> list[dict[str, Any]]:
-    rows = [row for row in csv.reader(io.StringIO(text)) if any(cell.strip() for cell in row)]
+    try:  # lines may end as on any system, old Macs too
+        rows = [row for row in csv.reader(io.StringIO(text, newline=None)) if any(cell.strip() for cell in row)]
+    except csv.Error as error:
+        raise InputError(f"is no table ({error}); {GIVE}") from error
     if len(rows) < 2:
         raise InputError(f"has {len(rows)} row(s) and no vehicle below a header; {GIVE}")
     names = [name.strip() for name in rows[0]]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"has {quoted(name)} as the name of {names.count(name)} columns; give a column for each parameter")
     family = []
     for number, row in enumerate(rows[1:], 2):
         if len(row) != len(names):

@@ -38,12 +38,12 @@ LOWEST_FACTOR, HIGHEST_FACTOR = 0.1, 10.0  # of a parameter in a family
 
 OTHER_WAYS = ("order", "design", "sampled", "law", "file", "A", "sample_period")  # keys that goals do not go with
 
-BOUND_KINDS = {
-    "norm": ("signals", "band"),
-    "peak": ("road", "speed", "at_most"),
-    "energy_peak": ("energy", "at_most"),
-    "decay": (),
-    "gain": (),
+BOUND_KINDS = {  # the keys beside that of the kind, and one as it is written
+    "norm": (("signals", "band"), "{ norm = 8.6 }"),
+    "peak": (("road", "speed", "at_most"), "{ peak = SIGNAL, road = ROAD, at_most = 0.09 }"),
+    "energy_peak": (("energy", "at_most"), "{ energy_peak = SIGNAL, energy = 0.02, at_most = 0.09 }, m2/s"),
+    "decay": ((), "{ decay = 1.2 }, rad/s"),
+    "gain": ((), "{ gain = 2e4 }"),
 }
 
 
@@ -168,11 +168,10 @@ def _bound(where: str, value: Mapping[str, Any], outputs: Collection[str]) -> Bo
     kinds = [key for key in BOUND_KINDS if key in value]
     if len(kinds) != 1:
         raise InputError(
-            f"{where} = {quoted(dict(value))} is no bound; give one of {{ norm = 8.6 }}, {{ peak = SIGNAL, road = ROAD, "
-            "at_most = 0.09 }, { decay = 1.2 }, rad/s, { gain = 2e4 }"
+            f"{where} = {quoted(dict(value))} is no bound; give one of {', '.join(text for _, text in BOUND_KINDS.values())}"
         )
     kind = kinds[0]
-    _known(where, value, (kind, *BOUND_KINDS[kind]))
+    _known(where, value, (kind, *BOUND_KINDS[kind][0]))
     if kind == "norm":
         return NormBound(_norm(where, value, outputs), _number(f"{where} norm", value["norm"], SMALLEST, LARGEST))
     if kind == "decay":

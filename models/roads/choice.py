@@ -1,7 +1,6 @@
 """Roads by name: the text `KIND[:NAME=VALUE...]`, as on a command line or in a campaign file, becomes a road."""
 
 import math
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import Any
 
 from models.common.errors import InputError
 from models.common.numbers import settings
+from models.formats.road_name import FILE, RIG
 from models.loads.choice import choose_load, split_off
 from models.loads.load import Load
 from models.roads.iso8608 import Iso8608, long_enough
@@ -29,9 +29,7 @@ SYNTAX = (
     "bump + brake:g=0.5"
 )
 TABLE = ("distance_unit", "height_unit", "separator", "columns")  # of a .csv or .txt file
-FILE = re.compile(r"(?P<path>.+\.(?P<suffix>csv|txt|crg))(?P<settings>(:\w+=[^:]*|:[^:\\/]*)*)", re.IGNORECASE | re.DOTALL)
 RPC = "; a file in RPC III (.rsp, .drv) is not read: have its channels exported as text"
-RIG = re.compile(r"rig:file=(?P<path>.+\.(?P<suffix>csv|txt))(?P<settings>(:\w+=[^:]*|:[^:\\/]*)*)", re.IGNORECASE | re.DOTALL)
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,14 +139,6 @@ def _choose(text: str, folder: Path) -> RoadChoice:
     else:
         OBSTACLES[kind](**values)  # numbers that are not allowed at any speed
     return RoadChoice(text, kind, values)
-
-
-def named_file(text: str) -> tuple[str, str] | None:
-    """The file that a road's text names, and what a road of it describes itself as; None where it names none."""
-    if found := RIG.fullmatch(text):
-        return found["path"], "rig"
-    found = FILE.fullmatch(text)
-    return (found["path"], "profile") if found else None
 
 
 def _rig(text: str, folder: Path) -> RoadChoice:

@@ -8,10 +8,11 @@ from typing import Any
 from models.common.arrays import Array
 from models.common.command import Parser, chosen
 from models.common.errors import InputError
+from models.formats.road_name import named_file
 from models.loads.choice import SYNTAX as LOAD_SYNTAX
 from models.loads.choice import choose_load, is_file, split_off
 from models.loads.table import named
-from models.roads.choice import SYNTAX, RoadChoice, choose_road, named_file
+from models.roads.choice import SYNTAX, RoadChoice, choose_road
 from models.roads.iso8608 import CLASSES
 from models.roads.loaded import PLUS
 from models.roads.road import Road

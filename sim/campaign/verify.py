@@ -92,7 +92,7 @@ def _gains(plan: Plan) -> list[str]:
     """Designed gains that a design, made now, does not confirm."""
     faults, held = [], gains_of(plan.controllers)
     for name, vehicle in plan.campaign.vehicles.items():
-        designer = Designer(vehicle)
+        designer = Designer(vehicle, search=False)
         linear = [one for one in plan.campaign.controllers if one in vehicle.linear_names]
         now: Gains = gains_of({name: {one: designer.design(one) for one in linear}})
         for one, entry in now[name].items():

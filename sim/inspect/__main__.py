@@ -9,7 +9,7 @@ from typing import Any
 from models.common.command import Parser, complain, run_command
 from models.common.errors import InputError
 from models.common.printed import Whole, say, wrapped
-from models.common.whole_file import check_file
+from models.figures.outputs import check_outputs
 from sim.inspect.findings import HOLDS, NOTE, Finding
 from sim.inspect.log import Recorded, RecordedRun, read_json, read_log
 from sim.inspect.proof import Inspected, Proof, prove
@@ -50,11 +50,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             )
         return _several(options.logs, options.kinds, options.json)
     (path,) = options.logs
+    kinds = [file for ending in ("py", "xml") for file in options.kinds.glob(f"*.{ending}")] if options.kinds is not None else []
+    check_outputs({"csv": options.csv}, [path, *kinds], options.json)
     log = read_log(path)
-    if options.csv is not None and options.csv.exists() and options.csv.samefile(path):
-        raise InputError(f"csv {options.csv} is the log itself; give another file")
-    if options.csv is not None:
-        check_file(options.csv, "csv")
     proof = prove(log, options.kinds)
     if options.csv is not None:
         write_signals(options.csv, proof)
@@ -153,7 +151,9 @@ def _text(proof: Proof) -> list[str]:
     broken = [f"the {name}" for name in _broken(proof.findings)]
     broken += [f"{name} of {one.recorded.name}" for one in proof.runs for name in _broken(one.findings)]
     fails = f"the log DOES NOT PROVE what it claims: {', '.join(broken)}"
-    return [*lines, "", "the log still proves what it claims" if proof.holds else fails]
+    goals = any(finding.part == "goals" for one in proof.runs for finding in one.findings)
+    holds = f"the log still proves what it claims{', and of goals it claims nothing' if goals else ''}"
+    return [*lines, "", holds if proof.holds else fails]
 
 
 def _lines(findings: Sequence[Finding]) -> list[str]:

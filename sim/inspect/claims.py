@@ -123,6 +123,20 @@ def check_design(vehicle: Vehicle, controller: Controller) -> Iterator[Finding]:
     yield Finding("design", NOTE, f"{text}; {best.remark}") if near else Finding("design", FAILS, text)
 
 
+def check_goals(vehicle: Vehicle, controller: Controller) -> Iterator[Finding]:
+    """That a log claims nothing of goals: what the attached file has of them was written by whoever wrote the file.
+
+    Args:
+        vehicle: of the vehicle file.
+        controller: its law is the logged one.
+    """
+    entry = vehicle.controllers.get(controller.name)
+    if entry is not None and entry.goals is not None:
+        asked = ", ".join(entry.goals.record)
+        text = f"vehicle.toml has goals for it ({asked}), of which the log claims nothing: whether it keeps them was not checked"
+        yield Finding("goals", NOTE, f"{text}; python -m synth says, of a vehicle file")
+
+
 def check_linear(again: Prediction, recorded: RecordedRun, samples: int) -> Iterator[Finding]:
     """The logged sampled and continuous responses, road included, against those that follow from gain and road."""
     worst, states = 0.0, kept(again.controller)

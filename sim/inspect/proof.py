@@ -14,6 +14,7 @@ from sim.inspect.claims import (
     check_certificate,
     check_design,
     check_energy,
+    check_goals,
     check_linear,
     check_physics,
     check_result,
@@ -46,7 +47,7 @@ from synth.controller import Controller
 
 UNCHECKED = (
     "who wrote it and when, with which versions and library, in which folders vehicle file and log lay, what a road file held "
-    "before it was read, the index behind the data, which players ask"
+    "before it was read, the index behind the data, which players ask, whether a controller keeps goals of its section"
 )
 NOT_RUN = "its text is attached and was not run: what follows is of the forces that it asked for, which are attached too"
 
@@ -207,6 +208,7 @@ def _inspect(log: Recorded, vehicle: Vehicle, recorded: RecordedRun, h: float, c
     if isinstance(controller, Controller):
         findings += _guarded("certificate", FAILS, lambda: check_certificate(own, controller, recorded, h, current))
         findings += _guarded("design", FAILS, lambda: check_design(vehicle, controller))
+        findings += _guarded("goals", FAILS, lambda: check_goals(vehicle, controller))
     else:
         said = f"{NO_CLAIM}; {NOT_RUN}" if isinstance(controller, Programmed) else NO_CLAIM_OF_SWITCHING
         findings.append(Finding("certificate", NOTE, said))

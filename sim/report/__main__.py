@@ -10,7 +10,6 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from models.common.command import Parser, chosen, run_command
-from models.common.errors import InputError
 from models.common.printed import Whole, say
 from models.common.progress import Stages
 from models.common.whole_file import made_folder, together, whole_file
@@ -44,8 +43,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     vehicle = read_vehicle(options.vehicle)
     names = chosen(vehicle.controller_names, options.controller, _usual(vehicle))
     others = left_out(vehicle, options.controller, names)
-    if options.out.suffix.lower() not in (".html", ".htm"):
-        raise InputError(f"report {options.out}: a report is HTML; give a name that ends in .html")
     outputs = {"report": options.out, "figures": options.figures}
     check_outputs(outputs, vehicle.files, options.json)
     if options.figures is not None:

@@ -31,7 +31,7 @@ def worst(findings: Sequence[Finding]) -> State:
 
 
 def loops(scope: Scope) -> list[Finding]:
-    """Which of two loops is meant where; and whose loop is stable only as the ideal one, or not at all."""
+    """Which of two loops is meant where; whose is stable only as the ideal one, or not at all; who keeps no goals."""
     found = []
     if not scope.plain:
         found.append(
@@ -51,6 +51,10 @@ def loops(scope: Scope) -> list[Finding]:
             found.append(Finding(f"{one.name}'s loop is UNSTABLE, so only its bump is reported.", "ends"))
         elif one not in scope.stable:
             text = f"{one.name} is stable ideally and UNSTABLE as built, so only its design and its bump are reported."
+            found.append(Finding(text, "ends"))
+        if broken := [promise for promise in one.promises if not promise.holds]:
+            more = f", and {len(broken) - 1} more" if len(broken) > 1 else ""
+            text = f"{one.name} DOES NOT KEEP the goals that the vehicle file has for it: {broken[0].text}{more}."
             found.append(Finding(text, "ends"))
     if scope.laws:
         found.append(

@@ -14,6 +14,7 @@ from sim.frequency.identification import Lines
 from sim.frequency.sweep import Sweep
 from sim.report.scope import AMPLITUDE, Scope, number
 from sim.runs.words import law_text
+from synth.certificate.promise import digits
 from synth.controller import Controller
 from synth.implemented.claims import against, failures_as_it_runs, notes_as_it_runs
 from synth.words import judged_lines, states_text
@@ -90,8 +91,35 @@ def design_section(scope: Scope) -> Section:
             "road's velocity to z, both of which go on while a force is held. It is exact, between two levels 1e-8 apart."
         )
         text = (*text, built)
+    if goals := goals_table(scope.controllers):
+        tables.append(goals)
+        text = (
+            *text,
+            "Some controllers have goals of their own in the vehicle file. Each is held against what is proved of it, or against "
+            "its value where that is exact; what is minimised has nothing that it may be at most.",
+        )
     tables += [table for one in scope.controllers if (table := gain_table(scope.vehicle, one)) is not None]
     return Section("How good are the controllers, and is it proved?", "designs, gains, certificates", text, tuple(tables))
+
+
+def goals_table(controllers: Sequence[Controller]) -> Table | None:
+    """What controllers keep of their goals, a row each, with the numbers as `python -m synth` has them; None without any."""
+    rows = tuple(
+        (
+            one.name,
+            f"{promise.what} ({promise.where})" if promise.where else promise.what,
+            promise.unit or "-",
+            digits(promise.value),
+            "exact" if promise.proved is None else digits(promise.proved),
+            digits(promise.at_most) if promise.at_most is not None else "-",
+            "yes" if promise.holds else "NO",
+        )
+        for one in controllers
+        for promise in one.promises
+    )
+    headings = ("controller", "goal", "unit", "value", "proved to be at most", "allowed", "kept")
+    caption = "What controllers keep of the goals that the vehicle file has for them."
+    return Table("goals", caption, headings, rows, words=3) if rows else None
 
 
 def _held(scope: Scope, controller: Controller) -> str:

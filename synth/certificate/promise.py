@@ -38,12 +38,12 @@ class Promise:
     def text(self) -> str:
         """On one line."""
         unit = f" {self.unit}" if self.unit else ""
-        proved = "" if self.proved is None else f", proved to be at most {_digits(self.proved)}{unit}"
-        if self.proved is not None and _digits(self.proved) == _digits(self.value):
+        proved = "" if self.proved is None else f", proved to be at most {digits(self.proved)}{unit}"
+        if self.proved is not None and digits(self.proved) == digits(self.value):
             proved = ", proved"
-        allowed = "" if self.at_most is None else f"; at most {_digits(self.at_most)}{unit} is allowed"
+        allowed = "" if self.at_most is None else f"; at most {digits(self.at_most)}{unit} is allowed"
         where = f" ({self.where})" if self.where else ""
-        return f"{self.what} {_digits(self.value)}{unit}{where}{proved}{allowed}"
+        return f"{self.what} {digits(self.value)}{unit}{where}{proved}{allowed}"
 
     @property
     def record(self) -> dict[str, Any]:
@@ -59,6 +59,6 @@ class Promise:
         }
 
 
-def _digits(value: float) -> str:
+def digits(value: float) -> str:
     """Seven digits, as norms have in the table."""
     return f"{value:.7g}"

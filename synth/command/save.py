@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from models.common.errors import InputError
-from models.common.whole_file import check_file, identity, whole_file
+from models.common.whole_file import whole_file
 from models.vehicle import Vehicle, parse_vehicle
 from synth.certificate.record import to_record
 from synth.controller import Controller
@@ -15,11 +15,11 @@ from synth.implemented.claims import norm_if_implemented, norm_record
 SUFFIX = "_designed"
 
 
-def check_save(path: Path, vehicle: Vehicle, names: Sequence[str]) -> None:
+def check_save(vehicle: Vehicle, names: Sequence[str]) -> None:
     """Whether designs of these names can be added: asked before the work.
 
     Raises:
-        InputError: there is nothing to write, a name is taken, or the file cannot be written.
+        InputError: there is nothing to write, or a name is taken.
     """
     if not names:
         raise InputError(
@@ -28,9 +28,6 @@ def check_save(path: Path, vehicle: Vehicle, names: Sequence[str]) -> None:
     for name in names:
         if name + SUFFIX in vehicle.controllers:
             raise InputError(f"--save: {vehicle.source} has a controller {name + SUFFIX!r} already; rename or remove that one")
-    if identity(path) in map(identity, (*vehicle.kind_files, *vehicle.law_files)):
-        raise InputError(f"--save {path} is the vehicle's kind, or a controller's law, which is read; give another file")
-    check_file(path, "--save")
 
 
 def save(path: Path, vehicle: Vehicle, controllers: Sequence[Controller]) -> None:
@@ -40,12 +37,12 @@ def save(path: Path, vehicle: Vehicle, controllers: Sequence[Controller]) -> Non
         InputError: there is nothing to write, a name is taken, or the file cannot be written.
     """
     designed = [controller for controller in controllers if controller.designed and controller.measured]
-    check_save(path, vehicle, [controller.name for controller in designed])
+    check_save(vehicle, [controller.name for controller in designed])
     text = vehicle.text.rstrip("\n") + "\n"
     for controller in designed:
         text += "\n" + "\n".join(_entry(controller.name + SUFFIX, vehicle, controller)) + "\n"
     parse_vehicle(text, folder=path.parent)  # what is written can be read
-    with whole_file(path, "--save") as beside:
+    with whole_file(path, "save") as beside:
         beside.write_text(text, encoding="utf-8", newline="\n")
 
 

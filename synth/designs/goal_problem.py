@@ -42,8 +42,16 @@ def goal_problem(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> Goal
     """What a section with goals asks for, its members' own bests left open.
 
     Raises:
-        InputError: a road that is none or has no end, or a member or a measurement that cannot be.
+        InputError: a road that is none or has no end, or a member or a measurement that cannot be. The message names the vehicle
+            file, and the bound.
     """
+    try:
+        return _goal_problem(vehicle, entry, goals)
+    except InputError as error:
+        raise vehicle.found_wrong(error) from error
+
+
+def _goal_problem(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> GoalProblem:
     through = measurements(vehicle, entry.measured, entry.hardware.bandwidth)[1]
     if np.any(through):
         i = int(np.argmax(np.any(through, axis=1)))
@@ -53,13 +61,14 @@ def goal_problem(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> Goal
         )
     vehicles = family_of(vehicle, entry, goals)
     norms = [goals.minimise, *(bound.norm for bound in goals.bounds if isinstance(bound, NormBound))]
-    peaks = [(bound, _road(vehicle, entry, bound)) for bound in goals.bounds if isinstance(bound, PeakBound)]
-    energies = [bound for bound in goals.bounds if isinstance(bound, EnergyBound)]
+    bounded = [(f"[controllers.{entry.name}] bounds[{i}]", bound) for i, bound in enumerate(goals.bounds)]
+    peaks = [(bound, _road(where, vehicle, bound)) for where, bound in bounded if isinstance(bound, PeakBound)]
+    energies = [(where, bound) for where, bound in bounded if isinstance(bound, EnergyBound)]
     members = tuple(
         Member(
             tuple(_posed(each, entry, norm) for norm in norms),
             tuple(_driven(each, entry, bound, road) for bound, road in peaks),
-            tuple(_signal(weighing(each, goals.minimise), entry, bound) for bound in energies),
+            tuple(_signal(where, weighing(each, goals.minimise), entry, bound) for where, bound in energies),
         )
         for each in vehicles
     )
@@ -120,8 +129,12 @@ def _driven(vehicle: Vehicle, entry: ControllerEntry, bound: PeakBound, road: Ro
     return Driven(model.A, model.B, Cy, model.Bw, model.Br, C[0], D[0], of_height, drive, name)
 
 
-def _signal(vehicle: Vehicle, entry: ControllerEntry, bound: EnergyBound) -> Signal:
+def _signal(where: str, vehicle: Vehicle, entry: ControllerEntry, bound: EnergyBound) -> Signal:
     """The signal of a bound for roads of given energy, on the states of what is minimised.
+
+    Args:
+        where: the bound, for messages.
+        vehicle, entry, bound: what it is of.
 
     Raises:
         InputError: the road's height, which has no energy, or noise reaches it at once.
@@ -129,25 +142,30 @@ def _signal(vehicle: Vehicle, entry: ControllerEntry, bound: EnergyBound) -> Sig
     model, bandwidth = vehicle.linear_model, entry.hardware.bandwidth
     if np.any(model.Cr[model.outputs.index(bound.signal)]):
         raise InputError(
-            f"[controllers.{entry.name}] bounds: {bound.signal!r} has the road's height in it, which no energy of its velocity "
-            "bounds; give another signal, or its peak over a road"
+            f"{where}: {bound.signal!r} has the road's height in it, which no energy of its velocity bounds; give another "
+            "signal, or its peak over a road"
         )
     if any(entry.hardware.noise):
         raise InputError(
-            f"[controllers.{entry.name}] has noise = true and an energy_peak, which is of the road alone; leave one out"
+            f"{where} is an energy_peak, which is of the road alone, and [controllers.{entry.name}] has noise = true; leave "
+            "one out"
         )
     c, g = measurements(vehicle, [bound.signal], bandwidth)
     name = f"{bound.signal} for roads of {bound.energy:g} m2/s <= {bound.at_most:g}"
     return Signal(c[0], g[0], bound.at_most, bound.energy**0.5, name)
 
 
-def _road(vehicle: Vehicle, entry: ControllerEntry, bound: PeakBound) -> Road:
+def _road(where: str, vehicle: Vehicle, bound: PeakBound) -> Road:
     """The road of a bound.
+
+    Args:
+        where: the bound, for messages.
+        vehicle, bound: what it is of.
 
     Raises:
         InputError: it is none, or has no end.
     """
-    where = f"[controllers.{entry.name}] bounds: road = {bound.road!r}"
+    where = f"{where} road = {bound.road!r}"
     try:
         choice = choose_road(bound.road)
         road = choice.build(vehicle, bound.speed or USUAL_SPEED, 0, 0.0)

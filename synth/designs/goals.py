@@ -27,6 +27,19 @@ from synth.goals.search import Told
 from synth.problem.problem import Problem
 
 
+class InterruptedDesign(KeyboardInterrupt):
+    """Ctrl-C, with a controller that is there all the same.
+
+    Attributes:
+        controller: certified.
+        said: what of it is not as it would have been.
+    """
+
+    def __init__(self, controller: Controller, said: str) -> None:
+        super().__init__()
+        self.controller, self.said = controller, said
+
+
 def goals_design(
     vehicle: Vehicle,
     entry: ControllerEntry,
@@ -48,17 +61,26 @@ def goals_design(
     Raises:
         InputError: see `goal_problem`.
         DesignError: there is none.
-        Interrupted: by Ctrl-C, with the best so far.
+        InterruptedDesign: by Ctrl-C, with what was finished until then.
     """
     asked = goal_problem(vehicle, entry, goals)
     bests = with_bests(asked) if goals.family else asked  # said of every family, minimised where that is asked for
+    stopped = ""
     try:
         found = searched(bests if goals.over == REGRET else asked, told)
-    except Interrupted as stopped:
-        stopped.best = _controller(vehicle, entry, goals, posed, lower_bound, bests, stopped.best)
-        raise
-    made = _controller(vehicle, entry, goals, posed, lower_bound, bests, found)
-    return made if goals.structure is None else replace(made, remarks=(*made.remarks, *price(asked, found)))
+    except Interrupted as error:
+        found, stopped = error.best, "interrupted: the best within all bounds until then"
+    try:
+        made = _controller(vehicle, entry, goals, posed, lower_bound, bests, found)
+    except KeyboardInterrupt as error:
+        made = _controller(vehicle, entry, goals, posed, lower_bound, bests, found, judged=False)
+        raise InterruptedDesign(made, "interrupted: of its promises none is proved") from error
+    if stopped:
+        raise InterruptedDesign(made, stopped)
+    try:
+        return made if goals.structure is None else replace(made, remarks=(*made.remarks, *price(asked, found)))
+    except KeyboardInterrupt as error:
+        raise InterruptedDesign(made, "interrupted: what its structure costs is not known") from error
 
 
 def _controller(
@@ -69,8 +91,9 @@ def _controller(
     lower_bound: LowerBound,
     asked: GoalProblem,
     found: GoalDesign,
+    judged: bool = True,
 ) -> Controller:
-    """The controller of a gain, certified, with what it keeps."""
+    """The controller of a gain, certified, with what it keeps where that is judged."""
     law = static_law(found.gain)
     certificate = certify_tightly(*posed.closed(law), lower_bound, by_itself=posed.plant)
     return Controller(
@@ -81,7 +104,7 @@ def _controller(
         certificate=certificate,
         remarks=(*remarks(found), *_beside(goals, certificate)),
         hardware=entry.hardware,
-        promises=Judged(vehicle, entry, goals, asked, found.gain).promises(),
+        promises=Judged(vehicle, entry, goals, asked, found.gain).promises() if judged else (),
     )
 
 

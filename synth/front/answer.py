@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from models.common.command import one_chosen
 from models.common.errors import InputError
+from models.common.interrupt import finishing
 from models.common.printed import Whole, say, titled, wrapped
 from models.common.progress import Stages
 from models.common.whole_file import together
@@ -40,7 +41,7 @@ def answer(vehicle: Vehicle, options: Namespace) -> int:
     if options.point and not options.save:
         raise InputError("--point says which designs --save writes; give a file with --save, or leave --point out")
     if options.save:
-        check_save(options.save, vehicle, [f"{name}_{SAVED}_{i}" for i in options.point or (1,)])
+        check_save(vehicle, [f"{name}_{SAVED}_{i}" for i in options.point or (1,)])
     stage = Stages("designs", "the picture")
     told = stage.counted("designs", rays_of(len(axes), DESIGNS), "designs")
     try:
@@ -54,24 +55,27 @@ def answer(vehicle: Vehicle, options: Namespace) -> int:
         else:
             say([f"controller {name}", f"  NOT DESIGNED: {error}"])
         return 1
-    numbers = _numbers(found, options.point) if options.save else []
-    stage("the picture")
-    with together():
-        if options.picture:
-            write_picture(front_figure(found), options.picture)
-        if options.csv:
-            write_csv(found, options.csv)
-        if options.save:
-            save(options.save, vehicle, [replace(found.points[i - 1].controller, name=f"{name}_{SAVED}_{i}") for i in numbers])
-    stage.end()
-    saved = str(options.save) if options.save else None
-    if options.json:
-        result = {"vehicle": vehicle.kind.name, **front_object(found), **written(outputs), "saved": saved}
-        print(json.dumps(result, allow_nan=False))
-    else:
-        lines = [*titled(vehicle.kind.name, vehicle.source), "", *front_lines(found), *written_lines(outputs)]
-        lines += ["", "saved", Whole(f"  {saved}")] if saved else []
-        say([*lines, "", *(part for line in sentences(found) for part in wrapped(line, hang=4))])
+    with finishing(work_goes_on=True):  # it takes a moment, and all of the work is in it
+        numbers = _numbers(found, options.point) if options.save else []
+        stage("the picture")
+        with together():
+            if options.picture:
+                write_picture(front_figure(found), options.picture)
+            if options.csv:
+                write_csv(found, options.csv)
+            if options.save:
+                save(
+                    options.save, vehicle, [replace(found.points[i - 1].controller, name=f"{name}_{SAVED}_{i}") for i in numbers]
+                )
+        stage.end()
+        saved = str(options.save) if options.save else None
+        if options.json:
+            result = {"vehicle": vehicle.kind.name, **front_object(found), **written(outputs), "saved": saved}
+            print(json.dumps(result, allow_nan=False))
+        else:
+            lines = [*titled(vehicle.kind.name, vehicle.source), "", *front_lines(found), *written_lines(outputs)]
+            lines += ["", "saved", Whole(f"  {saved}")] if saved else []
+            say([*lines, "", *(part for line in sentences(found) for part in wrapped(line, hang=4))])
     if found.interrupted:
         raise KeyboardInterrupt
     return 1 if found.unproved else 0

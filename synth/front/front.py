@@ -1,13 +1,15 @@
 """The trade-off of a vehicle between some axes: designs on its front, each certified, what bounds them, and others beside."""
 
 import contextlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
+from models.common.interrupt import Parts
 from models.controllers import ControllerEntry
 from models.goals.goals import Goals, PeakBound
 from models.law import static_law
@@ -21,7 +23,7 @@ from synth.designs.goal_problem import goal_problem, weighing
 from synth.designs.promises import Judged
 from synth.errors import DesignError
 from synth.front.axes import Axis
-from synth.front.limits import Limit, limits
+from synth.front.limits import Limit, limits, nothing
 from synth.front.norms import Norm, landscapes, norm_on
 from synth.front.trace import Met, Trace, rays, undominated
 from synth.goals.banded import EVERYWHERE
@@ -34,6 +36,7 @@ from synth.problem.problem import generalized_plant, problem
 DESIGNS = 200
 SLOWER = 0.1  # of the decay of the first start: what a design's slowest pole keeps, where no bound says
 MARKED = 9  # points that stand for all
+DESIGNING, CERTIFYING, BESIDE = "the designs", "their certificates", "what is shown beside them"  # parts of the work
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +73,7 @@ class Front:
         limits: of every two axes.
         tried: designs.
         unproved: those of them that were left out because a claim fails.
-        interrupted: whether it ended early.
+        interrupted: what Ctrl-C cut short; empty for nothing.
     """
 
     vehicle: Vehicle
@@ -82,7 +85,7 @@ class Front:
     limits: tuple[Limit, ...]
     tried: int
     unproved: int
-    interrupted: bool
+    interrupted: str
 
     @property
     def values(self) -> Array:
@@ -91,8 +94,8 @@ class Front:
 
     @property
     def marked(self) -> list[int]:
-        """Those that stand for all, by index: evenly from the first to the last."""
-        return sorted({round(i) for i in np.linspace(0, len(self.points) - 1, MARKED)}) if self.points else []
+        """The points that stand for all, by index."""
+        return marked(len(self.points))
 
 
 @numerics()
@@ -117,41 +120,58 @@ def front(
     Raises:
         InputError: the controller cannot be one, see `entry_of`; or it measures too much for an axis with errors.
         DesignError: none of its gains keeps its bounds.
+        KeyboardInterrupt: by Ctrl-C before a first design is certified; what is done by then is returned later on.
     """
     entry, designer = entry_of(vehicle, name), Designer(vehicle)
     trace = _trace(vehicle, entry, axes)
     judged, posed = _judged(vehicle, entry), problem(vehicle, entry.measured, entry.hardware)
     below = designer.lower_bound(entry.measured, entry.hardware)
     met: list[Met] = []
-    interrupted = False
-    try:
-        ends = trace.ends()
-        for i, unit in enumerate(rays(ends, count)):
+    parts = Parts()
+    with parts.part(DESIGNING):
+        for i, unit in enumerate(rays(trace.ends(), count)):
             met.append(trace.towards(unit))
             told(i + 1)
-    except KeyboardInterrupt:
-        if not met:
-            raise
-        interrupted = True
+    if not met:
+        raise KeyboardInterrupt
     kept = [each for each in met if each.excess <= 1e-9]
     kept = [each for each, best in zip(kept, undominated(np.array([each.values for each in kept])), strict=True) if best]
-    points = []
-    for each in kept:
-        law = static_law(trace.gain(each))
-        certificate = certify_tightly(*posed.closed(law), below, by_itself=posed.plant)
-        norms = tuple(norm_on(vehicle, axis, entry, law) for axis in axes)
-        promises = judged(law.D)
-        controller = Controller(entry.name, entry.measured, law, True, certificate, hardware=entry.hardware, promises=promises)
-        claims = certificate.bound is not None and not (certificate.failures or controller.broken)
-        if claims and all(np.isfinite(norm.proved) for norm in norms):
-            points.append(Point(controller, norms))
+    points: list[Point] = []
+    unproved = 0
+    with parts.part(CERTIFYING):
+        for each in kept:
+            law = static_law(trace.gain(each))
+            certificate = certify_tightly(*posed.closed(law), below, by_itself=posed.plant)
+            norms = tuple(norm_on(vehicle, axis, entry, law) for axis in axes)
+            promises = judged(law.D)
+            controller = Controller(
+                entry.name, entry.measured, law, True, certificate, hardware=entry.hardware, promises=promises
+            )
+            claims = certificate.bound is not None and not (certificate.failures or controller.broken)
+            if claims and all(np.isfinite(norm.proved) for norm in norms):
+                points.append(Point(controller, norms))
+            else:
+                unproved += 1
+    if parts.cut and not points:
+        raise KeyboardInterrupt
     best = undominated(np.array([point.values for point in points]))
     first = sorted((point for point, one in zip(points, best, strict=True) if one), key=lambda point: point.values)
-    shown, missing = _others(designer, axes, others)
-    unproved = len(kept) - len(points)
-    bounds = tuple(_limits(vehicle, axes, np.array([point.values for point in first])))
-    found = Front(vehicle, name, tuple(axes), tuple(first), shown, missing, bounds, len(met), unproved, interrupted)
-    return _over_the_bump(found, entry)
+    shown: list[Point] = []
+    missing: dict[str, str] = {}
+    with parts.part(BESIDE):
+        for each_name, other in _others(designer, axes, others):
+            if isinstance(other, Point):
+                shown.append(other)
+            else:
+                missing[each_name] = other
+    bounds = [nothing(pair) for pair in combinations(range(len(axes)), 2)]
+    with parts.part(BESIDE):
+        for i, limit in enumerate(_limits(vehicle, axes, np.array([point.values for point in first]))):
+            bounds[i] = limit
+    with parts.part(BESIDE):
+        for i, travel in _over_the_bump(vehicle, entry, first):
+            first[i] = replace(first[i], travel=travel)
+    return Front(vehicle, name, tuple(axes), tuple(first), tuple(shown), missing, tuple(bounds), len(met), unproved, parts.cut)
 
 
 def entry_of(vehicle: Vehicle, name: str) -> ControllerEntry:
@@ -177,18 +197,20 @@ def entry_of(vehicle: Vehicle, name: str) -> ControllerEntry:
     return entry
 
 
-def _over_the_bump(found: Front, entry: ControllerEntry) -> Front:
-    """The same with the marked points' travel over the paper's bump."""
-    signals = [name for name in found.vehicle.linear_model.outputs if name.startswith("suspension_deflection")]
+def _over_the_bump(vehicle: Vehicle, entry: ControllerEntry, points: Sequence[Point]) -> Iterator[tuple[int, float]]:
+    """The marked points' travel over the paper's bump, by index."""
+    signals = [name for name in vehicle.linear_model.outputs if name.startswith("suspension_deflection")]
     if not signals:
-        return found
+        return
     bounds = tuple(PeakBound(signal, "bump", None, np.inf) for signal in signals)
-    driven = goal_problem(found.vehicle, entry, Goals(bounds=bounds)).members[0].driven
-    points = list(found.points)
-    for i in found.marked:
-        K = points[i].controller.gain
-        points[i] = replace(points[i], travel=max(largest_over_road(one, K).value for one in driven))
-    return replace(found, points=tuple(points))
+    driven = goal_problem(vehicle, entry, Goals(bounds=bounds)).members[0].driven
+    for i in marked(len(points)):
+        yield i, max(largest_over_road(one, points[i].controller.gain).value for one in driven)
+
+
+def marked(count: int) -> list[int]:
+    """Those of so many points that stand for all, by index: evenly from the first to the last."""
+    return sorted({round(i) for i in np.linspace(0, count - 1, MARKED)}) if count else []
 
 
 def _trace(vehicle: Vehicle, entry: ControllerEntry, axes: Sequence[Axis]) -> Trace:
@@ -215,25 +237,23 @@ def _judged(vehicle: Vehicle, entry: ControllerEntry):
     return lambda K: Judged(vehicle, entry, goals, asked, K).promises()
 
 
-def _others(designer: Designer, axes: Sequence[Axis], names: Sequence[str]) -> tuple[tuple[Point, ...], dict[str, str]]:
-    """Other controllers on the axes, and why some are not there."""
-    found, missing = [], {}
+def _others(designer: Designer, axes: Sequence[Axis], names: Sequence[str]) -> Iterator[tuple[str, Point | str]]:
+    """Other controllers on the axes, by name, or why they are not there."""
     for name in names:
         try:
             controller = designer.design(name)
         except DesignError as error:
-            missing[name] = str(error)
+            yield name, str(error)
             continue
         entry = ControllerEntry(name, controller.measured, hardware=controller.hardware)
         norms = tuple(norm_on(designer.vehicle, axis, entry, controller.law) for axis in axes)
         if all(np.isfinite(norm.value) for norm in norms):
-            found.append(Point(controller, norms))
+            yield name, Point(controller, norms)
         else:
-            missing[name] = "its loop is unstable" if not controller.certificate.stable else "it is unstable with errors"
-    return tuple(found), missing
+            yield name, "its loop is unstable" if not controller.certificate.stable else "it is unstable with errors"
 
 
-def _limits(vehicle: Vehicle, axes: Sequence[Axis], values: Array) -> list[Limit]:
+def _limits(vehicle: Vehicle, axes: Sequence[Axis], values: Array) -> Iterator[Limit]:
     """What bounds every two axes."""
     plants: list[GeneralizedPlant] = [generalized_plant(weighing(vehicle, axis.norm)) for axis in axes]
     bands = [axis.norm.rates if axis.norm.narrow else EVERYWHERE for axis in axes]

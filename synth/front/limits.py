@@ -9,6 +9,7 @@ and many weights draw a line. What no control force changes at one frequency of 
 of two as weights leave the numbers of the plant as they are, so that the proofs, which are exact, are of them.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -56,15 +57,20 @@ class Limit:
             return np.min(np.where(self.norms > 0, reached / self.norms, np.inf), axis=1, initial=np.inf)
 
 
-def limits(plants: list[GeneralizedPlant], bands: list[Band], units: Array) -> list[Limit]:
-    """Of every two axes.
+def nothing(pair: tuple[int, int]) -> Limit:
+    """Of two axes of which nothing is known."""
+    return Limit(pair, np.zeros((0, 2)), np.zeros(0))
+
+
+def limits(plants: list[GeneralizedPlant], bands: list[Band], units: Array) -> Iterator[Limit]:
+    """Of every two axes, one after another.
 
     Args:
         plants: of each axis, alike but for z.
         bands: of each axis [rad/s].
         units: of each, of the size of its norms, shape (K,).
     """
-    return [_limit(plants, bands, units, pair) for pair in combinations(range(len(plants)), 2)]
+    return (_limit(plants, bands, units, pair) for pair in combinations(range(len(plants)), 2))
 
 
 def _limit(plants: list[GeneralizedPlant], bands: list[Band], units: Array, pair: tuple[int, int]) -> Limit:

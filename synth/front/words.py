@@ -9,7 +9,7 @@ from typing import Any
 from models.common.numbers import finite
 from models.common.printed import table, wrapped
 from models.common.whole_file import whole_file
-from synth.front.front import Front, Norm, Point
+from synth.front.front import DESIGNING, Front, Norm, Point
 from synth.front.limits import Limit
 
 
@@ -44,7 +44,8 @@ def sentences(found: Front) -> list[str]:
     )
     lines = [f"{len(found.points)} certified designs, none of which another beats in all: {ends}"]
     if found.interrupted:
-        lines.append(f"interrupted after {found.tried} designs: the front is not whole")
+        whole = f"after {found.tried} designs: the front" if found.interrupted == DESIGNING else f"at {found.interrupted}: that"
+        lines.append(f"interrupted {whole} is not whole")
     if found.unproved:
         lines.append(f"left out: {found.unproved} designs of which a claim could not be proved")
     for one in found.others:
@@ -77,7 +78,7 @@ def front_object(found: Front) -> dict[str, Any]:
         "limits": [_limit_object(found, limit) for limit in found.limits],
         "designs": found.tried,
         "unproved": found.unproved,
-        "interrupted": found.interrupted,
+        "interrupted": bool(found.interrupted),
     }
 
 

@@ -46,7 +46,7 @@ class BandLandscape(Landscape):
         """
         super().__init__(plant, Cy, Dyw)
         self.band = band if plant.dt is None else (mapped_frequency(band[0], plant.dt), mapped_frequency(band[1], plant.dt))
-        self.own, self.continuous = len(plant.A) - plant.weights, plant.dt is None
+        self.own = len(plant.A) - plant.weights
         if like is not None:
             self.scale = like.scale
 

@@ -2,13 +2,14 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
 
 from models.common.arrays import Array
 from models.common.errors import InputError
 from synth.goals.problem import Errors, GoalProblem
 from synth.goals.search import Search, Told
-from synth.numerics import numerics
+from synth.numerics import numerics, up_to_rounding
+from synth.tolerance.stable import stable_with_errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,22 +21,40 @@ class GoalDesign:
         goal: the largest norm met, or ratio.
         refused: what twice the gain would have bought of it, relative; None where nothing.
         errors: the errors that decided, beside none.
+        problem: what was asked for.
     """
 
     gain: Array
     goal: float
     refused: float | None
     errors: tuple[Errors, ...]
+    problem: GoalProblem
+
+    @cached_property
+    def unproved(self) -> tuple[int, ...]:
+        """The members, by index, of which it is not proved that every loop of the tolerance is stable: proved when first asked.
+
+        No error that was met makes one unstable; where the proof is too large to be tried, as of many errors of a large plant,
+        `synth.tolerance.worst.worst_norm` may have another.
+        """
+        tolerance, found = self.problem.tolerance, []
+        for i, member in enumerate(self.problem.members):
+            posed = member.posed[self.problem.minimise.which].unfiltered
+            with up_to_rounding():
+                if stable_with_errors(posed.plant, posed.Cy, self.gain, tolerance.sensors, tolerance.forces):
+                    continue
+            found.append(i)
+        return tuple(found)
 
 
 class Interrupted(KeyboardInterrupt):
     """Ctrl-C, with the best so far within all bounds.
 
     Attributes:
-        best: a `GoalDesign`; what is made of it on the way out takes its place.
+        best: of what the search had met.
     """
 
-    def __init__(self, best: Any) -> None:
+    def __init__(self, best: GoalDesign) -> None:
         super().__init__()
         self.best = best
 
@@ -66,8 +85,9 @@ def design_for_goals(
     try:
         x, height, refused = search.result(starts, otherwise)
     except KeyboardInterrupt as error:
-        if search.least is None:
+        kept = search.interrupted()
+        if kept is None:
             raise
-        x, height = search.least
-        raise Interrupted(GoalDesign(search.full.gain(x), height.goal, None, tuple(search.met))) from error
-    return GoalDesign(search.full.gain(x), height.goal, refused, tuple(search.met))
+        x, height = kept
+        raise Interrupted(GoalDesign(search.full.gain(x), height.goal, None, tuple(search.met), problem)) from error
+    return GoalDesign(search.full.gain(x), height.goal, refused, tuple(search.met), problem)

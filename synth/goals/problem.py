@@ -44,6 +44,13 @@ class Posed:
     Cy: Array
     Dyw: Array | None = None
 
+    @property
+    def unfiltered(self) -> "Posed":
+        """The loops whose stability a gain decides: without the filters, whose states are the last."""
+        plant, own = self.plant, slice(len(self.plant.A) - self.plant.weights)
+        alone = replace(plant, A=plant.A[own, own], B=plant.B[own], Bw=plant.Bw[own], C=plant.C[:, own], weights=0)
+        return Posed(alone, self.Cy[:, own], self.Dyw)
+
 
 @dataclass(frozen=True, eq=False)
 class Member:

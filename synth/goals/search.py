@@ -4,6 +4,8 @@
 - Without a bound on the gain it grows by stages, as in `synth.search.refine`, as long as that is worth it.
 - Of the errors those count that were met: all vertices of the box where they are few, else the worst ones, found as the design
   goes on. Whether the box holds no worse ones is the certificate's to say.
+- Every start that is gone on from, and every end, is asked whether errors make it unstable. Where no decay is asked for, the
+  slowest pole keeps a tenth of what the best start's has with errors.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -14,15 +16,16 @@ from models.common.arrays import Array
 from models.common.numbers import percent
 from synth.errors import DesignError
 from synth.goals.descent import descend
+from synth.goals.directions import directions
 from synth.goals.energy_peak import EnergyPeak
 from synth.goals.problem import Errors, GoalProblem
 from synth.goals.road_largest import largest_over_road
 from synth.goals.road_peak import RoadPeak
 from synth.goals.stabilise import downhill_to_stability
-from synth.goals.terms import Decay, Gain, Term
+from synth.goals.terms import Gain
+from synth.goals.terms_with import decay, terms_with
 from synth.goals.terrain import KEPT, Height, Terrain
-from synth.goals.worst import worst_errors
-from synth.search.coordinates import alike
+from synth.goals.worst import WorstErrors
 from synth.search.survey import survey
 
 LARGEST_GAIN = 1e5  # times what counts as one, where nothing bounds the gain: to keep other bounds
@@ -32,8 +35,6 @@ ENTERED = 5  # starts that go down some rounds
 GLANCE, ROUNDS = 15, 80  # rounds
 STAGES = 20  # twofold growths of the gain
 WORTH = 1e-3  # of the goal, relative: what a growing gain must buy
-TIGHTER = 1e-7  # relative: bounds are kept by so much, for rounding
-AND_FOR_ERRORS = 0.02  # and a decay with errors by so much: on the border itself nothing is proved of a whole box
 TURNS = 12  # of descents with more errors
 MET = 1e-6  # relative: errors that make it worse by less are none
 SLOWER = 0.1  # of the decay of the best start: where none is asked for, no slower than that
@@ -53,8 +54,10 @@ class Search:
         self.problem, self.full = problem, problem.nominal()
         self.told = told
         self.least: tuple[Array, Height] | None = None
+        self.sure: Array | None = None  # the last point that was asked for its errors, and is stable with all that were met
+        self.worst = WorstErrors(problem)
         self.stable_starts: list[Array] = []
-        self.rate = 0.0  # rad/s; of a decay that nobody asks for
+        self.rate = problem.decay or 0.0  # rad/s
         self.free = np.flatnonzero(problem.structure.ravel())
         self.met = problem.corners(MOST_VERTICES)
         self.terrain = self.terrain_of([problem.none, *self.met])
@@ -77,7 +80,16 @@ class Search:
             x, height = self.admitted(x)
         if not height.within:
             raise DesignError(self.in_the_way(x))
+        if self.worst.unstable(self.full.gain(x)):  # new ones again, turn after turn
+            raise DesignError(UNSTABLE)
         return x, height, refused
+
+    def interrupted(self) -> tuple[Array, Height] | None:
+        """The best so far within all bounds, of those that no errors met make unstable; None where there is none."""
+        for x in (self.least[0] if self.least is not None else None, self.sure):
+            if x is not None and (height := self.terrain.height(x)).within and not self.worst.unstable(self.full.gain(x)):
+                return x, height
+        return None
 
     def noted(self, x: Array) -> Height:
         """The height of a point, which is remembered if it is the best within all bounds."""
@@ -107,56 +119,46 @@ class Search:
 
     def terrain_of(self, errors: Sequence[Errors]) -> Terrain:
         """All terms, for some errors."""
-        problem = self.problem
-        goals: list[Term] = []
-        bounds: list[Term] = []
-        for i, member in enumerate(problem.members):
-            unit = problem.bests[i] if problem.bests is not None else 1.0
-            for each in errors:
-                goals.append(Gain(problem.landscape(i, problem.minimise.which, problem.minimise.band, each, self.full), unit))
-                for norm in problem.norms:
-                    landscape = problem.landscape(i, norm.which, norm.band, each, self.full)
-                    bounds.append(Gain(landscape, norm.at_most * (1 - TIGHTER), norm.name))
-                rate = problem.decay or self.rate
-                if rate:
-                    landscape = problem.landscape(i, problem.minimise.which, problem.minimise.band, each, self.full)
-                    more = AND_FOR_ERRORS if problem.errors else TIGHTER
-                    bounds.append(Decay(landscape, rate * (1 + more)))
-            for signal in member.signals:
-                landscape = problem.landscape(i, problem.minimise.which, problem.minimise.band, problem.none, self.full)
-                bounds.append(EnergyPeak(landscape, signal, signal.at_most * (1 - TIGHTER)))
-            for driven, most in zip(member.driven, problem.peaks, strict=True):
-                bounds.append(RoadPeak(driven, self.full.scale, most))
-        return Terrain(goals, bounds, self.limit(problem.gain))
+        return Terrain(*terms_with(self.problem, self.full, errors, self.rate), self.limit(self.problem.gain))
 
     def coordinates(self, x: Array) -> Array:
         """Directions that the structure allows, in which all count alike, shape (N, free)."""
-        try:
-            M = alike(self.full, x)
-            inverse = np.linalg.inv(M)
-        except np.linalg.LinAlgError:
-            return np.eye(len(x))[:, self.free]
-        if len(self.free) == len(x):
-            return M
-        metric = (inverse.T @ inverse)[self.free][:, self.free]
-        sizes, directions = np.linalg.eigh(metric)
-        restricted = np.zeros((len(x), len(self.free)))
-        restricted[self.free] = directions / np.sqrt(np.maximum(sizes, 1e-12 * sizes[-1])) @ directions.T
-        return restricted
+        return directions(self.full, x, self.free)
 
     def best(self, starts: Iterable[Array], otherwise: Callable[[], Iterable[Array]]) -> tuple[Array, Height]:
         """The best of the starts, some rounds further down."""
         points = self.points(starts)
         points += [0.5 * x for x in points] + [np.zeros(self.full.scale.size)]
+        given = {x.tobytes() for x in points}
         points += [np.where(self.problem.structure.ravel(), x, 0.0) for x in survey(self.full, self.terrain.limit)]
-        ranked = self.ranked(points) or self.ranked([self.stabilised(x) for x in points]) or self.ranked(self.points(otherwise()))
-        if not ranked:
-            raise DesignError(UNSTABLE)
+        ranked = self.stable_with_errors(points, otherwise)
         self.stable_starts = ranked
-        if self.problem.decay is None and self.full.continuous:
-            self.rate = -SLOWER * max(float(term.landscape.decays(ranked[0])[0].max()) for term in self.norms())
-            self.terrain.bounds += [Decay(term.landscape, self.rate) for term in self.norms()]
+        if not self.rate:
+            usual = next((x for x in ranked if x.tobytes() in given), ranked[0])  # others may be the best by being slow
+            self.rate = -SLOWER * max(self.worst.slowest(i, self.full.gain(usual))[0] for i in range(len(self.problem.members)))
+            self.terrain.bounds += [decay(self.problem, term.landscape, self.rate) for term in self.norms()]
+            self.least = None  # it may be slower
+        self.sure = ranked[0]
         return min((self.glanced(x) for x in ranked[:ENTERED]), key=lambda each: self.cost(*each))
+
+    def stable_with_errors(self, points: Sequence[Array], otherwise: Callable[[], Iterable[Array]]) -> list[Array]:
+        """Starts whose loops are all stable, the best first, whatever errors were met."""
+        for _ in range(TURNS):
+            ranked = self.ranked(points) or self.ranked([self.stabilised(x) for x in points])
+            if not ranked:
+                points = self.points(otherwise())
+                ranked = self.ranked(points)
+            if not ranked:
+                break
+            unstable = [self.worst.unstable(self.full.gain(x)) for x in ranked[: 2 * ENTERED]]
+            if kept := [x for x, errors in zip(ranked, unstable, strict=False) if not errors]:
+                return kept + ranked[2 * ENTERED :]
+            fresh = self.fresh(unstable[0])
+            if not fresh:
+                break
+            self.count(fresh)
+            points = ranked
+        raise DesignError(UNSTABLE)
 
     def points(self, gains: Iterable[Array]) -> list[Array]:
         """The points of gains, as far as structure and limit allow them."""
@@ -195,14 +197,14 @@ class Search:
 
     def stable(self, x: Array) -> tuple[Array, Height]:
         """The point, or one further on where all loops are stable, those with errors that were met since among them."""
-        height = self.terrain.height(x)
-        if np.isfinite(height.goal):
-            return x, height
-        x = self.stabilised(x)
-        height = self.terrain.height(x)
-        if not np.isfinite(height.goal):
-            raise DesignError(UNSTABLE)
-        return x, height
+        sure = [] if self.sure is None else [self.sure]
+        for move, starts in ((lambda x: x, [x]), (self.stabilised, [x]), (lambda x: x, [*sure, *self.stable_starts])):
+            for start in starts:
+                moved = move(start)
+                height = self.terrain.height(moved)
+                if np.isfinite(height.goal):
+                    return moved, height
+        raise DesignError(UNSTABLE)
 
     def rank(self, height: Height) -> float:
         """Lower is better."""
@@ -257,19 +259,26 @@ class Search:
 
     def sharpened(self, x: Array, height: Height) -> bool:
         """Whether errors were met that make it worse, which count from now on."""
-        problem = self.problem
-        if not problem.errors:
+        if not self.problem.errors:
             return False
-        worse = [errors for beyond, errors in worst_errors(problem, self.full, x, height.goal) if beyond > 1 + MET]
+        worst = self.worst.beyond(self.full.gain(x), height.goal, self.rate)
+        fresh = self.fresh(errors for beyond, errors in worst if beyond > 1 + MET)
+        if not self.worst.unstable(self.full.gain(x)):
+            self.sure = x
+        self.count(fresh)
+        return bool(fresh)
+
+    def fresh(self, errors: Iterable[Errors]) -> list[Errors]:
+        """Those of them that do not count yet, each once."""
         met = {each.key for each in self.met}
-        fresh = list({errors.key: errors for errors in worse if errors.key not in met}.values())
-        if not fresh:
-            return False
-        self.met += fresh
-        more = self.terrain_of(fresh)
-        self.terrain.goals += more.goals
-        self.terrain.bounds += [bound for bound in more.bounds if not isinstance(bound, (RoadPeak, EnergyPeak))]
-        return True
+        return list({each.key: each for each in errors if each.key not in met}.values())
+
+    def count(self, errors: Sequence[Errors]) -> None:
+        """From now on they do."""
+        self.met += errors
+        goals, bounds = terms_with(self.problem, self.full, errors, self.rate)
+        self.terrain.goals += goals
+        self.terrain.bounds += [bound for bound in bounds if not isinstance(bound, (RoadPeak, EnergyPeak))]
 
     def drawn_tighter(self, x: Array) -> bool:
         """Whether a peak over a road, looked at closely, passes a bound that was kept; it then counts as so much smaller."""
@@ -284,9 +293,5 @@ class Search:
 
     def in_the_way(self, x: Array) -> str:
         """Which bounds cannot be kept, and by how much, as far as the search found."""
-        passed = {term.name: term.value(x) - 1 for term in sorted(self.terrain.bounds, key=lambda term: term.value(x))}
-        said = [f"{name} is passed by {percent(share)}" for name, share in passed.items() if share > KEPT]
-        return (
-            f"no gain was found that keeps all bounds; nearest to all of them, {' and '.join(reversed(said))}; allow more there, "
-            "or measure more"
-        )
+        passed = " and ".join(f"{name} is passed by {percent(share)}" for name, share in self.terrain.passed(x).items())
+        return f"no gain was found that keeps all bounds; nearest to all of them, {passed}; allow more there, or measure more"

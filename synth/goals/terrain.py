@@ -58,6 +58,20 @@ class Terrain:
 
     def __init__(self, goals: Sequence[Term], bounds: Sequence[Term], limit: Array) -> None:
         self.goals, self.bounds, self.limit = list(goals), list(bounds), limit
+        self._known: tuple[bytes, dict[tuple[int, float], float]] = b"", {}  # values at one point, by term and unit
+
+    def value(self, term: Term, x: Array, above: float = np.inf) -> float:
+        """Of a term at a point, as `Term.value` has it; those of the last point are remembered."""
+        at = x.tobytes()
+        if self._known[0] != at:
+            self._known = at, {}
+        known, key = self._known[1], (id(term), term.unit)
+        if key not in known:
+            value = term.value(x, above)
+            if not value <= above:
+                return value
+            known[key] = value
+        return known[key]
 
     def height(self, x: Array, above: float = np.inf, penalty: float = 0.0) -> Height:
         """Of a point.
@@ -69,25 +83,32 @@ class Terrain:
         """
         goal, excess = 0.0, -1.0
         for term in self.goals:
-            goal = max(goal, term.value(x, above))
+            goal = max(goal, self.value(term, x, above))
             if goal > above:
                 return Height(goal, excess)
         for term in self.bounds:
             most = above / goal - 1 if goal > 0 else np.inf  # of penalty times excess
-            excess = max(excess, term.value(x, 1 + most / penalty if penalty > 0 else np.inf) - 1)
+            excess = max(excess, self.value(term, x, 1 + most / penalty if penalty > 0 else np.inf) - 1)
             if penalty * excess > most:
                 break
         return Height(goal, excess)
+
+    def passed(self, x: Array) -> dict[str, float]:
+        """The bounds that a point passes, by name, and by how much, relative, the worst first."""
+        excess: dict[str, float] = {}
+        for term in sorted(self.bounds, key=lambda term: -term.value(x)):
+            excess.setdefault(term.name, term.value(x) - 1)
+        return {name: share for name, share in excess.items() if share > KEPT}
 
     def model(self, x: Array, height: Height, depth: float) -> Model:
         """What supports the goals within a share of the largest, and the bounds that are near."""
         goals, bounds = [], []
         for i, term in enumerate(self.goals):
-            value = term.value(x, np.inf)
+            value = self.value(term, x)
             if value >= height.goal * (1 - depth):
                 goals.append((i, term.support(x, value, 1 - height.goal * (1 - depth) / value if value > 0 else depth)))
         for i, term in enumerate(self.bounds):
-            value = term.value(x, np.inf)
+            value = self.value(term, x)
             if value >= 1 - 3 * depth:
                 bounds.append((i, term.support(x, value, depth)))
         return Model(tuple(goals), tuple(bounds))
