@@ -59,9 +59,10 @@ def dampers_object(prediction: Prediction, physics: Response) -> dict[str, Any]:
     return {"shortfall": short, "otherwise": [asdict(one) for one in prediction.otherwise], "played": prediction.played}
 
 
-def damper_lines(prediction: Prediction, physics: Response) -> list[str]:
-    """The same in sentences; none where there are none."""
+def damper_lines(prediction: Prediction, physics: Response, until: float) -> list[str]:
+    """The same in sentences, of decisions before a time [s], from which nothing is compared; none where there are none."""
     vehicle, lines = prediction.vehicle, []
+    otherwise = [one for one in prediction.otherwise if one.time < until]
     names = {one.force: one.coefficient for one in vehicle.adjustable}
     for force, one in shortfalls(vehicle, physics).items():
         if one.time:
@@ -69,10 +70,10 @@ def damper_lines(prediction: Prediction, physics: Response) -> list[str]:
                 f"{names[force]} is from {one.softest:.4g} to {one.hardest:.4g} N s/m; of the force asked of it, "
                 f"{percent(one.rms)} (rms) cannot be given, at {percent(one.time)} of the samples"
             )
-    if prediction.otherwise:
-        first, count = prediction.otherwise[0], len(prediction.otherwise)
+    if otherwise:
+        first, count = otherwise[0], len(otherwise)
         how = "1 decision differs" if count == 1 else f"{count} decisions differ"
-        most = max(one.near for one in prediction.otherwise)
+        most = max(one.near for one in otherwise)
         lines.append(
             f"{how} from those of the exact response, first of {names[first.force]} at {first.time:.4g} s, and physics is "
             f"followed there: a change of what is decided on by {most:.0e} of its peak makes the other decision"

@@ -178,7 +178,7 @@ def verdict_lines(run: Run) -> list[str]:
     lines += [end.verdict.format(when=times[end.name]) for end in REGIME_ENDS if end.verdict and math.isfinite(times[end.name])]
     left = departures(run.vehicle, run.physics) if math.isfinite(times[CURVE.name]) else {}
     lines += [f"{name} is off its line at rest by up to {percent(share)} of its largest force" for name, share in left.items()]
-    lines += damper_lines(run.prediction, run.physics)
+    lines += damper_lines(run.prediction, run.physics, agreement.until)
     when = "throughout"
     if times[FLAT.name] == agreement.until < math.inf:
         lines.append(

@@ -22,16 +22,17 @@ import mujoco
 import numpy as np
 import pytest
 
+from models.damping.laws import SemiActive
 from models.law import LinearLaw
 from models.mjcf import build_model
 from models.reality import Implementation
 from models.roads.road import Bump
 from models.vehicle import read_vehicle
-from sim.campaign.__main__ import FEWEST
 from sim.campaign.columns import columns
 from sim.campaign.file import read_campaign
 from sim.campaign.manifest import Manifest
 from sim.campaign.plan import Plan
+from sim.campaign.progress import FEWEST
 from sim.campaign.store import Store
 from sim.campaign.workers import run_batches
 from sim.physics.simulate import simulate
@@ -302,3 +303,32 @@ def test_campaign(benchmark, tmp_path, name, runs, claim):
         for i in range(0, len(batches), workers)
     ]
     assert summed_ratio(benchmark, pairs) <= 1 / claim
+
+
+DAMPED = """
+[actuators]
+kind = "damper"
+c_min = 300.0
+c_max = 4000.0
+[controllers.sky]
+semi_active = "skyhook"
+"""
+
+
+@pytest.mark.parametrize(("name", "count"), [("II_printed", 1), ("II_printed", 64), ("sky", 64)])
+def test_adjustable_dampers(benchmark, tmp_path, name, count):
+    """A run-step with an adjustable damper takes at most 1.3 times as long as one with an actuator that pushes."""
+    file = tmp_path / "car.toml"
+    file.write_text(read_vehicle("quarter_car").text + DAMPED)
+    vehicle, time = read_vehicle(file), np.arange(1000 if count == 1 else 100) * 1e-3
+    static = Designer(vehicle).design("II_printed")
+    law = vehicle.controllers["sky"].semi_active
+    one = static if law is None or name != "sky" else SemiActive(name, law)
+    bumps = [Bump()] * count
+    ratio = paired_ratio(
+        benchmark,
+        lambda: simulate([vehicle] * count, [one] * count, bumps, time),
+        lambda: simulate([vehicle.pushing] * count, [static] * count, bumps, time),
+        9,
+    )
+    assert ratio <= 1.3
