@@ -69,7 +69,7 @@ def ideal_lines(vehicle: Vehicle, controllers: Sequence[Controller]) -> list[str
     but = f", but for the noise and lag that {', '.join(asked)} {'ask' if len(asked) > 1 else 'asks'} for" if asked else ""
     found = [] if vehicle.ideal else [f"bound, norm and poles are {IDEAL_LOOP}{but}"]
     if vehicle.dampers and any(one.law.acts for one in controllers):
-        found.append("they are of a loop whose forces are all given, and hold only while the adjustable dampers give them")
+        found.append("bound, norm and poles are of forces that are given: they hold only while the adjustable dampers give them")
     return found
 
 

@@ -6,16 +6,18 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
+from models.roads.iso8608 import Iso8608
 from models.roads.road import Bump
 from models.vehicle import parse_vehicle
 from sim.linear.deciding import Decisions
 from sim.linear.loop import largest_timestep, sampled_response
 from sim.physics.simulate import simulate
+from sim.ride.expected import expect
 from sim.runs.energy import energy_lines
 from sim.runs.made import NEAR, predict_made
 from sim.runs.prediction import predict_switched
 from sim.runs.run import judge, run_all, sample_times
-from sim.runs.words import run_object, verdict, verdict_lines
+from sim.runs.words import controller_lines, run_object, verdict, verdict_lines
 from synth.controller import Controller
 from synth.designer import design
 
@@ -340,3 +342,20 @@ def test_a_timestep_that_rk4_bears_with_every_coefficient():
     assert largest_timestep(parse_vehicle(QUARTER + DAMPER)) <= usual
     assert largest_timestep(parse_vehicle(QUARTER + DAMPER.replace("4000", "40000"))) < 0.5 * usual
     assert largest_timestep(parse_vehicle(QUARTER + DAMPER + "bandwidth = 5000.0")) == pytest.approx(2.785 / 5000.0, rel=0.01)
+
+
+def test_what_is_claimed_of_a_controller_is_of_forces_that_are_given():
+    """Of a controller that acts it is said that its claims hold while dampers give the forces, of one that does not it is not."""
+    vehicle = parse_vehicle(QUARTER + DAMPER)
+    said = "they hold only while the adjustable dampers give them"
+    assert said in " ".join(controller_lines(vehicle, design(vehicle, "sky")))
+    assert said not in " ".join(controller_lines(vehicle, design(vehicle, "passive")))
+
+
+def test_nothing_is_expected_of_a_damper_that_is_asked():
+    """Over random roads metrics are expected of passive suspensions, and of no controller whose damper leaves the linear regime."""
+    vehicle = parse_vehicle(QUARTER + DAMPER)
+    spectrum = Iso8608("C", 1, 10.0, 0.0, 100.0).spectrum
+    assert expect(vehicle, design(vehicle, "passive"), spectrum, 1e-3, 10.0) is not None
+    assert expect(vehicle, design(vehicle, "sky"), spectrum, 1e-3, 10.0) is None
+    assert expect(vehicle.pushing, design(vehicle, "sky"), spectrum, 1e-3, 10.0) is not None

@@ -1,6 +1,7 @@
 """What a report says: its answer, then section by section."""
 
 import json
+from dataclasses import replace
 from typing import Any
 
 from models.figures.page import Page, Section, Table
@@ -8,6 +9,7 @@ from models.roads.road import Bump
 from sim.frequency.describing_function import DescribingFunction, describing_function
 from sim.frequency.identification import ideal_measurements, identify
 from sim.frequency.sweep import OWN, sweep
+from sim.linear.dampers import is_linear
 from sim.report import answer as report_answer
 from sim.report.agreement import agreement_section, bump_section
 from sim.report.designs import design_section, frequency_section
@@ -37,16 +39,16 @@ def page(scope: Scope, provenance: dict[str, str]) -> Page:
     finer = run_all(vehicle, scope.driven, road, halves)
     scope.progress("frequency responses")
     if scope.quick:
-        sweeps, lines = [], identify(vehicle, scope.stable, AMPLITUDE, h, road.speed) if scope.stable else []
+        sweeps, lines = [], identify(vehicle.pushing, scope.stable, AMPLITUDE, h, road.speed) if scope.stable else []
     else:
-        sweeps = sweep(vehicle, scope.stable, AMPLITUDE, h, road.speed, scope.progress) if scope.stable else []
+        sweeps = sweep(vehicle.pushing, scope.stable, AMPLITUDE, h, road.speed, scope.progress) if scope.stable else []
         lines = [one.lines for one in sweeps]
     own: list[DescribingFunction] = []
     if not scope.quick and scope.laws:
         scope.progress(OWN)
         own = [describing_function(vehicle, one, AMPLITUDE, h, road.speed) for one in scope.laws]
     scope.progress("where the linear regime ends")
-    ends = [(one, regime_end(ideal_measurements(vehicle), one, road, time)) for one in scope.stable]
+    ends = [(one, regime_end(ideal_measurements(vehicle), one, road, time)) for one in scope.stable if is_linear(vehicle, one)]
 
     answer = [
         *report_answer.loops(scope),
@@ -62,7 +64,8 @@ def page(scope: Scope, provenance: dict[str, str]) -> Page:
     if ends:
         sections.append(regime_section(scope, road, ends, runs))
     if not scope.quick and scope.active:
-        for section, findings in (margins_section(scope), validity_section(scope, road)):
+        given = replace(scope, vehicle=vehicle.pushing) if vehicle.dampers else scope
+        for section, findings in (margins_section(given), validity_section(scope, road)):
             sections.append(section)
             answer += findings
     rides: list[Ride] = []
