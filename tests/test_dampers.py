@@ -353,7 +353,7 @@ def test_what_is_claimed_of_a_controller_is_of_forces_that_are_given():
 
 
 def test_nothing_is_expected_of_a_damper_that_is_asked():
-    """Over random roads metrics are expected of passive suspensions, and of no controller whose damper leaves the linear regime."""
+    """Over random roads metrics are expected of passive suspensions, and of no controller that its damper leaves short."""
     vehicle = parse_vehicle(QUARTER + DAMPER)
     spectrum = Iso8608("C", 1, 10.0, 0.0, 100.0).spectrum
     assert expect(vehicle, design(vehicle, "passive"), spectrum, 1e-3, 10.0) is not None
