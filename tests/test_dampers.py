@@ -271,6 +271,9 @@ def test_physics_is_followed_where_rounding_decides():
         prediction = predict_switched(vehicle, controller, BUMP, time, tampered, near)
         assert [one.time for one in prediction.otherwise[:1]] == [float(time[k])] * followed
         assert bool(prediction.sampled["damping"][k] == tampered["damping"][k]) == followed
+        here = {name: float(prediction.sampled[name][k]) for name in prediction.sampled.names}
+        asked = -3000.0 * here["sprung_velocity"] + 500.0 * here["unsprung_velocity"]
+        assert here["control_force"] + here["missing_force"] == pytest.approx(asked, abs=1e-9)
         if followed:
             (run,) = judge([prediction], [physics])
             (line,) = [line for line in verdict_lines(run) if "decision" in line]

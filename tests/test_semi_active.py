@@ -101,6 +101,8 @@ def test_a_law_over_a_bump(name):
     assert run.energy.least is not None
     assert run.energy.least >= 0
     assert np.abs(run.physics["damping"] - run.sampled["damping"]).max() < 0.01 * (HARD - SOFT)
+    assert run.physics["damping"].min() >= SOFT
+    assert run.physics["damping"].max() <= HARD
 
 
 @pytest.mark.parametrize("name", ["skyhook_linear", "add", "pdd"])
