@@ -10,6 +10,7 @@ from models.common.command import one_chosen, run_command
 from models.common.errors import InputError
 from models.common.printed import say, titled
 from models.common.progress import Stages
+from models.curves.fitted import lines_at_rest
 from models.figures.outputs import check_outputs, written, written_lines
 from models.figures.picture import write_picture
 from models.reality import Implementation
@@ -117,8 +118,10 @@ def _delayed_runs(vehicle: Vehicle, controller: Controller, loop: LoopMargins, t
 
 def _which_loop(vehicle: Vehicle) -> str:
     """Which loop has these margins, and which the norms of other vehicles, where the vehicle file says more than parameters."""
+    slopes = lines_at_rest(vehicle.fitted)
+    lines = f"of the lines of [curves] at rest, and there alone: {slopes}" if slopes else ""
     if vehicle.ideal and not vehicle.dampers:
-        return ""
+        return lines
     lag = "with" if vehicle.limits.actuator_bandwidth is not None else "without"
     without = " and without the file's [implementation], whose delay and period are part of what it bears"
     if vehicle.implementation.blurred:
@@ -127,7 +130,8 @@ def _which_loop(vehicle: Vehicle) -> str:
     follow = "; they hold only while the adjustable dampers of [actuators] give the force, as those do that push" * bool(
         vehicle.dampers
     )
-    return f"borne by the loop {lag} an actuator's lag{computer}{follow}; norms of other vehicles are of the ideal loop"
+    borne = f"borne by the loop {lag} an actuator's lag{computer}{follow}; norms of other vehicles are of the ideal loop"
+    return "; ".join(filter(None, (borne, lines)))
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ from models.common.arrays import Array
 from models.common.numbers import percent
 from models.common.printed import matrix
 from models.controllers import IDEAL
+from models.curves.fitted import lines_at_rest
 from models.law import LinearLaw
 from models.vehicle import Vehicle
 from synth.controller import Controller
@@ -70,6 +71,8 @@ def ideal_lines(vehicle: Vehicle, controllers: Sequence[Controller]) -> list[str
     found = [] if vehicle.ideal else [f"bound, norm and poles are {IDEAL_LOOP}{but}"]
     if vehicle.dampers and any(one.law.acts for one in controllers):
         found.append("bound, norm and poles are of forces that are given: they hold only while the adjustable dampers give them")
+    if slopes := lines_at_rest(vehicle.fitted):
+        found.append(f"bound, norm and poles are of the lines of [curves] at rest: {slopes}")
     return found
 
 

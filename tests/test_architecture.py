@@ -63,7 +63,7 @@ ROOMS = {
     "synth.problem": "models models.filters synth.dynamic synth.plant",
     "synth.controller": "models synth.certificate synth.plant synth.problem",
     "synth.sampled": "synth.certificate synth.plant",
-    "synth.words": "models synth.controller",
+    "synth.words": "models models.curves synth.controller",
     "synth.implemented": "models synth.certificate synth.controller synth.dynamic synth.plant synth.problem synth.sampled",
     "synth.held": "synth.design synth.errors synth.lmi synth.modes synth.numerics synth.plant synth.sampled synth.scaling "
     "synth.search",
@@ -113,7 +113,7 @@ ROOMS = {
     "sim.bump": "models.figures sim.asked sim.command models.roads sim.runs synth.designer",
     "sim.drive": "models.figures sim.asked sim.command sim.ride sim.runs synth.designer",
     "sim.sweep": "sim.asked sim.command models.figures sim.frequency sim.runs synth.designer",
-    "sim.margins": "sim.asked sim.command models.figures sim.runs sim.stability synth.designer",
+    "sim.margins": "models.curves sim.asked sim.command models.figures sim.runs sim.stability synth.designer",
     "sim.__main__": "",
     "sim.envelope": "sim.asked sim.command models.figures sim.response models.roads sim.runs sim.validity synth.designer",
 }

@@ -5,6 +5,7 @@
 
 import dataclasses
 import json
+import re
 
 import mujoco
 import numpy as np
@@ -19,12 +20,16 @@ from models.roads.road import Bump
 from models.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main
 from sim.inspect.__main__ import main as inspect
+from sim.linear.curved import elements
 from sim.linear.loop import sampled_response, taylor4
+from sim.margins import _which_loop
 from sim.physics.energy import energy
 from sim.physics.simulate import simulate
 from sim.response.regime import CURVE, REGIME_ENDS, departures, reached
 from sim.runs.run import run_all, sample_times
+from sim.validity.cells import validity
 from synth.designer import Designer, design
+from synth.words import ideal_lines
 from tests.commands import prose
 from tests.curved import AXLES, DIGRESSIVE, PROGRESSIVE, curved_text, integrated_by_scipy, with_curves
 
@@ -327,7 +332,10 @@ CSV = "# measured\nvelocity [mm/s]; force (kN)\n" + "\n".join(
 )
 
 
-@pytest.mark.parametrize(("name", "content"), [("damper.csv", CSV), ("damper.dpr", DPR)])
+IN_MILLISECONDS = re.sub(r"(?m)^ ([-\d.]+) ", lambda found: f" {float(found[1]) / 1e3} ", DPR).replace("'second'", "'ms'")
+
+
+@pytest.mark.parametrize(("name", "content"), [("damper.csv", CSV), ("damper.dpr", DPR), ("ms.dpr", IN_MILLISECONDS)])
 @pytest.mark.parametrize("form", ["[curves]\nsuspension_damping = {{ file = '{}' }}", "[curves.suspension_damping]\nfile = '{}'"])
 def test_a_table_in_a_file_is_the_table_in_its_place(tmp_path, name, content, form):
     """A CSV file or a damper property file, in its units, is the same curve as its table in SI, and the text has the table."""
@@ -390,3 +398,66 @@ def test_a_user_sees_it_and_a_log_proves_it(tmp_path, capsys):
     assert f"suspension_damping is off its line at rest by up to {100 * share:.2g} % of its largest force" in said
     assert inspect([str(path) for path in (tmp_path / "logs").glob("*.mcap")]) == 0
     assert "the log still proves what it claims" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("kind", ["quarter_car", "full_car"])
+def test_a_suspension_without_an_actuator_pulls_alike(kind):
+    """What a curve's force does where no actuator pushes follows from what the spring's parameter does, and is the same."""
+    vehicle = with_curves(kind, **(BOTH if kind == "quarter_car" else AXLES))
+    without = tuple(dataclasses.replace(one, force="") for one in vehicle.kind.suspensions)
+    other = dataclasses.replace(vehicle, kind=dataclasses.replace(vehicle.kind, suspended=without))
+    ours, theirs = elements(vehicle, vehicle.linear_model), elements(other, other.linear_model)
+    for name in ("push", "outputs", "rows"):
+        expected = getattr(ours, name)
+        np.testing.assert_allclose(getattr(theirs, name), expected, atol=1e-12 * np.abs(expected).max())
+
+
+def test_own_kinds_have_curves_where_they_say_so(tmp_path):
+    """A kind of one's own names the parameters of its suspensions; where its MJCF does not follow them, that is said."""
+    kind = read_vehicle("quarter_car").kind
+    source = (
+        kind.mjcf.with_suffix(".py").read_text().replace('"suspension_damping"', '"c_strut"').replace('"quarter_car"', '"mine"')
+    )
+    named = 'suspended=(Suspension("suspension_deflection", "suspension", "control_force", "suspension_stiffness", "c_strut"),),'
+    source = source.replace("invariants=INVARIANTS,", named).replace(
+        "Variation, VehicleKind", "Suspension, Variation, VehicleKind"
+    )
+    (tmp_path / "mine.py").write_text(source)
+    (tmp_path / "mine.xml").write_text(kind.mjcf.read_text())
+    text = curved_text(suspension_damping=DIGRESSIVE).replace("suspension_damping", "c_strut").replace('"quarter_car"', '"mine"')
+    (tmp_path / "mine.toml").write_text(text)
+    vehicle, plain = read_vehicle(tmp_path / "mine.toml"), with_curves(suspension_damping=DIGRESSIVE)
+    time = sample_times(vehicle, 0.3, 1e-3)
+    found, expected = (simulate([one], [design(one, "passive")], [ROAD], time).run(0) for one in (vehicle, plain))
+    np.testing.assert_array_equal(found["suspension_velocity"], expected["suspension_velocity"])
+
+    (tmp_path / "mine.py").write_text(source.replace('suspension.damping[0] = p["c_strut"]', "suspension.damping[0] = 400.0"))
+    with pytest.raises(InputError, match="'suspension' has 400 where c_strut is 1750, so no curve can stand in for it"):
+        build_model(read_vehicle(tmp_path / "mine.toml"), 1e-3)
+
+
+def test_claims_say_that_they_are_of_the_line_at_rest():
+    """Beside bound and norm, and beside margins, stands which slope they are of, and from where to where it goes elsewhere."""
+    vehicle = with_curves(suspension_damping=DIGRESSIVE)
+    (line,) = ideal_lines(vehicle, [design(vehicle, "passive")])
+    assert line == "bound, norm and poles are of the lines of [curves] at rest: suspension_damping 1750 (elsewhere 666.7 to 1750)"
+    assert ideal_lines(vehicle.straight, [design(vehicle, "passive")]) == []
+    assert _which_loop(vehicle).endswith("at rest, and there alone: suspension_damping 1750 (elsewhere 666.7 to 1750)")
+    assert _which_loop(vehicle.straight) == ""
+
+
+def test_a_map_foretells_when_curves_leave_their_lines():
+    """Over bumps of many heights MuJoCo's curves leave their lines when their own response does, to the sample, or not at all."""
+    vehicle = with_curves(suspension_damping=DIGRESSIVE)
+    bumps = [Bump(height, 5.0, speed) for height in (0.004, 0.02, -0.03, 0.06) for speed in (6.0, 15.0)]
+    cells = validity(vehicle, design(vehicle, "I"), bumps, sample_times(vehicle, 1.0, 1e-3))
+    curve = REGIME_ENDS.index(CURVE)
+    assert {*cells.first.tolist()} == {-1, curve}
+    np.testing.assert_array_equal(cells.first, cells.predicted)
+    np.testing.assert_array_equal(cells.time, cells.predicted_time)
+    assert np.all((cells.used[:, curve] >= 1) == (cells.first == curve))
+    near = 0.02 / float(cells.used[3, curve])  # about where it just leaves it, at 15 m/s
+    heights = [Bump(share * near, 5.0, 15.0) for share in np.linspace(0.8, 1.2, 41).tolist()]
+    edge = validity(vehicle, design(vehicle, "I"), heights, sample_times(vehicle, 1.0, 1e-3))
+    assert edge.edge.any()
+    assert not edge.edge.all()

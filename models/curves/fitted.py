@@ -58,6 +58,15 @@ def curvable(suspensions: Sequence[Suspended]) -> dict[str, Argument]:
     return {one.stiffness: DEFLECTION for one in suspensions if one.stiffness} | damping
 
 
+def lines_at_rest(curves: Sequence[Fitted]) -> str:
+    """What linear analysis takes for curves, in words: slope at rest, and from where to where it goes; empty where all are."""
+    bent = {one.parameter: one.curve for one in curves if len(one.curve.pieces.slope)}
+    return ", ".join(
+        f"{name} {curve.slope:.4g} (elsewhere {curve.slopes.min():.4g} to {curve.slopes.max():.4g})"
+        for name, curve in bent.items()
+    )
+
+
 def with_slopes(parameters: Mapping[str, Any], curves: Mapping[str, Curve]) -> dict[str, Any]:
     """`[parameters]` with the slopes at rest of the curves that stand in for some.
 

@@ -9,12 +9,12 @@ from sim.ride.metrics import Metric, metrics_of
 EXPECTED, LINEAR = "expected_", "linear_"
 
 LINEAR_IS = (
-    "of the exact linear response over the same road, of a vehicle without limits; there for roads without a spectrum, and "
-    "controllers that are a gain"
+    "of the exact linear response over the same road, of a vehicle without limits; there for roads without a spectrum, "
+    "controllers that are a gain, and vehicles without curves"
 )
 EXPECTED_IS = (
-    "over all roads of the class, from the spectrum, of a vehicle without limits, noise and quantisation; {}; there for random "
-    "roads and stable loops"
+    "over all roads of the class, from the spectrum, of a vehicle without limits, noise and quantisation; {}; by statistical "
+    "linearisation of a vehicle with curves; there for random roads and stable loops"
 )
 ROOT = "of a root of a mean square the root of the expected mean square"
 
@@ -51,7 +51,11 @@ def columns(campaign: Campaign) -> dict[str, Column]:
         "ended_at": Column(float, {"unit": "s"}),
         "linear_error": Column(
             float,
-            {"unit": "-", "definition": "largest difference of a state from the exact linear response until then, over its peak"},
+            {
+                "unit": "-",
+                "definition": "largest difference of a state from the exact linear response until then, over its peak; "
+                "null for vehicles with curves",
+            },
         ),
         "settled": Column(
             float,

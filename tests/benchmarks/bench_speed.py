@@ -49,6 +49,7 @@ from synth.problem.problem import generalized_plant
 from synth.rates.cost import cost
 from tests.benchmarks.states import chain
 from tests.conftest import random_vehicles
+from tests.curved import AXLES, DIGRESSIVE, PROGRESSIVE, with_curves
 
 
 def seconds(call: Callable[[], object]) -> float:
@@ -110,6 +111,22 @@ def test_whole_command(benchmark, tmp_path):
         subprocess.run(arguments, check=True, capture_output=True)
 
     assert paired_ratio(benchmark, lambda: run(command), lambda: run(imports), 7) <= 1.5
+
+
+@pytest.mark.parametrize(
+    ("name", "curves"),
+    [("quarter_car", {"suspension_damping": DIGRESSIVE, "suspension_stiffness": PROGRESSIVE}), ("full_car", AXLES)],
+)
+def test_curves(benchmark, name, curves):
+    """A run-step with curves of dampers and springs takes at most 1.3 times one without."""
+    both = [read_vehicle(name), with_curves(name, **curves)]
+    times, runs = np.arange(301) * 1e-3, 64
+    passive = [Designer(vehicle).design("passive") for vehicle in both]
+
+    def drive(i):
+        simulate([both[i]] * runs, [passive[i]] * runs, [Bump()] * runs, times)
+
+    assert paired_ratio(benchmark, lambda: drive(1), lambda: drive(0), 9) <= 1.3
 
 
 @pytest.mark.parametrize("name", ["quarter_car", "half_car", "full_car"])
