@@ -21,13 +21,14 @@ from models.law import MATRICES, LinearLaw, static_law
 from models.linear_model import LinearModel
 from models.own.python_law import PythonLaw, read_law
 from models.parts.parameter import LARGEST, is_number, is_within
+from models.parts.weighed import weighed_loads
 from models.reality import LONGEST_PERIOD, Implementation, Limits, designed_for_samples
 
 DESIGNS = ("lqr", "lqg", "h2")  # what `design` may be; without it the paper's two steps
 FULL = "full"  # what `order` may be
 CONTROLLER_KEYS = (
     *("measured", "gain", *MATRICES, "sample_period", "file", "law", "preview", "semi_active", "certificate"),  # what it is
-    *("order", "design", "noise", "lag", "sampled", *GOAL_KEYS),  # how it is designed
+    *("order", "design", "noise", "lag", "sampled", "loads", *GOAL_KEYS),  # how it is designed
 )
 RESERVED = ("passive", "state")  # these two always exist: u = 0, and full state feedback
 SHORTEST, LONGEST = 1e-6, LONGEST_PERIOD  # s, of a discrete controller's sample period
@@ -40,10 +41,12 @@ class Hardware:
     Attributes:
         noise: rms of the noise on each signal that it measures, in that signal's unit; empty for none.
         bandwidth: corner frequency of the lag of every actuator [rad/s]; None for forces that act at once.
+        loads: on the body, with how much of each counts as 1 m/s of w [N, N m]; a disturbance beside the road.
     """
 
     noise: tuple[float, ...] = ()
     bandwidth: float | None = None
+    loads: tuple[tuple[str, float], ...] = ()
 
 
 IDEAL = Hardware()
@@ -113,7 +116,7 @@ def read_controllers(
         if kind is not None:
             one = replace(one, goals=read_goals(f"[controllers.{name}]", entry, one.measured, model.outputs, kind))
         lawless = one.law is None and one.semi_active is None
-        two_steps = lawless and not (one.design or one.python or one.hardware.noise or one.goals)
+        two_steps = lawless and not (one.design or one.python or one.hardware.noise or one.hardware.loads or one.goals)
         asked = designed_for_samples(f"[controllers.{name}]", entry, two_steps, implementation, sampled)
         found[name] = replace(one, sampled=asked)
     return found
@@ -178,6 +181,7 @@ def _controller(
             'out, or give design = "lqg"'
         )
     hardware = _hardware(where, entry, measured, design, model.inputs, limits, implementation)
+    hardware = replace(hardware, loads=weighed_loads(where, entry, model.loads, GOAL_KEYS))
     law = None if python else _law(where, entry, model, measured)
     return ControllerEntry(name, tuple(measured), law, entry.get("certificate"), design, python, hardware)
 

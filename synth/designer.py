@@ -44,13 +44,14 @@ class Designer:
 
     def __init__(self, vehicle: Vehicle, search: bool = True) -> None:
         self.vehicle, self.search = vehicle, search
-        self._shared: dict[float | None, Shared] = {None: Shared(vehicle)}
+        self._shared: dict[Hardware, Shared] = {IDEAL: Shared(vehicle)}
 
     def shared(self, hardware: Hardware = IDEAL) -> Shared:
-        """What designs for such actuators share."""
-        if hardware.bandwidth not in self._shared:
-            self._shared[hardware.bandwidth] = Shared(self.vehicle, hardware.bandwidth)
-        return self._shared[hardware.bandwidth]
+        """What designs for such actuators, under such loads, share."""
+        key = replace(hardware, noise=())
+        if key not in self._shared:
+            self._shared[key] = Shared(self.vehicle, key)
+        return self._shared[key]
 
     @property
     def plant(self) -> GeneralizedPlant:

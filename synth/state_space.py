@@ -193,7 +193,7 @@ def weighted_loop(vehicle: Vehicle, controller: Controller) -> "control.StateSpa
 
     Each output is a signal times its weight in `[performance]`, behind its filter if it has one, and is called `z[signal]`. Where
     the road has a filter, each input is what comes into it, and is called `w[road]`. The noise of a sensor that the controller is
-    judged with is an input, too, of its rms, and is called `noise[signal]`.
+    judged with is an input, too, of its rms, and is called `noise[signal]`; so is a load, of what counts as 1 m/s, `load[name]`.
     """
     return _loop(vehicle, controller, [f"z[{signal}]" for signal, weight in vehicle.performance.items() if weight > 0])
 
@@ -205,7 +205,8 @@ def _loop(vehicle: Vehicle, controller: Controller, outputs: Sequence[str]) -> "
     loop, hardware = controller.loop(vehicle), controller.hardware
     roads = [wheel.road_velocity for wheel in vehicle.kind.wheels]
     noise = [f"noise[{name}]" for name, rms in zip(controller.measured, hardware.noise, strict=bool(hardware.noise)) if rms]
-    more = [f"road_twist_{k}" for k in range(1, loop.Bw.shape[1] - len(roads) - len(noise) + 1)]
+    loads = [f"load[{name}]" for name, _ in hardware.loads]
+    more = [f"road_twist_{k}" for k in range(1, loop.Bw.shape[1] - len(roads) - len(loads) - len(noise) + 1)]
     inputs = [*roads, *more]
     system = ss(
         loop.A,
@@ -214,7 +215,7 @@ def _loop(vehicle: Vehicle, controller: Controller, outputs: Sequence[str]) -> "
         loop.Dw,
         name=f"{vehicle.kind.name}_{controller.name}",
         states=[*plant_states(vehicle, hardware.bandwidth), *(f"controller_{k}" for k in range(1, controller.law.states + 1))],
-        inputs=[*(inputs if vehicle.road_filter is None else [f"w[{name}]" for name in inputs]), *noise],
+        inputs=[*(inputs if vehicle.road_filter is None else [f"w[{name}]" for name in inputs]), *loads, *noise],
         outputs=list(outputs),
     )
     assert isinstance(system, StateSpace)

@@ -10,12 +10,14 @@ from models.common.printed import matrix
 from models.controllers import IDEAL
 from models.curves.fitted import lines_at_rest
 from models.law import LinearLaw
+from models.signals import HEAVE_LOAD, PITCH_LOAD, ROLL_LOAD
 from models.vehicle import Vehicle
 from synth.controller import Controller
 
 IDEAL_LOOP = "of the ideal loop, continuous and without [limits] and [implementation]"
 SETTLED = 1e-2  # relative: a gain that moves less over the last hundredfold of mu is within 1e-4 of the limit
 SHORT = 1e-6  # relative in gamma; less is the path's own end
+UNITS = {one.name: one.unit for one in (HEAVE_LOAD, PITCH_LOAD, ROLL_LOAD)}
 
 
 def heading_lines(controller: Controller) -> list[str]:
@@ -67,7 +69,8 @@ def twist_lines(vehicle: Vehicle) -> list[str]:
 def ideal_lines(vehicle: Vehicle, controllers: Sequence[Controller]) -> list[str]:
     """Which loop the numbers of these controllers are of, where the vehicle file has another one, too."""
     asked = [one.name for one in controllers if one.hardware != IDEAL]
-    but = f", but for the noise and lag that {', '.join(asked)} {'ask' if len(asked) > 1 else 'asks'} for" if asked else ""
+    what = "noise, lag and loads" if any(one.hardware.loads for one in controllers) else "noise and lag"
+    but = f", but for the {what} that {', '.join(asked)} {'ask' if len(asked) > 1 else 'asks'} for" if asked else ""
     found = [] if vehicle.ideal else [f"bound, norm and poles are {IDEAL_LOOP}{but}"]
     if vehicle.dampers and any(one.law.acts for one in controllers):
         found.append("bound, norm and poles are of forces that are given: they hold only while the adjustable dampers give them")
@@ -95,6 +98,12 @@ def judged_lines(controller: Controller) -> list[str]:
         found.append(
             f"norm and bounds are of road and noise together: a noise of {noise} counts as much as 1 m/s of w, which is the "
             "road's velocity, or what its filter shapes it from"
+        )
+    if hardware.loads:
+        loads = ", ".join(f"{value:g} {UNITS[name]} of {name}" for name, value in hardware.loads)
+        found.append(
+            f"norm and bounds are of road and loads together: {loads} count as much as 1 m/s of w each; a norm as implemented, "
+            "and one that sim.sweep measures, is of the road alone"
         )
     if controller.law.states and controller.law.sample_period is not None:
         found.append("norm, bounds and poles are of its continuous counterpart, whose bilinear transform (Tustin) it is")

@@ -56,6 +56,7 @@ def _entry(name: str, vehicle: Vehicle, controller: Controller) -> list[str]:
         *(f"{key} = {_toml(value)}" for key, value in controller.law.record.items()),
         *(f"{key} = {_toml(value)}" for key, value in (goals.record if goals is not None else {}).items()),
         *(["noise = true"] if controller.hardware.noise else []),
+        *([f"loads = {_toml(dict(controller.hardware.loads))}"] if controller.hardware.loads else []),
         *(["lag = true"] if controller.hardware.bandwidth is not None else []),
         "",
         f"[controllers.{key}.certificate]    # checked by: python -m synth --check THIS_FILE",

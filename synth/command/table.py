@@ -83,6 +83,7 @@ def _hardware_object(controller: Controller) -> dict[str, Any]:
     """What of sensors and actuators a norm is with; nothing where it is with none."""
     hardware = controller.hardware
     noise = {"noise": dict(zip(controller.measured, hardware.noise, strict=True))} if hardware.noise else {}
+    noise |= {"loads": dict(hardware.loads)} if hardware.loads else {}
     return noise | ({"actuator_bandwidth": hardware.bandwidth} if hardware.bandwidth is not None else {})
 
 

@@ -171,6 +171,8 @@ def _road(where: str, vehicle: Vehicle, bound: PeakBound) -> Road:
         road = choice.build(vehicle, bound.speed or USUAL_SPEED, 0, 0.0)
     except InputError as error:
         raise InputError(f"{where}: {error}") from error
+    if choice.loads:
+        raise InputError(f"{where} has loads, and a bound on a peak is over the road alone; leave them out")
     if not np.isfinite(road.duration):
         raise InputError(f"{where} has no end, and so no largest value; give a bump, a step, a hump or a pothole")
     return road

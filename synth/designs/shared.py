@@ -1,9 +1,10 @@
 """What the designs of one vehicle share: its plant, the path of (22) to its optimum, and what no controller beats."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
 
-from models.controllers import Hardware
+from models.controllers import IDEAL, Hardware
 from models.vehicle import Vehicle
 from synth.certificate.lower_bound import LowerBound
 from synth.design import state_path
@@ -21,13 +22,13 @@ class Shared:
         states: names of its states.
     """
 
-    def __init__(self, vehicle: Vehicle, bandwidth: float | None = None) -> None:
+    def __init__(self, vehicle: Vehicle, hardware: Hardware = IDEAL) -> None:
         """Args:
         vehicle: the vehicle.
-        bandwidth: corner frequency of its actuators' lag [rad/s]; None for forces that act at once.
+        hardware: its actuators' lag, and its loads.
         """
-        self.vehicle, self.bandwidth = vehicle, bandwidth
-        self.plant, self.states = generalized_plant(vehicle, bandwidth), plant_states(vehicle, bandwidth)
+        self.vehicle, self.hardware, bandwidth = vehicle, hardware, hardware.bandwidth
+        self.plant, self.states = generalized_plant(vehicle, bandwidth, loads=hardware.loads), plant_states(vehicle, bandwidth)
         self._bounds: dict[tuple[tuple[str, ...], tuple[float, ...]], LowerBound] = {}
 
     @cached_property
@@ -46,7 +47,7 @@ class Shared:
         Raises:
             InputError: a signal this vehicle has not.
         """
-        return problem(self.vehicle, measured, Hardware(noise, self.bandwidth), self.plant)
+        return problem(self.vehicle, measured, replace(self.hardware, noise=noise), self.plant)
 
     def lower_bound(self, measured: Sequence[str], noise: tuple[float, ...] = ()) -> LowerBound:
         """What no controller that measures these signals with that noise beats, of whatever order; of none, state feedback."""

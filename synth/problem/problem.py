@@ -1,7 +1,8 @@
 """The door through which a vehicle's named signals come in: its plant (15), and what a controller measures of it.
 
 The plant is the linear model with the weighted signals of `[performance]` as z. A controller may ask for more than that: for the
-noise of its sensors, which then is a disturbance beside the road, and for its actuators' lag, whose states join the vehicle's.
+noise of its sensors, which then is a disturbance beside the road, as loads on the body are; and for its actuators' lag, whose
+states join the vehicle's.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,10 +26,11 @@ class Problem:
     """What a controller of a vehicle is designed for and judged with: y = C_y x + `through` u + Dyw w.
 
     Attributes:
-        plant: n states, m inputs, r disturbances; the noises of what is measured are the last of these.
+        plant: n states, m inputs, r disturbances; loads, and then the noises of what is measured, are the
+            last of these.
         Cy: shape (q, n).
         through: what the forces do at once to what is measured, shape (q, m).
-        Dyw: shape (q, r); None without noise.
+        Dyw: shape (q, r); None without noise, and without loads in what is measured.
         forces: which of the measurements are forces that act at once, and so say nothing of the state; each by its input.
     """
 
@@ -68,22 +70,32 @@ def problem(vehicle: Vehicle, measured: Sequence[str], hardware: Hardware, plant
     Raises:
         InputError: a signal this vehicle has not.
     """
-    plant = plant or generalized_plant(vehicle, hardware.bandwidth)
+    plant = plant or generalized_plant(vehicle, hardware.bandwidth, loads=hardware.loads)
     Cy, through = measurements(vehicle, measured, hardware.bandwidth)
     inputs = vehicle.linear_model.inputs
     at_once = hardware.bandwidth is None
     forces = {i: inputs.index(name) for i, name in enumerate(measured) if at_once and name in inputs}
-    if not any(hardware.noise):
-        return Problem(plant, Cy, through, forces=forces)
     (q, _), (d, r) = Cy.shape, plant.Dw.shape
+    felt = _of_loads(vehicle.linear_model, hardware.loads)[1][[vehicle.linear_model.outputs.index(name) for name in measured]]
+    of_loads = np.hstack([np.zeros((q, r - felt.shape[1])), felt])
+    if not any(hardware.noise):
+        return Problem(plant, Cy, through, of_loads if np.any(felt) else None, forces)
     noisy = [i for i, rms in enumerate(hardware.noise) if rms]
     k = len(noisy)
-    Dyw = np.hstack([np.zeros((q, r)), np.diag(hardware.noise)[:, noisy]])
+    Dyw = np.hstack([of_loads, np.diag(hardware.noise)[:, noisy]])
     wide = replace(plant, Bw=np.hstack([plant.Bw, np.zeros((len(plant.A), k))]), Dw=np.hstack([plant.Dw, np.zeros((d, k))]))
     return Problem(wide, Cy, through, Dyw, forces)
 
 
-def generalized_plant(vehicle: Vehicle, bandwidth: float | None = None, acting: bool = False) -> GeneralizedPlant:
+def _of_loads(model: LinearModel, loads: Sequence[tuple[str, float]]) -> tuple[Array, Array]:
+    """What loads do to states and outputs, in so much as counts as 1 m/s of w, shapes (n, l) and (p, l)."""
+    some, scale = [model.loads.index(name) for name, _ in loads], np.array([value for _, value in loads])
+    return model.Bl[:, some] * scale, model.Dl[:, some] * scale
+
+
+def generalized_plant(
+    vehicle: Vehicle, bandwidth: float | None = None, acting: bool = False, loads: Sequence[tuple[str, float]] = ()
+) -> GeneralizedPlant:
     """The plant (15) of a vehicle: its linear model, and the weighted signals of `[performance]` as z (34)-(37).
 
     Where a weight, or the road's spectrum, depends on frequency, the states of its filters follow those of the vehicle, of which
@@ -94,6 +106,7 @@ def generalized_plant(vehicle: Vehicle, bandwidth: float | None = None, acting: 
         bandwidth: corner frequency of its actuators' lag [rad/s]; None for forces that act at once.
         acting: behind a lag, the weight of a control force is of the force that acts, as for what is built. Else it is of the
             force that is asked for, as that is what a controller decides.
+        loads: on the body, each with how much of it counts as 1 m/s of w; disturbances after those of the road.
     """
     model = vehicle.linear_model.behind_lag(bandwidth)
     weighted = [signal for signal, weight in vehicle.performance.items() if weight > 0]
@@ -103,18 +116,21 @@ def generalized_plant(vehicle: Vehicle, bandwidth: float | None = None, acting: 
         C, D = np.where(asked, 0.0, C), np.where(asked, vehicle.linear_model.rows(weighted)[1], D)
     weights = np.array([vehicle.performance[signal] for signal in weighted])[:, None]
     Br, Cr = _twist(model, weighted)
+    Bl, Dl = _of_loads(model, loads)
+    Dl = Dl[[model.outputs.index(signal) for signal in weighted]]
     plant = GeneralizedPlant(
         A=model.A,
         B=model.B,
-        Bw=np.hstack([model.Bw, Br]),
+        Bw=np.hstack([model.Bw, Br, Bl]),
         C=weights * C,
         D=weights * D,
-        Dw=np.hstack([np.zeros((len(C), model.Bw.shape[1])), weights * Cr]),
+        Dw=np.hstack([np.zeros((len(C), model.Bw.shape[1])), weights * Cr, weights * Dl]),
     )
     if not vehicle.filtered:
         return plant
     outputs = append(*(_system(vehicle.filters.get(signal)) for signal in weighted))
-    return with_weights(plant, outputs, append(*[_system(vehicle.road_filter)] * plant.Bw.shape[1]))
+    roads = [_system(vehicle.road_filter)] * (plant.Bw.shape[1] - len(loads))
+    return with_weights(plant, outputs, append(*roads, *[gain(1.0)] * len(loads)))
 
 
 def _system(one: Filter | None) -> System:
