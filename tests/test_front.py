@@ -271,6 +271,25 @@ def test_interrupted_later(quick, capsys, monkeypatch, tmp_path, where):
     assert (tmp_path / "front.svg").read_text().startswith("<?xml")
 
 
+def test_a_first_ctrl_c_lets_certifying_go_on(quick, capsys, monkeypatch, tmp_path):
+    """It would keep less than one that came earlier, while designs were looked for: those are all certified, too."""
+    true, calls, path = synth.front.front.certify_tightly, itertools.count(1), tmp_path / "front.csv"
+
+    def stopped(*given, **options):
+        if next(calls) == 3:
+            signal.raise_signal(signal.SIGINT)
+        return true(*given, **options)
+
+    monkeypatch.setattr(synth.front.front, "certify_tightly", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        main(["--front", "ride:travel", "--csv", str(path)])
+    printed = prose(capsys.readouterr().out)
+    points = [row for row in csv.DictReader(path.read_text().splitlines()) if row["point"].isdigit()]
+    assert len(points) > 6
+    assert f"{len(points)} certified designs" in printed
+    assert "is not whole" not in printed
+
+
 def test_interrupted_while_it_is_written(quick, capsys, monkeypatch, tmp_path):
     """Then all of it is written and printed first."""
     path, true = tmp_path / "front.csv", synth.front.answer.front_figure

@@ -109,6 +109,9 @@ def finishing(work_goes_on: bool = False) -> Iterator[None]:
         before[late.came](late.came, None)  # an outer one of these, or what raises KeyboardInterrupt
 
 
+LATE = "the end"  # instead of a part that was whole
+
+
 class Parts:
     """Work in parts, of which a Ctrl-C cuts one short: what that has done so far, and the others, are kept.
 
@@ -117,7 +120,11 @@ class Parts:
     """
 
     def __init__(self) -> None:
-        self.cut = ""
+        self.cut, self._done = "", ""
+
+    def done(self, name: str) -> None:
+        """A part is whole: what is heard from now on, while it ends, came too late to cut it short."""
+        self._done = name
 
     @contextmanager
     def part(self, name: str) -> Iterator[None]:
@@ -125,7 +132,7 @@ class Parts:
         try:
             yield
         except KeyboardInterrupt:
-            self.cut = self.cut or name
+            self.cut = self.cut or (LATE if name == self._done else name)
 
 
 def ignore_from_now_on() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.common.interrupt import Parts
+from models.common.interrupt import Parts, finishing
 from models.controllers import ControllerEntry
 from models.goals.goals import Goals, PeakBound
 from models.law import static_law
@@ -138,7 +138,7 @@ def front(
     kept = [each for each, best in zip(kept, undominated(np.array([each.values for each in kept])), strict=True) if best]
     points: list[Point] = []
     unproved = 0
-    with parts.part(CERTIFYING):
+    with parts.part(CERTIFYING), finishing(work_goes_on=True):  # a first Ctrl-C comes too late to keep less than an earlier one
         for each in kept:
             law = static_law(trace.gain(each))
             certificate = certify_tightly(*posed.closed(law), below, by_itself=posed.plant)
@@ -152,6 +152,7 @@ def front(
                 points.append(Point(controller, norms))
             else:
                 unproved += 1
+        parts.done(CERTIFYING)
     if parts.cut and not points:
         raise KeyboardInterrupt
     best = undominated(np.array([point.values for point in points]))

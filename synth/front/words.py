@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from models.common.interrupt import LATE
 from models.common.numbers import finite
 from models.common.printed import table, wrapped
 from models.common.whole_file import whole_file
@@ -43,7 +44,7 @@ def sentences(found: Front) -> list[str]:
         if values
     )
     lines = [f"{len(found.points)} certified designs, none of which another beats in all: {ends}"]
-    if found.interrupted:
+    if found.interrupted not in ("", LATE):
         whole = f"after {found.tried} designs: the front" if found.interrupted == DESIGNING else f"at {found.interrupted}: that"
         lines.append(f"interrupted {whole} is not whole")
     if found.unproved:
