@@ -61,7 +61,7 @@ def roughness_of(road: Road, vehicle: Vehicle, distance: float) -> tuple[Roughne
         return ()
     width = track_width(vehicle)
     step, tracks = _sampled(road, min(distance, LONGEST), ("left", "right") if width else ("left",))
-    if step > COARSEST or len(tracks) * step <= SHORTEST:
+    if step > COARSEST * (1 + EVEN) or len(tracks) * step <= SHORTEST:
         return ()
     found = {"left": roughness_index(tracks[:, 0], step)}
     if width:
@@ -97,7 +97,7 @@ def _sampled(road: Road, distance: float, sides: tuple[str, ...]) -> tuple[float
         spacing = np.diff(road.distance)
         step = float(np.median(spacing))
         heights = road.heights[: round(distance / step) + 1, : len(sides)]
-        if np.ptp(spacing) <= EVEN * step or step > COARSEST:
+        if np.ptp(spacing) <= EVEN * step or step > COARSEST * (1 + EVEN):
             return step, heights
         distance = min(distance, float(road.distance[-1] - road.distance[0]))
     t = np.arange(math.floor(distance / STEP) + 1) * (STEP / road.speed)

@@ -13,7 +13,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.figures.figure import OTHERS, Curve, Figure, Panel, styles
+from models.figures.figure import DASHES, OTHERS, STYLES, Curve, Figure, Panel, styles
 from models.roads.spectrum import Spectrum
 from models.vehicle import Vehicle
 from sim.campaign.plan import Plan
@@ -58,9 +58,11 @@ def trade_off(plan: Plan, entries: Sequence[Mapping[str, Any]]) -> Figure:
             x, y = entry[ACROSS]["rms"], entry[UP]["rms"]
             if (entry["road"], entry["speed"]) == (road, speed) and x is not None and y is not None:
                 label = f"{entry['controller']}{own[entry['vehicle']]}"
-                curves.append(Curve(np.array([x]), np.array([y]), label, looks[label][0], "none", "o"))
+                color, dash = looks[label]
+                again = label not in STYLES and dash != DASHES[0]  # the colours are used up
+                curves.append(Curve(np.array([x]), np.array([y]), label, color, "none", "+" if again else "o"))
         crossed = crossed or any(curve.marker == "x" for curve in curves)
-        if any(curve.marker == "o" for curve in curves):
+        if any(curve.marker in ("o", "+") for curve in curves):
             title = f"{road} at {speed:g} m/s"
             panels.append(
                 Panel(title, "dynamic tyre load, rms [of the static load]", "weighted acceleration, rms [m/s²]", tuple(curves))
