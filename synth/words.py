@@ -73,7 +73,10 @@ def ideal_lines(vehicle: Vehicle, controllers: Sequence[Controller]) -> list[str
     but = f", but for the {what} that {', '.join(asked)} {'ask' if len(asked) > 1 else 'asks'} for" if asked else ""
     found = [] if vehicle.ideal else [f"bound, norm and poles are {IDEAL_LOOP}{but}"]
     if vehicle.dampers and any(one.law.acts for one in controllers):
-        found.append("bound, norm and poles are of forces that are given: they hold only while the adjustable dampers give them")
+        lag = ", and know no lag of their valves" if any(one.damper.bandwidth for one in vehicle.adjustable) else ""
+        found.append(
+            f"bound, norm and poles are of forces that are given: they hold only while the adjustable dampers give them{lag}"
+        )
     if slopes := lines_at_rest(vehicle.fitted):
         found.append(f"bound, norm and poles are of the lines of [curves] at rest: {slopes}")
     return found

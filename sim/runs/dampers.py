@@ -23,12 +23,14 @@ class Shortfall:
         rms: of what is missing, over that of what was asked; 0 where nothing was.
         time: share of the samples at which something is missing.
         softest, hardest: its smallest and largest coefficient [N s/m].
+        late: as `rms`, with what its valve's lag keeps back at the samples; None of one that acts at once.
     """
 
     rms: float
     time: float
     softest: float
     hardest: float
+    late: float | None = None
 
 
 def shortfalls(vehicle: Vehicle, physics: Response) -> Mapping[str, Shortfall]:
@@ -49,7 +51,10 @@ def shortfalls(vehicle: Vehicle, physics: Response) -> Mapping[str, Shortfall]:
         asked, c = missing - commands[decided + late, j] * speeds[decided, j], whole[one.coefficient]
         most = float(np.sqrt(np.mean(asked**2)))
         share = float(np.sqrt(np.mean(missing**2))) / most if most else 0.0
-        found[one.force] = Shortfall(share, float(np.mean(np.abs(missing) > MISSED)), float(c.min()), float(c.max()))
+        kept = None
+        if one.damper.bandwidth is not None:
+            kept = float(np.sqrt(np.mean((asked - whole[one.force][decided + late]) ** 2))) / most if most else 0.0
+        found[one.force] = Shortfall(share, float(np.mean(np.abs(missing) > MISSED)), float(c.min()), float(c.max()), kept)
     return found
 
 
@@ -65,6 +70,8 @@ def damper_lines(prediction: Prediction, physics: Response, until: float) -> lis
     otherwise = [one for one in prediction.otherwise if one.time < until]
     names = {one.force: one.coefficient for one in vehicle.adjustable}
     for force, one in shortfalls(vehicle, physics).items():
+        if one.late:
+            lines.append(f"with its valve's lag {names[force]} leaves out {percent(one.late)} (rms) of the force asked of it")
         if one.time:
             lines.append(
                 f"{names[force]} is from {one.softest:.4g} to {one.hardest:.4g} N s/m; of the force asked of it, "
