@@ -11,7 +11,10 @@ from synth.errors import DesignError
 
 # Shapes that do not fit are a fault of this package's own, even where numpy calls them a LinAlgError.
 OF_SHAPES = ("dimension", "square", "shape")
-NUMERIC = ("infs", "NaN", "finite", "singular", "hermitian", "math domain error", "illegal value")  # numpy's, Python's, LAPACK's
+NUMERIC = (  # what numpy, scipy, LAPACK and Python say
+    *("infs", "NaN", "finite", "singular", "hermitian", "math domain error", "illegal value"),
+    *("Reordering", "ill-conditioned", "converge"),
+)
 
 
 def of_rounding(error: BaseException) -> bool:

@@ -61,12 +61,15 @@ def lifting(designer: Designer) -> RunLog:
 
 
 def random_vehicles(vehicle: Vehicle, count: int, spread: float = 0.5) -> list[Vehicle]:
-    """Vehicles of the same kind with every parameter within +- `spread` of this one's."""
-    rng = np.random.default_rng(20261120)
+    """Vehicles of the same kind with every parameter that a file must give within +- `spread` of this one's."""
+    rng, given = np.random.default_rng(20261120), {one.name for one in vehicle.kind.parameters if one.usual is None}
     return [
         dataclasses.replace(
             vehicle,
-            parameters={name: value * rng.uniform(1 - spread, 1 + spread) for name, value in vehicle.parameters.items()},
+            parameters={
+                name: value * rng.uniform(1 - spread, 1 + spread) if name in given else value
+                for name, value in vehicle.parameters.items()
+            },
         )
         for _ in range(count)
     ]

@@ -19,7 +19,7 @@ from synth.designer import Designer
 class Line:
     """One line of a random road, from its own height at the start."""
 
-    kinks, speed = (0.0,), 20.0
+    kinks, speed, loaded = (0.0,), 20.0, Road.loaded
     met_by, later = Road.met_by, Road.later
 
     def __init__(self, height, omega):

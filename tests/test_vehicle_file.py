@@ -25,7 +25,12 @@ CHANGES = [
         "[comfort]",
         ["'comfort'", "controllers, curves, implementation, limits, parameters, performance, type"],
     ),
-    ("a key beside the sections", "type = ", 'colour = "red"\ntype = ', ["unknown key 'colour'", "known: controllers"]),
+    (
+        "a key beside the sections",
+        "type = ",
+        'colour = "red"\ntype = ',
+        ["unknown key 'colour'", "known: actuators, controllers"],
+    ),
     ("no type", 'type = "quarter_car"', "", ["'type'", "missing"]),
     ("unknown type", '"quarter_car"', '"bicycle"', ["'bicycle'", "known: ", "quarter_car"]),
     ("type is a path", '"quarter_car"', '"../models/quarter_car"', ["unknown vehicle type"]),
@@ -51,7 +56,12 @@ CHANGES = [
     ("weight that rounds away", WEIGHT, "sprung_acceleration = 1e-300", ["sprung_acceleration = 1e-300", "1e-12 to 1e+12"]),
     ("weight NaN", WEIGHT, "sprung_acceleration = nan", ["sprung_acceleration = nan", "1e-12 to 1e+12"]),
     ("weight in words", WEIGHT, 'sprung_acceleration = "much"', ["sprung_acceleration = 'much'", "1e-12 to 1e+12"]),
-    ("unknown controller key", MINE, f"{MINE}\ngains = [[1.0, 2.0]]", ["[controllers.I]", "'gains'", "gain, lag, law, measured"]),
+    (
+        "unknown controller key",
+        MINE,
+        f"{MINE}\ngains = [[1.0, 2.0]]",
+        ["[controllers.I]", "'gains'", "gain, lag, law, loads, measured"],
+    ),
     ("half a law", MINE, f"{MINE}\nA = [[1.0]]", ["[controllers.I] B, C, D is missing", "x_c' = A x_c + B y"]),
     ("a law and a gain", MINE, f"{MINE}\nA = [[1.0]]\ngain = [[1.0, 1.0]]", ["has a gain and A", "whole by itself"]),
     (
