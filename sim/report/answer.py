@@ -87,7 +87,9 @@ def norms(scope: Scope) -> list[Finding]:
 
 def over_the_bump(scope: Scope, runs: Sequence[Run]) -> list[Finding]:
     """Whether MuJoCo is the linear analysis over the paper's bump, and until when."""
-    which = "the analysis with its curves" if is_curved(scope.vehicle) else "the linear analysis"
+    which = "the linear analysis"
+    if is_curved(scope.vehicle) or scope.vehicle.dampers:
+        which = f"the analysis with its {'curves' if is_curved(scope.vehicle) else 'adjustable dampers'}"
     built = "" if scope.plain else " of the loop as built"
     which += built
     throughout = [run.controller.name for run in runs if run.agreement.agrees and math.isinf(run.agreement.until)]
