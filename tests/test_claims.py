@@ -4,12 +4,11 @@ import re
 
 import pytest
 
-from sim import bump, drive, envelope, margins, sweep
 from sim.campaign import __main__ as campaign
 from synth.__main__ import main as synth
+from tests.drives import EVERY_DRIVE
 
 GIVEN = "II_designed"  # what a saved design of II is called
-MAP = ["--vary", "height:0.02:0.03:2", "--vary", "speed:10:20:2", "--timestep", "0.002"]
 
 
 @pytest.fixture(scope="module")
@@ -26,17 +25,7 @@ def vehicles(tmp_path_factory):
     return {"honest": honest, "forged": forged, "broken": broken}
 
 
-@pytest.mark.parametrize(
-    ("main", "options"),
-    [
-        (bump.main, ["--no-logs", "--duration", "0.5"]),
-        (drive.main, ["--no-logs", "--duration", "1"]),
-        (envelope.main, MAP),
-        pytest.param(sweep.main, [], marks=pytest.mark.slow),
-        pytest.param(margins.main, [], marks=pytest.mark.slow),
-    ],
-    ids=["bump", "drive", "envelope", "sweep", "margins"],
-)
+@EVERY_DRIVE
 def test_said_by(vehicles, capsys, main, options):
     """One line names the controller and what does not hold, and nothing else changes; of a true certificate nothing is said."""
     said = {}

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from models.vehicle import read_vehicle
-from sim import bump, drive, envelope, margins, sweep
+from sim import bump, envelope
 from sim.campaign import __main__ as campaign
 from sim.command.claims import say_false_claims
 from sim.inspect.__main__ import main as inspect
@@ -14,10 +14,10 @@ from sim.report.__main__ import main as report
 from synth.__main__ import main as synth
 from synth.certificate.promise import Promise
 from tests.commands import prose
+from tests.drives import EVERY_DRIVE, MAP
 from tests.reading import PageRead
 from tests.rewriting import contents, written
 
-MAP = ["--vary", "height:0.02:0.03:2", "--vary", "speed:10:20:2", "--timestep", "0.002"]
 SECTION = """
 [controllers.b]
 measured = ["suspension_deflection", "sprung_velocity"]
@@ -45,17 +45,7 @@ def vehicles(tmp_path_factory):
     return found
 
 
-@pytest.mark.parametrize(
-    ("main", "options"),
-    [
-        (bump.main, ["--no-logs", "--duration", "0.5"]),
-        (drive.main, ["--no-logs", "--duration", "1"]),
-        (envelope.main, MAP),
-        pytest.param(sweep.main, [], marks=pytest.mark.slow),
-        pytest.param(margins.main, [], marks=pytest.mark.slow),
-    ],
-    ids=["bump", "drive", "envelope", "sweep", "margins"],
-)
+@EVERY_DRIVE
 def test_said_by(vehicles, capsys, main, options):
     """One line names the controller and the first goal it misses, and nothing else changes; of kept goals there is none."""
     said = {}

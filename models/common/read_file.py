@@ -1,10 +1,13 @@
 """The one door for files that are read: plain files up to a stated size, never a device, and never a wait."""
 
 import errno
+import hashlib
 import os
 import stat
+from collections.abc import Callable
 from io import BufferedReader
 from pathlib import Path
+from typing import TypeVar
 
 from models.common.errors import InputError
 from models.common.whole_file import kind_of
@@ -12,6 +15,8 @@ from models.common.whole_file import kind_of
 MIB = 2**20
 TEXT = 4 * MIB  # most bytes of a vehicle, campaign or MJCF file
 TABLE = 64 * MIB  # of a measured road
+
+Content = TypeVar("Content")
 
 
 def read_bytes(path: Path, what: str, most: int, give: str) -> bytes:
@@ -83,6 +88,26 @@ def read_text(path: Path, what: str, most: int, give: str) -> str:
         found = f"a NUL character at byte {content.index(0)}, as in UTF-16"
         raise InputError(f"{what} {path}: not a text file in UTF-8 ({found}); save it as UTF-8, or {give}")
     return text.replace("\r\n", "\n")
+
+
+def read_content(path: Path, what: str, give: str, of: Callable[[str], Content]) -> tuple[Content, str]:
+    """What a text file holds that goes into a vehicle file in place of its name, and the file's size and checksum in words.
+
+    Args:
+        path, what, give: see `read_bytes`.
+        of: its text -> what it holds; raises InputError where that is none.
+
+    Raises:
+        InputError: see `read_bytes`; or it is no text, or holds nothing of the kind. The message names the file.
+    """
+    content = read_bytes(path, what, TEXT, give)
+    try:
+        found = of(content.decode("utf-8-sig"))
+    except UnicodeDecodeError as error:
+        raise InputError(f"{what} {path}: is no text in UTF-8; {give}") from error
+    except InputError as error:
+        raise InputError(f"{what} {path}: {error}") from error
+    return found, f"{len(content)} bytes, SHA-256 {hashlib.sha256(content).hexdigest()}"
 
 
 def _reason(path: Path, error: OSError) -> str:

@@ -7,7 +7,6 @@ format: blocks in brackets, tables under a row of names in braces, comments from
 """
 
 import csv
-import hashlib
 import io
 import itertools
 import json
@@ -18,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from models.common.errors import InputError, listing, quoted
-from models.common.read_file import TEXT, read_bytes
+from models.common.read_file import TEXT, read_content
 from models.common.toml import parse_toml
 
 GIVE = "give a .csv file with a header such as velocity [m/s], force [N], or a .dpr file"
@@ -92,15 +91,8 @@ def _read(entry: Mapping[str, Any], folder: Path) -> tuple[dict[str, Any], str, 
     if beside := [key for key in ("velocity", "deflection", "force") if key in entry]:
         raise InputError(f"has a file and {listing(beside)}; a file is whole by itself, so leave one out")
     path = folder / file
-    content = read_bytes(path, "curve", TEXT, GIVE)
-    try:
-        text = content.decode("utf-8-sig")
-        table = _of_dpr(text) if path.suffix.lower() == ".dpr" else _of_csv(text)
-    except UnicodeDecodeError as error:
-        raise InputError(f"curve {path}: is no text in UTF-8; {GIVE}") from error
-    except InputError as error:
-        raise InputError(f"curve {path}: {error}") from error
-    return table, f"# from {file!a}, {len(content)} bytes, SHA-256 {hashlib.sha256(content).hexdigest()}", path
+    table, said = read_content(path, "curve", GIVE, _of_dpr if path.suffix.lower() == ".dpr" else _of_csv)
+    return table, f"# from {file!a}, {said}", path
 
 
 def _of_csv(text: str) -> dict[str, list[float]]:

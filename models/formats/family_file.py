@@ -5,7 +5,6 @@ whose numbers are factors on them. So a vehicle file is whole once it is read, a
 """
 
 import csv
-import hashlib
 import io
 import json
 import re
@@ -13,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from models.common.errors import InputError, quoted
-from models.common.read_file import TEXT, read_bytes
+from models.common.read_file import read_content
 from models.common.toml import parse_toml
 from models.formats.in_place import controllers_of, in_place_of
 
@@ -58,15 +57,8 @@ def with_families(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
 def _read(file: str, folder: Path) -> tuple[list[dict[str, Any]], str]:
     """The members of a file, and a comment that says where they are from."""
     path = folder / file
-    content = read_bytes(path, KEY, TEXT, GIVE)
-    try:
-        text = content.decode("utf-8-sig")
-        family = _of_toml(text) if path.suffix.lower() == ".toml" else _of_csv(text)
-    except UnicodeDecodeError as error:
-        raise InputError(f"{KEY} {path}: is no text in UTF-8; {GIVE}") from error
-    except InputError as error:
-        raise InputError(f"{KEY} {path}: {error}") from error
-    return family, f"# from {file!a}, {len(content)} bytes, SHA-256 {hashlib.sha256(content).hexdigest()}"
+    family, said = read_content(path, KEY, GIVE, _of_toml if path.suffix.lower() == ".toml" else _of_csv)
+    return family, f"# from {file!a}, {said}"
 
 
 def _of_toml(text: str) -> list[dict[str, Any]]:

@@ -16,7 +16,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -134,8 +134,29 @@ def _moment(kind: str, g: float, p: Parameters) -> float:
     return mass * GRAVITY * g * height
 
 
+class _Inertial(Ramped):
+    """What the vehicle's own acceleration does: a moment of the body's weight times g at the height of its centre of mass."""
+
+    way: ClassVar[str]
+    limits: ClassVar[Mapping[str, tuple[float, float]]] = {"g": G}
+    g: float
+
+    @property
+    def ways(self) -> tuple[str, ...]:
+        """See `Load`."""
+        return (self.way,)
+
+    def amplitudes(self, p: Parameters) -> Mapping[str, float]:
+        """One moment."""
+        return {self.way: _moment(self.kind, self.g, p)}
+
+    def scaled(self, factor: float) -> Self:
+        """The same, harder or softer."""
+        return replace(self, g=self.g * factor)
+
+
 @dataclass(frozen=True)
-class Brake(Ramped):
+class Brake(_Inertial):
     """Braking; below 0 it is driving off, and the body squats.
 
     Attributes:
@@ -143,28 +164,15 @@ class Brake(Ramped):
     """
 
     kind: ClassVar[str] = "brake"
-    limits: ClassVar[Mapping[str, tuple[float, float]]] = {"g": G}
+    way: ClassVar[str] = PITCH
     g: float = 0.5
     start: float = 0.5
     rise: float = 0.2
     hold: float = math.inf
 
-    @property
-    def ways(self) -> tuple[str, ...]:
-        """See `Load`."""
-        return (PITCH,)
-
-    def amplitudes(self, p: Parameters) -> Mapping[str, float]:
-        """A pitch moment."""
-        return {PITCH: _moment(self.kind, self.g, p)}
-
-    def scaled(self, factor: float) -> "Brake":
-        """The same, harder or softer."""
-        return replace(self, g=self.g * factor)
-
 
 @dataclass(frozen=True)
-class Corner(Ramped):
+class Corner(_Inertial):
     """A curve to the left, which rolls the body to the right; below 0 one to the right.
 
     Attributes:
@@ -172,24 +180,11 @@ class Corner(Ramped):
     """
 
     kind: ClassVar[str] = "corner"
-    limits: ClassVar[Mapping[str, tuple[float, float]]] = {"g": G}
+    way: ClassVar[str] = ROLL
     g: float = 0.3
     start: float = 0.5
     rise: float = 0.5
     hold: float = math.inf
-
-    @property
-    def ways(self) -> tuple[str, ...]:
-        """See `Load`."""
-        return (ROLL,)
-
-    def amplitudes(self, p: Parameters) -> Mapping[str, float]:
-        """A roll moment."""
-        return {ROLL: _moment(self.kind, self.g, p)}
-
-    def scaled(self, factor: float) -> "Corner":
-        """The same, tighter or wider."""
-        return replace(self, g=self.g * factor)
 
 
 def _pushed(force: float, x: float, y: float) -> dict[str, float]:

@@ -1,0 +1,19 @@
+"""The commands that drive one controller, with as little to do as they take."""
+
+import pytest
+
+from sim import bump, drive, envelope, margins, sweep
+
+MAP = ["--vary", "height:0.02:0.03:2", "--vary", "speed:10:20:2", "--timestep", "0.002"]
+
+EVERY_DRIVE = pytest.mark.parametrize(
+    ("main", "options"),
+    [
+        (bump.main, ["--no-logs", "--duration", "0.5"]),
+        (drive.main, ["--no-logs", "--duration", "1"]),
+        (envelope.main, MAP),
+        pytest.param(sweep.main, [], marks=pytest.mark.slow),
+        pytest.param(margins.main, [], marks=pytest.mark.slow),
+    ],
+    ids=["bump", "drive", "envelope", "sweep", "margins"],
+)
