@@ -51,11 +51,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.json:
         print(json.dumps({**result, "logs": logs}, allow_nan=False))
     else:
-        about = ", ".join(
-            f"{key} {value:g}" if isinstance(value, float) else f"{key} {value}" for key, value in road.describe().items()
-        )
         lines = titled(
-            f"{vehicle.kind.name} over a road: {about}; {options.duration:g} s at {options.timestep:g} s", vehicle.source
+            f"{vehicle.kind.name} over a road: {road.words}; {options.duration:g} s at {options.timestep:g} s", vehicle.source
         )
         for run, one in zip(runs, measured, strict=True):
             lines += ["", *compared_lines(run, passive), ""]

@@ -411,6 +411,7 @@ def test_a_log_carries_its_loads_and_proves_them(tmp_path, capsys, way):
     assert {"alone": "type flat, speed 20, loads brake:g=0.2:", "with a road": "loads brake:g=0.3:", "from a file": "pull.csv"}[
         way
     ] in printed
+    assert "time [s]" not in printed  # a file's rows are in the log, and not in a title
     (tmp_path / "pull.csv").unlink()
     assert inspect([str(log)]) == 0
 

@@ -19,6 +19,7 @@ from sim.recording.drawing import AHEAD, BEHIND, SPACING
 from sim.recording.provenance import run_log
 from sim.recording.rerun_axes import FURTHEST, LABELS, MARGIN, count, extremes_text, labelled, spacing, value_axis
 from sim.recording.rerun_layout import SEEN, _comparison, _page
+from sim.recording.rerun_signals import READ, listed
 from sim.recording.rerun_writer import write_rrd
 from sim.recording.run_log import RunLog
 from sim.response.difference import difference
@@ -282,3 +283,11 @@ def _range(plot: rrb.TimeSeriesView) -> tuple[float, float]:
 def _parts(container) -> list:
     inner = list(getattr(container, "contents", []))
     return inner + [part for each in inner if isinstance(each, rrb.Container) for part in _parts(each)]
+
+
+def test_what_no_one_scrolls_through_is_cut():
+    """Of a claim that is longer than a page, as a road with a load from a file is, the page has the beginning and its length."""
+    page = listed({"gain": "[[1.0]]", "long": "0.125, " * 200, "road": "9" * (READ + 1)})
+    assert "| gain | [[1.0]] |" in page
+    assert "0.125, " * 200 in page
+    assert f"\n{'9' * READ} ...\n({READ + 1} characters; " in page

@@ -38,6 +38,11 @@ class Load(ABC):
         """What it is, as it would be asked for, every digit."""
 
     @property
+    def label(self) -> str:
+        """The same for people: of a file the name alone."""
+        return self.text
+
+    @property
     @abstractmethod
     def kinks(self) -> tuple[float, ...]:
         """Times [s] at which it or one of its derivatives jumps."""

@@ -47,6 +47,11 @@ class History(Load):
         return ";".join([self.source, heading, *(",".join(map(repr, row)) for row in rows)])
 
     @property
+    def label(self) -> str:
+        """The file's name."""
+        return self.source
+
+    @property
     def kinks(self) -> tuple[float, ...]:
         """Every point."""
         return tuple(self.time.tolist())

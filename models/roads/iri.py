@@ -109,8 +109,9 @@ def _expected(spectrum: Spectrum, distance: float) -> dict[str, tuple[float, flo
     """Mean and standard deviation of every IRI over roads of a spectrum, driven so far [m].
 
     A road's lines have fixed amplitudes, where a Gaussian signal's are free: over all of its length its mean square is known.
-    What is left of their variance there is 0 on the left track, and 2 a^2 (1 - a^2) on the right one, of coherency a. (Of |y| not
-    all follows from y^2: over a whole road a spread of a percent is left, which is not in it.)
+    What is left of their variance there is 0 on the left track, and 2 a^2 (1 - a^2) on the right one, of coherency a. That takes
+    away from the part of cov(|y|, |y'|) that goes with rho^2, which y^2 alone makes; what goes with its higher powers, of which
+    whole roads differ, stays.
     """
     low, high = (edge / (2 * math.pi * spectrum.speed) for edge in spectrum.band)
     length = min(spectrum.length, GRAIN)
@@ -126,16 +127,17 @@ def _expected(spectrum: Spectrum, distance: float) -> dict[str, tuple[float, flo
 
     def moments(own: Array, other: Array, free: Array) -> tuple[float, float]:
         """Of the mean of two |y| of that spectrum and that common one, where so much of their lines' squares is free."""
-        variance, covariance = float(own.sum()), 0.0
+        variance, of_squares, of_more = float(own.sum()), 0.0, 0.0
         for each in (own, other):
             spread_out = np.zeros(lags // 2 + 1)
             spread_out[first : last + 1] = each
             rho = (np.fft.irfft(spread_out) * (lags / 2) / variance)[: len(x)].clip(-1.0, 1.0)
-            covariance += variance / math.pi * float(weight @ (np.sqrt(1 - rho**2) + rho * np.arcsin(rho) - 1))
+            of_squares += variance / math.pi * float(weight @ (rho**2 / 2))
+            of_more += variance / math.pi * float(weight @ (np.sqrt(1 - rho**2) + rho * np.arcsin(rho) - 1 - rho**2 / 2))
         squares = own**2 + other**2
         left = 1 - (1 - float(squares @ free) / float(squares.sum())) * distance / spectrum.length
         begun = 1 - _lost(low, high, distance) / distance
-        return 1e3 * math.sqrt(2 / math.pi * variance) * begun, 1e3 * math.sqrt(max(covariance * left, 0.0))
+        return 1e3 * math.sqrt(2 / math.pi * variance) * begun, 1e3 * math.sqrt(max(of_squares * left, 0.0) + max(of_more, 0.0))
 
     both = lines * (1 + a) / 2
     return {

@@ -85,7 +85,7 @@ class Loaded(Road):
                 if name not in names:
                     able = " and ".join(WAYS[one] for one in names) if names else "has no body that loads can push"
                     raise InputError(
-                        f"load {load.text[:40]!r} is one for a vehicle that {WAYS[name]}, and a {vehicle.kind.name} only {able}; "
+                        f"load {load.label!r} is one for a vehicle that {WAYS[name]}, and a {vehicle.kind.name} only {able}; "
                         "take another load, or vehicle"
                     )
             for name, values in load.over(t, vehicle.parameters).items():
@@ -108,6 +108,11 @@ class Loaded(Road):
     def describe(self) -> dict[str, float | str]:
         """The road, and its loads in words that make them again."""
         return {**self.road.describe(), "loads": PLUS.join(load.text for load in self.on_body)}
+
+    @property
+    def words(self) -> str:
+        """The same on a line for people."""
+        return f"{self.road.words}, loads {PLUS.join(load.label for load in self.on_body)}"
 
     def scaled(self, factor: float) -> "Loaded":
         """The same road, higher or lower, with loads as much larger or smaller."""

@@ -86,6 +86,13 @@ class Road(ABC):
     def describe(self) -> dict[str, float | str]:
         """What it is: its kind under `type`, then its numbers in SI."""
 
+    @property
+    def words(self) -> str:
+        """The same on a line for people."""
+        return ", ".join(
+            f"{key} {value:g}" if isinstance(value, float) else f"{key} {value}" for key, value in self.describe().items()
+        )
+
     def cost(self, samples: int) -> float:
         """What it takes to compute so many samples, over what any run needs: a road from a log is not computed at any price."""
         return 0.0

@@ -16,6 +16,7 @@ from sim.response.regime import REGIME_ENDS
 TIMELINE = "time"
 
 ANY_RESPONSE = (0.3, 2.0)
+READ = 4000  # characters of a claim that a page shows: more than a gain of 45 states has, less than a load from a file
 
 # What happens, by its text: (shape, colour that no curve has). Anything else is a cross.
 MARKERS = {end.event: end.marker for end in REGIME_ENDS} | {"landing": ("Down", (255, 255, 255))}
@@ -109,12 +110,18 @@ def log_text(recording: rr.RecordingStream, path: str, text: str) -> None:
 
 
 def listed(metadata: Mapping[str, str]) -> str:
-    """Metadata as Markdown: a table of what fits on a line, then the rest as it is."""
+    """Metadata as Markdown: a table of what fits on a line, then the rest; what no one would scroll through is cut, and says so."""
     short = {key: value for key, value in metadata.items() if len(value) <= 80 and "\n" not in value}
     rows = [f"| {key} | {_cell(value)} |" for key, value in short.items()]
     table = ["| key | value |", "|---|---|", *rows] if rows else []
-    blocks = [f"\n**{key}**\n```\n{value}\n```" for key, value in metadata.items() if key not in short]
+    blocks = [f"\n**{key}**\n```\n{_cut(value)}\n```" for key, value in metadata.items() if key not in short]
     return "\n".join(table + blocks)
+
+
+def _cut(text: str) -> str:
+    if len(text) <= READ:
+        return text
+    return f"{text[:READ]} ...\n({len(text)} characters; all of them are in the run's properties and in the MCAP file)"
 
 
 def certificates(runs: Sequence[RunLog]) -> str:
