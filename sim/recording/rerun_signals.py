@@ -110,7 +110,7 @@ def log_text(recording: rr.RecordingStream, path: str, text: str) -> None:
 
 
 def listed(metadata: Mapping[str, str]) -> str:
-    """Metadata as Markdown: a table of what fits on a line, then the rest; what no one would scroll through is cut, and says so."""
+    """Metadata as Markdown: a table of what fits on a line, then the rest; what no one would scroll through is cut."""
     short = {key: value for key, value in metadata.items() if len(value) <= 80 and "\n" not in value}
     rows = [f"| {key} | {_cell(value)} |" for key, value in short.items()]
     table = ["| key | value |", "|---|---|", *rows] if rows else []
