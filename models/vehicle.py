@@ -16,7 +16,8 @@ from models.curves.curve import Curve
 from models.curves.fitted import Fitted, curvable, fitted, with_slopes
 from models.curves.reading import read_curves
 from models.curves.table_file import with_tables
-from models.damping.damper import Adjustable, Damper, adjustable, read_actuators
+from models.damping.adjustable import Adjustable, adjustable
+from models.damping.damper import Damper, read_actuators
 from models.filters.filter import Filter
 from models.filters.performance import read_performance
 from models.formats.family_file import with_families
@@ -48,8 +49,7 @@ class Vehicle:
         implementation: the controller as it would be built.
         law_files: the files with matrices, those with families, and those with tables.
         filters: what a weighted signal goes through on its way into z, by signal; those of a constant weight are not in it.
-        road_filter: what the disturbance w goes through on its way to the road's velocity under every wheel, where that is not
-            w itself: its spectrum.
+        road_filter: what the disturbance w goes through to the road's velocity under every wheel, where that is not w itself.
         sampled: whether designs are for the loop that the computer closes, `state` and all whose sections do not say otherwise.
         curves: of dampers and springs, by the parameter that each stands in for.
         dampers: the suspensions that have an adjustable damper where others have an actuator, by force.
@@ -88,7 +88,7 @@ class Vehicle:
     @cached_property
     def adjustable(self) -> tuple[Adjustable, ...]:
         """Its adjustable dampers, in the order of its forces."""
-        return adjustable(self.dampers, self.kind.suspensions, self.parameters)
+        return adjustable(self.dampers, self.kind.suspensions, self.parameters, self.curves)
 
     @cached_property
     def pushing(self) -> "Vehicle":
@@ -156,7 +156,7 @@ class Vehicle:
         parameters = self.kind.check(self.parameters)
         performance, filters, road_filter = read_performance(self.performance, self.kind.whole_model(parameters).outputs)
         sound = replace(self, kind=self.kind.naming(performance), parameters=parameters)
-        adjustable(self.dampers, self.kind.suspensions, parameters)
+        adjustable(self.dampers, self.kind.suspensions, parameters, self.curves)
         filters = {signal: one for signal, one in {**self.filters, **filters}.items() if performance.get(signal)}
         return replace(sound, performance=performance, filters=filters, road_filter=road_filter or self.road_filter)
 
@@ -259,8 +259,8 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
     )
     sampled = read_sampled(data.get("implementation", {}))
     section = data.get("controllers", {})
-    dampers = read_actuators(data.get("actuators", {}), vehicle_kind.corners, limits.of_actuators, [*curves])
-    adjusted = adjustable(dampers, vehicle_kind.suspensions, parameters)
+    dampers = read_actuators(data.get("actuators", {}), vehicle_kind.corners, limits.of_actuators)
+    adjusted = adjustable(dampers, vehicle_kind.suspensions, parameters, curves)
     endings = {one.force: one.ending for one in adjusted}
     controllers = read_controllers(section, model, limits, implementation, folder, sampled, vehicle_kind, endings)
     for entry in controllers.values():

@@ -23,12 +23,12 @@ ROOMS = {
     # models: what a vehicle is
     "models.common": "",
     "models.figures": "models.common",
-    "models.damping": "models.common",
     "models.filters": "models.common",
     "models.formats": "models.common",
     "models.own": "models.common",
     "models.goals": "models.common",
     "models.curves": "models.common",
+    "models.damping": "models.common models.curves",
     "models.stops": "models.common",
     "models.parts": "models.common",
     "models": "models.common models.curves models.damping models.filters models.formats models.goals models.own "

@@ -141,15 +141,6 @@ def test_one_for_all_and_for_one():
     assert other.force == "control_force_front"
 
 
-def test_no_curves_beside():
-    """A damper that has a curve and is adjustable, too, is refused in a line."""
-    curve = "[curves]\nsuspension_damping = { velocity = [-1.0, 0.0, 1.0], force = [-900.0, 0.0, 1200.0] }\n"
-    text = QUARTER.replace("suspension_damping = 1000.0\n", "") + curve
-    parse_vehicle(text)
-    with pytest.raises(InputError, match=r"suspension_damping and the adjustable dampers of \[actuators\] are not run together"):
-        parse_vehicle(text + DAMPER)
-
-
 @pytest.mark.parametrize("name", ["passive", "sky", "leaky"])
 def test_what_a_damper_gives(name):
     """At every sample u = -(c - c_s) v, with c the nearest to c_s - u*/v that there is, and what is missing is u* - u.

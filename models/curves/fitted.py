@@ -91,7 +91,10 @@ def fitted(suspensions: Sequence[Suspended], curves: Mapping[str, Curve], parame
     for one in suspensions:
         for name, over in ((one.stiffness, DEFLECTION), (one.damping, VELOCITY)):
             if name in curves:
-                curve = curves[name]
-                factor = parameters[name] / curve.slope if curve.slope else 1.0
-                found.append(Fitted(one.deflection, one.tendon, name, over, curve.scaled(factor)))
+                found.append(Fitted(one.deflection, one.tendon, name, over, fitted_curve(curves[name], parameters[name])))
     return tuple(found)
+
+
+def fitted_curve(curve: Curve, parameter: float) -> Curve:
+    """A curve scaled to a parameter that may be another than its slope."""
+    return curve.scaled(parameter / curve.slope if curve.slope else 1.0)

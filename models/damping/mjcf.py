@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import mujoco
 
 from models.common.errors import InputError
-from models.damping.damper import Adjustable
+from models.damping.adjustable import Adjustable
 
 
 def write_dampers(spec: mujoco.MjSpec, dampers: Sequence[Adjustable], tendons: Mapping[str, str], mjcf: str) -> None:

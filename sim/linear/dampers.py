@@ -3,7 +3,7 @@
 import numpy as np
 
 from models.common.arrays import Array
-from models.damping.damper import range_of
+from models.damping.range import range_of
 from models.vehicle import Vehicle
 from sim.response.response import Response
 from synth.controller import Controller

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.arrays import Array
-from models.damping.damper import range_of
 from models.damping.laws import SemiActive, SemiActiveLaw
+from models.damping.range import range_of
 from models.law import LinearLaw
 from models.vehicle import Vehicle
 from sim.semi_active.numbers import numbers_of

@@ -13,7 +13,8 @@ from scipy import linalg
 from models.common.arrays import Array
 from models.roads.road import Road, under_wheels
 from models.vehicle import Vehicle
-from sim.linear.curved import CurvedSteps, is_curved
+from sim.linear.curved import is_curved
+from sim.linear.curved_steps import CurvedSteps
 from sim.linear.loop import held_loads, load_forcing, recursion, response_of, road_forcing, taylor4
 from sim.response.response import Response
 from synth.implemented.controlled import with_lag

@@ -27,13 +27,14 @@ import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
-from models.damping.damper import range_of
+from models.damping.range import range_of
 from models.linear_model import LinearModel
 from models.reality import steps_held, steps_per_sample
 from models.roads.road import Road, delays, under_wheels
 from models.signals import kept_signals
 from models.vehicle import Vehicle
-from sim.linear.curved import CurvedSteps, is_curved
+from sim.linear.curved import is_curved
+from sim.linear.curved_steps import CurvedSteps
 from sim.linear.dampers import linear_signals, stretching
 from sim.response.response import Response
 from synth.controller import Controller

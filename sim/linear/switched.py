@@ -7,13 +7,14 @@ velocities of the suspensions, u = -d V x, so that over a step, as in `sim.linea
 
 with the road held midway, and loads on the body as in `sim.linear.loop`: a matrix exponential. At every sample of the controller
 it decides d anew, from this response alone. Where a valve lags, d(t) goes to what was decided exponentially, and xi is a power
-series in time, taken to rounding.
+series in time, taken to rounding. With curves of dampers and springs a step is as in `sim.linear.curved_steps`.
 
 A decision that is a switch can differ between physics and this response by rounding. Then that of physics is played, here, if a
 change of what it was decided on as small as the two may differ by makes the controller decide so; and this is said.
 """
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from scipy import linalg
@@ -22,6 +23,8 @@ from models.common.arrays import Array
 from models.reality import steps_per_sample
 from models.roads.road import Road, under_wheels
 from models.vehicle import Vehicle
+from sim.linear.curved import adjustable_inputs, is_curved
+from sim.linear.curved_steps import CurvedSteps, Weights
 from sim.linear.dampers import stretching
 from sim.linear.deciding import OTHERWISE, Decisions, Otherwise
 from sim.linear.loop import held_loads, taylor4
@@ -40,6 +43,7 @@ class Switched:
         inputs: what acts on it beyond the nominal dampers [N], shape (T, m).
         beyond: coefficients that act, beyond the nominal ones [N s/m], 0 of actuators that push, shape (T, m).
         missing: forces that were asked for and are not given [N], shape (T, m).
+        outside: what curves and loads add to the output signals, shape (T, p).
         kept: states of the controller at its last sample, shape (T, k).
         otherwise: where physics decided otherwise, as rounding had it, and was followed.
     """
@@ -48,6 +52,7 @@ class Switched:
     inputs: Array
     beyond: Array
     missing: Array
+    outside: Array
     kept: Array
     otherwise: tuple[Otherwise, ...]
 
@@ -76,13 +81,11 @@ def switched(
     period, m = steps_per_sample(how, h), len(model.inputs)
     late = round(how.delay * period)
     C, D = model.rows(measured)
-    V, step = stretching(vehicle), _Step(vehicle, h, as_rk4)
-    now, midway = (under_wheels(road.displacement, road, vehicle, times) for times in (time, time + h / 2))
-    jump, push = now @ model.Bw.T, midway @ (model.A @ model.Bw + model.Br).T
-    loads = held_loads(road, vehicle, time)
-    felt = np.concatenate([np.zeros_like(loads[:1]), loads[:-1]]) @ model.Dl[[model.outputs.index(name) for name in measured]].T
-    if road.loaded:
-        push += loads @ model.Bl.T
+    V, jump = stretching(vehicle), (now := under_wheels(road.displacement, road, vehicle, time)) @ model.Bw.T
+    midway, loads = under_wheels(road.displacement, road, vehicle, time + h / 2), held_loads(road, vehicle, time)
+    index = [model.outputs.index(name) for name in measured]
+    felt = np.concatenate([np.zeros_like(loads[:1]), loads[:-1]]) @ model.Dl[index].T
+    step: _Steps = (_CurvedStep if is_curved(vehicle) else _Step)(vehicle, h, as_rk4, midway, loads if road.loaded else None)
     states, inputs, beyond, missing = (np.zeros((len(time), width)) for width in (len(model.A), m, m, m))
     kept = np.zeros((len(time), len(decisions.kept) if decisions is not None else 0))
     dampers = np.array([force in vehicle.dampers for force in model.inputs])
@@ -98,6 +101,7 @@ def switched(
             if k % period == 0:
                 y = C @ x + D @ np.where(dampers, -acting * v, command[:m])  # a reading has in it what has acted until then
                 y = y + felt[k] if road.loaded else y
+                y = y if step.curves is None else y + step.curves.beyond(x, now[k])[index]
                 decided = decisions(y, v)
                 if k + late < len(time):
                     decided = _followed(decisions, decided, y, v, made[k + late, :m], float(time[k]), otherwise)
@@ -108,8 +112,9 @@ def switched(
         acting = np.where(step.lags, acting, command[:m])
         states[k], beyond[k], missing[k] = x, np.where(dampers, acting, 0.0), command[m:]
         inputs[k] = np.where(dampers, -acting * v, command[:m])
-        xi, acting = step(xi, acting, command[:m], push[k])
-    return Switched(states, inputs, beyond, missing, kept, tuple(otherwise))
+        xi, acting = step(xi, acting, command[:m], k)
+    outside = loads @ model.Dl.T if step.curves is None else loads @ model.Dl.T + step.curves.beyond(states, now)
+    return Switched(states, inputs, beyond, missing, outside, kept, tuple(otherwise))
 
 
 def _followed(
@@ -138,32 +143,77 @@ def _followed(
     return followed
 
 
-class _Step:
-    """A step of a vehicle with adjustable dampers, from what is set at its start.
+class _Steps(Protocol):
+    """Steps of a vehicle with adjustable dampers, from what is set at their starts.
 
     Attributes:
         lags: whether what is set of each actuator is what acts only in time, shape (m,).
+        curves: what makes them where there are some.
     """
 
-    def __init__(self, vehicle: Vehicle, h: float, as_rk4: bool) -> None:
-        """Of h seconds."""
-        model = vehicle.linear_model
-        self.h, self.as_rk4, self.A, self.B, self.V = h, as_rk4, model.A, model.B, stretching(vehicle)
-        self.dampers = np.array([force in vehicle.dampers for force in model.inputs])
-        bandwidths = [vehicle.dampers[force].bandwidth if force in vehicle.dampers else None for force in model.inputs]
-        self.lags = np.array([bandwidth is not None for bandwidth in bandwidths])
-        self.rates = np.array([bandwidth or 0.0 for bandwidth in bandwidths])
-        self._known: dict[bytes, list[Array]] = {}
+    lags: Array
+    curves: CurvedSteps | None
 
-    def __call__(self, xi: Array, acting: Array, set_to: Array, push: Array) -> tuple[Array, Array]:
-        """The state after it, and what acts then; beyond what is set only where there is a lag.
+    def __call__(self, xi: Array, acting: Array, set_to: Array, k: int) -> tuple[Array, Array]:
+        """The state after one, and what acts then; beyond what is set only where there is a lag.
 
         Args:
             xi: the state, shape (n,).
             acting: coefficients that act at its start, shape (m,).
             set_to: what is set: coefficients, or forces of actuators that push, shape (m,).
-            push: what the road adds to the state's rate, shape (n,).
+            k: which step.
         """
+        ...
+
+
+class _CurvedStep:
+    """Those of a vehicle with curves."""
+
+    def __init__(self, vehicle: Vehicle, h: float, as_rk4: bool, midway: Array, loads: Array | None) -> None:
+        """Of h seconds, T of them over the road's heights, shape (T, r), under loads, shape (T, l)."""
+        model = vehicle.linear_model
+        self.curves: CurvedSteps | None = CurvedSteps(vehicle, model, h, exact=not as_rk4, dampers=True)
+        self.midway, self.pushed = midway, None if loads is None else loads @ model.Bl.T
+        self.some, self.lags = adjustable_inputs(vehicle), lagging(vehicle)
+        self.dampers = np.isin(np.arange(len(model.inputs)), self.some)
+
+    def __call__(self, xi: Array, acting: Array, set_to: Array, k: int) -> tuple[Array, Array]:
+        """See `_Steps`."""
+        assert self.curves is not None, "it has curves"
+        weights = Weights(acting[None, self.some], set_to[None, self.some])
+        pushed = None if self.pushed is None else self.pushed[k : k + 1]
+        after, forces = set_to.copy(), np.where(self.dampers, 0.0, set_to)
+        after[self.some] = self.curves.after(weights)[0]
+        xi = self.curves(xi[None], forces[None], self.midway[k : k + 1], pushed, weights)[0]
+        return xi, np.where(self.lags, after, set_to)
+
+
+def lagging(vehicle: Vehicle) -> Array:
+    """Of every input whether it is an adjustable damper whose valve lags, shape (m,)."""
+    slow = {force for force, damper in vehicle.dampers.items() if damper.bandwidth is not None}
+    return np.array([force in slow for force in vehicle.linear_model.inputs])
+
+
+class _Step:
+    """Those of a vehicle without curves."""
+
+    def __init__(self, vehicle: Vehicle, h: float, as_rk4: bool, midway: Array, loads: Array | None) -> None:
+        """Of h seconds, T of them over the road's heights, shape (T, r), under loads, shape (T, l)."""
+        model = vehicle.linear_model
+        self.curves: CurvedSteps | None = None
+        self.h, self.as_rk4, self.A, self.B, self.V = h, as_rk4, model.A, model.B, stretching(vehicle)
+        self.push = midway @ (model.A @ model.Bw + model.Br).T
+        if loads is not None:
+            self.push += loads @ model.Bl.T
+        self.dampers = np.array([force in vehicle.dampers for force in model.inputs])
+        self.lags = lagging(vehicle)
+        bandwidths = [vehicle.dampers[force].bandwidth if force in vehicle.dampers else None for force in model.inputs]
+        self.rates = np.array([bandwidth or 0.0 for bandwidth in bandwidths])
+        self._known: dict[bytes, list[Array]] = {}
+
+    def __call__(self, xi: Array, acting: Array, set_to: Array, k: int) -> tuple[Array, Array]:
+        """See `_Steps`."""
+        push = self.push[k]
         if self.lags.any():
             push = push + self.B @ np.where(self.dampers, 0.0, set_to)
             return (self._stages if self.as_rk4 else self._series)(xi, acting, set_to, push)

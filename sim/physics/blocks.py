@@ -42,7 +42,7 @@ class Block:
         qvel: generalized velocities, shape (B, N, nv).
         largest: largest magnitude of any signal, and of any force that was asked for, shape (B, N).
         asked: the forces that were asked for [N], shape (B, N, m); of vehicles with adjustable dampers the commands, shape
-            (B, N, 2 m), see `models.damping.damper.Range.commands`.
+            (B, N, 2 m), see `models.damping.range.Range.commands`.
         kept: what the states of linear laws were at their last sample, shape (B, N, k), with the k of the one that has most.
     """
 

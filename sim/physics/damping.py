@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.arrays import Array
-from models.damping.damper import Range, range_of
 from models.damping.laws import SemiActive
+from models.damping.range import Range, range_of
 from models.vehicle import Vehicle
 from sim.physics.readout import Readout
 from sim.physics.sampler import Laws

@@ -163,7 +163,10 @@ def _by_dampers(vehicle: Vehicle, response: Response, speeds: Array, middle: Arr
         share = 1 / (1 + np.exp(-bandwidth * h / 2)) if bandwidth else 0.0
         between, end = before + share * (after - before), after if bandwidth else before
         work[:, j] = -(before * v[:-1] ** 2 + 4 * between * middle[:, j] ** 2 + end * v[1:] ** 2) * h / 6
-        power = (one.nominal * v - response[one.force]) * v
+        pull = one.nominal * v - response[one.force]
+        if one.beside is not None:
+            pull += one.beside.pieces.force(v)
+        power = pull * v
         least = min(least, float(power.min()) / (float(np.abs(power).max()) or 1.0))
     return least
 

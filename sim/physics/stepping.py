@@ -12,7 +12,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from models.common.arrays import Array
-from models.damping.damper import Range
+from models.damping.range import Range
 
 
 @dataclass(frozen=True, eq=False)

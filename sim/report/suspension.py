@@ -8,7 +8,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.curves.fitted import Fitted
 from models.curves.reading import VELOCITY
-from models.damping.damper import Adjustable
+from models.damping.adjustable import Adjustable
 from models.figures.figure import Curve, Dash, Figure, Panel
 from models.vehicle import Vehicle
 from sim.linear.dampers import stretching
@@ -65,7 +65,9 @@ def suspension_figure(scope: Scope, runs: Sequence[Run], where: str) -> Figure |
 
 def _diagrams(vehicle: Vehicle) -> list[_Diagram]:
     """Those of a vehicle's curves, then of its adjustable dampers."""
-    return [*(_of_curve(vehicle, one) for one in vehicle.fitted), *(_of_adjustable(vehicle, one) for one in vehicle.adjustable)]
+    adjusted = {vehicle.kind.pushed(one.force) for one in vehicle.adjustable}
+    alone = [one for one in vehicle.fitted if one.over is not VELOCITY or one.deflection not in adjusted]
+    return [*(_of_curve(vehicle, one) for one in alone), *(_of_adjustable(vehicle, one) for one in vehicle.adjustable)]
 
 
 def _of_curve(vehicle: Vehicle, one: Fitted) -> _Diagram:
@@ -86,14 +88,18 @@ def _of_adjustable(vehicle: Vehicle, one: Adjustable) -> _Diagram:
     model, damper = vehicle.linear_model, one.damper
     row = stretching(vehicle)[model.inputs.index(one.force)]
     place = one.ending.replace("_", " ")
+
+    def beside(x: Array) -> Array:
+        return one.beside.pieces.force(x) if one.beside is not None else np.zeros_like(x)
+
     return _Diagram(
         f"adjustable damper{place}",
         f"suspension velocity{place} [m/s]",
         lambda response: np.stack([response[name] for name in model.states], axis=-1) @ row,
-        lambda x, response: one.nominal * x - response[one.force],
+        lambda x, response: one.nominal * x + beside(x) - response[one.force],
         (
-            (lambda x: damper.c_min * x, "c_min", "solid", 1.8),
-            (lambda x: damper.c_max * x, "c_max", "solid", 1.8),
+            (lambda x: damper.c_min * x + beside(x), "c_min", "solid", 1.8),
+            (lambda x: damper.c_max * x + beside(x), "c_max", "solid", 1.8),
             (lambda x: one.nominal * x, "line at rest", "dash", 1.0),
         ),
     )

@@ -7,6 +7,7 @@ from models.damping.laws import SemiActive
 from models.own.python_law import Programmed
 from models.roads.road import Road
 from models.vehicle import Vehicle
+from sim.linear.curved import is_curved
 from sim.linear.dampers import scaled_commands
 from sim.physics.geometry import has_geometry
 from sim.response.response import Response
@@ -15,6 +16,7 @@ from synth.controller import Controller
 
 NEAR = 1e-5  # of a peak, at 1 ms; MuJoCo is nearer to its exact response, and further off no decision is a slip of rounding
 ORDER = 4  # of RK4: as which power of the step it is off
+NEAR_KNOTS, KNOTS_ORDER = 1e-4, 2  # the same with curves: RK4 steps over their knots
 NEAR_GEOMETRY = 1e-2  # where bodies turn, over the whole road: geometry's share of a peak; over less of it in proportion
 
 
@@ -32,7 +34,8 @@ def predict_made(
         asked: what was asked for in it, see `PhysicsRuns`.
     """
     if vehicle.dampers:
-        near = NEAR_GEOMETRY if has_geometry(vehicle) else min(NEAR * max(1.0, float(time[1]) / 1e-3) ** ORDER, NEAR_GEOMETRY)
+        at_1_ms, order = (NEAR_KNOTS, KNOTS_ORDER) if is_curved(vehicle) else (NEAR, ORDER)
+        near = NEAR_GEOMETRY if has_geometry(vehicle) else min(at_1_ms * max(1.0, float(time[1]) / 1e-3) ** order, NEAR_GEOMETRY)
         programmed = asked if isinstance(controller, Programmed) else None
         return predict_switched(vehicle, controller, road, time, physics, near, programmed)
     assert isinstance(controller, Programmed), "a linear one is predicted by itself"

@@ -23,7 +23,7 @@ from sim.linear.curved import is_curved
 from sim.linear.dampers import commands_of, damper_signals, stretching
 from sim.linear.deciding import VELOCITY, Decisions, Otherwise
 from sim.linear.forced import forced_continuous_response, forced_response
-from sim.linear.loop import continuous_response, held_loads, response_of, sampled_response, taylor4
+from sim.linear.loop import continuous_response, response_of, sampled_response, taylor4
 from sim.linear.switched import Switched, switched
 from sim.response.response import Response
 from synth.controller import Controller
@@ -51,7 +51,7 @@ class Prediction:
         radius: growth per timestep of the sampled loop: above 1 it is unstable; NaN where it is too large to be asked, or there
             is no linear loop.
         asked: what a law in Python asked for, shape (T, m): forces [N], or of vehicles with adjustable dampers the commands,
-            shape (T, 2 m), see `models.damping.damper.Range.commands`; empty of a linear controller, from which they follow.
+            shape (T, 2 m), see `models.damping.range.Range.commands`; empty of a linear controller, from which they follow.
         otherwise: where physics decided otherwise on adjustable dampers, as rounding had it, and the responses follow it.
         played: whether they follow physics in all that it decided, for what is measured is noisy or a law in Python decides.
     """
@@ -182,7 +182,7 @@ def predict_switched(
     period = steps_per_sample(vehicle.implementation, h) * h
     made = commands_of(vehicle, physics) if asked is None else asked
     peaks = partial(_peak, vehicle, physics)
-    measured, model = () if played else controller.measured, vehicle.linear_model
+    measured = () if played else controller.measured
 
     def response(as_rk4: bool) -> tuple[Response, Switched]:
         decisions = None
@@ -190,8 +190,7 @@ def predict_switched(
             decisions = Decisions(vehicle, controller, period, near, peaks)
         found = switched(vehicle, road, time, decisions, made, measured, as_rk4)
         beside = damper_signals(vehicle, found.beyond, found.missing)
-        loads = held_loads(road, vehicle, time) @ model.Dl.T if road.loaded else 0.0
-        whole = response_of(vehicle, model, road, time, found.states, found.inputs, loads, beside)
+        whole = response_of(vehicle, vehicle.linear_model, road, time, found.states, found.inputs, found.outside, beside)
         if linear is None:
             return whole, found
         kept = np.zeros((len(time), linear.law.states)) if played else linear.law.of_state(period) * found.kept
