@@ -1,5 +1,7 @@
 """The semi-active laws that ship: what each asks for, and what MuJoCo and its exact response make of that."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -71,6 +73,26 @@ def test_what_a_law_asks_for(name):
     assert len(set(np.sign(expected - (SOFT + HARD) / 2))) == 2  # hard and soft both
 
 
+@pytest.mark.parametrize("name", LAWS)
+def test_a_run_alone_is_decided_in_plain_numbers(name):
+    """What a law asks for of a run alone, in plain numbers, is what it asks for of many in arrays, to the last bit."""
+    vehicle = parse_vehicle(f'{CAR}[controllers.{name}]\nsemi_active = "{name}"\n')
+    law = vehicle.controllers[name].semi_active
+    assert law is not None
+    numbers = numbers_of(law, [vehicle])
+    q = len(law.measured)
+    seen = np.random.default_rng(0).normal(size=(300, q)) * np.random.default_rng(1).choice(
+        [0.0, 1e-160, 0.3, 1.0], size=(300, q)
+    )
+    seen[-1] = np.nan
+    behind = np.concatenate([np.full((300, 1), 7.0), seen[:, ::-1]], axis=1)  # in another order, something else before them
+    alone = law.alone(numbers, range(q, 0, -1))
+    with np.errstate(over="ignore", invalid="ignore"):
+        found = law.coefficients(seen, numbers.some(np.zeros(300, dtype=int)))
+    assert np.array_equal([alone(one) for one in behind.tolist()], found, equal_nan=True)
+    assert len(np.unique(found.round(6), axis=0)) > 3
+
+
 def test_keys_change_a_law():
     """The numbers that a section gives are those that its law has: half the damper to the sky is half the force."""
     text = QUARTER + DAMPER + '[controllers.soft]\nsemi_active = "skyhook_linear"\nsky_damping = 2000.0\n'
@@ -140,6 +162,26 @@ def test_modes_are_corners():
     np.testing.assert_allclose(found, corners, rtol=1e-12)
     found = only.coefficients(np.array([[heave, pitch, *wheels]]), numbers_of(only, [parse_vehicle(CAR)]))
     np.testing.assert_allclose(found[0], HARD * heave / (body - wheels), rtol=1e-12)
+
+
+def test_a_law_is_decided_before_a_step_as_by_a_computer():
+    """Set in the loop itself, of a run alone and of many, dampers are what a computer of every timestep makes of them."""
+    text = QUARTER + DAMPER + EACH
+    slow = parse_vehicle(text + "[implementation]\nsample_period = 0.002\n")
+    fast = parse_vehicle(text)
+    for name in NAMES:
+        law = law_of(text, name)[1]
+        time = sample_times(fast, 0.3, 1e-3)
+        alone = simulate([fast], [law], [BUMP], time).response.run(0)
+        three = simulate([fast] * 3, [law] * 3, [BUMP] * 3, time).response.run(1)
+        # Delays of 0 beside one of 5 ms: `Sampler` holds all of them, this one at every timestep.
+        late = replace(fast, implementation=replace(fast.implementation, delay=5.0))
+        other = simulate([fast, late], [law] * 2, [BUMP] * 2, time).response.run(0)
+        for signal in ("damping", "missing_force", "sprung_velocity"):
+            for one in (three, other):
+                assert np.abs(alone[signal] - one[signal]).max() <= 1e-9 * np.abs(alone[signal]).max()
+        held = simulate([slow], [law], [BUMP], time).response.run(0)["damping"]
+        assert np.array_equal(held[:-1:2], held[1::2])
 
 
 def test_laws_side_by_side():

@@ -2,7 +2,8 @@
 
 With z_s' and z_u' the velocities of body and wheel at a suspension, and v = z_s' - z_u', at which it is stretched, a damper gives
 -c v. What a law asks for is c; the damper gives what it can of it, until the next sample. Of laws that ask for a force F of the
-whole damper, as of a damper between body and sky, that is c = -F / v. Everything is of N runs side by side, and of m suspensions.
+whole damper, as of a damper between body and sky, that is c = -F / v. Everything is of N runs side by side, and of m suspensions;
+or of one suspension of a run alone, in plain numbers: between two steps of that a single call of numpy costs a tenth of a step.
 
 Source of the names, and of the laws where none is said: Savaresi, Poussot-Vassal, Spelta, Sename, Dugard, Semi-Active Suspension
 Control Design for Vehicles (2010), chapters 3 and 6.
@@ -10,6 +11,7 @@ Control Design for Vehicles (2010), chapters 3 and 6.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -24,112 +26,131 @@ MODES = ("heave_velocity", "pitch_rate", "roll_rate")
 CROSSOVER = 12.0  # rad/s, 1.9 Hz: a little above a car's body on its springs, where skyhook and ADD are alike good
 SMALLEST, LARGEST = 1e-6, 1e12
 
+Quantity = Any  # an array of many, or a number of one
+
 
 @dataclass(frozen=True, eq=False)
 class Numbers:
-    """What a law knows of N vehicles with m adjustable dampers each.
+    """What a law knows of N vehicles with m adjustable dampers each, or, in plain numbers, of one damper of one of them.
 
     Attributes:
         c_min, c_max: of the dampers [N s/m], shape (N, m).
         sky, ground: coefficients of the dampers between body and sky, and wheel and ground [N s/m], shape (N, m).
         stiffness: of the suspensions' springs [N/m], shape (N, m).
-        modes: velocities of the body at the suspensions from its modes', each as damped to the sky as it is to be over `sky`, and
-            as they are, shapes (N, m, b).
+        modes: velocities of the body at the suspensions from those of its b modes, each as damped to the sky as it is to be over
+            `sky`, and as they are, shapes (b, N, m).
         mix: of hybrid: 1 is skyhook alone, 0 groundhook.
         crossover: of the mixed law: slower than that it is skyhook, faster ADD [rad/s].
     """
 
-    c_min: Array
-    c_max: Array
-    sky: Array
-    ground: Array
-    stiffness: Array
-    modes: tuple[Array, Array]
+    c_min: Quantity
+    c_max: Quantity
+    sky: Quantity
+    ground: Quantity
+    stiffness: Quantity
+    modes: tuple[Sequence[Quantity], Sequence[Quantity]]
     mix: float
     crossover: float
 
     def some(self, which: Array | slice) -> "Numbers":
         """Of some of the vehicles."""
-        damped, moved = self.modes
+        return self._of_each(lambda quantity: quantity[which])
+
+    def alone(self, j: int) -> "Numbers":
+        """Of damper j of the first vehicle, in plain numbers."""
+        return self._of_each(lambda quantity: float(quantity[0, j]))
+
+    def _of_each(self, taken: Callable[[Quantity], Quantity]) -> "Numbers":
+        """With something taken of each quantity."""
+        damped, moved = ([taken(one) for one in each] for each in self.modes)
         return Numbers(
-            self.c_min[which],
-            self.c_max[which],
-            self.sky[which],
-            self.ground[which],
-            self.stiffness[which],
-            (damped[which], moved[which]),
+            taken(self.c_min),
+            taken(self.c_max),
+            taken(self.sky),
+            taken(self.ground),
+            taken(self.stiffness),
+            (damped, moved),
             self.mix,
             self.crossover,
         )
 
 
-Seen = Mapping[str, Array]  # by quantity, shape (N, m), and of a body's mode (N, 1)
+Law = Callable[..., Quantity]  # of the numbers, and of what is measured, shape (N, m) each, of a body's mode (N, 1)
 
 
-def _over(force: Array, v: Array) -> Array:
+def _choose(condition: Quantity, this: Quantity, that: Quantity) -> Quantity:
+    """`np.where`, of plain numbers, too."""
+    if isinstance(condition, np.ndarray):
+        return np.where(condition, this, that)
+    return this if condition else that
+
+
+def _over(force: Quantity, v: Quantity) -> Quantity:
     """The coefficient of a damper that gives a force [N] at a velocity, or next to it where that is 0."""
-    return -force / np.where(v == 0, STILL, v)
+    return -force / _choose(v == 0, STILL, v)
 
 
-def skyhook(y: Seen, of: Numbers) -> Array:
+def skyhook(of: Numbers, body: Quantity, wheel: Quantity) -> Quantity:
     """Two-state skyhook: hard where a damper moves as the body does, else soft (Karnopp, Crosby, Harwood 1974)."""
-    return np.where(y[SPRUNG] * (y[SPRUNG] - y[UNSPRUNG]) > 0, of.c_max, of.c_min)
+    return _choose(body * (body - wheel) > 0, of.c_max, of.c_min)
 
 
-def skyhook_linear(y: Seen, of: Numbers) -> Array:
+def skyhook_linear(of: Numbers, body: Quantity, wheel: Quantity) -> Quantity:
     """Continuous skyhook: the force of a damper to the sky, where the damper's own has its sign, else soft."""
-    v = y[SPRUNG] - y[UNSPRUNG]
-    return np.where(y[SPRUNG] * v > 0, _over(-of.sky * y[SPRUNG], v), of.c_min)
+    v = body - wheel
+    return _choose(body * v > 0, _over(-of.sky * body, v), of.c_min)
 
 
-def groundhook(y: Seen, of: Numbers) -> Array:
+def groundhook(of: Numbers, body: Quantity, wheel: Quantity) -> Quantity:
     """Two-state groundhook: hard where a damper moves against the wheel, else soft (Valasek, Novak, Sika, Vaculin 1997)."""
-    return np.where(-y[UNSPRUNG] * (y[SPRUNG] - y[UNSPRUNG]) > 0, of.c_max, of.c_min)
+    return _choose(-wheel * (body - wheel) > 0, of.c_max, of.c_min)
 
 
-def hybrid(y: Seen, of: Numbers) -> Array:
+def hybrid(of: Numbers, body: Quantity, wheel: Quantity) -> Quantity:
     """The forces of a damper to the sky and one to the ground, each where it can be had, in shares (Ahmadian 1997)."""
-    v = y[SPRUNG] - y[UNSPRUNG]
-    sky = np.where(y[SPRUNG] * v > 0, -of.sky * y[SPRUNG], 0.0)
-    ground = np.where(-y[UNSPRUNG] * v > 0, of.ground * y[UNSPRUNG], 0.0)
+    v = body - wheel
+    sky = _choose(body * v > 0, -of.sky * body, 0.0)
+    ground = _choose(-wheel * v > 0, of.ground * wheel, 0.0)
     return _over(of.mix * sky + (1 - of.mix) * ground, v)
 
 
-def acceleration_driven(y: Seen, of: Numbers) -> Array:
+def acceleration_driven(of: Numbers, body: Quantity, wheel: Quantity, acceleration: Quantity) -> Quantity:
     """ADD: hard where a damper moves as the body accelerates, else soft (Savaresi, Silani, Bittanti 2005)."""
-    return np.where(y[ACCELERATION] * (y[SPRUNG] - y[UNSPRUNG]) > 0, of.c_max, of.c_min)
+    return _choose(acceleration * (body - wheel) > 0, of.c_max, of.c_min)
 
 
-def power_driven(y: Seen, of: Numbers) -> Array:
+def power_driven(of: Numbers, body: Quantity, wheel: Quantity, travel: Quantity) -> Quantity:
     """PDD: so that spring and damper together take energy out of the suspension (Morselli, Zanasi 2008).
 
     Soft where the soft damper takes all that the spring gives, hard where not even the hard one does; between them as much as the
     spring; and midway where the damper stands still, its spring stretched.
     """
-    v = y[SPRUNG] - y[UNSPRUNG]
-    spring = of.stiffness * y[DEFLECTION]
-    soft, hard = spring * v + of.c_min * v**2 >= 0, spring * v + of.c_max * v**2 < 0
-    found = np.where(soft, of.c_min, np.where(hard, of.c_max, _over(spring, v)))
-    return np.where((v == 0) & (spring != 0), (of.c_min + of.c_max) / 2, found)
+    v = body - wheel
+    spring = of.stiffness * travel
+    soft, hard = spring * v + of.c_min * (v * v) >= 0, spring * v + of.c_max * (v * v) < 0
+    found = _choose(soft, of.c_min, _choose(hard, of.c_max, _over(spring, v)))
+    return _choose((v == 0) & (spring != 0), (of.c_min + of.c_max) / 2, found)
 
 
-def skyhook_add(y: Seen, of: Numbers) -> Array:
+def skyhook_add(of: Numbers, body: Quantity, wheel: Quantity, acceleration: Quantity) -> Quantity:
     """Mixed SH-ADD: skyhook where the body moves slower than a frequency, ADD where faster (Savaresi, Spelta 2007)."""
-    slow = y[ACCELERATION] ** 2 <= of.crossover**2 * y[SPRUNG] ** 2
-    return np.where(slow, skyhook(y, of), acceleration_driven(y, of))
+    slow = acceleration * acceleration <= of.crossover**2 * (body * body)
+    return _choose(slow, skyhook(of, body, wheel), acceleration_driven(of, body, wheel, acceleration))
 
 
-def skyhook_modal(y: Seen, of: Numbers) -> Array:
+def skyhook_modal(of: Numbers, *modes_and_wheel: Quantity) -> Quantity:
     """Continuous skyhook of the body's modes: heave, pitch and roll have a damper to the sky each, shared among the corners."""
-    body = np.concatenate([y[name] for name in MODES if name in y], axis=-1)
-    damped, moved = (np.matvec(one, body) for one in of.modes)
-    v = moved - y[UNSPRUNG]
-    return np.where(damped * v > 0, _over(-of.sky * damped, v), of.c_min)
+    damped = moved = 0.0
+    for to_sky, share, speed in zip(*of.modes, modes_and_wheel, strict=False):  # one by one: the same in whatever company
+        damped += to_sky * speed
+        moved += share * speed
+    v = moved - modes_and_wheel[-1]
+    return _choose(damped * v > 0, _over(-of.sky * damped, v), of.c_min)
 
 
 BOTH = (SPRUNG, UNSPRUNG)
 # By name: the law, what it measures at every suspension, and the keys that it has beside its name.
-LAWS: dict[str, tuple[Callable[[Seen, Numbers], Array], tuple[str, ...], tuple[str, ...]]] = {
+LAWS: dict[str, tuple[Law, tuple[str, ...], tuple[str, ...]]] = {
     "skyhook": (skyhook, BOTH, ()),
     "skyhook_linear": (skyhook_linear, BOTH, ("sky_damping",)),
     "groundhook": (groundhook, BOTH, ()),
@@ -177,18 +198,31 @@ class SemiActiveLaw:
         return ", ".join([f"semi-active law {self.name}", *(f"{key} {value:g}" for key, value in self.numbers)]) + f" ({about})"
 
     def coefficients(self, y: Array, of: Numbers) -> Array:
-        """What it asks for [N s/m], shape (N, m).
+        """What it asks for [N s/m], shape (..., N, m).
 
         Args:
-            y: what it measures, shape (N, q).
+            y: what it measures, shape (..., N, q).
             of: the vehicles.
         """
-        seen, at, m = {}, 0, len(self.endings)
-        for mode in self.modes:
-            seen[mode], at = y[:, at : at + 1], at + 1
-        for quantity in LAWS[self.name][1]:
-            seen[quantity], at = y[:, at : at + m], at + m
-        return LAWS[self.name][0](seen, of)
+        first, m = len(self.modes), len(self.endings)
+        modes = (y[..., at : at + 1] for at in range(first))
+        corners = (y[..., at : at + m] for at in range(first, len(self.measured), m))
+        return LAWS[self.name][0](of, *modes, *corners)
+
+    def alone(self, of: Numbers, places: Sequence[int]) -> Callable[[Sequence[float]], list[float]]:
+        """The same of the first of the vehicles, in plain numbers: m of them from a list of numbers.
+
+        Args:
+            of: the vehicles.
+            places: where in that list stands what it measures, q of them.
+        """
+        law, first, m = LAWS[self.name][0], len(self.modes), len(self.endings)
+        corners = [(itemgetter(*places[:first], *places[first + j :: m]), of.alone(j)) for j in range(m)]
+
+        def coefficients(seen: Sequence[float]) -> list[float]:
+            return [law(numbers, *mine(seen)) for mine, numbers in corners]
+
+        return coefficients
 
 
 @dataclass(frozen=True, eq=False)

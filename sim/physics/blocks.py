@@ -17,9 +17,9 @@ from models.mjcf import build_model, quiet
 from models.own.python_law import Programmed
 from models.reality import Implementation
 from models.vehicle import Vehicle
-from sim.physics.damping import Damped, Dampers, SemiActiveLaws, dampers_of
+from sim.physics.damping import Clipped, Damped, Dampers, SemiActiveLaws, dampers_of
 from sim.physics.python_laws import Again, Driven, Failure, Played, PythonLaws
-from sim.physics.readout import Readout, force_from_road, laws_on, mix, prepared, sensed_stage, signal_from_road
+from sim.physics.readout import Readout, force_from_road, laws_on, measured_by, mix, prepared, sensed_stage, signal_from_road
 from sim.physics.sampler import Laws, LinearLaws, Sampler
 from sim.physics.stepping import Push, Reading, step_batch
 from synth.controller import Controller
@@ -136,11 +136,16 @@ def in_shares(course: Course, shares: Sequence[slice]) -> list[Callable[[Callabl
     # What a controller measures is read before a step: from the state where it is linear in it, else from its sensor. To it comes
     # what that reading has not seen of the road.
     linear = [one if isinstance(one, Controller) else None for one in controllers]
-    K, memory = laws_on(readout.names, vehicles, linear, timestep)
+    others = [one for one in controllers if not isinstance(one, Controller)]
+    semi_active = [one for one in others if isinstance(one, SemiActive)]
+    ideal = undelayed is None and all(other.implementation.ideal for other in vehicles)
+    if semi_active and ideal:
+        K, memory = measured_by(readout.names, [one.measured for one in semi_active])
+    else:
+        K, memory = laws_on(readout.names, vehicles, linear, timestep)
     second = undelayed or [None] * len(vehicles)
     beside, beside_memory = laws_on(readout.names, [_ideal(one) for one in vehicles], second, timestep)
     of_state, of_sensors = np.where(readout.linear, K, 0), np.where(readout.linear, 0, K)
-    others = [one for one in controllers if not isinstance(one, Controller)]
     named = np.isin(readout.names, [name for one in others for name in one.measured])
     stage = sensed_stage(readout, np.any(K != 0, axis=(0, 1)) | np.any(beside != 0, axis=(0, 1)) | named)
     # An acceleration is read in an evaluation of its own: the road where it is now, and the force that has acted until now.
@@ -150,7 +155,7 @@ def in_shares(course: Course, shares: Sequence[slice]) -> list[Callable[[Callabl
     gain = of_state @ readout.of_state
     if stage:
         gain = np.concatenate([gain, of_sensors @ readout.of_sensors], axis=-1)
-    plain = undelayed is None and not others and all(other.implementation.ideal for other in vehicles)
+    plain = ideal and len(others) == len(semi_active)
     unseen = np.zeros(0) if plain else signal_from_road(now, readout, True) + signal_from_road(unmoved, readout, False)
     of_reading = _of_reading(readout, stage)
     dampers = dampers_of(vehicles, readout)
@@ -173,6 +178,7 @@ def in_shares(course: Course, shares: Sequence[slice]) -> list[Callable[[Callabl
         if models:
             batch.set_models([models[key] for key in hardware[runs]])
         law, mine = None, dampers_of(vehicles[runs], readout)
+        setting = None if mine is None else SemiActiveLaws(semi_active[runs], mine) if semi_active else Clipped(mine.of)
         if not plain:
             how = [one.implementation for one in vehicles[runs]]
             laws = _laws_of(course, runs, readout.names, K, memory, mine)
@@ -190,7 +196,7 @@ def in_shares(course: Course, shares: Sequence[slice]) -> list[Callable[[Callabl
         reading = Reading(
             *(reads[0][runs], reads[1][runs], reads[2][:, runs]),
             *(stage, fresh, fresh and not course.accelerations),
-            damped=None if mine is None else mine.of,
+            damped=setting,
             lagging=mine is not None and mine.lags,
         )
         push = None if course.loads is None else Push(readout.pushed, course.loads[:, runs])

@@ -1,6 +1,6 @@
 """Adjustable dampers in MuJoCo: what controllers ask for becomes coefficients, sample by sample."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,15 +39,18 @@ class Dampers:
         return bool(np.any(self.lagging[self.of.adjustable] >= 0))
 
     def beside(self, gain: Array, memory: Array, offset: Array) -> tuple[Array, Array, Array]:
-        """What makes forces of a reading, with how fast the suspensions close behind the forces; see `stepping.Reading`."""
-        m, count = len(self.closing), len(gain)
+        """What makes forces of a reading, with how fast the suspensions close behind the forces; see `stepping.Reading`.
+
+        Of laws that ship it is what they measure in place of the forces.
+        """
+        m, count, asked = len(self.closing), len(gain), gain.shape[1] - memory.shape[2]
         closing = np.zeros((count, m, gain.shape[2]))
         closing[..., : self.closing.shape[1]] = self.closing
         still = np.broadcast_to(self.of.at_rest, (*offset.shape[:2], m))
         return (
-            np.concatenate([gain[:, :m], closing, gain[:, m:]], axis=1),
-            np.concatenate([memory[:, :m], np.zeros((count, m, memory.shape[2])), memory[:, m:]], axis=1),
-            np.concatenate([offset[..., :m], still, offset[..., m:]], axis=-1),
+            np.concatenate([gain[:, :asked], closing, gain[:, asked:]], axis=1),
+            np.concatenate([memory[:, :asked], np.zeros((count, m, memory.shape[2])), memory[:, asked:]], axis=1),
+            np.concatenate([offset[..., :asked], still, offset[..., asked:]], axis=-1),
         )
 
     def after(self, of_reading: Array, unseen: Array) -> tuple[Array, Array]:
@@ -109,33 +112,90 @@ class Damped:
         return self.of.commands(np.concatenate([asked, seen[:, -m:]], axis=-1), due)
 
 
-class SemiActiveLaws:
-    """N laws that ship, which set adjustable dampers."""
+class Clipped:
+    """Sets the adjustable dampers of N runs to the forces of linear laws; see `sim.physics.stepping.Setting`."""
 
-    def __init__(self, controllers: Sequence[SemiActive], dampers: Dampers, names: Sequence[str]) -> None:
+    def __init__(self, of: Range) -> None:
+        """For dampers that can be so much."""
+        self.of, self.actuators = of, of.low.shape[1]
+        self._turned = np.empty_like(of.low)
+
+    def set(self, seen: Array, acting: Array) -> None:
+        """See `sim.physics.stepping.Setting`; as `Range.commands`, without the forces that are missing."""
+        np.divide(seen[:, : self.actuators], seen[:, self.actuators :], self._turned)
+        np.maximum(self._turned, self.of.low, out=self._turned)
+        np.minimum(self._turned, self.of.high, out=acting)
+
+    def commands(self, seen: Array) -> Array:
+        """See `sim.physics.stepping.Setting`."""
+        return self.of.commands(seen)
+
+
+class SemiActiveLaws:
+    """N laws that ship, which set adjustable dampers: as `Laws`, and as `sim.physics.stepping.Setting`.
+
+    A run alone is decided in plain numbers, which are the same to the last bit: between its steps calls of numpy would take as
+    long as the steps.
+    """
+
+    def __init__(self, controllers: Sequence[SemiActive], dampers: Dampers, names: Sequence[str] | None = None) -> None:
         """For laws on signals of these names, behind which, in what they are given, stands how fast every suspension closes.
 
         Args:
             controllers: N of them.
             dampers: those of their N vehicles.
-            names: of the signals.
+            names: of the signals; None for those alone that each law measures, in its order, from the first on.
         """
-        self.of, self.forces, self.used = dampers.of, 2 * len(dampers.closing), np.zeros((len(controllers), 0))
+        self.of, self.actuators, self.used = dampers.of, len(dampers.closing), np.zeros((len(controllers), 0))
+        self.forces = 2 * self.actuators
         self._nominal = np.array([[one.nominal for one in vehicle.adjustable] for vehicle in dampers.vehicles])
         self._groups = []
         for law in dict.fromkeys(one.law for one in controllers):
             mine = np.array([one.law == law for one in controllers])
-            numbers = numbers_of(law, dampers.vehicles)
-            self._groups.append((law, mine, numbers, [names.index(name) for name in law.measured]))
+            places = list(range(len(law.measured))) if names is None else [names.index(name) for name in law.measured]
+            self._groups.append((law, mine, numbers_of(law, dampers.vehicles), places))
+        self._alone: tuple[Callable[[Sequence[float]], list[float]], list[float], list[tuple[float, float]]] | None = None
+        if len(controllers) == 1:
+            law, _, numbers, places = self._groups[0]
+            ends = list(zip(self.of.low[0].tolist(), self.of.high[0].tolist(), strict=True))
+            self._alone = law.alone(numbers, places), self._nominal[0].tolist(), ends
+
+    def set(self, seen: Array, acting: Array) -> None:
+        """See `sim.physics.stepping.Setting`."""
+        if self._alone is None:
+            np.minimum(np.maximum(self._asked(seen, slice(None)), self.of.low), self.of.high, out=acting)
+        else:
+            acting[0] = self._decided(seen[0].tolist())[1]
+
+    def commands(self, seen: Array) -> Array:
+        """See `sim.physics.stepping.Setting`."""
+        return self.of.set_to(self._asked(seen, slice(None)), seen[..., -self.actuators :])
 
     def __call__(self, due: Array | slice, which: Array, k: int, seen: Array) -> Array:
         """See `Laws`."""
-        closing = seen[:, -len(self._nominal[0]) :]
-        if len(self._groups) == 1 and len(which) == len(self._nominal):  # as a run alone is
+        if self._alone is None:
+            return self.of.set_to(self._asked(seen, due), seen[:, -self.actuators :], due)
+        numbers = seen[0].tolist()
+        asked, beyond = self._decided(numbers)
+        closing = numbers[-self.actuators :]
+        missing = ((one - given) * speed for one, given, speed in zip(asked, beyond, closing, strict=True))
+        return np.array([[*beyond, *missing]])
+
+    def _asked(self, seen: Array, which: Array | slice) -> Array:
+        """Coefficients that are asked for beyond the nominal ones [N s/m], shape (..., d, m), from signals (..., d, S)."""
+        if len(self._groups) == 1:
             law, _, numbers, places = self._groups[0]
-            return self.of.set_to(law.coefficients(seen[:, places], numbers) - self._nominal, closing)
-        asked = np.empty_like(closing)
+            of = numbers if isinstance(which, slice) else numbers.some(which)
+            return law.coefficients(seen[..., places], of) - self._nominal[which]
+        asked, every = np.empty((*seen.shape[:-1], self.actuators)), np.arange(len(self._nominal))[which]
         for law, mine, numbers, places in self._groups:
-            some = mine[which]
-            asked[some] = law.coefficients(seen[some][:, places], numbers.some(which[some]))
-        return self.of.set_to(asked - self._nominal[due], closing, due)
+            some = np.flatnonzero(mine[which])
+            asked[..., some, :] = law.coefficients(seen[..., some, :][..., places], numbers.some(every[some]))
+        return asked - self._nominal[which]
+
+    def _decided(self, seen: Sequence[float]) -> tuple[list[float], list[float]]:
+        """What a run alone asks for, and gets, beyond the nominal coefficients [N s/m], m of them each."""
+        assert self._alone is not None, "it is alone"
+        law, nominal, ends = self._alone
+        asked = [c - own for c, own in zip(law(seen), nominal, strict=True)]
+        return asked, [low if c < low else high if c > high else c for c, (low, high) in zip(asked, ends, strict=True)]

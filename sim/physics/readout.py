@@ -153,6 +153,17 @@ def laws_on(
     return of_signals, of_states
 
 
+def measured_by(signals: Sequence[str], measured: Sequence[Sequence[str]]) -> tuple[Array, Array]:
+    """What picks what N controllers measure out of these signals, shape (N, q, S), with the q of the one that measures most.
+
+    Its rows are in the order of each; beside it the (N, q, 0) that `laws_on` gives of laws without states.
+    """
+    picked = np.zeros((len(measured), max(map(len, measured)), len(signals)))
+    for rows, names in zip(picked, measured, strict=True):
+        rows[range(len(names)), [signals.index(name) for name in names]] = 1.0
+    return picked, np.zeros((*picked.shape[:2], 0))
+
+
 def stage_of(vehicle: Vehicle, controller: Controller, timestep: float) -> int:
     """The mjtStage up to which sensors are evaluated before a step, for what the controller measures; 0 where none is needed."""
     readout = prepared(vehicle, timestep)[1]

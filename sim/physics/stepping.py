@@ -12,7 +12,24 @@ import numpy as np
 from mujoco.batch import Batch
 
 from models.common.arrays import Array
-from models.damping.range import Range
+
+
+class Setting(Protocol):
+    """What sets the adjustable dampers of N runs.
+
+    Attributes:
+        actuators: m of each, those that push among them.
+    """
+
+    actuators: int
+
+    def set(self, seen: Array, acting: Array) -> None:
+        """Writes what every actuator is to be, shape (N, m), from what that is decided on, shape (N, d)."""
+        ...
+
+    def commands(self, seen: Array) -> Array:
+        """The same of some samples, with what is missing, see `Range.commands`: shape (B, N, 2 m) from (B, N, d)."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,8 +44,8 @@ class Reading:
         stage: mjtStage up to which sensors are evaluated before a step.
         fresh: whether they are evaluated there by themselves, with the road at the samples, so that accelerations count.
         once: whether what is recorded is read there, too, so that accelerations and forces are those until then.
-        damped: what adjustable dampers can be, m forces of which the gain then gives twice as many rows: those asked for, and how
-            fast every suspension closes; None where all actuators push.
+        damped: what sets adjustable dampers, which the gain then gives rows for that it is decided on; None where all actuators
+            push.
         lagging: whether the activations are recorded.
     """
 
@@ -38,7 +55,7 @@ class Reading:
     stage: int
     fresh: bool
     once: bool
-    damped: Range | None = None
+    damped: Setting | None = None
     lagging: bool = False
 
 
@@ -105,7 +122,7 @@ def step_batch(
     gain, offset, stage, fresh = reading.gain, reading.offset, reading.stage, reading.fresh
     (count, known), kept = offset.shape[1:], reading.memory.shape[2]
     commands, damped = known - kept, reading.damped
-    m = commands if damped is None else commands // 2
+    m = commands if damped is None else damped.actuators
     # The motors come first in ctrl, in the order of the linear model's inputs; what is fitted beside them is not asked.
     acting, heights, sensors = batch.bind("ctrl")[:, :m], batch.bind("mocap_pos")[:, :, 2], batch.bind("sensordata").T
     pushed = batch.bind("qfrc_applied") if push is not None else None
@@ -120,7 +137,7 @@ def step_batch(
     known_beside = reading.memory if kept else np.broadcast_to(np.eye(commands), (count, commands, commands))
     gain = np.concatenate([gain, known_beside], axis=-1)
     states, asks = np.zeros((count, kept)), np.empty((count, known))
-    turned, activations = np.empty((count, m)), batch.bind("act")
+    activations = batch.bind("act")
     acts = np.zeros((0, *activations.shape))
     for start, end in itertools.pairwise(edges):
         block, length = slice(start, end), end - start
@@ -154,10 +171,8 @@ def step_batch(
                 forces[...] = law(k, all_seen[:, :width])
                 if kept:
                     all_seen[:, width:] = law.used
-            if damped is not None and law is None:  # as `Range.beyond`, and so below
-                np.divide(forces[:, :m], forces[:, m:], turned)
-                np.maximum(turned, damped.low, out=turned)
-                np.minimum(turned, damped.high, out=acting)
+            if damped is not None and law is None:
+                damped.set(forces, acting)
             else:
                 acting[...] = forces[:, :m]
             if reading.lagging:

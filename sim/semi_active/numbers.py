@@ -19,14 +19,15 @@ def numbers_of(law: SemiActiveLaw, vehicles: Sequence[Vehicle]) -> Numbers:
     dampers = [[one.damper for one in vehicle.adjustable] for vehicle in vehicles]
     c_min, c_max = (np.array([[getattr(one, name) for one in some] for some in dampers]) for name in ("c_min", "c_max"))
     sky, ground = (np.full_like(c_max, given[name]) if name in given else c_max for name in ("sky_damping", "ground_damping"))
-    damped, moved = (np.stack(each) for each in zip(*(_modes(law, vehicle) for vehicle in vehicles), strict=True))
+    moved = np.stack([_modes(law, vehicle) for vehicle in vehicles], axis=1)
+    damped = moved.copy()
     to_sky = [np.full(len(vehicles), given[key]) if key in given else None for key, mode in MODAL.items() if mode in law.modes]
     for b, one in enumerate(to_sky):
         if one is not None:
-            damped[..., b] *= one[:, None] / np.where(sky > 0, sky, 1.0)
+            damped[b] *= one[:, None] / np.where(sky > 0, sky, 1.0)
     stiffness = np.array([_stiffness(vehicle) for vehicle in vehicles])
     mix, crossover = given.get("mix", 0.5), given.get("crossover", CROSSOVER)
-    return Numbers(c_min, c_max, sky, ground, stiffness, (damped, moved), mix, crossover)
+    return Numbers(c_min, c_max, sky, ground, stiffness, ([*damped], [*moved]), mix, crossover)
 
 
 def _stiffness(vehicle: Vehicle) -> list[float]:
@@ -35,11 +36,10 @@ def _stiffness(vehicle: Vehicle) -> list[float]:
     return [vehicle.parameters.get(parameters[one.force], 0.0) for one in vehicle.adjustable]
 
 
-def _modes(law: SemiActiveLaw, vehicle: Vehicle) -> tuple[Array, Array]:
-    """The velocity of the body at every suspension from those of its modes, shape (m, b), twice."""
+def _modes(law: SemiActiveLaw, vehicle: Vehicle) -> Array:
+    """The velocity of the body at every suspension from those of its modes, shape (b, m)."""
     if not law.modes:
-        return np.zeros((len(law.endings), 0)), np.zeros((len(law.endings), 0))
+        return np.zeros((0, len(law.endings)))
     model = vehicle.linear_model
     rows, _ = model.rows([f"{SPRUNG}{ending}" for ending in law.endings])
-    found = rows[:, [model.states.index(mode) for mode in law.modes]]
-    return found.copy(), found
+    return rows[:, [model.states.index(mode) for mode in law.modes]].T

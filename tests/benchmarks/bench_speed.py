@@ -8,6 +8,7 @@ Each benchmark prints its ratio, and fails where it exceeds the claim.
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo's bindings carry no type stubs.
 
+import json
 import os
 import statistics
 import subprocess
@@ -22,12 +23,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from models.damping.laws import SemiActive
+from models.damping.laws import LAWS, SemiActive, SemiActiveLaw
 from models.law import LinearLaw
 from models.mjcf import build_model
 from models.reality import Implementation
 from models.roads.road import Bump
-from models.vehicle import read_vehicle
+from models.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.campaign.columns import columns
 from sim.campaign.file import read_campaign
 from sim.campaign.manifest import Manifest
@@ -39,6 +40,7 @@ from sim.physics.simulate import simulate
 from sim.validity.cells import validity
 from sim.validity.grid import grid, read_axes
 from synth.certificate.norm import hinf_norm
+from synth.controller import Controller
 from synth.design import two_step_design
 from synth.designer import Designer
 from synth.front.axes import axes_of
@@ -52,20 +54,29 @@ from tests.conftest import random_vehicles
 from tests.curved import AXLES, DIGRESSIVE, PROGRESSIVE, with_curves
 
 
-def seconds(call: Callable[[], object]) -> float:
-    start = time.perf_counter()
+def seconds(call: Callable[[], object], clock: Callable[[], float] = time.perf_counter) -> float:
+    start = clock()
     call()
-    return time.perf_counter() - start
+    return clock() - start
 
 
-def paired_ratio(benchmark, call: Callable[[], object], reference: Callable[[], object], rounds: int) -> float:
-    """Median over rounds of call / reference, run in turn; `benchmark` records the calls."""
+def paired_ratio(
+    benchmark,
+    call: Callable[[], object],
+    reference: Callable[[], object],
+    rounds: int,
+    clock: Callable[[], float] = time.perf_counter,
+) -> float:
+    """Median over rounds of call / reference, run in turn; `benchmark` records the calls.
+
+    By processor time (`time.process_time`) what works on one thread alone is told from what others do meanwhile.
+    """
     call()
     reference()
     ratios = []
 
     def turn():
-        ratios.append(seconds(call) / seconds(reference))
+        ratios.append(seconds(call, clock) / seconds(reference, clock))
 
     benchmark.pedantic(turn, rounds=rounds, iterations=1)
     ratio = statistics.median(ratios)
@@ -126,7 +137,7 @@ def test_curves(benchmark, name, curves):
     def drive(i):
         simulate([both[i]] * runs, [passive[i]] * runs, [Bump()] * runs, times)
 
-    assert paired_ratio(benchmark, lambda: drive(1), lambda: drive(0), 9) <= 1.3
+    assert paired_ratio(benchmark, lambda: drive(1), lambda: drive(0), 9, time.process_time) <= 1.3
 
 
 @pytest.mark.parametrize("name", ["quarter_car", "half_car", "full_car"])
@@ -327,25 +338,45 @@ DAMPED = """
 kind = "damper"
 c_min = 300.0
 c_max = 4000.0
-[controllers.sky]
-semi_active = "skyhook"
 """
+# Of a run alone, modal skyhook asks for three modes at every corner, each in plain numbers, and reads what costs little.
+CORNERS = ("quarter_car", "half_car", "full_car")
+ASKED = [
+    *((name, law, count, 1.3) for name in CORNERS for law in LAWS if law != "skyhook_modal" for count in (1, 64)),
+    *(("full_car", "skyhook_modal", count, claim) for count, claim in ((1, 1.5), (64, 1.3))),
+]
 
 
-@pytest.mark.parametrize(("name", "count"), [("II_printed", 1), ("II_printed", 64), ("sky", 64)])
-def test_adjustable_dampers(benchmark, tmp_path, name, count):
-    """A run-step with an adjustable damper takes at most 1.3 times as long as one with an actuator that pushes."""
-    file = tmp_path / "car.toml"
-    file.write_text(read_vehicle("quarter_car").text + DAMPED)
-    vehicle, time = read_vehicle(file), np.arange(1000 if count == 1 else 100) * 1e-3
-    static = Designer(vehicle).design("II_printed")
-    law = vehicle.controllers["sky"].semi_active
-    one = static if law is None or name != "sky" else SemiActive(name, law)
-    bumps = [Bump()] * count
+def semi_active(name: str, law: str) -> tuple[Vehicle, SemiActive, Controller]:
+    """A car with adjustable dampers, one of its laws, and a gain on what that measures."""
+    text = f'{read_vehicle(name).text}{DAMPED}[controllers.law]\nsemi_active = "{law}"\n'
+    measured = law_in(parse_vehicle(text)).measured
+    row = [-1.0 if "acceleration" in signal else -100.0 for signal in measured]
+    gain = [row] * len(read_vehicle(name).linear_model.inputs)
+    vehicle = parse_vehicle(f"{text}[controllers.gain]\nmeasured = {json.dumps(measured)}\ngain = {json.dumps(gain)}\n")
+    return vehicle, SemiActive("law", law_in(vehicle)), Designer(vehicle).design("gain")
+
+
+def law_in(vehicle: Vehicle) -> SemiActiveLaw:
+    """The law of a vehicle file that has one."""
+    law = vehicle.controllers["law"].semi_active
+    assert law is not None
+    return law
+
+
+@pytest.mark.parametrize(("name", "law", "count", "claim"), [*ASKED, *((name, "", n, 1.3) for name in CORNERS for n in (1, 64))])
+def test_adjustable_dampers(benchmark, name, law, count, claim):
+    """A run-step with adjustable dampers takes at most 1.3 times one with actuators that push, of a gain that measures the same.
+
+    Each law, and that gain, clipped by the dampers (no law named).
+    """
+    vehicle, one, gain = semi_active(name, law or "skyhook")
+    times, bumps = np.arange(601 if count == 1 else 101) * 1e-3, [Bump()] * count
     ratio = paired_ratio(
         benchmark,
-        lambda: simulate([vehicle] * count, [one] * count, bumps, time),
-        lambda: simulate([vehicle.pushing] * count, [static] * count, bumps, time),
+        lambda: simulate([vehicle] * count, [one if law else gain] * count, bumps, times),
+        lambda: simulate([vehicle.pushing] * count, [gain] * count, bumps, times),
         9,
+        time.process_time,
     )
-    assert ratio <= 1.3
+    assert ratio <= claim
