@@ -124,6 +124,7 @@ def held_variances(vehicle, designed, h, steps, delay):
         x[k+1] = Phi x[k] + Gamma_u u[k] + Phi Bw d1 + Bw d2.
 
     The state has beside x the forces that wait and that which acts, and, behind the acceleration, the filters of the weighting.
+    Accelerations are halfway between those before and after a force is replaced.
 
     Returns:
         Shape (steps, p) and (steps,): of unit intensity.
@@ -154,31 +155,34 @@ def held_variances(vehicle, designed, h, steps, delay):
     step[:size, :size] = passes
     changes[between][:size, :size] = moves_on
     changes[0][:size, :size] = computes @ changes[0][:size, :size]
-    step[size : size + 1, :size] = row
+    enters, direct = np.zeros((whole, 1)), 0.0  # of an acceleration
+    enters[size] = 1.0
     step[size + 1 : size + taps, size : size + taps - 1] = np.eye(taps - 1)
     output = np.zeros((1, whole))
     for i, (b, a) in enumerate(zip(weigh.numerators, weigh.denominators, strict=True)):
         at = size + taps + 2 * i
         now = np.zeros((1, whole))
-        now[:, :size], now[0, size : size + taps], now[0, at : at + 2] = b[0] * row, b[1:], -a[1:]
-        step[at], step[at + 1, at] = now, 1.0
-        output += now
+        now[0, size : size + taps], now[0, at : at + 2] = b[1:], -a[1:]
+        step[at], step[at + 1, at], enters[at] = now, 1.0, b[0]
+        output, direct = output + now, direct + b[0]
     noise = np.zeros((whole, whole))
     noise[:size, :size] = kicks @ kicks.T * h / 2
 
-    def over_a_step(P, i):
-        acting = changes[i] @ P @ changes[i].T
-        return acting, step @ acting @ step.T + noise
-
+    read = np.zeros((1, whole))
+    read[:, :size] = row
+    midway = [read @ (change + np.eye(whole)) / 2 for change in changes]
+    moves = [step @ change + enters @ one for change, one in zip(changes, midway, strict=True)]
     P = np.zeros((whole, whole))
-    for i in range(steps):
-        P = over_a_step(P, i)[1]
-    P = linalg.solve_discrete_lyapunov(functools.reduce(lambda so_far, change: step @ change @ so_far, changes, np.eye(whole)), P)
+    for move in moves:
+        P = move @ P @ move.T + noise
+    P = linalg.solve_discrete_lyapunov(functools.reduce(lambda so_far, move: move @ so_far, moves, np.eye(whole)), P)
     found, weighted = [], []
-    for i in range(steps):
-        acting, P = over_a_step(P, i)
-        found.append(np.einsum("ps,st,pt->p", reads, acting[:size, :size], reads))
-        weighted.append((output @ acting @ output.T).item())
+    for change, one, move in zip(changes, midway, moves, strict=True):
+        acting, weighs = (change @ P @ change.T)[:size, :size], output @ change + direct * one
+        variances = dict(zip(model.outputs, np.einsum("ps,st,pt->p", reads, acting, reads), strict=True))
+        found.append([*(variances | {"sprung_acceleration": (one @ P @ one.T).item()}).values()])
+        weighted.append((weighs @ P @ weighs.T).item())
+        P = move @ P @ move.T + noise
     return np.array(found), np.array(weighted)
 
 
@@ -261,6 +265,14 @@ def sums_over_lines(vehicle, designed, road):
     for n in np.array_split(road.n, 1 + len(road.n) // 50_000):
         omega = 2 * np.pi * road.speed * n
         amplitudes = sampled_frequency_response(vehicle, designed, omega, 1e-3) @ sources(vehicle, road.spectrum, omega)
+        # Accelerations are halfway between those before and after a force is replaced, once a step here.
+        outputs, forces = (
+            vehicle.linear_model.outputs,
+            [vehicle.linear_model.outputs.index(u) for u in vehicle.linear_model.inputs],
+        )
+        leaps = vehicle.linear_model.D @ amplitudes[:, forces] * (1 - np.exp(-1j * omega * 1e-3))[:, None, None]
+        accelerations = [i for i, name in enumerate(outputs) if "acceleration" in name]
+        amplitudes[:, accelerations] -= leaps[:, accelerations] / 2
         squares = squares + density * road.speed / road.length * np.sum(np.abs(amplitudes) ** 2, axis=(0, 2))
     return dict(zip(vehicle.linear_model.outputs, np.sqrt(squares), strict=True))
 

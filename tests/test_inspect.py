@@ -135,8 +135,8 @@ def test_drive(options, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        (b'"definitions": 4', b'"definitions": 1', "its metrics are of other definitions than this version's"),
-        (b'"definitions": 4', b'"other": 2', "its metrics are of other definitions than this version's"),  # older than the word
+        (b'"definitions": 5', b'"definitions": 1', "its metrics are of other definitions than this version's"),
+        (b'"definitions": 5', b'"other": 2', "its metrics are of other definitions than this version's"),  # older than the word
         (b'"settled": {"share": 0.', b'"settled": {"share": 1.', "result.json says otherwise: settled.share"),
         (b'"expected": 0.', b'"expected": 1.', "result.json says otherwise: metrics."),
     ],

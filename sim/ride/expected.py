@@ -34,7 +34,7 @@ from models.common.threads import one_thread
 from models.roads.spectrum import Spectrum
 from models.vehicle import Vehicle
 from sim.linear.dampers import is_linear
-from sim.linear.frequency import stepwise_frequency_response
+from sim.linear.frequency import leaps_by_step, stepwise_frequency_response
 from sim.ride.band import longest_panel, loop_poles, power_of, sources
 from sim.ride.equivalent import Equivalent, equivalent
 from sim.ride.gaussian import Gaussian, positive_part
@@ -106,7 +106,10 @@ def expect(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: f
 
     def spectra(omega: Array) -> Array:
         """At every step of a period: those of all signals, of the weighted accelerations, and of every actuator's work."""
-        at_steps = stepwise_frequency_response(vehicle, controller, omega, timestep) @ sources(vehicle, road, omega)
+        from_road = sources(vehicle, road, omega)
+        at_steps = stepwise_frequency_response(vehicle, controller, omega, timestep) @ from_road
+        leaps = leaps_by_step(vehicle, controller, omega, timestep) @ from_road
+        at_steps[:-1, :, ride] -= leaps[:, :, ride] / 2  # midway, see `metrics.py`
         weighted = weigh_images(at_steps[:-1, :, ride], omega, timestep, weigh)
         works = [work_spectra(at_steps[:, :, force], at_steps[:, :, along], lags) for force, along in pushed]
         found = np.concatenate([power_of(at_steps[:-1]), power_of(weighted), *works], axis=-1)

@@ -5,6 +5,10 @@ Ride, of every vertical acceleration a of the body, weighted as ISO 2631-1 has i
     weighted rms (6.1);    VDV = (integral a_w^4 dt)^(1/4) (6.3.2);    crest factor = largest |a_w| / rms (6.2);
     MTVV = largest running rms, averaged exponentially over 1 s (6.3.1).
 
+A force that is held leaps at its sample, and every acceleration with it. There an acceleration counts as the mean of what it is
+just before and just after. Read after the leaps alone, it would be that of a computer without the half step by which a held force
+is late on average, and of a loop whose forces cancel most of the spring's and the damper's too good by per cents.
+
 Travel of every suspension: rms, largest, and the share of time at the bump stops. Of every tyre, whose load is F = k_u (static -
 t) and never negative: dynamic load coefficient rms(F - F_static) / F_static, and the share of time off the ground. Of every
 actuator: force, mean power into the suspension, and the energy that it puts in where it drives, none being given back where it
@@ -26,10 +30,11 @@ from models.signals import CONTROL_FORCE, TYRE_DEFLECTION, UNSPRUNG_ACCELERATION
 from models.vehicle import Vehicle
 from sim.response.response import Response
 from sim.ride.attitude import KINDS, angle_metrics, angles_of
+from sim.ride.midway import Midway
 from sim.ride.weighting import sampled_wk
 
 RUNNING = 1.0  # s, of the running rms
-DEFINITIONS = 4  # of the metrics and what is expected of them; one more wherever a number comes out otherwise than before
+DEFINITIONS = 5  # of the metrics and what is expected of them; one more wherever a number comes out otherwise than before
 
 
 @dataclass(frozen=True)
@@ -155,6 +160,8 @@ class Meter:
             for name in self.where.accelerations
         }
         self.running = {name: np.zeros((count, 1)) for name in self.where.accelerations}
+        places = {name: i for i, name in enumerate(names)}
+        self.midway = Midway(vehicles, self.where.accelerations, places)
         self.lags = self.vehicle.limits.actuator_bandwidth is not None
         self.before: dict[str, Array] = {}  # the last sample of what work is made of, shape (N, 1)
         self.sums: dict[str, Array] = {}
@@ -166,8 +173,10 @@ class Meter:
         skip = min(max(self.first - self.seen, 0), len(values))
         self.seen += len(values)
         self.samples += len(values) - skip
+        halves = self.midway(values)
         for name in self.where.accelerations:
-            self._ride(name, self._signal(values, name), skip)
+            acceleration = self._signal(values, name)
+            self._ride(name, acceleration - halves[name] if name in halves else acceleration, skip)
         if skip == len(values):
             return
         values = values[skip:]
