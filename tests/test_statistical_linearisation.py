@@ -3,18 +3,24 @@
 import dataclasses
 import itertools
 import json
+import math
 
 import numpy as np
 import pytest
-from scipy import integrate, stats
+from scipy import integrate, special, stats
 
+from models.reality import Limits
 from models.roads.iso8608 import Iso8608
 from models.vehicle import read_vehicle
 from sim.drive import main
+from sim.linear.curved import elements
+from sim.linear.frequency import sampled_frequency_response, stepwise_frequency_response
 from sim.physics.simulate import simulate
-from sim.ride.equivalent import averages, equivalent
+from sim.response.regime import over
+from sim.ride.equivalent import equivalent, line_object, line_words
 from sim.ride.expected import expect
 from sim.ride.metrics import measure
+from sim.ride.remainder import DEGREES, averages, coefficients
 from sim.runs.run import sample_times
 from synth.designer import design
 from tests.commands import prose
@@ -41,32 +47,131 @@ def test_averages_are_integrals(mean, deviation):
     assert slope == pytest.approx(least, rel=1e-9)
 
 
+def test_hermite_coefficients_are_integrals():
+    """A curve's coefficients are E F(m + s z) He_n(z) / n!, and with mean and slope they are nearly all of its power."""
+    curve = with_curves(suspension_damping=DIGRESSIVE).fitted[0].curve
+    for mean, deviation in ((0.0, 0.3), (-0.1, 0.15)):
+        edges = np.unique(np.concatenate([[-9.0, 9.0], np.clip((curve.x - mean) / deviation, -9, 9)]))
+
+        def average(function, edges=edges):
+            return sum(
+                integrate.quad(lambda z: function(z) * stats.norm.pdf(z), *piece)[0] for piece in itertools.pairwise(edges)
+            )
+
+        def force(z, mean=mean, deviation=deviation):
+            return float(curve(np.array(mean + deviation * z)))
+
+        found, (level, slope) = coefficients(curve, mean, deviation), averages(curve, mean, deviation)
+        for n, c in zip(DEGREES, found, strict=True):
+            of_polynomial = average(lambda z, n=n: force(z) * special.eval_hermitenorm(n, z))
+            assert c == pytest.approx(of_polynomial / math.factorial(n), abs=1e-7)
+        power = average(lambda z: force(z) ** 2) - level**2 - (deviation * slope) ** 2
+        kept = sum(math.factorial(n) * c**2 for n, c in zip(DEGREES, found, strict=True))
+        assert 0.8 < kept / power <= 1  # measured 0.87 and 0.92; bends have all degrees
+
+
+@pytest.mark.parametrize(
+    ("kind", "how", "name"),
+    [
+        ("quarter_car", {}, "I"),
+        ("quarter_car", {"sample_period": 4e-3, "delay": 1.5}, "II"),
+        ("quarter_car", {"limits": Limits(actuator_bandwidth=60.0)}, "I"),
+        ("quarter_car_accelerometer", {}, "accelerometer"),
+        ("half_car", {"delay": 1}, "I"),
+    ],
+)
+def test_responses_to_forces_are_those_of_a_damper(kind, how, name):
+    """A harder damper is the force of its difference, fed back: both ways to the same response to the road.
+
+    The force is held over a step, which is off by (omega h)^2 / 24, and felt by an accelerometer as what it will be; both fall
+    with the step. With several steps to a sample what is fed back is the share at omega alone.
+    """
+    h, omega, curve = 2.5e-4, np.geomspace(1.0, 120.0, 40), "{ velocity = [-9, 0, 9], force = [-9000, 0, 9001] }"
+    plain = read_vehicle(kind)
+    limits = how.get("limits", Limits())
+    implementation = dataclasses.replace(plain.implementation, **{key: one for key, one in how.items() if key != "limits"})
+    parameters = [one.damping for one in plain.kind.suspensions]
+    shaped = with_curves(kind, **dict.fromkeys(parameters, curve))
+    shaped = dataclasses.replace(shaped, implementation=implementation, limits=limits)
+    controller, pulls = design(shaped, name), elements(shaped, shaped.linear_model)
+    index = [shaped.linear_model.outputs.index(over(shaped, one)) for one in shaped.fitted]
+
+    def of(extra, forces=None):
+        softer = {**shaped.parameters, **{one: shaped.parameters[one] + extra for one in parameters}}
+        line = dataclasses.replace(shaped.straight, parameters=softer)
+        return sampled_frequency_response(line, controller, omega, h, pulls=forces)
+
+    both, wheels, extra = of(0.0, pulls), len(shaped.kind.wheels), 300.0
+    by_road, by_force = both[..., :wheels], both[..., wheels:]
+    fed_back = extra * np.linalg.solve(np.eye(len(index)) - extra * by_force[:, index], by_road[:, index])
+    found, harder = by_road + by_force @ fed_back, of(extra)
+    assert np.abs(by_road - of(0.0)).max() < 1e-12 * np.abs(by_road).max()
+    unit = np.abs(harder).max(axis=(0, 2), keepdims=True)
+    assert np.abs(by_force @ fed_back / np.where(unit, unit, 1)).max() > 0.05  # it makes a difference
+    # measured 1.6e-3 with an accelerometer, else 3e-5
+    assert (np.abs(found - harder) / np.where(unit, unit, 1)).max() < (4e-3 if "accelerometer" in kind else 1e-4)
+
+
 def test_the_line_is_consistent_and_the_body_stands_lower():
-    """The slopes that come out make the deviations of which they are the average; the springs hold the damper's mean force."""
+    """Lines, memory, noise and means are those of the deviations and correlations that they make, by an integral of their own."""
     vehicle = with_curves(suspension_damping=DIGRESSIVE, suspension_stiffness=PROGRESSIVE)
-    road = Iso8608("D", 0, 20.0).spectrum
-    for name in ("passive", "I"):
-        controller = design(vehicle, name)
-        line, expected = equivalent(vehicle, controller, road, 1e-3), expect(vehicle, controller, road, 1e-3, 10.0)
+    h = 1e-3
+    for name, road_class in (("passive", "D"), ("I", "C")):
+        controller, road = design(vehicle, name), Iso8608(road_class, 0, 20.0).spectrum
+        line, expected = equivalent(vehicle, controller, road, h), expect(vehicle, controller, road, h, 10.0)
         assert line is not None
         assert expected is not None
+        beyond = line.remainder
+        assert beyond is not None
         assert 1 < line.rounds < (20 if name == "passive" else 100)
-        plain = expect(line.vehicle, controller, road, 1e-3, 10.0)
-        assert plain is not None
-        shift, travel = line.mean["suspension_deflection"], "suspension_deflection_rms"
+        shift = line.mean["suspension_deflection"]
         assert shift < 0  # rebound is harder than bump
-        assert expected.mean[travel] == pytest.approx(np.hypot(plain.mean[travel], shift), rel=1e-9)
-        spring = next(one.curve for one in vehicle.fitted if one.parameter == "suspension_stiffness")
-        force, slope = averages(spring, shift, plain.mean[travel])
-        assert slope == pytest.approx(line.vehicle.parameters["suspension_stiffness"], rel=1e-5)  # rounds end at 1e-6
-        if name == "passive":  # the damper's mean force, from its own line's deviation, is the spring's
-            again = equivalent(vehicle, controller, road, 1e-3)
-            assert again is not None
-            damper = next(one.curve for one in vehicle.fitted if one.parameter == "suspension_damping")
-            found = [averages(damper, 0.0, s) for s in np.linspace(0.01, 2, 4000)]
-            forces, slopes = np.array(found).T
-            met = np.interp(-line.vehicle.parameters["suspension_damping"], -slopes, forces)
-            assert force == pytest.approx(-met, rel=1e-3)  # of the table of 4000
+        outputs = vehicle.linear_model.outputs
+        i = outputs.index("suspension_deflection")
+        low, high = road.band
+        omega = np.geomspace(0.002, 200, 10_000)  # rad/s; above, the road moves travel by 1e-5 of it
+        inside = (omega >= low) & (omega <= high)
+        at_steps = stepwise_frequency_response(line.vehicle, controller, omega, h, beyond.pulls)
+        amplitudes = at_steps[0] @ beyond.sources(line.vehicle, road, omega, h, at_steps)
+        power = np.sum(np.abs(amplitudes) ** 2, axis=-1) * road.density
+        deviations = np.sqrt(np.trapezoid(power, omega / (2 * np.pi), axis=0))
+        travel = expected.mean["suspension_deflection_rms"]
+        assert travel == pytest.approx(np.hypot(deviations[i], shift), rel=1e-3)  # of this sum
+        assert np.any(power[~inside & (omega < low), i] > 0)  # where the road has nothing
+        for k, (one, where) in enumerate(zip(vehicle.fitted, beyond.index, strict=True)):
+            level = line.mean.get(outputs[where], 0.0)
+            mean, slope = averages(one.curve, level, deviations[where])
+            of_line = line.vehicle.parameters[one.parameter]
+            # At the highest frequencies nothing is remembered; measured 4e-3
+            assert of_line + beyond.memory[-1, k, k].real == pytest.approx(slope, rel=0.02)
+            assert beyond.mean_force[k] + of_line * level == pytest.approx(mean, rel=0.1)  # Gauss's, and a little to second order
+
+
+def test_where_second_order_is_not_enough_that_is_said():
+    """Where a gain all but cancels a spring that gets far stiffer, lines alone are consistent, and the sentence says so."""
+    vehicle = with_curves(suspension_damping=DIGRESSIVE, suspension_stiffness=PROGRESSIVE)
+    line = equivalent(vehicle, design(vehicle, "I"), Iso8608("D", 0, 20.0).spectrum, 1e-3)
+    assert line is not None
+    assert line.remainder is None
+    assert line_object(vehicle, line)["second_order"] is False
+    (said,) = line_words(vehicle, line)
+    assert "without what they have beyond them" in said
+
+
+def test_what_is_beyond_the_lines_grows_with_its_square(paper):
+    """Half of all bends make a quarter of the noise, of the memory and of what the mean force has beyond a Gaussian's."""
+    straight, controller, road = paper.parameters["suspension_damping"], design(paper, "passive"), Iso8608("B", 0, 20.0).spectrum
+    found = []
+    for bend in (0.02, 0.01):
+        force = [-straight * (1 + bend), 0.0, straight * (1 - bend)]
+        line = equivalent(with_curves(suspension_damping=f"{{ velocity = [-1, 0, 1], force = {force} }}"), controller, road, 1e-3)
+        assert line is not None
+        assert line.remainder is not None
+        memory = line.remainder.memory[:, 0, 0] - line.remainder.memory[-1, 0, 0]
+        found.append((np.abs(line.remainder.noise).max(), np.abs(memory).max()))
+    (noise, memory), (of_half, memory_of_half) = found
+    assert noise / of_half == pytest.approx(4, rel=1e-3)  # to fourth order
+    assert memory / memory_of_half == pytest.approx(4, rel=1e-3)
 
 
 def test_without_curves_nothing_changes(paper):
@@ -92,6 +197,8 @@ def test_it_says_so(tmp_path, capsys):
     at_rest = read_vehicle(tmp_path / "mine.toml").parameters
     assert {*line["slopes"]} == {*AXLES}
     assert "expected numbers are by statistical linearisation" in said
+    assert line["second_order"] is True
+    assert "with what the curves have beyond them to second order" in said
     for name, slope in line["slopes"].items():
         assert f"{name} {slope:.4g}, not {at_rest[name]:.4g} as at rest" in said
     for name, mean in line["mean"].items():
@@ -99,16 +206,16 @@ def test_it_says_so(tmp_path, capsys):
 
 
 METRICS = ("sprung_acceleration_rms", "sprung_acceleration_weighted", "suspension_deflection_rms", "dynamic_load")
-SEEDS, SETTLED, WINDOW, STEP = 200, 3.0, 9.0, 2e-3
+SEEDS, SETTLED, WINDOW, STEP = 200, 8.0, 9.0, 2e-3  # s; controller I leaves a mode of 0.55 rad/s
 
 
 @pytest.mark.attack
 @pytest.mark.parametrize("road_class", ["A", "B", "C"])
-@pytest.mark.parametrize("name", ["passive", "II"])
+@pytest.mark.parametrize("name", ["passive", "I", "II"])
 def test_it_is_within_what_two_hundred_roads_say(road_class, name):
     """Over 200 roads in MuJoCo, ride, travel and load of a quarter-car with a digressive damper have the mean squares expected.
 
-    The interval is of three standard errors: 24 comparisons, of which one in twenty would be outside of two.
+    The interval is of three standard errors: 36 comparisons, of which one in twenty would be outside of two.
     """
     vehicle = with_curves(suspension_damping=DIGRESSIVE)
     controller, time = design(vehicle, name), sample_times(vehicle, SETTLED + WINDOW, STEP)

@@ -12,6 +12,9 @@ with
 
 without any approximation: a sampled sinusoid stays one. Where the controller's own sample period is several steps, it does not:
 then the response is its share at omega itself, over all the steps of a period.
+
+A force in a suspension that is F exp(j omega t), held over a step at its midpoint as the road is, is one more Z, which moves no
+state at once. Responses to such forces stand beside those to the wheels' roads, per newton.
 """
 
 from collections.abc import Callable
@@ -24,6 +27,7 @@ from scipy import linalg, optimize
 from models.common.arrays import Array
 from models.reality import Implementation, steps_held, steps_per_sample
 from models.vehicle import Vehicle
+from sim.linear.curved import Elements
 from synth.controller import Controller
 from synth.implemented.controlled import Controlled, continuous, sampled
 from synth.sampled.hold import held_inputs
@@ -52,6 +56,7 @@ def sampled_frequency_response(
     omega: Array,
     timestep: float,
     exponential: Callable[[Array], Array] = linalg.expm,
+    pulls: Elements | None = None,
 ) -> Array:
     """The same in the sampled loop as it is implemented (held, delayed, lagged), complex, shape (F, p, r).
 
@@ -61,10 +66,11 @@ def sampled_frequency_response(
         omega: angular frequencies above 0 and below pi / timestep [rad/s], shape (F,).
         timestep: h [s].
         exponential: the matrix exponential; `taylor4` to predict an RK4 integrator.
+        pulls: e forces, responses to which follow, per newton, shape (F, p, r + e).
     """
-    cut, _, mean_x, inputs = _harmonic(vehicle, controller, omega, timestep, exponential)
-    model = cut.model
-    return (model.C @ mean_x + model.D @ inputs + model.Cr) / (1j * np.asarray(omega, dtype=float)[:, None, None])
+    cut, _, mean_x, inputs = _harmonic(vehicle, controller, omega, timestep, exponential, pulls)
+    model, outside = cut.model, _outside(cut, controller, pulls)
+    return (model.C @ mean_x + model.D @ inputs + outside.outputs) / outside.per(omega)
 
 
 def sampled_states(vehicle: Vehicle, controller: Controller, omega: Array, timestep: float) -> Array:
@@ -80,78 +86,140 @@ def sampled_states(vehicle: Vehicle, controller: Controller, omega: Array, times
     return np.concatenate([x, *waiting], axis=1) / s
 
 
-def stepwise_frequency_response(vehicle: Vehicle, controller: Controller, omega: Array, timestep: float) -> Array:
+def stepwise_frequency_response(
+    vehicle: Vehicle, controller: Controller, omega: Array, timestep: float, pulls: Elements | None = None
+) -> Array:
     """From the road velocity under each wheel to the output signals at every timestep of a period of the controller.
 
     What a signal is at step i of a period, exactly, for a road that is exp(j omega t) with t from the period's start on: between
     its samples a held force makes other frequencies, too, and `sampled_frequency_response` has only the share at omega.
 
+    Arguments as for `sampled_frequency_response`.
+
     Returns:
-        Shape (steps + 1, F, p, r), complex; the last is the first of the next period.
+        Shape (steps + 1, F, p, r + e), complex; the last is the first of the next period.
     """
     s = 1j * np.asarray(omega, dtype=float)[:, None, None]
     how, h = vehicle.implementation, timestep
-    cut, x, _, _ = _harmonic(vehicle, controller, omega, timestep, linalg.expm)
-    model, steps = cut.model, steps_per_sample(how, h)
-    Phi, Gamma, Gamma_r = held_inputs(model.A, h, linalg.expm, model.B, model.A @ model.Bw + model.Br)
-    by_step, xi, found = _inputs_by_step(cut, how, s, h, x), x - model.Bw, []
+    cut, x, _, _ = _harmonic(vehicle, controller, omega, timestep, linalg.expm, pulls)
+    model, steps, outside = cut.model, steps_per_sample(how, h), _outside(cut, controller, pulls)
+    Phi, Gamma, Gamma_r = held_inputs(model.A, h, linalg.expm, model.B, outside.rates)
+    by_step, xi, found, per = _inputs_by_step(cut, how, s, h, x, outside.felt), x - outside.jump, [], outside.per(omega)
     for i in range(steps + 1):
         road = np.exp(s * h * i)
         inputs = by_step[i] if i < steps else by_step[0] * road
-        found.append((model.C @ (xi + model.Bw * road) + model.D @ inputs + model.Cr * road) / s)
+        found.append((model.C @ (xi + outside.jump * road) + model.D @ inputs + outside.outputs * road) / per)
         xi = Phi @ xi + Gamma @ inputs + Gamma_r * np.exp(s * h * (i + 0.5))
     return np.stack(found)
 
 
-def leaps_by_step(vehicle: Vehicle, controller: Controller, omega: Array, timestep: float) -> Array:
+def leaps_by_step(
+    vehicle: Vehicle, controller: Controller, omega: Array, timestep: float, pulls: Elements | None = None
+) -> Array:
     """What the output signals leap by at every timestep of a period of the controller, where a force is replaced by the next.
 
-    Of a road as for `stepwise_frequency_response`; behind a lag nothing leaps.
+    Of a road, and of forces, as for `stepwise_frequency_response`; behind a lag nothing leaps.
 
     Returns:
-        Shape (steps, F, p, r), complex.
+        Shape (steps, F, p, r + e), complex.
     """
     s = 1j * np.asarray(omega, dtype=float)[:, None, None]
     how, h = vehicle.implementation, timestep
-    cut, x, _, _ = _harmonic(vehicle, controller, omega, timestep, linalg.expm)
-    by_step, turn = _inputs_by_step(cut, how, s, h, x), np.exp(-s * h * steps_per_sample(how, h))
+    cut, x, _, _ = _harmonic(vehicle, controller, omega, timestep, linalg.expm, pulls)
+    outside, turn = _outside(cut, controller, pulls), np.exp(-s * h * steps_per_sample(how, h))
+    by_step, per = _inputs_by_step(cut, how, s, h, x, outside.felt), outside.per(omega)
     before = [by_step[-1] * turn, *by_step[:-1]]
-    return np.stack([cut.model.D @ (now - last) / s for now, last in zip(by_step, before, strict=True)])
+    return np.stack([cut.model.D @ (now - last) / per for now, last in zip(by_step, before, strict=True)])
 
 
-def _inputs_by_step(cut: Controlled, how: Implementation, s: Array, h: float, x: Array) -> list[Array]:
+@dataclass(frozen=True, eq=False)
+class _Outside:
+    """What acts from outside, c of it: the roads under r wheels, then forces, each exp(j omega t).
+
+    Attributes:
+        jump: of the states, with it, shape (n, c).
+        rates: what it adds to the rates of what does not jump, shape (n, c).
+        outputs: and to the output signals, shape (p, c).
+        felt: and, by way of measured accelerations, to all inputs, shape (m + k, c); None for nothing.
+        wheels: r.
+    """
+
+    jump: Array
+    rates: Array
+    outputs: Array
+    felt: Array | None
+    wheels: int
+
+    def per(self, omega: Array) -> Array:
+        """What responses are per unit of: of a road its velocity, shape (F, 1, c), or (F, 1, 1) for all of them."""
+        s = 1j * np.asarray(omega, dtype=float)[:, None, None]
+        forces = self.jump.shape[1] - self.wheels
+        return np.concatenate([*([s] * self.wheels), *([np.ones_like(s)] * forces)], axis=-1) if forces else s
+
+
+def _outside(cut: Controlled, controller: Controller, pulls: Elements | None) -> _Outside:
+    """The roads under the wheels, and forces in suspensions."""
+    model = cut.model
+    rates, wheels = model.A @ model.Bw + model.Br, model.Bw.shape[1]
+    if pulls is None:
+        return _Outside(model.Bw, rates, model.Cr, None, wheels)
+    count = pulls.outputs.shape[1]
+    push = np.vstack([pulls.push, np.zeros((len(model.A) - len(pulls.push), count))])
+    measured = cut.reading @ pulls.outputs[[model.outputs.index(name) for name in controller.measured]]
+    felt = np.hstack([np.zeros((len(measured), wheels)), measured]) if np.any(measured) else None
+    jump = np.hstack([model.Bw, np.zeros((len(model.A), count))])
+    return _Outside(jump, np.hstack([rates, push]), np.hstack([model.Cr, pulls.outputs]), felt, wheels)
+
+
+def _inputs_by_step(cut: Controlled, how: Implementation, s: Array, h: float, x: Array, felt: Array | None = None) -> list[Array]:
     """All inputs at every timestep of a period that begins with a state, per unit of Z."""
     held, steps = steps_held(how, h), steps_per_sample(how, h)
-    forces, kept = [np.exp(-s * h * steps * late) * (cut.asked @ x) for _, late in held], cut.kept @ x
+    asked, kept = cut.asked @ x, cut.kept @ x
+    if felt is not None:
+        asked, kept = asked + felt[: cut.forces], kept + felt[cut.forces :]
+    forces = [np.exp(-s * h * steps * late) * asked for _, late in held]
     of_parts = [cut.inputs(one, kept, forces[-1]) for one in forces]
     return [one for (count, _), one in zip(held, of_parts, strict=True) for _ in range(count)]
 
 
 def _harmonic(
-    vehicle: Vehicle, controller: Controller, omega: Array, timestep: float, exponential: Callable[[Array], Array]
+    vehicle: Vehicle,
+    controller: Controller,
+    omega: Array,
+    timestep: float,
+    exponential: Callable[[Array], Array],
+    pulls: Elements | None = None,
 ) -> tuple[Controlled, Array, Array, Array]:
     """What oscillates with omega per unit of Z: of what, state at the controller's samples, state and inputs over a period."""
     how, h = vehicle.implementation, timestep
     s = 1j * np.asarray(omega, dtype=float)[:, None, None]
     steps = steps_per_sample(how, h)
     cut = sampled(vehicle, controller, steps * h)
-    model = cut.model
-    Phi, Gamma, Gamma_r = held_inputs(model.A, h, exponential, model.B, model.A @ model.Bw + model.Br)
+    model, outside = cut.model, _outside(cut, controller, pulls)
+    jump = outside.jump
+    Phi, Gamma, Gamma_r = held_inputs(model.A, h, exponential, model.B, outside.rates)
 
-    # From xi at a sample of the controller and Z to xi after i steps, P xi + Q Z, under the inputs F (xi + Bw Z) it asks for.
+    # From xi at a sample of the controller and Z to xi after i steps, P xi + Q Z, under the inputs F (xi + Bw Z) + E Z.
     held = steps_held(how, h)
-    forces = [np.exp(-s * h * steps * late) * cut.asked for _, late in held]
-    of_parts = [cut.inputs(one, last=forces[-1]) for one in forces]
-    P, Q = np.broadcast_to(np.eye(len(model.A)), (len(s), *model.A.shape)), np.zeros((len(s), *model.Bw.shape))
+    turns = [np.exp(-s * h * steps * late) for _, late in held]
+    forces = [turn * cut.asked for turn in turns]
+    of_parts: list[Array] = [cut.inputs(one, last=forces[-1]) for one in forces]
+    of_felt: list[Array | float] = [0.0 for _ in held]
+    if outside.felt is not None:
+        asked, kept = outside.felt[: cut.forces], outside.felt[cut.forces :]
+        of_felt = [cut.inputs(turn * asked, np.broadcast_to(kept, (len(s), *kept.shape)), turns[-1] * asked) for turn in turns]
+    P, Q = np.broadcast_to(np.eye(len(model.A)), (len(s), *model.A.shape)), np.zeros((len(s), *jump.shape))
     # What of them, and of held forces, oscillates with omega itself.
     mean_P, mean_Q, mean_held = 0.0, 0.0, [np.zeros_like(s) for _ in held]
     for i, part in enumerate(part for part, (count, _) in enumerate(held) for _ in range(count)):
         turn, F = np.exp(-s * h * i) / steps, of_parts[part]
         mean_P, mean_Q, mean_held[part] = mean_P + turn * P, mean_Q + turn * Q, mean_held[part] + turn
-        P, Q = Phi @ P + Gamma @ F, Phi @ Q + Gamma @ F @ model.Bw + Gamma_r * np.exp(s * h * (i + 0.5))
+        pushed = Gamma @ F @ jump if outside.felt is None else Gamma @ (F @ jump + of_felt[part])
+        P, Q = Phi @ P + Gamma @ F, Phi @ Q + pushed + Gamma_r * np.exp(s * h * (i + 0.5))
     xi = np.linalg.solve(np.exp(s * h * steps) * np.eye(len(model.A)) - P, Q)
-    mean_inputs = sum(mean * (F @ (xi + model.Bw)) for mean, F in zip(mean_held, of_parts, strict=True))
-    return cut, xi + model.Bw, mean_P @ xi + mean_Q + model.Bw, np.asarray(mean_inputs)
+    parts = zip(mean_held, of_parts, of_felt, strict=True)
+    mean_inputs = sum(mean * (F @ (xi + jump) + felt) for mean, F, felt in parts)
+    return cut, xi + jump, mean_P @ xi + mean_Q + jump, np.asarray(mean_inputs)
 
 
 def as_met(vehicle: Vehicle, omega: Array, speed: float) -> Array:

@@ -40,6 +40,7 @@ from sim.ride.equivalent import Equivalent, equivalent
 from sim.ride.gaussian import Gaussian, positive_part
 from sim.ride.metrics import RUNNING, dynamic_load, energy, off_ground, points, power
 from sim.ride.quadrature import sample_band
+from sim.ride.remainder import LOWEST
 from sim.ride.weighting import SampledWk, sampled_wk
 from synth.certificate.stability import stability
 from synth.controller import Controller
@@ -94,7 +95,7 @@ def expect(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: f
     line = equivalent(vehicle, controller, road, timestep)
     if line is None:
         return None
-    vehicle = line.vehicle
+    vehicle, rest = line.vehicle, line.remainder
     low, high = road.band
     poles, doubt = loop_poles(vehicle, controller, timestep, high)
     where, static = points(vehicle), vehicle.kind.static_tyre_deflection(vehicle.parameters)
@@ -106,9 +107,10 @@ def expect(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: f
 
     def spectra(omega: Array) -> Array:
         """At every step of a period: those of all signals, of the weighted accelerations, and of every actuator's work."""
-        from_road = sources(vehicle, road, omega)
-        at_steps = stepwise_frequency_response(vehicle, controller, omega, timestep) @ from_road
-        leaps = leaps_by_step(vehicle, controller, omega, timestep) @ from_road
+        pulls = None if rest is None else rest.pulls
+        at_steps = stepwise_frequency_response(vehicle, controller, omega, timestep, pulls)
+        outside = sources(vehicle, road, omega) if rest is None else rest.sources(vehicle, road, omega, timestep, at_steps)
+        at_steps, leaps = at_steps @ outside, leaps_by_step(vehicle, controller, omega, timestep, pulls) @ outside
         at_steps[:-1, :, ride] -= leaps[:, :, ride] / 2  # midway, see `metrics.py`
         weighted = weigh_images(at_steps[:-1, :, ride], omega, timestep, weigh)
         works = [work_spectra(at_steps[:, :, force], at_steps[:, :, along], lags) for force, along in pushed]
@@ -120,6 +122,9 @@ def expect(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: f
         return found[:, :, : len(index) + len(ride)].mean(axis=1)
 
     band = sample_band(spectra, checked, low, high, poles, longest_panel(vehicle, road.speed))
+    if rest is not None:
+        below = sample_band(spectra, checked, LOWEST * low, low, poles, longest_panel(vehicle, road.speed))
+        band = below.before(band)
     # A sum over lines is the integral as long as a resonance is wider than the lines are apart.
     damping, rate = -np.real(poles), np.abs(np.imag(poles))
     narrowest = float(damping[(rate > low) & (rate < high)].min(initial=math.inf))
@@ -129,7 +134,7 @@ def expect(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: f
     mean, spread = {}, {}
 
     # A road's lines have fixed amplitudes: over its whole length it has no spread.
-    rest = max(1 - window * road.speed / road.length, 0.0)
+    varied = max(1 - window * road.speed / road.length, 0.0)
 
     def root(metric: str, column: int, clip: float = math.inf, scale: float = 1.0, offset: float = 0.0) -> Gaussian:
         signal = Gaussian(band.values[:, :, column].T, band.omega, band.share)
@@ -138,7 +143,7 @@ def expect(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: f
         mean[metric] = math.sqrt(whole) * scale
         # Half of the relative spread of a mean square is that of its root.
         variance = signal.mean_square_variance(window, clip)
-        spread[metric] = mean[metric] * math.sqrt(rest * variance) / (2 * whole) if square else 0.0
+        spread[metric] = mean[metric] * math.sqrt(varied * variance) / (2 * whole) if square else 0.0
         return signal
 
     for i, name in enumerate(where.accelerations, start=len(index)):

@@ -40,6 +40,11 @@ class Band:
     values: Array
     error: float
 
+    def before(self, other: "Band") -> "Band":
+        """It and a band that begins where it ends, whose integrals count for so much more that its error is that of both."""
+        pairs = zip((self.omega, self.share, self.values), (other.omega, other.share, other.values), strict=True)
+        return Band(*(np.concatenate(pair) for pair in pairs), error=other.error)
+
     def turning(self, time: float) -> Array:
         """Complex weights, shape (F,): `turning(t) @ f` is the integral of f exp(j omega t) over frequency, however late t [s].
 
