@@ -71,7 +71,7 @@ class Remainder:
     mean_force: Array
 
     def sources(self, vehicle: Vehicle, road: Spectrum, omega: Array, timestep: float, at_steps: Array) -> Array:
-        """What acts on the vehicle, over the amplitude of a road of its density: under every wheel, then as a force in the curves.
+        """What acts on the vehicle, over the amplitude of a road of its density: under wheels, then as forces in curves.
 
         Args:
             vehicle: linear, with the lines of the curves, r wheels.
