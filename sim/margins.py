@@ -18,6 +18,7 @@ from models.vehicle import Vehicle, read_vehicle
 from sim.asked.margins import late_run, parser
 from sim.command.claims import say_false_claims
 from sim.command.logs import log_lines, recorded
+from sim.linear.at_rest import at_rest, bent_at_rest
 from sim.runs.run import Run, run_all, sample_times
 from sim.stability.cut import cut
 from sim.stability.fragile import find_fragility
@@ -39,7 +40,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser().parse_args(arguments)
     # What is asked is how much the loop bears beyond an ideal implementation.
     as_built = read_vehicle(options.vehicle)
-    vehicle = replace(as_built.pushing, implementation=Implementation())
+    vehicle = replace(at_rest(as_built), implementation=Implementation())
     name = one_chosen(vehicle.controller_names, options.controller)
     outputs = {"picture": options.picture}
     check_outputs(outputs | {"logs": options.logs}, vehicle.files)
@@ -120,6 +121,8 @@ def _which_loop(vehicle: Vehicle) -> str:
     """Which loop has these margins, and which the norms of other vehicles, where the vehicle file says more than parameters."""
     slopes = lines_at_rest(vehicle.fitted)
     lines = f"of the lines of [curves] at rest, and there alone: {slopes}" if slopes else ""
+    if bent_at_rest(vehicle):
+        lines += "; MuJoCo has these lines, as a curve bends at rest"
     if vehicle.ideal and not vehicle.dampers:
         return lines
     lag = "with" if vehicle.limits.actuator_bandwidth is not None else "without"

@@ -22,6 +22,7 @@ from sim.command.usual import left_out, left_out_lines
 from sim.frequency.describing_function import DescribingFunction, describing_function
 from sim.frequency.identification import ideal_measurements
 from sim.frequency.sweep import EXTREMES, LINES, OWN, Sweep, holds, summary_lines, sweep, sweep_lines, sweep_object
+from sim.linear.at_rest import at_rest_words
 from sim.runs.run import Run, run_all
 from synth.controller import Controller
 from synth.designer import Designer
@@ -48,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     controllers, how = driven(vehicle, names, designer.design), (options.amplitude, options.timestep, options.speed)
     say_false_claims(controllers)
     linear = [one for one in controllers if isinstance(one, Controller)]
-    swept = sweep(vehicle.pushing, linear, *how, stage) if linear else []
+    swept = sweep(vehicle, linear, *how, stage) if linear else []
     stage(OWN)
     own = [describing_function(vehicle, one, *how) for one in controllers if not isinstance(one, Controller)]
     stage("picture and logs")
@@ -76,6 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             f"on roads of {options.amplitude:g} m, with steps of {options.timestep:g} s",
             vehicle.source,
         )
+        lines += filter(None, [at_rest_words(vehicle) if swept else ""])
         for one in sweeps:
             lines += ["", *sweep_lines(one)]
         say(

@@ -95,7 +95,7 @@ ROOMS = {
     "sim.physics": "models.curves sim.response sim.semi_active models.roads",
     "sim.runs": "sim.linear sim.physics sim.response models.roads synth.words",
     "sim.ride": "models.curves models.filters sim.linear sim.response models.roads sim.runs",
-    "sim.validity": "models.figures sim.linear sim.physics sim.response models.roads",
+    "sim.validity": "models.curves models.figures sim.linear sim.physics sim.response models.roads",
     "sim.stability": "models.figures sim.linear sim.physics models.roads sim.runs synth.problem synth.tolerance",
     "sim.frequency": "models.figures models.filters sim.linear sim.physics sim.response models.roads sim.runs synth.problem "
     "synth.words",
@@ -112,8 +112,8 @@ ROOMS = {
     "synth.front synth.paper synth.words",
     "sim.bump": "models.figures sim.asked sim.command models.roads sim.runs synth.designer",
     "sim.drive": "models.figures sim.asked sim.command sim.ride sim.runs synth.designer",
-    "sim.sweep": "sim.asked sim.command models.figures sim.frequency sim.runs synth.designer",
-    "sim.margins": "models.curves sim.asked sim.command models.figures sim.runs sim.stability synth.designer",
+    "sim.sweep": "sim.asked sim.command models.figures sim.frequency sim.linear sim.runs synth.designer",
+    "sim.margins": "models.curves sim.asked sim.command models.figures sim.linear sim.runs sim.stability synth.designer",
     "sim.__main__": "",
     "sim.envelope": "sim.asked sim.command models.figures sim.response models.roads sim.runs sim.validity synth.designer",
 }

@@ -19,7 +19,9 @@ from models.mjcf import build_model
 from models.roads.road import Bump
 from models.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main
+from sim.frequency.identification import identify
 from sim.inspect.__main__ import main as inspect
+from sim.linear.at_rest import at_rest, at_rest_words
 from sim.linear.curved import elements
 from sim.linear.loop import sampled_response, taylor4
 from sim.margins import _which_loop
@@ -444,6 +446,24 @@ def test_claims_say_that_they_are_of_the_line_at_rest():
     assert ideal_lines(vehicle.straight, [design(vehicle, "passive")]) == []
     assert _which_loop(vehicle).endswith("at rest, and there alone: suspension_damping 1750 (elsewhere 666.7 to 1750)")
     assert _which_loop(vehicle.straight) == ""
+
+
+def test_a_curve_that_bends_at_rest_has_its_line_where_only_that_is_spoken_of():
+    """With friction no road is so small that physics is the line: frequency responses have the line in MuJoCo, and say so."""
+    rough = with_curves(suspension_damping=DIGRESSIVE.replace(" }", ", friction = 40.0, friction_velocity = 0.02 }"))
+    smooth = with_curves(suspension_damping=DIGRESSIVE)
+    assert at_rest(smooth) is smooth
+    assert at_rest_words(smooth) == ""
+    assert at_rest_words(rough) == "MuJoCo has lines in place of the curve of suspension damping, which bends at rest"
+    assert _which_loop(rough).endswith("; MuJoCo has these lines, as a curve bends at rest")
+    controller = [design(rough, "I")]
+    off, near = (
+        float(one.error(one.sampled).max())
+        for vehicle in (rough, at_rest(rough))
+        for one in identify(vehicle, controller, 1e-4, 4e-3, 12.5)
+    )
+    assert off > 0.1  # friction holds the suspension over 0.1 mm: measured 1.0
+    assert near < 1e-3  # RK4's at 4 ms: measured 5e-4
 
 
 def test_a_map_foretells_when_curves_leave_their_lines():

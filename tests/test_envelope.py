@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
+from models.common.numbers import percent
 from models.figures.figure import Classes
 from models.kind import MOST_SQUEEZE
 from models.reality import Limits
@@ -27,6 +28,7 @@ from sim.response.regime import (
     scaled_reached,
     utilisation,
 )
+from sim.runs.dampers import shortfalls
 from sim.runs.run import run_all
 from sim.validity.cells import Interrupted, validity
 from sim.validity.figure import envelope_figure
@@ -52,6 +54,36 @@ def cells(limited, designer):
     """Its map over height and speed."""
     bumps = grid(read_axes(["height:0.02:0.3:14", "speed:3:30:14"]), FIXED)
     return validity(limited, designer.design("I"), bumps, TIME)
+
+
+def test_dampers_that_are_short_of_force(tmp_path, capsys):
+    """A clipped controller's map says how much force is missing, cell by cell, and what ends the analysis with its dampers."""
+    arguments = ["--vehicle", "quarter_car_semi_active", "--controller", "I", "--timestep", "2e-3", "--duration", "1.5"]
+    arguments += ["--vary", "height:0.05:0.25:4", "--vary", "speed:6:18:3"]
+    table = tmp_path / "map.csv"
+    assert main([*arguments, "--json", "--csv", str(table)]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert {cell["broke_first"] for cell in found["cells"]} == {None, "lift-off"}
+    assert all(cell["agrees"] and not cell["holds"] for cell in found["cells"])  # no boundary is as near as 1 % in this map
+    vehicle = read_vehicle("quarter_car_semi_active")
+    controller = Designer(vehicle, search=False).design("I")
+    for cell in found["cells"][:4]:
+        road = Bump(cell["height"], cell["length"], cell["speed"])
+        (run,) = run_all(vehicle, [controller], road, np.arange(751) * 2e-3)
+        (one,) = shortfalls(vehicle, run.physics).values()
+        assert cell["missing_force"] == pytest.approx(one.rms, rel=1e-6)  # another way to what was asked for: rounding
+    with table.open(newline="") as file:
+        assert [float(row["missing_force"]) for row in csv.DictReader(file)] == [one["missing_force"] for one in found["cells"]]
+
+    shares = [one["missing_force"] for one in found["cells"]]
+    said = f"adjustable dampers {percent(min(shares))} to {percent(max(shares))} (rms) is missing"
+    assert main(arguments) == 0
+    printed = prose(capsys.readouterr().out)
+    assert said in printed
+    assert "damper comes first" not in printed
+    assert "break as the analysis with its dampers predicts" in printed
+    assert main([*arguments[:2], "--controller", "passive", *arguments[4:]]) == 0
+    assert "missing" not in capsys.readouterr().out  # nothing is asked of them
 
 
 def test_prediction(cells):

@@ -7,13 +7,16 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
+from models.common.numbers import percent
 from models.roads.road import Bump
 from models.vehicle import read_vehicle
 from sim.command.driven import programmed
 from sim.frequency.describing_function import describing_function
 from sim.report.__main__ import main
 from sim.report.ride import CLASSES
+from sim.runs.dampers import shortfalls
 from sim.runs.run import run_all, sample_times
+from synth.designer import Designer
 from tests.test_python_laws import vehicle_of
 
 pytest.importorskip("jinja2", reason="a report needs the extra [report]")
@@ -95,3 +98,44 @@ def test_a_law_that_fails_is_one_line(tmp_path):
     with pytest.raises(InputError, match=r"^controller 'mine', law mine.py:step: step fails \(ZeroDivisionError"):
         main(["--vehicle", str(path), "--controller", "mine", "--quick", "--out", str(page)])
     assert not page.exists()
+
+
+def test_dampers_that_are_short_of_force(tmp_path, capsys):
+    """A report of a car with adjustable dampers says how much force they leave out, and which loop its linear claims are of."""
+    page = tmp_path / "report.html"
+    arguments = [
+        "--vehicle",
+        "quarter_car_semi_active",
+        "--quick",
+        "--timestep",
+        "2e-3",
+        "--json",
+        "--controller",
+        "passive",
+        "--controller",
+        "I",
+    ]
+    assert main([*arguments, "--controller", "skyhook", "--out", str(page)]) == 0
+    found, text = json.loads(capsys.readouterr().out), page.read_text(encoding="utf-8")
+    vehicle = read_vehicle("quarter_car_semi_active")
+    (run,) = run_all(vehicle, [Designer(vehicle).design("I")], Bump(), sample_times(vehicle, 3.0, STEP))
+    (one,) = shortfalls(vehicle, run.physics).values()
+    (said,) = [line for line in found["answer"] if "leave out" in line]
+    assert f"{percent(one.rms)} of I's" in said
+    assert found["answer"][0].startswith("Of skyhook there is no linear claim, as it is a semi-active law")
+    assert not [
+        line for line in found["answer"] if "frequency response" in line and "all forces given" not in line and line != said
+    ]
+    assert "MuJoCo has actuators that push in place of the adjustable dampers" in text
+    assert "law in Python" not in text
+    assert "unstable" not in text.lower()
+    rows = {row["controller"]: row for row in found["tables"]["summary"]}
+    assert rows["I"]["analysis true up to"].endswith(" m")
+    (end,) = [row for row in found["tables"]["regime"] if row["controller"] == "I"]
+    assert (end["predicted end"], end["ended by"]) == ("lift-off", "lift-off")
+    assert float(end["off by, of a peak"]) < 1e-3  # RK4's at 2 ms, of the switched response; of the linear one it is 1
+    bump = [row for row in found["tables"]["bump"] if row["controller"] == "I"]
+    assert {row["linear until [s]"] for row in bump} == {f"{run.agreement.ended['damper']:.4g}"}
+    assert {row["to continuous"] for row in found["tables"]["agreement"]} == {"-"}
+    settings = {row["parameter [SI]"]: row["value"] for row in found["tables"]["vehicle"]}
+    assert (settings["[actuators] c_min"], settings["[actuators] c_max"]) == ("200", "1000")

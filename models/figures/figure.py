@@ -19,7 +19,7 @@ STYLES: dict[str, tuple[str, Dash]] = {
     "I": ("#d62728", "dashdot"),
     "II": ("#2ca02c", "solid"),
 }
-OTHERS = ("#9467bd", "#ff7f0e", "#8c564b", "#17becf", "#e377c2", "#bcbd22")
+OTHERS = ("#9467bd", "#ff7f0e", "#8c564b", "#17becf", "#e377c2", "#bcbd22", "#393b79", "#00695c")
 DASHES: tuple[Dash, ...] = ("longdash", "solid", "dot", "dashdot", "dash")  # one after the other, when the colours are used up
 
 

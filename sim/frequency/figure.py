@@ -88,7 +88,7 @@ def sweep_figure(
     regime = f"; outside the linear regime: {', '.join(ended)}" if ended else ""
     loop = "continuous" if how.prompt else f"as built, {', '.join(how.clear.words)}"
     without = f" without its {how.blur}" if how.blurred else ""
-    crosses = "; crosses: the fundamental that a law in Python makes of one sinusoid at a time" if own else ""
+    crosses = "; crosses: the fundamental that a law that is not linear makes of one sinusoid at a time" if own else ""
     title = (
         f"{vehicle.kind.name.replace('_', ' ')}: response to road velocity. Lines: linear analysis, {loop}. Points: MuJoCo "
         f"at {1e3 * timestep:g} ms,\nidentified{without} on roads of {1e3 * amplitude:g} mm{crosses}{regime}"

@@ -22,6 +22,7 @@ from sim.frequency.eusama import MinimumLoad, load_failures, load_lines, load_ob
 from sim.frequency.extremes import Extremes, extremes
 from sim.frequency.identification import Lines, difference, ideal_measurements, identify
 from sim.frequency.periodic import WorstRoad, worst_road
+from sim.linear.at_rest import at_rest
 from sim.runs.agreement import COARSEST, SLACK
 from synth.controller import Controller
 from synth.implemented.claims import norm_if_implemented
@@ -88,11 +89,12 @@ def sweep(
     Other arguments and errors as for `sim.frequency.identification.identify`.
     """
     progress(LINES)
-    lines = identify(vehicle, controllers, amplitude, timestep, speed)
+    near = at_rest(vehicle)
+    lines = identify(near, controllers, amplitude, timestep, speed)
     progress(EXTREMES)
-    most = extremes(vehicle, controllers, amplitude, timestep, speed)
-    loads = minimum_loads(vehicle, controllers, timestep)
-    ideal, found = ideal_measurements(vehicle), []
+    most = extremes(near, controllers, amplitude, timestep, speed)
+    loads = minimum_loads(vehicle.pushing, controllers, timestep)
+    ideal, found = ideal_measurements(near), []
     for controller, line, extreme, load in zip(controllers, lines, most, loads, strict=True):
         norm = norm_if_implemented(ideal, controller, timestep)
         road = worst_road(ideal, controller, norm, amplitude, timestep) if norm is not None else None

@@ -13,21 +13,24 @@ A decision that is a switch can differ between physics and this response by roun
 change of what it was decided on as small as the two may differ by makes the controller decide so; and this is said.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
+from models.damping.laws import SemiActive
 from models.reality import steps_per_sample
 from models.roads.road import Road, under_wheels
 from models.vehicle import Vehicle
 from sim.linear.curved import adjustable_inputs, is_curved
 from sim.linear.curved_steps import CurvedSteps, Weights
-from sim.linear.dampers import stretching
+from sim.linear.dampers import damper_signals, stretching
 from sim.linear.deciding import OTHERWISE, Decisions, Otherwise
-from sim.linear.loop import held_loads, taylor4
+from sim.linear.loop import held_loads, response_of, taylor4
+from sim.response.response import Response
+from synth.controller import Controller
 from synth.sampled.hold import held_inputs
 
 MOST_KEPT = 256  # steps of as many coefficients are kept; a law that switches has few
@@ -115,6 +118,26 @@ def switched(
         xi, acting = step(xi, acting, command[:m], k)
     outside = loads @ model.Dl.T if step.curves is None else loads @ model.Dl.T + step.curves.beyond(states, now)
     return Switched(states, inputs, beyond, missing, outside, kept, tuple(otherwise))
+
+
+def switched_response(vehicle: Vehicle, controller: Controller | SemiActive, road: Road, time: Array) -> Response:
+    """The response of a vehicle with adjustable dampers on its own: no physics is there to be followed.
+
+    It is proportional to the road, as a coefficient is decided by a force over a velocity, unless there are curves or loads.
+
+    Args:
+        vehicle: the vehicle; noise on its measurements is left out.
+        controller: its controller.
+        road: the road.
+        time: equidistant sample times [s], shape (T,).
+    """
+    vehicle = replace(vehicle, implementation=vehicle.implementation.clear)
+    period = steps_per_sample(vehicle.implementation, float(time[1])) * float(time[1])
+    decisions = Decisions(vehicle, controller, period, near=0.0, peaks=lambda name: 0.0)
+    unknown = np.full((len(time), 2 * len(vehicle.linear_model.inputs)), np.nan)
+    found = switched(vehicle, road, time, decisions, unknown, controller.measured)
+    beside = damper_signals(vehicle, found.beyond, found.missing)
+    return response_of(vehicle, vehicle.linear_model, road, time, found.states, found.inputs, found.outside, beside)
 
 
 def _followed(

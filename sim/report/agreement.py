@@ -45,10 +45,14 @@ def bump_section(scope: Scope, runs: Sequence[Run], road: Bump) -> Section:
         panels.append(Panel(title, "time [s]", f"{words} [{unit}]", tuple(curves), None, xlim=limits[0], ylim=limits[1]))
     early = "; where a loop is unstable or a run breaks off, until the linear regime ends"
     early = "" if all(_bounded(scope, run) for run in runs) else early
-    lines = f"the continuous loop{scope.lag}" if scope.prompt else f"the loop as it runs, {scope.as_it_runs}"
+    lines = f"linear analysis of the continuous loop{scope.lag}"
+    if scope.beyond:
+        lines = f"{scope.analysis}, {scope.as_it_runs}"
+    elif not scope.prompt:
+        lines = f"linear analysis of the loop as it runs, {scope.as_it_runs}"
     title = (
         f"Response to the bump of {road.height:g} m height and {road.length:g} m length at {road.speed:g} m/s. "
-        f"Lines: linear analysis of {lines}{early}.\nPoints: MuJoCo at {1e3 * scope.timestep:g} ms"
+        f"Lines: {lines}{early}.\nPoints: MuJoCo at {1e3 * scope.timestep:g} ms"
     )
     figure = Figure("bump", title, tuple(panels), columns=2 if len(signals) <= 4 else 3)
     rows = []
@@ -58,7 +62,7 @@ def bump_section(scope: Scope, runs: Sequence[Run], road: Bump) -> Section:
                 name.replace("_", " "),
                 vehicle.kind.signal(name).unit,
                 run.controller.name,
-                f"{min(run.agreement.until, BUMP_DURATION):.4g}",
+                f"{min(run.agreement.until, *run.agreement.ended.values(), BUMP_DURATION):.4g}",
                 *(number(float(one.peak(name)), ".5g") for one in (run.physics, run.sampled, run.continuous)),
                 *(number(float(one.rms(name)), ".5g") for one in (run.physics, run.sampled, run.continuous)),
             )
@@ -80,9 +84,14 @@ def bump_section(scope: Scope, runs: Sequence[Run], road: Bump) -> Section:
     table = Table("bump", caption, headings, tuple(rows), words=3)
     blur = scope.vehicle.implementation.blur.replace(" and ", " or ")
     unknown = f" or {blur}" if blur else ""
+    response = "response" if scope.beyond else "linear response"
+    if scope.beyond:
+        response += scope.analysis.removeprefix("the analysis").replace("its", "the", 1)
+    continuous = f"continuous {'linear ' * scope.beyond}loop{scope.lag}{scope.given}"
+    another = "another" if scope.beyond else "an"
     about = (
-        f"Over {BUMP_DURATION:g} s from rest. 'Sampled' is the exact linear response of the loop as it runs, {scope.as_it_runs}; "
-        f"'continuous' is that of the continuous loop{scope.lag}. Neither knows an end of the linear regime{unknown}, "
+        f"Over {BUMP_DURATION:g} s from rest. 'Sampled' is the exact {response} of the loop as it runs, {scope.as_it_runs}; "
+        f"'continuous' is that of the {continuous}. Neither knows {another} end of the linear regime{unknown}, "
         f"so where that has ended before {BUMP_DURATION:g} s, MuJoCo's peaks are of something else than theirs."
     )
     verdicts = tuple(f"{run.controller.name}: {line}." for run in runs for line in verdict_lines(run))
@@ -124,7 +133,7 @@ def _drawn(scope: Scope, run: Run, name: str) -> _Drawn | None:
     end = run.broke_off[1] if run.broke_off is not None else math.inf
     every = max(1, len(run.physics.time) // POINTS)
     curves, seen = [], [np.zeros(0)]
-    line = (run.continuous if scope.prompt else run.sampled).until(math.inf if bounded else until)
+    line = (run.continuous if scope.prompt and not scope.beyond else run.sampled).until(math.inf if bounded else until)
     if len(line.time):
         thin = thinned(line[name], max(1, every // 6))
         curves.append(Curve(line.time[thin], line[name][thin], run.controller.name, color, dash))
@@ -166,7 +175,7 @@ def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -
                     f"{signal.sampled:.1e}",
                     f"{signal.allowed:.1e}" if signal.small is None else "geometry",
                     _order(signal.sampled, half.sampled) if exact else "-",
-                    f"{signal.continuous:.1e}",
+                    f"{signal.continuous:.1e}" if not scope.beyond else "-",
                     _order(signal.continuous, half.continuous) if exact and _settles(scope, run) else "-",
                 )
             )
@@ -191,7 +200,12 @@ def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -
             "Bodies that turn are not linear: what that makes does not shrink with the step but with the height of the bump, and "
             "so it was tried, at a hundredth of it."
         )
-    if scope.prompt:
+    if scope.beyond:
+        text.append(
+            f"The sampled response is that of {scope.analysis}; the continuous loop is linear{scope.given}, so that the one does "
+            "not tend to the other, and they are not compared."
+        )
+    elif scope.prompt:
         text.append(
             "The sampled response tends to the continuous one with order 1, because the force is held over a step; without a "
             "force with order 2, because the road is."
@@ -225,7 +239,7 @@ def _energy(runs: Sequence[Run]) -> Table:
 
 def _settles(scope: Scope, run: Run) -> bool:
     """Whether a run's sampled response tends to the continuous one with the step."""
-    return isinstance(run.controller, Controller) and (scope.prompt or not run.controller.law.acts)
+    return not scope.beyond and isinstance(run.controller, Controller) and (scope.prompt or not run.controller.law.acts)
 
 
 def _order(coarse: float, fine: float) -> str:

@@ -4,14 +4,15 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from models.common.numbers import percent
 from models.figures.page import State
 from models.roads.road import Bump
 from sim.frequency.identification import Lines
 from sim.frequency.sweep import Sweep, failures
-from sim.linear.curved import is_curved
 from sim.report.regime_end import REACHES, RegimeEnd
 from sim.report.scope import BUMP_DURATION, Scope, at_most, joined, percents
 from sim.response.regime import REGIME_ENDS
+from sim.runs.dampers import shortfalls
 from sim.runs.run import Run
 from synth.controller import Controller
 
@@ -60,12 +61,19 @@ def loops(scope: Scope) -> list[Finding]:
         found.append(
             Finding(
                 f"Of {joined([one.name for one in scope.laws])} there is no linear claim, as "
-                f"{'each is a law' if len(scope.laws) > 1 else 'it is a law'} in Python: no norm, bound or margin, and no height "
-                "up to which analysis is true. MuJoCo drives it as it drives the others, and is held against the linear "
-                "vehicle's response to the forces that it asked for."
+                f"{'each' if len(scope.laws) > 1 else 'it'} is {scope.kind_of_laws}: no norm, bound or margin, and no height "
+                f"up to which analysis is true. MuJoCo drives {'them' if len(scope.laws) > 1 else 'it'} as it drives the others, "
+                f"and is held against {_held_against(scope)}."
             )
         )
     return found
+
+
+def _held_against(scope: Scope) -> str:
+    """What MuJoCo is held against with laws of which there is no linear claim."""
+    if scope.vehicle.dampers:
+        return "the exact response of the system that its dampers switch"
+    return "the linear vehicle's response to the forces that it asked for"
 
 
 def norms(scope: Scope) -> list[Finding]:
@@ -75,7 +83,9 @@ def norms(scope: Scope) -> list[Finding]:
         return []
     least = min(values, key=lambda name: values[name])
     passive = scope.designer.design("passive").certificate.norm.value
-    text = f"H-infinity norms of the ideal loop: {', '.join(f'{name} {value:.4g}' for name, value in values.items())}."
+    text = (
+        f"H-infinity norms of the ideal loop{scope.given}: {', '.join(f'{name} {value:.4g}' for name, value in values.items())}."
+    )
     if least != "passive" and math.isfinite(passive):
         share = values[least] / passive - 1
         text += f" The least is {least}'s, {percents(share)} % {'below' if share < 0 else 'above'} the passive suspension's."
@@ -87,11 +97,8 @@ def norms(scope: Scope) -> list[Finding]:
 
 def over_the_bump(scope: Scope, runs: Sequence[Run]) -> list[Finding]:
     """Whether MuJoCo is the linear analysis over the paper's bump, and until when."""
-    which = "the linear analysis"
-    if is_curved(scope.vehicle) or scope.vehicle.dampers:
-        which = f"the analysis with its {'curves' if is_curved(scope.vehicle) else 'adjustable dampers'}"
     built = "" if scope.plain else " of the loop as built"
-    which += built
+    which = f"{scope.analysis}{built}"
     throughout = [run.controller.name for run in runs if run.agreement.agrees and math.isinf(run.agreement.until)]
     found = []
     if throughout:
@@ -118,6 +125,24 @@ def over_the_bump(scope: Scope, runs: Sequence[Run]) -> list[Finding]:
         text = f"Over the paper's bump energy DOES NOT BALANCE{built} for {joined(unbalanced)}: see the table of energy."
         found.append(Finding(text, "fails"))
     return found
+
+
+def left_short(scope: Scope, runs: Sequence[Run]) -> list[Finding]:
+    """How much of the force that linear controllers ask of adjustable dampers these leave out, and what is not true then."""
+    missing = {}
+    for run in runs:
+        if isinstance(run.controller, Controller) and scope.short(run.controller):
+            share = max((one.rms for one in shortfalls(run.vehicle, run.physics).values()), default=0.0)
+            if share > 0:
+                missing[run.controller.name] = percent(share)
+    if not missing:
+        return []
+    text = (
+        f"Over the paper's bump adjustable dampers leave out, of the force that they are asked for (rms): "
+        f"{joined([f'{share} of {name}' + chr(39) + 's' for name, share in missing.items()])}. Norms, frequency responses and "
+        "margins are of the loop whose every force is given, and say nothing of these rides."
+    )
+    return [Finding(text)]
 
 
 def _how(scope: Scope, runs: Sequence[Run]) -> str:
@@ -150,7 +175,7 @@ def responses(scope: Scope, lines: Sequence[Lines], sweeps: Sequence[Sweep]) -> 
     found = [
         Finding(
             f"Every frequency response in MuJoCo is within {at_most(off)} of the exact one of the loop "
-            f"{'with its force held over a step' if scope.plain else 'as built'}{scope.without}."
+            f"{'with its force held over a step' if scope.plain else 'as built'}{scope.without}{scope.given}."
         )
     ]
     for one in sweeps:
@@ -202,8 +227,9 @@ def regime(scope: Scope, bump: Bump, ends: Sequence[tuple[Controller, RegimeEnd 
             heights.append(f"{one.name} {height:.3g} m ({end.end}{predicted})")
     comma = "," if scope.blurred else ""
     errors = [end.error for _, end in ends if end is not None and end.confirmed]
+    which = scope.analysis if scope.vehicle.dampers else "the linear regime"
     text = (
-        f"Over bumps of {bump.length:g} m at {bump.speed:g} m/s the linear regime"
+        f"Over bumps of {bump.length:g} m at {bump.speed:g} m/s {which}"
         f"{'' if scope.plain else f' of the loop as built{scope.without}{comma}'} ends at a height of: {'; '.join(heights)}."
     )
     if errors:

@@ -9,7 +9,7 @@ from models.roads.road import Bump
 from sim.frequency.describing_function import DescribingFunction, describing_function
 from sim.frequency.identification import ideal_measurements, identify
 from sim.frequency.sweep import OWN, sweep
-from sim.linear.dampers import is_linear
+from sim.linear.at_rest import at_rest
 from sim.report import answer as report_answer
 from sim.report.agreement import agreement_section, bump_section
 from sim.report.designs import design_section, frequency_section
@@ -39,21 +39,22 @@ def page(scope: Scope, provenance: dict[str, str]) -> Page:
     finer = run_all(vehicle, scope.driven, road, halves)
     scope.progress("frequency responses")
     if scope.quick:
-        sweeps, lines = [], identify(vehicle.pushing, scope.stable, AMPLITUDE, h, road.speed) if scope.stable else []
+        sweeps, lines = [], identify(at_rest(vehicle), scope.stable, AMPLITUDE, h, road.speed) if scope.stable else []
     else:
-        sweeps = sweep(vehicle.pushing, scope.stable, AMPLITUDE, h, road.speed, scope.progress) if scope.stable else []
+        sweeps = sweep(vehicle, scope.stable, AMPLITUDE, h, road.speed, scope.progress) if scope.stable else []
         lines = [one.lines for one in sweeps]
     own: list[DescribingFunction] = []
     if not scope.quick and scope.laws:
         scope.progress(OWN)
         own = [describing_function(vehicle, one, AMPLITUDE, h, road.speed) for one in scope.laws]
     scope.progress("where the linear regime ends")
-    ends = [(one, regime_end(ideal_measurements(vehicle), one, road, time)) for one in scope.stable if is_linear(vehicle, one)]
+    ends = [(one, regime_end(ideal_measurements(vehicle), one, road, time)) for one in scope.stable]
 
     answer = [
         *report_answer.loops(scope),
         *report_answer.norms(scope),
         *report_answer.over_the_bump(scope, runs),
+        *report_answer.left_short(scope, runs),
         *report_answer.responses(scope, lines, sweeps),
         *report_answer.regime(scope, road, ends, runs),
     ]
@@ -64,7 +65,7 @@ def page(scope: Scope, provenance: dict[str, str]) -> Page:
     if ends:
         sections.append(regime_section(scope, road, ends, runs))
     if not scope.quick and scope.active:
-        given = replace(scope, vehicle=vehicle.pushing) if vehicle.dampers else scope
+        given = replace(scope, vehicle=at_rest(vehicle))
         for section, findings in (margins_section(given), validity_section(scope, road)):
             sections.append(section)
             answer += findings
@@ -106,6 +107,13 @@ def _provenance(scope: Scope, provenance: dict[str, str]) -> Section:
     built |= {f"quantisation of {name}": step for name, step in how.quantisation.items()}
     there = [(f"[implementation] {name}", f"{value:g}") for name, value in built.items() if value is not None]
     settings += there or [("[implementation]", "none")]
+    settings += [
+        (f"[curves] {one.parameter}", one.curve.words) for one in {one.parameter: one for one in vehicle.fitted}.values()
+    ]
+    for one in vehicle.adjustable:
+        lag = {} if one.damper.bandwidth is None else {"bandwidth": one.damper.bandwidth}
+        ranges = {"c_min": one.damper.c_min, "c_max": one.damper.c_max, **lag}
+        settings += [(f"[actuators] {name}{one.ending}", f"{value:g}") for name, value in ranges.items()]
     caption = (
         "Every number of the vehicle file that this page depends on, as it stands there, in SI units: a bandwidth in rad/s. All "
         "other frequencies on this page are in Hz."

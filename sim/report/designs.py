@@ -6,13 +6,15 @@ from dataclasses import replace
 import numpy as np
 
 from models.common.numbers import percent
+from models.damping.laws import SemiActive
 from models.figures.page import Section, Table
 from models.vehicle import Vehicle
 from sim.frequency.describing_function import DescribingFunction
 from sim.frequency.figure import sweep_figure
 from sim.frequency.identification import Lines
 from sim.frequency.sweep import Sweep
-from sim.report.scope import AMPLITUDE, Scope, number
+from sim.linear.at_rest import at_rest_words
+from sim.report.scope import AMPLITUDE, Scope, number, what_law
 from sim.runs.words import law_text
 from synth.certificate.promise import digits
 from synth.controller import Controller
@@ -42,7 +44,7 @@ def design_section(scope: Scope) -> Section:
             )
         )
     for one in scope.laws:
-        rows.append((one.name, ", ".join(one.measured).replace("_", " "), *["-"] * 6, "no linear claim: a law in Python"))
+        rows.append((one.name, ", ".join(one.measured).replace("_", " "), *["-"] * 6, f"no linear claim: {what_law(one)}"))
     headings = (
         "controller",
         "measures",
@@ -64,8 +66,8 @@ def design_section(scope: Scope) -> Section:
         laws = "; ".join(f"{one.name}: {law_text(one)}" for one in scope.laws)
         text = (
             *text,
-            f"What a law in Python asks for is known only of the measurements that it was called with, so that nothing is proved "
-            f"of it, and its columns are empty. {laws}.",
+            f"What {scope.kind_of_laws} asks for is {_known(scope)}, so that nothing is proved of it, and its columns are empty. "
+            f"{laws}.",
         )
     if not scope.plain:
         text = (*text, "All of this is of the ideal loop: continuous, with no limits and no computer.")
@@ -100,6 +102,13 @@ def design_section(scope: Scope) -> Section:
         )
     tables += [table for one in scope.controllers if (table := gain_table(scope.vehicle, one)) is not None]
     return Section("How good are the controllers, and is it proved?", "designs, gains, certificates", text, tuple(tables))
+
+
+def _known(scope: Scope) -> str:
+    """Of which measurements it is known what laws ask for that are not linear."""
+    if all(isinstance(one, SemiActive) for one in scope.laws):
+        return "no linear function of what it measures"
+    return "known only of the measurements that it was called with"
 
 
 def goals_table(controllers: Sequence[Controller]) -> Table | None:
@@ -202,6 +211,8 @@ def frequency_section(
         f"exact response of the loop as it runs there, {scope.as_it_runs}; 'continuous' is that of the continuous loop"
         f"{scope.lag}. The errors are the largest over all lines and signals."
     ]
+    if words := at_rest_words(scope.vehicle):
+        text.append(f"{words}: only of that loop is there a frequency response.")
     if sweeps:
         if scope.each_step:
             text.append(
@@ -230,12 +241,14 @@ def frequency_section(
         tables.append(Table("gains", caption, names, gains))
     if own:
         text.append(
-            "A law in Python has no line of analysis. It is driven over one sinusoid at a time: the fundamental of every signal "
-            "is its describing function, and beside it stands how much of the signal's energy is not in that. On other roads, "
+            "A law that is not linear has no line of analysis. It is driven over one sinusoid at a time: the fundamental of "
+            "every signal is its describing function, and beside it stands how much of the signal's energy is not in that. On "
+            "other roads, "
             "or higher ones, it may be otherwise."
         )
         caption = (
-            "Laws in Python over sinusoids: the fundamental per road velocity where it is largest, and the energy outside it."
+            "Laws that are not linear over sinusoids: the fundamental per road velocity where it is largest, and the energy "
+            "outside it."
         )
         tables.append(Table("describing-functions", caption, OWN_HEADINGS, tuple(_fundamentals(own)), words=3))
     title = "Which shaking is damped, and which is not?"

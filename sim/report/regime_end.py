@@ -2,6 +2,9 @@
 
 Before anything breaks the response is proportional to the height, so the height is one over the use per metre. A body that turns
 for real leaves that a little, so what counts is what MuJoCo did: the highest bump that breaks nothing, and the next that does.
+
+With adjustable dampers, and with curves, it is the end of the analysis that has them: dampers leave a linear controller short at
+any height, and a curve is off its line a little before it counts as left.
 """
 
 import math
@@ -12,8 +15,12 @@ import numpy as np
 from models.common.arrays import Array
 from models.roads.road import LIMITS, Bump
 from models.vehicle import Vehicle
+from sim.linear.curved import is_curved
+from sim.linear.dampers import is_linear
 from sim.linear.loop import sampled_response
-from sim.response.regime import END_NAMES, utilisation
+from sim.linear.switched import switched_response
+from sim.response.regime import DAMPER, END_NAMES, REGIME_ENDS, utilisation
+from sim.runs.run import run_all
 from sim.validity.cells import validity
 from synth.controller import Controller
 
@@ -32,8 +39,7 @@ class RegimeEnd:
         predicted_end: by which of `REGIME_ENDS`.
         near: what of these comes within the second of `REACHES` of that height: a body that turns may meet another one first.
         stays: the highest bump that was run in MuJoCo and broke nothing [m]; 0 where every one did.
-        error: largest difference of that run from the linear prediction, over the whole run, of any signal's peak; 0 where there
-            is none.
+        error: largest difference of that run from the analysis, over the whole run, of any signal's peak; 0 where there is none.
         leaves: the lowest bump that was run and broke something [m]; infinite where none did.
         end: what broke first there, of `REGIME_ENDS`; empty where nothing did.
     """
@@ -61,7 +67,11 @@ def regime_end(vehicle: Vehicle, controller: Controller, bump: Bump, time: Array
         bump: its height does not matter.
         time: equidistant sample times from 0 [s].
     """
-    used = utilisation(vehicle, sampled_response(vehicle.straight, controller, replace(bump, height=1.0), time))
+    metre, short = replace(bump, height=1.0), not is_linear(vehicle, controller)
+    alone = switched_response if short else sampled_response
+    used = utilisation(vehicle, alone(vehicle.straight, controller, metre, time))
+    if short:
+        used[REGIME_ENDS.index(DAMPER)] = 0.0
     if used.max() * LIMITS["height"][1] < REACHES[-1]:
         return None
     predicted = float(1 / used.max())
@@ -76,6 +86,9 @@ def regime_end(vehicle: Vehicle, controller: Controller, bump: Bump, time: Array
     while found.stays > 0 and found.leaves - found.stays > 2.01 * (REACHES[0] - 1) * predicted and found.end:
         heights = np.linspace(found.stays, found.leaves, POINTS)[1:-1]
         found = _narrowed(found, vehicle, controller, bump, heights, time)
+    if found.stays > 0 and (short or is_curved(vehicle)):  # a map knows how far it is from a linear response only
+        (run,) = run_all(vehicle, [controller], replace(bump, height=found.stays), time)
+        found = replace(found, error=max(signal.sampled for signal in run.agreement.signals.values()))
     return found
 
 

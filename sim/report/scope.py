@@ -11,6 +11,8 @@ from models.own.python_law import Programmed
 from models.reality import Limits, steps_per_sample
 from models.vehicle import Vehicle
 from sim.frequency.identification import check
+from sim.linear.curved import is_curved
+from sim.linear.dampers import is_linear
 from sim.runs.run import sample_times
 from sim.stability.growth import TIMESTEP
 from synth.controller import Controller
@@ -58,6 +60,38 @@ class Scope:
     def unstable(self, controller: Controller | Programmed | SemiActive) -> bool:
         """Whether a loop is known not to be stable, ideal or as built."""
         return isinstance(controller, Controller) and controller not in self.stable
+
+    @property
+    def kind_of_laws(self) -> str:
+        """What those are of which linear analysis does not speak, in words for one of them."""
+        kinds = {what_law(one): None for one in self.laws}
+        return " or ".join(kinds)
+
+    def short(self, controller: Controller | Programmed | SemiActive) -> bool:
+        """Whether it asks adjustable dampers for forces, which they cannot always give."""
+        return not isinstance(controller, Controller) or not is_linear(self.vehicle, controller)
+
+    @property
+    def given(self) -> str:
+        """Which loop linear analysis speaks of where there are adjustable dampers or curves, after a comma; else empty."""
+        words = (
+            "all forces given" * bool(self.vehicle.dampers),
+            "curves being their lines at rest" * is_curved(self.vehicle),
+        )
+        return "".join(f", {one}" for one in words if one)
+
+    @property
+    def analysis(self) -> str:
+        """What MuJoCo is held against, in words."""
+        beyond = [
+            what for what, there in (("curves", is_curved(self.vehicle)), ("adjustable dampers", self.vehicle.dampers)) if there
+        ]
+        return f"the analysis with its {joined(beyond)}" if beyond else "the linear analysis"
+
+    @property
+    def beyond(self) -> bool:
+        """Whether MuJoCo is held against more than a linear loop, to which no continuous one is the limit."""
+        return is_curved(self.vehicle) or bool(self.vehicle.dampers)
 
     @property
     def plain(self) -> bool:
@@ -148,6 +182,11 @@ class Scope:
         except ValueError:
             return self.timestep
         return twice
+
+
+def what_law(controller: Controller | Programmed | SemiActive) -> str:
+    """What a law is of which linear analysis does not speak."""
+    return "a semi-active law" if isinstance(controller, SemiActive) else "a law in Python"
 
 
 def check_scope(vehicle: Vehicle, timestep: float) -> None:

@@ -51,7 +51,12 @@ def summary(
         "unstable",
     )
     panels = [
-        Panel("How hard can a road shake it?\nH-infinity norm of the ideal loop: shorter is better", "norm", "", *shake),
+        Panel(
+            f"How hard can a road shake it?\nH-infinity norm of the ideal loop{scope.given}: shorter is better",
+            "norm",
+            "",
+            *shake,
+        ),
         Panel(f"How rough is the ride?\n{label}, {where}: shorter is better", f"{label} [{unit}]", "", *rough),
     ]
     stated = dict.fromkeys(wrong, "none claimed")
@@ -62,7 +67,12 @@ def summary(
         predicted, seen = ({name: pair[i] for name, pair in heights.items()} for i in (0, 1))
         tall = _bars(scope, predicted, seen, stated, "nowhere: unstable")
         panels.append(
-            Panel(f"Up to which bump is the analysis true?\nheight at which it ends{scope.without}", "height [m]", "", *tall)
+            Panel(
+                f"Up to which bump is the analysis true?\nheight at which it ends{scope.without}{_with(scope)}",
+                "height [m]",
+                "",
+                *tall,
+            )
         )
     title = (
         "What control gains, and until where the analysis is true. Bars: linear analysis. "
@@ -110,6 +120,10 @@ def _roughness(scope: Scope, runs: Sequence[Run], rides: Sequence[Ride]) -> tupl
     }
     unit = vehicle.kind.signal(name).unit.replace("s2", "s²")
     return found, f"{name.replace('_', ' ')}, rms", unit, "over the paper's bump"
+
+
+def _with(scope: Scope) -> str:
+    return ", with its dampers" if scope.vehicle.dampers else ""
 
 
 def _metres(height: tuple[float, float]) -> str:

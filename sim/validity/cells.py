@@ -3,6 +3,10 @@
 Before anything breaks, physics *is* linear, so what breaks first, and when, follows from the linear response alone; and that is
 proportional to the height of the bump. One linear run per length and speed predicts a whole column of heights, and MuJoCo, run in
 every cell, says whether that is so.
+
+Adjustable dampers that are asked for forces leave a linear controller short at once, at whatever height. So what is told of them
+is how much of the force is missing; what breaks first is then what ends the analysis *with* its dampers, the switched response,
+which is proportional to the height as well. A curve is off its line by more and more: it breaks at a stated share, `LEAVES`.
 """
 
 import functools
@@ -15,14 +19,18 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.cores import cores
+from models.common.numbers import percent
 from models.common.side_by_side import side_by_side
 from models.roads.road import Bump
 from models.vehicle import Vehicle
 from sim.linear.curved import is_curved
+from sim.linear.dampers import is_linear
 from sim.linear.loop import sampled_responses
+from sim.linear.switched import switched_response
 from sim.physics.blocks import runs_at_once
 from sim.physics.watched import Watched
-from sim.response.regime import END_NAMES, EndDetector, first_end, scaled_reached, utilisation
+from sim.response.regime import DAMPER, END_NAMES, REGIME_ENDS, EndDetector, first_end, scaled_reached, utilisation
+from sim.response.response import Response
 from synth.controller import Controller
 
 ENOUGH = 0.99  # of the cells have to break as predicted; the others lie at a boundary
@@ -44,6 +52,8 @@ class Cells:
         predicted_time: the same [s], shape (N,).
         used: how much of the way to each of `REGIME_ENDS` the linear response goes, shape (N, E).
         edge: whether the prediction is another one at a height 1 % lower or higher, shape (N,).
+        missing: rms of the forces that adjustable dampers did not give in physics, over that of all that were asked of them at
+            the samples, 0 where none was, NaN of a vehicle without any, shape (N,).
     """
 
     bumps: tuple[Bump, ...]
@@ -55,11 +65,22 @@ class Cells:
     predicted_time: Array
     used: Array
     edge: Array
+    missing: Array
 
     def counted(self, noun: str) -> str:
         """How many were run, and of how many asked where those are more."""
         done, asked = int(self.done.sum()), len(self.bumps)
         return f"{done} {noun}" if done == asked else f"{done} {noun} (of {asked} asked)"
+
+    @property
+    def short(self) -> str:
+        """How much of the force asked of adjustable dampers is missing, in words; empty where none is."""
+        some = self.missing[self.done & (self.missing > 0)]
+        if not len(some):
+            return ""
+        least, most = (percent(float(share)) for share in (some.min(), some.max()))
+        much = most if least == most else f"{least} to {most}"
+        return f"of the force asked of its adjustable dampers {much} (rms) is missing"
 
     @property
     def agrees(self) -> Array:
@@ -150,58 +171,91 @@ def _run(
     unit = sampled_responses(vehicle.straight, controller, [Bump(1.0, *key) for key in columns], time)
     outputs = [i for i, name in enumerate(unit.names) if name in vehicle.linear_model.outputs]
     linear = np.moveaxis(unit.values, 0, 2)[:, outputs]
-    hole = replace(unit, values=-unit.values)
-    used = np.abs(heights)[:, None] * np.where(
-        heights[:, None] > 0, utilisation(vehicle, unit)[column], utilisation(vehicle, hole)[column]
-    )
-    times = np.empty((count, 3, len(END_NAMES)))
-    for i in columns.values():
-        mine = np.flatnonzero(column == i)
-        factors = heights[mine, None] * np.array([1, 1 - EDGE, 1 + EDGE])
-        times[mine] = scaled_reached(vehicle, unit.run(i), factors.ravel()).reshape(len(mine), 3, len(END_NAMES))
+    short = not is_linear(vehicle, controller)
     if is_curved(vehicle):
-        used, times = _with_curves(vehicle, controller, bumps, time)
+        used, times = _one_by_one(vehicle, controller, bumps, time)
+    else:
+        met = _switched(vehicle, controller, [Bump(1.0, *key) for key in columns], time) if short else unit
+        used, times = _in_proportion(vehicle, met, heights, column)
+    end = REGIME_ENDS.index(DAMPER)
+    if short:
+        used[:, end], times[..., end] = 0.0, np.inf
     predicted = first_end(times)
 
     watched, apart = Watched([vehicle] * count, [controller] * count, bumps, time), np.zeros((len(outputs), count))
+    forces = [[unit.names.index(name) for name in (one.force, one.missing)] for one in vehicle.adjustable]
+    squares = np.zeros((2, count))  # of what is missing, and of what was asked
     for block in watched.blocks():
         if stopped():
             return None
         some = slice(block.start, block.start + len(block.values))
         for worst, i, response in zip(apart, outputs, np.moveaxis(linear[some], 1, 0), strict=True):
             np.maximum(worst, np.abs(block.values[:, i] - heights * response[:, column]).max(axis=0), out=worst)
+        for given, missing in forces:
+            lost = block.values[:, missing]
+            squares += np.sum([lost**2, (block.values[:, given] + lost) ** 2], axis=1)
 
     scales = np.array([[unit.run(i).scale(unit.names[j]) or np.inf for j in outputs] for i in columns.values()])
     error = (apart / (np.abs(heights) * scales[column].T)).max(axis=0)
-    ends, diverged = watched.ends, watched.diverged
-    broken = ends.first < diverged
+    reached, diverged = watched.ends.times, watched.diverged
+    if short:
+        reached[:, end] = np.inf
+    first = reached.min(axis=1)
+    broken = first < diverged
     return Cells(
         bumps=tuple(bumps),
         done=np.ones(count, dtype=bool),
         error=np.where(np.isfinite(diverged), np.inf, error),
-        first=np.where(broken, ends.which, -1),
-        time=np.where(broken, ends.first, np.inf),
+        first=np.where(broken, first_end(reached), -1),
+        time=np.where(broken, first, np.inf),
         predicted=predicted[:, 0],
         predicted_time=times[:, 0].min(axis=-1),
         used=used,
         edge=np.any(predicted != predicted[:, :1], axis=1),
+        missing=np.sqrt(squares[0] / np.where(squares[1] > 0, squares[1], np.inf)) if forces else np.full(count, np.nan),
     )
 
 
-def _with_curves(vehicle: Vehicle, controller: Controller, bumps: Sequence[Bump], time: Array) -> tuple[Array, Array]:
-    """Of responses with curves, which are not proportional to the height: how much of the way they go, shape (N, E), and when.
+def _in_proportion(vehicle: Vehicle, unit: Response, heights: Array, column: Array) -> tuple[Array, Array]:
+    """How much of the way bumps go to each end, shape (N, E), and when they reach it, from responses to a metre.
 
     The times are of every bump as it is, and 1 % lower and higher, shape (N, 3, E).
+
+    Args:
+        vehicle: the vehicle.
+        unit: of one run for every length and speed.
+        heights: of the bumps [m], shape (N,).
+        column: their runs, shape (N,).
     """
+    hole, times = replace(unit, values=-unit.values), np.empty((len(heights), 3, len(END_NAMES)))
+    used = np.abs(heights)[:, None] * np.where(
+        heights[:, None] > 0, utilisation(vehicle, unit)[column], utilisation(vehicle, hole)[column]
+    )
+    for i in dict.fromkeys(column.tolist()):
+        mine = np.flatnonzero(column == i)
+        factors = heights[mine, None] * np.array([1, 1 - EDGE, 1 + EDGE])
+        times[mine] = scaled_reached(vehicle, unit.run(i), factors.ravel()).reshape(len(mine), 3, len(END_NAMES))
+    return used, times
+
+
+def _one_by_one(vehicle: Vehicle, controller: Controller, bumps: Sequence[Bump], time: Array) -> tuple[Array, Array]:
+    """The same of responses with curves, which are not proportional to the height."""
     near = [replace(bump, height=factor * bump.height) for factor in (1, 1 - EDGE, 1 + EDGE) for bump in bumps]
-    made = sampled_responses(vehicle, controller, near, time)
+    made = (sampled_responses if is_linear(vehicle, controller) else _switched)(vehicle, controller, near, time)
     detector = EndDetector([vehicle] * len(near), time, predicted=True)
     detector.update(0, np.moveaxis(made.values, 0, 2))
     times = np.moveaxis(detector.times.reshape(3, len(bumps), len(END_NAMES)), 0, 1)
     return utilisation(vehicle, replace(made, values=made.values[: len(bumps)])), times
 
 
+def _switched(vehicle: Vehicle, controller: Controller, bumps: Sequence[Bump], time: Array) -> Response:
+    """Responses with adjustable dampers, side by side."""
+    found = [switched_response(vehicle, controller, bump, time) for bump in bumps]
+    return replace(found[0], values=np.stack([one.values for one in found]))
+
+
 def _not_run(bumps: Sequence[Bump]) -> Cells:
     count = len(bumps)
     unknown, nothing, no = np.full(count, np.nan), np.full(count, -1), np.zeros(count, dtype=bool)
-    return Cells(tuple(bumps), no, unknown, nothing, unknown, nothing, unknown, np.zeros((count, len(END_NAMES))), no)
+    zeros = np.zeros((count, len(END_NAMES)))
+    return Cells(tuple(bumps), no, unknown, nothing, unknown, nothing, unknown, zeros, no, unknown)

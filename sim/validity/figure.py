@@ -5,9 +5,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from models.curves.curve import LEAVES
 from models.figures.figure import Classes, Curve, Figure, Panel, level
 from models.vehicle import Vehicle
-from sim.response.regime import REGIME_ENDS, End
+from sim.linear.curved import is_curved
+from sim.response.regime import CURVE, REGIME_ENDS, End
 from sim.validity.cells import Cells
 from synth.controller import Controller
 
@@ -48,13 +50,16 @@ def envelope_figure(
     broke = np.where(cells.done, cells.first, -2)
     colors = (UNKNOWN, NOTHING, *(end.color for end in REGIME_ENDS))
     first = (f"{end.name} breaks first{_at(vehicle, end)}" for end in REGIME_ENDS)
-    ground = Classes(x, y, plane(broke + 2), colors, ("", "nothing breaks: the regime is linear", *first))
+    nothing = "nothing breaks: the regime is linear" if not cells.short else "nothing breaks; its dampers are short of force"
+    ground = Classes(x, y, plane(broke + 2), colors, ("", nothing, *first))
 
     curves = []
 
     used = plane(np.where(cells.done, cells.used.max(axis=-1), np.nan))
     if np.nanmin(used) < 1 < np.nanmax(used):
-        curves.append(Curve(*level(x, y, np.log(used), 0.0), "predicted end, from one linear run", "#000000", width=1.8))
+        whose = "from its response with dampers" if cells.short else "from one linear run"
+        whose = "from responses with its curves" if is_curved(vehicle) else whose
+        curves.append(Curve(*level(x, y, np.log(used), 0.0), f"predicted end, {whose}", "#000000", width=1.8))
     error = plane(np.where(cells.done, np.clip(cells.error, threshold / 10, 10 * threshold), np.nan))
     if np.nanmin(error) < threshold < np.nanmax(error):
         text = f"linear prediction off by {100 * threshold:g} % of a peak"
@@ -67,15 +72,21 @@ def envelope_figure(
     rest = ", ".join(
         f"{LABELS[name].split(' [')[0]} {value:g} {LABELS[name].split('[')[1][:-1]}" for name, value in fixed.items()
     )
+    which = "analysis with adjustable dampers" if cells.short else "linear analysis"
+    ends = (
+        f"end the analysis with its dampers as predicted; {cells.short}" if cells.short else "end the linear regime as predicted"
+    )
     title = (
-        f"How far linear analysis may be trusted: {vehicle.kind.name.replace('_', ' ')}, controller {controller.name}, {rest}\n"
-        f"{100 * cells.agreement:.4g} % of {cells.counted('MuJoCo runs')} end the linear regime as predicted"
+        f"How far {which} may be trusted: {vehicle.kind.name.replace('_', ' ')}, controller {controller.name}, {rest}\n"
+        f"{100 * cells.agreement:.4g} % of {cells.counted('MuJoCo runs')} {ends}"
     )
     panel = Panel("", LABELS[horizontal.name], LABELS[vertical.name], tuple(curves), ground)
     return Figure("envelope", title, (panel,), columns=1, size=(9.0, 5.2))
 
 
 def _at(vehicle: Vehicle, end: End) -> str:
-    """Where the vehicle has a limit that was chosen for it, the same either way."""
+    """Where the vehicle has a limit that was chosen for it, the same either way; of a curve how far off its line that is."""
+    if end is CURVE:
+        return f" (off its line by {100 * LEAVES:g} % of its largest force)"
     values = {(limit.value, vehicle.kind.signal(limit.signal).unit) for limit in end.thresholds(vehicle) if not limit.sign}
     return "".join(f" (at ±{value:g} {unit})" for value, unit in values)

@@ -10,7 +10,8 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.numbers import finite
 from models.common.whole_file import whole_file
-from sim.response.regime import END_NAMES
+from models.curves.curve import LEAVES
+from sim.response.regime import CURVE, END_NAMES
 from sim.validity.cells import Cells
 from sim.validity.grid import UNITS, Axis
 
@@ -22,12 +23,13 @@ def write_csv(path: Path, cells: Cells, threshold: float) -> None:
         writer = csv.writer(file)
         complete = bool(cells.done.all())
         columns = ("error", "holds", "broke_first", "at", "predicted", "predicted_at", "agrees")
-        writer.writerow([*UNITS, *columns, *(f"linear_share_of_{name}" for name in names), "map_complete"])
+        dampers = ("missing_force",) if np.isfinite(cells.missing).any() else ()
+        shares = (f"linear_share_of_{name}" for name in names)
+        writer.writerow([*UNITS, *columns, *shares, *dampers, "map_complete"])
         for i in np.flatnonzero(cells.done):
             bump, row = cells.bumps[i], _cell(cells, int(i), threshold)
-            writer.writerow(
-                [bump.height, bump.length, bump.speed, *(row[name] for name in columns), *cells.used[i].tolist(), complete]
-            )
+            of_cell = [bump.height, bump.length, bump.speed, *(row[name] for name in columns), *cells.used[i].tolist()]
+            writer.writerow([*of_cell, *(row[name] for name in dampers), complete])
 
 
 def envelope_object(cells: Cells, axes: Sequence[Axis], controller: str, threshold: float) -> dict[str, Any]:
@@ -54,6 +56,7 @@ def _cell(cells: Cells, i: int, threshold: float) -> dict[str, Any]:
         "predicted": END_NAMES[cells.predicted[i]] if cells.predicted[i] >= 0 else None,
         "predicted_at": finite(cells.predicted_time[i]),
         "agrees": bool(cells.agrees[i]),
+        **({"missing_force": float(cells.missing[i])} if np.isfinite(cells.missing[i]) else {}),
     }
 
 
@@ -70,10 +73,15 @@ def envelope_lines(cells: Cells, threshold: float) -> list[str]:
     lines += [
         f"  {share(cells.first == i)}: {end} comes first" for i, end in enumerate(END_NAMES) if np.any(cells.first[done] == i)
     ]
+    if np.any(cells.first[done] == END_NAMES.index(CURVE.name)):
+        lines.append(f"  curve: a damper's or spring's force is off its line at rest by {100 * LEAVES:g} % of its largest")
+    if cells.short:
+        lines.append(f"  {cells.short}, so that linear analysis holds at no height;")
+        lines.append("  what comes first ends the analysis with its adjustable dampers, which goes on without that force")
     count = int(done.sum()) - round(cells.agreement * int(done.sum()))
     others = f"; of the other {count}, {cells.unexplained or 'none'} lies away from a boundary" if count else ""
     lines.append(
         f"{'agrees' if cells.as_predicted else 'DOES NOT AGREE'}: {100 * cells.agreement:.2f} % of {cells.counted('cells')} "
-        f"break as linear analysis predicts{others}"
+        f"break as {'the analysis with its dampers' if cells.short else 'linear analysis'} predicts{others}"
     )
     return lines
