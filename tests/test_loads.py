@@ -18,6 +18,7 @@ from models.loads.table import History, parse_history
 from models.reality import Implementation, Limits
 from models.roads.choice import choose_road
 from models.roads.description import described_road
+from models.roads.iso8608 import Iso8608
 from models.roads.loaded import Loaded
 from models.roads.obstacles import Flat
 from models.roads.road import Bump
@@ -29,6 +30,7 @@ from sim.inspect.__main__ import main as inspect
 from sim.linear.loop import continuous_response, sampled_response
 from sim.physics.energy import energy
 from sim.physics.simulate import simulate
+from sim.response.response import Response
 from sim.ride.attitude import PITCH, ROLL, static_angles
 from sim.ride.metrics import Meter, measure
 from sim.runs.run import run_all, sample_times
@@ -343,6 +345,7 @@ def test_a_file_is_its_numbers(tmp_path):
     [
         ("", ["is empty", "time [s]"]),
         ("time [s], pitch [N m]\n0, 0\n", ["1 rows", "2 to"]),
+        ("time [s], pitch [N m], heave [N]\n5, 0, 1\n6, 0, 1\n", ["begins at 5 s with heave", "begin at 0 s"]),
         ("time, pitch\n0, 0\n1, 1\n", ["heading 'time'", "time [s]"]),
         ("time [s], pitch [N]\n0, 0\n1, 1\n", ["pitch in 'N'", "N m"]),
         ("time [s], yaw [N m]\n0, 0\n1, 1\n", ["heading 'yaw [N m]'"]),
@@ -559,3 +562,21 @@ duration = 1.5
     for row in table.to_pylist():
         assert row["linear_pitch_angle_dive"] == pytest.approx(row["pitch_angle_dive"], rel=1e-3)
     assert table["pitch_angle_dive"][0].as_py() > 0.5
+
+
+def test_a_payload_does_not_vary_a_tyre_s_load():
+    """The dynamic load of a vehicle with loads is about what tyres carry in the mean; of one without it is the rms."""
+    vehicle, h, first = read_vehicle("quarter_car"), 1e-3, 1000
+    passive, time = Designer(vehicle).design("passive"), np.arange(6001) * 1e-3
+    rough, laden = Iso8608("C", 3, 20.0), Loaded(Iso8608("C", 3, 20.0), (choose_load("payload:mass=150:rise=0.5"),))
+    values = simulate([vehicle] * 2, [passive] * 2, [rough, laden], time).response.values
+    meter = Meter([vehicle] * 2, h, first, loaded=True, pushed=[False, True])
+    meter.update(np.moveaxis(values, 0, -1))
+    found = meter.result()["dynamic_load"]
+    static = vehicle.kind.static_tyre_deflection(vehicle.parameters)["tyre_deflection"]
+    tyre = [signal.name for signal in vehicle.kind.signals].index("tyre_deflection")
+    alone, carrying = (np.minimum(one[first:, tyre], static) / static for one in values)
+    assert found[0] == pytest.approx(np.sqrt(np.mean(alone**2)), rel=1e-12)
+    assert found[1] == pytest.approx(carrying.std(), rel=1e-9)
+    assert np.sqrt(np.mean(carrying**2)) > found[1] + 0.02  # what the payload alone shifts: 150 kg of 566
+    assert found[0] == measure(vehicle, Response(time, vehicle.kind.signals, values[0]), first)["dynamic_load"]

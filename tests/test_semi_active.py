@@ -201,7 +201,7 @@ def test_laws_side_by_side():
     [
         ('semi_active = "sky"', r"semi_active = 'sky' is not known; known: "),
         ('semi_active = "skyhook"\nmix = 0.5', r"'skyhook' has no key 'mix'; it has nothing beside its name"),
-        ('semi_active = "hybrid"\nmix = 1.5', r"mix = 1.5 is not allowed; give a number from 0 to 1 -"),
+        ('semi_active = "hybrid"\nmix = 1.5', r"mix = 1.5 is not allowed; give a number from 0 to 1$"),
         ('semi_active = "hybrid"\nmeasured = ["sprung_velocity"]', r"no key 'measured'; beside its name it has"),
         ('semi_active = "skyhook_add"\ncrossover = nan', r"crossover = nan is not allowed; give a number .* rad/s"),
         ('semi_active = "skyhook_modal"', r"is of a body that pitches or rolls"),

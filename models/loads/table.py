@@ -27,7 +27,7 @@ GIVE = "give a .csv file with the headings time [s] and some of heave [N], pitch
 
 @dataclass(frozen=True, eq=False)
 class History(Load):
-    """Points, and straight lines between them; before the first and after the last it stays.
+    """Points, and straight lines between them; before the first it is 0, or as there from 0 s on, and after the last it stays.
 
     Attributes:
         source: the file's name.
@@ -115,6 +115,12 @@ def parse_history(text: str, source: str) -> History:
     if (back := np.flatnonzero(np.diff(time) <= 0)).size:
         raise InputError(
             f"{where}: line {back[0] + 3}: its time, {time[back[0] + 1]:g} s, is not after the one before; sort the rows"
+        )
+    acting = [name for name, column in values.items() if column[0] != 0]
+    if time[0] > 0 and acting:
+        raise InputError(
+            f"{where}: begins at {time[0]:g} s with {acting[0]} that is not 0, and nothing says what it is before; "
+            "begin at 0 s, or with 0"
         )
     return History(source, time, values)
 

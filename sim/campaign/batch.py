@@ -73,7 +73,7 @@ def _drive(campaign: Campaign, runs: Sequence[PlannedRun], stopped: Callable[[],
     watched = Watched(vehicles, [run.controller for run in runs], [run.road for run in runs], time)
     random = runs[0].choice.stationary
     first = campaign.first if random else 0
-    meter = Meter(vehicles, campaign.timestep, first, campaign.loaded)
+    meter = Meter(vehicles, campaign.timestep, first, campaign.loaded, [run.road.loaded for run in runs])
     linear_runs = [run for run in runs if isinstance(run.controller, Controller)]  # all, or none
     twin = Twin(linear_runs, watched, None if random else first, campaign.loaded) if linear_runs else None
     for block in watched.blocks():

@@ -49,7 +49,8 @@ class Twin:
         self.xi = np.zeros((self.loop.shape[0], len(runs)))
         self.off, self.peak = np.zeros((len(self.outputs), len(runs))), np.zeros((len(self.outputs), len(runs)))
         self.known = [i for i, name in enumerate(self.outputs) if name in vehicle.linear_model.states]
-        self.meter = None if first is None else Meter([run.vehicle for run in runs], timestep, first, loaded)
+        pushed = [run.road.loaded for run in runs]
+        self.meter = None if first is None else Meter([run.vehicle for run in runs], timestep, first, loaded, pushed)
 
     def update(self, start: int, values: Array, until: Array, times: Array) -> None:
         """Compares the next block of signals, shape (B, S, N), before the times [s] until which it is linear, shape (N,)."""

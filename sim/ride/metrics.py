@@ -10,7 +10,8 @@ just before and just after. Read after the leaps alone, it would be that of a co
 is late on average, and of a loop whose forces cancel most of the spring's and the damper's too good by per cents.
 
 Travel of every suspension: rms, largest, and the share of time at the bump stops. Of every tyre, whose load is F = k_u (static -
-t) and never negative: dynamic load coefficient rms(F - F_static) / F_static, and the share of time off the ground. Of every
+t) and never negative: dynamic load coefficient rms(F - F_static) / F_static, and the share of time off the ground; where loads
+push the body, which tyres carry as long as they last, the standard deviation of F in place of that rms. Of every
 actuator: force, mean power into the suspension, and the energy that it puts in where it drives, none being given back where it
 brakes. Both are of its work: a force u is held from one sample to the next while the suspension's travel s goes on, so that is
 u[k] (s[k+1] - s[k]), exactly; of a force that lags, which goes on too, the mean of u[k] and u[k+1] counts.
@@ -139,8 +140,19 @@ class Meter:
     A run's numbers are the same to the last bit whatever runs beside it: each is summed along its own time.
     """
 
-    def __init__(self, vehicles: Sequence[Vehicle], timestep: float, first: int, loaded: bool = False) -> None:
-        """For signals a timestep [s] apart, from sample `first` on; of loaded bodies their angles, too."""
+    def __init__(
+        self, vehicles: Sequence[Vehicle], timestep: float, first: int, loaded: bool = False, pushed: Sequence[bool] | None = None
+    ) -> None:
+        """For signals a timestep [s] apart, from sample `first` on.
+
+        Args:
+            vehicles: N of one kind.
+            timestep: [s].
+            first: sample that is measured first.
+            loaded: whether any body is pushed by loads, and angles are measured.
+            pushed: which, N of them; None for all of them, or none.
+        """
+        self.pushed = np.array([loaded] * len(vehicles) if pushed is None else pushed)
         self.vehicle, self.timestep, self.first, count = vehicles[0], timestep, first, len(vehicles)
         self.where, self.stops = points(self.vehicle), self.vehicle.limits.stops
         names = [signal.name for signal in self.vehicle.kind.signals]
@@ -198,7 +210,10 @@ class Meter:
         for name in self.where.tyres:
             deflection, static = self._signal(values, name), self.static[name][:, None]
             self._add(off_ground(name), np.count_nonzero(deflection >= static, axis=1))
-            self._add(dynamic_load(name), _squares(np.minimum(deflection, static)))
+            carried = np.minimum(deflection, static)
+            self._add(dynamic_load(name), _squares(carried))
+            if self.pushed.any():
+                self._add(f"{dynamic_load(name)}_shift", carried.sum(axis=1))
         for name, *travel in self.where.actuators:
             force = self._signal(values, name)
             self._add(f"{name}_rms", _squares(force))
@@ -226,7 +241,8 @@ class Meter:
             if self.stops is not None:
                 found[f"{name}_at_stops"] = mean[f"{name}_at_stops"]
         for name in self.where.tyres:
-            found[dynamic_load(name)] = np.sqrt(mean[dynamic_load(name)]) / self.static[name]
+            shift = np.where(self.pushed, mean.get(f"{dynamic_load(name)}_shift", 0.0), 0.0)
+            found[dynamic_load(name)] = np.sqrt(np.maximum(mean[dynamic_load(name)] - shift * shift, 0.0)) / self.static[name]
             found[off_ground(name)] = mean[off_ground(name)]
         for name, *travel in self.where.actuators:
             found |= {f"{name}_rms": np.sqrt(mean[f"{name}_rms"]), f"{name}_peak": self.largest[f"{name}_peak"]}
