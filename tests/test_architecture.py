@@ -83,7 +83,7 @@ ROOMS = {
     "synth.implemented synth.sampled",
     "synth.front": "models models.figures models.goals synth.band synth.certificate synth.command synth.controller synth.design "
     "synth.designer synth.designs synth.errors synth.goals synth.lmi synth.numerics synth.plant synth.problem synth.search "
-    "synth.tolerance",
+    "synth.tolerance synth.words",
     "synth.asked": "synth.front",
     "synth.__main__": "models models.figures synth.asked synth.certificate synth.command synth.designer "
     "synth.designs synth.errors synth.front synth.implemented synth.problem synth.rates synth.search synth.words",

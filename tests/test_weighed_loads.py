@@ -6,11 +6,16 @@ import json
 import numpy as np
 import pytest
 
+import synth.front.answer
 from models.common.errors import InputError
 from models.vehicle import parse_vehicle, read_vehicle
+from sim.report.front import measure
+from sim.report.scope import Scope
 from synth.__main__ import main
 from synth.controller import Controller
 from synth.designer import Designer
+from synth.front.axes import axes_of
+from synth.front.front import front
 from synth.state_space import weighted_loop
 from tests.commands import prose
 
@@ -118,6 +123,37 @@ def test_what_is_printed_and_saved(tmp_path, capsys):
     assert list(loop.input_labels) == ["road_velocity", "load[heave_load]"]
     at_peak = loop(1j * controller.certificate.norm.peak_frequency)
     assert np.linalg.norm(at_peak, 2) == pytest.approx(controller.certificate.norm.value, rel=1e-9)
+
+
+def test_a_front_is_of_road_and_loads_together(tmp_path, capsys, monkeypatch):
+    """Designs like one that weighs loads, and all beside them, are judged under road and loads, by a sweep; and that is said."""
+    monkeypatch.setattr(synth.front.answer, "DESIGNS", 8)
+    file = tmp_path / "mine.toml"
+    file.write_text(read_vehicle("quarter_car").text + CARRIED)
+    asked = ["--vehicle", str(file), "--front", "ride:travel", "--controller", "carried"]
+    assert main(asked) == 0
+    said = prose(capsys.readouterr().out)
+    assert main([*asked, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["loads"] == {"heave_load": 1000.0}
+    assert "norm and bounds are of road and loads together: 1000 N of heave_load count as much as 1 m/s of w each" in said
+    vehicle, omega = read_vehicle("quarter_car"), np.geomspace(1e-3, 1e3, 20_000)
+    model = vehicle.linear_model
+    Bd = np.hstack([model.Bw, 1000.0 * model.Bl])
+    assert {one["name"] for one in found["others"]} >= {"passive", "I", "II"}
+    for one in (*found["points"], *found["others"]):
+        C, _ = model.rows(one["measured"])
+        K = np.reshape(one["gain"], (1, len(C)))
+        free = np.linalg.inv(1j * omega[:, None, None] * np.eye(4) - model.A - model.B @ K @ C)
+        for axis, name in (("ride", "sprung_acceleration"), ("travel", "suspension_deflection")):
+            i = model.outputs.index(name)
+            row = model.C[i] + model.D[i] @ K @ C
+            gains = np.linalg.norm(row @ free @ Bd + np.append(0.0, 1000.0 * model.Dl[i]), axis=-1)
+            assert one["values"][axis]["value"] == pytest.approx(gains.max(), rel=1e-4)  # of the grid; measured 1.2e-5
+    read = parse_vehicle(file.read_text())
+    designed = front(read, "carried", axes_of(read, "ride:travel"), (), 3)
+    scope = Scope(read, Designer(read), (), 1e-3, True, lambda text: None)
+    assert np.isnan(measure(scope, designed, 0, designed.axes[0]))  # no road alone reaches it
 
 
 @pytest.mark.parametrize(

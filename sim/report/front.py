@@ -26,6 +26,7 @@ from synth.front.front import DESIGNS, Front, entry_of, front
 from synth.front.trace import rays_of
 from synth.front.words import sentences
 from synth.implemented.loop import sampled_radius
+from synth.words import judged_lines
 
 SLOW = np.geomspace(1e-3, 1.0, 400)  # rad/s: where a norm that belongs to a standing road is looked for on a sinusoid
 TURN = 0.005  # rad of the sinusoid in a step
@@ -59,7 +60,8 @@ def front_section(scope: Scope, asked: str) -> Section:
     measured = np.array([[measure(scope, found, i, axis) for axis in axes] for i in found.marked])
     norms = np.array([found.points[i].values for i in found.marked])
     meanings = [f"{axis.name.replace('_', ' ')} is the {axis.meaning}{f' [{axis.unit}]' if axis.unit else ''}" for axis in axes]
-    text = [f"Static gains on what {name} measures; {'; '.join(meanings)}.", f"{'; '.join(sentences(found))}."]
+    text = [f"Static gains on what {name} measures; {'; '.join((*meanings, *judged_lines(found.points[0].controller)))}."]
+    text.append(f"{'; '.join(sentences(found))}.")
     with np.errstate(all="ignore"):
         shares = (measured / norms)[np.isfinite(measured) & (norms > 0)]
     if len(shares):
@@ -82,10 +84,10 @@ def front_section(scope: Scope, asked: str) -> Section:
 
 
 def measure(scope: Scope, found: Front, i: int, axis: Axis, turn: float = TURN) -> float:
-    """The gain of a design in MuJoCo on a sinusoid at which its norm on an axis is reached; NaN where there is none such."""
+    """The gain of a design in MuJoCo on a sinusoid of the road at which its norm on an axis is reached; NaN where none is."""
     controller, k = found.points[i].controller, found.axes.index(axis)
     norm = found.points[i].norms[k]
-    if axis.off or not norm.value:
+    if axis.off or not norm.value or controller.hardware.loads or any(controller.hardware.noise):
         return 0.0 if not norm.value else math.nan
     vehicle = ideal_measurements(weighing(scope.vehicle, axis.norm))
     omega = _driven_at(vehicle, controller, norm.value, norm.at)

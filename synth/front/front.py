@@ -160,14 +160,14 @@ def front(
     shown: list[Point] = []
     missing: dict[str, str] = {}
     with parts.part(BESIDE):
-        for each_name, other in _others(designer, axes, others):
+        for each_name, other in _others(designer, axes, others, entry.hardware.loads):
             if isinstance(other, Point):
                 shown.append(other)
             else:
                 missing[each_name] = other
     bounds = [nothing(pair) for pair in combinations(range(len(axes)), 2)]
     with parts.part(BESIDE):
-        for i, limit in enumerate(_limits(vehicle, axes, np.array([point.values for point in first]))):
+        for i, limit in enumerate(_limits(vehicle, axes, np.array([point.values for point in first]), entry.hardware.loads)):
             bounds[i] = limit
     with parts.part(BESIDE):
         for i, travel in _over_the_bump(vehicle, entry, first):
@@ -238,15 +238,17 @@ def _judged(vehicle: Vehicle, entry: ControllerEntry):
     return lambda K: Judged(vehicle, entry, goals, asked, K).promises()
 
 
-def _others(designer: Designer, axes: Sequence[Axis], names: Sequence[str]) -> Iterator[tuple[str, Point | str]]:
-    """Other controllers on the axes, by name, or why they are not there."""
+def _others(
+    designer: Designer, axes: Sequence[Axis], names: Sequence[str], loads: Sequence[tuple[str, float]]
+) -> Iterator[tuple[str, Point | str]]:
+    """Other controllers on the axes, under the loads of the designs, by name, or why they are not there."""
     for name in names:
         try:
             controller = designer.design(name)
         except DesignError as error:
             yield name, str(error)
             continue
-        entry = ControllerEntry(name, controller.measured, hardware=controller.hardware)
+        entry = ControllerEntry(name, controller.measured, hardware=replace(controller.hardware, loads=loads))
         norms = tuple(norm_on(designer.vehicle, axis, entry, controller.law) for axis in axes)
         if all(np.isfinite(norm.value) for norm in norms):
             yield name, Point(controller, norms)
@@ -254,9 +256,9 @@ def _others(designer: Designer, axes: Sequence[Axis], names: Sequence[str]) -> I
             yield name, "its loop is unstable" if not controller.certificate.stable else "it is unstable with errors"
 
 
-def _limits(vehicle: Vehicle, axes: Sequence[Axis], values: Array) -> Iterator[Limit]:
+def _limits(vehicle: Vehicle, axes: Sequence[Axis], values: Array, loads: Sequence[tuple[str, float]]) -> Iterator[Limit]:
     """What bounds every two axes."""
-    plants: list[GeneralizedPlant] = [generalized_plant(weighing(vehicle, axis.norm)) for axis in axes]
+    plants: list[GeneralizedPlant] = [generalized_plant(weighing(vehicle, axis.norm), loads=loads) for axis in axes]
     bands = [axis.norm.rates if axis.norm.narrow else EVERYWHERE for axis in axes]
     units = np.median(values, axis=0) if len(values) else np.ones(len(axes))
     return limits(plants, bands, np.where(units > 0, units, 1.0))

@@ -12,6 +12,7 @@ from models.common.printed import table, wrapped
 from models.common.whole_file import whole_file
 from synth.front.front import DESIGNING, Front, Norm, Point
 from synth.front.limits import Limit
+from synth.words import judged_lines
 
 
 def front_lines(found: Front) -> list[str]:
@@ -19,6 +20,8 @@ def front_lines(found: Front) -> list[str]:
     lines = []
     for axis in found.axes:
         lines += wrapped(f"{axis.name}: {axis.meaning}{f' [{axis.unit}]' if axis.unit else ''}", hang=2)
+    for text in judged_lines(found.points[0].controller):
+        lines += wrapped(text, hang=2)
     names = [axis.name for axis in found.axes]
     signals = found.points[0].controller.measured
     with_travel = any(point.travel is not None for point in found.points)
@@ -77,6 +80,7 @@ def front_object(found: Front) -> dict[str, Any]:
         "others": [{"name": one.controller.name, **_object(found, one)} for one in found.others],
         "missing": found.missing,
         "limits": [_limit_object(found, limit) for limit in found.limits],
+        "loads": dict(found.points[0].controller.hardware.loads) if found.points else {},
         "designs": found.tried,
         "unproved": found.unproved,
         "interrupted": bool(found.interrupted),
