@@ -30,6 +30,7 @@ from sim.ride.expected import expect
 from sim.ride.metrics import measure, metrics_of
 from sim.ride.settled import settled
 from synth.designer import Designer
+from tests.curved import DIGRESSIVE, curved_text
 
 ROOT = Path(__file__).parent.parent
 SMALL = """
@@ -163,6 +164,83 @@ def campaign_vehicle(vehicle, row):
     from dataclasses import replace
 
     return replace(vehicle, parameters={**vehicle.parameters, "sprung_mass": row["parameter_sprung_mass"]})
+
+
+def test_rows_are_what_a_drive_says(tmp_path, capsys):
+    """A row has the road's IRI and the metrics that `sim.drive` prints of the same run; linear ones where there are some.
+
+    With curves, or with adjustable dampers that are asked for forces, a run is no linear one, and its columns say so.
+    """
+    from sim.drive import main as drive
+
+    curved, damped = tmp_path / "curved.toml", "quarter_car_semi_active"
+    curved.write_text(curved_text(suspension_damping=DIGRESSIVE))
+    text = f"""
+vehicles = ["curved.toml", "{damped}"]
+controllers = ["passive", "I"]
+roads = ["bump:height=0.02", "iso8608:class=A", "pothole:length=0.5"]
+speeds = [8.0]
+seeds = [3]
+duration = 1.5
+settle = 0.75
+"""
+    rows, _ = run(tmp_path, text, "--workers", "1")
+    capsys.readouterr()
+    about = json.loads((tmp_path / "results" / "campaign.json").read_text())["columns"]
+    assert about["iri"]["unit"] == "m/km"
+    assert "the road alone" in about["iri"]["definition"]
+    for row in rows:
+        if row["road"].startswith("pothole"):
+            continue
+        road = ["--road", row["road"], *(["--seed", "3"] if row["seed"] is not None else [])]
+        vehicle = str(curved) if row["vehicle"] == "curved.toml" else damped
+        drive(
+            [
+                "--vehicle",
+                vehicle,
+                "--controller",
+                row["controller"],
+                *road,
+                "--speed",
+                "8",
+                "--duration",
+                "1.5",
+                "--no-logs",
+                "--json",
+            ]
+        )
+        result = json.loads(capsys.readouterr().out)
+        assert row["iri"] == result["iri"]["iri"]["road"]
+        found = next(one for one in result["runs"] if one["controller"]["name"] == row["controller"])
+        linear = vehicle == damped and row["controller"] == "passive"
+        assert (row["linear_error"] is None) == (not linear)
+        if row["seed"] is not None:
+            continue  # measured from another time
+        assert result["measured_from"] == 0
+        for name, metric in found["metrics"].items():
+            assert row[name] == pytest.approx(metric["mujoco"], rel=1e-9, abs=1e-12), name
+            if linear:
+                assert row[f"linear_{name}"] == pytest.approx(metric["linear"], rel=1e-6, abs=1e-9), name
+            else:
+                assert row[f"linear_{name}"] is None
+    for name in ("linear_error", "linear_suspension_deflection_rms"):
+        assert "vehicles without curves, and without adjustable dampers but where" in about[name]["definition"]
+    assert all(row["iri"] > 1 for row in rows)
+
+
+def test_a_short_road_has_no_iri(tmp_path):
+    """Of a way shorter than 11 m there is no IRI; of a car's two tracks there are four, which are of no vehicle with one."""
+    text = (
+        'vehicles = ["full_car", "quarter_car"]\ncontrollers = ["passive"]\nroads = ["iso8608:class=C"]\nspeeds = [10.0, 30.0]\n'
+    )
+    rows, _ = run(tmp_path, f"{text}duration = 0.5\n", "--workers", "1")
+    short, long = rows[0], rows[1]
+    names = ["iri_left", "iri_right", "iri_mean", "iri_half_car"]
+    assert [short[name] for name in names] == [None] * 4
+    assert long["iri_mean"] == (long["iri_left"] + long["iri_right"]) / 2
+    assert long["iri_half_car"] < long["iri_mean"]  # twist is missing in it
+    assert long["iri"] is None
+    assert [rows[2]["iri"], rows[3]["iri"]] == [None, long["iri_left"]]
 
 
 def test_where_it_is_linear_it_agrees(small):

@@ -546,6 +546,29 @@ def test_campaigns_know_loads(tmp_path):
     assert row["linear_suspension_deflection_peak"] == pytest.approx(float(response.peak("suspension_deflection")), rel=1e-12)
 
 
+def test_campaigns_know_loads_of_files(tmp_path):
+    """A road has loads of files, too; another content is another campaign, the same road without them another road."""
+    (tmp_path / "push.csv").write_text("time [s],heave [N]\n0,0\n0.2,500\n1,500\n")
+    (tmp_path / "road.csv").write_text("distance [m],height [m]\n0,0\n20,0\n40,0\n60,0\n")
+    roads = '["bump", "bump + push.csv", "flat + push.csv+lift:force=100", "road.csv + push.csv", "road.csv"]'
+    text = f'vehicles = ["quarter_car"]\ncontrollers = ["passive"]\nroads = {roads}\nspeeds = [20.0]\nduration = 1.0\n'
+    file, folder = tmp_path / "campaign.toml", tmp_path / "results"
+    file.write_text(text)
+    assert campaign([str(file), "--results", str(folder)]) == 0
+    rows = pq.read_table(folder / "results.parquet").to_pylist()
+    travel = [row["suspension_deflection_rms"] for row in rows]
+    assert travel[4] < 1e-9 < travel[3]  # a flat road, to rounding
+    assert travel[1] != travel[0]
+    assert all(row["linear_error"] < 1e-5 for row in rows[:4])  # RK4 at 1 ms
+    assert campaign(["--verify", str(folder)]) == 0
+    (tmp_path / "push.csv").write_text("time [s],heave [N]\n0,0\n0.2,501\n1,501\n")
+    with pytest.raises(InputError, match="holds another campaign, of other files"):
+        campaign([str(file), "--results", str(folder)])
+    file.write_text(text.replace('"road.csv"]', '"flat + ./push.csv+lift:force=100"]'))
+    with pytest.raises(InputError, match="are the same; name each once"):
+        campaign([str(file), "--results", str(tmp_path / "other")])
+
+
 def test_campaigns_measure_angles(tmp_path):
     """A campaign with loads has a car's angles among its columns, with their unit, as the linear response has them."""
     text = """

@@ -15,18 +15,20 @@ SYNTAX = (
     f"give {', '.join(LOADS)}, each with :NAME=VALUE for its numbers, as in brake:g=0.5:start=1:rise=0.2:hold=2 or "
     "payload:mass=100:x=-1.2, or a .csv file"
 )
-JOINED = re.compile(rf"\s*\+\s*(?=(?:{'|'.join(LOADS)})(?:[:+]|\s*$))")  # between a road and its loads, and between these
+NAMED = rf"\s*\+\s*(?=(?:{'|'.join(LOADS)})(?:[:+]|\s*$))"
+FILED = r"\s+\+\s+(?=\S[^+]*\.csv\s*(?:$|\+))"
+JOINED = re.compile(rf"{NAMED}|{FILED}", re.IGNORECASE)  # between a road and its loads, and between these
 
 
 def split_off(text: str) -> tuple[str, list[str]]:
-    """A road's text without the loads that are added to it, and these: `bump + brake:g=0.5`."""
+    """A road's text without the loads that are added to it, and these: `bump + brake:g=0.5 + push.csv`."""
     road, *loads = JOINED.split(text)
     return road, loads
 
 
 def is_file(text: str) -> bool:
     """Whether a load's text names a file."""
-    return text.lower().endswith(".csv")
+    return text.strip().lower().endswith(".csv")
 
 
 def choose_load(text: str, folder: Path = Path()) -> Load:
@@ -40,7 +42,7 @@ def choose_load(text: str, folder: Path = Path()) -> Load:
         InputError: an unknown kind or name, a value that is not allowed, a file that is no load.
     """
     if is_file(text):
-        return read_history(folder / text)
+        return read_history(folder / text.strip())
     kind, colon, rest = text.strip().partition(":")
     if kind not in LOADS:
         raise InputError(f"unknown load {text!r}; {SYNTAX}")

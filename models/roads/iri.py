@@ -22,6 +22,7 @@ from models.roads.road import Road, track_width
 from models.roads.spectrum import Spectrum, coherency
 from models.vehicle import Vehicle
 
+TRACKS = ("left", "right", "mean", "half_car")  # what there is an IRI of, of two tracks
 STEP = 0.025  # m, from sample to sample; a tenth of the moving average
 COARSEST = 0.3  # m; ASTM E1926 has no IRI of what was measured further apart
 EVEN = 1e-6  # of the spacing: how far distances are off by the digits of a file

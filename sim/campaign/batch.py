@@ -2,12 +2,16 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from models.common.numbers import finite
 from models.kind import MOST_SQUEEZE
+from models.roads.choice import RoadChoice
+from models.roads.road import track_width
+from models.vehicle import Vehicle
 from sim.campaign.columns import EXPECTED, LINEAR
 from sim.campaign.file import Campaign
 from sim.campaign.plan import Plan, PlannedRun
@@ -19,10 +23,12 @@ from sim.physics.watched import Watched
 from sim.response.regime import END_NAMES
 from sim.ride.expected import Expected, expect
 from sim.ride.metrics import Meter
+from sim.ride.roughness import driven_roughness, roughness_object
 from sim.ride.settled import Settled, settled
 from synth.controller import Controller
 
 Rows = list[dict[str, Any]]
+MOST_ROADS = 4096  # whose IRIs are kept; more than a batch has
 FAILED = "law: "  # how the reason begins why a run's law in Python has failed
 
 
@@ -89,12 +95,13 @@ def _drive(campaign: Campaign, runs: Sequence[PlannedRun], stopped: Callable[[],
     expected = _Expectations(campaign)
     rows = []
     for i, run in enumerate(runs):
+        inputs = {**run.inputs, **_roughness(campaign, run.choice, _as_wide(run, campaign), run.speed, run.seed)}
         if i in watched.failures:
-            rows.append({**run.inputs, "reason": f"{FAILED}{watched.failures[i].why}"})
+            rows.append({**inputs, "reason": f"{FAILED}{watched.failures[i].why}"})
             continue
         broken = bool(np.isfinite(diverged[i]))
         ended = until[i]
-        row = dict(run.inputs)
+        row = dict(inputs)
         flat = float(ends.flat[i])
         row["reason"] = (
             f"flat: a tyre is squeezed by more than {MOST_SQUEEZE:g} m at {flat:.4g} s"
@@ -114,6 +121,20 @@ def _drive(campaign: Campaign, runs: Sequence[PlannedRun], stopped: Callable[[],
             row |= expected(run)
         rows.append(row)
     return _Driven(rows, [i for i, failure in watched.failures.items() if failure.together])
+
+
+def _as_wide(run: PlannedRun, campaign: Campaign) -> Vehicle:
+    """The vehicle of a run as its file has it, where what is sampled leaves its tracks as they are: IRIs know no more."""
+    vehicle = campaign.vehicles[run.name]
+    return vehicle if track_width(vehicle) == track_width(run.vehicle) else run.vehicle
+
+
+@lru_cache(maxsize=MOST_ROADS)
+def _roughness(campaign: Campaign, choice: RoadChoice, vehicle: Vehicle, speed: float, seed: int) -> dict[str, float]:
+    """Every IRI of a road as far as it is driven, by name; reckoned once, whatever drives over it."""
+    road = choice.build(vehicle, speed, seed, speed * campaign.duration)
+    found = roughness_object(driven_roughness(vehicle, road, campaign.time))
+    return {name: entry["road"] for name, entry in found.items()}
 
 
 class _Expectations:

@@ -2,20 +2,24 @@
 
 from dataclasses import dataclass
 
+from models.roads.iri import SHORTEST
 from sim.campaign.file import Campaign
 from sim.ride.expected import APPROXIMATE
 from sim.ride.metrics import Metric, metrics_of
+from sim.ride.roughness import ABOUT_IRI, UNIT, roughness_names
 
 EXPECTED, LINEAR = "expected_", "linear_"
 
+WITHOUT = "vehicles without curves, and without adjustable dampers but where these are asked for nothing"
 LINEAR_IS = (
     "of the exact linear response over the same road, of a vehicle without limits; there for roads without a spectrum, "
-    "controllers that are a gain, and vehicles without curves"
+    f"controllers that are a gain, and {WITHOUT}"
 )
 EXPECTED_IS = (
     "over all roads of the class, from the spectrum, of a vehicle without limits, noise and quantisation; {}; by statistical "
     "linearisation of a vehicle with curves; there for random roads and stable loops"
 )
+IRI_IS = f"{ABOUT_IRI}; null for a road shorter than {SHORTEST:g} m, one measured too coarsely, and a test rig's"
 ROOT = "of a root of a mean square the root of the expected mean square"
 
 
@@ -35,6 +39,7 @@ class Column:
 def columns(campaign: Campaign) -> dict[str, Column]:
     """Every column of the results by name, in order."""
     metrics = {metric.name: metric for vehicle in campaign.vehicles.values() for metric in metrics_of(vehicle, campaign.loaded)}
+    rough = dict.fromkeys(name for vehicle in campaign.vehicles.values() for name in roughness_names(vehicle))
     sampled = dict.fromkeys(name for samples in campaign.samples.values() for name in samples[0])
     return {
         "run": Column(int, {}),
@@ -45,6 +50,7 @@ def columns(campaign: Campaign) -> dict[str, Column]:
         "seed": Column(int, {"definition": "of a random road; null for others"}),
         "sample": Column(int, {"definition": "number of the sample of the parameters; null where none are sampled"}),
         **{f"parameter_{name}": Column(float, {"unit": "SI"}) for name in sampled},
+        **{name: Column(float, {"unit": UNIT, "definition": IRI_IS}) for name in rough},
         "reason": Column(str, {"definition": "why the run has no metrics; null where it has"}),
         "diverged_at": Column(float, {"unit": "s"}),
         "ended_by": Column(str, {"definition": "what ended the linear regime first; null for nothing"}),
@@ -53,8 +59,8 @@ def columns(campaign: Campaign) -> dict[str, Column]:
             float,
             {
                 "unit": "-",
-                "definition": "largest difference of a state from the exact linear response until then, over its peak; "
-                "null for vehicles with curves",
+                "definition": "largest difference of a state from the exact linear response until then, over its peak; there for "
+                f"controllers that are a gain, and {WITHOUT}",
             },
         ),
         "settled": Column(

@@ -3,7 +3,7 @@
 import hashlib
 import unicodedata
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
 from models.common.read_file import TEXT, read_text
 from models.common.toml import parse_toml
+from models.loads.table import History
 from models.roads.choice import RoadChoice, choose_road
 from models.roads.iso8608 import check_seed
 from models.vehicle import Vehicle, read_vehicle
@@ -208,16 +209,24 @@ def _check_once(key: str, written: Sequence[Any], read: Sequence[Hashable]) -> N
 
 def _what_it_is(road: RoadChoice, vehicle: Vehicle) -> Hashable:
     """What tells one road from another, in whatever words they were asked for."""
-    return tuple(_measured(road)) or tuple(sorted(road.build(vehicle, 20.0, 0, 1.0).describe().items()))
+    alone = replace(road, loads=())
+    of_road = _measured(alone) or sorted(alone.build(vehicle, 20.0, 0, 1.0).describe().items())
+    return (*of_road, *(_rows(load) if isinstance(load, History) else load.text for load in road.loads))
 
 
 def _measured(road: RoadChoice) -> list[str]:
-    """Checksums of the file that a road was measured in; none of a road that is computed."""
+    """Checksums of the file that a road was measured in, and loads that are files; none of a road that is computed."""
     arrays = [road.profile.distance, road.profile.heights] if road.profile else []
     arrays += [road.rig.time, road.rig.heights] if road.rig else []
     named = [*road.rig.posts] if road.rig else []
+    named += [_rows(load) for load in road.loads if isinstance(load, History)]
     arrays += [road.surface.u, road.surface.v, road.surface.z] if road.surface else []
     return [*named, *(f"{array.shape} {hashlib.sha256(np.ascontiguousarray(array).data).hexdigest()}" for array in arrays)]
+
+
+def _rows(load: History) -> str:
+    """The numbers of a load from a file, wherever that lies."""
+    return load.text.partition(";")[2]
 
 
 def _texts(data: Mapping[str, Any], key: str, example: str) -> Sequence[str]:

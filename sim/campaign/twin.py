@@ -10,6 +10,7 @@ from models.common.arrays import Array
 from models.vehicle import Vehicle
 from sim.campaign.plan import PlannedRun
 from sim.linear.curved import is_curved
+from sim.linear.dampers import is_linear
 from sim.linear.loop import readings_of_loads
 from sim.physics.blocks import DIVERGED
 from sim.physics.watched import Watched
@@ -23,8 +24,8 @@ from synth.sampled.hold import held_inputs
 class Twin:
     """The exact linear responses of the runs, sampled as in `sim.linear.loop`, beside them and as fast.
 
-    Sums run over states one by one, as in `sim.physics.simulate`. A controller that is more than a gain, and
-    a vehicle with curves, have no twin here.
+    Sums run over states one by one, as in `sim.physics.simulate`. A controller that is more than a gain, a vehicle with curves,
+    and one with adjustable dampers that are asked for forces, which is no linear one then, have no twin here.
     """
 
     def __init__(self, runs: Sequence[PlannedRun], watched: Watched, first: int | None, loaded: bool) -> None:
@@ -32,7 +33,8 @@ class Twin:
         vehicle = runs[0].vehicle
         self.signals, self.now, self.midway, self.loads = vehicle.kind.signals, watched.now, watched.midway, watched.loads
         timestep = watched.timestep
-        self.ideal = vehicle.implementation.ideal and not is_curved(vehicle)
+        linear = all(is_linear(run.vehicle, run.controller) for run in runs if isinstance(run.controller, Controller))
+        self.ideal = vehicle.implementation.ideal and linear and not is_curved(vehicle)
         systems: dict[Any, Any] = {}
         for run in runs:
             if run.system not in systems:

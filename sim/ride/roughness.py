@@ -5,8 +5,8 @@ from typing import Any
 
 from models.common.arrays import Array
 from models.common.numbers import cell
-from models.roads.iri import Roughness, roughness_of
-from models.roads.road import Road
+from models.roads.iri import TRACKS, Roughness, roughness_of
+from models.roads.road import Road, track_width
 from models.vehicle import Vehicle
 
 UNIT = "m/km"
@@ -37,6 +37,11 @@ def roughness_rows(found: Sequence[Roughness], random: bool) -> list[tuple[str, 
 def roughness_object(found: Sequence[Roughness]) -> dict[str, Any]:
     """The same as JSON has it; empty for a road that has no IRI."""
     return {_name(one, found): {"unit": UNIT, "road": one.iri, "expected": one.expected, "spread": one.spread} for one in found}
+
+
+def roughness_names(vehicle: Vehicle) -> tuple[str, ...]:
+    """What the IRIs of a road are called that a vehicle drives over, of those that have some."""
+    return tuple(f"iri_{track}" for track in TRACKS) if track_width(vehicle) else ("iri",)
 
 
 def _name(one: Roughness, found: Sequence[Roughness]) -> str:
