@@ -133,7 +133,7 @@ def test_a_car_over_class_c():
 def test_over_many_roads_of_class_c(kind, speed):
     """The same over several roads of class C, slow and fast, on all kinds."""
     vehicle = with_laws(kind)
-    for seed in range(3 if kind == "quarter_car" else 2):
+    for seed in range(2):
         check(kind, rough(vehicle, seed, speed), DURATION if kind != "full_car" else DURATION / 2)
 
 

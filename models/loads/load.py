@@ -38,6 +38,11 @@ class Load(ABC):
         """What it is, as it would be asked for, every digit."""
 
     @property
+    def content(self) -> str:
+        """What it is, wherever that was read."""
+        return self.text
+
+    @property
     def label(self) -> str:
         """The same for people: of a file the name alone."""
         return self.text

@@ -47,6 +47,11 @@ class History(Load):
         return ";".join([self.source, heading, *(",".join(map(repr, row)) for row in rows)])
 
     @property
+    def content(self) -> str:
+        """Its numbers."""
+        return self.text.partition(";")[2]
+
+    @property
     def label(self) -> str:
         """The file's name."""
         return self.source

@@ -13,7 +13,6 @@ from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
 from models.common.read_file import TEXT, read_text
 from models.common.toml import parse_toml
-from models.loads.table import History
 from models.roads.choice import RoadChoice, choose_road
 from models.roads.iso8608 import check_seed
 from models.vehicle import Vehicle, read_vehicle
@@ -211,7 +210,7 @@ def _what_it_is(road: RoadChoice, vehicle: Vehicle) -> Hashable:
     """What tells one road from another, in whatever words they were asked for."""
     alone = replace(road, loads=())
     of_road = _measured(alone) or sorted(alone.build(vehicle, 20.0, 0, 1.0).describe().items())
-    return (*of_road, *(_rows(load) if isinstance(load, History) else load.text for load in road.loads))
+    return (*of_road, *(load.content for load in road.loads))
 
 
 def _measured(road: RoadChoice) -> list[str]:
@@ -219,14 +218,9 @@ def _measured(road: RoadChoice) -> list[str]:
     arrays = [road.profile.distance, road.profile.heights] if road.profile else []
     arrays += [road.rig.time, road.rig.heights] if road.rig else []
     named = [*road.rig.posts] if road.rig else []
-    named += [_rows(load) for load in road.loads if isinstance(load, History)]
+    named += [load.content for load in road.loads if load.content != load.text]
     arrays += [road.surface.u, road.surface.v, road.surface.z] if road.surface else []
     return [*named, *(f"{array.shape} {hashlib.sha256(np.ascontiguousarray(array).data).hexdigest()}" for array in arrays)]
-
-
-def _rows(load: History) -> str:
-    """The numbers of a load from a file, wherever that lies."""
-    return load.text.partition(";")[2]
 
 
 def _texts(data: Mapping[str, Any], key: str, example: str) -> Sequence[str]:
