@@ -94,12 +94,13 @@ ROOMS = {
     "sim.linear": "sim.response sim.semi_active models.curves models.roads",
     "sim.physics": "models.curves sim.response sim.semi_active models.roads",
     "sim.runs": "sim.linear sim.physics sim.response models.roads synth.words",
+    "sim.acting": "models.curves models.figures models.loads sim.linear sim.response models.roads",
     "sim.ride": "models.curves models.filters sim.linear sim.response models.roads sim.runs",
     "sim.validity": "models.curves models.figures sim.linear sim.physics sim.response models.roads",
     "sim.stability": "models.figures sim.linear sim.physics models.roads sim.runs synth.problem synth.tolerance",
     "sim.frequency": "models.figures models.filters sim.linear sim.physics sim.response models.roads sim.runs synth.problem "
     "synth.words",
-    "sim.recording": "models.figures sim.linear sim.physics sim.response models.roads sim.runs",
+    "sim.recording": "models.figures sim.acting sim.linear sim.physics sim.response models.roads sim.runs",
     "sim.command": "models.roads sim.recording sim.runs",
     "sim.asked": "models.figures models.formats models.loads sim.command sim.frequency sim.response models.roads sim.runs "
     "sim.stability sim.validity",
@@ -107,7 +108,7 @@ ROOMS = {
     "synth.designs synth.dynamic synth.problem synth.words",
     "sim.campaign": "models.figures sim.command sim.linear sim.physics sim.response sim.ride models.roads sim.runs "
     "synth.designer",
-    "sim.report": "sim.command models.curves models.damping models.figures sim.frequency sim.linear sim.physics sim.response "
+    "sim.report": "sim.acting sim.command models.figures sim.frequency sim.linear sim.physics sim.response "
     "sim.ride models.roads sim.runs sim.stability sim.validity synth.designer synth.designs synth.errors "
     "synth.front synth.paper synth.words",
     "sim.bump": "models.figures sim.asked sim.command models.roads sim.runs synth.designer",

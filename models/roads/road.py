@@ -88,10 +88,9 @@ class Road(ABC):
 
     @property
     def words(self) -> str:
-        """The same on a line for people."""
-        return ", ".join(
-            f"{key} {value:g}" if isinstance(value, float) else f"{key} {value}" for key, value in self.describe().items()
-        )
+        """The same on a line for people, without long lists."""
+        told = {key: value for key, value in self.describe().items() if not isinstance(value, list)}
+        return ", ".join(f"{key} {value:g}" if isinstance(value, float) else f"{key} {value}" for key, value in told.items())
 
     def cost(self, samples: int) -> float:
         """What it takes to compute so many samples, over what any run needs: a road from a log is not computed at any price."""

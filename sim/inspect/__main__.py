@@ -135,13 +135,8 @@ def _text(proof: Proof) -> list[str]:
         end = f" to {(one.samples - 1) * proof.timestep:.6g} s at {proof.timestep:g} s" if one.samples else ""
         lines += ["", f"run {one.recorded.name}: {one.samples} samples{end}"]
         if one.again:
-            controller, road = one.again.controller, _road(one.recorded) or {}
-            numbers = ", ".join(
-                f"{key} {value:g}" if isinstance(value, float) else f"{key} {value}"
-                for key, value in road.items()
-                if not isinstance(value, list)
-            )
-            lines += wrapped(_shown(numbers), f"  {'road':10}", 12)
+            controller = one.again.controller
+            lines += wrapped(_shown(one.again.road.words), f"  {'road':10}", 12)
             lines += wrapped(f"{controller.name} measures {', '.join(controller.measured) or 'nothing'}", f"  {'law':10}", 12)
             if not isinstance(controller, Controller):
                 lines += wrapped(_shown(law_text(controller)), f"  {'':10}", 12)

@@ -13,7 +13,7 @@ from models.vehicle import Vehicle
 from sim.inspect.findings import FAILS, HOLDS, MISSING, NOTE, Finding, different, folded
 from sim.inspect.log import Recorded, read_json
 from sim.inspect.mcap_contents import Logged
-from sim.recording.format import WHOLE, check_keys
+from sim.recording.format import DAMPERS, LOADS, WHOLE, check_keys
 from sim.recording.mcap_writer import PACKAGE, Channel, channels, records
 from sim.recording.provenance import attachments, common_metadata
 from sim.recording.run_log import RunLog
@@ -36,6 +36,7 @@ ELSEWHERE = (  # claims of a run that other checks hold, with a tolerance and wo
     "errors",
     "samples",
 )
+ACTING = (LOADS, DAMPERS)
 CHECKED = ("vehicle.toml", "model.xml", "result.json")  # attachments of which other checks hold the contents
 SCHEMAS = ("protobuf", "foxglove-schemas-protobuf")  # packages that make the schemas of events and scene
 
@@ -51,7 +52,9 @@ def check_contents(log: Recorded, vehicle: Vehicle, timestep: float, made: Seque
         current: whether it is of this format; of an older one nothing is demanded, and what differs is said.
     """
     wrong = [*_records(log, vehicle, timestep, made), *_attachments(log, vehicle, timestep, made)]
-    kept = list(channels(made))
+    made_now = list(channels(made))
+    since = {channel.topic for channel in made_now if channel.topic.rpartition("/")[2] in ACTING} - log.file.channels.keys()
+    kept = [channel for channel in made_now if channel.topic not in since]
     topics, older = _topics(log, kept)
     wrong += topics
     if not current:
@@ -63,6 +66,8 @@ def check_contents(log: Recorded, vehicle: Vehicle, timestep: float, made: Seque
     if not wrong:
         count = sum(len(record) for record in log.file.metadata.values())
         yield Finding("format", HOLDS, f"{len(kept)} channels with events, differences and scene, {count} claims; nothing else")
+    if since:
+        yield Finding("format", NOTE, f"it has no {' and no '.join(sorted(since))}, which logs of older versions have not")
     if older:
         yield Finding("format", NOTE, f"the schemas of {', '.join(older)} are of another version of {' or '.join(SCHEMAS)}")
 

@@ -14,6 +14,7 @@ FORMAT = 1
 # The responses of a run: its topics in an MCAP file, and names of entities in a Rerun file. The exact sampled response has been
 # called `linear` there, and in result.json, since there are logs; to people it is "sampled", as it is wherever no file is kept.
 MUJOCO, SAMPLED, CONTINUOUS = "mujoco", "linear", "continuous"
+LOADS, DAMPERS = "loads", "dampers"  # what acted beside: topics that older logs of this format have not
 SINCE = ("half_step",)  # claims of a run that came with the first format that has a number: no older log has them
 RESULTS: Mapping[str, tuple[str, ...]] = {  # of the commands that record, the keys of result.json
     "bump": ("runs", "road", "timestep"),

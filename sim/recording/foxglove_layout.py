@@ -13,7 +13,7 @@ import numpy as np
 
 from models.figures.figure import styles, tint
 from models.signals import Signal
-from sim.recording.format import MUJOCO, SAMPLED
+from sim.recording.format import DAMPERS, LOADS, MUJOCO, SAMPLED
 from sim.recording.foxglove_scene import WORLD, frame
 from sim.recording.mcap_writer import topic
 from sim.recording.run_log import RunLog
@@ -52,7 +52,31 @@ def _page(panels: dict[str, Any], runs: Sequence[RunLog], run: RunLog) -> Any:
             plots.append(_plot(panels, f"{run.name} {signal.name}", _title(signal), paths))
         gaps = _difference(panels, runs, run, group, signals)
         pages.append((title(run, group), _stack("column", [_grid(plots, 2 if len(plots) <= 8 else 3), *gaps], [4.0, 1.0])))
+    pages += _acting(panels, runs, run, color)
     return _stack("row", [_stack("column", [car, log], [3.0, 1.0]), _paged(panels, run.name, pages)], [2.0, 3.0])
+
+
+def _acting(panels: dict[str, Any], runs: Sequence[RunLog], run: RunLog, color: str) -> list[tuple[str, Any]]:
+    """What acted beside the signals: loads over time, and forces of dampers and springs over what stretches them."""
+    pages = []
+    if LOADS in run.acting:
+        where = topic(runs, run, LOADS)
+        plots = [
+            _plot(panels, f"{run.name} {one.name}", _title(one), [_path(where, one.name, one.name.replace("_", " "), color, 1.5)])
+            for one in run.acting[LOADS].signals
+        ]
+        pages.append(("loads", _grid(plots, 2 if len(plots) > 3 else 1)))
+    if DAMPERS in run.acting:
+        where, plots = topic(runs, run, DAMPERS), []
+        for one in run.diagrams:
+            paths = [
+                *(_path(where, line.signal.name, line.label, "#111111", line.width) for line in one.lines),
+                _path(where, one.pull.name, "MuJoCo", color, 1.5),
+            ]
+            title = f"{one.title}: force [{one.pull.unit}] over {one.over}"
+            plots.append(_plot(panels, f"{run.name} {one.pull.name}", title, paths, _field(where, one.argument.name)))
+        pages.append(("dampers and springs", _grid(plots, 2 if len(plots) > 1 else 1)))
+    return pages
 
 
 def _difference(panels: dict[str, Any], runs: Sequence[RunLog], run: RunLog, group: str, signals: Sequence[Signal]) -> list[str]:
@@ -116,14 +140,14 @@ def _scene(runs: Sequence[RunLog], seen: Sequence[RunLog]) -> dict[str, Any]:
     }
 
 
-def _plot(panels: dict[str, Any], name: str, title: str, paths: list[dict[str, Any]]) -> str:
-    """Adds a plot over the time since the start; returns its id. All of them zoom together."""
+def _plot(panels: dict[str, Any], name: str, title: str, paths: list[dict[str, Any]], over: str = "") -> str:
+    """Adds a plot over the time since the start, or over a field; returns its id. Those over time zoom together."""
     panel = f"Plot!{_id(name)}"
     panels[panel] = {
         "title": title,
         "paths": paths,
-        "xAxisVal": "timestamp",
-        "isSynced": True,
+        **({"xAxisVal": "custom", "xAxisPath": {"value": over, "enabled": True}} if over else {"xAxisVal": "timestamp"}),
+        "isSynced": not over,
         "showLegend": True,
         "legendDisplay": "floating",
         "showPlotValuesInLegend": False,
@@ -135,10 +159,9 @@ def _plot(panels: dict[str, Any], name: str, title: str, paths: list[dict[str, A
 
 
 def _path(topic: str, field: str, label: str, color: str, width: float) -> dict[str, Any]:
-    """One curve: a field of a topic, whose name is quoted unless it is plain."""
-    plain = re.fullmatch(r"[A-Za-z0-9_/-]+", topic)
+    """One curve: a field of a topic."""
     return {
-        "value": f"{topic if plain else json.dumps(topic, ensure_ascii=False)}.{field}",
+        "value": _field(topic, field),
         "label": label,
         "color": color,
         "lineSize": width,
@@ -146,6 +169,12 @@ def _path(topic: str, field: str, label: str, color: str, width: float) -> dict[
         "enabled": True,
         "timestampMethod": "receiveTime",
     }
+
+
+def _field(topic: str, field: str) -> str:
+    """A field of a topic, whose name is quoted unless it is plain."""
+    plain = re.fullmatch(r"[A-Za-z0-9_/-]+", topic)
+    return f"{topic if plain else json.dumps(topic, ensure_ascii=False)}.{field}"
 
 
 def _title(signal: Signal) -> str:

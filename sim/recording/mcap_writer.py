@@ -27,6 +27,7 @@ from sim.response.difference import difference
 from sim.response.response import Response
 
 PACKAGE = "roadproof"
+SAME = 1e-9  # relative, and absolute in N and N m: what acted is computed again, not read back
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,8 +107,8 @@ def channels(runs: Sequence[RunLog]) -> Iterator[Channel]:
     One topic per response, `/mujoco` for a single run and `/I/mujoco` among several: a message per sample, a double per
     signal, log_time = publish_time = t in ns. The channel's metadata holds unit, symbol and meaning of every signal, as
     JSON by the signal's name; the schema has them as comments. `/difference` is MuJoCo minus sampled, of each signal's peak, in
-    single precision. Events are `foxglove.Log` on `/events`, and the moving car is on `/transforms`, `/shapes` and `/scene` in
-    Foxglove's published schemas.
+    single precision; what acted beside is on `/loads` and `/dampers`. Events are `foxglove.Log` on `/events`, and the moving car
+    is on `/transforms`, `/shapes` and `/scene` in Foxglove's published schemas.
     A channel without messages is left out.
     """
     numbers: dict[tuple[Signal, ...], int] = {}
@@ -125,7 +126,35 @@ def channels(runs: Sequence[RunLog]) -> Iterator[Channel]:
                 partial(_encoded, response, kind),
                 operator.eq,
             )
+    for run in runs:
+        for name, response in run.acting.items():
+            number = numbers.setdefault(response.signals, len(numbers) + 1)
+            yield Channel(
+                topic(runs, run, name),
+                _signals_schema(response.signals, number, "<f8"),
+                {signal.name: _described(signal) for signal in response.signals},
+                _nanoseconds(response.time),
+                partial(_encoded, response, "<f8"),
+                _nearly_equal,
+            )
     yield from (channel for channel in _published(runs) if channel.times)
+
+
+def _nearly_equal(one: bytes, other: bytes) -> bool:
+    """Whether two messages of doubles are the same, to what another machine makes of a cosine."""
+    (tags, numbers), (others, found) = _fields(one), _fields(other)
+    return tags == others and np.allclose(numbers, found, rtol=SAME, atol=SAME, equal_nan=True)
+
+
+def _fields(message: bytes) -> tuple[bytes, Array]:
+    """The tags and the numbers of a message as `_encoded` makes it; what is no such has other tags, or fewer."""
+    tags, numbers, at = b"", [], 0
+    while at < len(message):
+        value = at + (2 if message[at] >= 0x80 else 1)
+        tags += message[at:value]
+        numbers.append(message[value : value + 8])
+        at = value + 8
+    return tags, np.frombuffer(b"".join(numbers).ljust(8 * len(numbers), b"\0"), "<f8")
 
 
 def topic(runs: Sequence[RunLog], run: RunLog, name: str) -> str:

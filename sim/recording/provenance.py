@@ -17,9 +17,11 @@ from models.mjcf import mjcf_text
 from models.own.python_law import Programmed
 from models.signals import is_kept
 from models.vehicle import Vehicle
+from sim.acting.diagram import diagrams, pulled
+from sim.acting.loads import pushed
 from sim.linear.dampers import command_names
 from sim.recording.drawing import scene_of
-from sim.recording.format import CONTINUOUS, FORMAT, MUJOCO, SAMPLED, check_keys
+from sim.recording.format import CONTINUOUS, DAMPERS, FORMAT, LOADS, MUJOCO, SAMPLED, check_keys
 from sim.recording.run_log import RunLog
 from sim.runs.energy import energy_object
 from sim.runs.forces import written_forces
@@ -157,6 +159,7 @@ def run_log(run: Run, name: str) -> RunLog:
         "errors": {name: signal.sampled if math.isfinite(signal.sampled) else None for name, signal in agreement.signals.items()},
     }
     claims |= named
+    acting = {LOADS: pushed(vehicle, road, run.physics.time), DAMPERS: pulled(vehicle, run.physics)}
     return RunLog(
         name=name,
         responses={MUJOCO: run.physics, SAMPLED: run.sampled, CONTINUOUS: run.continuous},
@@ -166,6 +169,8 @@ def run_log(run: Run, name: str) -> RunLog:
         scene=scene_of(vehicle, road, run.physics, run.qpos),
         verdict=verdict(run),
         files=files,
+        acting={name: one for name, one in acting.items() if one is not None},
+        diagrams=tuple(diagrams(vehicle)),
         active=_active(run),
     )
 

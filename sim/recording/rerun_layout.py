@@ -8,7 +8,7 @@ import rerun.blueprint as rrb
 
 from models.common.arrays import Array
 from models.signals import Signal
-from sim.recording.format import MUJOCO, SAMPLED
+from sim.recording.format import DAMPERS, LOADS, MUJOCO, SAMPLED
 from sim.recording.rerun_axes import extremes_text, value_axis
 from sim.recording.rerun_signals import TIMELINE, colours, entity, line
 from sim.recording.run_log import RunLog
@@ -62,12 +62,38 @@ def _page(run: RunLog) -> rrb.Container:
                 paths = [entity(run.name, "signals", signal.name, each) for each in (*run.responses, *happened)]
                 plots.append(_plot(signal, paths, curves, not plots))
             pages.append(rrb.Vertical(rrb.Grid(*plots, grid_columns=2), _gap(run, name, group), row_shares=[4, 1], name=title))
+    pages += _acting(run)
     return rrb.Horizontal(
         rrb.Vertical(*left, row_shares=[5, 4, 2][: len(left)]),
         pages[0] if len(pages) == 1 else rrb.Tabs(*pages, active_tab=0),
         column_shares=[2, 3],
         name=run.name,
     )
+
+
+def _acting(run: RunLog) -> list[rrb.Container]:
+    """What acted beside the signals: loads over time, and the diagrams of dampers and springs."""
+    pages: list[rrb.Container] = []
+    if LOADS in run.acting:
+        loads = run.acting[LOADS]
+        plots = [
+            _plot(signal, [entity(run.name, "acting", LOADS, signal.name)], [loads[signal.name]], not i)
+            for i, signal in enumerate(loads.signals)
+        ]
+        pages.append(rrb.Grid(*plots, grid_columns=2 if len(plots) > 3 else 1, name="loads"))
+    if DAMPERS in run.acting:
+        bounds = rrb.VisualBounds2D(x_range=(-1.1, 1.1), y_range=(-1.1, 1.1))
+        views = [
+            rrb.Spatial2DView(
+                origin=entity(run.name, "acting", "diagrams", one.pull.name),
+                name=f"{one.title}: force [{one.pull.unit}] up, over {one.over} to the right",
+                visual_bounds=bounds,
+                background=rrb.Background(color=PAPER),
+            )
+            for one in run.diagrams
+        ]
+        pages.append(rrb.Grid(*views, grid_columns=2 if len(views) > 1 else 1, name="dampers and springs"))
+    return pages
 
 
 def _parts(name: str, group: Sequence[Signal]) -> list[tuple[str, Sequence[Signal]]]:

@@ -7,14 +7,17 @@ import rerun as rr
 
 from models.common.arrays import Array
 from models.figures.figure import rgb, styles, tint
-from sim.recording.format import MUJOCO, SAMPLED
+from sim.acting.diagram import Diagram
+from sim.recording.format import DAMPERS, LOADS, MUJOCO, SAMPLED
 from sim.recording.run_log import RunLog
 from sim.recording.signal_groups import PALETTE, RESPONSES, groups, plotted, shown
 from sim.response.difference import difference
 from sim.response.regime import REGIME_ENDS
+from sim.response.response import Response
 
 TIMELINE = "time"
 
+ROOM = 1.15  # of a diagram, times what was reached
 ANY_RESPONSE = (0.3, 2.0)
 READ = 4000  # characters of a claim that a page shows: more than a gain of 45 states has, less than a load from a file
 
@@ -74,6 +77,55 @@ def log_difference(recording: rr.RecordingStream, run: RunLog) -> None:
         values = np.stack([gap[name] for name in names], axis=-1)
         columns = rr.Scalars.columns(scalars=values.ravel()).partition([len(names)] * len(values))
         recording.send_columns(path, time_index(gap.time), columns)
+
+
+def log_acting(recording: rr.RecordingStream, run: RunLog, color: str) -> None:
+    """Loads over time at `acting/loads/<load>`; every diagram, as a drawing, at `acting/diagrams/<force>`."""
+    if LOADS in run.acting:
+        loads = run.acting[LOADS]
+        for signal in loads.signals:
+            path = entity(run.name, "acting", LOADS, signal.name)
+            recording.log(path, line(f"{signal.name.replace('_', ' ')} [{signal.unit}]", color, 1.5), static=True)
+            recording.send_columns(path, time_index(loads.time), rr.Scalars.columns(scalars=loads[signal.name]))
+    if DAMPERS not in run.acting:
+        return
+    pulled = run.acting[DAMPERS]
+    pulled = pulled.until(pulled.diverged)
+    for one in run.diagrams:
+        _log_diagram(recording, entity(run.name, "acting", "diagrams", one.pull.name), one, pulled, color)
+
+
+def _log_diagram(recording: rr.RecordingStream, path: str, one: Diagram, pulled: Response, color: str) -> None:
+    """A force over its argument: Rerun has no such plot, so it is drawn, 2 by 2, in a 2D view, whose y points down."""
+    x, force = pulled[one.argument.name], pulled[one.pull.name]
+    far, high = (ROOM * max(float(np.abs(values).max(initial=0.0)), least) for values, least in ((x, 1e-3), (force, 1.0)))
+
+    def place(at: Array, height: Array) -> Array:
+        return np.stack([at / far, -height / high], axis=-1)
+
+    grid, ends = np.linspace(-far, far, 401), np.array([-1.0, 1.0])
+    axes = [place(far * ends, 0 * ends), place(0 * ends, high * ends)]
+    recording.log(f"{path}/axes", rr.LineStrips2D(axes, colors=[(110, 110, 110)], radii=rr.Radius.ui_points(0.7)), static=True)
+    texts = [f"{far / ROOM:.4g} {one.argument.unit}", f"{high / ROOM:.4g} {one.pull.unit}"]
+    points = [(far / ROOM, 0.0), (0.0, high / ROOM)]
+    for each in one.lines:
+        height = each.force(grid)
+        seen = np.abs(height) <= high
+        drawn = rr.LineStrips2D(
+            [place(grid[seen], height[seen])], colors=[(20, 20, 20)], radii=rr.Radius.ui_points(each.width / 2)
+        )
+        recording.log(f"{path}/{each.signal.name}", drawn, static=True)
+        points.append((grid[seen][-1], height[seen][-1]))
+        texts.append(each.label)
+    named = rr.Points2D(
+        place(*np.array(points).T), labels=texts, colors=[(245, 245, 245)], radii=rr.Radius.ui_points(2.5), show_labels=True
+    )
+    recording.log(f"{path}/names", named, static=True)
+    way = place(x, force)
+    recording.log(f"{path}/way", rr.LineStrips2D([way], colors=[rgb(color)], radii=rr.Radius.ui_points(0.8)), static=True)
+    now = rr.Points2D.from_fields(colors=[rgb(color)], radii=rr.Radius.ui_points(5.0))
+    recording.log(f"{path}/now", now, static=True)
+    recording.send_columns(f"{path}/now", time_index(pulled.time), rr.Points2D.columns(positions=way))
 
 
 def log_events(recording: rr.RecordingStream, run: RunLog) -> None:

@@ -18,9 +18,9 @@ def write_rrd(path: Path, runs: Sequence[RunLog], metadata: Mapping[str, str]) -
 
     Entities of a run, under its name: `signals/<signal>/<response>`, what happened on it at `signals/<signal>/<event>`,
     `difference/<group>`, `world/<body>/<shape>`, `world/springs/<spring>`, `world/forces/<spring>`, `world/profile/<track>`,
-    `summary` and `events`; once, `metadata` and, of several runs, `certificates`. The timeline is `time`, from the start of a
-    run. The same content gets the same recording id, so that a run opened twice is one recording; the bytes differ, as Rerun
-    numbers rows by clock.
+    `acting/loads/<load>`, `acting/diagrams/<force>`, `summary` and `events`; once, `metadata` and, of several runs,
+    `certificates`. The timeline is `time`, from the start of a run. The same content gets the same recording id, so that a run
+    opened twice is one recording; the bytes differ, as Rerun numbers rows by clock.
 
     Args:
         path: the file; overwritten if it exists.
@@ -41,6 +41,7 @@ def write_rrd(path: Path, runs: Sequence[RunLog], metadata: Mapping[str, str]) -
         colours,
         entity,
         listed,
+        log_acting,
         log_difference,
         log_events,
         log_properties,
@@ -77,6 +78,7 @@ def write_rrd(path: Path, runs: Sequence[RunLog], metadata: Mapping[str, str]) -
             log_text(recording, entity(run.name, "summary"), run.summary + "\n\n---\n\n" + listed(run.metadata))
             log_signals(recording, run, color)
             log_difference(recording, run)
+            log_acting(recording, run, color)
             log_events(recording, run)
             log_scene(recording, run, largest)
     finally:

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from sim.acting.diagram import Diagram
 from sim.recording.scene import Scene
 from sim.response.response import Response
 
@@ -20,6 +21,8 @@ class RunLog:
         scene: what it looks like.
         verdict: what the comparison came to, in a few words; empty where nothing was compared.
         files: attachments that its metadata names, (media type, content) by name: the points of a measured road.
+        acting: what acted beside its signals, by topic: loads on the body, and what dampers and springs pulled with.
+        diagrams: of the latter, as they are drawn, each over its argument.
         active: of its controller's states those that ask for most, the first of them first: what viewers show of many.
     """
 
@@ -31,4 +34,6 @@ class RunLog:
     scene: Scene
     verdict: str = ""
     files: Mapping[str, tuple[str, bytes]] = field(default_factory=dict)
+    acting: Mapping[str, Response] = field(default_factory=dict)
+    diagrams: tuple[Diagram, ...] = ()
     active: tuple[str, ...] = ()

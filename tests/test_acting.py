@@ -1,0 +1,178 @@
+"""What a log shows of what acted beside its signals: loads on the body, and forces of dampers and springs."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rerun.blueprint as rrb
+
+from models.roads.road import Bump
+from models.vehicle import read_vehicle
+from sim.acting.diagram import diagrams, pulled
+from sim.drive import main
+from sim.inspect.__main__ import main as inspect
+from sim.inspect.log import read_log
+from sim.recording.foxglove_layout import foxglove_layout
+from sim.recording.mcap_writer import _nearly_equal
+from sim.recording.provenance import run_log
+from sim.recording.rerun_layout import _page
+from sim.recording.rerun_writer import write_rrd
+from sim.runs.run import run_all, sample_times
+from synth.designer import design
+from tests.commands import prose
+from tests.curved import DIGRESSIVE, PROGRESSIVE, with_curves
+from tests.rewriting import Contents, contents, written
+from tests.test_rerun import _parts, rows
+
+HISTORY = "time [s],roll [kN m]\n0,0\n0.5,1\n1,0\n"
+
+
+def topic_of(log: Path, topic: str) -> tuple[np.ndarray, dict[str, np.ndarray], dict[str, str]]:
+    """Times [s], fields, and units of a topic of doubles, by the reader that knows the responses alone."""
+    found = read_log(log).file.channels[topic]
+    tags = [number << 3 | 1 for number in range(1, len(found.metadata) + 1)]
+    assert all(tag < 128 for tag in tags), "a tag of one byte"
+    values = np.ascontiguousarray(found.rows().reshape(len(found.times), -1, 9)[:, :, 1:]).view("<f8")[..., 0]
+    units = {name: json.loads(about)["unit"] for name, about in found.metadata.items()}
+    return found.times * 1e-9, dict(zip(units, values.T, strict=True)), units
+
+
+def without_topic(log: Contents, topic: str) -> Contents:
+    """A log as an older version wrote it."""
+    (gone,) = [channel for channel in log.channels if channel.topic == topic]
+    return replace(
+        log,
+        schemas=[schema for schema in log.schemas if schema.id != gone.schema_id],
+        channels=[channel for channel in log.channels if channel is not gone],
+        messages=[message for message in log.messages if message.channel_id != gone.id],
+    )
+
+
+@pytest.fixture(scope="module")
+def loaded(tmp_path_factory) -> Path:
+    """A log of a car that brakes, in a curve that a file has, under a payload."""
+    folder = tmp_path_factory.mktemp("loaded")
+    (folder / "curve.csv").write_text(HISTORY)
+    loads = ["brake:g=0.5", "payload:mass=100:x=-1.0:y=0.5", "brake:g=-0.1:start=1", str(folder / "curve.csv")]
+    arguments = ["--vehicle", "full_car", "--controller", "passive", "--duration", "1.2", "--timestep", "2e-3"]
+    assert main([*arguments, *(part for load in loads for part in ("--load", load)), "--logs", str(folder)]) == 0
+    return next(folder.glob("*.mcap"))
+
+
+def test_loads_are_logged(loaded):
+    """A log shows every load in its way and unit, as it is held over a step, and all of them together."""
+    time, found, units = topic_of(loaded, "/loads")
+    car = read_vehicle("full_car")
+    mass, height = car.parameters["sprung_mass"], car.parameters.get("centre_height", 0.55)
+    assert {name: units[name] for name in ("heave_load", "pitch_load", "roll_load")} == {
+        "heave_load": "N",
+        "pitch_load": "N m",
+        "roll_load": "N m",
+    }
+    comes = (1 - np.cos(np.pi * np.clip((time + 1e-3 - 0.5) / 0.2, 0, 1))) / 2
+    np.testing.assert_allclose(found["brake_1_pitch_load"], mass * 9.81 * 0.5 * height * comes, atol=1e-6)
+    np.testing.assert_allclose(found["file_roll_load"], 1e3 * np.interp(time + 1e-3, [0, 0.5, 1], [0, 1, 0]), atol=1e-9)
+    assert found["payload_heave_load"][-1] == pytest.approx(-100 * 9.81)
+    assert found["payload_roll_load"][-1] == pytest.approx(-100 * 9.81 * 0.5)
+    for way in ("heave_load", "pitch_load", "roll_load"):
+        parts = [values for name, values in found.items() if name.endswith(f"_{way}")]
+        np.testing.assert_allclose(found[way], sum(parts), atol=1e-9)
+
+
+def test_what_acted_is_proved_and_older_logs_are_read(loaded, tmp_path, capsys):
+    """A log with other loads than its claims make proves nothing; one that is older than these topics holds, and that is said."""
+    assert inspect([str(loaded)]) == 0
+    assert "it has no /loads" not in prose(capsys.readouterr().out)
+    forged, older = tmp_path / "forged.mcap", tmp_path / "older.mcap"
+
+    def doubled(messages):
+        half = len(messages) // 2
+        end = replace_number(messages[half].data, 1, 2.0)
+        return [*messages[:half], replace_data(messages[half], end), *messages[half + 1 :]]
+
+    forged.write_bytes(written(contents(loaded).with_messages("/loads", doubled)))
+    assert inspect([str(forged)]) == 1
+    assert "FAILS format: /loads does not show what follows" in prose(capsys.readouterr().out)
+    older.write_bytes(written(without_topic(contents(loaded), "/loads")))
+    assert inspect([str(older)]) == 0
+    assert "it has no /loads, which logs of older versions have not" in prose(capsys.readouterr().out)
+
+
+def replace_number(data: bytes, field: int, factor: float) -> bytes:
+    """A message with one of its numbers so many times as large, and a bit more."""
+    at = 9 * field + 1
+    number = factor * np.frombuffer(data[at : at + 8], "<f8") + 1e-3
+    return data[:at] + number.astype("<f8").tobytes() + data[at + 8 :]
+
+
+def replace_data(message, data: bytes):
+    """A message with other data."""
+    message.data = data
+    return message
+
+
+def test_a_message_is_nearly_another():
+    """Numbers may differ by rounding; fields, lengths and more may not."""
+    one = b"\x09" + np.array([1e3]).tobytes() + b"\x11" + np.array([0.0]).tobytes()
+    assert _nearly_equal(one, one)
+    assert _nearly_equal(one, replace_number(one, 0, 1.0 + 1e-15)[:9] + one[9:]) is False  # 1e-3 N more
+    near = b"\x09" + np.array([1e3 + 1e-9]).tobytes() + one[9:]
+    assert _nearly_equal(one, near)
+    assert not _nearly_equal(one, b"\x19" + one[1:])
+    assert not _nearly_equal(one, one[:9])
+    assert not _nearly_equal(one, one + b"\x19")
+
+
+@pytest.fixture(scope="module")
+def adjusted():
+    """A run with an adjustable damper, as it is written down."""
+    vehicle = read_vehicle("quarter_car_semi_active")
+    (run,) = run_all(vehicle, [design(vehicle, "I")], Bump(0.06), sample_times(vehicle, 0.5, 1e-3))
+    return run, run_log(run, "I")
+
+
+def test_a_damper_s_force_lies_between_its_limits(adjusted):
+    """What is logged is the coefficient that acted times the velocity, and the limits at that velocity on either side."""
+    run, log = adjusted
+    found = log.acting["dampers"]
+    velocity, force = found["damper_velocity"], found["damper_force"]
+    np.testing.assert_allclose(force, run.physics["damping"] * velocity, atol=1e-6 * np.abs(force).max())  # RK4's reading
+    np.testing.assert_allclose(found["damper_force_c_min"], 200.0 * velocity)
+    np.testing.assert_allclose(found["damper_force_c_max"], 1000.0 * velocity)
+    np.testing.assert_allclose(found["damper_force_line_at_rest"], 600.0 * velocity)
+
+
+def test_both_viewers_draw_the_diagram(adjusted, tmp_path):
+    """Foxglove plots force over velocity by message paths that are in the log; Rerun draws it, to the scale at its ticks."""
+    _, log = adjusted
+    layout = json.loads(foxglove_layout([log]))
+    (plot,) = [panel for panel in layout["configById"].values() if panel.get("xAxisVal") == "custom"]
+    fields = {f"/dampers.{name}" for name in log.acting["dampers"].names}
+    assert {plot["xAxisPath"]["value"], *(path["value"] for path in plot["paths"])} == fields
+    assert plot["xAxisPath"]["value"] == "/dampers.damper_velocity"
+    assert [path["label"] for path in plot["paths"]] == ["c_min", "c_max", "line at rest", "MuJoCo"]
+
+    (view,) = [part for part in _parts(_page(log)) if isinstance(part, rrb.Spatial2DView)]
+    assert str(view.origin).lstrip("/") == "I/acting/diagrams/damper_force"
+    path = tmp_path / "run.rrd"
+    write_rrd(path, [log], {})
+    drawn = np.array(rows(path, "/I/acting/diagrams/damper_force/now", "Points2D:positions")).reshape(-1, 2)
+    found = log.acting["dampers"]
+    for axis, name, sign in ((0, "damper_velocity", 1.0), (1, "damper_force", -1.0)):
+        scaled = sign * found[name] / (1.15 * np.abs(found[name]).max())
+        np.testing.assert_allclose(drawn[:, axis], scaled, atol=1e-6)  # single precision
+
+
+def test_curves_are_logged_as_they_are():
+    """Of a passive vehicle every force lies on its curve, a damper's over velocity and a spring's over deflection."""
+    vehicle = with_curves(suspension_damping=DIGRESSIVE, suspension_stiffness=PROGRESSIVE)
+    (run,) = run_all(vehicle, [design(vehicle, "passive")], Bump(0.06), sample_times(vehicle, 0.5, 1e-3))
+    found = pulled(vehicle, run.physics)
+    assert found is not None
+    for what, one in (("spring", "deflection"), ("damper", "velocity")):
+        np.testing.assert_array_equal(found[f"{what}_force"], found[f"{what}_force_curve"])
+        np.testing.assert_array_equal(found[f"{what}_{one}"], run.physics[f"suspension_{one}"])
+    assert pulled(vehicle.straight, run.physics) is None
+    assert diagrams(vehicle.straight) == []
