@@ -16,6 +16,7 @@ from models.common.whole_file import made_folder, together, whole_file
 from models.figures.outputs import check_outputs, written, written_lines
 from models.figures.page import Page, check_page, write_page
 from models.figures.picture import check_drawing, write_picture
+from models.loads.choice import SYNTAX, choose_load
 from models.vehicle import Vehicle, read_vehicle
 from sim.command.claims import say_false_claims
 from sim.command.driven import driven
@@ -29,6 +30,7 @@ examples:
   python -m sim.report --out report.html
   python -m sim.report --vehicle my_car.toml --controller passive --controller mine --out mine.html --figures figures
   python -m sim.report --quick --out quick.html
+  python -m sim.report --vehicle full_car --load brake:g=0.5 --load corner:g=0.3 --out full_car.html
 """
 
 
@@ -51,16 +53,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from sim.frequency.sweep import EXTREMES, LINES, OWN
     from sim.report.content import page, report_object
     from sim.report.front import check_front
+    from sim.report.loads import duration_of, loaded_road
     from sim.report.scope import Scope, check_scope
+    from sim.runs.run import sample_times
     from synth.designer import Designer
 
     check_scope(vehicle, options.timestep)
     if options.front is not None:
         check_front(vehicle, options.front)
+    loads = tuple(choose_load(text) for text in options.loads)
+    if loads:
+        loaded_road(loads).check(vehicle, sample_times(vehicle, duration_of(loads), options.timestep))
 
     first, then = ("designs", "a bump", LINES), ("where the linear regime ends",)
     if not options.quick:
         first, then = (*first, EXTREMES, OWN), (*then, "margins", "map", "random roads")
+    then = (*then, *(["loads"] if options.loads else []))
     then = (*then, *(["trade-off"] if options.front is not None else []))
     stage = Stages(*first, *then, "the page")
     stage("designs")
@@ -69,7 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     say_false_claims(controllers)
     linear = tuple(one for one in controllers if isinstance(one, Controller))
     laws = tuple(one for one in controllers if not isinstance(one, Controller))
-    scope = Scope(vehicle, designer, linear, options.timestep, options.quick, stage, laws, options.front)
+    scope = Scope(vehicle, designer, linear, options.timestep, options.quick, stage, laws, options.front, loads)
     about = {
         "written": datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC"),
         "command": shlex.join(["python", *sys.orig_argv[1:]]),
@@ -113,6 +121,14 @@ def _parser() -> Parser:
         metavar="AXES",
         help="also a trade-off between two or three demands, e.g. ride:travel, as `python -m synth --front` has it, with "
         "MuJoCo's values at some of its designs; takes half a minute more",
+    )
+    parser.add_argument(
+        "--load",
+        dest="loads",
+        action="append",
+        default=[],
+        metavar="LOAD",
+        help=f"also what this load does on a flat road; several act together: {SYNTAX}",
     )
     parser.add_number("--timestep", 1e-3, "s", "integration step and sample period of the controller")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")

@@ -15,6 +15,7 @@ from sim.report.agreement import agreement_section, bump_section
 from sim.report.designs import design_section, frequency_section
 from sim.report.front import front_section
 from sim.report.limits import margins_section, regime_section, validity_section
+from sim.report.loads import loads_section, workshop_section
 from sim.report.paper import paper_section
 from sim.report.regime_end import regime_end
 from sim.report.ride import SEEDS, Ride, ride_section, rides_of
@@ -74,6 +75,12 @@ def page(scope: Scope, provenance: dict[str, str]) -> Page:
         scope.progress("random roads")
         rides = rides_of(vehicle, [*scope.stable, *scope.laws], h)
         sections.append(ride_section(vehicle, rides, scope.styles))
+    if sweeps:
+        sections.append(workshop_section(scope, sweeps))
+    if scope.loads and (scope.stable or scope.laws):
+        section, findings = loads_section(scope, scope.loads)
+        sections.append(section)
+        answer += findings
     if scope.front is not None:
         sections.append(front_section(scope, scope.front))
     if is_the_papers(vehicle):

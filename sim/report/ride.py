@@ -10,6 +10,7 @@ from models.damping.laws import SemiActive
 from models.figures.figure import Curve, Dash, Figure, Panel
 from models.figures.page import Section, Table
 from models.own.python_law import Programmed
+from models.roads.iri import roughness_of
 from models.roads.iso8608 import Iso8608, long_enough
 from models.roads.road import track_width
 from models.vehicle import Vehicle
@@ -67,9 +68,22 @@ def ride_section(vehicle: Vehicle, rides: Sequence[Ride], style: Mapping[str, tu
         )
         for one in sorted(rides, key=lambda one: (one.road_class, one.metric))
     )
+    roads = tuple(_roughness_row(vehicle, name) for name in CLASSES)
+    caption = f"How rough the roads are that were driven: their IRI, whoever drives, over their first {SPEED * WINDOW:g} m."
+    rough = Table("roads", caption, ("class", "tracks", "IRI, all of the class [m/km]", "IRI of those driven [m/km]"), roads)
     table = Table("ride", "Every metric of the ride, class by class: in MuJoCo, and predicted.", names, rows, words=4)
     title = "How much more comfortable is it, and does it hold the road?"
-    return Section(title, "ride over random roads, ISO 8608", (ride_text(vehicle),), (table,), (ride_figure(rides, style),))
+    return Section(title, "ride over random roads, ISO 8608", (ride_text(vehicle),), (table, rough), (ride_figure(rides, style),))
+
+
+def _roughness_row(vehicle: Vehicle, name: str) -> tuple[str, ...]:
+    """The IRI of the first seconds of a class' roads as they are driven, and what is expected there of all of the class."""
+    distance, width = SPEED * WINDOW, track_width(vehicle)
+    found = [roughness_of(Iso8608(name, seed, SPEED, width, long_enough(distance)), vehicle, distance) for seed in SEEDS]
+    which = next(i for i, one in enumerate(found[0]) if one.name == ("mean" if width else "left"))
+    first, driven = found[0][which], [each[which].iri for each in found]
+    expected = f"{first.expected:.3g} +- {first.spread:.2g}" if first.expected is not None else "-"
+    return name, "mean of both" if width else "one", expected, ", ".join(f"{iri:.3g}" for iri in driven)
 
 
 def ride_figure(rides: Sequence[Ride], style: Mapping[str, tuple[str, Dash]]) -> Figure:

@@ -7,6 +7,7 @@ from functools import cached_property
 
 from models.damping.laws import SemiActive
 from models.figures.figure import Dash, styles
+from models.loads.load import Load
 from models.own.python_law import Programmed
 from models.reality import Limits, steps_per_sample
 from models.vehicle import Vehicle
@@ -41,6 +42,7 @@ class Scope:
         progress: is told what is being done.
         laws: those in Python, and semi-active ones, of which it does not.
         front: the axes of a trade-off, as `--front` has them; None without one.
+        loads: that are put on the body on a flat road.
     """
 
     vehicle: Vehicle
@@ -51,6 +53,7 @@ class Scope:
     progress: Callable[[str], None]
     laws: tuple[Programmed | SemiActive, ...] = ()
     front: str | None = None
+    loads: tuple[Load, ...] = ()
 
     @property
     def driven(self) -> tuple[Controller | Programmed | SemiActive, ...]:

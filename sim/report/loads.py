@@ -1,0 +1,156 @@
+"""The sections of a report on what pushes the body, and what a workshop's plate finds."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from models.figures.figure import Curve, Figure, Panel, thinned
+from models.figures.page import Section, Table
+from models.loads.load import Load
+from models.roads.loaded import PLUS, Loaded
+from models.roads.obstacles import Flat
+from sim.acting.loads import pushed
+from sim.frequency.eusama import DISPUTED
+from sim.frequency.sweep import Sweep
+from sim.linear.at_rest import at_rest_words
+from sim.report.answer import Finding
+from sim.report.scope import Scope, joined, number
+from sim.ride.attitude import DEGREES, angles_of
+from sim.ride.measured import measure_run
+from sim.runs.run import Run, run_all, sample_times
+from sim.runs.words import verdict_lines
+
+DURATION = 5.0  # s; longer where the loads come later
+AFTER = 2.0  # s that are looked at after the last load has come
+LONGEST = 60.0  # s
+POINTS = 60  # of MuJoCo
+SPEED = 20.0  # m/s, which does not matter on a flat road
+
+
+def loaded_road(loads: Sequence[Load]) -> Loaded:
+    """A flat road with loads on the body of what drives there."""
+    return Loaded(Flat(SPEED), tuple(loads))
+
+
+def duration_of(loads: Sequence[Load]) -> float:
+    """How long is looked at what they do [s]."""
+    last = max((kink for load in loads for kink in load.kinks), default=0.0)
+    return min(max(DURATION, math.ceil(last + AFTER)), LONGEST)
+
+
+def loads_section(scope: Scope, loads: Sequence[Load]) -> tuple[Section, list[Finding]]:
+    """What loads do on a flat road: how they come, how the body leans, and where it rests; and where physics says otherwise."""
+    vehicle, road = scope.vehicle, loaded_road(loads)
+    scope.progress("loads")
+    time = sample_times(vehicle, duration_of(loads), scope.timestep)
+    runs = run_all(vehicle, [*scope.stable, *scope.laws], road, time)
+    angles = angles_of(vehicle)
+    rows = []
+    for run in runs:
+        found = measure_run(run, 0)
+        for name, one in found.metrics.items():
+            what = next((end for end in (*angles, *_travels(scope)) if name.startswith(f"{end}_")), "")
+            if not what or (what in _travels(scope) and not name.endswith("_peak")):
+                continue
+            static = found.static or {}
+            rest = static.get(what) if name.endswith("at_end") else None
+            cells = (number(value, ".4g") for value in (one.mujoco, one.sampled, rest))
+            rows.append((run.controller.name, name.replace("_", " "), one.unit, *cells))
+    headings = ("controller", "metric", "unit", "MuJoCo", "sampled", "at rest, linear")
+    caption = "How far the body leans under the loads, and how far its suspensions travel; where the linear loop would rest."
+    names = PLUS.join(load.label for load in loads)
+    text = [
+        f"On a flat road, over {time[-1]:g} s at {1e3 * scope.timestep:g} ms: {names}. Brakes and curves are moments of the "
+        "body's weight at the height of its centre of mass; roll centres are on the ground, there is no anti-dive, and springs, "
+        "bars and tyres carry all of it. Dive is nose down, squat nose up; of the loads controllers know what they measure."
+    ]
+    text += [f"{run.controller.name}: {line}." for run in runs for line in verdict_lines(run)]
+    wrong = [run.controller.name for run in runs if not run.holds]
+    findings = (
+        [Finding(f"Under the loads MuJoCo DOES NOT AGREE with {scope.analysis} for {joined(wrong)}.", "fails")] if wrong else []
+    )
+    if not wrong:
+        agreed = joined([run.controller.name for run in runs])
+        findings = [Finding(f"Under {names} MuJoCo agrees with {scope.analysis} for {agreed}: {_leaning(rows)}.")]
+    table = Table("loads", caption, headings, tuple(rows), words=3)
+    figure = Figure("loads", _title(names), tuple(_panels(scope, road, runs)), columns=2)
+    return Section("What do loads do?", "brakes, curves, payloads, wind", tuple(text), (table,), (figure,)), findings
+
+
+def _travels(scope: Scope) -> tuple[str, ...]:
+    return tuple(one.deflection for one in scope.vehicle.kind.suspensions)
+
+
+def _leaning(rows: Sequence[Sequence[str]]) -> str:
+    """The largest angle or, of a body that has none, travel of every controller, in words."""
+    kinds = [kind for kind in ("pitch angle dive", "pitch angle squat", "roll angle peak") if any(row[1] == kind for row in rows)]
+    kinds = kinds or list(dict.fromkeys(row[1] for row in rows))
+    said = []
+    for kind in kinds:
+        values = [f"{row[0]} {row[3]}" for row in rows if row[1] == kind]
+        if any(float(row[3]) > 1e-6 for row in rows if row[1] == kind and row[3] != "-"):
+            unit = next(row[2] for row in rows if row[1] == kind)
+            said.append(f"{kind} [{unit}] {', '.join(values)}")
+    return "; ".join(said) or "nothing moves"
+
+
+def _title(names: str) -> str:
+    return f"What acts, and what it does: {names}. Lines: the exact sampled response. Points: MuJoCo"
+
+
+def _panels(scope: Scope, road: Loaded, runs: Sequence[Run]) -> list[Panel]:
+    """The loads over time, then angles, then suspensions."""
+    vehicle, panels = scope.vehicle, []
+    acting = pushed(vehicle, road, runs[0].physics.time)
+    assert acting is not None, "a road with loads"
+    for signal in acting.signals[: sum(signal.name in {load.name for load in vehicle.kind.loads} for signal in acting.signals)]:
+        every = thinned(acting[signal.name], max(1, len(acting.time) // 600))
+        curve = Curve(acting.time[every], acting[signal.name][every], "load", "#666666", "solid")
+        words = signal.name.replace("_", " ")
+        panels.append(Panel(f"{words}, {signal.symbol}", "time [s]", f"{words} [{signal.unit}]", (curve,)))
+    sums = {name: (parts, DEGREES, "degrees") for name, parts in angles_of(vehicle).items()}
+    sums |= {name: ({name: 1.0}, 1.0, "m") for name in _travels(scope)}
+    for name, (parts, scale, unit) in sums.items():
+        curves = []
+        for run in runs:
+            color, dash = scope.styles[run.controller.name]
+            line, points = (
+                np.sum([share * response[part] for part, share in parts.items()], axis=0) * scale
+                for response in (run.sampled, run.physics)
+            )
+            some = thinned(line, max(1, len(line) // 600))
+            each = slice(None, None, max(1, len(points) // POINTS))
+            curves.append(Curve(run.sampled.time[some], line[some], run.controller.name, color, dash))
+            seen = f"{run.controller.name}, MuJoCo"
+            curves.append(Curve(run.physics.time[each], points[each], "", color, "none", "o", name=seen))
+        words = name.replace("_", " ")
+        panels.append(Panel(words, "time [s]", f"{words} [{unit}]", tuple(curves)))
+    return panels
+
+
+def workshop_section(scope: Scope, sweeps: Sequence[Sweep]) -> Section:
+    """EUSAMA's least loads of every wheel, predicted and in MuJoCo, and what is said against them."""
+    rows = tuple(
+        (
+            one.lines.controller.name,
+            load.tyre.replace("_", " "),
+            f"{100 * load.ratio:.2f}",
+            f"{100 * load.measured:.2f}",
+            f"{load.omega / (2 * np.pi):.2f}",
+            ", ".join(load.ended) or ("curve" if math.isinf(load.allowed) else "-"),
+        )
+        for one in sweeps
+        for load in one.loads
+    )
+    headings = ("controller", "wheel's", "least load, predicted [%]", "MuJoCo [%]", "at [Hz]", "linear regime ended by")
+    caption = "EUSAMA's least load of every wheel, in percent of its static load: disputed."
+    words = at_rest_words(scope.vehicle)
+    text = (
+        "Under each wheel in turn a plate moves by 6 mm, up to 25 Hz; the least load, in percent of the static one, is what "
+        f"workshops grade dampers by (EUSAMA TS-02-76). It is {DISPUTED}.",
+        *((f"{words}.",) if words else ()),
+    )
+    return Section(
+        "What would a workshop say?", "EUSAMA's least load, disputed", text, (Table("eusama", caption, headings, rows),)
+    )

@@ -1,0 +1,73 @@
+"""Loads, the workshop's plate and the roughness of roads in a report: as the commands have them that are about them."""
+
+import json
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from models.common.errors import InputError
+from models.roads.iri import roughness_of
+from models.roads.iso8608 import Iso8608
+from models.vehicle import read_vehicle
+from sim.drive import main as drive
+from sim.frequency.eusama import DISPUTED, minimum_loads
+from sim.report.__main__ import main
+from sim.report.loads import workshop_section
+from sim.report.ride import _roughness_row
+from synth.designer import design
+
+pytest.importorskip("jinja2", reason="a report needs the extra [report]")
+
+LOADS = ("--load", "brake:g=0.4", "--load", "payload:mass=80:x=-1.0")
+CAR = ("--vehicle", "half_car", "--timestep", "2e-3")
+
+
+def test_loads_in_a_report_are_those_of_a_drive(tmp_path, capsys):
+    """Dive, squat and travel under loads are what sim.drive measures, as they are said at the top and drawn over time."""
+    page = tmp_path / "report.html"
+    assert main([*CAR, "--quick", "--controller", "passive", "--out", str(page), "--json", *LOADS]) == 0
+    found, text = json.loads(capsys.readouterr().out), page.read_text(encoding="utf-8")
+    assert drive([*CAR, "--controller", "passive", "--duration", "5", "--no-logs", "--json", *LOADS]) == 0
+    (run,) = json.loads(capsys.readouterr().out)["runs"]
+    rows = {row["metric"]: row for row in found["tables"]["loads"]}
+    for name in ("pitch_angle_dive", "pitch_angle_squat", "pitch_angle_at_end", "suspension_deflection_front_peak"):
+        row, measured = rows[name.replace("_", " ")], run["metrics"][name]
+        assert (row["MuJoCo"], row["sampled"]) == (f"{measured['mujoco']:.4g}", f"{measured['linear']:.4g}")
+    assert rows["pitch angle at end"]["at rest, linear"] == f"{run['static_angles']['pitch_angle']:.4g}"
+    (said,) = [line for line in found["answer"] if line.startswith("Under brake:g=0.4")]
+    assert f"pitch angle dive [deg] passive {rows['pitch angle dive']['MuJoCo']}" in said
+    for title in ("heave load", "pitch load", "pitch angle", "suspension deflection rear"):
+        assert title in text
+
+
+def test_a_load_that_cannot_be_is_refused_before_the_work(tmp_path):
+    """What a vehicle has no way for, and what is no load, is one line, and no page."""
+    for load, words in (("corner:g=0.3", "rolls"), ("push:g=1", "unknown load")):
+        with pytest.raises(InputError, match=words):
+            main([*CAR, "--quick", "--out", str(tmp_path / "no.html"), "--load", load])
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_workshop_s_plate_is_marked_as_disputed():
+    """The table has EUSAMA's ratios as sim.sweep has them, and says beside them that they are disputed, and by whom."""
+    vehicle = read_vehicle("quarter_car")
+    controller = design(vehicle, "passive")
+    (loads,) = minimum_loads(vehicle, [controller], 2e-3)
+    one: Any = SimpleNamespace(lines=SimpleNamespace(controller=controller), loads=loads)
+    scope: Any = SimpleNamespace(vehicle=vehicle)
+    section = workshop_section(scope, [one])
+    assert DISPUTED in section.text[0]
+    (row,) = section.tables[0].rows
+    assert row[:4] == ("passive", "tyre deflection", f"{100 * loads[0].ratio:.2f}", f"{100 * loads[0].measured:.2f}")
+
+
+def test_roads_of_the_ride_say_how_rough_they_are():
+    """The IRI of each road that is driven stands beside that of all of its class."""
+    vehicle = read_vehicle("full_car")
+    name, tracks, expected, driven = _roughness_row(vehicle, "B")
+    road = Iso8608("B", 0, 20.0, vehicle.parameters["track"])
+    mean = next(one for one in roughness_of(road, vehicle, 200.0) if one.name == "mean")
+    assert (name, tracks) == ("B", "mean of both")
+    assert driven.split(", ")[0] == f"{mean.iri:.3g}"
+    assert expected == f"{mean.expected:.3g} +- {mean.spread:.2g}"
