@@ -64,6 +64,11 @@ class Suspension:
         return self.deflection.removeprefix(SUSPENSION_DEFLECTION.name)
 
     @property
+    def corner(self) -> str:
+        """Name of its corner; empty for one that is alone."""
+        return self.ending.removeprefix("_")
+
+    @property
     def velocity(self) -> Signal:
         """The signal of how fast it is stretched."""
         common = self.deflection.startswith(SUSPENSION_DEFLECTION.name)

@@ -116,13 +116,12 @@ def _write_limits(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
     alike, each is a spring of its own, slack to the other side.
 
     Raises:
-        InputError: the kind has no suspensions, or its MJCF not their tendons.
+        InputError: the kind's MJCF has not its suspensions' tendons.
     """
-    limits, stops = vehicle.limits, vehicle.limits.stops
-    if stops is not None and limits.stop_stiffness is not None:
-        names = [one.tendon for one in vehicle.kind.suspensions]
-        if not names:
-            raise InputError("[limits] suspension_stroke: this kind of vehicle has no suspension to stop; leave it out")
+    limits, stops = vehicle.limits, vehicle.limits.stops(vehicle.kind.suspensions)
+    by_tendon = {one.tendon: stops[one.deflection] for one in vehicle.kind.suspensions if one.deflection in stops}
+    by_tendon = {name: one for name, one in by_tendon.items() if one.push}
+    if names := list(by_tendon):
         suspensions = {tendon.name: tendon for tendon in spec.tendons if tendon.name in names}
         if absent := [name for name in names if name not in suspensions]:
             raise InputError(
@@ -132,7 +131,7 @@ def _write_limits(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
         at_rest = _compiled(vehicle, spec.copy())
         for tendon in suspensions.values():
             rest = float(at_rest.tendon_length0[at_rest.tendon(tendon.name).id])
-            for name, (slack, stiffness) in stops.springs(rest).items():
+            for name, (slack, stiffness) in by_tendon[tendon.name].springs(rest).items():
                 stop = spec.add_tendon(name=f"{name}_{tendon.name}")
                 stop.stiffness[:] = stiffness
                 stop.springlength = slack

@@ -1,15 +1,15 @@
 """What a real car has and the analysis has not: `[limits]` and `[implementation]` of a vehicle file, each off where absent."""
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from models.common.errors import InputError, listing, quoted
-from models.kind import Parameter
-from models.stops.stops import Sides, Stiffness, Stops, read_stiffness, read_stroke, stops
+from models.kind import Parameter, Suspension
+from models.stops.places import KEYS, Place, read_places, stop_words, stops_at
+from models.stops.stops import Sides, Stiffness, Stops
 
-STOPS = {"suspension_stroke": read_stroke, "stop_stiffness": read_stiffness}
 LIMITS = (
     Parameter("actuator_force", "N", "largest force of every actuator, either way"),
     Parameter("actuator_bandwidth", "rad/s", "corner frequency of every actuator, a first-order lag"),
@@ -30,22 +30,30 @@ class Limits:
         stop_stiffness: stiffness of the bump stop [N/m], or the coefficients of a progressive one, or these for each side.
         actuator_force: largest force [N].
         actuator_bandwidth: corner frequency of the first-order lag from the force asked for to the force [rad/s].
+        places: the axles and corners whose stops are others.
     """
 
     suspension_stroke: float | Sides | None = None
     stop_stiffness: Stiffness | Sides | None = None
     actuator_force: float | None = None
     actuator_bandwidth: float | None = None
+    places: tuple[Place, ...] = ()
 
-    @property
-    def stops(self) -> Stops | None:
-        """The bump stops of every suspension; those of a stroke alone, of which nothing is run, push back with nothing."""
-        return None if self.suspension_stroke is None else stops(self.suspension_stroke, self.stop_stiffness or 0.0)
+    def stops_at(self, corner: str) -> Stops | None:
+        """The bump stops of a corner; None where it has none."""
+        return stops_at((Place("", self.suspension_stroke, self.stop_stiffness), *self.places), corner)
+
+    def stops(self, suspensions: Sequence[Suspension]) -> dict[str, Stops]:
+        """The bump stops of a vehicle's suspensions, by deflection, of those that have some."""
+        found = {one.deflection: self.stops_at(one.corner) for one in suspensions}
+        return {deflection: one for deflection, one in found.items() if one is not None}
 
     @property
     def written(self) -> dict[str, str]:
         """What there is of them as a vehicle file has it, by key; of both sides apart by `key.side`."""
-        given = {name: value for name, value in vars(self).items() if value is not None}
+        given = {name: value for name, value in vars(self).items() if value is not None and name != "places"}
+        for place in self.places:
+            given |= {f"{place.name}.{key}": getattr(place, key) for key in KEYS if getattr(place, key) is not None}
         flat = {}
         for name, value in given.items():
             flat |= {f"{name}.{side}": one for side, one in vars(value).items()} if isinstance(value, Sides) else {name: value}
@@ -54,16 +62,19 @@ class Limits:
         }
 
     @property
+    def record(self) -> dict[str, Any]:
+        """What `read_limits` reads as the same limits, None for what there is not."""
+        found = asdict(self)
+        return found | {one.pop("name"): {key: v for key, v in one.items() if v is not None} for one in found.pop("places")}
+
+    @property
     def of_actuators(self) -> tuple[str, ...]:
         """The keys that limit actuators."""
         return tuple(name for name in ("actuator_force", "actuator_bandwidth") if getattr(self, name) is not None)
 
-    @property
-    def words(self) -> tuple[str, ...]:
-        """What there is of them, a phrase each."""
-        found = []
-        if self.stops is not None:
-            found.append(self.stops.words)
+    def words(self, suspensions: Sequence[Suspension]) -> tuple[str, ...]:
+        """What there is of them on a vehicle with these suspensions, a phrase each."""
+        found = stop_words({one.corner: self.stops_at(one.corner) for one in suspensions})
         if self.actuator_force is not None:
             found.append(f"forces up to ±{self.actuator_force:g} N")
         if self.actuator_bandwidth is not None:
@@ -158,26 +169,25 @@ class Implementation:
         return tuple(found)
 
 
-def read_limits(section: Mapping[str, Any]) -> Limits:
+def read_limits(section: Mapping[str, Any], suspensions: Sequence[Suspension]) -> Limits:
     """`[limits]`, checked.
 
+    Args:
+        section: as it was read.
+        suspensions: of the vehicle, at which its stops are.
+
     Raises:
-        InputError: a key that is unknown, a value that is not allowed, a stroke without a stiffness or the other way round.
+        InputError: a key or section that is unknown, a value that is not allowed, a stroke without a stiffness or the other way
+            round.
     """
-    allowed = STOPS | {parameter.name: _number(parameter) for parameter in LIMITS}
-    for name in section:
-        if name not in allowed:
-            raise InputError(f"[limits] unknown key {name!r}; known: {listing(allowed)}")
-    limits = Limits(**{name: allowed[name](name, value) for name, value in section.items()})
-    if (limits.suspension_stroke is None) != (limits.stop_stiffness is None):
-        raise InputError(
-            "[limits] suspension_stroke [m] and stop_stiffness [N/m] make a bump stop together; give both or neither"
-        )
-    return limits
-
-
-def _number(parameter: Parameter) -> Callable[[str, Any], float]:
-    return lambda name, value: parameter.check(value)
+    of_actuators = {parameter.name: parameter for parameter in LIMITS}
+    for name, value in section.items():
+        if name not in of_actuators and name not in KEYS and not isinstance(value, Mapping):
+            raise InputError(f"[limits] unknown key {name!r}; known: {listing((*KEYS, *of_actuators))}")
+    of_stops = {name: value for name, value in section.items() if name not in of_actuators}
+    everywhere, *places = read_places(of_stops, [one.corner for one in suspensions])
+    actuators = {name: one.check(section[name]) for name, one in of_actuators.items() if name in section}
+    return Limits(everywhere.suspension_stroke, everywhere.stop_stiffness, **actuators, places=tuple(places))
 
 
 def read_implementation(section: Mapping[str, Any], measurable: tuple[str, ...]) -> Implementation:

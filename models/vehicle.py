@@ -254,7 +254,7 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
     parameters = vehicle_kind.check(with_slopes(data["parameters"], curves))
     model = vehicle_kind.whole_model(parameters)
     limits, implementation = (
-        read_limits(data.get("limits", {})),
+        read_limits(data.get("limits", {}), vehicle_kind.suspensions),
         read_implementation(data.get("implementation", {}), model.measurable),
     )
     sampled = read_sampled(data.get("implementation", {}))

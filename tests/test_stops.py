@@ -9,10 +9,12 @@ import json
 import mujoco
 import numpy as np
 import pytest
+from scipy import stats
 
 from models.common.errors import InputError
 from models.mjcf import build_model, mjcf_text
 from models.reality import Limits, read_limits
+from models.roads.iso8608 import Iso8608
 from models.roads.road import Bump
 from models.stops.stops import Sides, Stop
 from models.vehicle import parse_vehicle, read_vehicle
@@ -21,6 +23,8 @@ from sim.inspect.__main__ import main as inspect
 from sim.physics.energy import energy
 from sim.physics.simulate import simulate
 from sim.response.regime import reached
+from sim.ride.expected import expect
+from sim.ride.metrics import measure, metrics_of
 from sim.runs.run import sample_times
 from synth.designer import Designer
 from tests.commands import prose
@@ -31,6 +35,15 @@ STOPS = {
     "progressive": "[4e4, 2e6, 3e8]",
     "of each side": "{ bump = [4e4, 2e6, 3e8], rebound = 2e5 }",
 }
+
+
+PLACES = """
+[limits.rear]
+suspension_stroke = { bump = 0.06, rebound = 0.09 }
+
+[limits.rear_left]
+stop_stiffness = [3e4, 0.0, 1e8]
+"""
 
 
 def built(text, kind="quarter_car"):
@@ -47,7 +60,7 @@ def push_of(stop: Stop, beyond):
 def test_force_is_the_polynomial_of_how_far_it_is_squeezed(stiffness):
     """Over the whole travel, the stops push a quarter-car's body back with k1 x + k2 x^2 + k3 x^3, and not before their end."""
     vehicle = built(UNLIKE + stiffness)
-    stops = vehicle.limits.stops
+    stops = vehicle.limits.stops_at("")
     assert stops is not None
     with_stops, without = build_model(vehicle, 1e-3), build_model(dataclasses.replace(vehicle, limits=Limits()), 1e-3)
 
@@ -98,23 +111,26 @@ def test_alike_stops_are_one_spring_as_before(kind):
     sides = "\n[limits]\nsuspension_stroke = { bump = 0.05, rebound = 0.05 }\nstop_stiffness = { bump = [1e5], rebound = 1e5 }"
     one, other = (built(text, kind) for text in (plain, sides))
     assert mjcf_text(one, 1e-3) == mjcf_text(other, 1e-3)
-    assert one.limits.words == other.limits.words == ("bump stops at ±0.05 m",)
+    words = {each.limits.words(each.kind.suspensions) for each in (one, other)}
+    assert words == {("bump stops at ±0.05 m",)}
 
 
 def test_limits_are_read_back_from_logs():
     """What a log writes down of limits is read back as the same limits, with lists and sides."""
-    for stiffness in STOPS.values():
-        limits = built(UNLIKE + stiffness).limits
-        assert (
-            read_limits({k: v for k, v in json.loads(json.dumps(dataclasses.asdict(limits))).items() if v is not None}) == limits
-        )
-        hash(limits)
+    for kind in ("quarter_car", "full_car"):
+        for stiffness in STOPS.values():
+            vehicle = built(UNLIKE + stiffness + (PLACES if kind == "full_car" else ""), kind)
+            written = json.loads(json.dumps(vehicle.limits.record))
+            said = {name: value for name, value in written.items() if value is not None}
+            assert read_limits(said, vehicle.kind.suspensions) == vehicle.limits
+            hash(vehicle.limits)
 
 
 def test_words_and_settings():
     """A page and a verdict say both strokes, and that stops are progressive."""
-    limits = built(UNLIKE + STOPS["of each side"]).limits
-    assert limits.words == ("progressive bump stops at -0.05 m in bump and +0.07 m in rebound",)
+    vehicle = built(UNLIKE + STOPS["of each side"])
+    limits = vehicle.limits
+    assert limits.words(vehicle.kind.suspensions) == ("progressive bump stops at -0.05 m in bump and +0.07 m in rebound",)
     assert limits.written == {
         "suspension_stroke.bump": "0.05",
         "suspension_stroke.rebound": "0.07",
@@ -122,6 +138,104 @@ def test_words_and_settings():
         "stop_stiffness.rebound": "200000",
     }
     assert limits.suspension_stroke == Sides(0.05, 0.07)
+
+
+@pytest.mark.parametrize("kind", ["half_car", "full_car"])
+def test_stops_of_an_axle_are_its_own(kind):
+    """Every suspension's stops in MuJoCo, in the events and in the metrics are those of the section nearest to it."""
+    more = PLACES if kind == "full_car" else PLACES.split("\n[limits.rear_left]")[0]
+    vehicle = built(UNLIKE + "1e5" + more, kind)
+    found = vehicle.limits.stops(vehicle.kind.suspensions)
+    model = build_model(vehicle, 1e-3)
+    wanted = {}
+    for one in vehicle.kind.suspensions:
+        rear, left = one.corner.startswith("rear"), one.corner == "rear_left"
+        wanted[one.deflection] = (0.06, 0.09) if rear else (0.05, 0.07)
+        both = found[one.deflection]
+        assert (both.bump.stroke, both.rebound.stroke) == wanted[one.deflection]
+        assert both.bump.stiffness == both.rebound.stiffness == ((3e4, 0.0, 1e8) if left else (1e5, 0.0, 0.0))
+        spring, rest = model.tendon(f"stop_{one.tendon}").id, model.tendon_length0[model.tendon(one.tendon).id]
+        slack = model.tendon_lengthspring[spring] - rest
+        assert slack == pytest.approx([-wanted[one.deflection][0], wanted[one.deflection][1]], abs=1e-12)
+        assert model.tendon_stiffness[spring] == both.bump.stiffness[0]
+    road, time = Bump(height=0.15, length=2.0, speed=8.0), sample_times(vehicle, 1.5, 1e-3)
+    runs = simulate([vehicle], [Designer(vehicle).design("passive")], [road], time)
+    response = runs.response.run(0)
+    beyond = {name: (response[name] <= -low) | (response[name] >= high) for name, (low, high) in wanted.items()}
+    assert all(one.any() for one in beyond.values())
+    assert reached(vehicle, response)[1] == time[min(int(one.argmax()) for one in beyond.values())]
+    measured = measure(vehicle, response, 0)
+    assert {name: measured[f"{name}_at_stops"] for name in wanted} == {name: one.mean() for name, one in beyond.items()}
+    assert energy(vehicle, runs, 0, road).residual < 1e-4  # kinks where a stop begins to act
+
+
+def test_an_axle_may_be_without_stops():
+    """Stops of one axle alone: of the other there is neither a spring nor a metric, and what is expected knows it."""
+    vehicle = built("\n[limits.front]\nsuspension_stroke = { bump = 0.02, rebound = 0.03 }\nstop_stiffness = 1e5", "half_car")
+    model = build_model(vehicle, 1e-3)
+    names = [model.tendon(i).name for i in range(model.ntendon)]
+    assert [name for name in names if name.startswith("stop")] == ["stop_suspension_front"]
+    metrics = [one.name for one in metrics_of(vehicle) if one.what == "at_stops"]
+    assert metrics == ["suspension_deflection_front_at_stops"]
+    assert vehicle.limits.words(vehicle.kind.suspensions) == ("bump stops at -0.02 m in bump and +0.03 m in rebound (front)",)
+    assert vehicle.limits.written == {
+        "front.suspension_stroke.bump": "0.02",
+        "front.suspension_stroke.rebound": "0.03",
+        "front.stop_stiffness": "100000",
+    }
+    expected = expect(vehicle, Designer(vehicle).design("passive"), Iso8608("C", 0, 20.0).spectrum, 1e-3, 10.0)
+    assert expected is not None
+    sigma = expected.mean["suspension_deflection_front_rms"]
+    tails = sum(float(stats.norm.sf(stroke / sigma)) for stroke in (0.02, 0.03))
+    assert expected.mean["suspension_deflection_front_at_stops"] == pytest.approx(tails, rel=1e-9)
+    assert "suspension_deflection_rear_at_stops" not in expected.mean
+
+
+def test_words_name_the_corners_that_are_alike():
+    """Corners with the same stops are one phrase, by the shortest names that are theirs."""
+    vehicle = built(UNLIKE + "1e5" + PLACES, "full_car")
+    assert vehicle.limits.words(vehicle.kind.suspensions) == (
+        "bump stops at -0.05 m in bump and +0.07 m in rebound (front)",
+        "progressive bump stops at -0.06 m in bump and +0.09 m in rebound (rear_left)",
+        "bump stops at -0.06 m in bump and +0.09 m in rebound (rear_right)",
+    )
+
+
+def test_a_log_proves_stops_of_an_axle(tmp_path, capsys):
+    """A half-car with stops of its own at the rear is logged, and the log proves it again."""
+    file = tmp_path / "car.toml"
+    file.write_text(read_vehicle("half_car").text + UNLIKE + "1e5\n[limits.rear]\nsuspension_stroke = 0.03\n")
+    arguments = ["--vehicle", str(file), "--controller", "passive", "--logs", str(tmp_path), "--height", "0.15"]
+    assert main(arguments) == 0
+    assert "bump stop: a suspension is at the end of its stroke first at" in prose(capsys.readouterr().out)
+    (log,) = tmp_path.glob("*.mcap")
+    assert inspect([str(log)]) == 0
+
+
+@pytest.mark.parametrize(
+    ("section", "words"),
+    [
+        (
+            "[limits.middle]\nsuspension_stroke = 0.1",
+            ["[limits.middle]", "no suspension", "front, front_left, front_right, rear"],
+        ),
+        ("[limits.rear]\nactuator_force = 100.0", ["[limits.rear]", "'actuator_force'", "of all suspensions"]),
+        ("[limits.rear]\nsuspension_stroke = 0.1", ["of rear_left", "give both or neither"]),
+        (
+            "[limits.rear]\nsuspension_stroke = { bump = 0.1 }\nstop_stiffness = 1e5",
+            ["[limits.rear] suspension_stroke", "rebound"],
+        ),
+        ("[limits]\nrear = 0.1", ["unknown key 'rear'"]),
+        ("[[limits.rear]]\nsuspension_stroke = 0.1", ["unknown key 'rear'"]),
+        ("[limits.rear.left]\nsuspension_stroke = 0.1", ["[limits.rear] unknown key 'left'"]),
+    ],
+)
+def test_bad_places_are_refused(section, words):
+    """A section for what is no axle or corner, or that says what it cannot, is refused in one line."""
+    with pytest.raises(InputError) as refused:
+        built(f"\n{section}\n", "full_car")
+    assert all(word in str(refused.value) for word in words), refused.value
+    assert "\n" not in str(refused.value)
 
 
 def test_a_log_proves_its_stops(tmp_path, capsys):
@@ -147,6 +261,7 @@ def test_a_log_proves_its_stops(tmp_path, capsys):
         ("suspension_stroke = 0.1\nstop_stiffness = []", ["has 0 coefficients", "1 to 3"]),
         ("suspension_stroke = 0.1\nstop_stiffness = [1.0, 1.0, 1.0, 1.0]", ["has 4 coefficients", "k_3 x^3"]),
         ("suspension_stroke = 0.1\nstop_stiffness = [[1e5]]", ["is not a number", "N/m"]),
+        ("[limits.rear]\nsuspension_stroke = 0.1", ["limits.rear", "no sections, for there is one suspension"]),
         ('suspension_stroke = "0.1"\nstop_stiffness = 1e5', ["'0.1' is not a number"]),
         ("suspension_stroke = true\nstop_stiffness = 1e5", ["suspension_stroke = True"]),
     ],

@@ -48,6 +48,11 @@ class Stops:
     rebound: Stop
 
     @property
+    def push(self) -> bool:
+        """Whether they push back at all."""
+        return any(any(one.stiffness) for one in (self.bump, self.rebound))
+
+    @property
     def alike(self) -> bool:
         """Whether one spring with a dead band is both: its force is odd, so has no x^2 in it."""
         return self.bump.stiffness == self.rebound.stiffness and not self.bump.stiffness[1]
@@ -95,7 +100,7 @@ def read_stiffness(where: str, value: Any) -> Stiffness | Sides:
 
 
 def stops(stroke: float | Sides, stiffness: Stiffness | Sides) -> Stops:
-    """The stops of every suspension, from what `read_stroke` and `read_stiffness` give."""
+    """The stops of a suspension, from what `read_stroke` and `read_stiffness` give."""
     lengths = [getattr(stroke, side) if isinstance(stroke, Sides) else stroke for side in SIDES]
     springs = [getattr(stiffness, side) if isinstance(stiffness, Sides) else stiffness for side in SIDES]
     return Stops(*(Stop(length, _coefficients(spring)) for length, spring in zip(lengths, springs, strict=True)))

@@ -75,7 +75,7 @@ def implemented(vehicle: Vehicle, run: RecordedRun) -> Vehicle:
     Raises:
         InputError: what the log says is none, or its limits are not those of the vehicle file.
     """
-    limits = read_limits(_given(run.claim("limits"), "limits"))
+    limits = read_limits(_given(run.claim("limits"), "limits"), vehicle.kind.suspensions)
     if limits != vehicle.limits:
         raise InputError("its [limits] are not those of vehicle.toml")
     measurable = vehicle.linear_model.measurable

@@ -149,7 +149,7 @@ def run_log(run: Run, name: str) -> RunLog:
         **controller_object(controller),
         "samples": len(run.physics.time),
         "road": road.describe(),
-        "limits": asdict(vehicle.limits),
+        "limits": vehicle.limits.record,
         "implementation": asdict(vehicle.implementation),
         **proved,
         "agrees": agreement.agrees,

@@ -114,7 +114,7 @@ class Scope:
     @property
     def built(self) -> str:
         """The loop as built, in words."""
-        words = (*self.vehicle.limits.words, *self.vehicle.implementation.words)
+        words = (*self.vehicle.limits.words(self.vehicle.kind.suspensions), *self.vehicle.implementation.words)
         return ", ".join(words) or "neither [limits] nor [implementation]"
 
     @property
@@ -132,12 +132,12 @@ class Scope:
         """What the sampled linear loop has, in words: nothing that ends its regime, and nothing that blurs what it measures."""
         how = self.vehicle.implementation.clear
         held = f"its force held over every step of {1e3 * self.timestep:g} ms"
-        return ", ".join([*(how.words or (held,)), *self._lag.words])
+        return ", ".join([*(how.words or (held,)), *self._lag.words(())])
 
     @property
     def lag(self) -> str:
         """What of the limits is linear, and so part of the continuous loop too."""
-        return "".join(f", with {words}" for words in self._lag.words)
+        return "".join(f", with {words}" for words in self._lag.words(()))
 
     @property
     def _lag(self) -> Limits:

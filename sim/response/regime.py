@@ -88,11 +88,9 @@ def _either_way(
 
 
 def _at_the_stops(vehicle: Vehicle) -> list[Threshold]:
-    """Thresholds on every suspension's deflection, one to each side, if the vehicle has stops."""
-    stops, names = vehicle.limits.stops, [one.deflection for one in vehicle.kind.suspensions]
-    if stops is None:
-        return []
-    return [Threshold(name, sign, stop.stroke) for name in names for sign, stop in ((-1.0, stops.bump), (1.0, stops.rebound))]
+    """Thresholds on every suspension's deflection, one to each side, if it has stops."""
+    found = vehicle.limits.stops(vehicle.kind.suspensions).items()
+    return [Threshold(name, sign, one.stroke) for name, both in found for sign, one in ((-1.0, both.bump), (1.0, both.rebound))]
 
 
 def over(vehicle: Vehicle, one: Fitted) -> str:

@@ -152,11 +152,12 @@ def expect(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: f
         mean[f"{name}_vdv"] = (window * weighted.mean_fourth_power) ** 0.25
         mean[f"{name}_mtvv"] = weighted.largest_running(window, RUNNING)
         mean[f"{name}_crest"] = weighted.largest(window)
+    stopped = vehicle.limits.stops(vehicle.kind.suspensions)
     for name in where.suspensions:
         offset = line.mean.get(name, 0.0)
         signal = root(f"{name}_rms", index[name], offset=offset)
         mean[f"{name}_peak"] = signal.largest(window) * signal.sigma + abs(offset)
-        if (stops := vehicle.limits.stops) is not None:
+        if (stops := stopped.get(name)) is not None:
             beyond = signal.beyond(stops.bump.stroke + offset), signal.beyond(stops.rebound.stroke - offset)
             mean[f"{name}_at_stops"] = sum(beyond)
     for name in where.tyres:

@@ -116,7 +116,7 @@ def measure_run(run: Run, first: int) -> RunMetrics:
 def beside(vehicle: Vehicle) -> list[str]:
     """What MuJoCo's metrics have in them, and sampled and expected ones have not."""
     lines = []
-    if vehicle.limits.stops is not None or vehicle.limits.actuator_force is not None:
+    if vehicle.limits.stops(vehicle.kind.suspensions) or vehicle.limits.actuator_force is not None:
         lines.append("sampled and expected numbers are of a vehicle without bump stops and with forces of any size")
     if blur := vehicle.implementation.blur:
         lines.append(f"MuJoCo's numbers have the {blur} of what is measured in them, sampled and expected ones have not")

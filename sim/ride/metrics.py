@@ -87,14 +87,14 @@ def points(vehicle: Vehicle) -> Points:
 
 def metrics_of(vehicle: Vehicle, loaded: bool = False) -> tuple[Metric, ...]:
     """The metrics of a vehicle, in the order of a table; where its body is loaded, with its angles first."""
-    where = points(vehicle)
+    where, stops = points(vehicle), vehicle.limits.stops(vehicle.kind.suspensions)
     found = [_of(angle, what, "deg") for angle in angles_of(vehicle) for what in KINDS[angle]] if loaded else []
     for name in where.accelerations:
         units = {"rms": "m/s2", "weighted": "m/s2", "vdv": "m/s1.75", "mtvv": "m/s2", "crest": "-"}
         found += [_of(name, what, unit) for what, unit in units.items()]
     for name in where.suspensions:
         found += [_of(name, "rms", "m"), _of(name, "peak", "m")]
-        if vehicle.limits.stops is not None:
+        if name in stops:
             found.append(_of(name, "at_stops", "-"))
     for name in where.tyres:
         found += [Metric(dynamic_load(name), "-", name, "dynamic_load"), Metric(off_ground(name), "-", name, "off_ground")]
@@ -154,7 +154,7 @@ class Meter:
         """
         self.pushed = np.array([loaded] * len(vehicles) if pushed is None else pushed)
         self.vehicle, self.timestep, self.first, count = vehicles[0], timestep, first, len(vehicles)
-        self.where, self.stops = points(self.vehicle), self.vehicle.limits.stops
+        self.where, self.stops = points(self.vehicle), self.vehicle.limits.stops(self.vehicle.kind.suspensions)
         names = [signal.name for signal in self.vehicle.kind.signals]
         self.index = {name: names.index(name) for name in self.vehicle.linear_model.outputs}
         statics = [vehicle.kind.static_tyre_deflection(vehicle.parameters) for vehicle in vehicles]
@@ -204,8 +204,9 @@ class Meter:
             deflection = self._signal(values, name)
             self._add(f"{name}_rms", _squares(deflection))
             self._keep(f"{name}_peak", deflection)
-            if self.stops is not None:
-                beyond = (deflection <= -self.stops.bump.stroke) | (deflection >= self.stops.rebound.stroke)
+            if name in self.stops:
+                stops = self.stops[name]
+                beyond = (deflection <= -stops.bump.stroke) | (deflection >= stops.rebound.stroke)
                 self._add(f"{name}_at_stops", np.count_nonzero(beyond, axis=1))
         for name in self.where.tyres:
             deflection, static = self._signal(values, name), self.static[name][:, None]
@@ -238,7 +239,7 @@ class Meter:
             found[f"{name}_crest"] = np.where(still, 0.0, self.largest[f"{name}_crest"] / np.where(still, 1.0, weighted))
         for name in self.where.suspensions:
             found |= {f"{name}_rms": np.sqrt(mean[f"{name}_rms"]), f"{name}_peak": self.largest[f"{name}_peak"]}
-            if self.stops is not None:
+            if name in self.stops:
                 found[f"{name}_at_stops"] = mean[f"{name}_at_stops"]
         for name in self.where.tyres:
             shift = np.where(self.pushed, mean.get(f"{dynamic_load(name)}_shift", 0.0), 0.0)
