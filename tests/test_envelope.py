@@ -263,7 +263,7 @@ def test_command(capsys, tmp_path):
 def test_words_are_the_cells(tmp_path, capsys):
     """Every share and count that the command prints, and every line of its CSV, is that of the cells of its JSON."""
     vehicle = tmp_path / "limited.toml"
-    section = "".join(f"{name} = {value}\n" for name, value in dataclasses.asdict(LIMITS).items() if value is not None)
+    section = "".join(f"{name} = {value}\n" for name, value in LIMITS.record.items() if value is not None)
     vehicle.write_text(f"{read_vehicle('quarter_car').text}\n[limits]\n{section}")
     axes = ["--vary", "height:0.02:0.3:6", "--vary", "speed:3:30:5"]
     arguments = ["--vehicle", str(vehicle), "--controller", "I", *axes, "--timestep", "0.002"]
