@@ -9,6 +9,7 @@ from scipy import linalg
 
 from models.common.arrays import Array, real_matrix
 from models.common.errors import InputError
+from models.reality import Implementation
 
 MATRICES = ("A", "B", "C", "D")
 MOST_STATES = 200  # of a law; a controller of a vehicle has some dozens
@@ -208,3 +209,17 @@ def law_of(record: Mapping[str, Any]) -> LinearLaw:
     if "gain" in record:
         return static_law(record["gain"])
     return LinearLaw(*(record[name] for name in MATRICES), sample_period=record.get("sample_period"))
+
+
+def check_period(name: str, law: LinearLaw | None, implementation: Implementation) -> None:
+    """Whether a controller whose law has a sample period of its own is built with that one.
+
+    Raises:
+        InputError: it is not.
+    """
+    period = law.sample_period if law is not None else None
+    if period is not None and implementation.sample_period != period:
+        raise InputError(
+            f"[controllers.{name}] has a sample period of {period!r} s of its own, and [implementation] says "
+            f"{implementation.sample_period or 'none'}; give [implementation] sample_period = {period!r}"
+        )

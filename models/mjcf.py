@@ -13,6 +13,7 @@ import numpy as np
 from models.common.errors import InputError, quoted
 from models.common.read_file import MIB, TEXT, open_plain
 from models.curves.actuators import fit_curves, sense_velocities
+from models.damping.adjustable import softest
 from models.damping.mjcf import write_dampers
 from models.kind import GRAVITY, LOWEST_HUB
 from models.vehicle import Vehicle
@@ -66,7 +67,7 @@ def build_spec(vehicle: Vehicle, timestep: float) -> mujoco.MjSpec:
     _write_limits(spec, vehicle)
     _write_curves(spec, vehicle)
     tendons = {one.force: one.tendon for one in vehicle.kind.suspensions}
-    write_dampers(spec, vehicle.adjustable, tendons, str(vehicle.kind.mjcf))
+    write_dampers(spec, vehicle.adjustable, tendons, str(vehicle.kind.mjcf), FITTED)
     return spec
 
 
@@ -164,7 +165,7 @@ def _write_curves(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
         rest = {at_rest.tendon(i).name: float(at_rest.tendon_length0[i]) for i in range(at_rest.ntendon)}
     try:
         sense_velocities(spec, [pair for pair in pairs if pair[0] in names - sensed])
-        fit_curves(spec, vehicle.fitted, FITTED, rest)
+        fit_curves(spec, softest(vehicle.fitted, vehicle.adjustable, vehicle.kind.pushed), FITTED, rest)
     except InputError as error:
         raise InputError(f"MJCF {vehicle.kind.mjcf}: {error}") from error
 

@@ -16,7 +16,7 @@ from models.curves.curve import Curve
 from models.curves.fitted import Fitted, curvable, fitted, with_slopes
 from models.curves.reading import read_curves
 from models.curves.table_file import with_tables
-from models.damping.adjustable import Adjustable, adjustable
+from models.damping.adjustable import Adjustable, adjustable, check_measured
 from models.damping.damper import Damper, read_actuators
 from models.filters.filter import Filter
 from models.filters.performance import read_performance
@@ -26,6 +26,7 @@ from models.formats.road_name import named_file
 from models.goals.goals import PeakBound, signals_of
 from models.kind import HERE, VehicleKind
 from models.kinds import kind, kinds, shipped
+from models.law import check_period
 from models.linear_model import LinearModel
 from models.reality import Implementation, Limits, read_implementation, read_limits, read_sampled
 from models.signals import of_dampers
@@ -73,12 +74,14 @@ class Vehicle:
     @cached_property
     def fitted(self) -> tuple[Fitted, ...]:
         """The curves of its suspensions, scaled to its parameters."""
-        return fitted(self.kind.suspensions, self.curves, self.parameters)
+        dampers = {self.kind.pushed(one.force): one.standing for one in self.adjustable}
+        return fitted(self.kind.suspensions, self.curves, self.parameters, dampers)
 
     @property
     def straight(self) -> "Vehicle":
         """The vehicle of linear analysis: every curve is its line at rest."""
-        return replace(self, curves={}) if self.curves else self
+        dampers = {force: replace(one, pair=None) for force, one in self.dampers.items()}
+        return replace(self, curves={}, dampers=dampers) if self.fitted else self
 
     @cached_property
     def linear_model(self) -> LinearModel:
@@ -97,7 +100,9 @@ class Vehicle:
             return self
         names = {name for one in self.adjustable for name in (one.coefficient, one.missing)}
         signals = tuple(signal for signal in self.kind.signals if signal.name not in names)
-        return replace(self, dampers={}, kind=replace(self.kind, signals=signals))
+        of = {one.force: one.damping for one in self.kind.suspensions}
+        curves = {of[one.force]: one.standing for one in self.adjustable if one.standing is not None}
+        return replace(self, dampers={}, kind=replace(self.kind, signals=signals), curves={**self.curves, **curves})
 
     @property
     def filtered(self) -> bool:
@@ -173,6 +178,11 @@ class Vehicle:
     def found_wrong(self, error: InputError) -> InputError:
         """What was found wrong of it when it was worked with, with the file that it stands in, as where it is read."""
         return InputError(f"vehicle file {self.source}: {error}" if self.source else str(error))
+
+    def check_entry(self, entry: ControllerEntry) -> None:
+        """Refuses a controller of another sample period than it is built with, or that measures what no sensor tells."""
+        check_period(entry.name, entry.law, self.implementation)
+        check_measured(entry.name, entry.measured, self.dampers)
 
     def hardware(self, name: str) -> Hardware:
         """What of sensors and actuators a controller of that name is designed for; of `passive` and `state` nothing."""
@@ -263,13 +273,12 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
     adjusted = adjustable(dampers, vehicle_kind.suspensions, parameters, curves)
     endings = {one.force: one.ending for one in adjusted}
     controllers = read_controllers(section, model, limits, implementation, folder, sampled, vehicle_kind, endings)
-    for entry in controllers.values():
-        check_period(entry, implementation)
     performance, filters, road_filter = read_performance(data["performance"], model.outputs)
     named = {signal for entry in controllers.values() for signal in (*entry.measured, *signals_of(entry.goals))}
-    named |= {one.velocity.name for one in vehicle_kind.suspensions if {one.stiffness, one.damping} & {*curves}}
+    bent = {*curves, *(force for force, one in dampers.items() if one.pair is not None)}
+    named |= {one.velocity.name for one in vehicle_kind.suspensions if {one.stiffness, one.damping, one.force} & bent}
     measured = vehicle_kind.naming(named.union(performance, implementation.noise, implementation.quantisation))
-    return Vehicle(
+    found = Vehicle(
         kind=replace(measured, signals=(*measured.signals, *of_dampers([one.ending for one in adjusted]))),
         parameters=parameters,
         performance=performance,
@@ -284,17 +293,6 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
         curves=curves,
         dampers=dampers,
     )
-
-
-def check_period(entry: ControllerEntry, implementation: Implementation) -> None:
-    """Whether a controller with a sample period of its own is built with that one.
-
-    Raises:
-        InputError: it is not.
-    """
-    period = entry.law.sample_period if entry.law is not None else None
-    if period is not None and implementation.sample_period != period:
-        raise InputError(
-            f"[controllers.{entry.name}] has a sample period of {period!r} s of its own, and [implementation] says "
-            f"{implementation.sample_period or 'none'}; give [implementation] sample_period = {period!r}"
-        )
+    for entry in controllers.values():
+        found.check_entry(entry)
+    return found

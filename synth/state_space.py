@@ -11,7 +11,7 @@ from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
 from models.controllers import IDEAL, read_controllers
 from models.law import LinearLaw
-from models.vehicle import Vehicle, check_period
+from models.vehicle import Vehicle
 from synth.controller import Controller
 from synth.designer import given
 from synth.plant import GeneralizedPlant
@@ -106,7 +106,7 @@ def controller_from(vehicle: Vehicle, name: str, measured: Sequence[str], system
         law = LinearLaw(law.A, law.B[:, columns], law.C[rows], law.D[np.ix_(rows, columns)], law.sample_period)
     section = {name: {"measured": list(measured), **law.record}}
     entry = read_controllers(section, vehicle.linear_model, vehicle.limits, vehicle.implementation)[name]
-    check_period(entry, vehicle.implementation)
+    vehicle.check_entry(entry)
     return given(vehicle, entry.name, entry.measured, law)
 
 

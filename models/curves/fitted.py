@@ -79,22 +79,28 @@ def with_slopes(parameters: Mapping[str, Any], curves: Mapping[str, Curve]) -> d
     return {**parameters, **{name: curve.slope for name, curve in curves.items()}}
 
 
-def fitted(suspensions: Sequence[Suspended], curves: Mapping[str, Curve], parameters: Mapping[str, float]) -> tuple[Fitted, ...]:
+def fitted(
+    suspensions: Sequence[Suspended],
+    curves: Mapping[str, Curve],
+    parameters: Mapping[str, float],
+    dampers: Mapping[str, Curve | None],
+) -> tuple[Fitted, ...]:
     """Every suspension's curves, scaled to parameters that are others than theirs.
 
     Args:
         suspensions: of a vehicle.
         curves: by parameter.
         parameters: of the vehicle.
+        dampers: the curves of suspensions whose dampers are adjustable, by deflection; None for a straight one.
     """
     found = []
     for one in suspensions:
         for name, over in ((one.stiffness, DEFLECTION), (one.damping, VELOCITY)):
-            if name in curves:
-                found.append(Fitted(one.deflection, one.tendon, name, over, fitted_curve(curves[name], parameters[name])))
+            if over is VELOCITY and one.deflection in dampers:
+                curve = dampers[one.deflection]
+            else:
+                curve = curves.get(name)
+                curve = curve.scaled(parameters[name] / curve.slope) if curve is not None and curve.slope else curve
+            if curve is not None:
+                found.append(Fitted(one.deflection, one.tendon, name, over, curve))
     return tuple(found)
-
-
-def fitted_curve(curve: Curve, parameter: float) -> Curve:
-    """A curve scaled to a parameter that may be another than its slope."""
-    return curve.scaled(parameter / curve.slope if curve.slope else 1.0)

@@ -59,13 +59,18 @@ def read_curves(section: Mapping[str, Any], parameters: Mapping[str, Argument]) 
                 f"[curves] {name!r} is no stiffness or damping of a suspension; this vehicle has {listing(parameters)}"
             )
         try:
-            found[name] = _curve(entry, parameters[name])
+            found[name] = curve_of(entry, parameters[name])
         except InputError as error:
             raise InputError(f"[curves] {name}: {error}") from error
     return found
 
 
-def _curve(entry: Any, over: Argument) -> Curve:
+def curve_of(entry: Any, over: Argument) -> Curve:
+    """A curve from its table.
+
+    Raises:
+        InputError: it is none, or none that a suspension can have.
+    """
     what = f'{{ {over.name} = [...], force = [...] }}, or {{ file = "NAME.csv" }}'
     if not isinstance(entry, Mapping):
         raise InputError(f"{quoted(entry)} is no curve; give {what}")

@@ -1,4 +1,4 @@
-"""A curve in a file of its own, `file = "damper.csv"` in `[curves]`: its table in place of its name.
+"""A curve in a file of its own, `file = "damper.csv"` in `[curves]` or `[actuators]`: its table in place of its name.
 
 So a vehicle file is whole once it is read, as with laws and families. Two formats are known: CSV, whose header says what each
 column is and in which unit, `velocity [mm/s], force [kN]`; and the damper property files, `.dpr`, of Adams/Car, in the TeimOrbit
@@ -43,30 +43,53 @@ def with_tables(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
     Raises:
         InputError: it is not TOML, or a file is not there, or holds no curve; the message names it.
     """
-    if not re.search(r"\bcurves\b", text):
+    if not re.search(r"\b(curves|actuators)\b", text):
         return text, ()
-    curves = parse_toml(text).get("curves")
-    asked = (
-        {name: one for name, one in curves.items() if isinstance(one, dict) and "file" in one} if isinstance(curves, dict) else {}
-    )
     files = []
-    for name, entry in asked.items():
+    for path, entry in _asked(parse_toml(text)):
         try:
             table, comment, file = _read(entry, folder)
         except InputError as error:
-            raise InputError(f"[curves] {name}: {error}") from error
+            raise InputError(f"{_words(path)}: {error}") from error
         files.append(file)
-        text = _in_place(text, name, entry, table, comment)
+        text = _in_place(text, path, entry, table, comment)
     if len(text.encode()) > TEXT:
         raise InputError("with the tables of its files it is too large; thin them")
     return text, tuple(files)
 
 
-def _in_place(text: str, name: str, entry: Mapping[str, Any], table: Mapping[str, Any], comment: str) -> str:
+def _asked(data: Mapping[str, Any]) -> list[tuple[tuple[str, ...], Mapping[str, Any]]]:
+    """The entries that name files, each with the keys that lead to it: curves, and limits of all dampers, or of single ones."""
+    found: list[tuple[tuple[str, ...], Mapping[str, Any]]] = []
+    for section in ("curves", "actuators"):
+        entries = data.get(section)
+        for name, one in entries.items() if isinstance(entries, dict) else ():
+            if not isinstance(one, dict):
+                continue
+            if "file" in one:
+                found.append(((section, name), one))
+            elif section == "actuators":
+                inner = {key: value for key, value in one.items() if isinstance(value, dict) and "file" in value}
+                found += [((section, name, key), value) for key, value in inner.items()]
+    return found
+
+
+def _words(path: tuple[str, ...]) -> str:
+    """Where an entry stands, for messages."""
+    return f"[{'.'.join(path[:-1])}] {path[-1]}"
+
+
+def _changed(data: Mapping[str, Any], path: tuple[str, ...], value: Any) -> dict[str, Any]:
+    """The same with another value where some keys lead."""
+    first, *rest = path
+    return {**data, first: _changed(data[first], tuple(rest), value) if rest else value}
+
+
+def _in_place(text: str, path: tuple[str, ...], entry: Mapping[str, Any], table: Mapping[str, Any], comment: str) -> str:
     """The text with a table in place of a file, wherever that is said on a line of its own."""
-    before = parse_toml(text)
+    name, before = path[-1], parse_toml(text)
     whole = {key: value for key, value in entry.items() if key != "file"} | dict(table)
-    after = before | {"curves": {**before["curves"], name: whole}}
+    after = _changed(before, path, whole)
     lines = [f"{key} = {json.dumps(value)}" for key, value in table.items()]
     others = [f"{key} = {json.dumps(value)}" for key, value in entry.items() if key != "file"]
     inline, own = f"{comment}\n{name} = {{ {', '.join([*lines, *others])} }}", "\n".join([comment, *lines])
@@ -78,9 +101,7 @@ def _in_place(text: str, name: str, entry: Mapping[str, Any], table: Mapping[str
                     return changed
             except InputError:
                 continue
-    raise InputError(
-        f'[curves] {name}: its file is not named on a line of its own; write {name} = {{ file = "NAME.csv" }} on one'
-    )
+    raise InputError(f'{_words(path)}: its file is not named on a line of its own; write {name} = {{ file = "NAME.csv" }} on one')
 
 
 def _read(entry: Mapping[str, Any], folder: Path) -> tuple[dict[str, Any], str, Path]:

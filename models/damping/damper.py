@@ -9,8 +9,9 @@ A controller that asks for a force u* beyond the nominal damper's gets the coeff
 
     c = clip(c_s - u* / v, c_min, c_max),
 
-set at the controller's sample from the velocity then, and held until the next. Where v is 0 and u* is not, v is taken for one
-that is about to be below it; where both are 0 the damper is the nominal one.
+with curves in place of c_min and c_max: c = clip(c_s - u* / h(v), c_min, c_max), see `models.damping.pair`. It is set at the
+controller's sample from the velocity then, and held until the next. Where v is 0 and u* is not, v is taken for one that is about
+to be below it; where both are 0 the damper is the nominal one.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,9 +19,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from models.common.errors import InputError, listing, quoted
+from models.curves.reading import VELOCITY, curve_of
+from models.damping.pair import Pair, pair_of
 
 KINDS = ("force", "damper")
-KEYS = ("kind", "c_min", "c_max", "bandwidth")
+CURVED = ("c_min", "c_max")  # that may be tables
+KEYS = ("kind", *CURVED, "bandwidth")
 SMALLEST, LARGEST = 1e-6, 1e12  # SI; beyond these a number is a slip of the pen
 
 
@@ -29,20 +33,23 @@ class Damper:
     """An adjustable damper.
 
     Attributes:
-        c_min, c_max: its smallest and its largest coefficient [N s/m].
+        c_min, c_max: its smallest and its largest coefficient [N s/m]; at rest, where it has curves.
         bandwidth: corner frequency of its valve, a first-order lag from the coefficient that is set to the one that acts [rad/s];
             None for one that acts at once.
+        pair: its curves; None where they are straight.
     """
 
     c_min: float
     c_max: float
     bandwidth: float | None = None
+    pair: Pair | None = None
 
     @property
     def words(self) -> str:
         """It in a phrase."""
         lag = "" if self.bandwidth is None else f", whose valve lags from {self.bandwidth:g} rad/s on"
-        return f"an adjustable damper of {self.c_min:g} to {self.c_max:g} N s/m{lag}"
+        between = "" if self.pair is None else " at rest, between two curves"
+        return f"an adjustable damper of {self.c_min:g} to {self.c_max:g} N s/m{between}{lag}"
 
 
 def read_actuators(section: Mapping[str, Any], corners: Mapping[str, str], limited: Sequence[str]) -> dict[str, Damper]:
@@ -57,14 +64,15 @@ def read_actuators(section: Mapping[str, Any], corners: Mapping[str, str], limit
         InputError: a key that is unknown, a value that is not allowed, or something that goes with actuators that push alone.
     """
     endings = {ending.removeprefix("_"): force for force, ending in corners.items() if ending}
-    for name, value in section.items():
-        if isinstance(value, Mapping) and name not in endings:
+    single = {name: value for name, value in section.items() if isinstance(value, Mapping) and name not in CURVED}
+    for name in section:
+        if name in single and name not in endings:
             known = f"sections {listing(endings)}" if endings else "no sections, for there is one suspension"
             raise InputError(f"[actuators.{name}] is no suspension of this vehicle; it has {known}")
-        if not isinstance(value, Mapping) and name not in KEYS:
+        if name not in single and name not in KEYS:
             raise InputError(f"[actuators] unknown key {name!r}; known: {listing((*KEYS, *endings))}")
-    common = {name: value for name, value in section.items() if not isinstance(value, Mapping)}
-    own = {endings[name]: (f"[actuators.{name}]", value) for name, value in section.items() if isinstance(value, Mapping)}
+    common = {name: value for name, value in section.items() if name not in single}
+    own = {endings[name]: (f"[actuators.{name}]", value) for name, value in single.items()}
     for where, value in own.values():
         for name in value:
             if name not in KEYS:
@@ -102,17 +110,42 @@ def _damper(where: str, given: Mapping[str, Any]) -> Damper | None:
                 "and its lag stand in [limits]"
             )
         return None
+    if absent := [name for name in CURVED if name not in numbers]:
+        raise InputError(f"{where} {absent[0]} is missing; an adjustable damper has c_min and c_max [N s/m]")
+    pair = _pair(where, numbers)
+    if pair is not None:
+        numbers |= {"c_min": pair.soft.slope, "c_max": pair.hard.slope}
     for name, value in numbers.items():
         smallest, unit = (0.0, "N s/m") if name == "c_min" else (SMALLEST, "rad/s" if name == "bandwidth" else "N s/m")
         real = isinstance(value, (int, float)) and not isinstance(value, bool)
         if not real or not smallest <= value <= LARGEST:
             allowed = f"a number from {smallest:g} to {LARGEST:g} {unit}"
             raise InputError(f"{where} {name} = {quoted(value)} is not allowed; give {allowed}")
-    if absent := [name for name in ("c_min", "c_max") if name not in numbers]:
-        raise InputError(f"{where} {absent[0]} is missing; an adjustable damper has c_min and c_max [N s/m]")
     if not numbers["c_min"] < numbers["c_max"]:
         raise InputError(
             f"{where} c_min = {numbers['c_min']:g} N s/m is not below c_max = {numbers['c_max']:g} N s/m; give a smaller "
             "c_min, or a larger c_max"
         )
-    return Damper(**{name: float(value) for name, value in numbers.items()})
+    bandwidth = float(numbers["bandwidth"]) if "bandwidth" in numbers else None
+    bent = pair if pair is not None and not pair.straight else None
+    return Damper(float(numbers["c_min"]), float(numbers["c_max"]), bandwidth, bent)
+
+
+def _pair(where: str, given: Mapping[str, Any]) -> Pair | None:
+    """The curves of both limits; None where they are numbers."""
+    tables = [name for name in CURVED if isinstance(given[name], Mapping)]
+    if len(tables) == 1:
+        (other,) = {*CURVED} - {*tables}
+        raise InputError(f"{where} {tables[0]} is a curve, and {other} is none; give both as curves, or both as numbers [N s/m]")
+    if not tables:
+        return None
+    curves = []
+    for name in tables:
+        try:
+            curves.append(curve_of(given[name], VELOCITY))
+        except InputError as error:
+            raise InputError(f"{where} {name}: {error}") from error
+    try:
+        return pair_of(*curves)
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from error

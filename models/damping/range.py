@@ -6,9 +6,23 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.arrays import Array
+from models.curves.curve import Pieces
 from models.damping.adjustable import Adjustable
 
 STILL = 1e-150  # m/s; a velocity of 0 counts as this one, inwards
+
+
+@dataclass(frozen=True, eq=False)
+class Bent:
+    """What curves of N runs with m actuators each have beyond their lines, as pieces (`models.curves`), P of each.
+
+    Attributes:
+        shape: of h, see `models.damping.pair`, their slopes, starts, lower and upper bounds, shape (4, N, m, P).
+        soft: of the softest settings, likewise.
+    """
+
+    shape: Array
+    soft: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,11 +35,35 @@ class Range:
     Attributes:
         low, high: the smallest and the largest coefficient beyond the nominal one [N s/m], shape (N, m).
         adjustable: which of the actuators are adjustable dampers, of every run the same, shape (m,).
+        bent: what their curves have; None where all are straight.
     """
 
     low: Array
     high: Array
     adjustable: Array
+    bent: Bent | None = None
+
+    def felt(self, closing: Array, which: Array | slice = slice(None)) -> Array:
+        """What a coefficient is times, to be a force: how fast each suspension closes, bent as the curves are, shape (..., N, m).
+
+        Args:
+            closing: [m/s], shape (..., N, m).
+            which: of the N.
+        """
+        return closing if self.bent is None else closing - _pieces(self.bent.shape[:, which], -closing)
+
+    def seen(self, c_min: Array, c_max: Array, closing: Array, which: Array | slice = slice(None)) -> tuple[Array, Array]:
+        """The least and the largest coefficient at a velocity, as force over velocity, from those at rest, shapes (N, m).
+
+        Args:
+            c_min, c_max: at rest [N s/m], shapes (N, m).
+            closing: how fast each suspension closes [m/s], not 0, shape (N, m).
+            which: of the N.
+        """
+        if self.bent is None:
+            return c_min, c_max
+        least = c_min - _pieces(self.bent.soft[:, which], -closing) / closing
+        return least, least + (c_max - c_min) * self.felt(closing, which) / closing
 
     def commands(self, asked: Array, which: Array | slice = slice(None)) -> Array:
         """What is asked of every actuator, and which forces that leaves out, shape (..., N, 2 m).
@@ -38,25 +76,39 @@ class Range:
             which: of the N.
         """
         m = self.low.shape[1]
-        forces, closing = asked[..., :m], asked[..., m:]
+        forces, closing = asked[..., :m], self.felt(asked[..., m:], which)
         beyond = np.minimum(np.maximum(forces / closing, self.low[which]), self.high[which])
         return np.concatenate([beyond, forces - beyond * closing], axis=-1)
 
     def set_to(self, asked: Array, closing: Array, which: Array | slice = slice(None)) -> Array:
-        """The same where coefficients are asked for, shape (..., N, 2 m).
+        """The same where coefficients are asked for, as force over velocity, shape (..., N, 2 m).
 
         Args:
             asked: coefficients beyond the nominal ones [N s/m], shape (..., N, m).
             closing: how fast each suspension closes [m/s], shape (..., N, m).
             which: of the N.
         """
+        asked = self.setting(asked, closing, which)
         beyond = np.minimum(np.maximum(asked, self.low[which]), self.high[which])
-        return np.concatenate([beyond, (asked - beyond) * closing], axis=-1)
+        return np.concatenate([beyond, (asked - beyond) * self.felt(closing, which)], axis=-1)
+
+    def setting(self, asked: Array, closing: Array, which: Array | slice = slice(None)) -> Array:
+        """What has the force over velocity that is asked for, whether there is such a setting or not; see `set_to`."""
+        if self.bent is None:
+            return asked
+        low, soft = self.low[which], _pieces(self.bent.soft[:, which], -closing)
+        return low + (asked - low + soft / closing) * (closing / self.felt(closing, which))
 
     @property
     def at_rest(self) -> Array:
         """What to add to -v, so that there is no 0 among what `commands` takes, shape (m,)."""
         return np.where(self.adjustable, STILL, 1.0)
+
+
+def _pieces(pieces: Array, v: Array) -> Array:
+    """The sum of pieces, shape (4, ..., P), at velocities, shape (...)."""
+    slope, start, low, high = pieces
+    return np.clip(slope * (v[..., None] - start), low, high).sum(axis=-1)
 
 
 def range_of(vehicles: Sequence[Sequence[Adjustable]], forces: Sequence[str]) -> Range:
@@ -70,7 +122,26 @@ def range_of(vehicles: Sequence[Sequence[Adjustable]], forces: Sequence[str]) ->
     for i, some in enumerate(vehicles):
         for one in some:
             j = forces.index(one.force)
-            low[i, j], high[i, j] = one.damper.c_min - one.nominal, one.damper.c_max - one.nominal
+            low[i, j], high[i, j] = one.low, one.high
     adjustable = np.isfinite(low)
     assert np.all(adjustable == adjustable[0]), "vehicles side by side have their dampers at the same places"
-    return Range(low, high, adjustable[0])
+    if all(one.damper.pair is None for some in vehicles for one in some):
+        return Range(low, high, adjustable[0])
+    shapes, softs = [], []
+    for some in vehicles:
+        pairs = {one.force: one.damper.pair for one in some}
+        curves = [pairs.get(force) for force in forces]
+        shapes.append([None if one is None else one.shape.pieces for one in curves])
+        softs.append([None if one is None else one.soft.pieces for one in curves])
+    return Range(low, high, adjustable[0], Bent(_stacked(shapes), _stacked(softs)))
+
+
+def _stacked(pieces: Sequence[Sequence[Pieces | None]]) -> Array:
+    """Pieces of N runs with m actuators, all of one width, shape (4, N, m, P)."""
+    most = max(len(one.slope) for some in pieces for one in some if one is not None)
+    found = np.zeros((4, len(pieces), len(pieces[0]), most))
+    for i, some in enumerate(pieces):
+        for j, one in enumerate(some):
+            if one is not None:
+                found[:, i, j, : len(one.slope)] = one.slope, one.start, one.low, one.high
+    return found

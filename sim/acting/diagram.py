@@ -101,23 +101,19 @@ def _of_curve(vehicle: Vehicle, one: Fitted) -> Diagram:
 
 
 def _of_adjustable(vehicle: Vehicle, one: Adjustable) -> Diagram:
-    model, damper = vehicle.linear_model, one.damper
+    model = vehicle.linear_model
     row = stretching(vehicle)[model.inputs.index(one.force)]
     place = one.ending.replace("_", " ")
-
-    def beside(x: Array) -> Array:
-        return one.beside.pieces.force(x) if one.beside is not None else np.zeros_like(x)
-
     return Diagram(
         f"adjustable damper{place}",
         f"suspension velocity{place} [m/s]",
         _named("damper", "velocity", one.ending, "m/s", "positive where it is stretched"),
         _named("damper", "force", one.ending, "N", "all that it pulls together with"),
         lambda response: np.stack([response[name] for name in model.states], axis=-1) @ row,
-        lambda x, response: one.nominal * x + beside(x) - response[one.force],
+        lambda x, response: one.pull(x, 0.0) - response[one.force],
         (
-            _line("damper", one.ending, "c_min", "solid", 1.8, lambda x: damper.c_min * x + beside(x)),
-            _line("damper", one.ending, "c_max", "solid", 1.8, lambda x: damper.c_max * x + beside(x)),
+            _line("damper", one.ending, "c_min", "solid", 1.8, lambda x: one.pull(x, one.low)),
+            _line("damper", one.ending, "c_max", "solid", 1.8, lambda x: one.pull(x, one.high)),
             _line("damper", one.ending, "line at rest", "dash", 1.0, lambda x: one.nominal * x),
         ),
     )

@@ -126,7 +126,7 @@ class Place:
             for parameter, damper in dampers.items():
                 softest = max(damper.c_min, SOFTEST * damper.c_max)
                 fixed[parameter] = float(softest * (damper.c_max / softest) ** share)
-            still = replace(vehicle.pushing, parameters={**vehicle.parameters, **fixed})
+            still = replace(vehicle, parameters={**vehicle.parameters, **fixed}).pushing
             found.append(self.expected(still, passive))
         return np.array([one for one in found if one is not None]).reshape(-1, 2)
 

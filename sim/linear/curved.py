@@ -5,7 +5,8 @@ With y what such a force f is over, the velocity or deflection of a suspension, 
     f = w (l y + p(y)),    y = Y x,
 
 where p is what a curve has beyond its line (`models.curves`). Of a curve w is 1 and l is 0, its line being the linear model's; of
-an adjustable damper l is 1 and w its coefficient beyond the nominal one.
+an adjustable damper l is 1 and w its coefficient beyond the nominal one; p it has where it has two curves
+(`models.damping.pair`).
 """
 
 from collections.abc import Sequence
@@ -68,7 +69,7 @@ def with_dampers(curved: Elements, vehicle: Vehicle) -> Elements:
     model, some = vehicle.linear_model, adjustable_inputs(vehicle)
     rows = stretching(vehicle)[some]
     return Elements(
-        (*curved.curves, *(None for _ in some)),
+        (*curved.curves, *(None if one.damper.pair is None else one.damper.pair.shape for one in vehicle.adjustable)),
         np.concatenate([curved.lines, np.ones(len(some))]),
         np.concatenate([curved.rows, rows]),
         np.concatenate([curved.of_road, rows @ model.Bw]),

@@ -32,6 +32,12 @@ def is_linear(vehicle: Vehicle, controller: Controller) -> bool:
     return not vehicle.dampers or not controller.law.acts
 
 
+def bent_velocities(vehicle: Vehicle, velocities: Array) -> Array:
+    """What coefficients of adjustable dampers are times, to be forces, from the velocities of the suspensions, shape (..., m)."""
+    of = range_of([vehicle.adjustable], vehicle.linear_model.inputs)
+    return velocities if of.bent is None else -of.felt(-velocities[..., None, :])[..., 0, :]
+
+
 def damper_signals(vehicle: Vehicle, beyond: Array, missing: Array) -> dict[str, Array]:
     """The signals of the adjustable dampers, by name.
 

@@ -103,7 +103,8 @@ class Decisions:
         closing = np.where(self.of.adjustable, -seen[:, -m:], 0.0) + self.of.at_rest
         if not isinstance(self._law, LinearLaw):
             assert self._numbers is not None, "of a semi-active law"
-            asked = self._law.coefficients(seen[:, :-m], self._numbers.some(which)) - self._nominal
+            numbers = self._numbers.some(which).at(self.of, closing, which)
+            asked = self._law.coefficients(seen[:, :-m], numbers) - self._nominal
             return self.of.set_to(asked, closing, which)
         asked = seen[:, :-m] @ self._law.D.T + kept @ self._law.C.T
         return self.of.commands(np.concatenate([asked, closing], axis=-1), which)

@@ -268,7 +268,9 @@ def largest_timestep(vehicle: Vehicle) -> float:
     systems = [A]
     if vehicle.dampers:
         of, V = range_of([vehicle.adjustable], forces), stretching(vehicle)
-        systems += [A - (vehicle.linear_model.B * np.where(of.adjustable, one[0], 0.0)) @ V for one in (of.low, of.high)]
+        steepest = {one.force: one.steepest - one.nominal for one in vehicle.adjustable}
+        firm = np.array([steepest.get(force, 0.0) for force in forces])
+        systems += [A - (vehicle.linear_model.B * one) @ V for one in (np.where(of.adjustable, of.low[0], 0.0), firm)]
         systems += [np.array([[-one.bandwidth]]) for one in vehicle.dampers.values() if one.bandwidth is not None]
     return min(_largest_timestep(system) for system in systems)
 

@@ -1,7 +1,7 @@
 """The exact response of a vehicle with adjustable dampers: a linear system that is switched at samples.
 
 While its coefficients are held the vehicle is linear. With d the coefficients beyond the nominal ones and V from the state to the
-velocities of the suspensions, u = -d V x, so that over a step, as in `sim.linear.loop`,
+velocities of the suspensions, u = -d V x (-d h(V x) with two curves), so that over a step, as in `sim.linear.loop`,
 
     xi' = (A - B diag(d) V) xi + (A Bw + Br) z_r,    x = xi + Bw z_r,
 
@@ -26,7 +26,7 @@ from models.roads.road import Road, under_wheels
 from models.vehicle import Vehicle
 from sim.linear.curved import adjustable_inputs, is_curved
 from sim.linear.curved_steps import CurvedSteps, Weights
-from sim.linear.dampers import damper_signals, stretching
+from sim.linear.dampers import bent_velocities, damper_signals, stretching
 from sim.linear.deciding import OTHERWISE, Decisions, Otherwise
 from sim.linear.loop import held_loads, response_of, taylor4
 from sim.response.response import Response
@@ -88,7 +88,10 @@ def switched(
     midway, loads = under_wheels(road.displacement, road, vehicle, time + h / 2), held_loads(road, vehicle, time)
     index = [model.outputs.index(name) for name in measured]
     felt = np.concatenate([np.zeros_like(loads[:1]), loads[:-1]]) @ model.Dl[index].T
-    step: _Steps = (_CurvedStep if is_curved(vehicle) else _Step)(vehicle, h, as_rk4, midway, loads if road.loaded else None)
+    bent = any(one.pair is not None for one in vehicle.dampers.values())
+    step: _Steps = (_CurvedStep if bent or is_curved(vehicle) else _Step)(
+        vehicle, h, as_rk4, midway, loads if road.loaded else None
+    )
     states, inputs, beyond, missing = (np.zeros((len(time), width)) for width in (len(model.A), m, m, m))
     kept = np.zeros((len(time), len(decisions.kept) if decisions is not None else 0))
     dampers = np.array([force in vehicle.dampers for force in model.inputs])
@@ -98,23 +101,24 @@ def switched(
     for k in range(len(time)):
         x = xi + jump[k]
         v = V @ x
+        moved = bent_velocities(vehicle, v) if bent else v
         if decisions is None:
             command = made[k]
         else:
             if k % period == 0:
-                y = C @ x + D @ np.where(dampers, -acting * v, command[:m])  # a reading has in it what has acted until then
+                y = C @ x + D @ np.where(dampers, -acting * moved, command[:m])  # a reading has in it what has acted until then
                 y = y + felt[k] if road.loaded else y
                 y = y if step.curves is None else y + step.curves.beyond(x, now[k])[index]
                 decided = decisions(y, v)
                 if k + late < len(time):
-                    decided = _followed(decisions, decided, y, v, made[k + late, :m], float(time[k]), otherwise)
+                    decided = _followed(decisions, decided, y, v, moved, made[k + late, :m], float(time[k]), otherwise)
                 waiting.append((k + late, decided))
             while waiting and waiting[0][0] <= k:
                 command = waiting.pop(0)[1]
             kept[k] = decisions.kept
         acting = np.where(step.lags, acting, command[:m])
         states[k], beyond[k], missing[k] = x, np.where(dampers, acting, 0.0), command[m:]
-        inputs[k] = np.where(dampers, -acting * v, command[:m])
+        inputs[k] = np.where(dampers, -acting * moved, command[:m])
         xi, acting = step(xi, acting, command[:m], k)
     outside = loads @ model.Dl.T if step.curves is None else loads @ model.Dl.T + step.curves.beyond(states, now)
     return Switched(states, inputs, beyond, missing, outside, kept, tuple(otherwise))
@@ -141,7 +145,14 @@ def switched_response(vehicle: Vehicle, controller: Controller | SemiActive, roa
 
 
 def _followed(
-    decisions: Decisions, decided: Array, y: Array, v: Array, other: Array, time: float, otherwise: list[Otherwise]
+    decisions: Decisions,
+    decided: Array,
+    y: Array,
+    v: Array,
+    moved: Array,
+    other: Array,
+    time: float,
+    otherwise: list[Otherwise],
 ) -> Array:
     """What was decided, or what physics has decided where the two were near one another, which is then noted.
 
@@ -149,6 +160,7 @@ def _followed(
         decisions: which have just been made.
         decided: the commands, shape (2 m,).
         y, v: on which.
+        moved: what coefficients are times, to be forces, shape (m,).
         other: those of physics, shape (m,).
         time: of the sample [s].
         otherwise: takes where physics is followed.
@@ -162,7 +174,7 @@ def _followed(
     for j in np.flatnonzero(apart & np.isfinite(near)):
         otherwise.append(Otherwise(time, decisions.forces[j], float(near[j])))
         followed[j] = other[j]
-        followed[m + j] += (other[j] - decided[j]) * v[j]
+        followed[m + j] += (other[j] - decided[j]) * moved[j]
     return followed
 
 

@@ -198,6 +198,7 @@ def in_shares(course: Course, shares: Sequence[slice]) -> list[Callable[[Callabl
             *(stage, fresh, fresh and not course.accelerations),
             damped=setting,
             lagging=mine is not None and mine.lags,
+            ramps=mine.ramps if mine is not None and len(mine.ramps) else None,
         )
         push = None if course.loads is None else Push(readout.pushed, course.loads[:, runs])
         steps = step_batch(batch, readout.mocap, reading, road, at_samples, law, edges, wanted, stopped, push)

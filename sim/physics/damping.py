@@ -34,6 +34,18 @@ class Dampers:
     lagging: Array
 
     @property
+    def velocities(self) -> dict[str, str]:
+        """The signal of the velocity of every suspension, by its force."""
+        return {one.force: one.velocity.name for one in self.vehicles[0].kind.suspensions}
+
+    @property
+    def ramps(self) -> Array:
+        """Of every actuator that makes the ramps of curves, the last ones of the model, which input it goes with, shape (k,)."""
+        vehicle = self.vehicles[0]
+        counts = [0 if one.damper.pair is None else len(one.damper.pair.ramps) for one in vehicle.adjustable]
+        return np.repeat([vehicle.linear_model.inputs.index(one.force) for one in vehicle.adjustable], counts)
+
+    @property
     def lags(self) -> bool:
         """Whether some coefficient is not at once the one that is asked for."""
         return bool(np.any(self.lagging[self.of.adjustable] >= 0))
@@ -76,6 +88,12 @@ class Dampers:
             beyond = commands[..., j] if self.lagging[j] < 0 else acts[..., self.lagging[j]]
             values[:, names.index(one.coefficient)] = nominal + beyond
             values[:, names.index(one.missing)] = commands[..., m + j]
+            if one.damper.pair is not None:  # its force is that of several actuators
+                velocity = values[:, names.index(self.velocities[one.force])]
+                shaped = np.stack(
+                    [other.adjustable[i].shape(v) for other, v in zip(self.vehicles, velocity.T, strict=True)], axis=-1
+                )
+                values[:, names.index(one.force)] = -beyond * shaped
 
 
 def dampers_of(vehicles: Sequence[Vehicle], readout: Readout) -> Dampers | None:
@@ -122,7 +140,8 @@ class Clipped:
 
     def set(self, seen: Array, acting: Array) -> None:
         """See `sim.physics.stepping.Setting`; as `Range.commands`, without the forces that are missing."""
-        np.divide(seen[:, : self.actuators], seen[:, self.actuators :], self._turned)
+        closing = seen[:, self.actuators :]
+        np.divide(seen[:, : self.actuators], closing if self.of.bent is None else self.of.felt(closing), self._turned)
         np.maximum(self._turned, self.of.low, out=self._turned)
         np.minimum(self._turned, self.of.high, out=acting)
 
@@ -155,7 +174,7 @@ class SemiActiveLaws:
             places = list(range(len(law.measured))) if names is None else [names.index(name) for name in law.measured]
             self._groups.append((law, mine, numbers_of(law, dampers.vehicles), places))
         self._alone: tuple[Callable[[Sequence[float]], list[float]], list[float], list[tuple[float, float]]] | None = None
-        if len(controllers) == 1:
+        if len(controllers) == 1 and self.of.bent is None:
             law, _, numbers, places = self._groups[0]
             ends = list(zip(self.of.low[0].tolist(), self.of.high[0].tolist(), strict=True))
             self._alone = law.alone(numbers, places), self._nominal[0].tolist(), ends
@@ -163,7 +182,8 @@ class SemiActiveLaws:
     def set(self, seen: Array, acting: Array) -> None:
         """See `sim.physics.stepping.Setting`."""
         if self._alone is None:
-            np.minimum(np.maximum(self._asked(seen, slice(None)), self.of.low), self.of.high, out=acting)
+            asked = self.of.setting(self._asked(seen, slice(None)), seen[:, -self.actuators :])
+            np.minimum(np.maximum(asked, self.of.low), self.of.high, out=acting)
         else:
             acting[0] = self._decided(seen[0].tolist())[1]
 
@@ -183,14 +203,16 @@ class SemiActiveLaws:
 
     def _asked(self, seen: Array, which: Array | slice) -> Array:
         """Coefficients that are asked for beyond the nominal ones [N s/m], shape (..., d, m), from signals (..., d, S)."""
+        closing = seen[..., -self.actuators :]
         if len(self._groups) == 1:
             law, _, numbers, places = self._groups[0]
-            of = numbers if isinstance(which, slice) else numbers.some(which)
+            of = (numbers if isinstance(which, slice) else numbers.some(which)).at(self.of, closing, which)
             return law.coefficients(seen[..., places], of) - self._nominal[which]
         asked, every = np.empty((*seen.shape[:-1], self.actuators)), np.arange(len(self._nominal))[which]
         for law, mine, numbers, places in self._groups:
             some = np.flatnonzero(mine[which])
-            asked[..., some, :] = law.coefficients(seen[..., some, :][..., places], numbers.some(every[some]))
+            of = numbers.some(every[some]).at(self.of, closing[..., some, :], every[some])
+            asked[..., some, :] = law.coefficients(seen[..., some, :][..., places], of)
         return asked - self._nominal[which]
 
     def _decided(self, seen: Sequence[float]) -> tuple[list[float], list[float]]:

@@ -158,15 +158,13 @@ def _by_dampers(vehicle: Vehicle, response: Response, speeds: Array, middle: Arr
     h, least = float(response.time[1]), np.inf
     for one in vehicle.adjustable:
         j = vehicle.linear_model.inputs.index(one.force)
-        beyond, v = response[one.coefficient] - one.nominal, speeds[:, j]
+        beyond, v, amid = response[one.coefficient] - one.nominal, speeds[:, j], middle[:, j]
+        power = v * one.shape(v)
         before, after, bandwidth = beyond[:-1], beyond[1:], one.damper.bandwidth
         share = 1 / (1 + np.exp(-bandwidth * h / 2)) if bandwidth else 0.0
         between, end = before + share * (after - before), after if bandwidth else before
-        work[:, j] = -(before * v[:-1] ** 2 + 4 * between * middle[:, j] ** 2 + end * v[1:] ** 2) * h / 6
-        pull = one.nominal * v - response[one.force]
-        if one.beside is not None:
-            pull += one.beside.pieces.force(v)
-        power = pull * v
+        work[:, j] = -(before * power[:-1] + 4 * between * amid * one.shape(amid) + end * power[1:]) * h / 6
+        power = (one.pull(v, 0.0) - response[one.force]) * v
         least = min(least, float(power.min()) / (float(np.abs(power).max()) or 1.0))
     return least
 

@@ -20,7 +20,8 @@ from synth.controller import Controller
 def reads_out(vehicle: Vehicle, timestep: float) -> bytes:
     """A key that is the same for vehicles that can be stepped side by side: of the same geometry, and of as many elements."""
     model, readout = prepared(vehicle, timestep)
-    elements = np.array([model.ntendon, model.nwrap, model.nu])  # one without a stop or a bar has no place for that of another
+    # One without a stop, a bar or a ramp has no place for that of another.
+    elements = np.array([model.ntendon, model.nwrap, model.nu, *model.actuator_gaintype, *model.actuator_trnid[:, 0]])
     used = np.where(readout.linear[:, None], readout.of_state, 0.0)
     return b"".join(
         part.tobytes()

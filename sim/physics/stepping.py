@@ -47,6 +47,7 @@ class Reading:
         damped: what sets adjustable dampers, which the gain then gives rows for that it is decided on; None where all actuators
             push.
         lagging: whether the activations are recorded.
+        ramps: of every actuator that makes ramps of dampers' curves, the last ones, with which input it goes, shape (k,).
     """
 
     gain: Array
@@ -57,6 +58,7 @@ class Reading:
     once: bool
     damped: Setting | None = None
     lagging: bool = False
+    ramps: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,6 +126,8 @@ def step_batch(
     commands, damped = known - kept, reading.damped
     m = commands if damped is None else damped.actuators
     # The motors come first in ctrl, in the order of the linear model's inputs; what is fitted beside them is not asked.
+    # Ramps of dampers' curves come last, and are asked for what their dampers are.
+    ramps = None if reading.ramps is None else batch.bind("ctrl")[:, -len(reading.ramps) :]
     acting, heights, sensors = batch.bind("ctrl")[:, :m], batch.bind("mocap_pos")[:, :, 2], batch.bind("sensordata").T
     pushed = batch.bind("qfrc_applied") if push is not None else None
     motion, width = _motion(batch), gain.shape[2]
@@ -175,6 +179,8 @@ def step_batch(
                 damped.set(forces, acting)
             else:
                 acting[...] = forces[:, :m]
+            if ramps is not None:
+                ramps[...] = acting[:, reading.ramps]
             if reading.lagging:
                 acts[k - start] = activations
             if push is not None and pushed is not None:

@@ -9,7 +9,7 @@ import numpy as np
 from models.common.numbers import percent
 from models.reality import steps_per_sample
 from models.vehicle import Vehicle
-from sim.linear.dampers import commands_of, stretching
+from sim.linear.dampers import bent_velocities, commands_of, stretching
 from sim.response.regime import MISSED
 from sim.response.response import Response
 from sim.runs.prediction import Prediction
@@ -43,7 +43,7 @@ def shortfalls(vehicle: Vehicle, physics: Response) -> Mapping[str, Shortfall]:
     late = round(how.delay * period)
     decided = np.arange(0, len(whole.time) - late, period)
     states = np.stack([whole[name] for name in vehicle.linear_model.states], axis=-1)
-    speeds, m = states @ stretching(vehicle).T, len(vehicle.linear_model.inputs)
+    speeds, m = bent_velocities(vehicle, states @ stretching(vehicle).T), len(vehicle.linear_model.inputs)
     found = {}
     for one in vehicle.adjustable:
         j = vehicle.linear_model.inputs.index(one.force)
