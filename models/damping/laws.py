@@ -10,7 +10,7 @@ Control Design for Vehicles (2010), chapters 3 and 6.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from operator import itemgetter
 from typing import Any
 
@@ -18,7 +18,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
-from models.damping.range import STILL, Range
+from models.damping.range import STILL
 
 SPRUNG, UNSPRUNG, ACCELERATION = "sprung_velocity", "unsprung_velocity", "sprung_acceleration"
 DEFLECTION = "suspension_deflection"
@@ -51,13 +51,6 @@ class Numbers:
     modes: tuple[Sequence[Quantity], Sequence[Quantity]]
     mix: float
     crossover: float
-
-    def at(self, of: Range, closing: Array, which: Array | slice = slice(None)) -> "Numbers":
-        """With the limits of dampers with curves as they are at velocities; see `Range.seen`."""
-        if of.bent is None:
-            return self
-        c_min, c_max = of.seen(self.c_min, self.c_max, closing, which)
-        return replace(self, c_min=c_min, c_max=c_max)
 
     def some(self, which: Array | slice) -> "Numbers":
         """Of some of the vehicles."""

@@ -10,7 +10,7 @@ from models.damping.laws import SemiActive, SemiActiveLaw
 from models.damping.range import range_of
 from models.law import LinearLaw
 from models.vehicle import Vehicle
-from sim.semi_active.numbers import numbers_of
+from sim.semi_active.numbers import numbers_at, numbers_of
 from synth.controller import Controller
 
 OTHERWISE = 1e-4  # of a damper's range: two coefficients that are further apart were decided otherwise
@@ -103,7 +103,7 @@ class Decisions:
         closing = np.where(self.of.adjustable, -seen[:, -m:], 0.0) + self.of.at_rest
         if not isinstance(self._law, LinearLaw):
             assert self._numbers is not None, "of a semi-active law"
-            numbers = self._numbers.some(which).at(self.of, closing, which)
+            numbers = numbers_at(self._numbers.some(which), self.of, closing, which)
             asked = self._law.coefficients(seen[:, :-m], numbers) - self._nominal
             return self.of.set_to(asked, closing, which)
         asked = seen[:, :-m] @ self._law.D.T + kept @ self._law.C.T

@@ -11,7 +11,7 @@ from models.damping.range import Range, range_of
 from models.vehicle import Vehicle
 from sim.physics.readout import Readout
 from sim.physics.sampler import Laws
-from sim.semi_active.numbers import numbers_of
+from sim.semi_active.numbers import numbers_at, numbers_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,12 +206,12 @@ class SemiActiveLaws:
         closing = seen[..., -self.actuators :]
         if len(self._groups) == 1:
             law, _, numbers, places = self._groups[0]
-            of = (numbers if isinstance(which, slice) else numbers.some(which)).at(self.of, closing, which)
-            return law.coefficients(seen[..., places], of) - self._nominal[which]
+            some = numbers if isinstance(which, slice) else numbers.some(which)
+            return law.coefficients(seen[..., places], numbers_at(some, self.of, closing, which)) - self._nominal[which]
         asked, every = np.empty((*seen.shape[:-1], self.actuators)), np.arange(len(self._nominal))[which]
         for law, mine, numbers, places in self._groups:
             some = np.flatnonzero(mine[which])
-            of = numbers.some(every[some]).at(self.of, closing[..., some, :], every[some])
+            of = numbers_at(numbers.some(every[some]), self.of, closing[..., some, :], every[some])
             asked[..., some, :] = law.coefficients(seen[..., some, :][..., places], of)
         return asked - self._nominal[which]
 

@@ -1,11 +1,13 @@
 """What a semi-active law knows of the vehicles that it is run on."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.damping.laws import CROSSOVER, MODAL, SPRUNG, Numbers, SemiActiveLaw
+from models.damping.range import Range
 from models.vehicle import Vehicle
 
 
@@ -43,3 +45,18 @@ def _modes(law: SemiActiveLaw, vehicle: Vehicle) -> Array:
     model = vehicle.linear_model
     rows, _ = model.rows([f"{SPRUNG}{ending}" for ending in law.endings])
     return rows[:, [model.states.index(mode) for mode in law.modes]].T
+
+
+def numbers_at(numbers: Numbers, of: Range, closing: Array, which: Array | slice = slice(None)) -> Numbers:
+    """With the limits of dampers with curves as they are at velocities.
+
+    Args:
+        numbers: of those vehicles.
+        of: what the dampers of N vehicles can be.
+        closing: how fast each suspension closes [m/s], not 0, shape (..., m) of them.
+        which: of the N.
+    """
+    if of.bent is None:
+        return numbers
+    c_min, c_max = of.seen(numbers.c_min, numbers.c_max, closing, which)
+    return replace(numbers, c_min=c_min, c_max=c_max)
