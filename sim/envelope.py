@@ -14,6 +14,9 @@ from models.common.printed import say, titled
 from models.common.progress import Stages
 from models.figures.outputs import check_outputs, written, written_lines
 from models.figures.picture import write_picture
+from models.loads.choice import choose_load
+from models.loads.load import Load
+from models.roads.loaded import PLUS
 from models.roads.road import LOWEST, Bump
 from models.vehicle import Vehicle, read_vehicle
 from sim.asked.envelope import nearest_run, parser
@@ -21,9 +24,9 @@ from sim.command.claims import say_false_claims
 from sim.command.logs import log_lines, recorded
 from sim.response.regime import END_NAMES
 from sim.runs.run import Run, run_all, sample_times
-from sim.validity.cells import Cells, Interrupted, validity
+from sim.validity.cells import Cells, Interrupted, loaded, validity
 from sim.validity.grid import UNITS, grid, read_axes
-from sim.validity.words import envelope_lines, envelope_object, write_csv
+from sim.validity.words import envelope_lines, envelope_object, loads_object, write_csv
 from synth.controller import Controller
 from synth.designer import Designer
 
@@ -44,6 +47,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     bumps = grid(axes, {name: getattr(options, name) for name in UNITS})
     time = sample_times(vehicle, options.duration, options.timestep)
     _check(vehicle, bumps, time, options.threshold)
+    loads = tuple(map(choose_load, options.loads))
+    loaded(bumps[0], loads).check(vehicle, time)
     outputs = {"csv": options.csv, "picture": options.picture}
     check_outputs(outputs | {"logs": options.logs}, vehicle.files, options.json)
     stage = Stages("design", "map", "picture and logs")
@@ -51,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     controller = Designer(vehicle, search=False).design(name)
     say_false_claims([controller])
     try:
-        cells = validity(vehicle, controller, bumps, time, stage.counted("map", len(bumps), "cells"))
+        cells = validity(vehicle, controller, bumps, time, stage.counted("map", len(bumps), "cells"), loads)
     except Interrupted as interruption:
         cells = interruption.cells
         if not cells.done.any():
@@ -63,15 +68,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from sim.validity.figure import envelope_figure
 
         fixed = {name: getattr(options, name) for name in UNITS if name not in {axis.name for axis in axes}}
-        write_picture(envelope_figure(vehicle, controller, cells, axes, fixed, options.threshold), options.picture)
-    result = envelope_object(cells, axes, name, options.threshold) | written(outputs)
-    nearest = functools.partial(_nearest_runs, vehicle, controller, cells, time)
+        write_picture(envelope_figure(vehicle, controller, cells, axes, fixed, options.threshold, loads), options.picture)
+    result = envelope_object(cells, axes, name, options.threshold) | loads_object(options.loads) | written(outputs)
+    nearest = functools.partial(_nearest_runs, vehicle, controller, cells, time, loads)
     logs = recorded(options, vehicle, [controller.name], nearest, result)
     stage.end()
     if options.json:
         print(json.dumps({**result, "logs": logs}, allow_nan=False))
     else:
-        lines = titled(f"{vehicle.kind.name} with controller {controller.name}, over {cells.counted('bumps')}", vehicle.source)
+        under = f", under {PLUS.join(load.label for load in loads)}" if loads else ""
+        about = f"{vehicle.kind.name} with controller {controller.name}, over {cells.counted('bumps')}{under}"
+        lines = titled(about, vehicle.source)
         say([*lines, *written_lines(outputs), *log_lines(logs), "", *envelope_lines(cells, options.threshold)])
     if not cells.done.all():
         complain(f"{interrupt.word()} after {int(cells.done.sum())} of {len(bumps)} cells; they are kept")
@@ -79,14 +86,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0 if cells.as_predicted else 1
 
 
-def _nearest_runs(vehicle: Vehicle, controller: Controller, cells: Cells, time: Array) -> dict[str, Run]:
+def _nearest_runs(vehicle: Vehicle, controller: Controller, cells: Cells, time: Array, loads: tuple[Load, ...]) -> dict[str, Run]:
     """Of the cells where nothing breaks the one nearest to breaking, and of those where an end comes first the mildest."""
     found, used = {}, cells.used.max(axis=-1)
     for end in (-1, *range(len(END_NAMES))):
         mine = np.flatnonzero(cells.done & (cells.first == end))
         if len(mine):
             i = mine[used[mine].argmax() if end < 0 else used[mine].argmin()]
-            (found[nearest_run(controller.name, end)],) = run_all(vehicle, [controller], cells.bumps[i], time)
+            (found[nearest_run(controller.name, end)],) = run_all(vehicle, [controller], loaded(cells.bumps[i], loads), time)
     return found
 
 

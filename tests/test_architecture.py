@@ -96,7 +96,7 @@ ROOMS = {
     "sim.runs": "sim.linear sim.physics sim.response models.roads synth.words",
     "sim.acting": "models.curves models.figures models.loads sim.linear sim.response models.roads",
     "sim.ride": "models.curves models.filters sim.linear sim.response models.roads sim.runs",
-    "sim.validity": "models.curves models.figures sim.linear sim.physics sim.response models.roads",
+    "sim.validity": "models.curves models.figures models.loads sim.linear sim.physics sim.response models.roads",
     "sim.stability": "models.figures sim.linear sim.physics models.roads sim.runs synth.problem synth.tolerance",
     "sim.frequency": "models.figures models.filters sim.linear sim.physics sim.response models.roads sim.runs synth.problem "
     "synth.words",
@@ -116,7 +116,8 @@ ROOMS = {
     "sim.sweep": "sim.asked sim.command models.figures sim.frequency sim.linear sim.runs synth.designer",
     "sim.margins": "models.curves sim.asked sim.command models.figures sim.linear sim.runs sim.stability synth.designer",
     "sim.__main__": "",
-    "sim.envelope": "sim.asked sim.command models.figures sim.response models.roads sim.runs sim.validity synth.designer",
+    "sim.envelope": "sim.asked sim.command models.figures models.loads sim.response models.roads sim.runs "
+    "sim.validity synth.designer",
 }
 OF_ALL = "models.common"
 OF_SIM = {

@@ -11,10 +11,13 @@ from models.common.errors import InputError
 from models.common.numbers import percent
 from models.figures.figure import Classes
 from models.kind import MOST_SQUEEZE
+from models.loads.load import Brake
 from models.reality import Limits
+from models.roads.loaded import Loaded
 from models.roads.road import Bump
 from models.vehicle import read_vehicle
 from sim.envelope import main
+from sim.inspect.__main__ import main as inspect
 from sim.linear.loop import sampled_response
 from sim.physics.simulate import simulate
 from sim.response.regime import (
@@ -84,6 +87,29 @@ def test_dampers_that_are_short_of_force(tmp_path, capsys):
     assert "break as the analysis with its dampers predicts" in printed
     assert main([*arguments[:2], "--controller", "passive", *arguments[4:]]) == 0
     assert "missing" not in capsys.readouterr().out  # nothing is asked of them
+
+
+def test_loads_over_every_bump(tmp_path, capsys):
+    """Under a brake a map is of bumps and brake: what breaks first, and when, is as foretold, and is a run's; a log proves it."""
+    arguments = ["--vehicle", "half_car", "--controller", "passive", "--timestep", "2e-3", "--duration", "1.5"]
+    arguments += ["--vary", "height:0.02:0.2:4", "--vary", "speed:6:18:3", "--load", "brake:g=0.6:start=0.1"]
+    assert main([*arguments, "--json", "--logs", str(tmp_path)]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["loads"] == ["brake:g=0.6:start=0.1"]
+    assert {cell["broke_first"] for cell in found["cells"]} == {None, "lift-off"}
+    vehicle = read_vehicle("half_car")
+    for cell in found["cells"][::5]:
+        road = Loaded(Bump(cell["height"], cell["length"], cell["speed"]), (Brake(g=0.6, start=0.1),))
+        (run,) = run_all(vehicle, [Designer(vehicle, search=False).design("passive")], road, np.arange(751) * 2e-3)
+        lifted = run.agreement.ended["lift-off"]
+        assert cell["at"] == (lifted if np.isfinite(lifted) else None)
+        if cell["broke_first"] is None:
+            assert cell["error"] < 5e-3  # what turning bodies make of it: measured 2e-3
+    (log,) = tmp_path.glob("*.mcap")
+    assert inspect([str(log)]) == 0
+    capsys.readouterr()
+    assert main(arguments) == 0
+    assert "under brake:g=0.6:start=0.1" in prose(capsys.readouterr().out)
 
 
 def test_prediction(cells):

@@ -9,16 +9,13 @@ from models.common.arrays import Array
 from models.common.command import Parser, chosen
 from models.common.errors import InputError
 from models.formats.road_name import named_file
-from models.loads.choice import SYNTAX as LOAD_SYNTAX
-from models.loads.choice import choose_load, is_file, split_off
-from models.loads.table import named
+from models.loads.choice import choose_load, split_off
 from models.roads.choice import SYNTAX, RoadChoice, choose_road
 from models.roads.iso8608 import CLASSES
-from models.roads.loaded import PLUS
 from models.roads.road import Road
 from models.vehicle import Vehicle
 from sim.asked.asked import Asked, same_path
-from sim.asked.options import add_run_options
+from sim.asked.options import add_loads, add_run_options, without_loads
 from sim.runs.run import sample_times
 
 EPILOG = """
@@ -49,14 +46,7 @@ def parser() -> Parser:
     )
     parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="of the random road (default: 0)")
     parser.add_argument("--road", metavar="ROAD", help=f"another road: {SYNTAX}".replace("%", "%%"))
-    parser.add_argument(
-        "--load",
-        dest="loads",
-        action="append",
-        default=[],
-        metavar="LOAD",
-        help=f"pushes the body, on a flat road where none is named; several act together: {LOAD_SYNTAX}",
-    )
+    add_loads(parser, "pushes the body, on a flat road where none is named")
     parser.add_number("--speed", 20.0, "m/s", "forward speed of the vehicle")
     add_run_options(parser, 20.0)
     return parser
@@ -68,9 +58,8 @@ def asked(vehicle: Vehicle, options: argparse.Namespace) -> Asked:
     loads, file = [*added, *options.loads], named_file(text)
 
     def is_it(road: Mapping[str, Any]) -> bool:
-        alone = {name: value for name, value in road.items() if name != "loads"}
-        pushed = str(road["loads"]).split(PLUS) if "loads" in road else []
-        if len(pushed) != len(loads) or not all(_is_load(*pair) for pair in zip(pushed, loads, strict=True)):
+        alone = without_loads(road, loads)
+        if alone is None:
             return False
         if file:
             path, kind = file
@@ -97,13 +86,6 @@ def asked_road(vehicle: Vehicle, options: argparse.Namespace, time: Array) -> Ro
     except InputError as error:
         raise InputError(f"road {choice.text!r}: {error}") from error
     return road
-
-
-def _is_load(described: str, asked: str) -> bool:
-    """Whether a load that describes itself so was asked for."""
-    if is_file(asked):
-        return same_path(described.partition(";")[0], named(asked))
-    return described == choose_load(asked).text
 
 
 def _road_text(options: argparse.Namespace) -> str:

@@ -11,9 +11,11 @@ from models.reality import USUAL_TIMESTEP
 from models.roads.road import Bump
 from models.vehicle import Vehicle
 from sim.asked.asked import Asked
+from sim.asked.options import add_loads, without_loads
 from sim.response.regime import END_NAMES
 from sim.runs.run import sample_times
 from sim.validity.grid import UNITS, read_axes
+from sim.validity.words import loads_object
 
 EPILOG = """
 exit code: 0 physics breaks first what linear analysis predicts, 1 it does not, 2 bad input,
@@ -37,6 +39,7 @@ def parser() -> Parser:
     parser.add_number("--height", Bump.height, "m", "bump height, where it is not varied")
     parser.add_number("--length", Bump.length, "m", "bump length, where it is not varied")
     parser.add_number("--speed", Bump.speed, "m/s", "forward speed, where it is not varied")
+    add_loads(parser, "pushes the body over every bump")
     parser.add_number("--threshold", 0.05, "-", "largest error at which linear analysis is said to hold, as a share of a peak")
     parser.add_number("--duration", 3.0, "s", "how long every run is")
     parser.add_number("--timestep", USUAL_TIMESTEP, "s", "integration step and sample period of the controller")
@@ -53,8 +56,9 @@ def asked(vehicle: Vehicle, options: argparse.Namespace) -> Asked:
     allowed = {name: axes.get(name, (getattr(options, name),)) for name in UNITS}
 
     def is_it(road: Mapping[str, Any]) -> bool:
+        alone = without_loads(road, options.loads)
         cell = {name: road.get(name) for name in UNITS}
-        return road == {**Bump().describe(), **cell} and all(cell[name] in allowed[name] for name in UNITS)
+        return alone == {**Bump().describe(), **cell} and all(cell[name] in allowed[name] for name in UNITS)
 
     name = one_chosen(vehicle.controller_names, options.controller)
     samples = len(sample_times(vehicle, options.duration, options.timestep))
@@ -62,6 +66,7 @@ def asked(vehicle: Vehicle, options: argparse.Namespace) -> Asked:
         "controller": name,
         "axes": {name: list(values) for name, values in axes.items()},
         "threshold": options.threshold,
+        **loads_object(options.loads),
         **written({"csv": options.csv, "picture": options.picture}),
     }
     names = {nearest_run(name, end) for end in (-1, *range(len(END_NAMES)))}

@@ -25,6 +25,7 @@ RESULTS: Mapping[str, tuple[str, ...]] = {  # of the commands that record, the k
         "controller",
         "axes",
         "threshold",
+        "loads",
         "agreement",
         "unexplained",
         "done",
@@ -34,7 +35,7 @@ RESULTS: Mapping[str, tuple[str, ...]] = {  # of the commands that record, the k
         "picture",
     ),
 }
-LATER = ("fragility", "iri")  # of these, what came when there were logs of this format: an older one lacks it
+LATER = ("fragility", "iri", "loads")  # of these, what came when there were logs of this format: an older one lacks it
 WHOLE = ("bump", "drive")  # whose log holds every run that the result is of, so that all of it is computed again
 
 

@@ -21,7 +21,10 @@ from models.common.arrays import Array
 from models.common.cores import cores
 from models.common.numbers import percent
 from models.common.side_by_side import side_by_side
-from models.roads.road import Bump
+from models.loads.load import Load
+from models.roads.loaded import Loaded
+from models.roads.obstacles import Flat
+from models.roads.road import Bump, Road
 from models.vehicle import Vehicle
 from sim.linear.curved import is_curved
 from sim.linear.dampers import is_linear
@@ -121,6 +124,7 @@ def validity(
     bumps: Sequence[Bump],
     time: Array,
     progress: Callable[[int], None] = lambda done: None,
+    loads: tuple[Load, ...] = (),
 ) -> Cells:
     """Runs every bump in MuJoCo, in a few large batches, and compares with the linear prediction.
 
@@ -130,6 +134,7 @@ def validity(
         bumps: N of them.
         time: equidistant sample times from 0 [s].
         progress: is told how many cells are done.
+        loads: on the body over every one of them.
 
     Raises:
         Interrupted: Ctrl-C came before the last cell was done.
@@ -139,7 +144,7 @@ def validity(
     at_once = min(MOST_AT_ONCE, runs_at_once(len(time), len(vehicle.kind.wheels)))
     rounds = math.ceil(len(bumps) / (cores() * at_once))
     chunks = [chunk for chunk in np.array_split(order, cores() * rounds) if len(chunk)]
-    pieces = [functools.partial(_run, vehicle, controller, [bumps[i] for i in chunk], time) for chunk in chunks]
+    pieces = [functools.partial(_run, vehicle, controller, [bumps[i] for i in chunk], time, loads) for chunk in chunks]
     parts: list[Cells | None] = [None] * len(chunks)
     try:
         with closing(side_by_side(pieces, cores())) as results:
@@ -159,7 +164,12 @@ def validity(
 
 
 def _run(
-    vehicle: Vehicle, controller: Controller, bumps: Sequence[Bump], time: Array, stopped: Callable[[], bool]
+    vehicle: Vehicle,
+    controller: Controller,
+    bumps: Sequence[Bump],
+    time: Array,
+    loads: tuple[Load, ...],
+    stopped: Callable[[], bool],
 ) -> Cells | None:
     """Some cells, in one batch that is compared with the linear response as it goes; None once it is stopped."""
     count, heights = len(bumps), np.array([bump.height for bump in bumps])
@@ -172,8 +182,8 @@ def _run(
     outputs = [i for i, name in enumerate(unit.names) if name in vehicle.linear_model.outputs]
     linear = np.moveaxis(unit.values, 0, 2)[:, outputs]
     short = not is_linear(vehicle, controller)
-    if is_curved(vehicle):
-        used, times = _one_by_one(vehicle, controller, bumps, time)
+    if is_curved(vehicle) or loads:
+        used, times = _one_by_one(vehicle, controller, bumps, time, loads)
     else:
         met = _switched(vehicle, controller, [Bump(1.0, *key) for key in columns], time) if short else unit
         used, times = _in_proportion(vehicle, met, heights, column)
@@ -181,22 +191,30 @@ def _run(
     if short:
         used[:, end], times[..., end] = 0.0, np.inf
     predicted = first_end(times)
+    roads = [loaded(bump, loads) for bump in bumps]
+    flat = sampled_responses(vehicle.straight, controller, [loaded(Flat(), loads)], time).run(0)  # what loads alone do is added
+    push = flat.values[:, outputs, None]
 
-    watched, apart = Watched([vehicle] * count, [controller] * count, bumps, time), np.zeros((len(outputs), count))
+    watched, apart = Watched([vehicle] * count, [controller] * count, roads, time), np.zeros((len(outputs), count))
     forces = [[unit.names.index(name) for name in (one.force, one.missing)] for one in vehicle.adjustable]
     squares = np.zeros((2, count))  # of what is missing, and of what was asked
     for block in watched.blocks():
         if stopped():
             return None
         some = slice(block.start, block.start + len(block.values))
-        for worst, i, response in zip(apart, outputs, np.moveaxis(linear[some], 1, 0), strict=True):
-            np.maximum(worst, np.abs(block.values[:, i] - heights * response[:, column]).max(axis=0), out=worst)
+        parts = zip(apart, outputs, np.moveaxis(linear[some], 1, 0), np.moveaxis(push[some], 1, 0), strict=True)
+        for worst, i, response, more in parts:
+            np.maximum(worst, np.abs(block.values[:, i] - heights * response[:, column] - more).max(axis=0), out=worst)
         for given, missing in forces:
             lost = block.values[:, missing]
             squares += np.sum([lost**2, (block.values[:, given] + lost) ** 2], axis=1)
 
     scales = np.array([[unit.run(i).scale(unit.names[j]) or np.inf for j in outputs] for i in columns.values()])
-    error = (apart / (np.abs(heights) * scales[column].T)).max(axis=0)
+    sizes = np.abs(heights) * scales[column].T
+    if loads:
+        whole = [replace(unit, values=height * unit.values[i] + flat.values) for height, i in zip(heights, column, strict=True)]
+        sizes = np.array([[one.scale(unit.names[j]) or np.inf for one in whole] for j in outputs])
+    error = (apart / sizes).max(axis=0)
     reached, diverged = watched.ends.times, watched.diverged
     if short:
         reached[:, end] = np.inf
@@ -238,9 +256,12 @@ def _in_proportion(vehicle: Vehicle, unit: Response, heights: Array, column: Arr
     return used, times
 
 
-def _one_by_one(vehicle: Vehicle, controller: Controller, bumps: Sequence[Bump], time: Array) -> tuple[Array, Array]:
-    """The same of responses with curves, which are not proportional to the height."""
-    near = [replace(bump, height=factor * bump.height) for factor in (1, 1 - EDGE, 1 + EDGE) for bump in bumps]
+def _one_by_one(
+    vehicle: Vehicle, controller: Controller, bumps: Sequence[Bump], time: Array, loads: tuple[Load, ...]
+) -> tuple[Array, Array]:
+    """The same of responses with curves or loads, which are not proportional to the height."""
+    factors = (1, 1 - EDGE, 1 + EDGE)
+    near = [loaded(replace(bump, height=factor * bump.height), loads) for factor in factors for bump in bumps]
     made = (sampled_responses if is_linear(vehicle, controller) else _switched)(vehicle, controller, near, time)
     detector = EndDetector([vehicle] * len(near), time, predicted=True)
     detector.update(0, np.moveaxis(made.values, 0, 2))
@@ -248,10 +269,15 @@ def _one_by_one(vehicle: Vehicle, controller: Controller, bumps: Sequence[Bump],
     return utilisation(vehicle, replace(made, values=made.values[: len(bumps)])), times
 
 
-def _switched(vehicle: Vehicle, controller: Controller, bumps: Sequence[Bump], time: Array) -> Response:
+def _switched(vehicle: Vehicle, controller: Controller, bumps: Sequence[Road], time: Array) -> Response:
     """Responses with adjustable dampers, side by side."""
     found = [switched_response(vehicle, controller, bump, time) for bump in bumps]
     return replace(found[0], values=np.stack([one.values for one in found]))
+
+
+def loaded(bump: Road, loads: tuple[Load, ...]) -> Road:
+    """A bump, with loads on the body where there are some."""
+    return Loaded(bump, loads) if loads else bump
 
 
 def _not_run(bumps: Sequence[Bump]) -> Cells:

@@ -7,6 +7,8 @@ import numpy as np
 
 from models.curves.curve import LEAVES
 from models.figures.figure import Classes, Curve, Figure, Panel, level
+from models.loads.load import Load
+from models.roads.loaded import PLUS
 from models.vehicle import Vehicle
 from sim.linear.curved import is_curved
 from sim.response.regime import CURVE, REGIME_ENDS, End
@@ -27,6 +29,7 @@ def envelope_figure(
     axes: "Sequence[Axis]",
     fixed: Mapping[str, float],
     threshold: float,
+    loads: Sequence[Load] = (),
 ) -> Figure:
     """Colours say what broke first in MuJoCo; the solid line is what linear analysis predicts; dashed, where its error passes.
 
@@ -37,6 +40,7 @@ def envelope_figure(
         axes: vertical and horizontal.
         fixed: what is not varied.
         threshold: error at which linear analysis is said to hold.
+        loads: on the body over every bump.
     """
     # Height, or else length, is vertical, whatever order was asked for.
     shape = (len(axes[0].values), len(axes[1].values))
@@ -59,6 +63,7 @@ def envelope_figure(
     if np.nanmin(used) < 1 < np.nanmax(used):
         whose = "from its response with dampers" if cells.short else "from one linear run"
         whose = "from responses with its curves" if is_curved(vehicle) else whose
+        whose = whose.replace("one linear run", "linear runs") + " under the loads" if loads else whose
         curves.append(Curve(*level(x, y, np.log(used), 0.0), f"predicted end, {whose}", "#000000", width=1.8))
     error = plane(np.where(cells.done, np.clip(cells.error, threshold / 10, 10 * threshold), np.nan))
     if np.nanmin(error) < threshold < np.nanmax(error):
@@ -76,6 +81,7 @@ def envelope_figure(
     ends = (
         f"end the analysis with its dampers as predicted; {cells.short}" if cells.short else "end the linear regime as predicted"
     )
+    rest += f", under {PLUS.join(load.label for load in loads)}" if loads else ""
     title = (
         f"How far {which} may be trusted: {vehicle.kind.name.replace('_', ' ')}, controller {controller.name}, {rest}\n"
         f"{100 * cells.agreement:.4g} % of {cells.counted('MuJoCo runs')} {ends}"

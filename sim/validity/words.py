@@ -47,6 +47,11 @@ def envelope_object(cells: Cells, axes: Sequence[Axis], controller: str, thresho
     }
 
 
+def loads_object(asked: Sequence[str]) -> dict[str, list[str]]:
+    """The loads over every bump, as they were asked for; no key where there are none."""
+    return {"loads": list(asked)} if asked else {}
+
+
 def _cell(cells: Cells, i: int, threshold: float) -> dict[str, Any]:
     return {
         "error": finite(cells.error[i]),
