@@ -31,6 +31,7 @@ from sim.ride.metrics import measure, metrics_of
 from sim.ride.settled import settled
 from synth.designer import Designer
 from tests.curved import DIGRESSIVE, curved_text
+from tests.test_dampers import BOTH
 
 ROOT = Path(__file__).parent.parent
 SMALL = """
@@ -226,6 +227,53 @@ settle = 0.75
     for name in ("linear_error", "linear_suspension_deflection_rms"):
         assert "vehicles without curves, and without adjustable dampers but where" in about[name]["definition"]
     assert all(row["iri"] > 1 for row in rows)
+
+
+def test_adjustable_dampers_are_sampled(tmp_path):
+    """Numbers of `[actuators]` are sampled as parameters are, of all dampers that share one, or of one by its suspension.
+
+    A row of a sample is the run of the vehicle file that has its numbers.
+    """
+    (tmp_path / "car.toml").write_text(BOTH + '[controllers.law]\nsemi_active = "skyhook"\n')
+    text = 'vehicles = ["car.toml"]\ncontrollers = ["law"]\nroads = ["bump"]\nspeeds = [12.5]\nduration = 0.8\n'
+    text += "[samples]\ncount = 3\n"
+    of = "c_max_front = { uniform = [0.6, 1.2], relative = true }\nbandwidth_rear = { uniform = [40.0, 200.0] }\n"
+    rows, _ = run(tmp_path, f"{text}[samples.parameters]\n{of}", "--workers", "1")
+    for row in rows:
+        c_max, bandwidth = row["parameter_c_max_front"], row["parameter_bandwidth_rear"]
+        assert 1800 <= c_max <= 3600
+        (tmp_path / "car.toml").write_text(
+            (BOTH + '[controllers.law]\nsemi_active = "skyhook"\n')
+            .replace("c_max = 3000.0", f"c_max = {c_max!r}")
+            .replace("bandwidth = 90.0", f"bandwidth = {bandwidth!r}")
+        )
+        (alone,), _ = run(tmp_path, text.partition("[samples]")[0], "--workers", "1", results=f"alone{row['run']}")
+        for name, value in alone.items():
+            if name != "sample" and name != "run":
+                assert row[name] == (value if isinstance(value, (str, type(None))) else pytest.approx(value, rel=1e-9)), name
+    assert len({row["suspension_deflection_front_rms"] for row in rows}) == 3
+
+
+@pytest.mark.parametrize(
+    ("entry", "said"),
+    [
+        ("c_max = { uniform = [0.5, 1.0], relative = true }", r"no parameter 'c_max'; it has .*c_max_front, c_max_rear"),
+        (
+            "c_max_front = { uniform = [0.1, 0.2], relative = true }",
+            r"is no vehicle: suspension_damping_front = 1000 N s/m, which",
+        ),
+        ("c_min_front = { uniform = [-1.0, 2.0] }", r"reaches a value that is none, .* c_min_front: -1.0 is not allowed"),
+        ("bandwidth_front = { uniform = [1.0, 2.0] }", r"no parameter 'bandwidth_front'"),
+    ],
+)
+def test_dampers_that_cannot_be_sampled(tmp_path, entry, said):
+    """What dampers do not share, cannot be or have not is refused in one line."""
+    (tmp_path / "car.toml").write_text(BOTH)
+    text = 'vehicles = ["car.toml"]\ncontrollers = ["passive"]\nroads = ["bump"]\nspeeds = [9.0]\n[samples]\ncount = 2\n'
+    (tmp_path / "c.toml").write_text(f"{text}[samples.parameters]\n{entry}\n")
+    with pytest.raises(InputError, match=said) as error:
+        read_campaign(tmp_path / "c.toml")
+    assert "\n" not in str(error.value)
 
 
 def test_a_short_road_has_no_iri(tmp_path):

@@ -8,6 +8,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
+from models.damping.damper import LARGEST
 from models.kind import Parameter
 from models.roads.iso8608 import check_seed
 from models.vehicle import Vehicle
@@ -15,6 +16,7 @@ from models.vehicle import Vehicle
 SAMPLES = ("count", "method", "seed", "parameters")
 METHODS = ("latin_hypercube", "sobol")
 DISTRIBUTIONS = ("uniform", "normal")
+OF_DAMPERS = ("c_min", "c_max", "bandwidth")  # of [actuators], which are sampled, too
 WIDEST = 3.0  # standard deviations; a normal distribution is cut there
 MOST_RUNS = 10_000_000
 
@@ -78,12 +80,15 @@ def read_samples(section: Any, vehicles: Mapping[str, Vehicle]) -> dict[str, tup
     found = {}
     for name, vehicle in vehicles.items():
         columns = [distribution.value(unit[:, i]) for i, distribution in enumerate(distributions)]
-        scales = [vehicle.parameters[one.name] if one.relative else 1.0 for one in distributions]
+        own = _values(vehicle)
+        scales = [own[one.name] if one.relative else 1.0 for one in distributions]
         rows = np.stack([scale * column for scale, column in zip(scales, columns, strict=True)], axis=-1).tolist()
         found[name] = tuple(dict(zip([one.name for one in distributions], row, strict=True)) for row in rows)
         for row in found[name]:
             try:
-                vehicle.kind.check(vehicle.parameters | row)
+                made = with_sample(vehicle, row)
+                vehicle.kind.check(made.parameters)
+                _ = made.adjustable  # which looks whether its dampers can be what they nominally are
             except InputError as error:
                 raise InputError(f"[samples] a sample of vehicle {name!r} is no vehicle: {error}") from error
     return found
@@ -125,18 +130,36 @@ def _distribution(name: str, entry: Any) -> Distribution:
 def _check_distribution(distribution: Distribution, name: str, vehicle: Vehicle) -> None:
     """Refuses a parameter that a vehicle has not, and a distribution that reaches a value it cannot have."""
     parameters: dict[str, Parameter] = {parameter.name: parameter for parameter in vehicle.kind.parameters}
-    if distribution.name not in parameters:
-        raise InputError(
-            f"[samples.parameters] vehicle {name!r} has no parameter {distribution.name!r}; it has {listing(parameters)}"
-        )
-    scale = vehicle.parameters[distribution.name] if distribution.relative else 1.0
+    own = _values(vehicle)
+    if distribution.name not in own:
+        raise InputError(f"[samples.parameters] vehicle {name!r} has no parameter {distribution.name!r}; it has {listing(own)}")
+    scale = own[distribution.name] if distribution.relative else 1.0
     for end in distribution.ends:
         try:
-            parameters[distribution.name].check(scale * end)
+            if distribution.name in parameters:
+                parameters[distribution.name].check(scale * end)
+            else:
+                read_number(scale * end, distribution.name, 0.0, LARGEST)
         except InputError as error:
             raise InputError(
                 f"[samples.parameters] the distribution reaches a value that is none, for vehicle {name!r}: {error}"
             ) from error
+
+
+def _values(vehicle: Vehicle) -> dict[str, float]:
+    """What can be sampled of a vehicle, and what it has."""
+    return {**vehicle.parameters, **{name: value for name, (value, _) in _of_dampers(vehicle).items()}}
+
+
+def _of_dampers(vehicle: Vehicle) -> dict[str, tuple[float, list[str]]]:
+    """What can be sampled of adjustable dampers, and the forces whose it is: of each that has a number, of all that share one."""
+    found: dict[str, tuple[float, list[str]]] = {}
+    for name in OF_DAMPERS:
+        values = {one: getattr(one.damper, name) for one in vehicle.adjustable}
+        if len(set(values.values())) == 1:
+            found[name] = (next(iter(values.values())), [one.force for one in values])
+        found |= {f"{name}{one.ending}": (value, [one.force]) for one, value in values.items() if one.ending}
+    return {name: (value, forces) for name, (value, forces) in found.items() if value is not None}
 
 
 def read_number(value: Any, where: str, smallest: float, largest: float) -> float:
@@ -151,5 +174,17 @@ def read_number(value: Any, where: str, smallest: float, largest: float) -> floa
 
 
 def with_sample(vehicle: Vehicle, sample: Mapping[str, float]) -> Vehicle:
-    """The vehicle with sampled parameters."""
-    return replace(vehicle, parameters={**vehicle.parameters, **sample}) if sample else vehicle
+    """The vehicle with sampled parameters, and numbers of its adjustable dampers."""
+    if not sample:
+        return vehicle
+    known, dampers = _of_dampers(vehicle), dict(vehicle.dampers)
+    for name in (one for one in known if one in sample):
+        for force in known[name][1]:
+            dampers[force] = replace(dampers[force], **{name.removesuffix(_ending(vehicle, force)): sample[name]})
+    parameters = {name: value for name, value in sample.items() if name not in known}
+    return replace(vehicle, parameters={**vehicle.parameters, **parameters}, dampers=dampers)
+
+
+def _ending(vehicle: Vehicle, force: str) -> str:
+    """Of the names at the suspension that a force belongs to."""
+    return next(one.ending for one in vehicle.adjustable if one.force == force)

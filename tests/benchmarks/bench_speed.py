@@ -51,7 +51,7 @@ from synth.problem.problem import generalized_plant
 from synth.rates.cost import cost
 from tests.benchmarks.states import chain
 from tests.conftest import random_vehicles
-from tests.curved import AXLES, DIGRESSIVE, PROGRESSIVE, with_curves
+from tests.curved import AXLES, DIGRESSIVE, PROGRESSIVE, curved_text, with_curves
 
 
 def seconds(call: Callable[[], object], clock: Callable[[], float] = time.perf_counter) -> float:
@@ -302,20 +302,50 @@ def test_redesign(benchmark):
     assert ratio <= 0.55
 
 
-@pytest.mark.parametrize(("name", "runs", "claim"), [("quarter_car", 2048, 0.85), ("full_car", 512, 0.65)])
-def test_campaign(benchmark, tmp_path, name, runs, claim):
+DAMPED = """
+[actuators]
+kind = "damper"
+c_min = 300.0
+c_max = 4000.0
+"""
+LAW = """
+[controllers.law]
+semi_active = "skyhook"
+"""
+CURVED = curved_text(suspension_damping=DIGRESSIVE, suspension_stiffness=PROGRESSIVE)
+ROAD = "iso8608:class=A"
+
+
+@pytest.mark.parametrize(
+    ("text", "controller", "road", "runs", "claim"),
+    [
+        pytest.param(read_vehicle("quarter_car").text, "I", ROAD, 2048, 0.85, id="quarter_car"),
+        pytest.param(read_vehicle("full_car").text, "I", ROAD, 512, 0.65, id="full_car"),
+        pytest.param(CURVED, "I", ROAD, 1024, 0.8, id="quarter_car, curves"),
+        pytest.param(curved_text("full_car", **AXLES), "I", ROAD, 256, 0.6, id="full_car, curves"),
+        pytest.param(read_vehicle("quarter_car").text, "I", f"{ROAD} + lift:force=200", 1024, 0.8, id="quarter_car, loads"),
+        pytest.param(read_vehicle("quarter_car").text + DAMPED, "I", ROAD, 1024, 0.8, id="quarter_car, dampers"),
+        pytest.param(read_vehicle("quarter_car").text + DAMPED + LAW, "law", ROAD, 1024, 0.8, id="quarter_car, skyhook"),
+        pytest.param(read_vehicle("full_car").text + DAMPED + LAW, "law", ROAD, 256, 0.6, id="full_car, skyhook"),
+    ],
+)
+def test_campaign(benchmark, tmp_path, text, controller, road, runs, claim):
     """A campaign's run-steps a second, roads, metrics and files included: 0.85 of native steps on as many threads.
 
-    What a full car's controller measures is not linear in its state: its sensors are evaluated before every step as well, which
-    takes a fifth to a quarter of a native step.
+    With curves, loads and adjustable dampers, 0.8, the native steps are of the same model, which has them. What a full car's controller
+    measures is not linear in its state: its sensors are evaluated before every step as well, which takes a fifth to a quarter of
+    a native step.
     """
     workers = os.cpu_count() or 1
     file = tmp_path / "campaign.toml"
-    what = f'vehicles = ["{name}"]\ncontrollers = ["I"]\nroads = ["iso8608:class=A"]\n'
+    (tmp_path / "car.toml").write_text(text)
+    what = f'vehicles = ["car.toml"]\ncontrollers = ["{controller}"]\nroads = ["{road}"]\n'
     file.write_text(what + f"speeds = [20.0]\nseeds = {runs}\nduration = 10.0\n")
     campaign = read_campaign(file)
-    vehicle = campaign.vehicles[name]
-    plan = Plan(campaign, {name: {"I": Designer(vehicle).design("I")}})
+    vehicle = campaign.vehicles["car.toml"]
+    law = vehicle.controllers[controller].semi_active
+    driver = Designer(vehicle).design(controller) if law is None else SemiActive(controller, law)
+    plan = Plan(campaign, {"car.toml": {controller: driver}})
     manifest = Manifest(str(file), "", {}, "", {}, {}, plan.count)
     store = Store(tmp_path, columns(campaign), {}, manifest)
     native = native_steps(build_model(vehicle, 1e-3), workers)
@@ -333,12 +363,6 @@ def test_campaign(benchmark, tmp_path, name, runs, claim):
     assert summed_ratio(benchmark, pairs) <= 1 / claim
 
 
-DAMPED = """
-[actuators]
-kind = "damper"
-c_min = 300.0
-c_max = 4000.0
-"""
 # Of a run alone, modal skyhook asks for three modes at every corner, each in plain numbers, and reads what costs little.
 CORNERS = ("quarter_car", "half_car", "full_car")
 ASKED = [
