@@ -332,9 +332,9 @@ ROAD = "iso8608:class=A"
 def test_campaign(benchmark, tmp_path, text, controller, road, runs, claim):
     """A campaign's run-steps a second, roads, metrics and files included: 0.85 of native steps on as many threads.
 
-    With curves, loads and adjustable dampers, 0.8, the native steps are of the same model, which has them. What a full car's controller
-    measures is not linear in its state: its sensors are evaluated before every step as well, which takes a fifth to a quarter of
-    a native step.
+    With curves, loads and adjustable dampers, 0.8, the native steps are of the same model, which has them. What a full car's
+    controller measures is not linear in its state: its sensors are evaluated before every step as well, which takes a fifth to a
+    quarter of a native step.
     """
     workers = os.cpu_count() or 1
     file = tmp_path / "campaign.toml"
