@@ -108,7 +108,8 @@ class Range:
 def _pieces(pieces: Array, v: Array) -> Array:
     """The sum of pieces, shape (4, ..., P), at velocities, shape (...)."""
     slope, start, low, high = pieces
-    return np.clip(slope * (v[..., None] - start), low, high).sum(axis=-1)
+    # As `Pieces.force`; between two steps, where every call counts, without numpy's dearer ones.
+    return np.add.reduce(np.minimum(np.maximum(slope * (v[..., None] - start), low), high), axis=-1)
 
 
 def range_of(vehicles: Sequence[Sequence[Adjustable]], forces: Sequence[str]) -> Range:
