@@ -14,6 +14,7 @@ from models.common.errors import InputError
 from models.mjcf import build_model
 from models.roads.road import Bump
 from models.vehicle import parse_vehicle, read_vehicle
+from sim.campaign.samples import read_samples
 from sim.linear.switched import switched
 from sim.physics.simulate import simulate
 from sim.ride.expected import expect
@@ -300,3 +301,13 @@ def test_passive_is_expected_with_its_curves():
     found = expect(vehicle, controller, road, 1e-3, 10.0)
     assert found is not None
     assert found.line.vehicle.parameters["suspension_damping"] < 950.0  # the curves bend down
+
+
+def test_a_curve_is_no_number_to_be_sampled():
+    """A campaign samples the nominal setting and the lag of a measured damper; a limit that is a curve is refused in a line."""
+    vehicle = parse_vehicle(QUARTER + PAIR + "bandwidth = 80.0\n")
+    for name in ("suspension_damping", "bandwidth"):
+        section = {"count": 2, "parameters": {name: {"uniform": [0.9, 1.1], "relative": True}}}
+        assert len(read_samples(section, {"car": vehicle})["car"]) == 2
+    with pytest.raises(InputError, match="has no parameter 'c_min'"):
+        read_samples({"count": 2, "parameters": {"c_min": {"uniform": [300.0, 400.0]}}}, {"car": vehicle})

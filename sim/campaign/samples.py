@@ -8,7 +8,8 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
-from models.damping.damper import LARGEST
+from models.damping.adjustable import Adjustable
+from models.damping.damper import CURVED, LARGEST
 from models.kind import Parameter
 from models.roads.iso8608 import check_seed
 from models.vehicle import Vehicle
@@ -16,7 +17,7 @@ from models.vehicle import Vehicle
 SAMPLES = ("count", "method", "seed", "parameters")
 METHODS = ("latin_hypercube", "sobol")
 DISTRIBUTIONS = ("uniform", "normal")
-OF_DAMPERS = ("c_min", "c_max", "bandwidth")  # of [actuators], which are sampled, too
+OF_DAMPERS = (*CURVED, "bandwidth")  # of [actuators], which are sampled, too
 WIDEST = 3.0  # standard deviations; a normal distribution is cut there
 MOST_RUNS = 10_000_000
 
@@ -155,7 +156,9 @@ def _of_dampers(vehicle: Vehicle) -> dict[str, tuple[float, list[str]]]:
     """What can be sampled of adjustable dampers, and the forces whose it is: of each that has a number, of all that share one."""
     found: dict[str, tuple[float, list[str]]] = {}
     for name in OF_DAMPERS:
-        values = {one: getattr(one.damper, name) for one in vehicle.adjustable}
+        # A limit that is a curve is no number.
+        curved = {one for one in vehicle.adjustable if name in CURVED and one.damper.pair is not None}
+        values: dict[Adjustable, Any] = {one: None if one in curved else getattr(one.damper, name) for one in vehicle.adjustable}
         if len(set(values.values())) == 1:
             found[name] = (next(iter(values.values())), [one.force for one in values])
         found |= {f"{name}{one.ending}": (value, [one.force]) for one, value in values.items() if one.ending}

@@ -123,7 +123,7 @@ def ride_figure(rides: Sequence[Ride], style: Mapping[str, tuple[str, Dash]]) ->
 def ride_text(vehicle: Vehicle) -> str:
     """What the table of ride is of, and what its predictions leave out."""
     ends, blur = replace(vehicle.limits, actuator_bandwidth=None), replace(vehicle.implementation, sample_period=None, delay=0)
-    left_out = joined([*ends.words, *blur.words])
+    left_out = joined([*ends.words(vehicle.kind.suspensions), *blur.words])
     return (
         f"Random roads of ISO 8608 at {SPEED:g} m/s, {len(SEEDS)} of each class, {WINDOW:g} s each. Weighted is ISO 2631-1's rms "
         "acceleration, Wk; dynamic load is the rms of the tyre's force over its static value; lift-off is the largest share of "
