@@ -71,7 +71,7 @@ def norm_lines(vehicle: Vehicle, controller: Controller, norm: SampledNorm | Non
 def built_words(vehicle: Vehicle) -> str:
     """What of a loop as built counts in its norm: what is linear of it."""
     lag = Limits(actuator_bandwidth=vehicle.limits.actuator_bandwidth)
-    return ", ".join((*vehicle.implementation.clear.words, *lag.words))
+    return ", ".join((*vehicle.implementation.clear.words, *lag.words(())))
 
 
 def sampled_lines(vehicle: Vehicle) -> list[str]:
