@@ -170,7 +170,7 @@ def expect(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: f
     works = np.einsum("f,fsc->cs", band.share, band.values[:, :, len(index) + len(ride) :])
     works = works.reshape(len(pushing), 3, band.values.shape[1])
     for (name, _), work in zip(pushing, works, strict=True):
-        net, positive = work_rate(*work)
+        net, positive = work_rate(*work, line.mean.get(name, 0.0))
         # n samples have n - 1 steps between them.
         mean[power(name)], mean[energy(name)] = net / timestep, positive / timestep * (window - timestep)
     return Expected(mean, spread, error, line)
@@ -208,12 +208,13 @@ def work_spectra(force: Array, travel: Array, lags: bool) -> Array:
     return np.stack([together, power_of(acting), power_of(moved)], axis=-1)
 
 
-def work_rate(together: Array, force: Array, moved: Array) -> tuple[float, float]:
+def work_rate(together: Array, force: Array, moved: Array, mean: float = 0.0) -> tuple[float, float]:
     """Expected work of a step, mean over those of a period, and its positive part, in the definition of `sim/ride/metrics.py`.
 
     Args:
         together: covariance by step of the force that acts and of how far its suspension goes meanwhile [J], shape (steps,).
         force, moved: their variances [N^2, m^2], the same.
+        mean: of the force [N].
     """
-    steps = zip(together.tolist(), np.sqrt(force * moved).tolist(), strict=True)
-    return float(together.mean()), float(np.mean([positive_part(*step) for step in steps]))
+    steps = zip(together.tolist(), np.sqrt(force).tolist(), np.sqrt(moved).tolist(), strict=True)
+    return float(together.mean()), float(np.mean([positive_part(*step, mean) for step in steps]))

@@ -140,10 +140,18 @@ class Gaussian:
         return rho[:half] / rho[0], 1 / (BIN * len(rho))
 
 
-def positive_part(covariance: float, size: float) -> float:
-    """E max(x y, 0) of two Gaussians of this covariance and this product of standard deviations."""
-    r = min(max(covariance / size, -1.0), 1.0) if size else 0.0
-    return size * (math.sqrt(1 - r**2) + r * math.acos(-r)) / math.pi
+def positive_part(covariance: float, x: float, y: float, mean: float = 0.0) -> float:
+    """E max(x y, 0) of two Gaussians of this covariance and these standard deviations, x of a mean, and y of none."""
+    r = min(max(covariance / (x * y), -1.0), 1.0) if x * y else 0.0
+    if not mean:
+        return x * y * (math.sqrt(1 - r**2) + r * math.acos(-r)) / math.pi
+    # At y = z of them above and below 0, x is a Gaussian of the mean and deviation that are left, whose positive part is known.
+    z, left = LEVELS, max(x * math.sqrt(1 - r**2), 1e-9 * (x + abs(mean)))
+    total = np.zeros_like(z)
+    for side in (1.0, -1.0):
+        at = (side * mean + r * x * z) / left
+        total += left * (at * special.ndtr(at) + np.exp(-(at**2) / 2) / math.sqrt(2 * math.pi))
+    return y * float(np.trapezoid(z * np.exp(-(z**2) / 2) / math.sqrt(2 * math.pi) * total, z))
 
 
 def _clipped_square(sigma: float, clip: float) -> float:

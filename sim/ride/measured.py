@@ -103,7 +103,7 @@ def measure_run(run: Run, first: int) -> RunMetrics:
             sampled.get(metric.name),
             expected.mean.get(metric.name) if expected else None,
             expected.spread.get(metric.name) if expected else None,
-            expected is not None and metric.name.endswith(APPROXIMATE),
+            expected is not None and (metric.name.endswith(APPROXIMATE) or expected.line.rounds > 0),
         )
         for metric in metrics_of(vehicle, road.loaded)
     }
