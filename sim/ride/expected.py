@@ -170,7 +170,7 @@ def expect(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: f
     works = np.einsum("f,fsc->cs", band.share, band.values[:, :, len(index) + len(ride) :])
     works = works.reshape(len(pushing), 3, band.values.shape[1])
     for (name, _), work in zip(pushing, works, strict=True):
-        net, positive = work_rate(*work, line.mean.get(name, 0.0))
+        net, positive = work_rate(*work, mean=line.mean.get(name, 0.0))
         # n samples have n - 1 steps between them.
         mean[power(name)], mean[energy(name)] = net / timestep, positive / timestep * (window - timestep)
     return Expected(mean, spread, error, line)
@@ -208,7 +208,7 @@ def work_spectra(force: Array, travel: Array, lags: bool) -> Array:
     return np.stack([together, power_of(acting), power_of(moved)], axis=-1)
 
 
-def work_rate(together: Array, force: Array, moved: Array, mean: float = 0.0) -> tuple[float, float]:
+def work_rate(together: Array, force: Array, moved: Array, *, mean: float) -> tuple[float, float]:
     """Expected work of a step, mean over those of a period, and its positive part, in the definition of `sim/ride/metrics.py`.
 
     Args:
