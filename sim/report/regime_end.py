@@ -94,7 +94,7 @@ def regime_end(vehicle: Vehicle, controller: Controller, bump: Bump, time: Array
 
 def _narrowed(found: RegimeEnd, vehicle: Vehicle, controller: Controller, bump: Bump, heights: Array, time: Array) -> RegimeEnd:
     """What is found, narrowed by runs of more heights, ascending [m]."""
-    cells = validity(vehicle, controller, [replace(bump, height=height) for height in heights.tolist()], time)
+    cells = validity(vehicle, controller, [replace(bump, height=height) for height in heights.tolist()], time, foretold=False)
     breaks = (cells.first >= 0) | np.isinf(cells.error)
     first = int(breaks.argmax()) if breaks.any() else len(heights)
     if first > 0 and heights[first - 1] > found.stays:
