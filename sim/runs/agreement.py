@@ -6,7 +6,9 @@ analysis agree where they differ by no more than that.
 
 A body that pitches and rolls is not linear, and there physics leaves the analysis with the amplitude. Then the same road is
 driven at a hundredth of its height: what is geometry has gone there, in proportion or faster, and what is wrong has not. A
-vehicle that has no such geometry (`sim.physics.geometry`), as a quarter-car, is not excused by it.
+vehicle that has no such geometry (`sim.physics.geometry`), as a quarter-car, is not excused by it. What the integrator makes of a
+smaller motion is the same share of it where all is linear but geometry; where curves have knots near rest it may be a larger one,
+and is computed there, too.
 
 Rounding does not go with the road: it is that of the vehicle's weight and lengths, and beside a hundredth of the road it counts a
 hundred times as much. An unstable loop makes more and more of it, as of everything.
@@ -21,7 +23,7 @@ from models.vehicle import Vehicle
 from sim.linear.rounding import grown, roundings
 from sim.response.regime import AT, END_NAMES, FLAT, LIFT_OFF, REGIME_ENDS, reached
 from sim.response.response import Response
-from sim.runs.prediction import Prediction
+from sim.runs.prediction import Prediction, Smaller
 from synth.controller import Controller
 
 ROUNDING = 1e-9  # of a peak, over thousands of steps
@@ -38,22 +40,28 @@ class SignalAgreement:
         sampled: largest difference from the exact sampled response, over that response's peak.
         continuous: the same against the continuous closed loop; it contains the effect of holding the force over a step.
         allowed: what the integrator's own error may make of `sampled`, no more than `COARSEST`, with noise and rounding.
+        blur: the part of `allowed` that noise and quantisation may make.
         rounding: the part of `allowed` that is as large over any road; see `sim.linear.rounding`.
+        scale: what all these are over, in the signal's unit.
         small: what `sampled` is over the same road at `SMALL` of its height; None where there was no need to look.
+        allowed_small: what `allowed` is there; None with it.
     """
 
     sampled: float
     continuous: float
     allowed: float
+    blur: float
     rounding: float
+    scale: float
     small: float | None = None
+    allowed_small: float | None = None
 
     @property
     def judged(self) -> tuple[float, float]:
         """The difference that decides, and what is allowed of it: `sampled`, or `small` with what geometry has left there."""
-        if self.small is None:
+        if self.small is None or self.allowed_small is None:
             return self.sampled, self.allowed
-        return self.small, self.allowed + (1 / SMALL - 1) * self.rounding + SLACK * SMALL * self.sampled
+        return self.small, self.allowed_small + SLACK * SMALL * self.sampled
 
     @property
     def excess(self) -> float:
@@ -112,27 +120,36 @@ def compare(prediction: Prediction, physics: Response) -> Agreement:
     for name, rounded in rounding.items():
         scale = _scale(sampled, name)
         blur = float(spread[name][: len(physics.time)].max(initial=0.0)) if spread else 0.0
-        integrator = min(SLACK * _difference(integrated, sampled, name) + ROUNDING, COARSEST)
         signals[name] = SignalAgreement(
             sampled=_difference(physics, sampled, name),
             continuous=_difference(physics, continuous, name),
-            allowed=integrator + (blur + rounded) / scale,
+            allowed=_integrator(integrated, sampled, name) + (blur + rounded) / scale,
+            blur=blur / scale,
             rounding=rounded / scale,
+            scale=scale,
         )
     return Agreement(signals, lift_off, ended, until, blurred=bool(spread))
 
 
-def look_closer(agreement: Agreement, small: Response, physics: Response) -> Agreement:
+def look_closer(agreement: Agreement, small: Smaller, physics: Response) -> Agreement:
     """Asks of a run that does not agree whether that is geometry: then it vanishes with the amplitude.
 
     Args:
         agreement: the run's.
-        small: the exact response over the same road at `SMALL` of its height.
+        small: what is predicted over the same road at `SMALL` of its height.
         physics: what MuJoCo did over that.
     """
     # As long as the comparison is of: what is allowed is, too.
-    physics, small = physics.until(agreement.until), small.until(agreement.until)
-    signals = {name: replace(signal, small=_difference(physics, small, name)) for name, signal in agreement.signals.items()}
+    physics, sampled = physics.until(agreement.until), small.sampled.until(agreement.until)
+    integrated = None if small.integrated is None else small.integrated.until(agreement.until)
+    signals = {}
+    for name, signal in agreement.signals.items():
+        if integrated is None:
+            allowed = signal.allowed + (1 / SMALL - 1) * signal.rounding
+        else:
+            grown_by = signal.scale / _scale(sampled, name)
+            allowed = _integrator(integrated, sampled, name) + grown_by * (SMALL * signal.blur + signal.rounding)
+        signals[name] = replace(signal, small=_difference(physics, sampled, name), allowed_small=allowed)
     return replace(agreement, signals=signals)
 
 
@@ -163,6 +180,11 @@ def _first_loose(vehicle: Vehicle, physics: Response) -> float:
         if loose.any():
             first = min(first, float(physics.time[1 + loose.argmax()]))
     return first
+
+
+def _integrator(integrated: Response, sampled: Response, signal: str) -> float:
+    """What the integrator's own error may make of a signal, over its scale."""
+    return min(SLACK * _difference(integrated, sampled, signal) + ROUNDING, COARSEST)
 
 
 def _difference(response: Response, reference: Response, signal: str) -> float:

@@ -11,7 +11,7 @@ from sim.linear.curved import is_curved
 from sim.linear.dampers import scaled_commands
 from sim.physics.geometry import has_geometry
 from sim.response.response import Response
-from sim.runs.prediction import Prediction, predict_forced, predict_switched, smaller
+from sim.runs.prediction import Prediction, Smaller, predict_forced, predict_switched, smaller
 from synth.controller import Controller
 
 NEAR = 1e-5  # of a peak, at 1 ms; MuJoCo is nearer to its exact response, and further off no decision is a slip of rounding
@@ -42,7 +42,7 @@ def predict_made(
     return predict_forced(vehicle, controller, road, time, asked)
 
 
-def reference_at(share: float, prediction: Prediction, physics: Response) -> Response:
+def reference_at(share: float, prediction: Prediction, physics: Response) -> Smaller:
     """What is predicted of a run at a share of its road's height: as much of it, as far as it is linear.
 
     Args:
@@ -50,13 +50,14 @@ def reference_at(share: float, prediction: Prediction, physics: Response) -> Res
         prediction: over the whole road.
         physics: what MuJoCo made of it at that share of the road, whose own decisions adjustable dampers follow.
     """
-    vehicle, whole = prediction.vehicle, prediction.sampled
+    vehicle = prediction.vehicle
     if not vehicle.dampers:
         return smaller(prediction, share)
     small, road = with_noise(share, vehicle), prediction.road.scaled(share)
     asked = scaled_commands(vehicle, prediction.asked, share) if len(prediction.asked) else None
     near = share * NEAR_GEOMETRY
-    return predict_switched(small, prediction.controller, road, whole.time, physics, near, asked).sampled
+    again = predict_switched(small, prediction.controller, road, prediction.time, physics, near, asked)
+    return Smaller(again.sampled, again.integrated)
 
 
 def with_noise(share: float, vehicle: Vehicle) -> Vehicle:

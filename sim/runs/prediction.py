@@ -4,11 +4,12 @@ It is linear but for the curves of dampers and springs, where a vehicle has some
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
+from scipy import linalg
 
 from models.common.arrays import Array
 from models.common.errors import InputError
@@ -143,15 +144,32 @@ def predict_forced(vehicle: Vehicle, controller: Programmed, road: Road, time: A
     )
 
 
-def smaller(prediction: Prediction, share: float) -> Response:
-    """The exact sampled response over a share of the road's height, and under the same share of the forces of a law in Python."""
+@dataclass(frozen=True, eq=False)
+class Smaller:
+    """What is predicted of a run over a share of its road's height.
+
+    Attributes:
+        sampled: exact response of the sampled loop.
+        integrated: the same as RK4 makes it; None where both are that share of the whole road's.
+    """
+
+    sampled: Response
+    integrated: Response | None
+
+
+def smaller(prediction: Prediction, share: float) -> Smaller:
+    """What is predicted over a share of the road's height, and under the same share of the forces of a law in Python."""
     whole, vehicle, controller = prediction.sampled, prediction.vehicle, prediction.controller
     if not is_curved(vehicle):
-        return Response(whole.time, whole.signals, share * whole.values)
+        return Smaller(Response(whole.time, whole.signals, share * whole.values), None)
     road = prediction.road.scaled(share)
-    if isinstance(controller, Controller):
-        return sampled_response(vehicle, controller, road, whole.time)
-    return forced_response(vehicle, share * prediction.asked, road, whole.time)
+
+    def response(exponential: Callable[[Array], Array]) -> Response:
+        if isinstance(controller, Controller):
+            return sampled_response(vehicle, controller, road, whole.time, exponential)
+        return forced_response(vehicle, share * prediction.asked, road, whole.time, exponential)
+
+    return Smaller(response(linalg.expm), response(taylor4))
 
 
 def predict_switched(
