@@ -268,7 +268,9 @@ def test_a_parameter_that_changes_scales_its_curve():
         ("{ velocity = [-1.0, 1.0], force = [0, 0] }", "has no force at any point"),
         ("{ velocity = [-1.0, 1.0], force = [-1, 1], speed = 3 }", "unknown key 'speed'"),
         ("{ velocity = [-1.0, 1.0], force = [-1, 1], fit_error = 2 }", "fit_error = 2 is not allowed"),
-        ("{ velocity = [-1.0, 1.0], force = [-1, 1], friction = 30 }", "friction_velocity = None is not allowed"),
+        ("{ velocity = [-1.0, 1.0], force = [-1, 1], friction = 30 }", "friction_velocity is missing; a friction is"),
+        ("{ velocity = [-1.0, 1.0], force = [-1, 1], friction_velocity = 0.02 }", "friction is missing; a friction is"),
+        ("{ velocity = [-1.0, 1.0], force = [-1, 1], friction = -3, friction_velocity = 0.02 }", "friction = -3 is not allowed"),
         ('{ file = "x.csv" }', "names a file, which is read for a vehicle file alone"),
     ],
 )

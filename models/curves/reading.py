@@ -207,7 +207,11 @@ def _with_friction(curve: Curve, entry: Mapping[str, Any]) -> Curve:
     """The curve with a friction F tanh(v / v0) beside it, which is no part of what linear analysis takes for the damper."""
     limits = {"friction": (SMALLEST_FRICTION, LARGEST_FRICTION), "friction_velocity": (SMALLEST_CREEP, LARGEST_CREEP)}
     for key, (low, high) in limits.items():
-        value = entry.get(key)
+        if key not in entry:
+            raise InputError(
+                f"{key} is missing; a friction is F tanh(v / v0) with friction, F, in N and friction_velocity, v0, in m/s"
+            )
+        value = entry[key]
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
             raise InputError(
                 f"{key} = {quoted(value)} is not allowed; a friction is F tanh(v / v0) with friction, F, from "
