@@ -10,11 +10,11 @@ from models.roads.road import LOWEST, Bump
 from models.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.physics.simulate import simulate
 from sim.response.response import Response
-from sim.runs.agreement import SLACK, SMALL, Agreement, compare, look_closer
+from sim.runs.agreement import COARSEST, SLACK, SMALL, Agreement, compare, look_closer
 from sim.runs.made import predict_made, reference_at
 from sim.runs.prediction import Prediction, Smaller, predict, smaller
 from sim.runs.run import driven, run_all, sample_times
-from sim.runs.words import verdict
+from sim.runs.words import verdict, verdict_lines
 from synth.controller import Controller
 from synth.designer import Designer
 from tests.test_curves_beside import with_tables
@@ -142,6 +142,22 @@ def test_over_the_lowest_roads_rounding_counts(name):
         road, time = Bump(height, 5.0, 12.5), sample_times(vehicle, 0.5, 1e-3)
         (run,) = run_all(vehicle, [controller_of(vehicle, controller)], road, time)
         assert run.agreement.agrees
+
+
+def test_a_step_that_is_too_coarse_for_a_small_motion_is_said():
+    """Where RK4 cannot follow friction near rest at a step, though it can over the whole bump, that is said; a quarter agrees."""
+    text, controller, height = CARS["much friction"]
+    vehicle = parse_vehicle(text)
+
+    def run_at(step):
+        time = sample_times(vehicle, 0.6, step)
+        return run_all(vehicle, [controller_of(vehicle, controller)], Bump(height, 5.0, 12.5), time)[0]
+
+    coarse = run_at(2e-3)
+    worst = max(coarse.agreement.signals.values(), key=lambda one: one.excess)
+    assert worst.allowed < COARSEST  # over the whole bump
+    assert "the timestep is too coarse, give a smaller one" in verdict_lines(coarse)[-1]
+    assert run_at(5e-4).holds
 
 
 def random_car(rng: np.random.Generator) -> str:

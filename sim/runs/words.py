@@ -213,7 +213,7 @@ def verdict_lines(run: Run) -> list[str]:
     elif agreement.agrees:
         lines.append(f"agrees {when}: MuJoCo follows {_reference(run)} to within RK4's own error ({numbers})")
     else:
-        why = "; the timestep is too coarse, give a smaller one" if error.allowed >= COARSEST and not agreement.blurred else ""
+        why = "; the timestep is too coarse, give a smaller one" if allowed >= COARSEST and not agreement.blurred else ""
         lines.append(f"DOES NOT AGREE {when} with {_reference(run)} ({numbers}{why})")
     return lines
 
