@@ -387,7 +387,7 @@ def test_ride_says_what_its_prediction_leaves_out(paper, more, left_out):
 @pytest.mark.attack
 def test_ride_is_what_drive_says(paper, designer, capsys):
     """A row of the ride table is the mean of `python -m sim.drive` over its roads, and its prediction that command's."""
-    (section_table,) = ride_section(paper, rides_of(paper, [designer.design("I")], 1e-3), styles(("I",))).tables
+    section_table, _ = ride_section(paper, rides_of(paper, [designer.design("I")], 1e-3), styles(("I",))).tables
     rows = {row[2]: row for row in section_table.rows if row[0] == "C"}
     options = ("--controller", "I", "--class", "C", "--speed", f"{SPEED}", "--no-logs")
     start = printed(capsys, drive, *options, "--seed", "0", "--duration", "20")["measured_from"]
