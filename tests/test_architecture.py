@@ -108,8 +108,8 @@ ROOMS = {
     "synth.designs synth.dynamic synth.problem synth.words",
     "sim.campaign": "models.figures sim.command sim.linear sim.physics sim.response sim.ride models.roads sim.runs "
     "synth.designer",
-    "sim.report": "sim.acting sim.command models.figures models.loads sim.frequency sim.linear sim.physics sim.response "
-    "sim.ride models.roads sim.runs sim.stability sim.validity synth.designer synth.designs synth.errors "
+    "sim.report": "sim.acting sim.asked sim.command models.figures models.loads sim.frequency sim.linear sim.physics "
+    "sim.response sim.ride models.roads sim.runs sim.stability sim.validity synth.designer synth.designs synth.errors "
     "synth.front synth.paper synth.words",
     "sim.bump": "models.figures sim.asked sim.command models.roads sim.runs synth.designer",
     "sim.drive": "models.figures sim.asked sim.command sim.ride sim.runs synth.designer",

@@ -201,15 +201,20 @@ def test_words_name_the_corners_that_are_alike():
     )
 
 
+def proves_its_stops(folder, capsys, text, *options):
+    """Whether a run of a vehicle file meets its stops and says so, and its log proves it again."""
+    file = folder / "car.toml"
+    file.write_text(text)
+    assert main(["--vehicle", str(file), "--controller", "passive", "--logs", str(folder), *options]) == 0
+    assert "bump stop: a suspension is at the end of its stroke first at" in prose(capsys.readouterr().out)
+    (log,) = folder.glob("*.mcap")
+    return inspect([str(log)]) == 0
+
+
 def test_a_log_proves_stops_of_an_axle(tmp_path, capsys):
     """A half-car with stops of its own at the rear is logged, and the log proves it again."""
-    file = tmp_path / "car.toml"
-    file.write_text(read_vehicle("half_car").text + UNLIKE + "1e5\n[limits.rear]\nsuspension_stroke = 0.03\n")
-    arguments = ["--vehicle", str(file), "--controller", "passive", "--logs", str(tmp_path), "--height", "0.15"]
-    assert main(arguments) == 0
-    assert "bump stop: a suspension is at the end of its stroke first at" in prose(capsys.readouterr().out)
-    (log,) = tmp_path.glob("*.mcap")
-    assert inspect([str(log)]) == 0
+    text = read_vehicle("half_car").text + UNLIKE + "1e5\n[limits.rear]\nsuspension_stroke = 0.03\n"
+    assert proves_its_stops(tmp_path, capsys, text, "--height", "0.15")
 
 
 @pytest.mark.parametrize(
@@ -240,13 +245,7 @@ def test_bad_places_are_refused(section, words):
 
 def test_a_log_proves_its_stops(tmp_path, capsys):
     """A run into unlike progressive stops is logged, and the log proves it again."""
-    file = tmp_path / "car.toml"
-    file.write_text(read_vehicle("quarter_car").text + UNLIKE + STOPS["of each side"])
-    arguments = ["--vehicle", str(file), "--controller", "passive", "--logs", str(tmp_path)]
-    assert main(arguments) == 0
-    assert "bump stop: a suspension is at the end of its stroke first at" in prose(capsys.readouterr().out)
-    (log,) = tmp_path.glob("*.mcap")
-    assert inspect([str(log)]) == 0
+    assert proves_its_stops(tmp_path, capsys, read_vehicle("quarter_car").text + UNLIKE + STOPS["of each side"])
 
 
 @pytest.mark.parametrize(

@@ -16,8 +16,9 @@ from models.common.whole_file import made_folder, together, whole_file
 from models.figures.outputs import check_outputs, written, written_lines
 from models.figures.page import Page, check_page, write_page
 from models.figures.picture import check_drawing, write_picture
-from models.loads.choice import SYNTAX, choose_load
+from models.loads.choice import choose_load
 from models.vehicle import Vehicle, read_vehicle
+from sim.asked.options import add_loads
 from sim.command.claims import say_false_claims
 from sim.command.driven import driven
 from sim.command.usual import USUAL, left_out, left_out_lines
@@ -122,14 +123,7 @@ def _parser() -> Parser:
         help="also a trade-off between two or three demands, e.g. ride:travel, as `python -m synth --front` has it, with "
         "MuJoCo's values at some of its designs; takes half a minute more",
     )
-    parser.add_argument(
-        "--load",
-        dest="loads",
-        action="append",
-        default=[],
-        metavar="LOAD",
-        help=f"also what this load does on a flat road; several act together: {SYNTAX}",
-    )
+    add_loads(parser, "also what this load does on a flat road")
     parser.add_number("--timestep", 1e-3, "s", "integration step and sample period of the controller")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     return parser
