@@ -1,1 +1,54 @@
-"""What a vehicle is: its equations, its MJCF and its parameters, side by side, and the names of its signals."""
+"""What a vehicle is: its equations, its MJCF and its parameters, side by side, and the names of its signals.
+
+Public names, imported when they are first used; all units are SI:
+
+- vehicles: `read_vehicle`, `parse_vehicle`, `Vehicle`
+- roads: `Bump`, `Step`, `Pothole`, `WattsHump`, `Flat`, `SineSweep`, `Iso8608`, `Profile`, `Rig`; `Road` is what they have in
+  common, and `choose_road` reads them as text
+- a kind of vehicle of your own: `VehicleKind`, `Wheel`, `Suspension`, `Parameter`, `Variation`, `LinearModel`, `signals`,
+  `GRAVITY`
+- a law of your own: `LinearLaw`
+- bad input of any kind: `InputError`, whose message is one line that says what to do
+
+Whatever else a module holds may move without notice.
+"""
+
+from typing import TYPE_CHECKING
+
+from models.common.lazy import attach
+
+USUAL_TIMESTEP = 1e-3  # s, of a run, and so a controller's sample period where no other is asked for
+
+if TYPE_CHECKING:  # what type checkers and editors see
+    from models.common.errors import InputError
+    from models.kinds import signals
+    from models.kinds.kind import GRAVITY, Parameter, Suspension, Variation, VehicleKind, Wheel
+    from models.kinds.linear_model import LinearModel
+    from models.laws.linear import LinearLaw
+    from models.roads.choice import choose_road
+    from models.roads.iso8608 import Iso8608
+    from models.roads.obstacles import Flat, Pothole, Step, WattsHump
+    from models.roads.profile import Profile
+    from models.roads.rig import Rig
+    from models.roads.road import Bump, Road
+    from models.roads.sinusoids import SineSweep
+    from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
+else:
+    __getattr__, __dir__, __all__ = attach(
+        __name__,
+        {
+            "models.common.errors": "InputError",
+            "models.kinds.kind": "GRAVITY Parameter Suspension Variation VehicleKind Wheel",
+            "models.kinds.linear_model": "LinearModel",
+            "models.kinds.signals": "",
+            "models.laws.linear": "LinearLaw",
+            "models.roads.choice": "choose_road",
+            "models.roads.iso8608": "Iso8608",
+            "models.roads.obstacles": "Flat Pothole Step WattsHump",
+            "models.roads.profile": "Profile",
+            "models.roads.rig": "Rig",
+            "models.roads.road": "Bump Road",
+            "models.roads.sinusoids": "SineSweep",
+            "models.vehicle.vehicle": "Vehicle parse_vehicle read_vehicle",
+        },
+    )

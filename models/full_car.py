@@ -1,4 +1,4 @@
-"""The full car: heave, pitch and roll of a body on four wheels. Its equations are in `rigid_body.py`.
+"""The full car: heave, pitch and roll of a body on four wheels. Its equations are in `kinds/rigid_body.py`.
 
 Its fourteen states hold the tyre deflections as three modes, which a rigid body can follow, and not as four wheels: the fourth
 mode, the twist, is fixed by the suspension deflections and the twist of the road.
@@ -8,10 +8,10 @@ from functools import partial
 
 import numpy as np
 
-from models import rigid_body, signals
-from models.kind import Parameter, Parameters, Variation, VehicleKind, Wheel
-from models.linear_model import LinearModel
-from models.rigid_body import Bar, Corner, RigidBody
+from models.kinds import rigid_body, signals
+from models.kinds.kind import Parameter, Parameters, Variation, VehicleKind, Wheel
+from models.kinds.linear_model import LinearModel
+from models.kinds.rigid_body import Bar, Corner, RigidBody
 
 AXLES = ("front", "rear")
 SIDES = ("left", "right")

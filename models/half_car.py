@@ -1,11 +1,11 @@
-"""The half-car: heave and pitch of a body on two axles, one side of a symmetric car. Its equations are in `rigid_body.py`."""
+"""The half-car: heave and pitch of a body on two axles, one side of a symmetric car. Its equations: `kinds/rigid_body.py`."""
 
 import numpy as np
 
-from models import rigid_body, signals
-from models.kind import Parameter, Parameters, Variation, VehicleKind, Wheel
-from models.linear_model import LinearModel
-from models.rigid_body import Corner, RigidBody
+from models.kinds import rigid_body, signals
+from models.kinds.kind import Parameter, Parameters, Variation, VehicleKind, Wheel
+from models.kinds.linear_model import LinearModel
+from models.kinds.rigid_body import Corner, RigidBody
 
 CORNERS = ("front", "rear")
 

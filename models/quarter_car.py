@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from models import signals
-from models.kind import GRAVITY, BodyLoad, Invariant, Parameter, Parameters, Variation, VehicleKind, Wheel
-from models.linear_model import LinearModel
+from models.kinds import signals
+from models.kinds.kind import GRAVITY, BodyLoad, Invariant, Parameter, Parameters, Variation, VehicleKind, Wheel
+from models.kinds.linear_model import LinearModel
 
 PARAMETERS = (
     Parameter("sprung_mass", "kg", "m_s, what one wheel carries of the body", varied=Variation("sprung mass", 0.7, 1.4)),

@@ -1,8 +1,13 @@
 """`python -m sim`: which commands there are, and what question each answers."""
 
+import runpy
+import sys
 from collections.abc import Sequence
+from typing import NoReturn
 
+from models.common import interrupt
 from models.common.command import Parser, run_command
+from models.common.errors import InputError, listing
 
 COMMANDS = (  # name, the question it answers, the options that one reaches for first
     ("synth", "which gains, how good, and how far from the best possible?", "--refine --save --check --front"),
@@ -24,7 +29,9 @@ exit code: 0 done, agreed, proved; 1 not; 2 bad input;
 examples:
   python -m sim.bump --controller I
   python -m sim.bump --help
+  roadproof bump --controller I      the same as the first, once installed
 """
+VERBS = {name.rpartition(".")[2]: name for name, _, _ in COMMANDS}  # as `roadproof` has them
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -45,6 +52,29 @@ def table() -> list[str]:
     for name, question, options in COMMANDS:
         lines += [f"  {name:12}  {question}", f"  {'':12}  {options}"]
     return lines
+
+
+def roadproof() -> NoReturn:
+    """What is installed as `roadproof`: `roadproof bump ...` is `python -m sim.bump ...`, and without a verb `python -m sim`."""
+    asked = sys.argv[1:]
+    sys.argv[0] = "-m"
+    interrupt.quiet_start()
+    if asked and asked[0] in VERBS:
+        del sys.argv[1]
+        runpy.run_module(VERBS[asked[0]], run_name="__main__", alter_sys=True)
+        sys.exit(0)
+    if asked and not asked[0].startswith("-"):
+        run_command(_unknown)
+    run_command(main)
+
+
+def _unknown() -> int:
+    """Refuses a verb.
+
+    Raises:
+        InputError: it names those there are.
+    """
+    raise InputError(f"unknown command {sys.argv[1]!r}; roadproof has {listing(VERBS)}")
 
 
 if __name__ == "__main__":

@@ -1,19 +1,17 @@
 """`python -m sim.bump`: controllers over a bump, in MuJoCo and in linear analysis, compared and logged."""
 
 import json
-from collections.abc import Sequence
+from argparse import Namespace
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 from models.common.command import chosen, run_command
-from models.common.printed import say, titled
-from models.figures.outputs import check_outputs
-from models.roads.road import Bump
-from models.vehicle import Vehicle, read_vehicle
-from sim.asked.bump import asked_road, parser
-from sim.command.comparison import check_view, compared_lines, run_beside_passive, view
-from sim.command.logs import log_lines, recorded
-from sim.runs.run import Run, sample_times
-from sim.runs.words import half_step_object, run_object, summary_lines
-from synth.designer import Designer
+from sim.command.bump_options import asked_road, parser
+
+if TYPE_CHECKING:
+    from models.roads.road import Bump
+    from models.vehicle.vehicle import Vehicle
+    from sim.runs.run import Run
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -23,6 +21,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         InputError: bad options, vehicle file or logs folder.
     """
     options = parser().parse_args(arguments)
+    from models.common.printed import say
+    from models.figures.outputs import check_outputs
+    from models.vehicle.vehicle import read_vehicle
+    from sim.command.comparison import check_view, compared_lines, recorded, run_named, view
+    from sim.runs.report import half_step_object, run_object
+    from sim.runs.run import sample_times
+    from synth.vehicle.designer import Designer
+
     vehicle = read_vehicle(options.vehicle)
     names, road = chosen(vehicle.controller_names, options.controller), asked_road(options)
     time = sample_times(vehicle, options.duration, options.timestep)
@@ -30,7 +36,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     check_view(options)
     check_outputs({"logs": options.logs}, vehicle.files)
 
-    runs, passive = run_beside_passive(vehicle, names, Designer(vehicle, search=False).design, road, time)
+    design = Designer(vehicle, search=False).design
+    runs = run_named(vehicle, names, design, road, time)
     result = {
         "runs": [run_object(run) | {"half_step": half_step_object(run)} for run in runs],
         "road": road.describe(),
@@ -40,19 +47,30 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.json:
         print(json.dumps({**result, "logs": logs}, allow_nan=False))
     else:
-        say(_text(vehicle, road, runs, passive, options, logs))
+        say(_text(vehicle, road, runs, compared_lines(runs, design), options, logs))
     view(options, logs)
     return 0 if all(run.holds for run in runs) else 1
 
 
-def _text(vehicle: Vehicle, road: Bump, runs: Sequence[Run], passive: Run, options, logs: dict) -> list[str]:
+def _text(
+    vehicle: "Vehicle",
+    road: "Bump",
+    runs: "Sequence[Run]",
+    compared: list[list[str]],
+    options: Namespace,
+    logs: Mapping[str, str | None],
+) -> list[str]:
+    from models.common.printed import titled
+    from sim.command.comparison import log_lines
+    from sim.runs.report import summary_lines
+
     lines = titled(
         f"{vehicle.kind.name} over a bump of {road.height:g} m height and {road.length:g} m length at {road.speed:g} m/s"
         f"{'' if road.track == 'both' else f', {road.track} wheels only'}; {options.duration:g} s at {options.timestep:g} s",
         vehicle.source,
     )
-    for run in runs:
-        lines += ["", *compared_lines(run, passive)]
+    for of_run in compared:
+        lines += ["", *of_run]
     return [*lines, *log_lines(logs), "", *summary_lines(runs)]
 
 

@@ -4,18 +4,7 @@ import json
 from collections.abc import Sequence
 
 from models.common.command import chosen, run_command
-from models.common.printed import say, titled
-from models.figures.outputs import check_outputs
-from models.vehicle import read_vehicle
-from sim.asked.drive import asked_road, parser
-from sim.command.comparison import check_view, compared_lines, run_beside_passive, view
-from sim.command.logs import log_lines, recorded
-from sim.ride.measured import first_sample, measure_run, metric_lines, metrics_object
-from sim.ride.metrics import DEFINITIONS
-from sim.ride.roughness import driven_roughness, roughness_object
-from sim.runs.run import sample_times
-from sim.runs.words import half_step_object, run_object, summary_lines
-from synth.designer import Designer
+from sim.command.drive_options import asked_road, parser
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -25,6 +14,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
         InputError: bad options, vehicle file, road or logs folder.
     """
     options = parser().parse_args(arguments)
+    from models.common.printed import say, titled
+    from models.figures.outputs import check_outputs
+    from models.vehicle.vehicle import read_vehicle
+    from sim.command.comparison import check_view, compared_lines, log_lines, recorded, run_named, view
+    from sim.runs.report import half_step_object, run_object, summary_lines
+    from sim.runs.run import sample_times
+    from sim.studies.ride.metrics import DEFINITIONS
+    from sim.studies.ride.run_metrics import (
+        driven_roughness,
+        first_sample,
+        measure_run,
+        metric_lines,
+        metrics_object,
+        roughness_object,
+    )
+    from synth.vehicle.designer import Designer
+
     vehicle = read_vehicle(options.vehicle)
     names = chosen(vehicle.controller_names, options.controller)
     time = sample_times(vehicle, options.duration, options.timestep)
@@ -32,7 +38,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     check_view(options)
     check_outputs({"logs": options.logs}, vehicle.files)
 
-    runs, passive = run_beside_passive(vehicle, names, Designer(vehicle, search=False).design, road, time)
+    design = Designer(vehicle, search=False).design
+    runs = run_named(vehicle, names, design, road, time)
     first = first_sample(vehicle, [run.controller for run in runs], road, options.duration, options.timestep)
     measured = [measure_run(run, first) for run in runs]
     roughness = driven_roughness(vehicle, road, time)
@@ -54,8 +61,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         lines = titled(
             f"{vehicle.kind.name} over a road: {road.words}; {options.duration:g} s at {options.timestep:g} s", vehicle.source
         )
-        for run, one in zip(runs, measured, strict=True):
-            lines += ["", *compared_lines(run, passive), ""]
+        for run, one, compared in zip(runs, measured, compared_lines(runs, design), strict=True):
+            lines += ["", *compared, ""]
             lines += metric_lines(run, one, float(time[first]), options.duration, roughness)
         say([*lines, *log_lines(logs), "", *summary_lines(runs)])
     view(options, logs)

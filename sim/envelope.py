@@ -3,32 +3,23 @@
 import functools
 import json
 from collections.abc import Sequence
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from models.common import interrupt
-from models.common.arrays import Array
 from models.common.command import complain, one_chosen, run_command
 from models.common.errors import InputError
-from models.common.printed import say, titled
-from models.common.progress import Stages
-from models.figures.outputs import check_outputs, written, written_lines
-from models.figures.picture import write_picture
-from models.loads.choice import choose_load
-from models.loads.load import Load
-from models.roads.loaded import PLUS
-from models.roads.road import LOWEST, Bump
-from models.vehicle import Vehicle, read_vehicle
-from sim.asked.envelope import nearest_run, parser
-from sim.command.claims import say_false_claims
-from sim.command.logs import log_lines, recorded
-from sim.response.regime import END_NAMES
-from sim.runs.run import Run, run_all, sample_times
-from sim.validity.cells import Cells, Interrupted, loaded, validity
-from sim.validity.grid import UNITS, grid, read_axes
-from sim.validity.words import envelope_lines, envelope_object, loads_object, write_csv
-from synth.controller import Controller
-from synth.designer import Designer
+from models.common.printed import Stages, say, titled
+from models.vehicle.names import PLUS
+from sim.command.envelope_options import nearest_run, parser
+
+if TYPE_CHECKING:
+    from models.common.arrays import Array
+    from models.roads.load import Load
+    from models.roads.road import Bump
+    from models.vehicle.vehicle import Vehicle
+    from sim.runs.run import Run
+    from sim.studies.validity.regime_map import Cells
+    from synth.controller.controller import Controller
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -38,6 +29,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         InputError: bad options, vehicle file or output file.
     """
     options = parser().parse_args(arguments)
+    from models.figures.outputs import check_outputs, written, written_lines
+    from models.roads.load_choice import choose_load
+    from models.vehicle.vehicle import read_vehicle
+    from sim.command.comparison import log_lines, recorded, say_false_claims
+    from sim.runs.run import sample_times
+    from sim.studies.validity.grid import UNITS, grid, read_axes
+    from sim.studies.validity.regime_map import Interrupted, loaded, validity
+    from sim.studies.validity.report import envelope_lines, envelope_object, loads_object, write_csv
+    from synth.vehicle.designer import Designer
+
     vehicle = read_vehicle(options.vehicle)
     name = one_chosen(vehicle.controller_names, options.controller)
     axes = read_axes(options.vary or [])
@@ -65,7 +66,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.csv is not None:
         write_csv(options.csv, cells, options.threshold)
     if options.picture is not None:
-        from sim.validity.figure import envelope_figure
+        from models.figures.picture import write_picture
+        from sim.studies.validity.report import envelope_figure
 
         fixed = {name: getattr(options, name) for name in UNITS if name not in {axis.name for axis in axes}}
         write_picture(envelope_figure(vehicle, controller, cells, axes, fixed, options.threshold, loads), options.picture)
@@ -86,8 +88,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0 if cells.as_predicted else 1
 
 
-def _nearest_runs(vehicle: Vehicle, controller: Controller, cells: Cells, time: Array, loads: tuple[Load, ...]) -> dict[str, Run]:
+def _nearest_runs(
+    vehicle: "Vehicle", controller: "Controller", cells: "Cells", time: "Array", loads: "tuple[Load, ...]"
+) -> "dict[str, Run]":
     """Of the cells where nothing breaks the one nearest to breaking, and of those where an end comes first the mildest."""
+    import numpy as np
+
+    from sim.response.regime import END_NAMES
+    from sim.runs.run import run_all
+    from sim.studies.validity.regime_map import loaded
+
     found, used = {}, cells.used.max(axis=-1)
     for end in (-1, *range(len(END_NAMES))):
         mine = np.flatnonzero(cells.done & (cells.first == end))
@@ -97,7 +107,9 @@ def _nearest_runs(vehicle: Vehicle, controller: Controller, cells: Cells, time: 
     return found
 
 
-def _check(vehicle: Vehicle, bumps: Sequence[Bump], time: Array, threshold: float) -> None:
+def _check(vehicle: "Vehicle", bumps: "Sequence[Bump]", time: "Array", threshold: float) -> None:
+    from models.roads.road import LOWEST
+
     if not 0 < threshold < 1:
         raise InputError(f"threshold = {threshold:g} is not allowed; give a share of a peak above 0 and below 1, such as 0.05")
     if abs(bumps[0].height) < LOWEST:

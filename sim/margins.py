@@ -5,30 +5,18 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from models.common.command import one_chosen, run_command
 from models.common.errors import InputError
-from models.common.printed import say, titled
-from models.common.progress import Stages
-from models.curves.fitted import lines_at_rest
-from models.figures.outputs import check_outputs, written, written_lines
-from models.figures.picture import write_picture
-from models.reality import Implementation
-from models.vehicle import Vehicle, read_vehicle
-from sim.asked.margins import late_run, parser
-from sim.command.claims import say_false_claims
-from sim.command.logs import log_lines, recorded
-from sim.linear.at_rest import at_rest, bent_at_rest
-from sim.runs.run import Run, run_all, sample_times
-from sim.stability.cut import cut
-from sim.stability.fragile import find_fragility
-from sim.stability.growth import BUMP, LONGEST, SHORTEST
-from sim.stability.margins import LoopMargins, find_margins
-from sim.stability.robustness import robustness
-from sim.stability.words import margins_lines, margins_object, verdict
-from synth.controller import Controller
-from synth.designer import Designer
-from synth.implemented.loop import sampled_radius
+from models.common.printed import Stages, say, titled
+from sim.command.margins_options import late_run, parser
+
+if TYPE_CHECKING:
+    from models.vehicle.vehicle import Vehicle
+    from sim.runs.run import Run
+    from sim.studies.stability.margin_search import LoopMargins
+    from synth.controller.controller import Controller
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -38,6 +26,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
         InputError: bad options or vehicle file, or a controller that has no loop to speak of.
     """
     options = parser().parse_args(arguments)
+    from models.figures.outputs import check_outputs, written, written_lines
+    from models.vehicle.limits_and_implementation import Implementation
+    from models.vehicle.vehicle import read_vehicle
+    from sim.command.comparison import log_lines, recorded, say_false_claims
+    from sim.linear.nonlinear_elements import at_rest
+    from sim.runs.run import sample_times
+    from sim.studies.stability.fragility import find_fragility
+    from sim.studies.stability.growth_test import LONGEST
+    from sim.studies.stability.margin_search import find_margins
+    from sim.studies.stability.report import margins_lines, margins_object, verdict
+    from sim.studies.stability.robustness import robustness
+    from synth.vehicle.designer import Designer
+
     # What is asked is how much the loop bears beyond an ideal implementation.
     as_built = read_vehicle(options.vehicle)
     vehicle = replace(at_rest(as_built), implementation=Implementation())
@@ -57,7 +58,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     (box,) = robustness(vehicle, [controller], options.timestep, stage)
     stage("picture and logs")
     if options.picture is not None:
-        from sim.stability.figure import margins_figure
+        from models.figures.picture import write_picture
+        from sim.studies.stability.figure import margins_figure
 
         write_picture(margins_figure(vehicle, controller, found[""], fragile, box, options.timestep), options.picture)
     result = {
@@ -78,12 +80,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0 if (box is None or box.holds) and fragile.agrees and all(one.agrees for one in found.values()) else 1
 
 
-def _with_loop(vehicle: Vehicle, controller: Controller, timestep: float) -> Controller:
+def _with_loop(vehicle: "Vehicle", controller: "Controller", timestep: float) -> "Controller":
     """The controller, if its loop is one that has margins.
 
     Raises:
         InputError: it has no gain, or is unstable as it is.
     """
+    from sim.studies.stability.loop_transfer import cut
+    from synth.controller.open_loop import LoopModel
+
     name = controller.name
     if not controller.law.acts:
         raise InputError(f"controller {name!r} has no gain, so there is no loop and no margin; give one that has")
@@ -98,7 +103,7 @@ def _with_loop(vehicle: Vehicle, controller: Controller, timestep: float) -> Con
             f"controller {name!r} bears no delay at all, and no computer: what it measures at once has {times:.4g} times its own "
             "force in it, which grows from sample to sample; lower its gain on accelerations, or filter them"
         )
-    radius = sampled_radius(vehicle, controller, timestep)
+    radius = LoopModel(vehicle, controller, timestep).radius
     if radius >= 1:
         raise InputError(
             f"controller {name!r} is not stable at a timestep of {timestep:g} s (its sampled loop grows by {radius:.6g} every "
@@ -107,8 +112,12 @@ def _with_loop(vehicle: Vehicle, controller: Controller, timestep: float) -> Con
     return controller
 
 
-def _delayed_runs(vehicle: Vehicle, controller: Controller, loop: LoopMargins, timestep: float) -> dict[str, Run]:
+def _delayed_runs(vehicle: "Vehicle", controller: "Controller", loop: "LoopMargins", timestep: float) -> "dict[str, Run]":
     """The run that still decays and the one that grows, to be recorded; without a delay margin, the longest delay tried."""
+    from models.vehicle.limits_and_implementation import Implementation
+    from sim.runs.run import run_all, sample_times
+    from sim.studies.stability.growth_test import BUMP, SHORTEST
+
     delays = [loop.delay.stable, loop.delay.unstable] if math.isfinite(loop.delay.unstable) else [loop.delay.stable]
     time, found = sample_times(vehicle, SHORTEST, timestep), {}
     for samples in (round(delay / timestep) for delay in delays):
@@ -117,8 +126,11 @@ def _delayed_runs(vehicle: Vehicle, controller: Controller, loop: LoopMargins, t
     return found
 
 
-def _which_loop(vehicle: Vehicle) -> str:
+def _which_loop(vehicle: "Vehicle") -> str:
     """Which loop has these margins, and which the norms of other vehicles, where the vehicle file says more than parameters."""
+    from models.suspension.fitted_curves import lines_at_rest
+    from sim.linear.nonlinear_elements import bent_at_rest
+
     slopes = lines_at_rest(vehicle.fitted)
     lines = f"of the lines of [curves] at rest, and there alone: {slopes}" if slopes else ""
     if bent_at_rest(vehicle):

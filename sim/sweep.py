@@ -2,30 +2,19 @@
 
 import json
 from collections.abc import Sequence
-from typing import Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from models.common.command import run_command
 from models.common.errors import InputError
-from models.common.printed import say, titled
-from models.common.progress import Stages
-from models.figures.figure import styles
-from models.figures.outputs import check_outputs, written, written_lines
-from models.figures.picture import write_picture
-from models.vehicle import Vehicle, read_vehicle
-from sim.asked.sweep import asked_names, parser, worst_road, worst_times
-from sim.command.claims import say_false_claims
-from sim.command.driven import driven
-from sim.command.logs import log_lines, recorded
-from sim.command.usual import left_out, left_out_lines
-from sim.frequency.describing_function import DescribingFunction, describing_function
-from sim.frequency.identification import ideal_measurements
-from sim.frequency.sweep import EXTREMES, LINES, OWN, Sweep, holds, summary_lines, sweep, sweep_lines, sweep_object
-from sim.linear.at_rest import at_rest_words
-from sim.runs.run import Run, run_all
-from synth.controller import Controller
-from synth.designer import Designer
+from models.common.printed import Stages, say, titled
+from sim.command.road_options import left_out, left_out_lines
+from sim.command.sweep_options import asked_names, parser, worst_road, worst_times
+
+if TYPE_CHECKING:
+    from models.vehicle.vehicle import Vehicle
+    from sim.runs.run import Run
+    from sim.studies.frequency.describing_function import DescribingFunction
+    from sim.studies.frequency.sweep import Sweep
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -35,6 +24,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         InputError: bad options or vehicle file.
     """
     options = parser().parse_args(arguments)
+    import numpy as np
+
+    from models.figures.outputs import check_outputs, written, written_lines
+    from models.vehicle.vehicle import read_vehicle
+    from sim.command.comparison import controllers_of, log_lines, recorded, say_false_claims
+    from sim.linear.nonlinear_elements import at_rest_words
+    from sim.studies.frequency.sweep import EXTREMES, LINES, OWN, holds, summary_lines, sweep, sweep_lines, sweep_object
+    from synth.controller.controller import Controller
+    from synth.vehicle.designer import Designer
+
     vehicle = read_vehicle(options.vehicle)
     names = asked_names(vehicle, options)
     if not 1e-3 <= options.speed <= 1e3:
@@ -46,15 +45,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     stage = Stages("designs", LINES, EXTREMES, OWN, "picture and logs")
     stage("designs")
     designer = Designer(vehicle, search=False)
-    controllers, how = driven(vehicle, names, designer.design), (options.amplitude, options.timestep, options.speed)
+    controllers, how = controllers_of(vehicle, names, designer.design), (options.amplitude, options.timestep, options.speed)
     say_false_claims(controllers)
     linear = [one for one in controllers if isinstance(one, Controller)]
     swept = sweep(vehicle, linear, *how, stage) if linear else []
     stage(OWN)
-    own = [describing_function(vehicle, one, *how) for one in controllers if not isinstance(one, Controller)]
+    lawful = [one for one in controllers if not isinstance(one, Controller)]
+    own: list[DescribingFunction] = []
+    if lawful:
+        from sim.studies.frequency.describing_function import describing_function
+
+        own = [describing_function(vehicle, one, *how) for one in lawful]
     stage("picture and logs")
     if options.picture is not None:
-        from sim.frequency.figure import sweep_figure
+        from models.figures.figure import styles
+        from models.figures.picture import write_picture
+        from sim.studies.frequency.figure import sweep_figure
 
         figure = sweep_figure(vehicle, [one.lines for one in swept], *how, styles(tuple(names)), own)
         write_picture(figure, options.picture)
@@ -93,8 +99,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0 if all(map(holds, sweeps)) else 1
 
 
-def _worst_runs(vehicle: Vehicle, sweeps: Sequence[Sweep | DescribingFunction], options: Any) -> dict[str, Run]:
+def _worst_runs(vehicle: "Vehicle", sweeps: "Sequence[Sweep | DescribingFunction]", options: Any) -> "dict[str, Run]":
     """Every controller on its worst sinusoid, from rest, to be recorded."""
+    from sim.runs.run import run_all
+    from sim.studies.frequency.identification import ideal_measurements
+
     vehicle, found = ideal_measurements(vehicle), {}
     time = worst_times(vehicle, options)
     for one in sweeps:

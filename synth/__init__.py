@@ -1,5 +1,74 @@
-"""What a controller is: LMIs over any linear plant, and certificates. It knows no vehicle beyond the door `controller.py`."""
+"""What a controller is: LMIs over any linear plant, and certificates. Nothing below `controller/` knows a vehicle.
+
+Public names, imported when they are first used; all units are SI:
+
+- of a vehicle: `design_controllers`, `Designer`, `Controller`
+- any plant: `GeneralizedPlant`, continuous or with `dt`, and `Feedback`
+- static gains: `two_step_design`, `static_output_feedback`, `refine`; for a family of plants `slack_design`, for hard limits
+  `limited_design`, for goals `design_for_goals` of a `GoalProblem` with `NormGoal`, `Member`, `Posed`, `Errors`
+- controllers with states: `full_order_design`, `lqr_design`, `lqg_design`, `h2_design`
+- what is true of a loop: `certify`, `hinf_norm`, `norm_in_band`, `worst_norm`, `find_lower_bound`; of one that a computer closes
+  `sampled_norm` of a `SampledLoop`, whose period has a `Piece` or two
+- python-control: `from_state_space`, `controller_from`, `closed_loop`, `law_system`
+- no controller is ever empty: `DesignError`, `InfeasibleError`, `BatchError` say why there is none
+
+Whatever else a module holds may move without notice.
+"""
 
 from models.common.interrupt import quiet_start
 
 quiet_start()  # the first line of ours that `python -m` runs
+
+from typing import TYPE_CHECKING
+
+from models.common.lazy import attach
+
+if TYPE_CHECKING:  # what type checkers and editors see
+    from synth.analysis.band_norm import norm_in_band
+    from synth.analysis.certificate import certify
+    from synth.analysis.norm import hinf_norm
+    from synth.analysis.sampled_loop import Piece, SampledLoop
+    from synth.analysis.sampled_norm import sampled_norm
+    from synth.controller.controller import Controller
+    from synth.design.descent.refine import refine
+    from synth.design.full_order.full_order import full_order_design
+    from synth.design.full_order.quadratic import h2_design, lqg_design, lqr_design
+    from synth.design.multi_model import slack_design
+    from synth.design.multi_objective.design import design_for_goals
+    from synth.design.multi_objective.problem import Errors, GoalProblem, Member, NormGoal, Posed
+    from synth.design.static import static_output_feedback
+    from synth.design.two_step import two_step_design
+    from synth.design.two_step_with_peak_limits import limited_design
+    from synth.design.uncertainty.worst_case import worst_norm
+    from synth.lmi.full_order_bound import find_lower_bound
+    from synth.plant.generalized import Feedback, GeneralizedPlant
+    from synth.plant.numerics import BatchError, DesignError, InfeasibleError
+    from synth.vehicle.designer import Designer, design_controllers
+    from synth.vehicle.state_space import closed_loop, controller_from, from_state_space, law_system
+else:
+    __getattr__, __dir__, __all__ = attach(
+        __name__,
+        {
+            "synth.analysis.band_norm": "norm_in_band",
+            "synth.analysis.certificate": "certify",
+            "synth.analysis.norm": "hinf_norm",
+            "synth.analysis.sampled_loop": "Piece SampledLoop",
+            "synth.analysis.sampled_norm": "sampled_norm",
+            "synth.controller.controller": "Controller",
+            "synth.design.descent.refine": "refine",
+            "synth.design.full_order.full_order": "full_order_design",
+            "synth.design.full_order.quadratic": "h2_design lqg_design lqr_design",
+            "synth.design.multi_model": "slack_design",
+            "synth.design.multi_objective.design": "design_for_goals",
+            "synth.design.multi_objective.problem": "Errors GoalProblem Member NormGoal Posed",
+            "synth.design.static": "static_output_feedback",
+            "synth.design.two_step": "two_step_design",
+            "synth.design.two_step_with_peak_limits": "limited_design",
+            "synth.design.uncertainty.worst_case": "worst_norm",
+            "synth.lmi.full_order_bound": "find_lower_bound",
+            "synth.plant.generalized": "Feedback GeneralizedPlant",
+            "synth.plant.numerics": "BatchError DesignError InfeasibleError",
+            "synth.vehicle.designer": "Designer design_controllers",
+            "synth.vehicle.state_space": "closed_loop controller_from from_state_space law_system",
+        },
+    )

@@ -7,8 +7,8 @@ each frequency, weighed against each other by one number: 0.01 for comfort, 0.99
 
 import numpy as np
 
-from synth.dynamic.weights import System, append, gain, generalized, series, transfer_function
-from synth.plant import GeneralizedPlant
+from synth.plant.augmented import System, append, gain, generalized, series, transfer_function
+from synth.plant.generalized import GeneralizedPlant
 
 SCENARIOS = (0.01, 0.5, 0.99)
 PRINTED = {0.01: (0.94, 0.93962), 0.5: (0.67, 0.67222), 0.99: (0.89, 0.88515)}  # norms printed there, and by LMI elsewhere

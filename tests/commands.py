@@ -4,7 +4,9 @@ import importlib
 import os
 from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
+T = TypeVar("T")
 ROOT = Path(__file__).parent.parent
 
 
@@ -17,6 +19,18 @@ def main_of(command: str) -> Callable[[list[str]], int]:
 def prose(printed: str) -> str:
     """What was printed with its lines joined, as a sentence that goes over several reads."""
     return " ".join(printed.split())
+
+
+def once(function: Callable[..., T]) -> Callable[..., T]:
+    """Returns a function that computes at its first call alone: what a command prints in words and as `--json` is then of one."""
+    found: list[T] = []
+
+    def first(*arguments: object, **named: object) -> T:
+        if not found:
+            found.append(function(*arguments, **named))
+        return found[0]
+
+    return first
 
 
 def environment() -> dict[str, str]:

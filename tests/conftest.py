@@ -2,17 +2,22 @@
 
 import dataclasses
 import signal
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
 from mcap.reader import make_reader
 
+from models.common.errors import InputError
 from models.roads.road import Bump
-from models.vehicle import Vehicle, read_vehicle
+from models.vehicle.vehicle import Vehicle, read_vehicle
 from sim.recording.run_log import RunLog
 from sim.runs.run import run_all, sample_times
-from synth.designer import Designer
-from synth.plant import GeneralizedPlant
+from synth.plant.generalized import GeneralizedPlant
+from synth.vehicle.designer import Designer
+from tests import shared
+
+shared.share_designs()
 
 # A shell without a terminal starts what is behind an `&` with Ctrl-C ignored, and every process of it inherits that: tests of
 # interrupts would then wait for one that never comes.
@@ -30,6 +35,36 @@ TEXTBOOK = {
     "suspension_damping": 1000,
     "tyre_stiffness": 190000,
 }
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _kept_while_the_session_lasts(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Workers share what `tests.shared` makes; sessions do not."""
+    base = tmp_path_factory.getbasetemp()
+    shared.keep_in((base.parent if hasattr(request.config, "workerinput") else base) / "shared")
+
+
+@pytest.fixture
+def monkeypatch(monkeypatch: pytest.MonkeyPatch) -> Iterator[pytest.MonkeyPatch]:
+    """As pytest's own; designs are not shared while the product is patched."""
+    with shared.making_designs_anew(monkeypatch) as patch:
+        yield patch
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _messages_are_whole() -> Iterator[None]:
+    """Every complaint that any test meets is a sentence that ends: not in a comma, a colon, a space, nor of nothing."""
+    plain, cut = InputError.__init__, []
+
+    def checked(self: InputError, message: object = "") -> None:
+        plain(self, message)
+        if not str(self) or str(self)[-1] in ",: (":
+            cut.append(str(self))
+
+    InputError.__init__ = checked
+    yield
+    InputError.__init__ = plain
+    assert not cut
 
 
 @pytest.fixture(scope="session")
@@ -53,7 +88,7 @@ def designer(paper) -> Designer:
 @pytest.fixture(scope="session")
 def lifting(designer: Designer) -> RunLog:
     """A quarter-car with controller I over a bump that throws it off the road."""
-    from sim.recording.provenance import run_log  # it imports Rerun, which most tests need not
+    from sim.recording.run_records import run_log  # it imports Rerun, which most tests need not
 
     vehicle, road = designer.vehicle, Bump(height=0.2, speed=20.0)
     time = sample_times(vehicle, 0.5, 1e-3)

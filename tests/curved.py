@@ -6,7 +6,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from models.roads.road import Bump
-from models.vehicle import Vehicle, parse_vehicle, read_vehicle
+from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 
 # An asymmetric, digressive damper, as cars have it: rebound some twice as hard as bump, both softer the faster.
 DIGRESSIVE = "{ velocity = [-1.5, -0.6, -0.15, 0.0, 0.15, 0.6, 1.5], force = [-1350, -750, -262.5, 0, 262.5, 1000, 1900] }"

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-OTHER = "from models.kind import Invariant, Suspension\nOTHER = dict(KIND.__dict__)\n"  # the kind's parts, to be changed
+OTHER = "from models.kinds.kind import Invariant, Suspension\nOTHER = dict(KIND.__dict__)\n"  # the kind's parts, to be changed
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ def _rests() -> Iterator[Damage]:
 
 
 def _parts() -> Iterator[Damage]:
-    wheel, load = "OTHER['wheels'][0].__dict__", "__import__('models.kind').kind.BodyLoad"
+    wheel, load = "OTHER['wheels'][0].__dict__", "__import__('models.kinds.kind').kinds.kind.BodyLoad"
     parts = {
         "parameters": ("None", "3", "('mass', 'stiffness')", "OTHER['parameters'] * 2", "(Parameter(3, 'kg', 'x'),)",
                        "(Parameter('a mass', 'kg', 'x'),)", "(Parameter('', 'kg', 'x'),)", "(Parameter('mass', 1, 'x'),)",
@@ -160,7 +160,7 @@ def _failures() -> Iterator[Damage]:
     for what, new in {"brackets": "(" * 500, "no Python": "def"}.items():
         yield Damage(what, "py", "is no Python", new)
     yield Damage("a NUL", "py", r"not a text file in UTF-8 \(a NUL character", "\x00")
-    new = "from models.kind import Variation\nVariation('mass', 2, 1)"
+    new = "from models.kinds.kind import Variation\nVariation('mass', 2, 1)"
     yield Damage("no variation", "py", r"the file fails \(mass varies by .*line \d+\)", new)
 
 

@@ -9,11 +9,11 @@ MAP = ["--vary", "height:0.02:0.03:2", "--vary", "speed:10:20:2", "--timestep", 
 EVERY_DRIVE = pytest.mark.parametrize(
     ("main", "options"),
     [
-        (bump.main, ["--no-logs", "--duration", "0.5"]),
-        (drive.main, ["--no-logs", "--duration", "1"]),
+        (bump.main, ["--no-logs", "--duration", "0.2"]),
+        (drive.main, ["--no-logs", "--duration", "0.3"]),
         (envelope.main, MAP),
-        pytest.param(sweep.main, [], marks=pytest.mark.slow),
-        pytest.param(margins.main, [], marks=pytest.mark.slow),
+        (sweep.main, ["--timestep", "0.004"]),
+        (margins.main, ["--timestep", "0.008"]),
     ],
     ids=["bump", "drive", "envelope", "sweep", "margins"],
 )

@@ -4,7 +4,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from synth.plant import Feedback
+from synth.plant.generalized import Feedback
 
 Matrix = list[list[Fraction]]
 

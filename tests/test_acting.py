@@ -9,18 +9,17 @@ import pytest
 import rerun.blueprint as rrb
 
 from models.roads.road import Bump
-from models.vehicle import read_vehicle
-from sim.acting.diagram import diagrams, pulled
+from models.vehicle.vehicle import read_vehicle
 from sim.drive import main
 from sim.inspect.__main__ import main as inspect
 from sim.inspect.log import read_log
 from sim.recording.foxglove_layout import foxglove_layout
 from sim.recording.mcap_writer import _nearly_equal
-from sim.recording.provenance import run_log
-from sim.recording.rerun_layout import _page
-from sim.recording.rerun_writer import write_rrd
+from sim.recording.rerun_writer import _page, write_rrd
+from sim.recording.run_records import run_log
+from sim.runs.force_diagram import diagrams, pulled
 from sim.runs.run import run_all, sample_times
-from synth.designer import design
+from synth.vehicle.designer import design
 from tests.commands import prose
 from tests.curved import DIGRESSIVE, PROGRESSIVE, with_curves
 from tests.rewriting import Contents, contents, written

@@ -5,9 +5,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from models.roads.road import Bump
-from sim.linear.loop import continuous_response, sampled_response, taylor4
-from sim.physics.simulate import simulate
+from sim.linear.sampled_response import taylor4
 from sim.runs.agreement import lift_off_intervals
+from tests.analysed import continuous_response, sampled_response, simulate
 from tests.conftest import random_vehicles
 
 CONFIGURATIONS = ["passive", "state", "I", "II", "state_printed", "I_printed", "II_printed"]

@@ -11,21 +11,21 @@ import pytest
 from scipy import linalg
 
 from models.common.errors import InputError
-from synth.certificate.bounding import certify_tightly
-from synth.certificate.certificate import certify
-from synth.design import state_design, state_path, two_step_design, zero_l_design
-from synth.errors import DesignError
-from synth.fallback import two_steps_or_descent
+from synth.analysis.bounding import certify_tightly
+from synth.analysis.certificate import certify
+from synth.design.batch import two_step_designs
+from synth.design.descent.landscape import Landscape
+from synth.design.descent.minimax import along_edges, lowest_point
+from synth.design.descent.refine import refine, worth_refining
+from synth.design.descent.symmetry import Symmetry
+from synth.design.fallback import two_steps_or_descent
+from synth.design.static import static_output_feedback
+from synth.design.two_step import state_design, state_path, two_step_design, zero_l_design
 from synth.lmi.barrier import Barrier, newton
-from synth.lmi.full_order import find_lower_bound
-from synth.numerics import numerics, up_to_rounding
-from synth.plant import SHAPES, Feedback, GeneralizedPlant
-from synth.redesign import two_step_designs
-from synth.search.descent import along_edges, lowest_point
-from synth.search.landscape import Landscape
-from synth.search.refine import refine, worth_refining
-from synth.search.static import static_output_feedback
-from synth.search.symmetry import Symmetry
+from synth.lmi.full_order_bound import find_lower_bound
+from synth.plant.generalized import SHAPES, Feedback, GeneralizedPlant
+from synth.plant.numerics import DesignError, numerics, up_to_rounding
+from synth.plant.units import own_units
 from tests.test_bounds_hold import of_lists
 
 LONG = 20.0  # s of processor time, of one call for a plant of at most six states
@@ -130,9 +130,9 @@ def ask_everything(seed: int, search: bool) -> None:
 
 
 @pytest.mark.attack
-@pytest.mark.parametrize("first", range(0, 240, 60))
+@pytest.mark.parametrize("first", range(0, 120, 60))
 def test_no_plant_is_too_odd(first, capfd):
-    """Of 240 random plants, stable or not, in any units, with any zeros, every function answers in time, without a warning."""
+    """Of 120 random plants, stable or not, in any units, with any zeros, every function answers in time, without a warning."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         for seed in range(first, first + 60):
@@ -245,3 +245,10 @@ def test_newton_says_that_it_has_no_decrement():
         Barrier([(one, np.array([[[1.0, 0.0], [0.0, 0.0]], 1e-170 * one]))]).at(np.zeros(2))
     barrier = Barrier([(one, np.array([[[1.0, 0.0], [0.0, 0.0]], [[0.0, 0.0], [0.0, 1.0]]]))])
     assert newton(barrier, np.zeros(2), np.array([np.nan, 0.0]), 1e-6)[1] == np.inf
+
+
+def test_a_plant_of_zeros_has_units_of_one():
+    """Nothing in a plant of zeros asks for a unit other than one."""
+    zero = np.zeros((1, 1))
+    units = own_units(GeneralizedPlant(A=zero, B=zero, Bw=zero, C=zero, D=zero, Dw=zero), np.zeros((0, 1)))
+    assert (units.states.tolist(), units.inputs.tolist()) == ([1.0], [1.0])

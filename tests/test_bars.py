@@ -10,15 +10,14 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
-from models.mjcf import build_model
 from models.roads.road import Bump
-from models.vehicle import parse_vehicle, read_vehicle
-from sim.physics.energy import energy
-from sim.physics.readout import reads_out
-from sim.physics.simulate import simulate
+from models.vehicle.mjcf import build_model
+from models.vehicle.vehicle import parse_vehicle, read_vehicle
+from sim.physics.sensor_readout import reads_out
 from sim.runs.run import run_all, sample_times
-from synth.designer import Designer
+from synth.vehicle.designer import Designer
 from tests import test_cars
+from tests.analysed import energy, simulate
 
 FRONT, REAR = 24000.0, 9000.0  # N m/rad, of a passenger car
 

@@ -9,15 +9,15 @@ import pyarrow.parquet as pq
 import pytest
 
 from models.common.errors import InputError
-from models.kind import HERE
-from models.own import running
+from models.kinds.kind import HERE
+from models.laws import python_runtime as running
 from sim.campaign.__main__ import main
 from sim.campaign.batch import FAILED, run_batch
 from sim.campaign.controllers import designed
 from sim.campaign.file import read_campaign
 from sim.campaign.manifest import read_manifest
 from sim.campaign.plan import Plan
-from sim.ride.metrics import metrics_of
+from sim.studies.ride.metrics import metrics_of
 from tests.commands import environment, prose
 from tests.pages import hopper
 
@@ -51,6 +51,8 @@ count = 4
 sprung_mass = { uniform = [400.0, 600.0] }
 """
 RUNS = 4 * (2 + 1)  # of each controller: samples, seeds of one road and the other
+BUMP = TEXT.replace('"iso8608:class=B", ', "")
+BUMPS = 4  # of each controller, over that road alone
 
 
 def campaign_of(folder: Path, mine: str = "", many: str = "", text: str = TEXT) -> Path:
@@ -106,12 +108,18 @@ FAULTS = {
 }
 
 
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory) -> list[dict] | None:
+    """The runs of a law without a fault."""
+    file = campaign_of(tmp_path_factory.mktemp("sound"), text=BUMP.replace('"linear", "mine", "many"', '"mine"'))
+    return run_batch(plan_of(file), 0, 4)
+
+
 @pytest.mark.parametrize("fault", FAULTS)
-def test_a_fault_is_of_one_run(tmp_path, monkeypatch, fault):
+def test_a_fault_is_of_one_run(tmp_path, monkeypatch, sound, fault):
     """A law that raises, gives what is no force or does not come back fails its own run, with a reason; others are untouched."""
     monkeypatch.setattr(running, "LONGEST", 0.2)
-    file = campaign_of(tmp_path, text=TEXT.replace('"linear", "mine", "many"', '"mine"').replace('"iso8608:class=B", ', ""))
-    sound = run_batch(plan_of(file), 0, 4)
+    file = campaign_of(tmp_path, text=BUMP.replace('"linear", "mine", "many"', '"mine"'))
     campaign_of(tmp_path, fault, text=file.read_text(encoding="utf-8"))
     rows = run_batch(plan_of(file), 0, 4)
     assert rows is not None
@@ -138,12 +146,14 @@ def test_the_same_whatever_runs_it(tmp_path, capsys):
         tmp_path,
         "    if mass > 540 and sample.time > 0.1: __import__('os')._exit(0)\n    print('noise')\n",
         "    if (mass > 540).any(): raise ValueError('too heavy')\n",
+        BUMP,
     )
-    first = rows_of(file, "--workers", "1", "--batch", "5", results="a")
+    first = rows_of(file, "--workers", "1", "--batch", "3", results="a")
     said = capsys.readouterr().out
-    rows_of(file, "--workers", "3", "--json", results="b")
+    rows_of(file, "--workers", "2", "--json", results="b")
     summary = json.loads(capsys.readouterr().out)["summary"]
     assert (tmp_path / "a" / "results.parquet").read_bytes() == (tmp_path / "b" / "results.parquet").read_bytes()
+    assert 0 < sum(row["reason"] is not None for row in first) < 2 * BUMPS
     for row in first:
         assert (row["reason"] is not None) == (row["controller"] != "linear" and row["parameter_sprung_mass"] > 540)
     for entry in summary:
@@ -162,7 +172,7 @@ def test_no_code_but_the_users_own(tmp_path, capsys):
     `--verify` runs a law only for a campaign file that is named; else it says how many runs it left out.
     """
     marks = f"    open({str(tmp_path / 'mark')!r}, 'a').close()\n"
-    file, mark, results = campaign_of(tmp_path, marks), tmp_path / "mark", tmp_path / "results"
+    file, mark, results = campaign_of(tmp_path, marks, text=BUMP), tmp_path / "mark", tmp_path / "results"
     rows_of(file)
     manifest = read_manifest(results)
     assert manifest is not None
@@ -170,14 +180,14 @@ def test_no_code_but_the_users_own(tmp_path, capsys):
     assert not any(b"def step" in path.read_bytes() for path in results.iterdir())
     mark.unlink()
     capsys.readouterr()
-    assert main(["--verify", str(results), "--runs", "36", "--json"]) == 0
+    assert main(["--verify", str(results), "--runs", "12", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert not mark.exists()
-    assert len(found["again"]) == RUNS
-    assert f"{2 * RUNS} are of laws in Python and were not driven again" in found["remark"]
-    assert main(["--verify", str(results), str(file), "--runs", "36"]) == 0
+    assert len(found["again"]) == BUMPS
+    assert f"{2 * BUMPS} are of laws in Python and were not driven again" in found["remark"]
+    assert main(["--verify", str(results), str(file), "--runs", "12"]) == 0
     assert mark.exists()
-    assert "36 of them" in prose(capsys.readouterr().out)
+    assert "12 of them" in prose(capsys.readouterr().out)
 
     (tmp_path / "mine.py").write_text(PLAIN.format(marks) + "#", encoding="utf-8")
     for arguments in ([str(file), "--results", str(results)], ["--verify", str(results)]):
@@ -185,7 +195,7 @@ def test_no_code_but_the_users_own(tmp_path, capsys):
             main(arguments)
     inside = tmp_path / "inside"
     inside.mkdir()
-    campaign_of(tmp_path, text=TEXT.replace('"car.toml"', '"inside/car.toml"'))
+    campaign_of(tmp_path, text=BUMP.replace('"car.toml"', '"inside/car.toml"').replace('"linear", "mine", "many"', '"mine"'))
     campaign_of(inside)
     assert main([str(file), "--results", str(tmp_path / "other")]) == 0
     (inside / "campaign.toml").unlink()
@@ -216,7 +226,7 @@ def test_no_kind_that_came_with_results(tmp_path, capsys):
 @pytest.mark.attack  # half a minute: the limits are as they are
 def test_a_law_that_sleeps(tmp_path):
     """A call that nothing ends costs its run, and the others go on."""
-    one = TEXT.replace('"linear", "mine", "many"', '"mine"').replace('"iso8608:class=B", ', "").replace("count = 4", "count = 2")
+    one = BUMP.replace('"linear", "mine", "many"', '"mine"').replace("count = 4", "count = 2")
     rows = rows_of(campaign_of(tmp_path, "    if mass > 500: __import__('time').sleep(1000)\n", text=one))
     for row in rows:
         heavy = row["parameter_sprung_mass"] > 500

@@ -10,15 +10,14 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
-from models.kind import GRAVITY
-from models.mjcf import build_model
+from models.kinds.kind import GRAVITY
 from models.roads.road import Bump
-from models.vehicle import parse_vehicle, read_vehicle
-from sim.linear.loop import continuous_response, sampled_response
-from sim.physics import readout
-from sim.physics.simulate import simulate
+from models.vehicle.mjcf import build_model
+from models.vehicle.vehicle import parse_vehicle, read_vehicle
+from sim.physics import sensor_readout as readout
 from sim.runs.run import run_all, sample_times
-from synth.designer import Designer
+from synth.vehicle.designer import Designer
+from tests.analysed import continuous_response, sampled_response, simulate
 from tests.conftest import random_vehicles
 
 CARS = ["half_car", "full_car"]
@@ -298,8 +297,8 @@ def test_the_third_inertia_hardly_counts(monkeypatch, height):
     roll, pitch = p["roll_inertia"], p["pitch_inertia"]
 
     def driven(yaw):
-        def build(*arguments):
-            model = build_model(*arguments)
+        def build(*arguments, **options):
+            model = build_model(*arguments, **options)
             body = model.body("sprung").id
             np.testing.assert_allclose(model.body_inertia[body], [roll, pitch, pitch])
             model.body_inertia[body][2] = yaw

@@ -5,16 +5,16 @@ import dataclasses
 import numpy as np
 import pytest
 
-from models.law import static_law
-from sim.runs.words import controller_lines
-from synth.certificate.bounding import certify_tightly
-from synth.certificate.certificate import FASTEST, certify
+from models.laws.linear import static_law
+from sim.runs.report import controller_lines
+from synth.analysis.bounding import certify_tightly
+from synth.analysis.certificate import FASTEST, certify
 from synth.command.table import Row, detail_lines, row_object
-from synth.design import furthest, state_path, two_step_design
-from synth.designer import given
-from synth.errors import DesignError
-from synth.plant import GeneralizedPlant
-from synth.redesign import state_designs
+from synth.design.batch import state_designs
+from synth.design.two_step import furthest, state_path, two_step_design
+from synth.plant.generalized import GeneralizedPlant
+from synth.plant.numerics import DesignError
+from synth.vehicle.designer import given
 
 NAMES = ["state", "I", "II"]
 

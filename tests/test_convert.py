@@ -5,12 +5,11 @@ import numpy as np
 import pytest
 
 from models.roads.road import Bump
-from models.vehicle import read_vehicle
-from sim.linear.loop import continuous_response
-from sim.response.export import to_control, to_pandas
+from models.vehicle.vehicle import read_vehicle
 from sim.response.response import Response
-from synth.designer import design
-from synth.state_space import closed_loop, vehicle_system, weighted_loop
+from synth.vehicle.designer import design
+from synth.vehicle.state_space import closed_loop, vehicle_system, weighted_loop
+from tests.analysed import continuous_response
 
 TIME = np.arange(2001) * 1e-3
 
@@ -23,7 +22,7 @@ def response(paper, designer):
 def test_to_pandas(response):
     """Columns are the signals, the index is time, units go along."""
     pytest.importorskip("pandas")
-    frame = to_pandas(response)
+    frame = response.to_pandas()
     assert list(frame.columns) == list(response.names)
     assert frame.index.name == "time"
     assert frame.attrs["units"]["sprung_acceleration"] == "m/s2"
@@ -32,7 +31,7 @@ def test_to_pandas(response):
 
 def test_to_control(paper, response):
     """Outputs and road are found by name."""
-    found = to_control(paper, response)
+    found = response.to_control(paper)
     np.testing.assert_array_equal(found.time, TIME)
     labels = found.output_labels or []
     assert labels == list(paper.linear_model.outputs)
@@ -91,7 +90,7 @@ def test_vehicle_system_closes_to_the_same_response(paper, designer, response):
 def test_what_does_not_fit_is_named(paper, response):
     """Several runs are no table, and a full car's road is more than its velocity."""
     many = Response(response.time, response.signals, np.stack([response.values] * 2))
-    for convert in (to_pandas, lambda one: to_control(paper, one)):
+    for convert in (Response.to_pandas, lambda one: one.to_control(paper)):
         with pytest.raises(ValueError, match="take one"):
             convert(many)
     with pytest.raises(ValueError, match="road's height"):

@@ -7,16 +7,14 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from models.common.errors import InputError
-from models.damping.laws import SemiActive
-from models.damping.range import range_of
+from models.laws.semi_active import SemiActive
 from models.roads.road import Bump
-from models.vehicle import parse_vehicle
+from models.suspension.damper_range import range_of
+from models.vehicle.vehicle import parse_vehicle
 from sim.inspect.__main__ import main as inspect
-from sim.linear.switched import switched
-from sim.physics.energy import energy
-from sim.physics.simulate import simulate
 from sim.runs.run import run_all, sample_times
-from synth.designer import Designer
+from synth.vehicle.designer import Designer
+from tests.analysed import energy, simulate, switched
 from tests.curved import DIGRESSIVE, PROGRESSIVE
 from tests.test_dampers import BOTH, BUMP, DAMPER, LATE, QUARTER
 
@@ -61,22 +59,30 @@ def check_physics(run, far):
     assert run.energy.least >= 0.0
 
 
-@pytest.mark.parametrize("more", ["", "bandwidth = 100.0\n", LATE, "bandwidth = 100.0\n" + LATE], ids=["", "lag", "late", "both"])
+@pytest.mark.parametrize(
+    "more",
+    [
+        pytest.param("", id="", marks=pytest.mark.attack),
+        pytest.param("bandwidth = 100.0\n", id="lag", marks=pytest.mark.attack),
+        pytest.param(LATE, id="late", marks=pytest.mark.attack),
+        pytest.param("bandwidth = 100.0\n" + LATE, id="both"),
+    ],
+)
 @pytest.mark.parametrize(("text", "far"), [(SPRING, 2e-5), (ROUGH, 5e-5)], ids=["spring", "friction"])
 def test_the_exact_response(text, far, more):
     """MuJoCo is what RK4 is foretold to make, to rounding, and that is next to the exact response, which decides for itself.
 
-    1e-9: rounding, over 1000 steps. 2e-5: RK4 over the knots of a spring at 1 ms, as without adjustable dampers; friction, which
+    1e-9: rounding, over 300 steps. 2e-5: RK4 over the knots of a spring at 1 ms, as without adjustable dampers; friction, which
     turns within 0.1 m/s, at most 4e-5.
     """
-    for run in runs(text + LAWS + DAMPER + more, "passive", "leaky", "pdd", duration=0.6):
+    for run in runs(text + LAWS + DAMPER + more, "passive", "leaky", "pdd", duration=0.3):
         check_physics(run, far)
 
 
 def test_half_the_step_is_nearer():
     """With half the step physics is nearer to its exact response, the controller sampled as before."""
     text = ROUGH + DAMPER + "[implementation]\nsample_period = 0.002\n"
-    (whole,), (half,) = runs(text, "sky"), runs(text, "sky", step=5e-4)
+    (whole,), (half,) = (runs(text, "sky", duration=0.3, step=step) for step in (1e-3, 5e-4))
     assert off(half, half.sampled) < 0.6 * off(whole, whole.sampled)
 
 
@@ -84,7 +90,7 @@ def test_half_the_step_is_nearer():
 def test_against_equations_written_out_and_integrated_by_scipy(bandwidth):
     """Coefficients that are set at random make the motion that SciPy makes of (28) with tables, friction and lag, to 1e-8."""
     vehicle = parse_vehicle(ROUGH + DAMPER + (f"bandwidth = {bandwidth}\n" if bandwidth else ""))
-    time, rng, p = sample_times(vehicle, 0.25, 1e-3), np.random.default_rng(3), vehicle.parameters
+    time, rng, p = sample_times(vehicle, 0.1, 1e-3), np.random.default_rng(3), vehicle.parameters
     asked = np.repeat(rng.uniform(-700.0, 3000.0, 26), 10)[: len(time)]
     found = switched(vehicle, BUMP, time, None, np.stack([asked, np.zeros(len(time))], axis=-1))
     spring, damper = (next(one.curve for one in vehicle.fitted if one.over.name == name) for name in ("deflection", "velocity"))
@@ -117,23 +123,24 @@ def test_against_equations_written_out_and_integrated_by_scipy(bandwidth):
 def test_a_straight_curve_beside_is_none():
     """A table on the parameter's line beside an adjustable damper changes no number by more than rounding."""
     text = with_tables(QUARTER, suspension_damping=f"{{ {LINE} }}")
-    for one, plain in zip(runs(text + DAMPER, "sky", "leaky"), runs(QUARTER + DAMPER, "sky", "leaky"), strict=True):
+    some, others = (runs(each + DAMPER, "sky", "leaky", duration=0.2) for each in (text, QUARTER))
+    for one, plain in zip(some, others, strict=True):
         for name in plain.physics.names:
             for response in ("physics", "sampled"):
                 a, b = getattr(one, response)[name], getattr(plain, response)[name]
                 assert np.abs(a - b).max() <= 1e-9 * np.abs(b).max()
 
 
-@pytest.mark.parametrize("name", ["sky", "skyhook"])
+@pytest.mark.parametrize("name", [pytest.param("sky", marks=pytest.mark.attack), "skyhook"])
 def test_a_car(name):
     """On a half-car whose axles differ, one with a lag, all but geometry is exact: over 1 mm within 1e-5 of a peak."""
     rear = "{ deflection = [-0.1, -0.001, 0.0, 0.001, 0.1], force = [-4000, -22, 0, 22, 2600] }"
     front = f"{{ {LINE}, friction = 1.0, friction_velocity = 0.01 }}"
     text = with_tables(BOTH + LAWS, suspension_damping_front=front, suspension_stiffness_rear=rear)
-    (run,) = runs(text, name, road=Bump(0.001, 5.0, 12.5))
+    (run,) = runs(text, name, road=Bump(0.001, 5.0, 12.5), duration=0.4)
     assert run.holds
     assert off(run, run.sampled) < 1e-5
-    (whole,) = runs(text, name, road=Bump(0.05, 5.0, 12.5))
+    (whole,) = runs(text, name, road=Bump(0.05, 5.0, 12.5), duration=0.4)
     assert whole.holds
     assert np.isfinite(whole.agreement.ended["curve"])
 
@@ -177,7 +184,7 @@ def test_a_log_is_proved_again(tmp_path, capsys):
     from sim.bump import main as bump
 
     (tmp_path / "car.toml").write_text(ROUGH + LAWS + DAMPER)
-    told = ["--vehicle", str(tmp_path / "car.toml"), "--controller", "add", "--duration", "0.5", "--logs", str(tmp_path / "logs")]
+    told = ["--vehicle", str(tmp_path / "car.toml"), "--controller", "add", "--duration", "0.3", "--logs", str(tmp_path / "logs")]
     assert bump(told) == 0
     capsys.readouterr()
     (log,) = (tmp_path / "logs").glob("*.mcap")

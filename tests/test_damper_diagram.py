@@ -8,11 +8,11 @@ import pytest
 
 from models.figures.figure import styles
 from models.roads.road import Bump
-from models.vehicle import read_vehicle
+from models.vehicle.vehicle import read_vehicle
 from sim.report.__main__ import main
-from sim.report.suspension import suspension_figure
+from sim.report.agreement import suspension_figure
 from sim.runs.run import run_all, sample_times
-from synth.designer import design
+from synth.vehicle.designer import design
 from tests.curved import AXLES, DIGRESSIVE, PROGRESSIVE, curved_text, with_curves
 
 NAMES = ("passive", "I")
@@ -76,9 +76,14 @@ def test_an_adjustable_damper_stays_between_its_limits():
     np.testing.assert_allclose(passive.y, 600.0 * passive.x, atol=1e-9)
 
 
-def test_a_report_has_it_where_there_is_something_to_draw(tmp_path, capsys, paper):
-    """It is among a report's figures, and the page says that what MuJoCo is held against has the curves; else there is none."""
+def test_there_is_none_of_a_line(paper):
+    """Where every suspension is a line there is nothing to draw."""
     assert diagram(paper)[0] is None
+
+
+@pytest.mark.attack
+def test_a_report_has_it_where_there_is_something_to_draw(tmp_path, capsys):
+    """It is among a report's figures, and the page says that what MuJoCo is held against has the curves."""
     (tmp_path / "mine.toml").write_text(curved_text(suspension_damping=DIGRESSIVE))
     asked = ["--quick", "--vehicle", str(tmp_path / "mine.toml"), "--controller", "passive", "--timestep", "0.002"]
     assert main([*asked, "--out", str(tmp_path / "report.html"), "--figures", str(tmp_path / "figures")]) == 0

@@ -8,21 +8,20 @@ import pytest
 from scipy import linalg
 
 from models.common.errors import InputError
-from models.vehicle import parse_vehicle, read_vehicle
-from synth.design import state_design, state_path, two_step_design, zero_l_design
-from synth.designer import Designer
-from synth.errors import DesignError, InfeasibleError
-from synth.fallback import two_steps_or_descent
-from synth.lmi.clarabel import solve_lmi
-from synth.lmi.full_order import find_lower_bound
-from synth.lmi.output_feedback import l_matrix, nullspace, r_matrix
-from synth.lmi.state_feedback import state_feedback
-from synth.modes import obstacles
-from synth.plant import GeneralizedPlant
-from synth.redesign import two_step_designs
-from synth.search.static import static_output_feedback
-from synth.state_space import from_state_space
-from synth.words import notes
+from models.vehicle.vehicle import parse_vehicle, read_vehicle
+from synth.analysis.stability import obstacles
+from synth.controller.report import notes
+from synth.design.batch import two_step_designs
+from synth.design.fallback import two_steps_or_descent
+from synth.design.static import static_output_feedback
+from synth.design.two_step import state_design, state_path, two_step_design, zero_l_design
+from synth.lmi.full_order_bound import find_lower_bound
+from synth.lmi.output_feedback import l_matrix, nullspace, r_matrix, state_feedback
+from synth.lmi.sdp import solve_lmi
+from synth.plant.generalized import GeneralizedPlant
+from synth.plant.numerics import DesignError, InfeasibleError
+from synth.vehicle.designer import Designer
+from synth.vehicle.state_space import from_state_space
 from tests.conftest import plant_with_feedthrough
 
 GOOD = {

@@ -9,28 +9,27 @@ import pytest
 from scipy import linalg, optimize
 
 from models.common.errors import InputError
-from models.law import static_law
-from synth.certificate.bounded_real import bounded_real_exactly
-from synth.certificate.bounding import certify_tightly
-from synth.certificate.certificate import Certificate, certify, prove_bound
-from synth.certificate.invariant import invariant_limit
-from synth.certificate.norm import hinf_norm
-from synth.certificate.stability import is_stable, stability
-from synth.design import state_design, state_path, two_step_design, zero_l_design
-from synth.designer import Designer
-from synth.discrete.bilinear import mapped
-from synth.dynamic.loop import on_larger_plant
-from synth.errors import DesignError, InfeasibleError
-from synth.full.full_order import full_order_design
-from synth.lmi.clarabel import solve_lmi
-from synth.lmi.full_order import find_lower_bound
+from models.laws.linear import static_law
+from synth.analysis.bounding import certify_tightly
+from synth.analysis.certificate import Certificate, bounded_real_exactly, certify, prove_bound
+from synth.analysis.invariant_point import invariant_limit
+from synth.analysis.norm import hinf_norm
+from synth.analysis.stability import is_stable, stability
+from synth.design.batch import state_designs
+from synth.design.descent.landscape import Landscape
+from synth.design.descent.refine import refine
+from synth.design.full_order.full_order import full_order_design
+from synth.design.static import static_output_feedback
+from synth.design.two_step import state_design, state_path, two_step_design, zero_l_design
+from synth.lmi.full_order_bound import find_lower_bound
 from synth.lmi.output_feedback import l_matrix, nullspace, r_matrix
-from synth.plant import Feedback, GeneralizedPlant
-from synth.redesign import state_designs
-from synth.search.landscape import Landscape
-from synth.search.refine import refine
-from synth.search.static import static_output_feedback
-from synth.state_space import from_state_space
+from synth.lmi.sdp import solve_lmi
+from synth.plant.augmented import on_larger_plant
+from synth.plant.discrete import mapped
+from synth.plant.generalized import Feedback, GeneralizedPlant
+from synth.plant.numerics import DesignError, InfeasibleError
+from synth.vehicle.designer import Designer
+from synth.vehicle.state_space import from_state_space
 
 EYE = np.eye(4)
 MEASURED = {"state": EYE, "I": EYE[[0, 2]], "II": EYE[[2]]}
@@ -243,7 +242,7 @@ def test_no_refinement_is_worse_than_its_start(monkeypatch):
     K = np.zeros((plant.B.shape[1], len(Cy)))
     far = np.full(K.shape, 0.02)
     assert hinf_norm(plant.closed_loop(far @ Cy)).value > hinf_norm(plant.closed_loop(K @ Cy)).value
-    monkeypatch.setattr("synth.search.refine.along_edges", lambda landscape, x, *limits: (landscape.point(far), 1e-3))
+    monkeypatch.setattr("synth.design.descent.refine.along_edges", lambda landscape, x, *limits: (landscape.point(far), 1e-3))
     refined = refine(plant, Cy, K)
     np.testing.assert_array_equal(refined.gain, K)
     assert refined.after == refined.before
@@ -271,7 +270,7 @@ def test_slopes_are_those_of_the_norm(seed):
     np.testing.assert_allclose(slope, numeric, rtol=1e-4, atol=1e-4 * np.abs(numeric).max())  # the step squared, and edges
 
 
-@pytest.mark.parametrize("seed", [1, 5])
+@pytest.mark.parametrize("seed", [1, pytest.param(5, marks=pytest.mark.attack)])
 def test_no_lower_bound_above_what_is_reached(seed):
     """Searched static gains and full-order laws of random plants are proved, and none lies below the lower bound."""
     plant, Cy = random_plant(seed, radius=1.1)
@@ -293,7 +292,7 @@ def test_no_lower_bound_above_what_is_reached(seed):
 
 
 @pytest.mark.attack
-@pytest.mark.parametrize("seed", range(100, 160))
+@pytest.mark.parametrize("seed", range(100, 130))
 def test_no_lower_bound_above_what_is_reached_of_many(seed):
     """The same of many, some with integrators, delays and states that z does not see."""
     plant, Cy = random_plant(seed, radius=1.1)

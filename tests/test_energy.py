@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from models.roads.road import Bump
-from models.vehicle import parse_vehicle, read_vehicle
+from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main
-from sim.physics.energy import Energy, energy
-from sim.physics.simulate import simulate
+from sim.physics.energy import Energy
 from sim.response.response import Response
-from synth.designer import design
+from synth.vehicle.designer import design
+from tests.analysed import energy, simulate
 from tests.commands import prose
 from tests.pages import hopper
 
@@ -144,8 +144,7 @@ def test_wrong_steps_forces_and_dampers_show(paper, designer):
     assert not energy(paper, stronger, 0, road).balances
 
 
-@pytest.mark.parametrize("kind", ["quarter_car", "half_car", "full_car"])
-@pytest.mark.parametrize("name", ["passive", "I"])
+@pytest.mark.parametrize(("kind", "name"), [("quarter_car", "passive"), ("half_car", "I"), ("full_car", "passive")])
 def test_a_hundredth_of_a_damper_shows(kind, name):
     """Physics whose dampers are 1 % off what they are said to be does not balance, however much weight the road lifts."""
     vehicle, road = read_vehicle(kind), Bump()

@@ -8,18 +8,16 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
-from models.common.numbers import percent
+from models.common.printed import percent
 from models.figures.figure import Classes
-from models.kind import MOST_SQUEEZE
-from models.loads.load import Brake
-from models.reality import Limits
+from models.kinds.kind import MOST_SQUEEZE
+from models.roads.load import Brake
 from models.roads.loaded import Loaded
 from models.roads.road import Bump
-from models.vehicle import read_vehicle
+from models.vehicle.limits_and_implementation import Limits
+from models.vehicle.vehicle import read_vehicle
 from sim.envelope import main
 from sim.inspect.__main__ import main as inspect
-from sim.linear.loop import sampled_response
-from sim.physics.simulate import simulate
 from sim.response.regime import (
     BUMP_STOP,
     END_NAMES,
@@ -33,11 +31,11 @@ from sim.response.regime import (
 )
 from sim.runs.dampers import shortfalls
 from sim.runs.run import run_all
-from sim.validity.cells import Interrupted, validity
-from sim.validity.figure import envelope_figure
-from sim.validity.grid import grid, read_axes
-from sim.validity.words import envelope_lines, write_csv
-from synth.designer import Designer
+from sim.studies.validity.grid import grid, read_axes
+from sim.studies.validity.regime_map import Interrupted, validity
+from sim.studies.validity.report import envelope_figure, envelope_lines, write_csv
+from synth.vehicle.designer import Designer
+from tests.analysed import sampled_response, simulate
 from tests.commands import prose
 from tests.conftest import recorded_runs
 
@@ -62,7 +60,7 @@ def cells(limited, designer):
 def test_dampers_that_are_short_of_force(tmp_path, capsys):
     """A clipped controller's map says how much force is missing, cell by cell, and what ends the analysis with its dampers."""
     arguments = ["--vehicle", "quarter_car_semi_active", "--controller", "I", "--timestep", "2e-3", "--duration", "1.5"]
-    arguments += ["--vary", "height:0.05:0.25:4", "--vary", "speed:6:18:3"]
+    arguments += ["--vary", "height:0.05:0.25:2", "--vary", "speed:6:18:3"]
     table = tmp_path / "map.csv"
     assert main([*arguments, "--json", "--csv", str(table)]) == 0
     found = json.loads(capsys.readouterr().out)
@@ -92,13 +90,13 @@ def test_dampers_that_are_short_of_force(tmp_path, capsys):
 def test_loads_over_every_bump(tmp_path, capsys):
     """Under a brake a map is of bumps and brake: what breaks first, and when, is as foretold, and is a run's; a log proves it."""
     arguments = ["--vehicle", "half_car", "--controller", "passive", "--timestep", "2e-3", "--duration", "1.5"]
-    arguments += ["--vary", "height:0.02:0.2:4", "--vary", "speed:6:18:3", "--load", "brake:g=0.6:start=0.1"]
+    arguments += ["--vary", "height:0.02:0.2:2", "--vary", "speed:6:18:3", "--load", "brake:g=0.6:start=0.1"]
     assert main([*arguments, "--json", "--logs", str(tmp_path)]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["loads"] == ["brake:g=0.6:start=0.1"]
     assert {cell["broke_first"] for cell in found["cells"]} == {None, "lift-off"}
     vehicle = read_vehicle("half_car")
-    for cell in found["cells"][::5]:
+    for cell in found["cells"][::2]:
         road = Loaded(Bump(cell["height"], cell["length"], cell["speed"]), (Brake(g=0.6, start=0.1),))
         (run,) = run_all(vehicle, [Designer(vehicle, search=False).design("passive")], road, np.arange(751) * 2e-3)
         lifted = run.agreement.ended["lift-off"]
@@ -150,9 +148,9 @@ def test_off_where_absent(paper, designer):
 def test_car(designer):
     """A half-car, which turns for real, breaks as predicted too, but for the boundary."""
     vehicle = dataclasses.replace(read_vehicle("half_car"), limits=LIMITS)
-    bumps = grid(read_axes(["height:0.02:0.3:8", "speed:5:30:8"]), FIXED)
+    bumps = grid(read_axes(["height:0.02:0.3:6", "speed:5:30:6"]), FIXED)
     found = validity(vehicle, Designer(vehicle).design("passive"), bumps, TIME)
-    assert found.agreement >= 0.95  # of 64 cells: geometry shifts boundaries by about a hundredth
+    assert found.agreement >= 0.95  # of 36 cells: geometry shifts boundaries by about a hundredth
     assert found.unexplained <= 1
 
 
@@ -245,8 +243,8 @@ def test_ends_are_told_apart():
 
 def test_interrupted(limited, designer, monkeypatch, tmp_path):
     """Ctrl-C keeps what is done, whole batches of it, and no other is begun; text and CSV say that there was more."""
-    monkeypatch.setattr("sim.validity.cells.MOST_AT_ONCE", 2)
-    monkeypatch.setattr("sim.validity.cells.cores", lambda: 1)
+    monkeypatch.setattr("sim.studies.validity.regime_map.MOST_AT_ONCE", 2)
+    monkeypatch.setattr("sim.studies.validity.regime_map.cores", lambda: 1)
 
     def stop(done: int) -> None:
         if done >= 4:

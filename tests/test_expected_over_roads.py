@@ -5,12 +5,11 @@ import pytest
 
 from models.roads.iso8608 import Iso8608, long_enough
 from models.roads.road import track_width
-from models.vehicle import parse_vehicle, read_vehicle
-from sim.linear.loop import sampled_responses
-from sim.physics.simulate import simulate
-from sim.ride.expected import APPROXIMATE, expect, settling_time
-from sim.ride.metrics import Meter, measure
-from synth.designer import Designer
+from models.vehicle.vehicle import parse_vehicle, read_vehicle
+from sim.studies.ride.expected import APPROXIMATE, expect, settling_time
+from sim.studies.ride.metrics import Meter, measure
+from synth.vehicle.designer import Designer
+from tests.analysed import sampled_responses, simulate
 from tests.conftest import BUILT, LAGGED
 
 
@@ -56,8 +55,22 @@ def linear_metrics(vehicle, designed, road_class, h, window, seeds):
     return meter.result(), expected
 
 
-@pytest.mark.parametrize("road_class", "DE")
-@pytest.mark.parametrize(("name", "controller"), [("quarter_car", "passive"), ("quarter_car", "I"), ("half_car", "II")])
+LINEAR = [("quarter_car", "passive"), ("quarter_car", "I"), ("half_car", "II")]
+AT_ONCE = [("quarter_car", "passive", "D"), ("quarter_car", "I", "E"), ("half_car", "II", "D")]  # of all of them
+
+
+@pytest.mark.parametrize(
+    ("name", "controller", "road_class"),
+    [
+        *AT_ONCE,
+        *(
+            pytest.param(*loop, road_class, marks=pytest.mark.attack)
+            for loop in LINEAR
+            for road_class in "DE"
+            if (*loop, road_class) not in AT_ONCE
+        ),
+    ],
+)
 def test_linear_response_over_many_seeds(name, controller, road_class):
     """On roads that tyres leave, too, mean squares of linear responses are those expected, within the spread that is expected."""
     vehicle = read_vehicle(name)
@@ -72,7 +85,7 @@ def test_linear_response_over_many_seeds(name, controller, road_class):
         elif metric.startswith("off_ground"):
             assert found[metric].mean() == pytest.approx(mean, rel=0.1)
         elif metric.endswith(APPROXIMATE) and mean:
-            # As `sim/ride/expected.py` says (VDV: of 10 % from road to road), and three deviations of the mean of 64
+            # As `sim/studies/ride/expected.py` says (VDV: of 10 % from road to road), and three deviations of the mean of 64
             kind = metric.rsplit("_", 1)[1]
             off = {"vdv": 0.02, "mtvv": 0.025, "crest": 0.05, "peak": 0.11 if (name, controller) == CASES[0][:2] else 0.07}[kind]
             assert abs(found[metric].mean() - mean) < off * mean + 3 * found[metric].std(ddof=1) / 8, metric
@@ -97,8 +110,9 @@ def test_one_track_and_two():
 CASES = [("quarter_car", "passive", 20), ("quarter_car", "II", 40), ("half_car", "I", 24), ("full_car", "I", 16)]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("name", "controller", "seeds"), CASES)
+@pytest.mark.parametrize(
+    ("name", "controller", "seeds"), [*CASES[:2], *(pytest.param(*case, marks=pytest.mark.attack) for case in CASES[2:])]
+)
 def test_physics_over_many_seeds(textbook, name, controller, seeds):
     """MuJoCo's mean squares over seeds are those predicted, within their confidence interval; its largest values within 10 %."""
     vehicle = textbook if controller == "passive" else read_vehicle(name)

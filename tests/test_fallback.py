@@ -6,22 +6,22 @@ import json
 import numpy as np
 import pytest
 
-from models.vehicle import read_vehicle
-from synth import design
+from models.vehicle.vehicle import read_vehicle
 from synth.__main__ import main
-from synth.certificate.certificate import certify
-from synth.command.witness import cross_check
-from synth.design import state_path, two_step_design
-from synth.designer import Designer
-from synth.errors import DesignError, InfeasibleError, TooLargeError
-from synth.fallback import two_steps_or_descent
-from synth.lmi import central
-from synth.plant import GeneralizedPlant
-from synth.search import static
-from synth.search.landscape import Landscape
-from synth.search.projected import projected_starts
-from synth.search.static import static_output_feedback
-from synth.words import notes
+from synth.analysis.certificate import certify
+from synth.command.cross_check import cross_check
+from synth.controller.report import notes
+from synth.design import static
+from synth.design import two_step as design
+from synth.design.descent.landscape import Landscape
+from synth.design.descent.starts import projected_starts
+from synth.design.fallback import two_steps_or_descent
+from synth.design.static import static_output_feedback
+from synth.design.two_step import state_path, two_step_design
+from synth.lmi import central_path as central
+from synth.plant.generalized import GeneralizedPlant
+from synth.plant.numerics import DesignError, InfeasibleError, TooLargeError
+from synth.vehicle.designer import Designer
 from tests.benchmarks.states import chain
 from tests.commands import prose
 

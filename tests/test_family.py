@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
-from models.vehicle import Vehicle, read_vehicle
-from synth.certificate.certificate import prove_bound
-from synth.certificate.norm import hinf_norm
-from synth.designer import Designer
-from synth.errors import DesignError
-from synth.family.design import SlackDesign, slack_design
-from synth.family.lmi import first_step, second_step
-from synth.plant import Feedback, GeneralizedPlant
+from models.vehicle.vehicle import Vehicle, read_vehicle
+from synth.analysis.certificate import prove_bound
+from synth.analysis.norm import hinf_norm
+from synth.design.multi_model import SlackDesign, slack_design
+from synth.lmi.sdp import first_step, second_step
+from synth.plant.generalized import Feedback, GeneralizedPlant
+from synth.plant.numerics import DesignError
+from synth.vehicle.designer import Designer
 
 CORNERS = np.array([[1, 1, 0, 0], [0, 0, 1, 1]])
 
@@ -47,7 +47,7 @@ def check_proved(design: SlackDesign, plants, Cys) -> None:
         assert prove_bound(plant, Feedback(design.gain, Cy), certificate.proof.X, certificate.proof.eta).holds
 
 
-@pytest.mark.parametrize(("name", "most"), [("I", 12.533), ("II", 12.517)])
+@pytest.mark.parametrize(("name", "most"), [pytest.param("I", 12.533, marks=pytest.mark.attack), ("II", 12.517)])
 def test_family_of_six(paper, six, name, most):
     """Of six cars, for which one X finds nothing, the worst norm is near what the worst car alone admits: 12.51487."""
     Cys = [measured(paper, paper.controllers[name].measured)] * 6
@@ -131,7 +131,7 @@ def test_the_lmis_of_one_plant(designer):
     assert hinf_norm(plant.closed_loop(Feedback(second.K, row))).value <= second.eta**-0.5
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", [*range(2), *(pytest.param(seed, marks=pytest.mark.attack) for seed in range(2, 6))])
 def test_bounds_hold_on_random_families(seed):
     """On random families, with a Dw, the bound that Clarabel claims is above every norm, and proofs hold."""
     rng = np.random.default_rng(seed)
@@ -153,9 +153,9 @@ def test_units_do_not_matter(paper, designer):
     given = slack_design([plant], [Cy], f=[1.0])
     other = slack_design([plant.in_coordinates(states).with_inputs(force)], [signals @ Cy @ states], f=[1.0])
     assert other.worst == pytest.approx(given.worst, rel=1e-6)  # Clarabel's tolerance of 1e-8 in eta against its X
-    np.testing.assert_allclose(
-        force @ other.gain @ signals, given.gain, rtol=2e-2
-    )  # of a flat optimum that leaves a hundredth open
+    # Along the flat optimum gains lie some hundredths apart, so the gain itself is judged: in the units of before it is as good.
+    again = hinf_norm(plant.closed_loop(force @ other.gain @ signals @ Cy))
+    assert again.value == pytest.approx(given.worst, rel=1e-6)
 
 
 def test_what_cannot_be_stabilised():

@@ -5,11 +5,10 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from synth.certificate.bounded_real import bounded_real_exactly
-from synth.certificate.bounding import certify_tightly
-from synth.certificate.certificate import Certificate, certify
-from synth.design import two_step_design
-from synth.plant import Feedback, GeneralizedPlant
+from synth.analysis.bounding import certify_tightly
+from synth.analysis.certificate import Certificate, bounded_real_exactly, certify
+from synth.design.two_step import two_step_design
+from synth.plant.generalized import Feedback, GeneralizedPlant
 from tests.exactly import bounded_real, exact, gain_squared, largest_eta, plus, stable, times
 from tests.test_bounds_hold import of_lists
 

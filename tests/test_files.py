@@ -14,8 +14,7 @@ import pytest
 
 from models.common import interrupt
 from models.common.errors import InputError
-from models.common.read_file import MIB, read_bytes, read_text
-from models.common.whole_file import check_file, check_folder, made_folder, together, whole_file
+from models.common.files import MIB, check_file, check_folder, made_folder, read_bytes, read_text, together, whole_file
 
 POSIX = pytest.mark.skipif(os.name == "nt", reason="modes, pipes and links of POSIX")
 
@@ -120,7 +119,7 @@ def test_a_disk_that_is_full_leaves_the_old_content(tmp_path, kind):
     names = [path.name for path in tmp_path.iterdir()]
     # No write goes beyond this, as on a full disk: what is written whole beside leaves no room for a copy of any part of it.
     code = (
-        "import resource, signal\nfrom pathlib import Path\nfrom models.common.whole_file import whole_file\n"
+        "import resource, signal\nfrom pathlib import Path\nfrom models.common.files import whole_file\n"
         "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
         f"with whole_file(Path({str(file)!r}), 'csv') as beside:\n    beside.write_text('x' * 9000)\n"
         "    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))\n"
@@ -179,7 +178,7 @@ def test_what_is_no_plain_file_is_refused_and_left(tmp_path, monkeypatch, kind):
 def test_standard_output_may_be_written(tmp_path):
     """`/dev/stdout` is the command's own output, be it a pipe or a file, and it stays what it is."""
     code = (
-        "from pathlib import Path\nfrom models.common.whole_file import check_file, whole_file\npath = Path('/dev/stdout')\n"
+        "from pathlib import Path\nfrom models.common.files import check_file, whole_file\npath = Path('/dev/stdout')\n"
         "check_file(path, 'csv')\nprint('before')\n"
         "with whole_file(path, 'csv') as b: b.write_text('content\\n')\nprint('after')\n"
     )

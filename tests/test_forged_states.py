@@ -7,19 +7,19 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
-from models.law import LinearLaw
-from models.reality import Implementation
-from models.vehicle import ControllerEntry, Vehicle, read_vehicle
+from models.laws.linear import LinearLaw
+from models.vehicle.limits_and_implementation import Implementation
+from models.vehicle.vehicle import ControllerEntry, Vehicle, read_vehicle
 from sim.bump import main as bump
 from sim.inspect.__main__ import main as inspect
 from synth.__main__ import main as synth
-from synth.certificate.bounding import certify_tightly
-from synth.certificate.record import to_record
+from synth.analysis.bounding import certify_tightly
+from synth.analysis.record import to_record
 from synth.command.check import check
 from synth.command.save import save
-from synth.controller import Controller
-from synth.designer import Designer, given
-from synth.dynamic.loop import on_larger_plant
+from synth.controller.controller import Controller
+from synth.plant.augmented import on_larger_plant
+from synth.vehicle.designer import Designer, given
 from tests.rewriting import contents, written
 
 ACCELERATIONS = {
@@ -143,7 +143,7 @@ def test_an_unstable_loop_claims_nothing(paper):
         assert not given(paper, "wild", controller.measured, wild).certificate.stable
 
 
-@pytest.fixture(scope="module", params=ACCELERATIONS)
+@pytest.fixture(scope="module")
 def log(request, tmp_path_factory):
     """A log of a law with states on accelerations, and its vehicle."""
     folder = tmp_path_factory.mktemp("states")
@@ -165,12 +165,19 @@ def inspected(path, capsys) -> tuple[int, list]:
     return code, [*found["findings"], *(finding for run in found["runs"] for finding in run["findings"])]
 
 
+@pytest.mark.parametrize("log", ACCELERATIONS, indirect=True)
 def test_a_log_proves_itself(log, capsys):
     """From the log alone the law, its certificate, its linear response and the physics are confirmed."""
     code, findings = inspected(log, capsys)
     assert code == 0, findings
 
 
+CARS = pytest.mark.parametrize(  # one with a computer of its own, one of several forces, and one as large as they come
+    "log", ["quarter_car", "half_car", pytest.param("full_car", marks=pytest.mark.attack)], indirect=True
+)
+
+
+@CARS
 @pytest.mark.parametrize("key", ["A", "B", "C", "D", "sample_period", "measured", "gain"])
 def test_a_forged_log_is_found(log, key, tmp_path, capsys):
     """Another entry of A, B, C or D, another sample period, a gain beside them: each is found, in run and vehicle both."""
@@ -202,6 +209,7 @@ def test_a_forged_log_is_found(log, key, tmp_path, capsys):
         assert any(one["verdict"] == "FAILS" for one in findings), findings
 
 
+@CARS
 @pytest.mark.parametrize(
     ("key", "value"),
     [

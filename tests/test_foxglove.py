@@ -16,11 +16,11 @@ from mcap_protobuf.decoder import DecoderFactory
 from mcap_protobuf.schema import build_file_descriptor_set
 from scipy.spatial.transform import Rotation
 
-from sim.recording.appearance import BESIDE, LIFTED, LONGEST
 from sim.recording.foxglove_layout import foxglove_layout
 from sim.recording.mcap_writer import write_mcap
 from sim.recording.run_log import RunLog
-from sim.response.difference import difference
+from sim.recording.scene import BESIDE, LIFTED, LONGEST, rotation_matrix
+from sim.response.response import difference
 from tests.npm import installed
 from tests.test_recording import make_run
 
@@ -200,6 +200,7 @@ def node_modules(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return installed(PACKAGES, tmp_path_factory.mktemp("node"))
 
 
+@pytest.mark.attack
 @pytest.mark.slow
 def test_another_language_reads_the_same(log: Path, node_modules: Path) -> None:
     """@mcap/core and protobufjs find the topics, times and numbers that Python finds.
@@ -228,3 +229,10 @@ def test_another_language_reads_the_same(log: Path, node_modules: Path) -> None:
     happened = [(event["message"], event["name"], event["level"]) for event in theirs["topics"]["/events"]["messages"]]
     assert [text for text, *_ in happened[:2]] == ["lift-off", "landing"]
     assert {(name, level) for _, name, level in happened} == {("I", Log.INFO)}
+
+
+def test_rotation_of_a_quaternion():
+    """A quaternion turns as scipy's has it, whatever its length."""
+    for quaternion in np.random.default_rng(1).normal(size=(20, 4)):
+        expected = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
+        np.testing.assert_allclose(rotation_matrix(quaternion), expected, atol=1e-15)  # rounding of numbers up to 1

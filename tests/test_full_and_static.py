@@ -3,17 +3,17 @@
 import numpy as np
 import pytest
 
-from models.law import static_law
-from synth.certificate.certificate import FASTEST
-from synth.certificate.norm import hinf_norm
-from synth.certificate.stability import stability
-from synth.dynamic.loop import on_larger_plant
-from synth.full.full_order import FullOrderDesign, full_order_design
-from synth.full.riccati import WITHIN
-from synth.plant import GeneralizedPlant
-from synth.scaling import speed
+from models.laws.linear import static_law
+from synth.analysis.certificate import FASTEST
+from synth.analysis.norm import hinf_norm
+from synth.analysis.stability import stability
+from synth.design.full_order.full_order import FullOrderDesign, full_order_design
+from synth.design.full_order.riccati import WITHIN
+from synth.plant.augmented import on_larger_plant
+from synth.plant.generalized import GeneralizedPlant
+from synth.plant.units import speed
 
-GRID = np.concatenate([-np.logspace(-3, 3, 150), [0.0], np.logspace(-3, 3, 150)])
+GRID = np.concatenate([-np.logspace(-3, 3, 60), [0.0], np.logspace(-3, 3, 60)])
 BEATEN = 2e-3  # relative; full order ends within 0.1 % of the best it can follow, and rounds as much again on the way
 
 
@@ -58,25 +58,30 @@ def any_noisy(seed: int, dt: float | None) -> tuple[GeneralizedPlant, np.ndarray
     return plant, rng.standard_normal((1, n)), np.array([[0, 10 ** rng.uniform(-2, 0)]])
 
 
-def no_grid_beats(plant: GeneralizedPlant, Cy: np.ndarray, Dyw: np.ndarray) -> None:
-    """The claim of the tests below."""
+def no_grid_beats(plant: GeneralizedPlant, Cy: np.ndarray, Dyw: np.ndarray) -> FullOrderDesign:
+    """Checks what the tests below claim, and returns the design that it is claimed of."""
     found = full_order_design(plant, Cy, Dyw)
     holds(found)
     assert found.certificate.norm.value <= best_on_the_grid(plant, Cy, Dyw) * (1 + BEATEN)
+    return found
 
 
 @pytest.mark.parametrize(("a", "dt"), [(0.5, 1.0), (-0.5, None)])
 def test_static_gain_next_to_the_bound(a, dt):
     """Where the central law needs a pole a thousand times as fast, what is left of it without that pole is as near, and taken."""
-    plant, Cy, Dyw = first_order(a, 0.1, dt)
-    no_grid_beats(plant, Cy, Dyw)
-    found = full_order_design(plant, Cy, Dyw)
+    found = no_grid_beats(*first_order(a, 0.1, dt))
     assert found.remark == ""
     assert found.certificate.speed_up < FASTEST
 
 
-@pytest.mark.parametrize("dt", [None, 0.1])
-@pytest.mark.parametrize("seed", [1, 2, 12])
+@pytest.mark.parametrize(
+    ("seed", "dt"),
+    [
+        (1, None),
+        (2, 0.1),
+        *(pytest.param(*each, marks=pytest.mark.attack) for each in ((2, None), (12, None), (1, 0.1), (12, 0.1))),
+    ],
+)
 def test_no_static_gain_is_better(seed, dt):
     """Of random plants no static gain of a grid beats full order by more than 0.2 %."""
     no_grid_beats(*any_noisy(seed, dt))
@@ -84,7 +89,7 @@ def test_no_static_gain_is_better(seed, dt):
 
 @pytest.mark.attack
 @pytest.mark.parametrize("dt", [None, 0.1])
-@pytest.mark.parametrize("seed", range(100, 125))
+@pytest.mark.parametrize("seed", range(100, 113))
 def test_no_static_gain_is_better_of_many(seed, dt):
     """The same of many."""
     no_grid_beats(*any_noisy(seed, dt))
@@ -92,7 +97,12 @@ def test_no_static_gain_is_better_of_many(seed, dt):
 
 @pytest.mark.parametrize(
     ("side", "distance"),
-    [*((-1, each) for each in (1e-6, 1e-11, 1e-13, 1e-15, 0.0)), *((1, each) for each in (1e-3, 1e-6, 1e-8, 0.0))],
+    [
+        *((-1, each) for each in (1e-13, 0.0)),
+        *((1, each) for each in (1e-8, 0.0)),
+        *(pytest.param(-1, each, marks=pytest.mark.attack) for each in (1e-6, 1e-11, 1e-15)),
+        *(pytest.param(1, each, marks=pytest.mark.attack) for each in (1e-3, 1e-6)),
+    ],
 )
 def test_poles_next_to_the_unit_circle_at_real_points(side, distance):
     """With a pole next to z = -1, where the map has no place for it, or next to 1 a law is as near as the best static gain."""

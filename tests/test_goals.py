@@ -14,28 +14,28 @@ from scipy.linalg import expm
 
 from models.common.errors import InputError
 from models.figures.figure import Spans
-from models.goals.reading import BOUND_KINDS
-from models.law import static_law
+from models.laws.linear import static_law
 from models.roads.road import Bump
-from models.vehicle import parse_vehicle, read_vehicle
-from sim.linear.loop import continuous_response
-from synth.band.norm import norm_in_band
-from synth.certificate.norm import gain_at, hinf_norm
+from models.vehicle.goals import BOUND_KINDS
+from models.vehicle.vehicle import parse_vehicle, read_vehicle
+from synth.analysis.band_norm import norm_in_band
+from synth.analysis.norm import gain_at, hinf_norm
 from synth.command.responses import responses_figure
 from synth.command.table import Row
-from synth.designer import Designer, given
-from synth.designs.goal_problem import goal_problem
-from synth.designs.goals import InterruptedDesign, searched
-from synth.errors import DesignError
-from synth.goals.banded import BandLandscape
-from synth.goals.energy_peak import EnergyPeak
-from synth.goals.engine import GoalDesign, Interrupted, design_for_goals
-from synth.goals.filtered import band_filter
-from synth.goals.problem import Errors, GoalProblem, Member, NormGoal, Posed
-from synth.goals.road_largest import largest_over_road
-from synth.goals.road_peak import RoadPeak
-from synth.goals.search import Search
-from synth.plant import GeneralizedPlant
+from synth.controller.controller import InterruptedDesign
+from synth.design.multi_objective.band_filter import band_filter
+from synth.design.multi_objective.band_norm import BandLandscape
+from synth.design.multi_objective.design import GoalDesign, Interrupted, design_for_goals
+from synth.design.multi_objective.objectives import EnergyPeak
+from synth.design.multi_objective.peak import RoadPeak, largest_over_road
+from synth.design.multi_objective.problem import Errors, GoalProblem, Member, NormGoal, Posed
+from synth.design.multi_objective.search import Search
+from synth.plant.generalized import GeneralizedPlant
+from synth.plant.numerics import DesignError
+from synth.vehicle.designer import Designer, given
+from synth.vehicle.multi_objective import goal_problem, searched
+from tests import shared
+from tests.analysed import continuous_response
 from tests.commands import main_of
 
 HZ = 2 * np.pi
@@ -46,6 +46,7 @@ KEPT = "{ norm = 8.63 }, { decay = 1.19 }"
 SIX = ", ".join(
     f"{{ sprung_mass = {mass}, tyre_stiffness = {tyre} }}" for mass, tyre in itertools.product((0.7, 1.0, 1.4), (0.75, 1.25))
 )
+TWO_OF_SIX = "{ sprung_mass = 0.7, tyre_stiffness = 1.25 }, { sprung_mass = 1.4, tyre_stiffness = 0.75 }"
 CORNERS = ("front", "rear")
 FOUR = ("front_left", "front_right", "rear_left", "rear_right")
 
@@ -58,7 +59,7 @@ def vehicle_with(section: str, name: str = "quarter_car"):
 
 def designed(section: str, name: str = "quarter_car"):
     """The controller, and what is known of its promises by their names: what is proved, or the value where that is exact."""
-    controller = Designer(vehicle_with(section, name)).design("goal")
+    controller = shared.designed(vehicle_with(section, name), "goal")
     assert controller.certificate.failures == ()
     assert controller.broken == ()
     return controller, {each.what: each.value if each.proved is None else each.proved for each in controller.promises}
@@ -73,6 +74,7 @@ def test_a_band(measured, best):
     assert max(pole.real for pole in controller.certificate.poles) <= -1.19
 
 
+@pytest.mark.attack
 def test_a_travel_limit_costs_comfort_and_is_kept(paper):
     """With 97 mm of travel over the paper's bump the band costs less than 0.915, and the bump's own response keeps 97 mm."""
     bound = '{ peak = "suspension_deflection", road = "bump", at_most = 0.097 }'
@@ -86,7 +88,7 @@ def test_a_travel_limit_costs_comfort_and_is_kept(paper):
     assert promised == pytest.approx(reached, rel=1e-5)  # another solver, whose times are 0.5 ms apart
 
 
-@pytest.mark.parametrize(("measured", "best"), [(TWO, 7.871), (ONE, 7.866)])
+@pytest.mark.parametrize(("measured", "best"), [pytest.param(TWO, 7.871, marks=pytest.mark.attack), (ONE, 7.866)])
 def test_a_tolerance(measured, best):
     """Sensors off by 20 %: the worst norm over the whole box is proved to be what is asked, and no sample of it exceeds that."""
     names = json.loads(measured)
@@ -103,12 +105,19 @@ def test_a_tolerance(measured, best):
     assert max(norms) <= found * (1 + 1e-9) <= proved
 
 
-@pytest.mark.parametrize(("measured", "worst", "regret"), [(TWO, 12.533, 1.0024), (ONE, 12.517, 1.0207)])
-def test_a_family(measured, worst, regret):
-    """Of six vehicles the worst norm is as asked, and the largest ratio to a vehicle's own best better than what was known."""
-    _, promises = designed(f"measured = {measured}\nfamily = [{SIX}]")
-    assert promises["largest norm of 6 vehicles"] <= worst
-    _, promises = designed(f'measured = {measured}\nminimise = {{ over = "regret" }}\nfamily = [{SIX}]')
+@pytest.mark.parametrize(
+    ("measured", "family", "count", "worst", "regret"),
+    [
+        pytest.param(TWO, SIX, 6, 12.533, 1.0024, marks=pytest.mark.attack),
+        pytest.param(ONE, SIX, 6, 12.517, 1.0207, marks=pytest.mark.attack),
+        (ONE, TWO_OF_SIX, 2, 12.516, 1.0077),
+    ],
+)
+def test_a_family(measured, family, count, worst, regret):
+    """Of some vehicles the worst norm is as asked, and the largest ratio to a vehicle's own best better than what was known."""
+    _, promises = designed(f"measured = {measured}\nfamily = [{family}]")
+    assert promises[f"largest norm of {count} vehicles"] <= worst
+    _, promises = designed(f'measured = {measured}\nminimise = {{ over = "regret" }}\nfamily = [{family}]')
     assert promises["largest ratio to a vehicle's own best"] < regret
 
 
@@ -166,12 +175,12 @@ def test_what_cannot_be_had_is_named():
     """Bounds that exclude each other are both named, with how far they are passed where both are passed alike."""
     bounds = '{ norm = 7.5 }, { peak = "suspension_deflection", at_most = 0.05 }, { decay = 1.19 }'
     with pytest.raises(DesignError) as error:
-        Designer(vehicle_with(f"measured = {TWO}\n{BAND}\nbounds = [{bounds}]")).design("goal")
+        Designer(vehicle_with(f"measured = {ONE}\n{BAND}\nbounds = [{bounds}]")).design("goal")
     said = str(error.value)
-    shares = [float(share) for share in re.findall(r"is passed by ([\d.]+) %", said)]
-    assert "norm <= 7.5" in said
-    assert "suspension_deflection over bump <= 0.05" in said
-    assert max(shares) - min(shares) <= 2  # a minimum of the largest excess, as it is printed
+    norm, travel = (re.search(rf"{each} is passed by ([\d.]+) %", said) for each in ("norm <= 7.5", "over bump <= 0.05"))
+    assert norm is not None
+    assert travel is not None
+    assert abs(float(norm[1]) - float(travel[1])) <= 2  # a minimum of the largest excess, as it is printed
 
 
 def test_a_given_gain_is_judged_by_its_goals(tmp_path, capsys):
@@ -190,13 +199,13 @@ def test_a_given_gain_is_judged_by_its_goals(tmp_path, capsys):
 def test_saved_goals_are_checked_again(tmp_path, capsys):
     """A design with its goals is saved with them, and checked by them; a bound made stricter than the gain keeps fails."""
     bound = '{ peak = "suspension_deflection", road = "bump:height=0.08", speed = 10.0, at_most = 0.09 }'
-    section = f"measured = {THREE}\n{BAND}\nbounds = [{KEPT}, {bound}]\ntolerance = {{ sprung_velocity = 0.05 }}\n"
+    section = f"measured = {ONE}\n{BAND}\nbounds = [{{ norm = 9.63 }}, {bound}]\n"
     path, saved = tmp_path / "car.toml", tmp_path / "saved.toml"
     path.write_text(vehicle_with(section).text)
     assert main_of("synth")(["--vehicle", str(path), "--controller", "goal", "--save", str(saved)]) == 0
     assert main_of("synth")(["--check", str(saved)]) == 0
     assert "promise: norm from 4 to 8 Hz" in capsys.readouterr().out
-    saved.write_text(saved.read_text().replace('"norm" = 8.63', '"norm" = 7.8').replace("norm = 8.63", "norm = 7.8"))
+    saved.write_text(saved.read_text().replace('"norm" = 9.63', '"norm" = 7.8').replace("norm = 9.63", "norm = 7.8"))
     assert main_of("synth")(["--check", str(saved)]) == 1
     assert "not kept: norm" in " ".join(capsys.readouterr().out.split())
 
@@ -344,7 +353,9 @@ def test_a_design_for_goals_is_not_refined(tmp_path, capsys):
     path.write_text(vehicle_with(f"measured = {TWO}\nbounds = [{{ gain = 1e4 }}]").text)
     assert main_of("synth")(["--vehicle", str(path), "--controller", "goal"]) == 0
     assert "--refine" not in capsys.readouterr().out
-    with pytest.raises(DesignError, match="which is what is refined"):
+    with pytest.raises(
+        DesignError, match="has goals, and it is static gains of the least norm of the ideal loop that are refined"
+    ):
         Designer(read_vehicle(path)).refine("goal")
     with pytest.raises(InputError, match="no L"):
         Designer(read_vehicle(path)).design("goal", zero_l=True)
@@ -371,7 +382,7 @@ def test_a_structure_has_its_price():
     assert np.abs(whole_gain.gain).max() <= 3e4
 
 
-@pytest.mark.slow
+@pytest.mark.attack
 def test_the_full_car_per_corner():
     """Four computers, each with its own wheel's signals: better than the two steps of the whole gain, within 7 % of the best."""
     measured = json.dumps([f"{name}_{corner}" for name in ("suspension_deflection", "sprung_velocity") for corner in FOUR])
@@ -430,38 +441,45 @@ def test_what_lies_beside_a_band_is_said():
 def test_a_discrete_plant_has_goals_too():
     """In a band its goal is the band's norm of the discrete loop, and never more than without control; no decay in rad/s."""
     rng = np.random.default_rng(20261122)
-    for _ in range(5):
-        A = rng.standard_normal((4, 4))
-        A *= 0.95 / np.abs(np.linalg.eigvals(A)).max()
-        draw = rng.standard_normal
-        plant = GeneralizedPlant(A, draw((4, 1)), draw((4, 1)), draw((2, 4)), np.array([[0.0], [0.1]]), np.zeros((2, 1)), dt=0.1)
-        posed = Posed(plant, draw((2, 4)))
-        everywhere = NormGoal(at_most=2 * hinf_norm(plant).value)
-        problem = GoalProblem(
-            (Member((posed, posed)),),
-            NormGoal(band=(2.0, 12.0)),
-            Errors(np.zeros(2), np.zeros(1)),
-            np.ones((1, 2), dtype=bool),
-            (replace(everywhere, which=1),),
-        )
-        design = design_for_goals(problem, [np.zeros((1, 2))])
-        reached = norm_in_band(plant.closed_loop(design.gain @ posed.Cy), 2.0, 12.0).value
-        assert design.goal == pytest.approx(reached, rel=1e-7)
-        assert reached <= norm_in_band(plant, 2.0, 12.0).value
-        with pytest.raises(InputError, match="no decay"):
-            design_for_goals(replace(problem, decay=1.0), [])
+    A = rng.standard_normal((4, 4))
+    A *= 0.95 / np.abs(np.linalg.eigvals(A)).max()
+    draw = rng.standard_normal
+    plant = GeneralizedPlant(A, draw((4, 1)), draw((4, 1)), draw((2, 4)), np.array([[0.0], [0.1]]), np.zeros((2, 1)), dt=0.1)
+    posed = Posed(plant, draw((2, 4)))
+    everywhere = NormGoal(at_most=2 * hinf_norm(plant).value)
+    problem = GoalProblem(
+        (Member((posed, posed)),),
+        NormGoal(band=(2.0, 12.0)),
+        Errors(np.zeros(2), np.zeros(1)),
+        np.ones((1, 2), dtype=bool),
+        (replace(everywhere, which=1),),
+    )
+    design = design_for_goals(problem, [np.zeros((1, 2))])
+    reached = norm_in_band(plant.closed_loop(design.gain @ posed.Cy), 2.0, 12.0).value
+    assert design.goal == pytest.approx(reached, rel=1e-7)
+    assert reached <= norm_in_band(plant, 2.0, 12.0).value
+    with pytest.raises(InputError, match="no decay"):
+        design_for_goals(replace(problem, decay=1.0), [])
+
+
+DRIVEN = {
+    "watts_hump:height=0.1:length=0.2": 8.0,  # upright at both ends
+    "step:height=0.05:edge=0.001": 12.5,  # over within 80 us
+    "pothole:edge=0.05": 15.0,
+    "bump": 12.5,
+}
+SIGNALS = ("control_force", "tyre_deflection", "suspension_deflection")
+IN_THE_SUITE = {*zip(DRIVEN, ("control_force", "tyre_deflection", "suspension_deflection", "tyre_deflection"), strict=True)}
 
 
 @pytest.mark.parametrize(
-    ("road", "speed"),
+    ("road", "speed", "signal"),
     [
-        ("watts_hump:height=0.1:length=0.2", 8.0),  # upright at both ends
-        ("step:height=0.05:edge=0.001", 12.5),  # over within 80 us
-        ("pothole:edge=0.05", 15.0),
-        ("bump", 12.5),
+        pytest.param(road, speed, signal, marks=() if (road, signal) in IN_THE_SUITE else pytest.mark.attack)
+        for road, speed in DRIVEN.items()
+        for signal in SIGNALS
     ],
 )
-@pytest.mark.parametrize("signal", ["control_force", "tyre_deflection", "suspension_deflection"])
 def test_no_peak_lies_above_what_is_proved(road, speed, signal):
     """An adaptive integration of the loop, driven by the road's height, reaches the value, and nowhere exceeds what is proved."""
     bound = f"{{ peak = '{signal}', road = '{road}', speed = {speed}, at_most = 1e9 }}"
@@ -491,6 +509,7 @@ def test_no_peak_lies_above_what_is_proved(road, speed, signal):
     assert peak.value == pytest.approx(highest, rel=2e-5)  # what a slope without end leaves of the integration's digits
 
 
+@pytest.mark.attack
 def test_a_peak_alone_leaves_no_loop_on_the_border():
     """Where nothing says how fast a loop has to decay it decays a tenth as fast as the best start; its peak is the true one."""
     bounds = '{ peak = "suspension_deflection", road = "bump", at_most = 0.1 }, { gain = 3e4 }'
@@ -536,19 +555,22 @@ def test_a_band_with_errors(paper):
     assert without.value <= max(met) <= with_errors.value * (1 + 1e-9) <= with_errors.proved
 
 
-def test_json_of_the_shipped_goals(capsys):
+@pytest.mark.attack
+def test_json_of_the_shipped_goals():
     """Every promise of the shipped file is there in JSON, and holds."""
-    assert main_of("synth")(["--vehicle", "quarter_car_goals", "--json"]) == 0
-    rows = json.loads(capsys.readouterr().out)["controllers"]
+    done = shared.printed("synth", "--vehicle", "quarter_car_goals", "--json")
+    assert done.code == 0
+    rows = done.json["controllers"]
     promises = [promise for row in rows for promise in row.get("promises", [])]
     assert len(promises) >= 12
     assert all(promise["holds"] is True for promise in promises)
 
 
+@pytest.mark.attack
 def test_a_bound_with_errors_is_proved_where_it_is_kept():
-    """Three sensors and the force off: the norm that is allowed is tried as what to prove, and so is the decay."""
-    tolerance = "{ suspension_deflection = 0.1, sprung_velocity = 0.1 }"
-    section = f"measured = {TWO}\n{BAND}\nbounds = [{{ norm = 8.6 }}, {{ decay = 1.0 }}]\ntolerance = {tolerance}"
+    """The norm that is allowed is tried as what to prove, and so is the decay."""
+    tolerance = "{ sprung_velocity = 0.1 }"
+    section = f"measured = {ONE}\n{BAND}\nbounds = [{{ norm = 8.6 }}, {{ decay = 1.0 }}]\ntolerance = {tolerance}"
     controller = Designer(vehicle_with(section)).design("goal")
     with_errors = {promise.what: promise for promise in controller.promises}
     assert with_errors["norm, with errors"].holds
@@ -561,7 +583,7 @@ def test_a_bound_with_errors_is_proved_where_it_is_kept():
 def test_the_picture_of_a_band(tmp_path, capsys):
     """Curves are the loops' largest gains, the band is shaded, and what is proved in it lies on no point of the curve there."""
     vehicle = vehicle_with(f"measured = {THREE}\n{BAND}\nbounds = [{KEPT}]")
-    controller = Designer(vehicle).design("goal")
+    controller = shared.designed(vehicle, "goal")
     figure = responses_figure(vehicle, [Row("goal", controller, (), ())])
     assert figure is not None
     (panel,) = figure.panels
@@ -575,7 +597,7 @@ def test_the_picture_of_a_band(tmp_path, capsys):
     assert response.y[inside].max() <= level.y[0] == controller.promises[0].proved
     assert response.y.max() > 5 * level.y[0]  # what lies beside the band is not hidden
     path = tmp_path / "car.toml"
-    path.write_text(vehicle.text)
+    path.write_text(f"{vehicle.text}gain = {controller.gain.tolist()}\n")  # which is designed already
     assert main_of("synth")(["--vehicle", str(path), "--controller", "goal", "--picture", str(tmp_path / "bands.png")]) == 0
     assert "bands.png" in capsys.readouterr().out
     assert (tmp_path / "bands.png").read_bytes().startswith(b"\x89PNG")
@@ -668,7 +690,7 @@ def stable_in_its_box(seed: int) -> bool:
     return slowest < 0 and design.unproved == ()
 
 
-@pytest.mark.parametrize("seed", [3, 4])
+@pytest.mark.parametrize("seed", [4, pytest.param(3, marks=pytest.mark.attack)])
 def test_a_band_alone_leaves_no_loop_of_the_box_unstable(seed):
     """Where only a norm in a band counts, errors that make a loop unstable are looked for all the same; it is proved."""
     assert stable_in_its_box(seed)
@@ -695,6 +717,7 @@ def test_a_design_says_of_what_stability_is_not_proved():
     assert replace(found, problem=replace(asked, members=members)).unproved == (1,)
 
 
+@pytest.mark.attack
 def test_errors_with_a_band_keep_a_decay(paper):
     """A band and errors alone: the slowest pole, whatever the errors, keeps a tenth of what the two steps' has with them."""
     text = f"measured = {TWO}\n{BAND}\ntolerance = {{ suspension_deflection = 0.1, sprung_velocity = 0.1 }}"
@@ -731,18 +754,20 @@ def test_an_interrupted_design_is_stable_with_errors(monkeypatch):
 
 
 LATER = {  # where Ctrl-C comes, and what is said of the controller that was at work then, None where it is not there
-    "synth.designs.goals.searched": None,
-    "synth.designs.goals.with_bests": None,
-    "synth.designs.goals.Judged.promises": "interrupted: of its promises none is proved",
-    "synth.designs.goals.price": "interrupted: what its structure costs is not known",
-    "synth.__main__._flatness": "",
-    "synth.__main__.fragile": "",
-    "synth.__main__.notes": "interrupted: designed, and not all that was asked about it is known",
-    "synth.__main__.norm_if_implemented": "",
+    "synth.vehicle.multi_objective.searched": None,
+    "synth.vehicle.multi_objective.with_bests": None,
+    "synth.vehicle.multi_objective.Judged.promises": "interrupted: of its promises none is proved",
+    "synth.vehicle.multi_objective.price": "interrupted: what its structure costs is not known",
+    "synth.command.design_table._flatness": "",
+    "synth.command.fragility.fragile": "",
+    "synth.command.design_table.notes": "interrupted: designed, and not all that was asked about it is known",
+    "synth.command.design_table.norm_if_implemented": "",
 }
 
 
-@pytest.mark.parametrize("where", LATER)
+@pytest.mark.parametrize(
+    "where", [where if LATER[where] != "" else pytest.param(where, marks=pytest.mark.attack) for where in LATER]
+)
 def test_ctrl_c_keeps_what_is_finished(tmp_path, capsys, monkeypatch, where):
     """Wherever it comes while a second controller is made, the first is printed and saved; so is the second, if it was found."""
     more = {"with_bests": "family = [{}, { sprung_mass = 1.1 }]", "price": "structure = [[1, 0]]"}
@@ -751,7 +776,10 @@ def test_ctrl_c_keeps_what_is_finished(tmp_path, capsys, monkeypatch, where):
     path.write_text(
         f"{vehicle_with(section).text}\n[controllers.second]\nmeasured = {TWO}\n{more.get(name, 'bounds = [{ gain = 1e4 }]')}\n"
     )
-    true, calls = pkgutil.resolve_name(where.replace("synth.designs.goals.J", "synth.designs.goals:J")), itertools.count()
+    true, calls = (
+        pkgutil.resolve_name(where.replace("synth.vehicle.multi_objective.J", "synth.vehicle.multi_objective:J")),
+        itertools.count(),
+    )
     early = name in ("with_bests", "price", "_flatness", "fragile")  # they are called for the second controller alone, or after
 
     def stopped(*given, **options):
@@ -782,7 +810,7 @@ def test_ctrl_c_before_anything_is_finished(tmp_path, capsys, monkeypatch):
     def stopped(*given):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("synth.designs.goals.searched", stopped)
+    monkeypatch.setattr("synth.vehicle.multi_objective.searched", stopped)
     with pytest.raises(KeyboardInterrupt):
         main_of("synth")(["--vehicle", str(path), "--controller", "goal", "--save", str(saved)])
     assert capsys.readouterr().out == ""

@@ -5,14 +5,14 @@ from dataclasses import replace
 
 import pytest
 
-from models.vehicle import read_vehicle
+from models.vehicle.vehicle import read_vehicle
 from sim import bump, envelope
 from sim.campaign import __main__ as campaign
-from sim.command.claims import say_false_claims
+from sim.command.comparison import say_false_claims
 from sim.inspect.__main__ import main as inspect
 from sim.report.__main__ import main as report
 from synth.__main__ import main as synth
-from synth.certificate.promise import Promise
+from synth.analysis.specification import Promise
 from tests.commands import prose
 from tests.drives import EVERY_DRIVE, MAP
 from tests.reading import PageRead
@@ -82,7 +82,7 @@ def test_of_a_design_too(designer, capsys):
 def test_nothing_is_searched_for_to_drive(vehicles, monkeypatch, capsys):
     """A given gain's ratio to the best of each vehicle, which takes designs, is for `synth` to say, not for what drives it."""
     asked = []
-    monkeypatch.setattr("synth.designs.goals.with_bests", lambda problem: asked.append(problem) or problem)
+    monkeypatch.setattr("synth.vehicle.multi_objective.with_bests", lambda problem: asked.append(problem) or problem)
     driven = ["--vehicle", str(vehicles["regret"]), "--controller", "b"]
     bump.main([*driven, "--no-logs", "--duration", "0.1"])
     envelope.main([*driven, *MAP])

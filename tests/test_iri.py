@@ -7,17 +7,31 @@ import numpy as np
 import pytest
 from scipy import integrate
 
+import sim.command.comparison
 from models.common.errors import InputError
 from models.roads.choice import choose_road
 from models.roads.description import described_road
-from models.roads.golden_car import SPEED, A, B, C, missing, roughness_index, slope_response, suspension_slopes
-from models.roads.iri import STEP, Roughness, roughness_of
-from models.roads.iso8608 import CLASSES, Iso8608, roughness
+from models.roads.iri import (
+    SPEED,
+    STEP,
+    A,
+    B,
+    C,
+    Roughness,
+    missing,
+    roughness_index,
+    roughness_of,
+    slope_response,
+    suspension_slopes,
+)
+from models.roads.iso8608 import Iso8608, roughness
 from models.roads.profile import Profile
 from models.roads.road import Bump, track_width
-from models.vehicle import read_vehicle
+from models.vehicle.names import CLASSES
+from models.vehicle.vehicle import read_vehicle
 from sim.drive import main
 from sim.inspect.__main__ import main as inspect
+from tests.commands import once
 from tests.rewriting import contents, written
 
 QUARTER, CAR = read_vehicle("quarter_car"), read_vehicle("full_car")
@@ -117,8 +131,8 @@ def test_sinusoid(wavelength):
 
 @pytest.mark.parametrize(
     ("vehicle", "distance"),
-    [(QUARTER, 400.0), (CAR, 150.0), (QUARTER, 1000.0), (CAR, 1024.0)],
-    ids=["one track", "two tracks", "nearly all of it", "all of both tracks"],
+    [(CAR, 150.0), (QUARTER, 1000.0), pytest.param(CAR, 1024.0, marks=pytest.mark.attack)],
+    ids=["two tracks", "nearly all of it", "all of both tracks"],
 )
 def test_200_roads(vehicle, distance):
     """Of 200 roads of class C the mean of every IRI lies within 3.5 standard errors of theory, and its spread is theory's.
@@ -146,7 +160,7 @@ def test_start():
     final = math.sqrt(np.abs(slope_response(n, STEP)) ** 2 @ variances)
     lost = np.cumsum(1 - np.sqrt(square[:4000:10]) / final) * 0.25
     assert np.allclose(missing(n, variances, STEP)[:400], lost, rtol=0, atol=1e-9)  # m; rounding of 400 terms
-    short, long = (theory(roughness_of(Iso8608("C", length=1e5), QUARTER, distance)[0])[0] for distance in (20.0, 1e4))
+    short, long = (theory(roughness_of(Iso8608("C", length=3e4), QUARTER, distance)[0])[0] for distance in (20.0, 1e4))
     assert (1 - short / long) * 20.0 == pytest.approx(0.95, abs=0.01)  # the long one lacks it, too, by 0.002
 
 
@@ -189,10 +203,10 @@ def test_measured_profiles():
     (part,) = roughness_of(Profile(x, heights), QUARTER, 100.0)
     assert part.iri == pytest.approx(listing(heights[:401, 0], 0.25), rel=1e-9)
     smooth = Iso8608("B", 1, 1.0)  # the same road, at uneven distances
-    uneven = np.cumsum(np.random.default_rng(0).uniform(0.02, 0.06, 3000))
+    uneven = np.cumsum(np.random.default_rng(0).uniform(0.02, 0.06, 1500))
     points = np.repeat(smooth.displacement(uneven - uneven[0])[:, None], 2, axis=1)
-    (found,) = roughness_of(Profile(uneven, points), QUARTER, 100.0)
-    assert found.iri == pytest.approx(roughness_of(smooth, QUARTER, 100.0)[0].iri, rel=2e-3)  # what is shorter than 0.1 m
+    (found,) = roughness_of(Profile(uneven, points), QUARTER, 50.0)
+    assert found.iri == pytest.approx(roughness_of(smooth, QUARTER, 50.0)[0].iri, rel=2e-3)  # what is shorter than 0.1 m
 
 
 def test_no_iri():
@@ -203,7 +217,7 @@ def test_no_iri():
     assert roughness_of(coarse, QUARTER, 31.0) == ()
 
 
-def test_printed_and_logged(capsys, tmp_path):
+def test_printed_and_logged(capsys, monkeypatch, tmp_path):
     """The table has every IRI beside its expectation, as JSON and log have it; a log with another one proves it no more."""
     arguments = [
         "--vehicle",
@@ -213,8 +227,11 @@ def test_printed_and_logged(capsys, tmp_path):
         "--road",
         "iso8608:iri=3",
         "--duration",
-        "1",
+        "0.6",
+        "--timestep",
+        "4e-3",
     ]
+    monkeypatch.setattr(sim.command.comparison, "run_named", once(sim.command.comparison.run_named))
     assert main([*arguments, "--no-logs"]) == 0
     out = capsys.readouterr().out
     assert main([*arguments, "--logs", str(tmp_path), "--json"]) == 0
@@ -224,7 +241,7 @@ def test_printed_and_logged(capsys, tmp_path):
         row = next(line.split() for line in out.splitlines() if line.split()[:1] == [name])
         assert row == [name, "m/km", *[f"{one[key]:.4g}" for key in ("road", "road", "expected", "spread")]]
     road = described_road(result["road"])
-    assert result["iri"]["iri_left"]["road"] == roughness_of(road, CAR, 20.0)[0].iri
+    assert result["iri"]["iri_left"]["road"] == roughness_of(road, CAR, 12.0)[0].iri
     (log,) = tmp_path.glob("*.mcap")
     assert inspect([str(log), "--json"]) == 0
     forged = tmp_path / "forged.mcap"

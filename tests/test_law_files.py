@@ -12,9 +12,9 @@ import pytest
 from scipy.io import loadmat, savemat
 
 from models.common.errors import InputError
-from models.formats.law_file import NAMES
-from models.formats.mat_file import MOST_INSIDE, read_mat
-from models.vehicle import parse_vehicle, read_vehicle
+from models.vehicle.in_place import NAMES
+from models.vehicle.mat_file import MOST_INSIDE, read_mat
+from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main as bump
 from sim.campaign.__main__ import main as campaign
 from sim.inspect.__main__ import main as inspect

@@ -6,29 +6,35 @@ from dataclasses import replace
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from scipy import linalg
+from scipy import linalg, optimize
 
 from models.common.errors import InputError
-from models.kind import HERE
-from models.law import LinearLaw, static_law
-from models.reality import Implementation, Limits
-from models.roads.road import Bump
-from models.vehicle import Vehicle, read_vehicle
+from models.kinds.kind import HERE
+from models.laws.linear import LinearLaw, states_text, static_law
+from models.roads.road import Bump, RoadInput
+from models.vehicle.limits_and_implementation import Implementation, Limits
+from models.vehicle.vehicle import Vehicle, read_vehicle
 from sim.campaign.__main__ import main as campaign
-from sim.linear.frequency import continuous_frequency_response
+from sim.linear.frequency_response import continuous_frequency_response
 from sim.margins import main
-from sim.physics.blocks import Course, in_blocks
-from sim.physics.simulate import on_each
+from sim.physics.run_blocks import Course, in_blocks
 from sim.report.designs import gain_table
 from sim.runs.run import run_all, sample_times
-from sim.stability.cut import cut, cut_sampled
-from sim.stability.growth import Trial, grow
-from sim.stability.loop import gain_crossings, largest_sample_period, margins, sampled_gain_crossings
-from synth.certificate.certificate import certify
-from synth.controller import Controller
-from synth.designer import Designer
-from synth.problem.problem import generalized_plant
-from synth.words import law_lines, states_text
+from sim.studies.stability.growth_test import Trial, grow
+from sim.studies.stability.loop_transfer import cut, cut_sampled
+from sim.studies.stability.stability_margins import (
+    crossovers,
+    gain_crossings,
+    largest_sample_period,
+    margins,
+    sampled_gain_crossings,
+)
+from synth.analysis.certificate import Certificate, certify
+from synth.controller.controller import Controller
+from synth.controller.problem import generalized_plant
+from synth.controller.report import law_lines
+from synth.vehicle.designer import Designer
+from tests.shared import made
 
 REALITIES = {
     "ideal": (Implementation(), Limits()),
@@ -47,11 +53,15 @@ def controller(vehicle: Vehicle, kind: str, states: int = 4) -> Controller:
     A = np.diag(-np.geomspace(2.0, 300.0, states)) + np.triu(rng.uniform(-20, 20, (states, states)), 1)
     B, C = rng.standard_normal((states, q)), 40.0 * rng.standard_normal((m, states))
     law = LinearLaw(A, B, C, 5.0 * rng.standard_normal((m, q)))
-    plant = generalized_plant(vehicle)
-    return Controller(kind, tuple(names), law, False, certify(plant, np.zeros_like(plant.B.T)))
+    return Controller(kind, tuple(names), law, False, made(_without_control, vehicle.kind.name))
 
 
-@pytest.mark.parametrize("name", ["quarter_car", "half_car", "full_car"])
+def _without_control(kind: str) -> Certificate:
+    plant = generalized_plant(read_vehicle(kind))
+    return certify(plant, np.zeros_like(plant.B.T))
+
+
+@pytest.mark.parametrize("name", ["quarter_car", pytest.param("half_car", marks=pytest.mark.attack), "full_car"])
 @pytest.mark.parametrize("reality", REALITIES)
 def test_physics_agrees_to_rk4s_own_error(name, reality):
     """MuJoCo is within 1e-6 of peak of the exact sampled response over a bump, and 16 times as near at half the step."""
@@ -59,12 +69,13 @@ def test_physics_agrees_to_rk4s_own_error(name, reality):
     vehicle = replace(read_vehicle(name), implementation=implementation, limits=limits)
     some = [controller(vehicle, "velocity"), controller(vehicle, "acceleration")]
     errors = []
-    for h in (1e-3, 5e-4):
+    # Half the step only without geometry: that of cars is not linear, and does not fall with the step.
+    for h in (1e-3, 5e-4) if name == "quarter_car" else (1e-3,):
         how = replace(implementation, sample_period=implementation.sample_period or 1e-3)
-        runs = run_all(replace(vehicle, implementation=how), some, Bump(height=0.01), sample_times(vehicle, 1.0, h))
+        runs = run_all(replace(vehicle, implementation=how), some, Bump(height=0.01), sample_times(vehicle, 0.4, h))
         assert all(run.agreement.agrees and run.energy is not None and run.energy.balances for run in runs)
         errors.append([max(one.sampled for one in run.agreement.signals.values()) for run in runs])
-    if name == "quarter_car":  # the others' geometry is not linear: their error does not fall with the step
+    if name == "quarter_car":
         assert np.max(errors) < 1e-6
         assert np.all(np.array(errors[0]) / errors[1] > 12)
 
@@ -154,15 +165,15 @@ def test_growth_that_creeps_is_seen():
         assert each.rate == pytest.approx(slowest, rel=1e-2)  # of first order in the hold
 
 
-@pytest.mark.parametrize("other", ["velocity", "acceleration"])
-def test_growth_of_a_run_does_not_depend_on_its_company(other):
+def test_growth_of_a_run_does_not_depend_on_its_company():
     """Whatever runs beside it, of other controllers with other states, the numbers of a run are the same to the last bit."""
     vehicle = read_vehicle("quarter_car")
-    one, company = controller(vehicle, "velocity", 3), [controller(vehicle, other, states) for states in (8, 3, 5)]
+    others = (("velocity", 8), ("velocity", 5), ("acceleration", 3), ("acceleration", 5))
+    one, company = controller(vehicle, "velocity", 3), [controller(vehicle, *other) for other in others]
     static = replace(one, law=static_law(one.law.D))
     trials = [Trial(vehicle, each) for each in (one, static)]
-    alone = [grow([trial], 1e-3)[0].rate for trial in trials]
-    beside = [each.rate for each in grow([*trials, *(Trial(vehicle, each) for each in company)], 1e-3)[:2]]
+    alone = [grow([trial], 2e-3)[0].rate for trial in trials]
+    beside = [each.rate for each in grow([*trials, *(Trial(vehicle, each) for each in company)], 2e-3)[:2]]
     assert beside == alone
 
 
@@ -233,7 +244,7 @@ def test_a_campaign_drives_laws_with_states(tmp_path, capsys, period):
     (tmp_path / "car.toml").write_text(text, encoding="utf-8")
     (tmp_path / "campaign.toml").write_text(
         'vehicles = ["car.toml"]\ncontrollers = ["I", "accelerometer", "mine"]\nroads = ["bump", "iso8608:class=A"]\n'
-        "speeds = [12.5]\nseeds = 2\nduration = 6.0\nsettle = 2.0\n",
+        "speeds = [12.5]\nseeds = 1\nduration = 0.5\nsettle = 0.25\n",
         encoding="utf-8",
     )
     ask = [str(tmp_path / "campaign.toml"), "--results", str(tmp_path / "results"), "--workers", "1", "--json"]
@@ -250,8 +261,7 @@ def test_a_campaign_drives_laws_with_states(tmp_path, capsys, period):
     assert held == {"measured": list(one.measured), **record}
 
 
-@pytest.mark.parametrize("bandwidth", [60.0, 500.0])
-@pytest.mark.parametrize("unit", [1.0, 1e-6])
+@pytest.mark.parametrize(("bandwidth", "unit"), [(60.0, 1.0), (500.0, 1e-6)])
 def test_no_crossover_is_missed(bandwidth, unit):
     """Behind a lag, and with a law's states in whatever unit, every crossing of |L| = 1 on a fine grid is found."""
     vehicle = replace(read_vehicle("quarter_car"), limits=Limits(actuator_bandwidth=bandwidth))
@@ -266,11 +276,15 @@ def test_no_crossover_is_missed(bandwidth, unit):
     static = replace(plain, measured=vehicle.linear_model.states, law=static_law(np.array([[11810.0, 2333.0, -1096.0, 109.0]])))
     for one in (replace(plain, measured=names, law=law), static):
         loop = cut(vehicle, one, [0])
-        omega = np.geomspace(1e-2, 1e4, 200_000)
-        above = np.abs(loop.transfer(omega)[:, 0, 0]) > 1
-        crossings = omega[1:][np.diff(above)]
-        found = sorted(crossover.frequency for crossover in margins(loop).crossovers)
-        np.testing.assert_allclose(found, crossings, rtol=1e-4)  # the grid's step
+        omega = np.geomspace(1e-2, 1e4, 5_000)
+
+        def excess(w, loop=loop):
+            return np.abs(loop.transfer(np.atleast_1d(w))[:, 0, 0]) - 1
+
+        at = np.flatnonzero(np.diff(excess(omega) > 0))
+        crossings = np.array([optimize.brentq(lambda w: float(excess(w)[0]), *omega[i : i + 2], xtol=1e-12) for i in at])
+        found = sorted(crossover.frequency for crossover in crossovers(loop))
+        np.testing.assert_allclose(found, crossings, rtol=1e-8)  # both refined further
 
 
 @pytest.mark.parametrize("share", [0.9, 1.1, 5.0])
@@ -309,7 +323,8 @@ def test_runs_without_accelerations_are_the_same_runs(how):
     """
     vehicle = replace(read_vehicle("half_car"), implementation=how)
     time, some = sample_times(vehicle, 0.2, 1e-3), [controller(vehicle, "acceleration", 2)] * 2
-    now, midway = (on_each([vehicle] * 2, [Bump()] * 2, "displacement", times) for times in (time, time + 5e-4))
+    met = RoadInput(vehicle, Bump(), time)
+    now, midway = (np.stack([heights] * 2, axis=1) for heights in (met.heights, met.midway))
     edges = (0, 50, len(time))
     plain = list(in_blocks(Course([vehicle] * 2, some, now, midway, 1e-3, edges)))
     going, fewer = np.array([True, True]), []

@@ -10,34 +10,31 @@ import pyarrow.parquet as pq
 import pytest
 from scipy.integrate import solve_ivp
 
+import sim.command.comparison
 from models.common.errors import InputError
-from models.kind import GRAVITY
-from models.loads.choice import choose_load, described_loads
-from models.loads.load import LOADS
-from models.loads.table import History, parse_history
-from models.reality import Implementation, Limits
+from models.kinds.kind import GRAVITY
 from models.roads.choice import choose_road
 from models.roads.description import described_road
 from models.roads.iso8608 import Iso8608
+from models.roads.load import LOADS
+from models.roads.load_choice import History, choose_load, described_loads, parse_history
 from models.roads.loaded import Loaded
 from models.roads.obstacles import Flat
 from models.roads.road import Bump
-from models.vehicle import parse_vehicle, read_vehicle
+from models.vehicle.limits_and_implementation import Implementation, Limits
+from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.campaign.__main__ import main as campaign
-from sim.command.driven import programmed
+from sim.command.comparison import programmed
 from sim.drive import main
 from sim.inspect.__main__ import main as inspect
-from sim.linear.loop import continuous_response, sampled_response
-from sim.physics.energy import energy
-from sim.physics.simulate import simulate
 from sim.response.response import Response
-from sim.ride.attitude import PITCH, ROLL, static_angles
-from sim.ride.metrics import Meter, measure
 from sim.runs.run import run_all, sample_times
-from synth.designer import Designer
-from tests.commands import prose
+from sim.studies.ride.metrics import PITCH, ROLL, Meter, measure, static_angles
+from tests.analysed import continuous_response, energy, sampled_response, simulate
+from tests.commands import once, prose
 from tests.curved import DIGRESSIVE, PROGRESSIVE, with_curves
 from tests.rewriting import contents, written
+from tests.shared import designed
 
 BAR = "[parameters]\nanti_roll_stiffness_front = 2e4"
 REALITIES = {
@@ -60,14 +57,16 @@ def car(kind, more=""):
     return parse_vehicle(read_vehicle(kind).text.replace("[parameters]", more or "[parameters]", 1))
 
 
-@pytest.mark.parametrize("reality", REALITIES)
-@pytest.mark.parametrize("text", QUARTER)
+@pytest.mark.parametrize(
+    ("text", "reality"),
+    [*zip(itertools.cycle(QUARTER), REALITIES, strict=False), (QUARTER[1], "ideal")],
+)
 def test_exact_in_the_quarter_car(text, reality):
     """However its controller is built, MuJoCo follows the exact sampled response to RK4's own error; no geometry."""
     implementation, limits = REALITIES[reality]
     vehicle = dataclasses.replace(read_vehicle("quarter_car"), implementation=implementation, limits=limits)
-    design = Designer(vehicle).design
-    runs = run_all(vehicle, [design(name) for name in ("passive", "I")], road_of(text, vehicle), sample_times(vehicle, 2.0, 1e-3))
+    controllers, time = [designed(vehicle, name) for name in ("passive", "I")], sample_times(vehicle, 1.3, 1e-3)
+    runs = run_all(vehicle, controllers, road_of(text, vehicle), time)
     for run in runs:
         assert run.agreement.agrees
         assert all(one.small is None for one in run.agreement.signals.values())
@@ -76,32 +75,32 @@ def test_exact_in_the_quarter_car(text, reality):
         assert run.energy.residual < 1e-6  # measured 5e-8
 
 
-@pytest.mark.parametrize("name", ["I", "accelerometer"])
-@pytest.mark.parametrize("reality", ["ideal", "slow", "late"])
+@pytest.mark.parametrize(
+    ("name", "reality"), [("I", "ideal"), ("I", "late"), ("accelerometer", "slow"), ("accelerometer", "late")]
+)
 def test_accelerometers_feel_loads(name, reality):
     """A measured acceleration has the load in it, as it was until then, in MuJoCo as in the response that is predicted."""
     implementation = REALITIES[reality][0]
     vehicle = dataclasses.replace(read_vehicle("quarter_car_accelerometer"), implementation=implementation)
-    time, road = sample_times(vehicle, 2.0, 1e-3), road_of("flat + lift:force=400:rise=0.05", vehicle)
-    (run,) = run_all(vehicle, [Designer(vehicle).design(name)], road, time)
+    time, road = sample_times(vehicle, 1.2, 1e-3), road_of("flat + lift:force=400:rise=0.05", vehicle)
+    (run,) = run_all(vehicle, [designed(vehicle, name)], road, time)
     assert run.agreement.agrees
     assert max(one.sampled for one in run.agreement.signals.values()) < 2e-6  # measured 1e-7; without the load in it 1e-2
 
 
 @pytest.mark.parametrize(
-    ("kind", "text"),
+    ("kind", "text", "name"),
     [
-        ("half_car", "flat + brake:g=0.3"),
-        ("half_car", "bump:height=0.02 + payload:mass=80:x=-1.2"),
-        ("full_car", "flat + brake:g=0.3 + corner:g=0.2:start=0.8"),
-        ("full_car", "bump:height=0.02:track=left + gust:force=800"),
+        ("half_car", "flat + brake:g=0.3", "passive"),
+        ("half_car", "bump:height=0.02 + payload:mass=80:x=-1.2", "I"),
+        ("full_car", "flat + brake:g=0.3 + corner:g=0.2:start=0.8", "I"),
+        ("full_car", "bump:height=0.02:track=left + gust:force=800", "passive"),
     ],
 )
-@pytest.mark.parametrize("name", ["passive", "I"])
 def test_geometry_is_all_that_differs_in_cars(kind, text, name):
     """A car agrees; where it turns far, at a hundredth of road and loads it is a thousand times nearer."""
     vehicle = car(kind, BAR if kind == "full_car" else "")
-    (run,) = run_all(vehicle, [Designer(vehicle).design(name)], road_of(text, vehicle), sample_times(vehicle, 2.0, 1e-3))
+    (run,) = run_all(vehicle, [designed(vehicle, name)], road_of(text, vehicle), sample_times(vehicle, 1.3, 1e-3))
     assert run.agreement.agrees
     smalls = [one.small for one in run.agreement.signals.values() if one.small is not None]
     assert max(smalls, default=0.0) < 1e-5  # measured up to 2e-6
@@ -121,12 +120,17 @@ def test_error_is_of_the_fourth_order(paper, designer):
     assert math.log2(errors[0] / errors[1]) == pytest.approx(4.0, abs=0.3)  # the next order
 
 
-@pytest.mark.parametrize("text", ["flat + lift:force=300:rise=0.0305:hold=0.1", "bump + payload:mass=40"])
-@pytest.mark.parametrize("kind", ["quarter_car", "quarter_car_accelerometer"])
+@pytest.mark.parametrize(
+    ("kind", "text"),
+    [
+        ("quarter_car", "bump + payload:mass=40"),
+        ("quarter_car_accelerometer", "flat + lift:force=300:rise=0.0305:hold=0.1"),
+    ],
+)
 def test_continuous_response_is_that_of_the_differential_equation(kind, text):
     """The continuous loop's response to road and load is what an independent integrator makes of x' = A x + B u + Bw w + Bl f."""
     vehicle = read_vehicle(kind)
-    controller = Designer(vehicle).design("I")
+    controller = designed(vehicle, "I")
     road, time, model = road_of(text, vehicle), sample_times(vehicle, 1.2, 1e-2), vehicle.linear_model
     C, D = model.rows(controller.measured)
     Dl = model.Dl[[model.outputs.index(name) for name in controller.measured]]
@@ -172,12 +176,11 @@ def test_a_law_in_python_carries_too(tmp_path):
     assert max(one.continuous for one in run.agreement.signals.values()) < 1e-2
 
 
-@pytest.mark.parametrize("name", ["passive", "I", "accelerometer"])
-@pytest.mark.parametrize("text", QUARTER)
+@pytest.mark.parametrize(("name", "text"), [("passive", QUARTER[1]), ("I", QUARTER[0]), ("accelerometer", QUARTER[1])])
 def test_curves_carry_too(text, name):
     """A vehicle whose damper and spring have curves follows its own exact response under a load, but for RK4's knots."""
     vehicle = with_curves("quarter_car_accelerometer", suspension_damping=DIGRESSIVE, suspension_stiffness=PROGRESSIVE)
-    (run,) = run_all(vehicle, [Designer(vehicle).design(name)], road_of(text, vehicle), sample_times(vehicle, 2.0, 1e-3))
+    (run,) = run_all(vehicle, [designed(vehicle, name)], road_of(text, vehicle), sample_times(vehicle, 1.3, 1e-3))
     assert run.agreement.agrees
     assert max(one.sampled for one in run.agreement.signals.values()) < 5e-5  # RK4 at knots; 2.2e-5 of a wheel that hardly moves
     integrated, physics = run.prediction.integrated, run.physics
@@ -187,14 +190,24 @@ def test_curves_carry_too(text, name):
     assert run.energy.balances
 
 
-@pytest.mark.parametrize("name", ["passive", "I", "accelerometer"])
-@pytest.mark.parametrize("lag", ["", "bandwidth = 90.0"])
-def test_adjustable_dampers_carry_too(name, lag):
+@pytest.mark.parametrize(
+    ("name", "lag", "texts"),
+    [
+        ("passive", "", QUARTER[1:]),
+        ("I", "", QUARTER[:1]),
+        pytest.param("passive", "", QUARTER[:1], marks=pytest.mark.attack),
+        pytest.param("I", "", QUARTER[1:], marks=pytest.mark.attack),
+        ("accelerometer", "bandwidth = 90.0", QUARTER[1:]),  # of nothing that is asked nothing lags
+        pytest.param("accelerometer", "", QUARTER, marks=pytest.mark.attack),
+        pytest.param("I", "bandwidth = 90.0", QUARTER[1:], marks=pytest.mark.attack),
+    ],
+)
+def test_adjustable_dampers_carry_too(name, lag, texts):
     """A vehicle with an adjustable damper follows its exact switched response under a load as it does over a road alone."""
     damper = f'\n[actuators]\nkind = "damper"\nc_min = 200.0\nc_max = 3000.0\n{lag}\n'
     vehicle = parse_vehicle(read_vehicle("quarter_car_accelerometer").text + damper)
-    for text in QUARTER:
-        (run,) = run_all(vehicle, [Designer(vehicle).design(name)], road_of(text, vehicle), sample_times(vehicle, 2.0, 1e-3))
+    for text in texts:
+        (run,) = run_all(vehicle, [designed(vehicle, name)], road_of(text, vehicle), sample_times(vehicle, 1.3, 1e-3))
         assert run.agreement.agrees
         assert all(one.time <= 0.5 for one in run.prediction.otherwise)  # before, nothing moves but rounding
         assert max(one.sampled for one in run.agreement.signals.values()) < 5e-6  # RK4's at 1 ms
@@ -207,9 +220,7 @@ def test_braking_moves_the_load_that_statics_say(kind):
     """Under steady braking the front tyres carry m_s a h over the wheelbase more, the rear ones as much less."""
     vehicle = car(kind, BAR if kind == "full_car" else "")
     p, time = vehicle.parameters, sample_times(vehicle, 12.0, 2e-3)
-    run = simulate(
-        [vehicle], [Designer(vehicle).design("passive")], [road_of("flat + brake:g=0.02", vehicle)], time
-    ).response.run(0)
+    run = simulate([vehicle], [designed(vehicle, "passive")], [road_of("flat + brake:g=0.02", vehicle)], time).response.run(0)
     moved = p["sprung_mass"] * 0.02 * GRAVITY * p["centre_height"] / (p["axle_distance_front"] + p["axle_distance_rear"])
     for axle, sign in (("front", 1.0), ("rear", -1.0)):
         tyres = [wheel.tyre_deflection for wheel in vehicle.kind.wheels if axle in wheel.tyre_deflection]
@@ -221,9 +232,7 @@ def test_cornering_is_shared_by_the_axles_roll_stiffness():
     """In a curve the body rolls by m_s a h over the roll stiffness; the outer wheels gain it over the track."""
     vehicle = car("full_car", BAR)
     p, time = vehicle.parameters, sample_times(vehicle, 12.0, 2e-3)
-    run = simulate(
-        [vehicle], [Designer(vehicle).design("passive")], [road_of("flat + corner:g=0.02", vehicle)], time
-    ).response.run(0)
+    run = simulate([vehicle], [designed(vehicle, "passive")], [road_of("flat + corner:g=0.02", vehicle)], time).response.run(0)
     moment = p["sprung_mass"] * 0.02 * GRAVITY * p["centre_height"]
     stiffness = 0.0
     for axle, bar in (("front", 2e4), ("rear", 0.0)):
@@ -246,14 +255,14 @@ def test_a_payload_pushes_where_it_lies(kind):
     vehicle = car(kind)
     p, time = vehicle.parameters, sample_times(vehicle, 12.0, 2e-3)
     text = f"flat + payload:mass=10:x={-p['axle_distance_rear']}"
-    run = simulate([vehicle], [Designer(vehicle).design("passive")], [road_of(text, vehicle)], time).response.run(0)
+    run = simulate([vehicle], [designed(vehicle, "passive")], [road_of(text, vehicle)], time).response.run(0)
     for axle, weight in (("front", 0.0), ("rear", 10 * GRAVITY)):
         names = [one.deflection for one in vehicle.kind.suspensions if axle in one.deflection]
         pushed = -p[f"suspension_stiffness_{axle}"] * sum(run[name][-1] for name in names)
         assert pushed == pytest.approx(weight, abs=0.1)  # N; geometry at a milliradian
     if kind == "full_car":
         text += f":y={p['track'] / 2}"
-        run = simulate([vehicle], [Designer(vehicle).design("passive")], [road_of(text, vehicle)], time).response.run(0)
+        run = simulate([vehicle], [designed(vehicle, "passive")], [road_of(text, vehicle)], time).response.run(0)
         tyres = {wheel.tyre_deflection: wheel.side for wheel in vehicle.kind.wheels}
         gained = {side: -175500.0 * sum(run[name][-1] for name, on in tyres.items() if on == side) for side in ("left", "right")}
         assert gained["left"] == pytest.approx(10 * GRAVITY, abs=0.1)
@@ -395,7 +404,7 @@ def test_bad_loads_are_refused(arguments, words):
 
 def drive(folder, capsys, *arguments):
     """What `sim.drive` prints, and the log that it writes."""
-    assert main(["--controller", "passive", "--duration", "1.2", "--logs", str(folder), *arguments]) == 0
+    assert main(["--controller", "passive", "--duration", "0.6", "--timestep", "2e-3", "--logs", str(folder), *arguments]) == 0
     (log,) = folder.glob("*.mcap")
     return prose(capsys.readouterr().out), log
 
@@ -451,7 +460,7 @@ def test_described_loads_are_checked(text):
 def test_static_angles_are_the_closed_form(kind, name):
     """Where a loop rests is K q = f, with the vehicle's springs and, of a controller, the stiffness of its deflection gains."""
     vehicle = car(kind, BAR if kind == "full_car" else "")
-    controller, p = Designer(vehicle).design(name), vehicle.parameters
+    controller, p = designed(vehicle, name), vehicle.parameters
     text = "flat + brake:g=0.02 + payload:mass=5:x=0.3" + (" + corner:g=0.01" if kind == "full_car" else "")
     road, wheels = road_of(text, vehicle), vehicle.kind.wheels
     found = static_angles(vehicle, controller, road, 9.0)
@@ -476,10 +485,11 @@ def test_static_angles_are_the_closed_form(kind, name):
     np.testing.assert_allclose(list(found.values()), expected, rtol=1e-9)  # rounding of a stiff loop's inverse
 
 
-def test_angles_are_measured_and_printed(tmp_path, capsys):
+def test_angles_are_measured_and_printed(monkeypatch, capsys):
     """Dive, squat and roll stand in the table as in `--json`, of MuJoCo and sampled; static angles are their ends."""
     arguments = ["--vehicle", "full_car", "--controller", "passive", "--load", "brake:g=0.1:hold=2", "--load", "corner:g=-0.1"]
-    arguments += ["--duration", "10", "--no-logs"]
+    arguments += ["--duration", "10", "--timestep", "2e-3", "--no-logs"]
+    monkeypatch.setattr(sim.command.comparison, "run_named", once(sim.command.comparison.run_named))
     assert main([*arguments, "--json"]) == 0
     (run,) = json.loads(capsys.readouterr().out)["runs"]
     metrics = {name: one for name, one in run["metrics"].items() if "angle" in name}
@@ -503,7 +513,7 @@ def test_angles_are_those_of_the_body():
     """Measured from deflections, tyres and road, the angles are MuJoCo's own joints' to the square of the angle."""
     vehicle = car("full_car")
     time, road = sample_times(vehicle, 3.0, 1e-3), road_of("bump:height=0.05:track=left + brake:g=0.3 + corner:g=0.2", vehicle)
-    (run,) = run_all(vehicle, [Designer(vehicle).design("passive")], road, time)
+    (run,) = run_all(vehicle, [designed(vehicle, "passive")], road, time)
     found = measure(vehicle, run.physics, 0, loaded=True)
     assert run.qpos is not None
     pitch, roll = np.degrees(run.qpos[:, 5]), np.degrees(run.qpos[:, 6])
@@ -524,7 +534,7 @@ controllers = ["passive", "I"]
 roads = ["flat + payload:mass=50", "bump:height=0.03 + lift:force=200", "iso8608:class=A + payload:mass=20"]
 speeds = [20.0]
 seeds = 2
-duration = 1.5
+duration = 0.8
 settle = 0.2
 """
 
@@ -537,13 +547,13 @@ def test_campaigns_know_loads(tmp_path):
     assert len(rows) == 2 * 2 * (1 + 1 + 2)
     assert {row["road"] for row in rows} == {"flat + payload:mass=50", "bump:height=0.03 + lift:force=200",
                                             "iso8608:class=A + payload:mass=20"}  # fmt: skip
-    vehicle, time = read_vehicle("quarter_car"), sample_times(read_vehicle("quarter_car"), 1.5, 1e-3)
+    vehicle, time = read_vehicle("quarter_car"), sample_times(read_vehicle("quarter_car"), 0.8, 1e-3)
     for row in rows:
         assert row["linear_error"] < 2e-6
         assert row["linear_sprung_acceleration_rms"] == pytest.approx(row["sprung_acceleration_rms"], rel=1e-5)
         assert row["expected_sprung_acceleration_rms"] is None
     (row,) = (r for r in rows if (r["vehicle"], r["controller"], r["road"][:4]) == ("quarter_car", "passive", "flat"))
-    response = sampled_response(vehicle, Designer(vehicle).design("passive"), road_of("flat + payload:mass=50", vehicle), time)
+    response = sampled_response(vehicle, designed(vehicle, "passive"), road_of("flat + payload:mass=50", vehicle), time)
     assert row["linear_suspension_deflection_peak"] == pytest.approx(float(response.peak("suspension_deflection")), rel=1e-12)
 
 
@@ -591,7 +601,7 @@ duration = 1.5
 def test_a_payload_does_not_vary_a_tyre_s_load():
     """The dynamic load of a vehicle with loads is about what tyres carry in the mean; of one without it is the rms."""
     vehicle, h, first = read_vehicle("quarter_car"), 1e-3, 1000
-    passive, time = Designer(vehicle).design("passive"), np.arange(6001) * 1e-3
+    passive, time = designed(vehicle, "passive"), np.arange(6001) * 1e-3
     rough, laden = Iso8608("C", 3, 20.0), Loaded(Iso8608("C", 3, 20.0), (choose_load("payload:mass=150:rise=0.5"),))
     values = simulate([vehicle] * 2, [passive] * 2, [rough, laden], time).response.values
     meter = Meter([vehicle] * 2, h, first, loaded=True, pushed=[False, True])

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from models.kind import HERE
+from models.kinds.kind import HERE
 
 CONTROLLER = '\n[controllers."{}"]\nmeasured = ["sprung_velocity"]\ngain = [[-8970.3]]\n'
 ASCII = {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0"}  # what C was before Python 3.7
@@ -29,12 +29,19 @@ def latin(tmp_path_factory):
     return {"LOCPATH": str(folder), "LC_ALL": "en_US.ISO-8859-1"}
 
 
-@pytest.fixture(params=["ASCII", "latin", "C"])
+@pytest.fixture
 def locale(request):
     """The environment of a locale that is not UTF-8."""
     if request.param == "latin":
         return request.getfixturevalue("latin")
     return ASCII if request.param == "ASCII" else {"LC_ALL": "C"}
+
+
+def some_locales(*later: str):
+    """All of them; those that come with the attacks are tested with the suite in the other test of this kind."""
+    names = ("ASCII", "latin", "C")
+    marked = [pytest.param(name, marks=pytest.mark.attack) if name in later else name for name in names]
+    return pytest.mark.parametrize("locale", marked, indirect=True)
 
 
 def run(folder, locale, *arguments) -> subprocess.CompletedProcess[bytes]:
@@ -52,6 +59,7 @@ def vehicle(path, name: str) -> None:
     path.write_text(text + CONTROLLER.format(name), encoding="utf-8")
 
 
+@some_locales("latin", "C")
 def test_cyrillic(tmp_path, locale):
     """A Cyrillic vehicle file and controller are found, printed, recorded under their names; an unknown one is named as it is."""
     vehicle(tmp_path / "Ы.toml", "Жук")
@@ -65,6 +73,7 @@ def test_cyrillic(tmp_path, locale):
     assert ran.stderr.decode().startswith("roadproof: unknown controller 'Щ'")
 
 
+@some_locales("ASCII")
 def test_what_the_terminal_lacks(tmp_path, locale):
     """Where only ASCII was typed, what the terminal's encoding lacks is escaped, and files have their names all the same."""
     vehicle(tmp_path / "car.toml", "Жук")

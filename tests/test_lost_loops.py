@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
-from models.vehicle import read_vehicle
+from models.vehicle.vehicle import read_vehicle
 from sim.bump import main as bump
 from sim.inspect.__main__ import main as inspect
 from sim.margins import main as margins
 from sim.report.__main__ import main as report
 from synth.__main__ import main as synth
-from synth.designer import design
-from synth.implemented.loop import sampled_radius
+from synth.vehicle.designer import design
+from tests.analysed import sampled_radius
 from tests.commands import prose
 
 SLOW = "\n[implementation]\nsample_period = 0.15\n"  # s: at 6.7 Hz what is best with samples is unstable without
@@ -97,7 +97,23 @@ def test_what_its_computer_loses_is_said_in_the_verdict(tmp_path, paper, capsys)
 
 def test_a_report_of_it(held, tmp_path, capsys):
     """It is reported as what is stable: its norm as built, its responses and the end of its regime, and no ideal norm."""
-    assert report(["--vehicle", str(held), "--controller", "I", "--quick", "--out", str(tmp_path / "r.html"), "--json"]) == 0
+    assert (
+        report(
+            [
+                "--vehicle",
+                str(held),
+                "--controller",
+                "I",
+                "--quick",
+                "--timestep",
+                "2.5e-3",
+                "--out",
+                str(tmp_path / "r.html"),
+                "--json",
+            ]
+        )
+        == 0
+    )
     said = json.loads(capsys.readouterr().out)
     assert any("I is stable as built, and UNSTABLE as the ideal loop" in text for text in said["answer"])
     tables = said["tables"]
@@ -119,7 +135,7 @@ def test_margins_are_of_the_controller_that_the_computer_was_thought_of_for(held
         found.append(controller)
         raise InputError("far enough")
 
-    monkeypatch.setattr("sim.margins.find_margins", begun)
+    monkeypatch.setattr("sim.studies.stability.margin_search.find_margins", begun)
     with pytest.raises(InputError, match="far enough"):
         margins(["--vehicle", str(held), "--controller", "I"])
     (controller,) = found

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from synth.certificate.invariant import invariant_limit, limit_at
-from synth.certificate.lower_bound import LowerBound, Witness, prove_lower_bound
-from synth.certificate.norm import hinf_norm
-from synth.certificate.side import Side, shown, steered
-from synth.lmi import full_order
-from synth.lmi.full_order import find_lower_bound
-from synth.lmi.state_feedback import state_feedback
-from synth.plant import GeneralizedPlant
+from synth.analysis.invariant_point import invariant_limit, limit_at
+from synth.analysis.lower_bound import LowerBound, Witness, prove_lower_bound
+from synth.analysis.norm import hinf_norm
+from synth.analysis.synthesis_inequality import Side, shown, steered
+from synth.lmi import full_order_bound as full_order
+from synth.lmi.full_order_bound import find_lower_bound
+from synth.lmi.output_feedback import state_feedback
+from synth.plant.generalized import GeneralizedPlant
 from tests.test_static import random_plant
 
 
@@ -140,8 +140,8 @@ def test_no_controller_beats_the_limit_anywhere(designer, paper, name):
 @pytest.mark.parametrize("kind", ["half_car", "full_car"])
 def test_limit_of_the_other_cars(kind):
     """Their best state feedback reaches the invariant limit too, which the dual proves to 2e-4."""
-    from models.vehicle import read_vehicle
-    from synth.designer import Designer
+    from models.vehicle.vehicle import read_vehicle
+    from synth.vehicle.designer import Designer
 
     designer = Designer(read_vehicle(kind))
     best = designer.state_feedback.gamma
@@ -155,7 +155,7 @@ def test_limit_of_the_other_cars(kind):
 
 def test_too_large_for_the_joint_path(monkeypatch):
     """Beyond its limit of unknowns output feedback has the bound of state feedback, which holds for it, too."""
-    rng = np.random.default_rng(1)  # of 0 the joint problem proves no more than that of the state
+    rng = np.random.default_rng(8)  # of most others the joint problem proves no more than that of the state
     A = rng.standard_normal((4, 4))
     plant = GeneralizedPlant(
         A=A - (np.linalg.eigvals(A).real.max() + 0.3) * np.eye(4),

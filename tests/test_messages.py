@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from models.common.errors import LONGEST, LONGEST_VALUE, LONGEST_WORD, InputError, middle_cut, one_line, quoted
-from models.kind import HERE
+from models.kinds.kind import HERE
 from models.roads.choice import choose_road
 from models.roads.profile_file import read_profile
-from models.vehicle import parse_vehicle, read_vehicle
+from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from synth.__main__ import main as synth
-from synth.errors import DesignError
+from synth.plant.numerics import DesignError
 
 
 @pytest.mark.parametrize("error", [InputError, DesignError])

@@ -5,15 +5,15 @@ import dataclasses
 import numpy as np
 import pytest
 
-from models.reality import Limits
 from models.roads.iso8608 import Iso8608
-from models.vehicle import parse_vehicle, read_vehicle
-from sim.physics.energy import energy
-from sim.physics.simulate import simulate
+from models.vehicle.limits_and_implementation import Limits
+from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.response.response import Response
-from sim.ride.metrics import Meter, measure, metrics_of
-from sim.ride.weighting import sampled_wk, wk
-from synth.designer import Designer
+from sim.studies.ride import weighting as recursion
+from sim.studies.ride.metrics import Meter, measure, metrics_of
+from sim.studies.ride.weighting import sampled_wk, wk
+from synth.vehicle.designer import Designer
+from tests.analysed import energy, simulate
 from tests.conftest import BUILT, LAGGED
 
 # |W_k| of ISO 2631-1, table 3, in thousandths.
@@ -31,7 +31,9 @@ def test_weighting_between_table_values():
     assert abs(wk(np.array(100.0))) == pytest.approx(0.7718, abs=5e-5)
 
 
-@pytest.mark.parametrize(("timestep", "allowed"), [(1e-3, 5e-6), (2e-3, 1e-4), (5e-3, 0.06)])  # as `sim/ride/weighting.py` says
+@pytest.mark.parametrize(
+    ("timestep", "allowed"), [(1e-3, 5e-6), (2e-3, 1e-4), (5e-3, 0.06)]
+)  # as `sim/studies/ride/weighting.py` says
 def test_sampled_weighting(timestep, allowed):
     """On samples it is the analog one, from 0.1 to 80 Hz."""
     omega = 2 * np.pi * np.geomspace(0.1, 80, 200)
@@ -43,6 +45,19 @@ def sine(vehicle, amplitudes, omega, time):
     names = [signal.name for signal in vehicle.kind.signals]
     values = np.stack([np.imag(amplitudes.get(name, 0.0) * np.exp(1j * omega * time)) for name in names], axis=-1)
     return Response(time, vehicle.kind.signals, values)
+
+
+@pytest.mark.parametrize("samples", [1, 8, 9, 40])
+def test_filters_in_plain_numbers(samples):
+    """Few signals are filtered in plain numbers, in two blocks or one, to the last bit as scipy's filter does many."""
+    rng, wk = np.random.default_rng(0), sampled_wk(1e-3)
+    signals = rng.standard_normal((recursion.FEW + 1, 2 * samples))
+    for b, a in zip(wk.numerators, wk.denominators, strict=True):
+        memory = rng.standard_normal((len(signals), len(b) - 1))
+        many, few = recursion.filtered(b, a, signals, memory), recursion.filtered(b, a, signals[1:, :samples], memory[1:])
+        then = recursion.filtered(b, a, signals[1:, samples:], few[1])
+        np.testing.assert_array_equal(many[0][1:], np.concatenate([few[0], then[0]], axis=1))
+        np.testing.assert_array_equal(many[1][1:], then[1])
 
 
 def test_metrics_of_a_sine(paper):

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from models.roads.iso8608 import Iso8608
-from models.vehicle import parse_vehicle, read_vehicle
-from sim.physics.simulate import simulate
-from sim.ride.expected import expect
-from sim.ride.metrics import Meter, measure
-from synth.designer import Designer
+from models.vehicle.vehicle import parse_vehicle, read_vehicle
+from sim.studies.ride.expected import expect
+from sim.studies.ride.metrics import Meter, measure
+from synth.vehicle.designer import Designer
+from tests.analysed import simulate
 from tests.conftest import LAGGED
 
 HOLDING = "\n[implementation]\nsample_period = 0.01\n"
@@ -48,7 +48,7 @@ def test_how_often_it_is_read(slow_road, name, reality, controller):
     vehicle = parse_vehicle(read_vehicle(name).text + reality + HOLDING)
     designed, found = Designer(vehicle).design(controller), {}
     for h in STEPS:
-        run = simulate([vehicle], [designed], [slow_road], np.arange(round(6 / h) + 1) * h).response.run(0)
+        run = simulate([vehicle], [designed], [slow_road], np.arange(round(4 / h) + 1) * h).response.run(0)
         found[h] = ride_of(measure(vehicle, run, 0))
     *coarse, fine = found.values()
     assert of_second_order(coarse, fine, 0.05)

@@ -7,8 +7,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from models.kind import GRAVITY
-from models.mjcf import build_model, mjcf_text
+from models.kinds.kind import GRAVITY
+from models.vehicle.mjcf import build_model, mjcf_text
 from tests.conftest import random_vehicles
 
 

@@ -5,14 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from models.vehicle import read_vehicle
-from synth.certificate.box import Box, ScaledGain
-from synth.designer import Designer
-from synth.plant import GeneralizedPlant
-from synth.tolerance.banded import proof_in_band
-from synth.tolerance.found import Heights, climb, norm_at
-from synth.tolerance.scaled import box_of, scaled_gain
-from synth.tolerance.stable import bound_throughout, moving_x, stable_throughout, stable_with_errors
+from models.vehicle.vehicle import read_vehicle
+from synth.analysis.uncertainty_box import Box, MovingBand, ScaledGain
+from synth.design.uncertainty.parameter_dependent_kyp import proof_in_band
+from synth.design.uncertainty.parameter_dependent_lyapunov import (
+    bound_throughout,
+    moving_x,
+    stable_throughout,
+    stable_with_errors,
+)
+from synth.design.uncertainty.problem import box_of, scaled_gain
+from synth.design.uncertainty.worst_case import Heights, climb, norm_at
+from synth.plant.generalized import GeneralizedPlant
+from synth.vehicle.designer import Designer
+from tests.shared import made
 
 PRINTED_I = np.array([[10824.0, -2071.0]])
 EDGE = 0.2102735  # where printed controller I is lost, with both readings off: seven digits by bisection over the corner
@@ -55,14 +61,14 @@ def test_random_boxes():
     """What is proved is stable at every sample of the box, and what is stable at every sample, by a hundredth of its fastest
     rate, is proved in nine of ten cases: in odd units of length and of time."""
     proved, stable = 0, 0
-    for seed in range(30):
+    for seed in range(14):
         gain, box, generator = _random(seed)
         parts, slowest = stable_throughout(gain, box), _slowest(gain, box, generator)
         assert parts is None or slowest < 0
         if slowest < -0.01:
             stable += 1
             proved += parts is not None
-    assert stable > 12  # enough to speak of
+    assert stable > 5  # enough to speak of
     assert proved >= 0.9 * stable
 
 
@@ -100,8 +106,8 @@ def test_rounding_counts(left, proved):
 
 
 def _largest(gain: ScaledGain, box: Box, low: float, high: float, generator: np.random.Generator) -> float:
-    """The largest gain in a band, at 60 frequencies, at the corners of a box and at 200 points in it."""
-    inside = box.low + (box.high - box.low) * generator.random((200, len(box.low)))
+    """The largest gain in a band, at 60 frequencies, at the corners of a box and at 80 points in it."""
+    inside = box.low + (box.high - box.low) * generator.random((80, len(box.low)))
     loops, largest = gain.loops(np.concatenate([box.corners, inside])), 0.0
     for omega in np.linspace(low, high, 60):
         through = np.linalg.solve(1j * omega * np.eye(loops.A.shape[-1]) - loops.A, loops.Bw)
@@ -109,18 +115,31 @@ def _largest(gain: ScaledGain, box: Box, low: float, high: float, generator: np.
     return largest
 
 
-@pytest.mark.parametrize(("low", "high", "loose"), [(4.0, 8.0, 0.01), (0.0, 2.0, 0.25), (6.0, np.inf, 0.05)])
+@pytest.mark.parametrize(
+    ("low", "high", "loose"),
+    [(4.0, 8.0, 0.01), pytest.param(0.0, 2.0, 0.25, marks=pytest.mark.attack), (6.0, np.inf, 0.05)],
+)
 def test_a_norm_in_a_band_with_errors(low, high, loose):
     """In a band with two ends or one, no sample of the errors exceeds what is proved, and that lies within a hundredth of it;
     in a band without end within a twentieth, and about the slow mode that twice the errors lose within a quarter."""
-    plant, Cy = _car()
-    gain = scaled_gain(plant, Cy, PRINTED_I)
-    box, generator = box_of(gain, 0.1, 0.05), np.random.default_rng(0)
-    low, high = 2 * np.pi * low, 2 * np.pi * high
-    largest = _largest(gain, box, low, min(high, 2 * np.pi * 40), generator)
+    _, _, proof, largest = made(_in_band, low, high)
+    assert largest <= proof.gamma <= (1 + loose) * largest
+
+
+def _in_band(low: float, high: float) -> tuple[ScaledGain, Box, MovingBand, float]:
+    """Printed controller I, its errors, what is proved of it in a band [Hz], and the largest gain that was found there."""
+    gain = scaled_gain(*_car(), PRINTED_I)
+    box, (low, high) = box_of(gain, 0.1, 0.05), (2 * np.pi * low, 2 * np.pi * high)
+    largest = _largest(gain, box, low, min(high, 2 * np.pi * 40), np.random.default_rng(0))
     proof = proof_in_band(gain, box, low, high, largest)
     assert proof is not None
-    assert largest <= proof.gamma <= (1 + loose) * largest
+    return gain, box, proof, largest
+
+
+def test_a_damaged_proof_in_a_band_proves_nothing():
+    """A proof of a lower bound, of other matrices, of too few corners or of a wider box does not hold."""
+    gain, box, proof, largest = made(_in_band, 4.0, 8.0)
+    assert proof.holds(gain, box)
     wider = box_of(gain, 0.12, 0.05)
     lower = replace(proof, gamma=0.98 * largest)
     tilted = replace(proof, P=proof.P + 1e-3 * np.abs(proof.P).max() * 1j * np.eye(4))
@@ -132,10 +151,11 @@ def test_a_norm_in_a_band_with_errors(low, high, loose):
         replace(proof, P=proof.P[:4], Q=proof.Q[:4]),
     ]
     assert not any(one.holds(gain, box) for one in forged)
-    assert not proof.holds(gain, wider) or _largest(gain, wider, low, min(high, 2 * np.pi * 40), generator) <= proof.gamma
+    low, high = 8 * np.pi, 16 * np.pi
+    assert not proof.holds(gain, wider) or _largest(gain, wider, low, high, np.random.default_rng(1)) <= proof.gamma
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", [*range(3), *(pytest.param(seed, marks=pytest.mark.attack) for seed in range(3, 12))])
 def test_random_norms_with_errors(seed):
     """Of random plants in odd units: no sample of the errors exceeds what is proved, which is close above where it is found."""
     generator = np.random.default_rng(2000 + seed)
@@ -157,7 +177,7 @@ def test_random_norms_with_errors(seed):
         assert moving_x(gain, box, 1e3) is None
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.attack) for seed in (1, 2))])
 def test_random_norms_in_bands(seed):
     """Of random plants with noise in what is measured, in odd units: no sample of the errors exceeds what is proved."""
     generator = np.random.default_rng(1000 + seed)

@@ -6,20 +6,20 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
-from models.law import LinearLaw, static_law
-from synth.certificate.certificate import certify
-from synth.certificate.lower_bound import LowerBound, prove_lower_bound
-from synth.certificate.norm import hinf_norm
-from synth.certificate.record import read_proof, to_record
-from synth.certificate.side import shown
-from synth.certificate.zeros import limit_at_zeros
-from synth.dynamic.central import central_law
-from synth.dynamic.loop import on_larger_plant
-from synth.errors import InfeasibleError
-from synth.lmi.full_order import find_lower_bound
-from synth.plant import GeneralizedPlant, measurement_matrices
-from synth.search.landscape import Landscape
-from synth.search.static import static_output_feedback
+from models.laws.linear import LinearLaw, static_law
+from synth.analysis.certificate import certify
+from synth.analysis.interpolation import limit_at_zeros
+from synth.analysis.lower_bound import LowerBound, prove_lower_bound
+from synth.analysis.norm import hinf_norm
+from synth.analysis.record import read_proof, to_record
+from synth.analysis.synthesis_inequality import shown
+from synth.design.descent.landscape import Landscape
+from synth.design.full_order.riccati import central_law
+from synth.design.static import static_output_feedback
+from synth.lmi.full_order_bound import find_lower_bound
+from synth.plant.augmented import on_larger_plant
+from synth.plant.generalized import GeneralizedPlant, measurement_matrices
+from synth.plant.numerics import InfeasibleError
 from tests.active_suspension import SCENARIOS, active_suspension
 
 NOTHING = LowerBound(0.0)  # in the place of an invariant point's bound, which knows no measurement
@@ -66,7 +66,7 @@ def test_bound_with_noise(seed, noise, through):
     assert find_lower_bound(plant, Cy).gamma <= bound.gamma * (1 + 1e-5)  # where the paths end
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", [*range(2), *(pytest.param(seed, marks=pytest.mark.attack) for seed in range(2, 12))])
 def test_no_controller_beats_it(seed):
     """No law of any order, stable by luck, has a norm below the bound: 300 random ones of 0 to 3 states for each plant."""
     plant, Cy, Dyw = noisy(2 * seed, 0.5, 0.3)
@@ -188,7 +188,7 @@ def test_slope_at_infinity():
     assert landscape.heights(x, cuts)[0].max() == pytest.approx(height, rel=1e-6)  # the far frequency is FAR times the poles
 
 
-@pytest.mark.parametrize("scenario", SCENARIOS)
+@pytest.mark.parametrize("scenario", [pytest.param(one, marks=() if one == 0.5 else pytest.mark.attack) for one in SCENARIOS])
 def test_static_gains_of_the_active_suspension(scenario):
     """Static gains on the noisy signals of MathWorks' example come to 0.948, 0.728 and 1.226 at most, as was found elsewhere."""
     plant, Cy, Dyw = active_suspension(scenario)

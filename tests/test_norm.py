@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy import linalg, signal
 
-from synth.certificate.norm import hinf_norm, level_crossings, level_set_norm, sweep_norm
-from synth.plant import GeneralizedPlant
+from synth.analysis.norm import hinf_norm, level_crossings, level_set_norm, sweep_norm
+from synth.plant.generalized import GeneralizedPlant
 from tests import exactly
 
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from models.common.errors import InputError
-from models.vehicle import read_vehicle
-from synth.designer import Designer
+from models.vehicle.vehicle import read_vehicle
+from synth.vehicle.designer import Designer
 from tests.commands import main_of
 from tests.pages import hopper
 

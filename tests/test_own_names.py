@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from models.kind import HERE, Suspension
-from models.vehicle import read_vehicle
+from models.kinds.kind import HERE, Suspension
+from models.vehicle.vehicle import read_vehicle
 from sim import bump, drive, sweep
-from sim.ride.metrics import metrics_of, points
+from sim.studies.ride.metrics import metrics_of, points
 
 OWN = {"suspension_deflection": "gap", "tyre_deflection": "squash", "control_force": "push", "road_displacement": "ground"}
 LIMITS = "\n[limits]\nsuspension_stroke = 0.05\nstop_stiffness = 1e5\nactuator_force = 400.0\n"
@@ -17,7 +17,7 @@ RENAMED = f"""
 import dataclasses
 from types import SimpleNamespace
 from models import signals as common
-from models.kind import Suspension
+from models.kinds.kind import Suspension
 
 own = {OWN}
 signals = SimpleNamespace(**{{
@@ -42,7 +42,7 @@ def vehicles(tmp_path_factory) -> tuple[Path, Path]:
     text = (HERE / "quarter_car.toml").read_text() + LIMITS
     ships.write_text(text)
     renamed.write_text(other_words(text).replace('"quarter_car"', '"strut_car"'))
-    equations = (HERE / "quarter_car.py").read_text().replace("from models import signals\n", RENAMED)
+    equations = (HERE / "quarter_car.py").read_text().replace("from models.kinds import signals\n", RENAMED)
     equations = equations.replace('name="quarter_car"', 'name="strut_car",\n    suspended=(Suspension("gap", "strut", "push"),)')
     (folder / "strut_car.py").write_text(equations.replace('spec.tendon("suspension")', 'spec.tendon("strut")'))
     drawn = re.sub(r'((tendon|fixed name|spatial name)=)"suspension"', r'\1"strut"', (HERE / "quarter_car.xml").read_text())
@@ -65,8 +65,8 @@ def test_it_says_so(vehicles):
     ("main", "options"),
     [
         (bump.main, ["--controller", "I", "--height", "0.12", "--length", "1.5", "--no-logs"]),
-        (drive.main, ["--controller", "I", "--class", "F", "--duration", "2", "--no-logs"]),
-        (sweep.main, ["--controller", "I"]),
+        (drive.main, ["--controller", "I", "--class", "F", "--duration", "1", "--no-logs"]),
+        (sweep.main, ["--controller", "I", "--timestep", "4e-3"]),
     ],
     ids=["bump", "drive", "sweep"],
 )

@@ -7,8 +7,8 @@ import pytest
 from tests.pages import LIGHTER, PAGES, PICTURES, THINNER, Section, missing, page, run, same_picture, sections
 
 SECTIONS = [each for name in PAGES for each in sections(name) if each.commands]
-# Each some seconds or more; in test_slow_pages.py, so that another process may run them.
-SLOW = ("sim.sweep", "sim.margins", "sim.envelope", "sim.report")
+# Each some seconds or more: in test_slow_pages.py, after the suite.
+SLOW = ("sim.sweep", "sim.margins", "sim.envelope", "sim.report", "synth --vehicle quarter_car_goals", "synth --front")
 
 
 def slow(one: Section) -> bool:

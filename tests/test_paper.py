@@ -5,12 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from synth.certificate.norm import hinf_norm
-from synth.lmi.clarabel import solve_lmi
+from synth.analysis.norm import hinf_norm
 from synth.lmi.output_feedback import nullspace
-from synth.paper.printed import CY, PRINTED, entry_of, ours
-from synth.paper.remarks import BOX, TO_RELATIVE, absolute_states, remark_4, remark_5
-from synth.plant import Feedback
+from synth.lmi.sdp import solve_lmi
+from synth.plant.generalized import Feedback
+from synth.vehicle.paper import BOX, CY, PRINTED, TO_RELATIVE, absolute_states, entry_of, ours, remark_4, remark_5
 
 # How far a number may be off that the paper's early stop moved: 2e-4 of X carries to 1e-3 of the smaller entry of K_I; or, for
 # small numbers, one unit of the last printed digit.

@@ -1,6 +1,7 @@
 """Python is all that it needs: no source counts on what only one system has, on its paths, or on its encoding."""
 
 import ast
+import json
 import os
 import subprocess
 import sys
@@ -46,19 +47,19 @@ SOME_SIGNALS |= {"alarm", "setitimer", "pause", "sigwait", "pthread_kill", "pthr
 ROOTED = ("/dev/", "/proc/", "/tmp", "/var/", "/etc/", "/usr/", "C:\\")
 # The one path of POSIX, which is only ever compared with what the user gave.
 KNOWN = {
-    ("models/common/whole_file.py", "/dev/stdout"),
-    ("sim/campaign/aside.py", "os.killpg"),  # only where there is one
-    ("sim/campaign/aside.py", "signal.SIGKILL"),  # there, too
+    ("models/common/files.py", "/dev/stdout"),
+    ("sim/campaign/law_process.py", "os.killpg"),  # only where there is one
+    ("sim/campaign/law_process.py", "signal.SIGKILL"),  # there, too
 }
 
 
 def found(tree: ast.AST) -> Iterator[str]:
     """What only one system has, in a source."""
-    docstrings = set()
-    for node in ast.walk(tree):
+    docstrings, nodes = set(), list(ast.walk(tree))
+    for node in nodes:
         if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef)) and node.body and isinstance(node.body[0], ast.Expr):
             docstrings.add(id(node.body[0].value))
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.Import):
             yield from (f"import {alias.name}" for alias in node.names if alias.name.split(".")[0] in ONE_SYSTEM)
         elif isinstance(node, ast.ImportFrom):
@@ -86,11 +87,10 @@ def _text_without_encoding(call: ast.Call) -> Iterator[str]:
         yield f"line {call.lineno}: open without encoding or newline"
 
 
-@pytest.mark.parametrize("path", SOURCES, ids=lambda path: path.relative_to(ROOT).as_posix())
-def test_a_source_counts_on_no_system(path):
+def test_no_source_counts_on_a_system():
     """No module, function, signal or path that Linux, macOS or Windows lacks; no text in the system's own encoding."""
-    own = path.relative_to(ROOT).as_posix()
-    assert [one for one in found(ast.parse(path.read_text(encoding="utf-8"))) if (own, one) not in KNOWN] == []
+    trees = {path.relative_to(ROOT).as_posix(): ast.parse(path.read_text(encoding="utf-8")) for path in SOURCES}
+    assert {(own, one) for own, tree in trees.items() for one in found(tree)} - KNOWN == set()
 
 
 @pytest.mark.parametrize(
@@ -112,58 +112,54 @@ def test_the_walk_sees_it(source):
     assert list(found(ast.parse(source)))
 
 
-# Runs a command as if an extra's package were not installed.
+# Runs commands as if an extra's package were not installed, each with our own modules imported anew.
 WITHOUT = """
-import runpy, sys
-package, module, *rest = sys.argv[1:]
+import contextlib, io, json, runpy, sys
 class Missing:
     def find_spec(self, name, path=None, target=None):
         if name.split(".")[0] == package:
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 sys.meta_path.insert(0, Missing())
-sys.argv = [module, *rest]
-runpy.run_module(module, run_name="__main__")
+found = []
+for package, module, *rest in json.loads(sys.argv[1]):
+    for name in [name for name in sys.modules if name.split(".")[0] in (package, "models", "synth", "sim")]:
+        del sys.modules[name]
+    sys.argv = [module, *rest]
+    with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.redirect_stderr(io.StringIO()) as err:
+        try:
+            runpy.run_module(module, run_name="__main__")
+        except SystemExit as exit:
+            found.append((exit.code, out.getvalue(), err.getvalue()))
+print(json.dumps(found))
 """
+MAP = ["--vary", "height:0.1:0.2:2", "--vary", "speed:5:9:2"]
+EXTRAS = [  # a package, its extra, and a command that needs it
+    ("matplotlib", "report", ["sim.sweep", "--controller", "passive", "--picture", "x.png"]),
+    ("matplotlib", "report", ["sim.envelope", "--controller", "passive", *MAP, "--picture", "x.png"]),
+    ("matplotlib", "report", ["sim.margins", "--controller", "I", "--picture", "x.svg"]),
+    ("jinja2", "report", ["sim.report"]),
+    ("contourpy", "report", ["sim.report"]),
+    ("ray", "cluster", ["sim.campaign", "campaign.toml", "--ray", "auto"]),
+    ("pyopencrg", "opencrg", ["sim.drive", "--controller", "passive", "--road", "road.crg"]),
+]
 
 
-@pytest.mark.parametrize(
-    ("package", "extra", "arguments"),
-    [
-        ("matplotlib", "report", ["sim.sweep", "--controller", "passive", "--picture", "x.png"]),
-        (
-            "matplotlib",
-            "report",
-            [
-                "sim.envelope",
-                "--controller",
-                "passive",
-                "--vary",
-                "height:0.1:0.2:2",
-                "--vary",
-                "speed:5:9:2",
-                "--picture",
-                "x.png",
-            ],
-        ),
-        ("matplotlib", "report", ["sim.margins", "--controller", "I", "--picture", "x.svg"]),
-        ("jinja2", "report", ["sim.report"]),
-        ("contourpy", "report", ["sim.report"]),
-        ("ray", "cluster", ["sim.campaign", "campaign.toml", "--ray", "auto"]),
-        ("pyopencrg", "opencrg", ["sim.drive", "--controller", "passive", "--road", "road.crg"]),
-    ],
-)
-def test_an_extra_is_asked_for_by_name(tmp_path, package, extra, arguments):
+def test_an_extra_is_asked_for_by_name(tmp_path):
     """Without an extra's packages a command that needs them says in one line how to install them, before any work."""
     (tmp_path / "road.crg").touch()
     (tmp_path / "campaign.toml").write_text(
         'vehicles = ["quarter_car"]\ncontrollers = ["passive"]\nroads = ["bump"]\nspeeds = [10.0]\nduration = 1.0\nsettle = 0.0\n'
     )
-    command = [sys.executable, "-c", WITHOUT, package, *arguments]
+    cases = json.dumps([[package, *arguments] for package, _, arguments in EXTRAS])
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr.count("\n") == 1
-    assert f"[{extra}]" in done.stderr
+    command = [sys.executable, "-c", WITHOUT, cases]
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
+    found = json.loads(done.stdout)
+    assert len(found) == len(EXTRAS)
+    for (code, out, err), (package, extra, arguments) in zip(found, EXTRAS, strict=True):
+        assert (code, out) == (2, ""), (package, arguments, err)
+        assert err.count("\n") == 1, (package, arguments, err)
+        assert f"[{extra}]" in err, (package, arguments)
 
 
 def test_no_graphics_are_needed(tmp_path):

@@ -8,8 +8,8 @@ import sys
 
 import pytest
 
-from models.common.progress import WIDEST, Stages
-from tests.commands import environment
+from models.common.printed import WIDEST, Stages
+from tests.commands import environment, main_of
 
 
 class Terminal(io.StringIO):
@@ -71,19 +71,33 @@ def test_no_terminal_no_progress(capsys):
     ("line", "stages"),
     [
         ("sim.envelope --controller I --vary height:0.02:0.1:2 --vary speed:5:20:2 --timestep 4e-3", ["design", "map"]),
-        ("synth --controller I", ["controller I", "what no controller decides"]),
         ("sim.report --quick --controller I --timestep 4e-3", ["designs", "a bump", "frequency responses", "the page"]),
     ],
 )
-def test_commands_name_their_stages(line, stages, tmp_path):
+def test_commands_name_their_stages(line, stages, tmp_path, monkeypatch, capsys):
     """On a terminal a command names its stages in their order, numbered without a gap, and leaves none of them standing."""
+    monkeypatch.chdir(tmp_path)
+    command, *arguments = line.split()
+    shown = terminal(monkeypatch)
+    assert main_of(command)(arguments) == 0
+    check(shown(), stages)
+    assert capsys.readouterr().out
+
+
+def test_a_terminal_of_the_system(tmp_path):
+    """One of the system is known to be a terminal by a command of its own process, and is shown the same."""
     outer, inner = pty.openpty()
-    arguments = [sys.executable, "-m", *line.split()]
+    arguments = [sys.executable, "-m", "synth", "--controller", "I"]
     done = subprocess.run(arguments, stdout=subprocess.PIPE, stderr=inner, cwd=tmp_path, env=environment(), check=True)
     os.close(inner)
     said = os.read(outer, 1 << 16).decode()
     os.close(outer)
-    shown = [one.strip() for one in said.split("\r")]
+    check([one.strip() for one in said.split("\r")], ["controller I", "what no controller decides"])
+    assert done.stdout
+
+
+def check(shown: list[str], stages: list[str]) -> None:
+    """Holds the lines that were shown against the stages that are to be among them."""
     assert not shown[-1]
     names = [one.partition("] ")[2].partition(":")[0] for one in shown if one]
     there = list(dict.fromkeys(names))
@@ -91,4 +105,3 @@ def test_commands_name_their_stages(line, stages, tmp_path):
     numbers = [int(one[1:].partition("/")[0]) for one in shown if one]
     assert sorted(set(numbers)) == list(range(1, max(numbers) + 1))
     assert numbers == sorted(numbers)
-    assert done.stdout

@@ -6,12 +6,12 @@ import json
 import numpy as np
 import pytest
 
-from models.law import LinearLaw, static_law
-from models.vehicle import read_vehicle
+from models.laws.linear import LinearLaw, static_law
+from models.vehicle.vehicle import read_vehicle
 from sim.campaign.verify import SAME_GAIN, _same_law
 from synth.__main__ import main
-from synth.command.prove import UNPROVED, proved
-from synth.designer import Designer, given
+from synth.command.check import UNPROVED, proved
+from synth.vehicle.designer import Designer, given
 from tests.test_forged_states import law_of
 
 
@@ -74,7 +74,7 @@ def test_what_is_designed_or_unstable_is_as_it_was():
 
 def test_what_cannot_be_proved_is_said(monkeypatch):
     """Where no X is found the law stays without a bound, and that is in its notes."""
-    import synth.command.prove as prove
+    import synth.command.check as prove
 
     paper = read_vehicle("quarter_car")
     one = given(paper, "mine", ("sprung_velocity",), static_law(np.array([[-9000.0]])))

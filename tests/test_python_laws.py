@@ -12,18 +12,18 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
-from models.kind import HERE
-from models.own import running
-from models.own.python_law import Programmed
-from models.reality import Implementation, Limits
+from models.kinds.kind import HERE
+from models.laws import python_runtime as running
+from models.laws.python_law import Programmed
 from models.roads.road import Bump, under_wheels
-from models.vehicle import Vehicle, parse_vehicle, read_vehicle
-from sim.command.driven import programmed
-from sim.physics.simulate import PhysicsRuns, simulate
+from models.vehicle.limits_and_implementation import Implementation, Limits
+from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
+from sim.command.comparison import programmed
+from sim.physics.simulate import PhysicsRuns
 from sim.runs.agreement import compare
-from sim.runs.prediction import predict_forced
 from sim.runs.run import run_all, sample_times
-from synth.designer import Designer
+from synth.vehicle.designer import Designer
+from tests.analysed import predict_forced, simulate
 from tests.commands import environment, main_of, prose
 from tests.pages import sections
 
@@ -198,7 +198,7 @@ def log_of(folder: Path, law: str = SWITCHED, command: str = "sim.bump", *option
     path = vehicle_of(folder, law, measured=("sprung_velocity",))
     arguments = ["--vehicle", str(path), "--controller", "mine", "--controller", "I", "--logs", str(folder / "logs")]
     with redirect_stdout(io.StringIO()):
-        assert main_of(command)([*arguments, "--duration", "1", *options]) == 0
+        assert main_of(command)([*arguments, "--duration", "0.5", *options]) == 0
     (log,) = (folder / "logs").glob("*.mcap")
     return log
 
@@ -386,7 +386,7 @@ HOSTILE = {
 def test_nothing_that_a_law_does_holds_a_command(tmp_path, body):
     """Whatever a law does, its command ends with code 2 and one line that names it, soon after the limit; nothing is printed."""
     path = vehicle_of(tmp_path, f"def step(sample, state):\n{body}\n")
-    limits = "from models.own import running; running.LONGEST, running.GRACE = 0.3, 0.5"
+    limits = "from models.laws import python_runtime; python_runtime.LONGEST, python_runtime.GRACE = 0.3, 0.5"
     run = "from models.common.command import run_command; from sim.bump import main"
     options = ["--vehicle", str(path), "--controller", "mine", "--no-logs", "--duration", "0.1", "--json"]
     done = subprocess.run(

@@ -7,16 +7,16 @@ import pytest
 from scipy import integrate
 
 from models.common.errors import InputError
-from models.law import LinearLaw, static_law
-from models.vehicle import read_vehicle
-from synth.certificate.norm import hinf_norm
-from synth.dynamic.estimator import leaky_integrator_law
-from synth.dynamic.loop import on_larger_plant
-from synth.dynamic.quadratic import ASSUMED, h2_design, h2_norm, lqg_design, lqr_design
-from synth.errors import DesignError, InfeasibleError
-from synth.full.full_order import full_order_design
-from synth.plant import GeneralizedPlant
-from synth.problem.problem import generalized_plant
+from models.laws.linear import LinearLaw, static_law
+from models.vehicle.vehicle import read_vehicle
+from synth.analysis.norm import hinf_norm
+from synth.controller.problem import generalized_plant
+from synth.design.full_order.full_order import full_order_design
+from synth.design.full_order.quadratic import ASSUMED, h2_design, h2_norm, lqg_design, lqr_design
+from synth.design.full_order.velocity_estimator import leaky_integrator_law
+from synth.plant.augmented import on_larger_plant
+from synth.plant.generalized import GeneralizedPlant
+from synth.plant.numerics import DesignError, InfeasibleError
 from tests.test_noise import noisy
 from tests.test_units import Moved
 

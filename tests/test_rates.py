@@ -8,25 +8,60 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import synth.rates.cost
+import synth.vehicle.sample_rate.cost
+import synth.vehicle.sample_rate.report
 from models.common.errors import InputError
-from models.reality import LONGEST_PERIOD, Implementation, samples_late
-from models.vehicle import parse_vehicle, read_vehicle
-from sim.stability.cut import cut
-from sim.stability.loop import largest_sample_period
+from models.vehicle.limits_and_implementation import LONGEST_PERIOD, Implementation, samples_late
+from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
+from sim.studies.stability.loop_transfer import cut
+from sim.studies.stability.stability_margins import largest_sample_period
 from synth.__main__ import main
-from synth.certificate.stability import sampled_growth
-from synth.designer import Designer, design
-from synth.errors import DesignError
-from synth.implemented.loop import implemented_loop
-from synth.implemented.norm import norm_as_implemented
-from synth.rates.cost import Cost, cost
-from synth.rates.figure import drawn_periods, rates_figure
-from synth.rates.lost import lost_from
-from synth.rates.words import LITTLE
+from synth.analysis.specification import SampledNorm
+from synth.analysis.stability import sampled_growth
+from synth.controller.controller import Controller
+from synth.controller.implementation_norm import norm_as_implemented
+from synth.design.sampled_data import HeldDesign, HeldProblem, held_design
+from synth.plant.numerics import DesignError
+from synth.vehicle.designer import Designer, design
+from synth.vehicle.sample_rate.cost import Cost, cost, lost_from, norm_at
+from synth.vehicle.sample_rate.report import LITTLE, drawn_periods, rates_figure
+from tests.analysed import implemented_loop
 from tests.commands import prose
+from tests.shared import made
 
-RATES = ("1", "10", "50", "100")  # ms; II is lost before the last where forces are late
+DESIGNED = ("state", "I", "II")
+RATES = ("10", "100")  # ms; II is lost before the last where forces are late
+
+
+@pytest.fixture(autouse=True)
+def found_once(monkeypatch):
+    """One loop is lost, and designed for one rate, in many tests: what is found is shared by those that only tell it."""
+    monkeypatch.setattr(synth.vehicle.sample_rate.cost, "lost_from", lambda *arguments: made(lost_anew, *arguments))
+    monkeypatch.setattr(synth.vehicle.sample_rate.cost, "held_design", lambda *arguments: made(held_anew, *arguments))
+
+
+def lost_anew(vehicle: Vehicle, controller: Controller, delay: float) -> float:
+    return lost_from(vehicle, controller, delay)
+
+
+def held_anew(problem: HeldProblem, near: float, known: list[np.ndarray]) -> HeldDesign:
+    return held_design(problem, near, known)
+
+
+@pytest.fixture
+def never_lost(found_once, monkeypatch):
+    """Where a loop is lost is not asked: that takes longer than all the rest."""
+    monkeypatch.setattr(synth.vehicle.sample_rate.cost, "lost_from", lambda *arguments: math.inf)
+
+
+@pytest.fixture
+def norms_once(monkeypatch):
+    """Words and `--json` are of one norm to a rate."""
+    monkeypatch.setattr(synth.vehicle.sample_rate.cost, "norm_at", lambda *arguments: made(norm_at_anew, *arguments))
+
+
+def norm_at_anew(vehicle: Vehicle, controller: Controller, period: float, delay: float, near: float) -> SampledNorm:
+    return norm_at(vehicle, controller, period, delay, near)
 
 
 def asked(capsys, *arguments: str) -> tuple[int, dict]:
@@ -34,19 +69,35 @@ def asked(capsys, *arguments: str) -> tuple[int, dict]:
     return code, json.loads(capsys.readouterr().out)
 
 
-@pytest.mark.parametrize("car", ["quarter_car", "half_car", "full_car"])
-@pytest.mark.parametrize("name", ["state", "I", "II"])
+@pytest.mark.parametrize(
+    ("car", "name"),
+    [
+        *(("quarter_car", name) for name in DESIGNED),
+        ("half_car", "I"),
+        *(
+            pytest.param(*one, marks=pytest.mark.attack)
+            for one in (("half_car", "state"), ("half_car", "II"), *(("full_car", name) for name in DESIGNED))
+        ),
+    ],
+)
 def test_it_is_lost_where_the_margins_say(car, name):
     """The rate at which a loop is lost is the margin of its sample period, which another way finds."""
     vehicle = read_vehicle(car)
     controller = design(vehicle, name)
     margin = largest_sample_period(cut(vehicle, controller, range(len(vehicle.linear_model.inputs))))
     # Either is found to 1e-12 of it, or there is none up to a second.
-    assert lost_from(vehicle, controller, 0) == pytest.approx(margin if margin < LONGEST_PERIOD else math.inf, rel=1e-9)
+    assert made(lost_anew, vehicle, controller, 0) == pytest.approx(margin if margin < LONGEST_PERIOD else math.inf, rel=1e-9)
 
 
-@pytest.mark.parametrize("car", ["quarter_car", "half_car"])
-@pytest.mark.parametrize("delay", [0, 1, 3])
+@pytest.mark.parametrize(
+    ("car", "delay"),
+    [
+        ("quarter_car", 0),
+        ("quarter_car", 3),
+        ("half_car", 1),
+        *(pytest.param(*one, marks=pytest.mark.attack) for one in (("quarter_car", 1), ("half_car", 0), ("half_car", 3))),
+    ],
+)
 def test_it_is_lost_there_and_not_before(car, delay):
     """The loop that is driven grows just beyond the period at which it is lost, and at none of many before."""
     vehicle = read_vehicle(car)
@@ -56,9 +107,9 @@ def test_it_is_lost_there_and_not_before(car, delay):
         built = replace(vehicle, implementation=Implementation(delay=delay))
         return sampled_growth(implemented_loop(built, controller, period).transition)
 
-    lost = lost_from(vehicle, controller, delay)
+    lost = made(lost_anew, vehicle, controller, delay)
     assert growth(lost * (1 + 1e-6)) > 1
-    assert max(growth(share * lost) for share in (*np.linspace(0.01, 0.99, 200), 1 - 1e-6)) < 1
+    assert max(growth(share * lost) for share in (*np.linspace(0.01, 0.99, 100), 1 - 1e-6)) < 1
 
 
 def test_no_rate_keeps_what_no_computer_runs():
@@ -70,11 +121,11 @@ def test_no_rate_keeps_what_no_computer_runs():
 
 
 @pytest.mark.parametrize("car", ["quarter_car", "half_car"])
-def test_every_norm_is_that_of_the_loop_as_built(car):
+def test_every_norm_is_that_of_the_loop_as_built(car, never_lost):
     """Each norm is that of a vehicle file with this sample period and delay, whichever rates are asked for beside it."""
     vehicle = replace(read_vehicle(car), implementation=Implementation(delay=2))
     controller = design(vehicle, "I")
-    found = cost(vehicle, controller, [1e-3, 1e-2, 2e-2])
+    found = cost(vehicle, controller, [1e-3, 2e-2])
     assert found.delay == 2
     for at in found.rates:
         for norm, delay in ((at.prompt, 0), (at.late, 2)):
@@ -82,27 +133,28 @@ def test_every_norm_is_that_of_the_loop_as_built(car):
             assert norm.value == pytest.approx(own.value, rel=2e-8)  # each lies within 1.1e-8 of its levels
 
 
-def test_the_continuous_norm_is_what_fast_rates_tend_to():
+@pytest.mark.parametrize("name", ["quiet", pytest.param("I", marks=pytest.mark.attack)])
+def test_the_continuous_norm_is_what_fast_rates_tend_to(name, never_lost):
     """With a lag, and of a design that knows the noise of its sensors, it is the norm of the road alone, with the lag."""
     text = read_vehicle("quarter_car").text + (
         '\n[controllers.quiet]\nmeasured = ["suspension_deflection", "sprung_velocity"]\nnoise = true\n'
         "[limits]\nactuator_bandwidth = 100.0\n[implementation]\nnoise = { sprung_velocity = 0.01 }\nsample_period = 0.01\n"
     )
     vehicle = parse_vehicle(text)
-    for name in ("I", "quiet"):
-        found = cost(vehicle, design(vehicle, name), [1e-5, 2e-5])
-        off = [found.loss(at.prompt) for at in found.rates]
-        assert 0 < abs(off[0]) < 6e-4  # rad, what 63 rad/s turns by in 10 us
-        assert off[1] / off[0] == pytest.approx(2, rel=1e-2)  # the first power of the period
-        assert found.lower_bound is not None
-        assert found.lower_bound <= min(at.prompt.value for at in found.rates)
+    found = cost(vehicle, design(vehicle, name), [1e-5, 2e-5])
+    off = [found.loss(at.prompt) for at in found.rates]
+    assert 0 < abs(off[0]) < 6e-4  # rad, what 63 rad/s turns by in 10 us
+    assert off[1] / off[0] == pytest.approx(2, rel=1e-2)  # the first power of the period
+    assert found.lower_bound is not None
+    assert found.lower_bound <= min(at.prompt.value for at in found.rates)
 
 
-def test_table(capsys):
+@pytest.mark.parametrize("rates", [RATES, pytest.param(("1", "10", "50", "100"), marks=pytest.mark.attack)], ids=" ".join)
+def test_table(capsys, never_lost, norms_once, rates):
     """What is printed of every controller and rate is what JSON says, and no controller beats the lower bound."""
-    code, found = asked(capsys, *RATES)
+    code, found = asked(capsys, *rates)
     assert code == 0
-    assert main(["--rates", *reversed(RATES)]) == 0
+    assert main(["--rates", *reversed(rates)]) == 0
     printed = capsys.readouterr().out
     rows = {row["name"]: row for row in found["controllers"]}
     assert set(rows) == {"state", "I", "II", "state_printed", "I_printed", "II_printed"}  # but passive, which no rate changes
@@ -110,7 +162,7 @@ def test_table(capsys):
         (block,) = re.findall(rf"^controller {name}: (.*?)\n\n", printed, re.M | re.S)
         assert block.startswith(f"in continuous time norm {row['norm']:.7g}, lower bound {row['lower_bound']:.7g}\n")
         lines = re.findall(r"^  (\S+) ms +(\S+) Hz +(.*)$", block, re.M)
-        assert [line[0] for line in lines] == list(RATES)
+        assert [line[0] for line in lines] == list(rates)
         for (_, rate, rest), at in zip(lines, row["rates"], strict=True):
             assert float(rate) == pytest.approx(1 / at["sample_period"], rel=1e-3)
             cells = re.findall(r"UNSTABLE|(\S+) +(0|[+-]\S+) %", rest)
@@ -123,7 +175,7 @@ def test_table(capsys):
                 assert float(cell[1]) / 100 == pytest.approx(norm["loss"], rel=0.05, abs=1e-8)  # two digits
                 assert norm["loss"] == pytest.approx(norm["value"] / row["norm"] - 1, abs=1e-12)
                 assert row["lower_bound"] < norm["above"] < norm["value"] < norm["below"]
-    assert rows["II"]["rates"][3]["late_norm"] is None
+    assert rows["II"]["rates"][-1]["late_norm"] is None
     assert "UNSTABLE" in printed
 
 
@@ -139,6 +191,7 @@ def test_designed_for_the_rate():
     assert given.rates[0].designed is None  # its gain is given, and not designed
 
 
+@pytest.mark.attack
 @pytest.mark.parametrize("car", ["quarter_car", "half_car"])
 def test_what_is_designed_for_a_rate_is_never_worse(car):
     """At every rate the norm of the design for it is at most that of the continuous design there."""
@@ -151,14 +204,14 @@ def test_what_is_designed_for_a_rate_is_never_worse(car):
 
 def test_why_none_is_designed(monkeypatch, capsys):
     """A rate that no design is found for has a dash, and its reason below the table without what to do; in JSON all of it."""
-    true = synth.rates.cost.held_design
+    true = synth.vehicle.sample_rate.cost.held_design
 
     def fails_at_50_ms(problem, near, known):
         if problem.period == 0.05:
             raise DesignError("nothing was found: it is probably too slow")
         return true(problem, near, known)
 
-    monkeypatch.setattr(synth.rates.cost, "held_design", fails_at_50_ms)
+    monkeypatch.setattr(synth.vehicle.sample_rate.cost, "held_design", fails_at_50_ms)
     for rates, cell in ((("50",), "-"), (("10", "50"), "-")):
         code, found = asked(capsys, *rates, "--controller", "I")
         assert code == 0
@@ -179,7 +232,7 @@ def test_one_sample_as_it_is_printed():
     assert samples_late(0.5) == "0.5 samples late"
 
 
-def test_sentence(capsys):
+def test_sentence(capsys, norms_once):
     """In words stand the slowest rate that costs little, what it costs, late too, and where the loop is lost."""
     code, found = asked(capsys, *RATES, "--controller", "II")
     assert code == 0
@@ -193,15 +246,20 @@ def test_sentence(capsys):
     )
     assert words
     (at,) = [at for at in row["rates"] if at["sample_period"] == 1e-2]
-    assert at["sampled_norm"]["loss"] < LITTLE < row["rates"][2]["sampled_norm"]["loss"]
+    assert at["sampled_norm"]["loss"] < LITTLE < row["rates"][-1]["sampled_norm"]["loss"]
     numbers = [100, -100 * at["sampled_norm"]["loss"], 100 * at["late_norm"]["loss"], -100 * at["designed_norm"]["loss"]]
     numbers += [1 / row["unstable_from"], 1 / row["late_unstable_from"]]
     assert [float(word) for word in words.groups()] == pytest.approx(numbers, rel=0.05)  # of two digits
 
 
+def _not_asked_for(*given):
+    raise DesignError("it does not matter here")
+
+
 @pytest.mark.parametrize("name", ["state", "I"])
-def test_islands(name, capsys):
+def test_islands(name, capsys, monkeypatch, norms_once):
     """No rate is called unstable that the table has stable: the slower ones that are, beyond the first loss, are named."""
+    monkeypatch.setattr(synth.vehicle.sample_rate.cost, "held_design", _not_asked_for)
     rates = [10.0, 200.0, 300.0, 600.0, 1000.0]
     code, found = asked(capsys, *map(str, rates), "--controller", name)
     assert code == 0
@@ -230,11 +288,13 @@ def test_islands(name, capsys):
         ("mad", "controller mad is unstable even in continuous time"),
     ],
 )
-def test_other_sentences(name, words, tmp_path, capsys):
+def test_other_sentences(name, words, tmp_path, capsys, request):
     """A loop that no rate ends, one without a force, and one that was never stable have words of their own."""
+    if name != "state":  # no rate ends it, or it has none
+        request.getfixturevalue("never_lost")
     car = tmp_path / "car.toml"
     car.write_text(read_vehicle("quarter_car").text + '\n[controllers.mad]\nmeasured = ["sprung_velocity"]\ngain = [[2e4]]\n')
-    assert main(["--vehicle", str(car), "--controller", name, "--rates", "10"]) == 0
+    assert main(["--vehicle", str(car) if name == "mad" else "quarter_car", "--controller", name, "--rates", "10"]) == 0
     assert prose(capsys.readouterr().out).endswith(words)
 
 
@@ -270,9 +330,11 @@ def test_bad_rates(rates, words, monkeypatch):
 
 def test_what_does_not_hold_is_said(monkeypatch, capsys):
     """Where two routes to a norm differ, that is said, and the exit code is 1."""
-    true = synth.rates.cost.sampled_norm
+    true = synth.vehicle.sample_rate.cost.sampled_norm
     monkeypatch.setattr(
-        synth.rates.cost, "sampled_norm", lambda *arguments: replace(true(*arguments), reached=0.9 * true(*arguments).value)
+        synth.vehicle.sample_rate.cost,
+        "sampled_norm",
+        lambda *arguments: replace(true(*arguments), reached=0.9 * true(*arguments).value),
     )
     assert main(["--rates", "10", "--controller", "I"]) == 1
     said = prose(capsys.readouterr().out)
@@ -281,9 +343,9 @@ def test_what_does_not_hold_is_said(monkeypatch, capsys):
 
 def test_a_road_that_reaches_more_than_the_norm_is_said(monkeypatch, capsys):
     """What is reached above the level that the norm is said to lie below fails, however near the two routes are."""
-    true = synth.rates.cost.sampled_norm
+    true = synth.vehicle.sample_rate.cost.sampled_norm
     monkeypatch.setattr(
-        synth.rates.cost,
+        synth.vehicle.sample_rate.cost,
         "sampled_norm",
         lambda *arguments: replace(true(*arguments), reached=true(*arguments).upper * (1 + 1e-10)),
     )
@@ -291,7 +353,7 @@ def test_a_road_that_reaches_more_than_the_norm_is_said(monkeypatch, capsys):
     assert "at once: the sampled norm is not less than 7.865064" in prose(capsys.readouterr().out)
 
 
-def test_what_is_not_designed_is_said(tmp_path, capsys):
+def test_what_is_not_designed_is_said(tmp_path, capsys, never_lost):
     """A controller that cannot be designed has a reason in its place, and the others their rates; the exit code is 1."""
     car = tmp_path / "car.toml"
     heavy = '\n[controllers.blind]\nmeasured = ["suspension_deflection"]\n'
@@ -313,7 +375,7 @@ def drawn(one: Cost, label: str) -> tuple[list[float], list[float]]:
     return list(curve.x), list(curve.y)
 
 
-def test_picture(tmp_path):
+def test_picture(tmp_path, monkeypatch, never_lost):
     """The curves are the norms, which end where the loop is unstable; every rate that was asked for is one of theirs."""
     vehicle = read_vehicle("quarter_car")
     found = cost(vehicle, design(vehicle, "II"), [1e-2, 3e-2, 6e-2, 0.1])
@@ -325,6 +387,8 @@ def test_picture(tmp_path):
         assert [value for value in y if value == value] == [norm.value for norm in norms if norm.stable]
     assert {0.01, 0.02, 0.1} <= set(drawn_periods([0.01, 0.02, 0.1]))
     assert drawn_periods([0.01]) == [0.01]
+    assert len(drawn_periods([0.01, 0.02])) > 50  # a curve, not its corners
+    monkeypatch.setattr(synth.vehicle.sample_rate.report, "POINTS", 4)
     picture = tmp_path / "rates.png"
     assert main(["--rates", "10", "20", "--controller", "I", "--picture", str(picture)]) == 0
     assert picture.read_bytes().startswith(b"\x89PNG")

@@ -11,17 +11,17 @@ from scipy.io import savemat
 from models.common.errors import InputError
 from models.figures.figure import styles
 from models.roads.road import Bump
-from models.vehicle import parse_vehicle, read_vehicle
+from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.__main__ import COMMANDS
 from sim.__main__ import main as commands_main
 from sim.bump import main
 from sim.campaign.file import read_campaign
-from sim.linear.loop import sampled_response, taylor4
-from sim.physics.simulate import simulate
+from sim.linear.sampled_response import taylor4
 from sim.report import ride
 from sim.runs.run import sample_times
-from synth.designer import Designer
+from synth.vehicle.designer import Designer
 from tests import pages
+from tests.analysed import sampled_response, simulate
 from tests.commands import main_of, prose
 from tests.pages import ROOT, section
 
@@ -76,10 +76,12 @@ def test_own_kind_over_random_roads(hopper, monkeypatch, capsys):
     assert {"sprung acceleration weighted", "control force rms"} <= {row[2] for row in rows}
 
 
-@pytest.mark.slow
-def test_own_kind_is_reported_in_full(hopper):
-    """The whole report of it, with every section, is written."""
-    assert main_of("sim.report")(["--vehicle", str(hopper), "--controller", "I", "--out", str(hopper.with_name("r.html"))]) == 0
+@pytest.mark.parametrize("options", [["--quick", "--timestep", "4e-3"], pytest.param([], marks=pytest.mark.attack)])
+def test_own_kind_is_reported(options, hopper):
+    """A report of it is written, also the whole one, with every section."""
+    page = hopper.with_name("r.html")
+    assert main_of("sim.report")(["--vehicle", str(hopper), "--controller", "I", "--out", str(page), *options]) == 0
+    assert page.read_text(encoding="utf-8").rstrip().endswith("</html>")
 
 
 def test_unknown_kind_is_named(hopper):
@@ -229,8 +231,8 @@ def test_no_other_arguments():
 
 
 def test_every_room_has_a_line():
-    """sim/README.md and synth/README.md name the rooms that there are."""
-    for floor in ("sim", "synth"):
+    """The pages name the rooms that there are."""
+    for floor in ("models", "sim", "synth"):
         found = {row[0].strip("`/") for row in rows(section(f"{floor}/README.md", "The rooms").text)}
         assert found == {path.parent.name for path in (ROOT / floor).glob("*/__init__.py")}
 

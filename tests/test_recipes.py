@@ -15,7 +15,7 @@ MARK = "\n\n# By the name that a command line"
 
 @pytest.mark.attack  # four processes in a copy that has to be compiled
 def test_add_a_road(tmp_path):
-    """The road of the recipe, in its one file, is driven, logged and inspected, and holds in every test of roads."""
+    """The road of the recipe, in its two files, is driven, logged and inspected, and holds in every test of roads."""
     (recipe,) = [one for one in sections(".github/CONTRIBUTING.md") if one.heading == "Add a road"]
     (road,) = recipe.blocks("python")
     for folder in ("models", "synth", "sim", "tests", ".github"):
@@ -27,6 +27,9 @@ def test_add_a_road(tmp_path):
     assert source.count(MARK) == 1
     changed = source.replace(MARK, f"\n\n{road}\n{MARK}").replace('"step": Step,', '"step": Step, "ramp": Ramp,')
     path.write_text(changed, encoding="utf-8", newline="\n")
+    names = tmp_path / "models" / "vehicle" / "names.py"
+    named = names.read_text(encoding="utf-8").replace('"step", ', '"step", "ramp", ')
+    names.write_text(named, encoding="utf-8", newline="\n")
 
     def run(*arguments: str) -> str:
         done = subprocess.run(

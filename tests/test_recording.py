@@ -11,20 +11,20 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from models.common.errors import InputError
-from models.common.whole_file import check_folder, made_folder
+from models.common.files import check_folder, made_folder
+from models.kinds.signals import CONTROL_FORCE, ROAD_DISPLACEMENT, SPRUNG_ACCELERATION, SUSPENSION_DEFLECTION
 from models.roads.road import Bump
-from models.signals import CONTROL_FORCE, ROAD_DISPLACEMENT, SPRUNG_ACCELERATION, SUSPENSION_DEFLECTION
-from models.vehicle import read_vehicle
+from models.vehicle.vehicle import read_vehicle
 from sim.recording import files as recording
-from sim.recording.drawing import scene_of
 from sim.recording.files import opening_lines, record
 from sim.recording.mcap_writer import write_mcap
 from sim.recording.rerun_writer import write_rrd
 from sim.recording.run_log import RunLog
+from sim.recording.run_records import scene_of
 from sim.recording.scene import Motion, Scene, Shape
 from sim.response.response import Response
 from sim.runs.run import run_all, sample_times
-from synth.designer import design
+from synth.vehicle.designer import design
 
 SIGNALS = (ROAD_DISPLACEMENT, SUSPENSION_DEFLECTION, SPRUNG_ACCELERATION, CONTROL_FORCE)
 METADATA = {"command": "sim.bump", "road": json.dumps({"type": "bump", "height_m": 0.1}), "vehicle_file": "a\nb | c"}

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from models.law import LinearLaw
-from synth.dynamic.reduction import reduced_law
-from synth.full.full_order import full_order_design
-from synth.full.riccati import SAME
-from synth.plant import GeneralizedPlant
+from models.laws.linear import LinearLaw
+from synth.design.full_order.full_order import full_order_design
+from synth.design.full_order.riccati import SAME, reduced_law
+from synth.plant.generalized import GeneralizedPlant
 from tests.test_bounds_hold import a_plant
 
 S = 1j * np.array([0.0, 0.2, 1.0, 5.0])

@@ -7,16 +7,19 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
-from models.common.numbers import percent
+from models.common.printed import percent
+from models.figures.figure import styles
 from models.roads.road import Bump
-from models.vehicle import read_vehicle
-from sim.command.driven import programmed
-from sim.frequency.describing_function import describing_function
+from models.vehicle.vehicle import read_vehicle
+from sim.command.comparison import programmed
+from sim.report import ride as report_ride
 from sim.report.__main__ import main
-from sim.report.ride import CLASSES
+from sim.report.designs import frequency_section
+from sim.report.scope import Scope
 from sim.runs.dampers import shortfalls
 from sim.runs.run import run_all, sample_times
-from synth.designer import Designer
+from sim.studies.frequency.describing_function import DescribingFunction, describing_function
+from synth.vehicle.designer import Designer
 from tests.test_python_laws import vehicle_of
 
 pytest.importorskip("jinja2", reason="a report needs the extra [report]")
@@ -71,24 +74,49 @@ def test_a_law_stands_beside_the_others(tmp_path, capsys):
     assert not rows_of(found, "regime")
 
 
-@pytest.mark.slow  # sinusoids and random roads
+def check_describing(rows: list[dict], own: DescribingFunction) -> None:
+    """Holds the table of describing functions against one that is identified again."""
+    table = {row["signal"].replace(" ", "_"): row for row in rows}
+    assert set(table) == set(own.outputs)
+    for i, name in enumerate(own.outputs):
+        assert table[name]["fundamental"] == f"{np.abs(own.measured[:, i]).max():.4g}"
+        assert table[name]["energy outside"] == f"{100 * np.nanmax(own.outside[:, i]):.2g} %"
+
+
+def check_ride(ride: list[dict], classes: int) -> None:
+    """Holds the table of the ride against what is known of a skyhook: nothing by analysis, and how it grows with the road."""
+    assert len(ride) == classes * 4  # body, suspension, tyre, force
+    assert {row["predicted"] for row in ride} == {row["road to road"] for row in ride} == {"-"}
+    load = [float(row["MuJoCo"]) for row in ride if row["metric"] == "dynamic load"]
+    assert load == sorted(load)  # a class is twice as rough as the one before
+    assert 1.9 < load[1] / load[0] < 2.1  # and a skyhook that is switched by signs alone is homogeneous
+
+
+def test_tables_of_a_whole_report(tmp_path, monkeypatch):
+    """A whole report has a law's describing function, and its ride, from physics."""
+    vehicle = read_vehicle(vehicle_of(tmp_path, SKYHOOK, measured=MEASURED))
+    law, step = programmed(vehicle, "mine"), 2 * STEP
+    own = describing_function(vehicle, law, 1e-4, step, Bump().speed)
+    scope = Scope(vehicle, Designer(vehicle), (), step, False, print, (law,))
+    table = frequency_section(scope, [], [], Bump().speed, [own]).tables[-1]
+    check_describing([dict(zip(table.headings, row, strict=True)) for row in table.rows], own)
+    monkeypatch.setattr(report_ride, "CLASSES", "AB")
+    monkeypatch.setattr(report_ride, "SEEDS", (0,))
+    monkeypatch.setattr(report_ride, "WINDOW", 2.0)
+    rides = report_ride.rides_of(vehicle, [law], step)
+    table = report_ride.ride_section(vehicle, rides, styles(("mine",))).tables[0]
+    check_ride([dict(zip(table.headings, row, strict=True)) for row in table.rows], 2)
+
+
+@pytest.mark.attack
 def test_a_report_of_nothing_else(tmp_path, capsys):
     """A whole report of a law alone has its describing function and its ride from physics, and no margins, norms or map."""
     found, _, path = report_of(tmp_path, capsys, "--controller", "mine")
     assert {"margins", "gains", "regime", "validity", "robustness"}.isdisjoint(found["tables"])
     vehicle = read_vehicle(path)
     own = describing_function(vehicle, programmed(vehicle, "mine"), 1e-4, STEP, Bump().speed)
-    rows = {row["signal"].replace(" ", "_"): row for row in rows_of(found, "describing-functions")}
-    assert set(rows) == set(own.outputs)
-    for i, name in enumerate(own.outputs):
-        assert rows[name]["fundamental"] == f"{np.abs(own.measured[:, i]).max():.4g}"
-        assert rows[name]["energy outside"] == f"{100 * np.nanmax(own.outside[:, i]):.2g} %"
-    ride = rows_of(found, "ride")
-    assert len(ride) == len(CLASSES) * 4  # body, suspension, tyre, force
-    assert {row["predicted"] for row in ride} == {row["road to road"] for row in ride} == {"-"}
-    load = [float(row["MuJoCo"]) for row in ride if row["metric"] == "dynamic load"]
-    assert load == sorted(load)  # a class is twice as rough as the one before
-    assert 1.9 < load[1] / load[0] < 2.1  # and a skyhook that is switched by signs alone is homogeneous
+    check_describing(rows_of(found, "describing-functions"), own)
+    check_ride(rows_of(found, "ride"), len(report_ride.CLASSES))
 
 
 def test_a_law_that_fails_is_one_line(tmp_path):
@@ -108,10 +136,8 @@ def test_dampers_that_are_short_of_force(tmp_path, capsys):
         "quarter_car_semi_active",
         "--quick",
         "--timestep",
-        "2e-3",
+        f"{STEP}",
         "--json",
-        "--controller",
-        "passive",
         "--controller",
         "I",
     ]

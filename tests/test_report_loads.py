@@ -9,18 +9,18 @@ import pytest
 from models.common.errors import InputError
 from models.roads.iri import roughness_of
 from models.roads.iso8608 import Iso8608
-from models.vehicle import read_vehicle
+from models.vehicle.vehicle import read_vehicle
 from sim.drive import main as drive
-from sim.frequency.eusama import DISPUTED, minimum_loads
 from sim.report.__main__ import main
 from sim.report.loads import workshop_section
 from sim.report.ride import _roughness_row
-from synth.designer import design
+from sim.studies.frequency.eusama import DISPUTED, minimum_loads
+from synth.vehicle.designer import design
 
 pytest.importorskip("jinja2", reason="a report needs the extra [report]")
 
 LOADS = ("--load", "brake:g=0.4", "--load", "payload:mass=80:x=-1.0")
-CAR = ("--vehicle", "half_car", "--timestep", "2e-3")
+CAR = ("--vehicle", "half_car", "--timestep", "4e-3")
 
 
 def test_loads_in_a_report_are_those_of_a_drive(tmp_path, capsys):

@@ -13,19 +13,28 @@ import rerun.blueprint as rrb
 from models.figures.figure import STYLES, rgb
 from models.roads.iso8608 import Iso8608
 from models.roads.road import Bump, Road
-from models.vehicle import read_vehicle
-from sim.recording.appearance import LIFTED, LONGEST, ROAD
-from sim.recording.drawing import AHEAD, BEHIND, SPACING
-from sim.recording.provenance import run_log
-from sim.recording.rerun_axes import FURTHEST, LABELS, MARGIN, count, extremes_text, labelled, spacing, value_axis
-from sim.recording.rerun_layout import SEEN, _comparison, _page
-from sim.recording.rerun_signals import READ, listed
-from sim.recording.rerun_writer import write_rrd
+from models.vehicle.vehicle import read_vehicle
+from sim.recording.rerun_contents import READ, listed
+from sim.recording.rerun_writer import (
+    FURTHEST,
+    LABELS,
+    MARGIN,
+    SEEN,
+    _comparison,
+    _page,
+    count,
+    extremes_text,
+    labelled,
+    spacing,
+    value_axis,
+    write_rrd,
+)
 from sim.recording.run_log import RunLog
-from sim.response.difference import difference
-from sim.response.response import Response
+from sim.recording.run_records import AHEAD, BEHIND, SPACING, run_log
+from sim.recording.scene import LIFTED, LONGEST, ROAD
+from sim.response.response import Response, difference
 from sim.runs.run import run_all, sample_times
-from synth.designer import Designer
+from synth.vehicle.designer import Designer
 from tests.test_recording import make_run
 
 GREATEST = 1e-6  # m; Rerun's 3D is single precision, on coordinates below 2 m
@@ -178,7 +187,7 @@ def test_several_controllers_are_side_by_side(tmp_path: Path) -> None:
 
 def test_what_lies_on_another_curve_is_shown_when_asked(lifting: RunLog) -> None:
     """Curves that are another run's to a pixel are hidden at first, but the first of them; those of other times are not."""
-    from sim.recording.rerun_layout import doubles
+    from sim.recording.rerun_writer import doubles
 
     physics = lifting.responses["mujoco"]
 

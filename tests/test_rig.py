@@ -15,13 +15,13 @@ from models.roads.iri import roughness_of
 from models.roads.profile import Profile
 from models.roads.rig import Rig, rig_from_csv
 from models.roads.road import track_width, under_wheels
-from models.vehicle import read_vehicle
+from models.vehicle.vehicle import read_vehicle
 from sim.campaign.__main__ import main as campaign
 from sim.campaign.file import read_campaign
 from sim.drive import main
 from sim.inspect.__main__ import main as inspect
 from sim.runs.run import run_all, sample_times
-from synth.designer import design
+from synth.vehicle.designer import design
 
 QUARTER, HALF, CAR = (read_vehicle(name) for name in ("quarter_car", "half_car", "full_car"))
 CORNERS = ("front_left", "front_right", "rear_left", "rear_right")
@@ -129,15 +129,15 @@ def test_log_and_campaign(tmp_path, capsys):
     """A log proves its run when the drive file is gone, and not with another one; a campaign has the same numbers."""
     written(history(), tmp_path / "drive.csv")
     text = f"rig:file={tmp_path / 'drive.csv'}"
-    command = ["--vehicle", "full_car", "--controller", "passive", "--road", text, "--duration", "1"]
+    command = ["--vehicle", "full_car", "--controller", "passive", "--road", text, "--duration", "0.4"]
     assert main([*command, "--logs", str(tmp_path / "logs"), "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["iri"] == {}
     assert result["road"]["posts"] == " ".join(CORNERS)
     (tmp_path / "campaign.toml").write_text(
-        'vehicles = ["full_car"]\ncontrollers = ["passive"]\nroads = ["rig:file=drive.csv"]\nspeeds = [10.0]\nduration = 1.0\n'
+        'vehicles = ["full_car"]\ncontrollers = ["passive"]\nroads = ["rig:file=drive.csv"]\nspeeds = [10.0]\nduration = 0.4\n'
     )
-    assert campaign([str(tmp_path / "campaign.toml"), "--results", str(tmp_path / "results"), "--json"]) == 0
+    assert campaign([str(tmp_path / "campaign.toml"), "--results", str(tmp_path / "results"), "--workers", "1", "--json"]) == 0
     import pyarrow.parquet as parquet
 
     (file,) = (tmp_path / "results").glob("*.parquet")

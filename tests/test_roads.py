@@ -20,7 +20,7 @@ from models.roads.profile_file import read_profile
 from models.roads.road import Bump, Scaled, track_width, under_wheels
 from models.roads.sinusoids import SineSweep, random_road, sinusoid
 from models.roads.spectrum import coherency
-from models.vehicle import read_vehicle
+from models.vehicle.vehicle import read_vehicle
 
 SPEED, STEP = 20.0, 0.04  # m/s, m between samples of a spectrum
 SEEDS = 200
@@ -141,7 +141,7 @@ def test_velocity_is_the_derivative(road, side):
     """The integral of the velocity between any two times, with no kink between, is the difference of the heights, to rounding."""
     nodes, weights = np.polynomial.legendre.leggauss(60)
     edges = np.unique([-0.5, *road.kinks, *(0.37 * np.arange(1, 8))])
-    tested = 0
+    tested, size = 0, np.abs(road.displacement(np.linspace(0, 3, 300), side)).max()
     for a, b in itertools.pairwise(edges):
         # Narrow enough for the quadrature: 10 ms are two waves of the shortest, and less than a piece of the spline.
         for start in np.linspace(a, max(a, b - 0.01), 3):
@@ -151,7 +151,6 @@ def test_velocity_is_the_derivative(road, side):
             inside[0], inside[1] = start + 1e-15, end - 1e-15
             change = np.diff(road.displacement(inside, side))[0]
             integral = half * weights @ road.velocity(start + half * (nodes + 1), side)
-            size = np.abs(road.displacement(np.linspace(0, 3, 300), side)).max()
             assert abs(change - integral) < ROUNDING.get(road.describe()["type"], 1e-12) * size
             tested += change != 0
     assert tested > 2

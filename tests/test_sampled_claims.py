@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from models.vehicle import read_vehicle
+from models.vehicle.vehicle import read_vehicle
 from sim.bump import main as bump
 from sim.inspect.__main__ import main as inspect
 from synth.__main__ import main as synth
-from synth.designer import design
-from synth.implemented.norm import norm_as_implemented
+from synth.controller.implementation_norm import norm_as_implemented
+from synth.vehicle.designer import design
 from tests.commands import prose
 from tests.rewriting import contents, written
 

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
-from models.damping.laws import LAWS, SemiActive, SemiActiveLaw
+from models.laws.semi_active import LAWS, SemiActive, SemiActiveLaw
 from models.roads.iso8608 import Iso8608
 from models.roads.road import Bump, Road
-from models.vehicle import parse_vehicle
+from models.vehicle.semi_active_coefficients import numbers_of
+from models.vehicle.vehicle import parse_vehicle
 from sim.inspect.__main__ import main as inspect
-from sim.physics.simulate import simulate
+from sim.runs.report import controller_lines, controller_object, verdict
 from sim.runs.run import Run, run_all, sample_times
-from sim.runs.words import controller_lines, controller_object, verdict
-from sim.semi_active.numbers import numbers_of
+from tests.analysed import simulate
 from tests.test_dampers import BUMP, DAMPER, HALF, QUARTER
 
 NAMES = [name for name in LAWS if name != "skyhook_modal"]

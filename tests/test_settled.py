@@ -8,12 +8,11 @@ import pytest
 
 from models.roads.iso8608 import Iso8608
 from models.roads.road import Road, track_width
-from models.vehicle import read_vehicle
-from sim.linear.frequency import leaps_by_step, stepwise_frequency_response
-from sim.linear.loop import sampled_responses
-from sim.ride.expected import expect, sources
-from sim.ride.settled import settled, settled_shares
-from synth.designer import Designer
+from models.vehicle.vehicle import read_vehicle
+from sim.linear.frequency_response import leaps_by_step, stepwise_frequency_response
+from sim.studies.ride.expected import expect, settled, settled_shares, sources
+from synth.vehicle.designer import Designer
+from tests.analysed import sampled_responses
 
 
 class Line:
@@ -37,7 +36,6 @@ class Line:
     [
         ("quarter_car", "passive", {}),
         ("quarter_car", "I", {}),  # its force follows the body's slow velocity, and has more at 0.5 s than it comes to
-        ("quarter_car", "II", {"sample_period": 8e-3, "delay": 2}),
         ("quarter_car", "II", {"sample_period": 8e-3, "delay": 1.5}),
         ("half_car", "passive", {}),
     ],
@@ -77,7 +75,7 @@ def test_in_the_end_all_of_the_variance_is_there():
     """Long after the start every share is 1, on two tracks and four wheels, too; at the start no suspension has moved."""
     vehicle = read_vehicle("full_car")
     passive, road = Designer(vehicle).design("passive"), Iso8608("C", 0, 20.0, track_width(vehicle))
-    shares = settled_shares(vehicle, passive, road.spectrum, 4e-3, 60.0)
+    shares = settled_shares(vehicle, passive, road.spectrum, 4e-3, 25.0)  # of the slowest mode exp(-9) is left
     assert len(shares) == 5 + 4 + 4  # vertical accelerations, suspensions, tyres; no force acts
     assert all(share == pytest.approx(1.0, abs=1e-6) for share in shares.values())
     start = settled_shares(vehicle, passive, road.spectrum, 4e-3, 0.0)

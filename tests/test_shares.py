@@ -1,6 +1,7 @@
 """Runs shared out among threads: the same numbers, and none that steps on when nobody waits for it."""
 
 import _thread
+import signal
 import threading
 from collections import deque
 from collections.abc import Callable
@@ -11,14 +12,19 @@ from functools import partial
 import numpy as np
 import pytest
 
-from models.common.side_by_side import AHEAD, side_by_side
-from models.reality import Implementation
+from models.common.threads import AHEAD, side_by_side
 from models.roads.road import Bump
-from models.vehicle import read_vehicle
-from sim.physics.blocks import Course, in_blocks, in_shares
-from sim.physics.simulate import simulate
-from synth.designer import Designer
+from models.vehicle.limits_and_implementation import Implementation
+from models.vehicle.vehicle import read_vehicle
+from sim.physics.run_blocks import Course, in_blocks, in_shares
+from sim.runs.run import run_all
+from synth.controller import open_loop
+from tests.analysed import simulate
+from tests.shared import designed
 
+# Ctrl-C as POSIX sends it, which wakes a thread that waits.
+MAIN = threading.main_thread().ident or 0
+SEND = partial(signal.pthread_kill, MAIN, signal.SIGINT) if hasattr(signal, "pthread_kill") else None
 HALVES = [slice(0, 4), slice(4, 8)]
 
 
@@ -27,50 +33,56 @@ def times(timestep: float, duration: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("kind", ["quarter_car", "full_car"])
-def test_threads_change_no_bit(kind):
-    """Whatever computers, noise and second controllers the runs have: one that has none rounds as it does beside one that has."""
+def test_no_bit_depends_on_threads_or_on_runs_of_a_controller_beside(kind):
+    """Whatever computers and noise the runs have: one that has none rounds as it does beside one that has, and alone."""
     vehicle, time = read_vehicle(kind), times(1e-3, 0.3)
-    controllers = [Designer(vehicle).design(name) for name in ("passive", "I")]
-    noise = dict.fromkeys(controllers[1].measured, 1e-3)
+    passive, active = [designed(vehicle, name) for name in ("passive", "I")]
+    noise = dict.fromkeys(active.measured, 1e-3)
     built = [
         Implementation(),
+        Implementation(sample_period=3e-3),
         Implementation(sample_period=3e-3, delay=1),
         Implementation(noise=noise, quantisation=noise, seed=3),
     ]
-    # Four that need no sensor, four that are a gain and no more, and four with all there is.
-    vehicles = [vehicle] * 8 + [replace(vehicle, implementation=built[i % 3]) for i in range(4)]
-    given, beside = [controllers[0]] * 4 + [controllers[1]] * 8, [None] * 9 + [controllers[1]] * 3
-    roads = [Bump(height=0.01 * (1 + i)) for i in range(12)]
-    together, *shared = [simulate(vehicles, given, roads, time, threads, beside) for threads in (1, 2, 3)]
+    # Four that need no sensor, four that are a gain and no more, and two with each computer.
+    vehicles = [vehicle] * 8 + [replace(vehicle, implementation=built[i % 4]) for i in range(8)]
+    given = [passive] * 4 + [active] * 12
+    roads = [Bump(height=0.01 * (1 + i)) for i in range(16)]
+    together, *shared = [simulate(vehicles, given, roads, time, threads) for threads in (1, 2, 3)]
     for runs in shared:
         for name in ("qpos", "qvel", "diverged"):
             np.testing.assert_array_equal(getattr(runs, name), getattr(together, name))
         np.testing.assert_array_equal(runs.response.values, together.response.values)
+    for i in (5, 8, 9, 10, 11):
+        alone = simulate(vehicles[i : i + 1], given[i : i + 1], roads[i : i + 1], time)
+        np.testing.assert_array_equal(alone.response.values[0], together.response.values[i])
 
 
 def test_runs_stop_when_no_more_of_them_is_wanted(paper, designer):
     """Who leaves the runs, as by Ctrl-C, leaves no thread behind that steps on."""
-    time = times(1e-3, 300.0)  # minutes of work
+    time = times(1e-3, 300.0)  # half a minute of work
     heights = np.zeros((len(time), 8, 1))
     before = threading.active_count()
     course = Course([paper] * 8, [designer.design("I")] * 8, heights, heights, 1e-3, (0, 10, len(time)))
     shares = in_shares(course, HALVES)
-    begun = [threading.Event() for _ in shares]
+    begun, ended = [threading.Event() for _ in shares], []
 
     def run(number: int, stopped: Callable[[], bool]) -> int:
         for _ in shares[number](stopped):
             begun[number].set()
+        ended.append((number, stopped()))
         return number
 
     def interrupt() -> None:
         for event in begun:
             event.wait()
-        _thread.interrupt_main()
+        (SEND or _thread.interrupt_main)()
 
     threading.Thread(target=interrupt).start()
     with pytest.raises(KeyboardInterrupt), closing(side_by_side([partial(run, 0), partial(run, 1)], 2)) as done:
         deque(done, maxlen=0)
     assert all(event.is_set() for event in begun)
+    assert sorted(ended) == [(0, True), (1, True)]
     assert threading.active_count() <= before + 1  # the timer's own may still be there
 
 
@@ -107,3 +119,28 @@ def test_work_is_taken_as_threads_become_free():
     assert sorted(results) == [(number, number**2) for number in range(10)]
     with pytest.raises(ZeroDivisionError), closing(side_by_side([lambda stopped: 1 / 0], 2)) as done:
         next(done)
+
+
+def test_what_runs_share_is_made_once(monkeypatch):
+    """The open loop is made once for each controller of a run, and its road is sampled once, whoever asks for them."""
+    loops, samples, time = list[str](), list[tuple[str, int]](), times(1e-3, 0.5)
+
+    class Counted(Bump):
+        def displacement(self, t, side=""):
+            samples.append(("midway" if t[1] % 1e-3 > 1e-9 else "heights", len(t)))
+            return super().displacement(t, side)
+
+        def velocity(self, t, side=""):
+            samples.append(("velocities", len(t)))
+            return super().velocity(t, side)
+
+    plain = open_loop.sampled
+    monkeypatch.setattr(open_loop, "sampled", lambda vehicle, one, period: loops.append(one.name) or plain(vehicle, one, period))
+    vehicle = read_vehicle("quarter_car")
+    runs = run_all(vehicle, [designed(vehicle, name) for name in ("passive", "I")], Counted(), time)
+    assert all(run.holds for run in runs)
+    assert loops == ["passive", "I"]
+    of_nodes = 8 * len(runs)  # of the quadrature for the continuous loop, and of the steps that hold a kink
+    whole = [what for what, count in samples if count == len(time)]
+    assert [whole.count(what) for what in ("heights", "midway")] == [1, 1]
+    assert whole.count("velocities") == 1 + of_nodes

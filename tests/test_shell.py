@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 from models.common.errors import InputError
-from models.common.shell import option, pasted, pasted_path
-from models.kind import HERE
-from models.vehicle import parse_vehicle, read_vehicle
+from models.common.printed import option, pasted, pasted_path
+from models.kinds.kind import HERE
+from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.recording.files import opening_lines
 from synth.__main__ import main
 from tests.test_own_kind import folder as hopper
@@ -91,7 +91,7 @@ def test_names_of_controllers_have_marks(tmp_path, capsys, name):
     capsys.readouterr()
 
 
-@pytest.mark.parametrize("name", ["--help.toml", "my car's.toml", "a\nb.toml"])
+@pytest.mark.parametrize("name", ["--help.toml", "a b's\n.toml"])
 def test_what_is_printed_runs(tmp_path, monkeypatch, capsys, name):
     """The command that offers `--refine`, pasted, is for that vehicle file and does refine; the one for a recording names it."""
     monkeypatch.chdir(tmp_path)

@@ -9,14 +9,14 @@ import pytest
 from scipy import linalg
 
 from models.common.errors import InputError
-from models.vehicle import read_vehicle
+from models.vehicle.vehicle import read_vehicle
 from sim.bump import main as bump
 from sim.drive import main as drive
 from sim.inspect.__main__ import main as inspect
 from sim.margins import main as margins
 from sim.sweep import main as sweep
 from synth.__main__ import main as synth
-from synth.certificate.stability import MARGINAL, STABLE, UNSTABLE, sampled_growth, stability
+from synth.analysis.stability import MARGINAL, STABLE, UNSTABLE, sampled_growth, stability
 from tests.commands import prose
 
 CASES = [

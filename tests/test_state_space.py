@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
-from models.reality import Implementation
-from models.vehicle import read_vehicle
-from synth.state_space import closed_loop, controller_from, law_system, vehicle_system, weighted_loop
+from models.vehicle.limits_and_implementation import Implementation
+from models.vehicle.vehicle import read_vehicle
+from synth.vehicle.state_space import closed_loop, controller_from, law_system, vehicle_system, weighted_loop
 
 MEASURED = {
     "velocities": lambda name: "velocity" in name and "road" not in name,

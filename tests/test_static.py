@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
-from synth.certificate.bounding import certify_tightly
-from synth.certificate.certificate import certify
-from synth.certificate.norm import hinf_norm, level_set_norm
-from synth.errors import DesignError
-from synth.lmi.central import central_path
+from synth.analysis.bounding import certify_tightly
+from synth.analysis.certificate import certify
+from synth.analysis.norm import hinf_norm, level_set_norm
+from synth.design.descent.landscape import Landscape
+from synth.design.descent.minimax import along_edges, lowest_point, quasi_newton
+from synth.design.descent.refine import refine
+from synth.design.descent.starts import stabilise
+from synth.design.static import static_output_feedback
+from synth.lmi.central_path import central_path
 from synth.lmi.output_feedback import l_matrix, nullspace, r_matrix
-from synth.plant import GeneralizedPlant
-from synth.search.descent import along_edges, lowest_point, quasi_newton
-from synth.search.landscape import Landscape
-from synth.search.refine import refine
-from synth.search.stabilise import stabilise
-from synth.search.static import static_output_feedback
+from synth.plant.generalized import GeneralizedPlant
+from synth.plant.numerics import DesignError
 from tests.benchmarks.compleib import held
 from tests.benchmarks.compleib import main as compleib
 

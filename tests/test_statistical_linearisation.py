@@ -9,21 +9,20 @@ import numpy as np
 import pytest
 from scipy import integrate, special, stats
 
-from models.reality import Limits
 from models.roads.iso8608 import Iso8608
-from models.vehicle import read_vehicle
+from models.vehicle.limits_and_implementation import Limits
+from models.vehicle.vehicle import read_vehicle
 from sim.drive import main
-from sim.linear.curved import elements
-from sim.linear.frequency import sampled_frequency_response, stepwise_frequency_response
-from sim.physics.simulate import simulate
+from sim.linear.frequency_response import sampled_frequency_response, stepwise_frequency_response
+from sim.linear.nonlinear_elements import elements
 from sim.response.regime import over
-from sim.ride.equivalent import equivalent, line_object, line_words
-from sim.ride.expected import expect
-from sim.ride.gaussian import positive_part
-from sim.ride.metrics import measure
-from sim.ride.remainder import DEGREES, averages, coefficients
 from sim.runs.run import sample_times
-from synth.designer import design
+from sim.studies.ride.expected import expect
+from sim.studies.ride.gaussian import positive_part
+from sim.studies.ride.metrics import measure
+from sim.studies.ride.statistical_linearisation import DEGREES, averages, coefficients, equivalent, line_object, line_words
+from synth.vehicle.designer import design
+from tests.analysed import simulate
 from tests.commands import prose
 from tests.curved import AXLES, DIGRESSIVE, PROGRESSIVE, curved_text, with_curves
 
@@ -190,7 +189,7 @@ def test_without_curves_nothing_changes(paper):
 def test_it_says_so(tmp_path, capsys):
     """What is printed names slopes and mean deflections, as JSON has them."""
     (tmp_path / "mine.toml").write_text(curved_text("half_car", **AXLES))
-    asked = ["--vehicle", str(tmp_path / "mine.toml"), "--controller", "passive", "--class", "C", "--duration", "4"]
+    asked = ["--vehicle", str(tmp_path / "mine.toml"), "--controller", "passive", "--class", "C", "--duration", "0.5"]
     assert main([*asked, "--no-logs"]) == 0
     said = prose(capsys.readouterr().out)
     assert main([*asked, "--no-logs", "--json"]) == 0
@@ -213,16 +212,16 @@ def test_energy_has_the_mean_force_in_it():
     """Of a controller that holds up what an asymmetric damper pulls down, the energy is that of its mean force, too."""
     vehicle = with_curves(suspension_damping=DIGRESSIVE)
     controller, time = design(vehicle, "I"), sample_times(vehicle, SETTLED + WINDOW, STEP)
-    roads = [Iso8608("C", seed, 20.0) for seed in range(24)]
-    response = simulate([vehicle] * 24, [controller] * 24, roads, time, threads=0).response
+    roads = [Iso8608("C", seed, 20.0) for seed in range(16)]
+    response = simulate([vehicle] * 16, [controller] * 16, roads, time, threads=0).response
     first = round(SETTLED / STEP)
-    found = np.array([measure(vehicle, response.run(i), first)["control_energy"] for i in range(24)])
+    found = np.array([measure(vehicle, response.run(i), first)["control_energy"] for i in range(16)])
     expected = expect(vehicle, controller, roads[0].spectrum, STEP, WINDOW)
     assert expected is not None
     held = expected.line.mean["control_force"]
     assert abs(held) > 0.5 * expected.mean["control_force_rms"]
-    assert expected.mean["control_energy"] == pytest.approx(found.mean(), abs=3 * found.std() / np.sqrt(24))
-    assert 3 * found.std() / np.sqrt(24) < 0.15 * found.mean()  # without the mean force it would be a third
+    assert expected.mean["control_energy"] == pytest.approx(found.mean(), abs=3 * found.std() / np.sqrt(16))
+    assert 3 * found.std() / np.sqrt(16) < 0.15 * found.mean()  # without the mean force it would be a third
 
 
 def test_positive_part_of_a_product():

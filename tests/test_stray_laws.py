@@ -11,17 +11,18 @@ import pytest
 
 from models.common import interrupt
 from models.common.errors import InputError
-from models.own.code import run_own
-from sim.campaign.aside import STRAY, answer_to
+from models.laws.user_code import run_own
 from sim.campaign.batch import FAILED
+from sim.campaign.law_process import STRAY, answer_to
 from tests.commands import environment
-from tests.test_campaign_laws import TEXT, campaign_of, rows_of
+from tests.shared import printed
+from tests.test_campaign_laws import BUMP, campaign_of, rows_of
 from tests.test_python_laws import GAIN, vehicle_of
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="forks, and Ctrl-C as POSIX sends it")
 
 ENOUGH = 60.0  # s that a command may take on a busy machine; three on an idle one
-ONE = TEXT.replace('"linear", "mine", "many"', '"mine"').replace('"iso8608:class=B", ', "")
+ONE = BUMP.replace('"linear", "mine", "many"', '"mine"').replace("count = 4", "count = 2")  # one of which is above 500 kg
 
 
 def bump(path, *options: str) -> list[str]:
@@ -31,25 +32,31 @@ def bump(path, *options: str) -> list[str]:
 
 BODIES = {
     "forks": "    if sample.time == 0.005: os.fork()\n",
-    "forks, and its child raises": "    if sample.time == 0.005 and not os.fork(): raise ValueError('of the child')\n",
-    "forks past Python": "    if sample.time == 0.005: ctypes.CDLL(None).fork()\n",
-    "begins a thread": "    if sample.time == 0.005: threading.Thread(target=wait).start()\n",
+    "forks, and its child raises": "    if sample.time == 0.006 and not os.fork(): raise ValueError('of the child')\n",
+    "forks past Python": "    if sample.time == 0.007: ctypes.CDLL(None).fork()\n",
+    "begins a thread": "    if sample.time == 0.008: threading.Thread(target=wait).start()\n",
 }
+EACH = [pytest.param(body, id=name, marks=pytest.mark.attack) for name, body in BODIES.items()]
 
 
-@pytest.mark.parametrize("body", BODIES.values(), ids=BODIES)
+def run_of(line: str) -> dict:
+    """The run in what `sim.bump` prints with `--json`, but for its law's checksum."""
+    return {key: value for key, value in json.loads(line)["runs"][0].items() if key != "controller"}
+
+
+@pytest.mark.parametrize("body", [pytest.param("".join(BODIES.values()), id="all of it"), *EACH])
 def test_a_command_has_one_end(tmp_path, body):
     """A law that forks, or begins a thread without an end, changes nothing: one answer, one exit code, and the command ends."""
     imports = "import ctypes, os, threading\ndef wait(): threading.Event().wait()\n"
-    found = {}
-    for name, more in {"sound": "", "stray": body}.items():
-        path = vehicle_of(tmp_path, imports + GAIN.replace("state):\n", f"state):\n{more}"))
-        command = bump(path, "--duration", "0.02", "--json")
-        done = subprocess.run(command, env=environment(), capture_output=True, text=True, timeout=ENOUGH)
-        assert (done.returncode, done.stderr) == (0, "")
-        (line,) = done.stdout.splitlines()
-        found[name] = {key: value for key, value in json.loads(line)["runs"][0].items() if key != "controller"}  # its checksum
-    assert found["stray"] == found["sound"]
+    path = vehicle_of(tmp_path, imports + GAIN.replace("state):\n", f"state):\n{body}"))
+    command = bump(path, "--duration", "0.02", "--json")
+    done = subprocess.run(command, env=environment(), capture_output=True, text=True, timeout=ENOUGH)
+    assert (done.returncode, done.stderr) == (0, "")
+    (line,) = done.stdout.splitlines()
+    files = {"car.toml": path.read_text(encoding="utf-8"), "mine.py": GAIN}
+    sound = printed("sim.bump", "--vehicle", "car.toml", *command[5:], files=files)
+    assert sound.code == 0
+    assert run_of(line) == run_of(sound.out)
 
 
 # CPython 3.11 takes a jump back to the first line of a `try` for one out of it: before a loop there something has to stand.
@@ -59,9 +66,12 @@ SWALLOWS = {
     "in every call": "    print('running')\n    if True:\n        try: time.sleep(0.02)\n",
     "and raises another": "    print('running')\n    if True:\n        try:\n" + LOOP,
 }
+QUICK = "in every call"  # the others are ended after 5 s
 
 
-@pytest.mark.parametrize("body", SWALLOWS.values(), ids=SWALLOWS)
+@pytest.mark.parametrize(
+    "body", [pytest.param(body, id=name, marks=() if name == QUICK else pytest.mark.attack) for name, body in SWALLOWS.items()]
+)
 def test_ctrl_c_gets_through(tmp_path, body):
     """Ctrl-C ends a command at once, and as ever, though a law catches everything that is raised in it."""
     other = "raise ValueError" if body == SWALLOWS["and raises another"] else "pass"
@@ -89,18 +99,25 @@ def test_being_told_to_end_is_heard(tmp_path, monkeypatch, refuses, swallowed):
         run_own("law", tmp_path, "step", lambda: exec(tell, {"interrupt": interrupt, "InputError": InputError}), refuses)
 
 
-@pytest.mark.slow  # Pythons one after the other
-@pytest.mark.parametrize("arguments", [("--batch", "1", "--workers", "1"), ("--workers", "2")], ids=" ".join)
-def test_a_child_answers_nothing(tmp_path, arguments):
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory):
+    """The rows of a campaign whose law leaves nothing behind."""
+    return rows_of(campaign_of(tmp_path_factory.mktemp("sound"), "    pass\n", text=ONE), "--workers", "1")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [pytest.param(("--batch", "1", "--workers", "1"), marks=pytest.mark.attack), ("--workers", "2")],
+    ids=" ".join,
+)
+def test_a_child_answers_nothing(tmp_path, sound, arguments):
     """Rows of a campaign whose law forks are those of the law without its children, however they are batched."""
-    sound = rows_of(campaign_of(tmp_path, "    pass\n", text=ONE), *arguments, results="sound")
     forks = "    if 0.09 < sample.time < 0.1: __import__('os').fork()\n"
     rows = rows_of(campaign_of(tmp_path, forks, text=ONE), *arguments, results="forks")
     assert rows == sound
     assert {row["reason"] for row in rows} == {None}
 
 
-@pytest.mark.slow  # Pythons one after the other
 def test_what_a_law_leaves_ends_with_it(tmp_path):
     """A child that holds the answers' pipe does not hold the campaign when its parent ends, and is ended with it."""
     children = f"open({str(tmp_path / 'children')!r}, 'a')"
@@ -155,7 +172,6 @@ def test_only_an_answer_is_one():
         assert answer_to(line + b"\n", 4, 6) == {}
 
 
-@pytest.mark.slow  # Pythons one after the other
 def test_what_answers_another_question_is_begun_anew(tmp_path):
     """A law that writes into the pipe of the answers fails its own runs, with a reason; no row is of another."""
     law = """import os, stat
@@ -168,7 +184,7 @@ def step(sample, state):
 """
     file = campaign_of(tmp_path, text=ONE)
     (tmp_path / "mine.py").write_text(law, encoding="utf-8")
-    rows = rows_of(file, "--workers", "1", "--batch", "4")
+    rows = rows_of(file, "--workers", "1", "--batch", "2")
     for row in rows:
         heavy = row["parameter_sprung_mass"] > 500
         assert row["reason"] == (f"{FAILED}controller 'mine', its law {STRAY}" if heavy else None)

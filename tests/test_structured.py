@@ -4,14 +4,16 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from synth.certificate.bounded_real import bounded_real_matrix
-from synth.design import two_step_design
-from synth.lmi import central, structured
+from synth.analysis.certificate import bounded_real_matrix
+from synth.analysis.uncertainty_box import Loops, lmi
+from synth.design.two_step import two_step_design
+from synth.lmi import central_path as central
+from synth.lmi import structured_barrier as structured
 from synth.lmi.barrier import Barrier, Factored
-from synth.lmi.basis import Basis
-from synth.lmi.central import central_path
-from synth.lmi.structured import StructuredBarrier, path_constraints, start_constraints
-from synth.plant import GeneralizedPlant
+from synth.lmi.central_path import central_path
+from synth.lmi.stacked_barrier import StackedBarrier
+from synth.lmi.structured_barrier import Basis, StructuredBarrier, path_constraints, start_constraints
+from synth.plant.generalized import GeneralizedPlant
 from tests.benchmarks.states import chain
 
 
@@ -161,3 +163,27 @@ def test_forty_states():
     design = two_step_design(*chain(40))
     assert design.certificate.failures == ()
     assert design.certificate.norm.value < 1.453  # measured 1.45257; a chain of 26 has 1.61
+
+
+def test_loops_that_share_an_x_have_the_derivatives_of_the_dense_barrier():
+    """One X of (20) of many loops: gradient, Newton step and rates are those of a barrier that knows no structure."""
+    rng, V, n, r, d, eta = np.random.default_rng(20261123), 5, 4, 2, 3, 0.1
+    shapes = ((V, n, n), (V, n, r), (V, d, n), (V, d, r))
+    loops = Loops(*(rng.standard_normal(shape) for shape in shapes))
+    constant = lmi(loops, np.zeros((n, n)), eta)
+    stacked = StackedBarrier(constant, np.concatenate([loops.A, loops.C], axis=1))
+    units = [stacked.matrix(unit) for unit in np.eye(n * (n + 1) // 2 + 1)[:-1]]
+    blocks = [(np.zeros((n, n)), np.array([*units, np.zeros((n, n))]))]
+    for v in range(V):
+        blocks.append((-constant[v], np.array([*(constant[v] - lmi(loops, unit, eta)[v] for unit in units), np.eye(n + d)])))
+    X = np.eye(n) + 0.1 * np.ones((n, n))
+    p = np.append(stacked.unknowns(X), 1.5 * np.linalg.eigvalsh(lmi(loops, X, eta)).max())
+    here, dense = stacked.at(p), Barrier(blocks).at(p)
+    assert here is not None
+    assert dense is not None
+    c = rng.standard_normal(len(p))
+    np.testing.assert_allclose(here.trace, dense.trace, rtol=1e-12)  # sums of some hundred terms of size one
+    np.testing.assert_allclose(here.solve(here.half(c)), dense.solve(dense.half(c)), rtol=1e-9)  # the Hessian's condition
+    np.testing.assert_allclose(np.sort(here.rates(c)), np.sort(dense.rates(c)), rtol=1e-11, atol=1e-12)  # some are nearly 0
+    p[-1] = -1.0
+    assert stacked.at(p) is None

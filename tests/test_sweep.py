@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
-from models.reality import Implementation, Limits
 from models.roads.sinusoids import chirp, random_road, sinusoid
-from models.vehicle import read_vehicle
-from sim.frequency.figure import drawn_line
-from sim.frequency.identification import identify
-from sim.frequency.sweep import failures, sweep
-from sim.linear.frequency import as_met, continuous_frequency_response, sampled_frequency_response, worst_sinusoid
-from sim.linear.loop import sampled_response
+from models.vehicle.limits_and_implementation import Implementation, Limits
+from models.vehicle.vehicle import read_vehicle
+from sim.linear.frequency_response import as_met, continuous_frequency_response, sampled_frequency_response, worst_sinusoid
+from sim.studies.frequency.figure import drawn_line
+from sim.studies.frequency.identification import identify
+from sim.studies.frequency.sweep import failures, sweep
 from sim.sweep import main
-from synth.designer import Designer
+from synth.vehicle.designer import Designer
+from tests.analysed import sampled_response
 from tests.conftest import recorded_runs
 
 FIGURE_3 = ("passive", "state", "I", "II")
@@ -130,7 +130,7 @@ def test_cars(name):
 
 @pytest.mark.parametrize(
     "implementation",
-    [Implementation(delay=3), *(Implementation(sample_period=8e-3, delay=delay) for delay in (0, 1, 0.5))],
+    [Implementation(delay=3), *(Implementation(sample_period=8e-3, delay=delay) for delay in (1, 0.5))],
 )
 def test_implemented(paper, designer, implementation):
     """So does a controller that computes for a while, samples less often, or both, through a slow actuator."""
@@ -139,7 +139,7 @@ def test_implemented(paper, designer, implementation):
     assert one.error(one.sampled).max() < 1e-4  # as above
 
 
-@pytest.mark.parametrize("period", [0.02, 0.03, 0.04])
+@pytest.mark.parametrize("period", [0.03, *(pytest.param(period, marks=pytest.mark.attack) for period in (0.02, 0.04))])
 def test_slower_than_the_lines(paper, designer, period):
     """A controller whose half sample rate lies below 25 Hz has lines up to there, and images of them disturb no claim."""
     vehicle = dataclasses.replace(paper, implementation=Implementation(sample_period=period, delay=1))
@@ -150,7 +150,7 @@ def test_slower_than_the_lines(paper, designer, period):
 
 @pytest.mark.parametrize("how", [Implementation(), Implementation(sample_period=0.01, delay=1.3)])
 def test_sampled_response_is_the_same(paper, designer, how):
-    """The frequency response is what the time response of `sim.linear.loop` settles to: the same claim by another route."""
+    """The frequency response is what the time response of `sim.linear.sampled_response` settles to: one claim, two routes."""
     paper = dataclasses.replace(paper, implementation=how)
     controller, h, omega = designer.design("I"), 1e-3, 2 * np.pi * 2
     time = np.arange(20_000) * h

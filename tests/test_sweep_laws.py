@@ -7,22 +7,30 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
-from models.common.numbers import percent
-from models.own.python_law import Programmed
-from models.reality import Implementation
-from models.vehicle import read_vehicle
-from sim.command.driven import driven
-from sim.frequency.describing_function import DescribingFunction, describing_function, describing_lines, describing_verdict
-from sim.frequency.sweep import holds
+from models.common.printed import percent
+from models.laws.python_law import Programmed
+from models.vehicle.limits_and_implementation import Implementation
+from models.vehicle.vehicle import read_vehicle
+from sim.command.comparison import controllers_of
 from sim.inspect.log import read_log
 from sim.inspect.proof import prove
-from sim.linear.frequency import as_met, sampled_frequency_response
+from sim.linear.frequency_response import as_met, sampled_frequency_response
+from sim.studies.frequency.describing_function import (
+    DescribingFunction,
+    describing_function,
+    describing_lines,
+    describing_verdict,
+)
+from sim.studies.frequency.sweep import holds
 from sim.sweep import main
-from synth.designer import Designer
+from synth.vehicle.designer import Designer
 from tests.commands import prose
 from tests.test_python_laws import vehicle_of
 
+FEW = 10  # of the 20 sinusoids that the command drives
+FINE = 4e-3  # s
 STEP, AMPLITUDE, SPEED = 2e-3, 1e-4, 12.5  # s, m, m/s; half the work of the command's own step
+COARSE = 8e-3  # s, where no number is held against an exact one
 # For all of a frequency's runs at once: 300 000 calls are seconds.
 SQUARE = """
 import numpy as np
@@ -43,19 +51,33 @@ step.vectorised = True
 """
 
 
-def found_of(folder, law: str, how: Implementation | None = None, more: str = ""):
+@pytest.fixture(scope="module", autouse=True)
+def few_sinusoids():
+    """What holds of a sinusoid holds of every one, and each costs three periods of the slowest."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr("sim.studies.frequency.describing_function.SINUSOIDS", FEW)
+        yield
+
+
+def found_of(folder, law: str, how: Implementation | None = None, more: str = "", step: float = STEP):
     """What a law makes of sinusoids, and its vehicle."""
     vehicle = read_vehicle(vehicle_of(folder, law, more=more))
     vehicle = replace(vehicle, implementation=how or Implementation())
-    (mine,) = driven(vehicle, ["mine"], Designer(vehicle).design)
+    (mine,) = controllers_of(vehicle, ["mine"], Designer(vehicle).design)
     assert isinstance(mine, Programmed)
-    return describing_function(vehicle, mine, AMPLITUDE, STEP, SPEED), vehicle
+    return describing_function(vehicle, mine, AMPLITUDE, step, SPEED), vehicle
+
+
+@pytest.fixture(scope="module")
+def gain(tmp_path_factory):
+    """What a gain in Python makes of them."""
+    return found_of(tmp_path_factory.mktemp("gain"), GAIN)
 
 
 @pytest.mark.parametrize("how", [None, Implementation(sample_period=4e-3, delay=1)], ids=["prompt", "slow"])
-def test_of_a_gain_it_is_its_frequency_response(tmp_path, how):
+def test_of_a_gain_it_is_its_frequency_response(tmp_path, gain, how):
     """Of a gain in Python it is the sampled loop's exact response, and nothing but the images of a slow hold is outside."""
-    found, vehicle = found_of(tmp_path, GAIN, how)
+    found, vehicle = gain if how is None else found_of(tmp_path, GAIN, how)
     linear = Designer(vehicle).design("I_printed")
     linear = replace(linear, law=replace(linear.law, D=np.array([[10825.2, -2069.5]])))
     met = as_met(vehicle, found.omega, SPEED)[..., None]
@@ -72,9 +94,9 @@ def test_of_a_gain_it_is_its_frequency_response(tmp_path, how):
 
 def test_what_is_outside_is_measured(tmp_path):
     """A force that is switched as the road rises and falls has a fundamental of 4 / pi; 1 - 8 / pi^2 of its energy is outside."""
-    found, _ = found_of(tmp_path, RELAY, more=f"preview = {STEP}")
+    found, _ = found_of(tmp_path, RELAY, more=f"preview = {FINE}", step=FINE)
     force = found.outputs.index("control_force")
-    slow = found.omega < 2 * np.pi  # in whole samples: a step of 2 ms is at most 0.2 % of a period
+    slow = found.omega < 2 * np.pi  # in whole samples: a step of 4 ms is at most 0.4 % of a period
     assert np.sum(slow) > 3
     np.testing.assert_allclose(found.outside[slow, force], 1 - 8 / np.pi**2, atol=1e-5)
     driven_by = AMPLITUDE / 2 * found.omega[slow]  # the road's velocity
@@ -83,11 +105,10 @@ def test_what_is_outside_is_measured(tmp_path):
     assert 0 < found.outside[slow, acceleration].min() < found.outside[slow, acceleration].max() < 1
 
 
-@pytest.mark.slow  # both kinds of sweep, and a log
 def test_a_law_that_does_not_follow_the_road(tmp_path, capsys):
     """A force that goes its own way is energy outside; words and numbers say the same, and claim no norm."""
     path = vehicle_of(tmp_path, SQUARE)
-    options = ["--vehicle", str(path), "--controller", "I", "--controller", "mine", "--timestep", "2e-3"]
+    options = ["--vehicle", str(path), "--controller", "I", "--controller", "mine", "--timestep", f"{COARSE}"]
     assert main([*options, "--logs", str(tmp_path / "logs")]) == 0
     said = prose(capsys.readouterr().out)
     (log,) = (tmp_path / "logs").glob("*.mcap")
@@ -123,12 +144,12 @@ step.vectorised = True
 """
 
 
-@pytest.mark.parametrize("limit", [2e-6, -1.0])
+@pytest.mark.parametrize("limit", [8e-6, -1.0])
 def test_runs_that_diverge_are_said_once(tmp_path, recwarn, limit):
     """Where runs diverge nothing is measured, which one line says; the others have their numbers, or there are none at all."""
-    found, _ = found_of(tmp_path, WILD.format(limit=limit), more=f"preview = {STEP}")
+    found, _ = found_of(tmp_path, WILD.format(limit=limit), more=f"preview = {COARSE}", step=COARSE)
     wild, count = np.isfinite(found.diverged), len(found.omega)
-    # A road of 0.1 mm rises by 0.05 mm * omega * 2 ms in a step, at most: more than 2e-6 m from 20 rad/s on.
+    # A road of 0.1 mm rises by 0.05 mm * omega * 8 ms in a step, at most: more than 8e-6 m from 20 rad/s on.
     assert np.array_equal(wild, found.omega > 20.0) or limit < 0
     assert wild.any()
     assert wild.all() == (limit < 0)
@@ -149,15 +170,15 @@ def test_runs_that_diverge_are_said_once(tmp_path, recwarn, limit):
 
 def test_a_law_of_which_nothing_is_measured_is_no_success(tmp_path, capsys):
     """As `sim.bump` does where nothing is compared, the command exits with 1 where every run diverged, and says why."""
-    path = vehicle_of(tmp_path, WILD.format(limit=-1.0), more=f"preview = {STEP}")
-    assert main(["--vehicle", str(path), "--controller", "mine", "--timestep", f"{STEP}", "--json"]) == 1
+    path = vehicle_of(tmp_path, WILD.format(limit=-1.0), more=f"preview = {COARSE}")
+    assert main(["--vehicle", str(path), "--controller", "mine", "--timestep", f"{COARSE}", "--json"]) == 1
     (found,) = json.loads(capsys.readouterr().out)["sweeps"]
     assert found["failures"] == ["every run diverged, and nothing is measured"]
 
 
-def test_shares_read_as_percent(tmp_path):
+def test_shares_read_as_percent(gain):
     """Shares of one and more are printed as percent, without a power of ten."""
-    found, _ = found_of(tmp_path, GAIN)
+    found, _ = gain
     large = replace(found, outside=np.full_like(found.outside, 0.9996), drift=14.2)
     text = prose(" ".join(describing_lines(large)))
     assert " 100 % " in text
@@ -165,12 +186,12 @@ def test_shares_read_as_percent(tmp_path):
     assert "at most 100 % of a signal's energy" in describing_verdict(large)
 
 
-def test_a_picture_has_points_and_no_line(tmp_path):
+def test_a_picture_has_points_and_no_line(gain):
     """Where analysis has no response none is drawn: a law's points stand alone."""
     from models.figures.figure import styles
-    from sim.frequency.figure import sweep_figure
+    from sim.studies.frequency.figure import sweep_figure
 
-    found, vehicle = found_of(tmp_path, GAIN)
+    found, vehicle = gain
     assert isinstance(found, DescribingFunction)
     figure = sweep_figure(vehicle, [], AMPLITUDE, STEP, SPEED, styles(("mine",)), [found])
     curves = [curve for panel in figure.panels for curve in panel.curves if len(curve.x)]

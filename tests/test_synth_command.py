@@ -10,19 +10,20 @@ import sys
 import numpy as np
 import pytest
 
-import synth.command.witness
+import synth.command.cross_check
 from models.common.errors import InputError
-from models.vehicle import read_vehicle
+from models.vehicle.vehicle import read_vehicle
 from sim.bump import main as bump
-from synth.__main__ import _limit, main
-from synth.certificate.invariant import invariant_limit, is_pole
-from synth.command.witness import cross_check
-from synth.designer import Designer
-from synth.errors import DesignError
-from synth.lmi import full_order
-from synth.lmi.full_order import bound_beyond_control
-from synth.plant import GeneralizedPlant
-from synth.problem.problem import generalized_plant
+from synth.__main__ import main
+from synth.analysis.invariant_point import invariant_limit, is_pole
+from synth.command.cross_check import cross_check
+from synth.command.design_table import _limit
+from synth.controller.problem import generalized_plant
+from synth.lmi import full_order_bound as full_order
+from synth.lmi.full_order_bound import bound_beyond_control
+from synth.plant.generalized import GeneralizedPlant
+from synth.plant.numerics import DesignError
+from synth.vehicle.designer import Designer
 from tests.commands import prose
 from tests.pages import hopper
 
@@ -71,7 +72,7 @@ def test_table(capsys):
     assert 0.1 * gain < up < 0.3 * gain
 
 
-@pytest.mark.parametrize("vehicle", ["half_car", pytest.param("full_car", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("vehicle", ["half_car", pytest.param("full_car", marks=pytest.mark.attack)])
 def test_other_vehicles(capsys, vehicle):
     """Every controller of the other cars that ship is designed and certified, within 11 % of the best possible."""
     code, found = table(capsys, "--vehicle", vehicle)
@@ -178,7 +179,9 @@ def test_refine_is_bounded_and_says_what_it_traded(capsys):
     assert any(note.startswith("refined: gamma 7.843188 -> ") and "refused" in note for note in row["notes"])
 
 
-@pytest.mark.parametrize("vehicle", ["quarter_car", "half_car", pytest.param("full_car", marks=pytest.mark.attack)])
+@pytest.mark.parametrize(
+    "vehicle", ["quarter_car", *(pytest.param(car, marks=pytest.mark.attack) for car in ("half_car", "full_car"))]
+)
 def test_the_table_says_what_refine_would_gain(capsys, vehicle):
     """What the table promises is kept by the command that it names: each norm falls by at least as much; none for state."""
     assert main(["--vehicle", vehicle]) == 0
@@ -223,7 +226,7 @@ def test_refine_from_nothing():
     assert refined.controller.certificate.failures == ()
 
 
-@pytest.mark.parametrize("vehicle", ["quarter_car", "half_car", pytest.param("full_car", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("vehicle", ["quarter_car", "half_car", pytest.param("full_car", marks=pytest.mark.attack)])
 def test_cross_check(capsys, vehicle):
     """Clarabel's optimum of every LMI problem is ours, and with our gain fixed it reaches the same: to its tolerance."""
     code, found = table(capsys, "--vehicle", vehicle, "--cross-check")
@@ -260,9 +263,9 @@ def test_a_witness_against_is_a_failure(designer, monkeypatch):
     witness = cross_check(designer, moved)
     assert witness is not None
     assert "ours is 7" in witness.failures[0]
-    solve = synth.command.witness.solve_lmi
+    solve = synth.command.cross_check.solve_lmi
     monkeypatch.setattr(
-        synth.command.witness, "solve_lmi", lambda *given: dataclasses.replace(solve(*given), status="optimal_inaccurate")
+        synth.command.cross_check, "solve_lmi", lambda *given: dataclasses.replace(solve(*given), status="optimal_inaccurate")
     )
     witness = cross_check(designer, state)
     assert witness is not None
@@ -271,7 +274,7 @@ def test_a_witness_against_is_a_failure(designer, monkeypatch):
     def gives_up(*given):
         raise DesignError("Clarabel gave up")
 
-    monkeypatch.setattr(synth.command.witness, "solve_lmi", gives_up)
+    monkeypatch.setattr(synth.command.cross_check, "solve_lmi", gives_up)
     witness = cross_check(designer, state)
     assert witness is not None
     assert witness.text == "no second witness: (22): Clarabel gave up; (22) with our gain: Clarabel gave up"

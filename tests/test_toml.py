@@ -6,8 +6,8 @@ import tomllib
 import pytest
 
 from models.common.errors import InputError
-from models.common.toml import MOST_DOTS, parse_toml
-from models.vehicle import read_vehicle
+from models.common.files import MOST_DOTS, parse_toml
+from models.vehicle.vehicle import read_vehicle
 from sim.campaign.file import read_campaign
 
 PARTS = {"bare": "a", "quoted": '"a.b\\"c"', "literal": "'a.b'", "spaced": " a\t"}

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from models.roads.choice import choose_road
-from models.vehicle import read_vehicle
-from sim.campaign.figure import CONSTANT, trade_off
+from models.vehicle.vehicle import read_vehicle
 from sim.campaign.file import parse_campaign
 from sim.campaign.plan import Plan
-from sim.ride.expected import expect
-from sim.ride.metrics import dynamic_load
-from synth.designer import Designer
+from sim.campaign.summary import CONSTANT, trade_off
+from sim.studies.ride.expected import expect
+from sim.studies.ride.metrics import dynamic_load
+from synth.vehicle.designer import Designer
 from tests.commands import main_of
 
 CAMPAIGN = """
@@ -21,9 +21,9 @@ vehicles = ["quarter_car_semi_active"]
 controllers = ["passive", "I", "sky"]
 roads = ["iso8608:class=B", "bump"]
 speeds = [20.0]
-seeds = 2
-duration = 3.0
-settle = 1.0
+seeds = 1
+duration = 1.0
+settle = 0.5
 """
 
 
@@ -43,7 +43,7 @@ def test_points_are_the_numbers_of_the_table(drawn, capsys):
     """Every circle of the figure is a controller's ride and tyre load as `--json` has them, in the panel of its road."""
     folder, plan = drawn
     picture = folder / "t.svg"
-    assert main_of("sim.campaign")([str(folder / "c.toml"), "--json", "--picture", str(picture)]) == 0
+    assert main_of("sim.campaign")([str(folder / "c.toml"), "--workers", "1", "--json", "--picture", str(picture)]) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["picture"] == str(picture)
     assert picture.read_text(encoding="utf-8").count("constant dampers, expected") >= 1

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
-from synth.design import Design, state_design, state_path, two_step_design, zero_l_design
-from synth.errors import DesignError
-from synth.lmi.central import AT_REST, CENTRED, FIRST, LAST
-from synth.plant import GeneralizedPlant
-from synth.redesign import state_designs, two_step_designs
-from synth.scaling import own_units, speed
+from synth.design.batch import state_designs, two_step_designs
+from synth.design.two_step import Design, state_design, state_path, two_step_design, zero_l_design
+from synth.lmi.central_path import CENTRED
+from synth.plant.generalized import GeneralizedPlant
+from synth.plant.numerics import DesignError
+from synth.plant.units import own_units, speed
 
 
 def a_plant(seed: int) -> tuple[GeneralizedPlant, np.ndarray]:
@@ -120,13 +120,13 @@ def _outcome(design) -> "Design | str":
         return type(error).__name__
 
 
-@pytest.mark.parametrize("seed", [3, 7, 10, 17, 25, 270])  # the last has A = 0, and no time of its own but through z
+@pytest.mark.parametrize("seed", [3, 17, 25, 270])  # the last has A = 0, and no time of its own but through z
 def test_a_design_is_the_same_in_any_units(seed):
     """In units of states, forces, measurements, w, z and time that are powers of two a design is the same to the last bits."""
-    refuse_units(seed, 2)
+    refuse_units(seed, 1)
 
 
-@pytest.mark.parametrize("seed", [9, 10, 17])
+@pytest.mark.parametrize("seed", [9, 17, pytest.param(10, marks=pytest.mark.attack)])
 def test_designs_side_by_side_are_the_same_in_any_units(seed):
     """Of plants like one that is designed, in other units all together: the same gains, up to where paths are stopped."""
     plant, Cy = any_plant(seed)
@@ -147,7 +147,11 @@ def test_designs_side_by_side_are_the_same_in_any_units(seed):
 
 
 @pytest.mark.attack
-@pytest.mark.parametrize("seeds", [range(k, k + 25) for k in range(100, 300, 25)], ids=lambda seeds: f"from {seeds[0]}")
+@pytest.mark.parametrize(
+    "seeds",
+    [(3, 7, 10, 17, 25, 270), *(range(k, k + 25) for k in range(100, 300, 25))],
+    ids=lambda seeds: f"from {seeds[0]}",
+)
 def test_a_design_is_the_same_in_any_units_by_the_hundred(seeds):
     """So are those of two hundred more."""
     for seed in seeds:
@@ -191,15 +195,14 @@ def outcomes(plant: GeneralizedPlant, Cy: np.ndarray, unit: float) -> list[float
     return found
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", [*range(3), *(pytest.param(seed, marks=pytest.mark.attack) for seed in range(3, 12))])
 def test_units_change_neither_verdict_nor_norm(seed):
     """Both designs of random plants, or why there is none, are the same in units up to ten orders of magnitude apart."""
     plant, Cy = a_plant(seed)
     here = outcomes(plant, Cy, 1.0)
-    for again in range(2):
-        there = outcomes(*in_other_units(plant, Cy, 100 * seed + again))
-        for one, other in zip(here, there, strict=True):
-            assert one == (pytest.approx(other, rel=1e-6) if isinstance(other, float) else other)  # AT_REST, where gains grow
+    there = outcomes(*in_other_units(plant, Cy, 100 * seed))
+    for one, other in zip(here, there, strict=True):
+        assert one == (pytest.approx(other, rel=1e-6) if isinstance(other, float) else other)  # AT_REST, where gains grow
 
 
 def test_what_z_does_not_see_is_the_same_in_any_units():
@@ -224,11 +227,11 @@ def test_what_z_does_not_see_is_the_same_in_any_units():
     )
     Cy = np.array([[0.0, 1.0, 0.0, 0.0]])
     here = two_step_design(plant, Cy).certificate.norm.value
-    for seed in range(4):
+    for seed in range(2):
         moved, Cy_moved, unit = in_other_units(plant, Cy, seed)
         there = two_step_design(moved, Cy_moved).certificate.norm.value / unit
         assert there == pytest.approx(here, rel=1e-5)  # the share of X that nothing drives, UNDRIVEN, and AT_REST
-    for seed in (6, 11, 16, 21, 26):  # others of which every state can be kept out of z, beside which a problem is posed
+    for seed in (6, 16, 21):  # others of which every state can be kept out of z, beside which a problem is posed
         plant, Cy = any_plant(seed)
         here = outcomes(plant, Cy, 1.0)
         there = outcomes(*in_other_units(plant, Cy, seed))
@@ -266,13 +269,14 @@ def test_more_forces_than_the_problem_has_entries(capfd):
 
 
 def test_a_path_rests_at_the_same_points_in_any_units():
-    """From FIRST to LAST mu over eta is a power of ten, and the gamma there is the same."""
+    """From one on mu over eta is a power of ten, and the gamma there is the same."""
     plant, Cy = a_plant(3)
     moved, _, unit = in_other_units(plant, Cy, 1)
-    here, there = ({round(np.log10(p.mu), 4): p.gamma for p in state_path(each)} for each in (plant, moved))
-    for exponent in range(int(np.log10(LAST)), int(np.log10(FIRST)) + 1):
-        # Where the path is followed by Newton's method to a decrement, which is eta's error over mu.
-        assert there[exponent] / unit == pytest.approx(here[exponent], rel=AT_REST + CENTRED * 10.0**exponent)
+    here, there = state_path(plant), state_path(moved)
+    assert [point.mu for point in here] == [point.mu for point in there] == [1.0, 0.1, 1e-2, 1e-3, 1e-5, 1e-7, 1e-9]
+    for one, other in zip(here, there, strict=True):
+        # Where the path is followed by Newton's method to a decrement, which is eta's error over mu; and rounding.
+        assert other.gamma / unit == pytest.approx(one.gamma, rel=CENTRED * one.mu + 1e-10)
 
 
 def test_own_units_are_no_units():

@@ -6,13 +6,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from synth.certificate.norm import hinf_norm
-from synth.design import Design, state_design, state_path, two_step_design
-from synth.errors import DesignError
-from synth.lmi.clarabel import solve_lmi
+from synth.analysis.norm import hinf_norm
+from synth.design.two_step import Design, posed, state_design, state_path, two_step_design
 from synth.lmi.output_feedback import l_matrix, nullspace, r_matrix
-from synth.plant import GeneralizedPlant
-from synth.posed import posed
+from synth.lmi.sdp import solve_lmi
+from synth.plant.generalized import GeneralizedPlant
+from synth.plant.numerics import DesignError
 
 README = GeneralizedPlant(
     A=np.array([[0.0, 1], [-4, -0.1]]),

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
-from models.kind import MOST_SQUEEZE
-from models.vehicle import parse_vehicle, read_vehicle
+from models.kinds.kind import MOST_SQUEEZE
+from models.vehicle.vehicle import parse_vehicle, read_vehicle
 
 MEASURABLE = "suspension_deflection, suspension_velocity, tyre_deflection, unsprung_acceleration, unsprung_velocity"
 MASS = "sprung_mass = 504.5"

@@ -39,7 +39,7 @@ def listeners(port: int) -> list[str]:
 
 @pytest.mark.slow
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks into /proc")
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("how", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.attack)])
 def test_served_on_this_machine_until_interrupted(tmp_path: Path, how: signal.Signals) -> None:
     """--serve answers on the loopback address only, and Ctrl-C or SIGTERM ends it with every process it started, exit code 0."""
     command = [

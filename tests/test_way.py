@@ -10,13 +10,13 @@ from sim.bump import main
 from sim.recording.run_log import RunLog
 from sim.runs.prediction import Prediction
 from sim.runs.run import Run
-from synth.controller import Controller
+from synth.controller.controller import Controller
 from tests.commands import ROOT
 from tests.conftest import recorded_runs
 
 NAME = "mine"
-# Names from the options, a controller of a name, its run, and that beside the passive one: each of its own room.
-UP = ["chosen", "design", "run_all", "run_beside_passive"]
+# Names from the options, a controller of a name, its run, and that of all that were asked for: each of its own room.
+UP = ["chosen", "design", "run_all", "run_named"]
 
 
 def named(value: Any) -> bool:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
-from synth.dynamic.weights import System, append, gain, generalized, series, transfer_function
+from synth.plant.augmented import System, append, gain, generalized, series, transfer_function
 
 OMEGA = np.array([0.0, 0.3, 1.0, 7.0, 200.0])
 

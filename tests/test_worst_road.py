@@ -3,51 +3,57 @@
 import json
 import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
-import sim.frequency.periodic
-import sim.frequency.sweep
+import sim.studies.frequency.sweep
+import sim.studies.frequency.worst_case_gain
 from models.common.errors import InputError
-from models.reality import Implementation, Limits
 from models.roads.road import Bump, under_wheels
-from models.vehicle import Vehicle, parse_vehicle, read_vehicle
-from sim.frequency.apart import Apart
-from sim.frequency.gain import l2_gain
-from sim.frequency.periodic import worst_road
-from sim.frequency.sweep import DRIVEN, REACHED
-from sim.physics.simulate import simulate
+from models.vehicle.limits_and_implementation import Implementation, Limits
+from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
+from sim.studies.frequency.identification import l2_gain
+from sim.studies.frequency.sweep import DRIVEN, REACHED
+from sim.studies.frequency.worst_case_gain import Apart, worst_road
 from sim.sweep import main
-from synth.designer import design
-from synth.implemented.norm import norm_as_implemented
-from tests.commands import prose
+from synth.analysis.sampled_norm import SampledNorm
+from synth.controller.controller import Controller
+from synth.controller.implementation_norm import norm_as_implemented
+from synth.vehicle.designer import design
+from tests.analysed import simulate
+from tests.commands import once, prose
+from tests.shared import made
 
 SAMPLED = "\n[implementation]\nsample_period = 0.01\n"
 
 
 def driven(vehicle: Vehicle, name: str):
-    controller = design(vehicle, name)
-    norm = norm_as_implemented(vehicle, controller)
+    controller, norm = made(claimed, vehicle, name)
     road = worst_road(vehicle, controller, norm, 1e-4, 1e-3)
     assert road is not None
     assert not road.ended
     return norm.value, road
 
 
+def claimed(vehicle: Vehicle, name: str) -> tuple[Controller, SampledNorm]:
+    controller = design(vehicle, name)
+    return controller, norm_as_implemented(vehicle, controller)
+
+
 @pytest.mark.parametrize(
     ("car", "name", "how", "bandwidth"),
     [
-        ("quarter_car", "I", Implementation(1e-2), None),
-        ("quarter_car", "state", Implementation(5e-2), None),
-        ("quarter_car", "II", Implementation(1e-2, 1), 60.0),
-        ("quarter_car", "I", Implementation(delay=1), None),
+        pytest.param("quarter_car", "state", Implementation(5e-2), None, marks=pytest.mark.attack),
+        ("quarter_car", "II", Implementation(1e-2, 1.3), 60.0),
+        pytest.param("quarter_car", "I", Implementation(delay=1), None, marks=pytest.mark.attack),
+        pytest.param("quarter_car", "II", Implementation(1e-2, 1), 60.0, marks=pytest.mark.attack),
         ("quarter_car_accelerometer", "accelerometer", Implementation(1e-2), None),
-        ("quarter_car", "state", Implementation(2e-2, 1.3), None),
-        ("half_car", "I", Implementation(1e-2, 1), None),
-        ("half_car", "state", Implementation(1e-2), None),
-        pytest.param("half_car", "state", Implementation(5e-2), None, marks=pytest.mark.slow),  # it turns by pi
-        pytest.param("full_car", "I", Implementation(1e-2), None, marks=pytest.mark.slow),
+        pytest.param("half_car", "I", Implementation(1e-2, 1), None, marks=pytest.mark.attack),
+        pytest.param("half_car", "state", Implementation(1e-2), None, marks=pytest.mark.attack),
+        ("half_car", "state", Implementation(5e-2), None),  # it turns by pi
+        pytest.param("full_car", "I", Implementation(1e-2), None, marks=pytest.mark.attack),
     ],
 )
 def test_physics_reaches_the_norm(car, name, how, bandwidth):
@@ -67,8 +73,8 @@ def test_filters_are_in_it():
     assert "sprung_acceleration = 1.0" in text
     vehicle = parse_vehicle(text.replace("sprung_acceleration = 1.0", weights) + SAMPLED)
     controller = design(vehicle, "II")
-    norm = norm_as_implemented(vehicle, controller).value
-    found = worst_road(vehicle, controller, norm_as_implemented(vehicle, controller), 1e-4, 1e-3)
+    sampled = norm_as_implemented(vehicle, controller)
+    norm, found = sampled.value, worst_road(vehicle, controller, sampled, 1e-4, 1e-3)
     assert found is not None
     assert found.gain == pytest.approx(found.predicted, rel=1e-6)
     assert norm * (1 - REACHED) <= found.gain <= norm * (1 + DRIVEN)
@@ -78,17 +84,16 @@ def test_nothing_exceeds_it(monkeypatch):
     """Of the same sinusoids no other combination gains as much in MuJoCo, one under each wheel of a half-car."""
     vehicle = replace(read_vehicle("half_car"), implementation=Implementation(1e-2))
     norm, best = driven(vehicle, "I")
-    worst, rng = sim.frequency.periodic._worst, np.random.default_rng(3)
+    worst, rng = sim.studies.frequency.worst_case_gain._worst, np.random.default_rng(3)
 
     def other(*arguments):
         predicted, waves, omega = worst(*arguments)
         found = waves + 0.1 * np.abs(waves).max() * (rng.standard_normal(waves.shape) + 1j * rng.standard_normal(waves.shape))
         return predicted, found / np.linalg.norm(found) * np.linalg.norm(waves), omega
 
-    monkeypatch.setattr(sim.frequency.periodic, "_worst", other)
-    for _ in range(3):
-        _, road = driven(vehicle, "I")
-        assert 0.3 * norm < road.gain < best.gain
+    monkeypatch.setattr(sim.studies.frequency.worst_case_gain, "_worst", other)
+    _, road = driven(vehicle, "I")
+    assert 0.3 * norm < road.gain < best.gain
 
 
 def test_energy_between_leaps():
@@ -116,18 +121,33 @@ def test_a_road_under_each_wheel():
     assert road.highest(time) == pytest.approx(np.abs(heights).max(), rel=1e-9)
 
 
-def sweep(capsys, tmp_path, text: str, *arguments: str) -> tuple[int, dict, str]:
-    car = tmp_path / "car.toml"
-    car.write_text(text)
+@pytest.fixture
+def of_one_sweep(monkeypatch):
+    """Words and `--json` are of one sweep, and all sweeps of a vehicle of the same lines, sinusoids, loads, norm and road."""
+    monkeypatch.setattr(sim.studies.frequency.sweep, "sweep", once(sim.studies.frequency.sweep.sweep))
+    for name in ("identify", "extremes", "minimum_loads", "norm_if_implemented", "worst_road"):
+        monkeypatch.setattr(sim.studies.frequency.sweep, name, partial(made, getattr(sim.studies.frequency.sweep, name)))
+
+
+@pytest.fixture(scope="module")
+def car(tmp_path_factory):
+    """The paper's vehicle with a slower computer, whose file is one for all."""
+    path = tmp_path_factory.mktemp("cars") / "car.toml"
+    path.write_text(read_vehicle("quarter_car").text + SAMPLED)
+    return path
+
+
+def sweep(capsys, car, *arguments: str, timestep: str = "2e-3") -> tuple[int, dict, str]:
+    arguments = (*arguments, "--timestep", timestep)
     code = main(["--vehicle", str(car), *arguments, "--json"])
     found = json.loads(capsys.readouterr().out)["sweeps"]
     assert main(["--vehicle", str(car), *arguments]) == code
     return code, found[0], prose(capsys.readouterr().out)
 
 
-def test_it_is_printed(capsys, tmp_path):
+def test_it_is_printed(capsys, car, of_one_sweep):
     """A sweep of a slower computer says gain and norm on a line of its own, and no gain is above the norm."""
-    code, found, printed = sweep(capsys, tmp_path, read_vehicle("quarter_car").text + SAMPLED, "--controller", "I")
+    code, found, printed = sweep(capsys, car, "--controller", "I")
     assert code == 0
     road, norm = found["worst_road"], found["sampled_norm"]
     assert norm == pytest.approx(7.8651, rel=1e-5)  # of five digits
@@ -136,9 +156,9 @@ def test_it_is_printed(capsys, tmp_path):
     assert printed.endswith("I agrees: every line, the invariants, and the norm as the largest gain")
 
 
-def test_without_an_implementation_there_is_none(capsys, tmp_path):
+def test_without_an_implementation_there_is_none(capsys, of_one_sweep):
     """Of a file that says nothing of its computer nothing is said of it."""
-    _, found, printed = sweep(capsys, tmp_path, read_vehicle("quarter_car").text, "--controller", "I")
+    _, found, printed = sweep(capsys, "quarter_car", "--controller", "I", timestep="4e-3")
     assert "worst_road" not in found
     assert "worst road" not in printed
 
@@ -147,15 +167,19 @@ def test_without_an_implementation_there_is_none(capsys, tmp_path):
     ("factor", "words"),
     [
         (0.99, "only; the norm of the sampled loop is 7.865064"),
-        pytest.param(1.001, "above the norm 7.865064 of the", marks=pytest.mark.slow),
+        (1.001, "above the norm 7.865064 of the"),
     ],
 )
-def test_a_false_norm_is_said(capsys, tmp_path, monkeypatch, factor, words):
+def test_a_false_norm_is_said(capsys, car, monkeypatch, of_one_sweep, factor, words):
     """A gain that is not what is predicted, below the norm or above it, is a disagreement."""
-    monkeypatch.setattr(
-        sim.frequency.periodic, "mean_square", lambda *a, true=sim.frequency.periodic.mean_square: factor**2 * true(*a)
-    )
-    code, found, printed = sweep(capsys, tmp_path, read_vehicle("quarter_car").text + SAMPLED, "--controller", "I")
+
+    def other(*arguments):
+        found = made(worst_road, *arguments)
+        assert found is not None
+        return replace(found, gain=factor * found.gain)
+
+    monkeypatch.setattr(sim.studies.frequency.sweep, "worst_road", other)
+    code, found, printed = sweep(capsys, car, "--controller", "I")
     assert code == 1
     assert len(found["failures"]) == 2
     assert f"DOES NOT AGREE: {found['failures'][0]}" in printed

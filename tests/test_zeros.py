@@ -5,13 +5,13 @@ import pytest
 from scipy import linalg
 
 from models.common.errors import InputError
-from synth.certificate.certificate import certify
-from synth.certificate.lower_bound import LowerBound
-from synth.certificate.record import read_proof, to_record
-from synth.certificate.zeros import limit_at_zeros, zero_limit
-from synth.lmi.full_order import find_lower_bound
-from synth.lmi.state_feedback import state_feedback
-from synth.plant import GeneralizedPlant
+from synth.analysis.certificate import certify
+from synth.analysis.interpolation import limit_at_zeros, zero_limit
+from synth.analysis.lower_bound import LowerBound
+from synth.analysis.record import read_proof, to_record
+from synth.lmi.full_order_bound import find_lower_bound
+from synth.lmi.output_feedback import state_feedback
+from synth.plant.generalized import GeneralizedPlant
 from tests.test_bounds_hold import a_plant, in_other_units
 from tests.test_lower_bound import full_order_norm
 

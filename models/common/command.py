@@ -1,4 +1,4 @@
-"""What all commands share: one line per mistake, exit codes, a clean Ctrl-C."""
+"""What all commands share: one line per mistake, exit codes, a clean Ctrl-C, and the versions that numbers depend on."""
 
 import argparse
 import io
@@ -16,8 +16,24 @@ from typing import Any, NoReturn, TextIO
 
 from models.common import interrupt
 from models.common.errors import InputError, listing, one_line, quoted
-from models.common.printed import wrapped
-from models.common.progress import show
+from models.common.printed import show, wrapped
+
+PACKAGES = ("roadproof", "mujoco", "numpy", "scipy", "mcap", "protobuf", "foxglove-schemas-protobuf", "rerun-sdk")
+
+
+def versions() -> dict[str, str]:
+    """Version of everything that the numbers depend on."""
+    import platform
+    from importlib import metadata
+
+    found = {"python": platform.python_version()}
+    for package in PACKAGES:
+        try:
+            found[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:  # run from a checkout that was never installed
+            found[package] = "not installed"
+    return found
+
 
 BAD_INPUT = 2
 ALL = "all"  # in place of a controller's name

@@ -1,7 +1,7 @@
-"""Being told to end, by Ctrl-C, SIGTERM or the end of the terminal, from the first import to the last line.
+"""How a process begins and ends: in UTF-8, whatever the locale says, and told to end from the first import to the last line.
 
-Each ends a command alike: what was begun is cleaned up, and there are one word and the exit code that a shell has for it, but no
-traceback. Wherever the code says Ctrl-C it means all of them.
+Ctrl-C, SIGTERM and the end of the terminal end a command alike: what was begun is cleaned up, and there are one word and the
+exit code that a shell has for it, but no traceback. Wherever the code says Ctrl-C it means all of them.
 """
 
 import _thread
@@ -14,7 +14,28 @@ from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any
 
-from models.common.encoding import speak_utf8
+
+def speak_utf8() -> None:
+    """Starts this Python again in its UTF-8 mode (PEP 540), if it is not in it and what it was given is UTF-8.
+
+    In a locale of another encoding, such as C without coercion or ISO 8859-1, Python would take the bytes of a name for other
+    letters, or for none, and could not name a file as a vehicle file does. What it was given in that encoding stays as it
+    is. Where nothing but ASCII was given, output stays in the terminal's encoding: what that lacks is escaped.
+
+    To be called before anything has begun.
+    """
+    if sys.getfilesystemencoding() == "utf-8" or os.environ.get("PYTHONUTF8") == "1" or sys.flags.ignore_environment:
+        return
+    given = b"".join(map(os.fsencode, sys.orig_argv))
+    try:
+        given.decode("utf-8")
+    except UnicodeDecodeError:
+        return
+    environment = {**os.environ, "PYTHONUTF8": "1"}
+    if given.isascii() and sys.stdout is not None:  # closed, as in `>&-`
+        environment.setdefault("PYTHONIOENCODING", f"{sys.stdout.encoding}:backslashreplace")
+    os.execve(sys.executable, [sys.executable, *sys.orig_argv[1:]], environment)
+
 
 WORDS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "hung up"}  # what they are to a user; not all are everywhere
 SIGNALS = {int(number): word for name, word in WORDS.items() if (number := getattr(signal, name, None)) is not None}

@@ -1,12 +1,128 @@
-"""What commands print: lines of at most 80 columns, the width that every terminal, page and mail has.
+"""What commands print: lines of at most 80 columns, numbers, commands to be pasted into a shell, and how far work has come.
 
 The width is fixed, so that what is printed does not depend on where. A longer sentence goes on in the next line, further in; a
 table gives a name that is too long a line of its own. Only what must not be cut may be longer: a path, and a line to be copied.
 """
 
+import math
 import re
+import shlex
+import sys
 import textwrap
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from models.common.errors import InputError, listing
+
+
+def finite(value: Any) -> float | None:
+    """A number as JSON has it: None for what is infinite or does not exist."""
+    return float(value) if value is not None and math.isfinite(value) else None
+
+
+def finite_pairs(values: Iterable[complex]) -> list[list[float | None]]:
+    """Complex numbers as JSON has them: [real, imaginary]."""
+    return [[finite(value.real), finite(value.imag)] for value in values]
+
+
+def cell(value: float | None, form: str, unit: str = "") -> str:
+    """A number as a table has it, "-" for one that is infinite or does not exist."""
+    return f"{value:{form}}{unit}" if value is not None and math.isfinite(value) else "-"
+
+
+def percent(share: float) -> str:
+    """A share in percent; what rounding leaves is 0."""
+    if share <= 1e-9:
+        return "0 %"
+    return f"{100 * share:.2g} %" if share < 0.995 else f"{100 * share:.0f} %"
+
+
+def settings(text: str, allowed: Iterable[str]) -> dict[str, str]:
+    """`:NAME=VALUE:NAME=VALUE`, each name once.
+
+    Raises:
+        InputError: it is not that.
+    """
+    found: dict[str, str] = {}
+    for setting in text.split(":")[1:]:
+        name, equals, value = setting.partition("=")
+        if not equals or name not in allowed:
+            raise InputError(f"{setting!r} is not NAME=VALUE with a NAME out of {listing(allowed)}")
+        if name in found:
+            raise InputError(f"{name} is given twice, {found[name]!r} and {value!r}; give it once")
+        found[name] = value
+    return found
+
+
+def size(rows: list[Any]) -> str:
+    """How many rows of numbers there are, and how long they are."""
+    lengths = " or ".join(str(length) for length in sorted({len(row) for row in rows})) or "no"
+    return f"{len(rows)} row(s) of {lengths} number(s)"
+
+
+ESCAPES = {"\\": r"\\", "'": r"\'", "\n": r"\n", "\r": r"\r", "\t": r"\t"}
+
+
+def pasted(words: Sequence[str]) -> str:
+    """A command of these words, on one line."""
+    return " ".join(map(_word, words))
+
+
+def option(name: str, value: str) -> str:
+    """An option with its value, as one word where the value would be taken for an option itself."""
+    return pasted([f"{name}={value}"] if value.startswith("-") else [name, value])
+
+
+def pasted_path(path: Path) -> str:
+    """A path as an argument; one that begins as an option does is named from the folder that it is in."""
+    return pasted([f"./{path}" if str(path).startswith("-") else str(path)])
+
+
+def _word(text: str) -> str:
+    if text.isprintable():
+        return shlex.quote(text)
+    return "$'" + "".join(map(_escaped, text)) + "'"  # what would break the line, or the terminal
+
+
+def _escaped(letter: str) -> str:
+    if letter in ESCAPES or letter.isprintable():
+        return ESCAPES.get(letter, letter)
+    return "".join(f"\\{byte:03o}" for byte in letter.encode("utf-8", "surrogateescape"))
+
+
+WIDEST = 79  # a longer line would go on in the next one, and stay there
+
+
+def show(message: str) -> None:
+    """One line that the next one overwrites; an empty one clears it."""
+    if sys.stderr and sys.stderr.isatty():
+        print(f"\r{message[:WIDEST]:{WIDEST}}\r", end="", file=sys.stderr, flush=True)
+
+
+class Stages:
+    """What a command does one after another, counted: `[2/6] margins: 31 runs of 12 s to go`."""
+
+    def __init__(self, *names: str) -> None:
+        """Names of the stages, in their order."""
+        self._names, self._now = names, ""
+
+    def __call__(self, text: str) -> None:
+        """Begins the stage of that name; any other text is how far the present one is, and an empty one that nothing is known."""
+        if text in self._names:
+            self._now, text = f"[{self._names.index(text) + 1}/{len(self._names)}] {text}", ""
+        show(f"{self._now}: {text}" if text else self._now)
+
+    def counted(self, name: str, total: int, what: str) -> Callable[[int], None]:
+        """Begins a stage that is told how many of so many are done."""
+        self(name)
+        return lambda done: self(f"{done} of {total} {what}")
+
+    def end(self) -> None:
+        """Clears the line: what is printed next is the result."""
+        show("")
+
 
 WIDTH = 80
 GAP = "  "  # between columns
@@ -104,3 +220,21 @@ def command(words: Sequence[str], indent: str = GAP) -> list[str]:
         else:
             line = f"{line} {word}"
     return [*lines, Whole(line)]
+
+
+class Shown:
+    """What says in a few lines what it is: as text at a prompt, as a table in a notebook. A dataclass leaves its own out."""
+
+    @property
+    def shown(self) -> tuple[str, dict[str, str]]:
+        """A title, and texts by what they are of."""
+        raise NotImplementedError
+
+    def __repr__(self) -> str:
+        title, rows = self.shown
+        return "\n".join([title, *(f"  {name}: {text}" for name, text in rows.items())])
+
+    def _repr_html_(self) -> str:
+        title, rows = self.shown
+        cells = "".join(f"<tr><th>{escape(name)}</th><td>{escape(text)}</td></tr>" for name, text in rows.items())
+        return f"<table><caption>{escape(title)}</caption>{cells}</table>"

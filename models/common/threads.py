@@ -1,12 +1,18 @@
-"""One BLAS thread: the matrices here are small, and threads that wait for each other cost a hundredfold on a busy machine.
+"""Threads: work shared out among them, and one alone for BLAS.
 
-Nor must the rounding of a design depend on how many threads there are.
+The matrices here are small, and threads of BLAS that wait for each other cost a hundredfold on a busy machine. Nor must
+the rounding of a design depend on how many threads there are.
 """
 
+import contextvars
 import functools
+import itertools
+import os
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
+from typing import TypeVar
 
 from threadpoolctl import ThreadpoolController
 
@@ -46,3 +52,41 @@ def one_thread() -> Iterator[None]:
         yield
     finally:
         _limit.leave()
+
+
+AHEAD = 2  # pieces in hand per thread: one runs, one waits
+
+Result = TypeVar("Result")
+Piece = Callable[[Callable[[], bool]], Result]  # given a function that says whether to give up
+
+
+def cores() -> int:
+    """How many processors this process may use, at least 1: a container or a scheduler may allow fewer than the machine has."""
+    allowed = getattr(os, "sched_getaffinity", None)
+    return len(allowed(0)) if allowed is not None else os.cpu_count() or 1
+
+
+def side_by_side(pieces: Iterable[Piece[Result]], threads: int) -> Generator[tuple[int, Result]]:
+    """The number and the result of every piece of work, in the order in which they are done.
+
+    Pieces are taken from what they come from as threads become free, and run in the context of whoever asks for the first result.
+    Whoever asks for no more, as after Ctrl-C, has to close the iterator: that waits for those at work, which are told to give up.
+
+    Args:
+        pieces: of work; long ones first, or one thread ends alone.
+        threads: how many.
+    """
+    stop, coming = threading.Event(), enumerate(pieces)
+    with ThreadPoolExecutor(threads) as pool:
+        running: dict[Future[Result], int] = {}
+        try:
+            while True:
+                for number, piece in itertools.islice(coming, threads * AHEAD - len(running)):
+                    running[pool.submit(contextvars.copy_context().run, piece, stop.is_set)] = number
+                if not running:
+                    return
+                for done in wait(running, return_when=FIRST_COMPLETED).done:
+                    yield running.pop(done), done.result()
+        finally:
+            stop.set()
+            pool.shutdown(cancel_futures=True)

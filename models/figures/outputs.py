@@ -4,10 +4,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from models.common.errors import InputError
+from models.common.files import STDOUT, check_file, check_folder, identity
 from models.common.printed import Whole
-from models.common.whole_file import STDOUT, check_file, check_folder, identity
-from models.figures.picture import SUFFIXES, check_drawing
 
+SUFFIXES = (".png", ".svg")  # of pictures
 OPTIONS = {"report": "out"}  # where an option is not called as what it writes
 FOLDERS = ("logs", "figures")
 ENDINGS = {  # of names, and what is written there
@@ -53,6 +53,8 @@ def check_outputs(outputs: Mapping[str, Path | None], read: Sequence[Path | str]
             _check_ending(path, what)
             check_file(path, what)
         if what == "picture":
+            from models.figures.picture import check_drawing
+
             check_drawing()
         elif what == "figures" and path.is_dir():
             for each in path.iterdir():  # their names are known only when they are drawn

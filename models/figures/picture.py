@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 
 from models.common.errors import InputError
-from models.common.whole_file import whole_file
+from models.common.files import whole_file
 from models.figures.figure import Bars, Classes, Figure, Panel, Shades, Spans
 
-SUFFIXES = (".png", ".svg")
 LONGEST = 24  # letters of a name in a legend
 FAR = 1e6  # of an axis: a stretch without end goes on to there
 SHOWN = " "  # before a label in a legend: matplotlib leaves out those that begin with _

@@ -1,21 +1,219 @@
-"""One panel as SVG, to stand in a page: text is text, and colours are classes, which the page's style sheet fills.
+"""One panel as SVG, to stand in a page, and in words, for whoever does not see it. Text is text, colours are classes.
+
+A page's own words are English and short, so any other word in it is a name, of a controller or of a file. Beside one from right
+to left the Unicode Bidirectional Algorithm, UAX #9, would order numbers and commas so, too; an isolate keeps that to itself.
 
 A curve is one path in hundredths, lines `M x y l dx dy ...`, markers one `M` each at their middle; with the axes' ends, which its
 `svg` says, that is all that `page.js` needs to name what is under the pointer.
 """
 
+import itertools
 import json
+import re
+import unicodedata
 from collections.abc import Iterator, Sequence
 from html import escape
 
 import numpy as np
 
-from models.figures.area import FINE, ROW, Area, area_of, line_path
-from models.figures.axis import Axis
-from models.figures.describe import about, quantity
-from models.figures.figure import Bars, Classes, Curve, Panel, Shades
-from models.figures.ground import ground_parts
-from models.figures.names import drawn_text
+from models.common.arrays import Array
+from models.figures.axis import BAR, FINE, ROW, Area, Axis, area_of, line_path, nice_step
+from models.figures.figure import Bars, Classes, Curve, Panel, Shades, Spans, bands
+
+LONG = 16  # letters, more than which a line may break within
+OPEN, CLOSE = "\N{FIRST STRONG ISOLATE}", "\N{POP DIRECTIONAL ISOLATE}"
+# Spaces and punctuation of sentences end a name; its own are - and _.
+NAME = re.compile(r"[^\s!-,./:-@\[-^`{-~]+")
+
+
+def drawn_text(text: str) -> str:
+    """A text as SVG and attributes have it, where no element can isolate a name: characters do."""
+    return escape(NAME.sub(lambda found: f"{OPEN}{found[0]}{CLOSE}" if _leftward(found[0]) else found[0], text))
+
+
+def page_text(text: str) -> str:
+    """A text as HTML, in which names from right to left, and long ones, are `bdi` elements, which the style sheet breaks."""
+    pieces, at = [], 0
+    for found in NAME.finditer(text):
+        if _leftward(found[0]) or len(found[0]) > LONG:
+            pieces += [escape(text[at : found.start()]), f"<bdi>{escape(found[0])}</bdi>"]
+            at = found.end()
+    return "".join([*pieces, escape(text[at:])])
+
+
+def _leftward(name: str) -> bool:
+    return any(unicodedata.bidirectional(letter) in ("R", "AL", "AN") for letter in name)
+
+
+def quantity(label: str) -> tuple[str, str]:
+    """An axis' name and its unit, from `name [unit]`; either may be empty."""
+    name, _, unit = label.partition("[")
+    return name.strip(), unit.removesuffix("]").strip()
+
+
+def about(panel: Panel) -> tuple[str, str]:
+    """A panel's title on one line, and what it shows."""
+    across, down = (" ".join(filter(None, quantity(label))) for label in (panel.xlabel, panel.ylabel))
+    title = panel.title.replace("\n", "; ") or f"{down} over {across}"
+    return title, " ".join([*_ground(panel), *_curves(panel)])
+
+
+def _ground(panel: Panel) -> list[str]:
+    ground = panel.ground
+    if isinstance(ground, Bars):
+        return [f"{name}: {words}." for name, words in zip(ground.names, ground.words, strict=True)]
+    if isinstance(ground, Spans):
+        return [f"Shaded: {', '.join(ground.names)}."] if ground.names else []
+    if isinstance(ground, Classes):
+        shares = [(name, float(np.mean(ground.kind == i))) for i, name in enumerate(ground.names)]
+        return ["Of the map:", *(f"{name}, {100 * share:.3g} %;" for name, share in shares if share), "and on it:"]
+    if isinstance(ground, Shades) and np.isfinite(ground.z).any():
+        low, high = np.nanmin(ground.z), np.nanmax(ground.z)
+        row, column = np.unravel_index(np.nanargmax(ground.z), ground.z.shape)
+        where = f"{panel.xlabel} {ground.x[column]:.3g}, {panel.ylabel} {ground.y[row]:.3g}"
+        return [f"{ground.label}, from {low:.4g} to {high:.4g}, largest at {where}."]
+    return []
+
+
+def _curves(panel: Panel) -> list[str]:
+    """Every line by its ends and its extremes, every set of points by how many there are."""
+    (_, unit), (_, per) = quantity(panel.ylabel), quantity(panel.xlabel)
+    said = []
+
+    def at(x: float) -> str:
+        return panel.xnames[panel.xticks.index(x)] if x in panel.xticks and panel.xnames else f"{x:.3g} {per}".rstrip()
+
+    for curve in panel.curves:
+        name, there = curve.name or curve.label, np.isfinite(curve.y) & np.isfinite(curve.x)
+        if not name or not there.any():
+            continue
+        x, y = np.asarray(curve.x)[there], np.asarray(curve.y)[there] + 0.0  # no -0
+        if curve.dash == "none":
+            said.append(f"{name}: {len(x)} point{'s' if len(x) > 1 else ''}.")
+        else:
+            top, low = int(y.argmax()), int(y.argmin())
+            size = f"{y[top]:.3g} {unit}".rstrip()
+            said.append(f"{name}: largest {size} at {at(x[top])}, least {y[low]:.3g} at {at(x[low])}, at the end {y[-1]:.3g}.")
+    return ["As drawn,", *said] if any(" largest " in words for words in said) else said
+
+
+# From light to dark: ColorBrewer's YlOrBr.
+SEQUENCE = ("#ffffe5", "#fff7bc", "#fee391", "#fec44f", "#fe9929", "#ec7014", "#cc4c02", "#993404", "#662506")
+# Widths of letters at the size that bars are named in: most, wide ones, those of East Asia.
+NARROW, BROAD, FULL = 8.0, 12.5, 13.0
+
+
+def shade_colors(count: int) -> list[str]:
+    """So many colours from light to dark."""
+    parts = np.array([[int(color[i : i + 2], 16) for i in (1, 3, 5)] for color in SEQUENCE])
+    at = np.linspace(0, len(SEQUENCE) - 1, count)
+    mixed = np.stack([np.interp(at, np.arange(len(SEQUENCE)), parts[:, i]) for i in range(3)], axis=1)
+    return ["#" + "".join(f"{round(part):02x}" for part in color) for color in mixed.tolist()]
+
+
+def levels(ground: Shades) -> list[float]:
+    """Round levels that all of it lies between."""
+    low, high = (float(end) for end in (np.nanmin(ground.z), np.nanmax(ground.z)))
+    if high - low <= 1e-9 * max(abs(low), abs(high)):
+        room = 0.1 * max(abs(low), abs(high)) or 1.0
+        low, high = low - room, high + room
+    step = nice_step(high - low, 12)
+    return [k * step for k in range(int(np.floor(low / step)), int(np.ceil(high / step)) + 1)]
+
+
+def ground_parts(panel: Panel, area: Area) -> Iterator[str]:
+    """The ground of a panel, in pieces of SVG."""
+    if isinstance(panel.ground, Bars):
+        yield from _bars(panel.ground, area)
+    elif isinstance(panel.ground, Classes):
+        yield from _classes(panel.ground, area)
+    elif isinstance(panel.ground, Spans):
+        yield from _spans(panel.ground, area)
+    elif isinstance(panel.ground, Shades) and np.isfinite(panel.ground.z).any():
+        yield from _shades(panel.ground, area)
+
+
+def _bars(bars: Bars, area: Area) -> Iterator[str]:
+    right = area.left + area.width
+    rows = zip(bars.names, bars.values.tolist(), bars.words, bars.colors, strict=True)
+    for k, (name, value, words, color) in enumerate(rows):
+        top = area.top + ROW * k
+        shown = shortened(name, area.width - text_width(words) - 10)
+        yield f'<text class="name" x="{area.left:.5g}" y="{top + 11:.5g}">{drawn_text(shown)}</text>'
+        yield f'<text class="name" x="{right:.5g}" y="{top + 11:.5g}" text-anchor="end">{drawn_text(words)}</text>'
+        if np.isfinite(value):
+            width = max(0.5, float(area.across(np.array(value))) - area.left)
+            said = drawn_text(f"{name}: {words}")
+            yield (
+                f'<rect class="f-{color[1:]}" data-name="{said}" x="{area.left:.5g}" y="{top + (ROW - BAR) / 2:.5g}" '
+                f'width="{width:.5g}" height="{BAR}"/>'
+            )
+
+
+def text_width(text: str) -> float:
+    """About how wide a text is beside a bar, at most [panel's units]."""
+    full = sum(unicodedata.east_asian_width(one) in "WF" for one in text)
+    broad = sum(one in "mw%@&" or one.isupper() for one in text)
+    return FULL * full + BROAD * broad + NARROW * (len(text) - full - broad)
+
+
+def shortened(name: str, room: float) -> str:
+    """A name, or as much of its beginning as there is room for."""
+    if text_width(name) <= room:
+        return name
+    widths = np.cumsum([text_width(one) for one in name])
+    return f"{name[: int(np.searchsorted(widths, room - BROAD))]}…"
+
+
+def _spans(ground: Spans, area: Area) -> Iterator[str]:
+    for (low, high), name in zip(ground.ends, ground.names, strict=True):
+        left, right = (float(np.clip(area.across(np.array(end)), area.left, area.left + area.width)) for end in (low, high))
+        yield (
+            f'<rect class="f-{ground.color[1:]}" data-name="{drawn_text(name)}" x="{left:.5g}" y="{area.top:.5g}" '
+            f'width="{right - left:.5g}" height="{area.height:.5g}"/>'
+        )
+
+
+def _classes(ground: Classes, area: Area) -> Iterator[str]:
+    size = area.width / len(ground.x), area.height / len(ground.y)
+    for i, (name, color) in enumerate(zip(ground.names, ground.colors, strict=True)):
+        if np.any(ground.kind == i):
+            path = "".join(_cells(ground.kind == i, area, *size))
+            yield f'<path class="cells f-{color[1:]}" data-name="{drawn_text(name)}" d="{path}"/>'
+
+
+def _cells(there: Array, area: Area, width: float, height: float) -> Iterator[str]:
+    """Every row's runs of cells."""
+    for row, cells in enumerate(there):
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], cells, [False]])))
+        top = area.top + area.height - (row + 1) * height
+        for first, last in edges.reshape(-1, 2).tolist():
+            left, across = area.left + first * width, (last - first) * width
+            yield f"M{left:.6g} {top:.6g}h{across:.6g}v{height:.6g}h{-across:.6g}z"
+
+
+def _shades(ground: Shades, area: Area) -> Iterator[str]:
+    between = levels(ground)
+    colors = shade_colors(len(between) - 1)
+    for (low, high), color, rings in zip(itertools.pairwise(between), colors, bands(ground, between), strict=True):
+        path = "".join(f"{line_path(area.across(ring[:, 0]), area.down(ring[:, 1]))}z" for ring in rings)
+        name = drawn_text(f"{ground.label} {low:.6g} to {high:.6g}")
+        if path:
+            yield f'<path class="f-{color[1:]}" data-name="{name}" transform="scale({1 / FINE})" d="{path}"/>'
+    yield from _color_bar(ground.label, between, colors, area)
+
+
+def _color_bar(label: str, between: Sequence[float], colors: Sequence[str], area: Area) -> Iterator[str]:
+    left, step = area.left + area.width + 12, area.height / len(colors)
+    scale = Axis(between[0], between[-1])
+    for k, color in enumerate(colors):
+        top = area.top + area.height - (k + 1) * step
+        yield f'<rect class="f-{color[1:]}" x="{left:.5g}" y="{top:.5g}" width="12" height="{step + 0.3:.5g}"/>'
+    for tick, text in scale.ticks(6):
+        down = area.top + area.height * (1 - float(scale.place(np.array(tick))))
+        yield f'<text class="at" x="{left + 16:.5g}" y="{down + 4:.5g}">{drawn_text(text)}</text>'
+    yield f'<text class="name" x="{left + 56:.5g}" y="18" text-anchor="end">{drawn_text(label)}</text>'
+
 
 WIDTH, HEIGHT = 420, 280
 WIDE = (600, 360)  # of a figure of one panel

@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from models.common.errors import InputError
-from models.common.numbers import settings
-from models.formats.road_name import FILE, RIG
-from models.loads.choice import choose_load, split_off
-from models.loads.load import Load
+from models.common.printed import settings
 from models.roads.iso8608 import Iso8608, long_enough
+from models.roads.load import Load
+from models.roads.load_choice import choose_load
 from models.roads.loaded import Loaded
 from models.roads.obstacles import OBSTACLES
 from models.roads.opencrg import Surface, read_surface
@@ -20,14 +19,9 @@ from models.roads.profile_file import read_profile, read_table
 from models.roads.rig import Rig
 from models.roads.rig_file import SETTINGS, read_rig
 from models.roads.road import Road, track_width
-from models.vehicle import Vehicle
+from models.vehicle.names import FILE, RIG, ROAD_KINDS, ROAD_SYNTAX, split_off
+from models.vehicle.vehicle import Vehicle
 
-KINDS = ("iso8608", *OBSTACLES, "rig")
-SYNTAX = (
-    f"give {', '.join(KINDS)}, each with :NAME=VALUE for its numbers, as in pothole:depth=0.03:length=2, or a .csv, .txt or .crg "
-    "file, as in road.csv:height_unit=mm; or a rig's drive file, as in rig:file=drive.csv; loads may be added, as in "
-    "bump + brake:g=0.5"
-)
 TABLE = ("distance_unit", "height_unit", "separator", "columns")  # of a .csv or .txt file
 RPC = "; a file in RPC III (.rsp, .drv) is not read: have its channels exported as text"
 
@@ -38,7 +32,7 @@ class RoadChoice:
 
     Attributes:
         text: as it was asked for.
-        kind: one of `KINDS`, or "profile".
+        kind: one of `ROAD_KINDS`, or "profile".
         values: what was given for it.
         profile: of a CSV file.
         surface: of an OpenCRG file.
@@ -100,6 +94,12 @@ def choose_road(text: str, folder: Path = Path()) -> RoadChoice:
 
     Raises:
         InputError: an unknown kind or name, a value that is not allowed, a file that is no profile.
+
+    Example:
+        >>> from models import choose_road, read_vehicle
+        >>> road = choose_road("bump:height=0.05").build(read_vehicle("quarter_car"), speed=10.0, seed=0, distance=50.0)
+        >>> road.describe()["height"]
+        0.05
     """
     road, loads = split_off(text)
     choice = _choose(road, folder)
@@ -122,8 +122,8 @@ def _choose(text: str, folder: Path) -> RoadChoice:
             raise InputError(f"road {text!r}: {error}") from error
         return RoadChoice(text, "profile", {}, read_profile(folder / file["path"], 20.0, table))
     kind, colon, rest = text.partition(":")
-    if kind not in KINDS:
-        raise InputError(f"unknown road {text!r}; {SYNTAX}")
+    if kind not in ROAD_KINDS:
+        raise InputError(f"unknown road {text!r}; {ROAD_SYNTAX}")
     allowed = {"class": "C", "iri": 0.0} if kind == "iso8608" else _defaults(OBSTACLES[kind])
     try:
         given = settings(colon + rest, allowed)

@@ -6,14 +6,15 @@ from dataclasses import fields
 from typing import Any
 
 from models.common.errors import InputError, listing, quoted
-from models.loads.choice import described_loads
 from models.roads.iso8608 import HIGHEST, LOWEST, Iso8608, check_seed
-from models.roads.loaded import PLUS, Loaded
+from models.roads.load_choice import described_loads
+from models.roads.loaded import Loaded
 from models.roads.obstacles import OBSTACLES
 from models.roads.profile import from_csv
 from models.roads.rig import rig_from_csv
 from models.roads.road import Road, Scaled
 from models.roads.sinusoids import MULTISINES, Multisine
+from models.vehicle.names import PLUS
 
 KINDS = ("iso8608", "profile", "rig", *OBSTACLES, *MULTISINES)
 MOST_LOADS = 8_000_000  # characters

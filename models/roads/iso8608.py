@@ -20,6 +20,7 @@ real, 1 for long waves and 0 for short ones. The right track is coherency times 
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any
@@ -31,8 +32,8 @@ from models.common.errors import InputError
 from models.roads.iri import white_slope
 from models.roads.road import Road, check_numbers
 from models.roads.spectrum import Spectrum, coherency
+from models.vehicle.names import CLASSES
 
-CLASSES = "ABCDEFGH"
 N0 = 0.1  # cycle/m
 LOWEST, HIGHEST = 0.01, 10.0  # cycle/m
 LENGTH = 1024.0  # m
@@ -42,6 +43,8 @@ LIMITS = {"speed": (0.1, 200.0), "track_width": (0.0, 10.0), "length": (100.0, 1
 BLOCK = 1_000_000  # terms that are summed at once where times are not evenly spaced
 USUAL_LINES, LINES_PER_SAMPLE = 40_000, 100  # more no run needs that this road does not repeat under
 FEW = 10  # times; more, if evenly spaced, are faster by transform
+FAST = (2, 3, 5, 7, 11)  # factors of lengths for which numpy has transforms of their own
+MOST_KEPT = 200_000  # times of which a sum is kept, 1.6 MB
 
 
 def roughness(road_class: str) -> float:
@@ -115,12 +118,11 @@ class Iso8608(Road):
 
     def displacement(self, t: Array, side: str = "") -> Array:
         """The sum of its lines, from its own height at the start. A vehicle with one track drives on the left one."""
-        lines = self._lines(side)
-        return np.where(t >= 0, self._sum(lines, t) - np.real(lines).sum(), 0.0)
+        return np.where(t >= 0, self._sum(side, False, t) - np.real(self._lines(side, False)).sum(), 0.0)
 
     def velocity(self, t: Array, side: str = "") -> Array:
         """Its exact derivative, line by line."""
-        return np.where(t >= 0, self._sum(self._lines(side) * (2j * np.pi * self.speed * self.n), t), 0.0)
+        return np.where(t >= 0, self._sum(side, True, t), 0.0)
 
     @property
     def kinks(self) -> tuple[float, ...]:
@@ -188,28 +190,27 @@ class Iso8608(Road):
         phases = 2 * np.pi * ((raw >> np.uint64(11)) * 2.0**-53)
         return np.cos(phases) + 1j * np.sin(phases)
 
-    def _lines(self, side: str) -> Array:
-        """Complex amplitude of every line [m], shape (K,)."""
+    def _lines(self, side: str, rate: bool) -> Array:
+        """Complex amplitude of every line [m], or of its derivative [m/s], shape (K,)."""
+        if rate:
+            return self._lines(side, False) * (2j * np.pi * self.speed * self.n)
         amplitudes = self.factor * np.sqrt(2 * self.roughness * (self.n / N0) ** -2 / self.length)
         if side != "right":
             return amplitudes * self._left
         alike = _coherency_of_lines(self.length, self.track_width)
         return amplitudes * (alike * self._left + np.sqrt(1 - alike**2) * self._other)
 
-    def _sum(self, lines: Array, t: Array) -> Array:
-        """Real part of the sum of lines exp(2 pi i n V t), shape like t."""
+    def _sum(self, side: str, rate: bool, t: Array) -> Array:
+        """Real part of the sum of lines exp(2 pi i n V t), or of its derivative, shape like t."""
         t = np.asarray(t, dtype=float)
         step = (t[-1] - t[0]) / (len(t) - 1) if t.ndim == 1 and len(t) > FEW else math.nan
         if math.isnan(step) or not np.allclose(np.diff(t), step, rtol=1e-6, atol=0.0):
+            lines = self._lines(side, rate)
             flat, size = t.ravel(), max(1, BLOCK // len(lines))
             parts = [self._turn(flat[i : i + size, None]) for i in range(0, len(flat), size)]
             return np.concatenate([np.real(part @ lines) for part in parts]).reshape(t.shape)
-        # Evenly spaced: a chirp z-transform, K + T lines and times in the time of an FFT. All lines are turned to the first time.
-        first, turn = self._turn(t[0]), float(f"{self.speed * step / self.length:.14g}")
-        transform, shift = _transform(len(lines), len(t), turn, round(self.n[0] * self.length))
-        return (
-            shift * transform(np.conj(lines * first))
-        ).real  # its exponent is negative; of a conjugate the real part is the same
+        evenly = _evenly if len(t) <= MOST_KEPT else _evenly.__wrapped__
+        return evenly(self, side, rate, float(t[0]), float(step), len(t))
 
     def _turn(self, t: Array) -> Array:
         angle = self.n * (self.speed * t)
@@ -233,11 +234,44 @@ def _coherency_of_lines(length: float, width: float) -> Array:
     return coherency(_frequencies(length), width)
 
 
-@lru_cache(maxsize=8)
-def _transform(lines: int, times: int, turn: float, first: int) -> tuple[Any, Array]:
-    """Sum over k of x_k exp(-2 pi i k turn j) for j = 0, ..., and exp(-2 pi i first turn j), for that many lines and times."""
-    from scipy.signal import ZoomFFT  # half a second
+@lru_cache(maxsize=16)
+def _evenly(road: Iso8608, side: str, rate: bool, first: float, step: float, count: int) -> Array:
+    """Returns the sum at evenly spaced times, shape (T,). Physics and analysis ask a dozen times for the same ones."""
+    lines, turned = road._lines(side, rate), road._turn(np.array(first))
+    turn = float(f"{road.speed * step / road.length:.14g}")
+    angle = np.arange(count) * (round(road.n[0] * road.length) * turn)
+    shift = np.exp(-2j * np.pi * (angle - np.round(angle)))
+    # The exponent of the transform is negative; of a conjugate the real part is the same.
+    return (shift * _chirp_transform(len(lines), count, turn)(np.conj(lines * turned))).real
 
-    angle = np.arange(times) * (first * turn)
-    zoom = ZoomFFT(lines, [0, turn * (times - 1)], times, fs=1, endpoint=True)
-    return zoom, np.exp(-2j * np.pi * (angle - np.round(angle)))
+
+@lru_cache(maxsize=8)
+def _chirp_transform(lines: int, times: int, turn: float) -> Callable[[Array], Array]:
+    """Returns what sums x_k exp(-2 pi i k turn j) over so many lines, shape (K,), for j = 0, ... of so many times, shape (T,).
+
+    A chirp z-transform, K + T lines and times in the time of an FFT, by 2 k j = k^2 + j^2 - (j - k)^2: a convolution.
+    `scipy.signal.ZoomFFT` gives the same to the last bit, and takes half a second to import.
+    """
+    k = np.arange(max(lines, times), dtype=np.int64)
+    scale = turn * (times - 1) * times / (times - 1)
+    chirp = np.exp(-(1j * np.pi * scale * k**2) / times)
+    length = _fast_length(lines + times - 1)
+    kernel = np.fft.fft(1 / np.hstack((chirp[lines - 1 : 0 : -1], chirp[:times])), length)
+
+    def transform(x: Array) -> Array:
+        convolved = np.fft.ifft(kernel * np.fft.fft(x * chirp[:lines], length))
+        return convolved[lines - 1 : lines + times - 1] * chirp[:times]
+
+    return transform
+
+
+def _fast_length(least: int) -> int:
+    """Returns the smallest number from this one on that has no prime factors but `FAST`."""
+    while True:
+        rest = least
+        for factor in FAST:
+            while rest % factor == 0:
+                rest //= factor
+        if rest == 1:
+            return least
+        least += 1

@@ -7,13 +7,13 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.kind import Parameters, Wheel
-from models.loads.load import Load
+from models.kinds.kind import Parameters, Wheel
+from models.kinds.signals import HEAVE_LOAD, PITCH_LOAD, ROLL_LOAD
+from models.roads.load import Load
 from models.roads.road import Road
-from models.signals import HEAVE_LOAD, PITCH_LOAD, ROLL_LOAD
-from models.vehicle import Vehicle
+from models.vehicle.names import PLUS
+from models.vehicle.vehicle import Vehicle
 
-PLUS = " + "  # between the loads of a description
 WAYS = {HEAVE_LOAD.name: "goes up and down", PITCH_LOAD.name: "pitches", ROLL_LOAD.name: "rolls"}
 
 

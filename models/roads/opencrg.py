@@ -12,7 +12,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, some
-from models.common.read_file import MIB, open_plain
+from models.common.files import MIB, open_plain
 from models.roads.profile import Profile
 
 LARGEST = 128 * MIB  # of a file; in memory it takes six times as much, 0.8 GB

@@ -4,13 +4,16 @@ import io
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.roads.road import LIMITS, Road, check_numbers
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
 
 GAP = 10.0  # times the median spacing; more is a gap, and what a curve does there is invented
 HIGHEST = 100.0  # m, from where it begins
@@ -89,11 +92,13 @@ class Profile(Road):
         return float(self.distance[-1] - self.distance[0])
 
     @cached_property
-    def _splines(self) -> tuple[CubicSpline, CubicSpline]:
+    def _splines(self) -> "tuple[CubicSpline, CubicSpline]":
+        from scipy.interpolate import CubicSpline  # half a second
+
         x, z = self.distance - self.distance[0], self.heights - self.heights[0]
         return CubicSpline(x, z[:, 0], bc_type="clamped"), CubicSpline(x, z[:, 1], bc_type="clamped")
 
-    def _track(self, side: str) -> CubicSpline:
+    def _track(self, side: str) -> "CubicSpline":
         return self._splines[side == "right"]
 
 

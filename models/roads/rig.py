@@ -4,16 +4,19 @@ import io
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
-from models.kind import Parameters, Wheel
+from models.kinds.kind import Parameters, Wheel
 from models.roads.profile import FEWEST, GAP
 from models.roads.road import Road
-from models.vehicle import Vehicle
+from models.vehicle.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
 
 STROKE = 2.0  # m from where it begins; no post moves further
 MOST_POSTS = 1000
@@ -118,7 +121,9 @@ class Rig(Road):
         return self.posts.index(side) if side else 0
 
     @cached_property
-    def _splines(self) -> list[CubicSpline]:
+    def _splines(self) -> "list[CubicSpline]":
+        from scipy.interpolate import CubicSpline  # half a second
+
         rises = self.heights - self.heights[0]
         return [CubicSpline(self.time - self.time[0], rise, bc_type="clamped") for rise in rises.T]
 

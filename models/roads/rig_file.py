@@ -13,9 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from models.common.errors import InputError, listing, quoted
-from models.common.read_file import TABLE, read_text
-from models.roads.profile_file import separator_of, split_cells
-from models.roads.profile_headings import UNITS, WORDS
+from models.common.files import TABLE, read_text
+from models.roads.profile_file import UNITS, WORDS, separator_of, split_cells
 from models.roads.rig import Rig, check_history, check_posts, post_name
 
 TIMES: Mapping[str, float] = {"s": 1.0, "ms": 1e-3}

@@ -4,14 +4,19 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.kind import Parameters, Wheel
-from models.roads.spectrum import Spectrum
-from models.vehicle import Vehicle
+from models.kinds.kind import Parameters, Wheel
+from models.vehicle.names import BUMP_HEIGHT, BUMP_LENGTH, BUMP_SPEED
+from models.vehicle.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from models.roads.spectrum import Spectrum
 
 LOWEST = 1e-5  # m; what a lower road does to a vehicle is lost in the rounding of its weight
 
@@ -42,7 +47,7 @@ class Road(ABC):
         return wheel.behind(parameters) / self.speed
 
     @property
-    def spectrum(self) -> Spectrum | None:
+    def spectrum(self) -> "Spectrum | None":
         """Of a random road; None for others."""
         return None
 
@@ -149,9 +154,9 @@ class Bump(Road):
         InputError: a number beyond `LIMITS`: a bump of no length, a vehicle that stands still.
     """
 
-    height: float = 0.1
-    length: float = 5.0
-    speed: float = 12.5
+    height: float = BUMP_HEIGHT
+    length: float = BUMP_LENGTH
+    speed: float = BUMP_SPEED
     track: str = "both"
 
     def __post_init__(self) -> None:
@@ -260,3 +265,57 @@ def under_wheels(function: Callable[[Array, str], Array], road: Road, vehicle: V
     """
     met = [(delay, road.met_by(wheel)) for wheel, delay in zip(vehicle.kind.wheels, delays(road, vehicle), strict=True)]
     return np.stack([function(t - delay, what) for delay, what in met], axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class RoadInput:
+    """A road and its loads as they act on a vehicle at the samples of a run, each computed once, when it is first asked for.
+
+    Attributes:
+        vehicle: r wheels, and a body that l loads push.
+        road: the road.
+        time: equidistant sample times [s], shape (T,).
+    """
+
+    vehicle: Vehicle
+    road: Road
+    time: Array
+
+    @property
+    def timestep(self) -> float:
+        """Time between two samples [s]."""
+        return float(self.time[1] - self.time[0])
+
+    @property
+    def loaded(self) -> bool:
+        """Whether there are loads."""
+        return self.road.loaded
+
+    @cached_property
+    def heights(self) -> Array:
+        """Heights under the wheels at the samples [m], shape (T, r)."""
+        return under_wheels(self.road.displacement, self.road, self.vehicle, self.time)
+
+    @cached_property
+    def midway(self) -> Array:
+        """Heights half a step after the samples [m], where MuJoCo holds the road over the step, shape (T, r)."""
+        return under_wheels(self.road.displacement, self.road, self.vehicle, self.time + self.timestep / 2)
+
+    @cached_property
+    def velocities(self) -> Array:
+        """Rates of the heights at the samples [m/s], shape (T, r)."""
+        return under_wheels(self.road.velocity, self.road, self.vehicle, self.time)
+
+    @cached_property
+    def loads(self) -> Array:
+        """Loads on the body at the samples [N, N m], shape (T, l)."""
+        return self.road.loads(self.vehicle, self.time)
+
+    @cached_property
+    def held_loads(self) -> Array:
+        """Loads half a step after the samples [N, N m], as MuJoCo holds them over the step, shape (T, l)."""
+        return self.road.loads(self.vehicle, self.time + self.timestep / 2)
+
+    def scaled(self, share: float) -> "RoadInput":
+        """Returns the same with the heights and loads multiplied."""
+        return replace(self, road=self.road.scaled(share))

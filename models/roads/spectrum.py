@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import special
 
 from models.common.arrays import Array
 
@@ -38,5 +37,7 @@ def coherency(n: Array, width: float) -> Array:
         n: spatial frequencies [cycle/m].
         width: between the tracks, b [m].
     """
+    from scipy import special  # a tenth of a second
+
     x = 2 * np.pi * np.asarray(n) * width
     return np.where(x > 0, x * special.k1(np.where(x > 0, x, 1.0)), 1.0)

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 from models.roads.iri import SHORTEST
 from sim.campaign.file import Campaign
-from sim.ride.expected import APPROXIMATE
-from sim.ride.metrics import Metric, metrics_of
-from sim.ride.roughness import ABOUT_IRI, UNIT, roughness_names
+from sim.studies.ride.expected import APPROXIMATE
+from sim.studies.ride.metrics import Metric, metrics_of
+from sim.studies.ride.run_metrics import ABOUT_IRI, UNIT, roughness_names
 
 EXPECTED, LINEAR = "expected_", "linear_"
 

@@ -8,18 +8,17 @@ from pathlib import Path
 from typing import Any
 
 from models.common.errors import InputError
-from models.damping.laws import SemiActive
-from models.law import law_of
-from models.own.python_law import Programmed
-from models.vehicle import Vehicle
+from models.laws.linear import law_of
+from models.laws.python_law import Programmed
+from models.laws.semi_active import SemiActive
+from models.vehicle.vehicle import Vehicle
 from sim.campaign.file import Campaign
 from sim.campaign.manifest import ELSEWHERE, FaultError, Gains, gains_of
-from sim.command.claims import say_false_claims
-from sim.command.driven import driven, lawful, programmed
-from synth.controller import Controller
-from synth.designer import Designer, given
+from sim.command.comparison import controllers_of, lawful, programmed, say_false_claims
+from synth.controller.controller import Controller, Driver
+from synth.vehicle.designer import Designer
 
-Controllers = Mapping[str, Mapping[str, Controller | Programmed | SemiActive]]  # by vehicle and name
+Controllers = Mapping[str, Mapping[str, Driver]]  # by vehicle and name
 
 
 def designed(campaign: Campaign) -> Controllers:
@@ -30,7 +29,7 @@ def designed(campaign: Campaign) -> Controllers:
     """
     found = {}
     for name, vehicle in campaign.vehicles.items():
-        controllers = driven(vehicle, campaign.controllers, Designer(vehicle, search=False).design)
+        controllers = controllers_of(vehicle, campaign.controllers, Designer(vehicle, search=False).design)
         say_false_claims(controllers)
         found[name] = dict(zip(campaign.controllers, controllers, strict=True))
     return found
@@ -49,16 +48,17 @@ def as_begun(campaign: Campaign, gains: Gains, folder: Path) -> Controllers:
         InputError: the file of a law cannot be read, is not as it was, or lies in that folder.
     """
 
-    found: dict[str, dict[str, Controller | Programmed | SemiActive]] = {}
+    found: dict[str, dict[str, Driver]] = {}
     for name, vehicle in campaign.vehicles.items():
         found[name] = {}
+        designer = Designer(vehicle, search=False)  # one for all: they share the path of (22) and the lower bounds
         for each in campaign.controllers:
             try:
                 entry, linear = gains[name][each], each in vehicle.linear_names
             except KeyError as error:
                 raise _strange(error) from error
             if linear:
-                found[name][each] = _gain_of_then(vehicle, each, entry)
+                found[name][each] = _gain_of_then(designer, each, entry)
             elif isinstance(law := lawful(vehicle, each), SemiActive):  # ours, as the campaign's own vehicle file has it
                 found[name][each] = law
                 if gains_of({"": {each: law}})[""][each] != entry:
@@ -68,14 +68,14 @@ def as_begun(campaign: Campaign, gains: Gains, folder: Path) -> Controllers:
     return found
 
 
-def _gain_of_then(vehicle: Vehicle, name: str, entry: Mapping[str, Any]) -> Controller:
+def _gain_of_then(designer: Designer, name: str, entry: Mapping[str, Any]) -> Controller:
     """A controller of an entry of `sim.campaign.manifest.gains_of` again, certified.
 
     Raises:
         FaultError: it is none of the vehicle.
     """
     try:
-        return given(vehicle, name, entry["measured"], law_of(entry), vehicle.hardware(name))
+        return designer.given(name, entry["measured"], law_of(entry), designer.vehicle.hardware(name))
     except (KeyError, ValueError) as error:
         raise _strange(error) from error
 

@@ -15,12 +15,9 @@ import filelock
 
 from models.common import interrupt
 from models.common.errors import InputError, quoted, some
-from models.common.read_file import MIB, read_text
-from models.common.whole_file import made_folder, whole_file
-from models.damping.laws import SemiActive
-from models.law import MATRICES
-from models.own.python_law import Programmed
-from synth.controller import Controller
+from models.common.files import MIB, made_folder, read_text, whole_file
+from models.laws.linear import MATRICES
+from synth.controller.controller import Driver
 
 NAME, LOCK = "campaign.json", ".lock"
 LARGEST = 64 * MIB
@@ -190,15 +187,14 @@ def digest(sources: str) -> str:
 
 
 def gains_of(
-    controllers: Mapping[str, Mapping[str, Controller | Programmed | SemiActive]],
+    controllers: Mapping[str, Mapping[str, Driver]],
 ) -> dict[str, dict[str, dict[str, Any]]]:
     """The gains, by vehicle and controller, as JSON has them, every digit; of a law in Python its checksum, and no code."""
 
-    def record(one: Controller | Programmed | SemiActive) -> dict[str, Any]:
-        known = {"sha256": one.sha256} if isinstance(one, Programmed) else {}
-        return {"measured": list(one.measured), **one.law.record, **known}
-
-    return {vehicle: {name: record(one) for name, one in some.items()} for vehicle, some in controllers.items()}
+    return {
+        vehicle: {name: {key: value for key, value in one.record.items() if key != "name"} for name, one in some.items()}
+        for vehicle, some in controllers.items()
+    }
 
 
 @contextlib.contextmanager

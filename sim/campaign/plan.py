@@ -1,5 +1,6 @@
-"""The runs of a campaign: which there are, in what order, and which are driven side by side."""
+"""The runs of a campaign: which there are, in what order, which are driven side by side, and how far they are."""
 
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -8,13 +9,15 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.damping.laws import SemiActive
-from models.own.python_law import Programmed
+from models.laws.python_law import Programmed
 from models.roads.road import Road
-from models.vehicle import Vehicle
+from models.vehicle.vehicle import Vehicle
 from sim.campaign.file import Campaign
-from sim.physics.blocks import runs_at_once
-from synth.controller import Controller
+from sim.physics.run_blocks import runs_at_once
+from synth.controller.controller import Driver
+
+LOST = 5.0  # s of a worker's time in a batch, about: what an interruption may lose
+FEWEST = 16  # runs in a batch all the same; quarter-cars cost a fifth more by 16 than by 64, each
 
 
 @dataclass(frozen=True)
@@ -39,7 +42,7 @@ class Plan:
     """
 
     campaign: Campaign
-    controllers: Mapping[str, Mapping[str, Controller | Programmed | SemiActive]]
+    controllers: Mapping[str, Mapping[str, Driver]]
 
     @cached_property
     def _blocks(self) -> list[tuple[int, int, int, int, int]]:
@@ -122,3 +125,28 @@ class PlannedRun:
         self.road: Road = self.choice.build(vehicle, self.speed, self.seed, self.speed * c.duration)
         self.system = (id(vehicle), key.controller)
         self.inputs = plan.inputs(key)
+
+
+class Progress:
+    """How many runs are done, how fast, how long it will take, and how many the next batch should have."""
+
+    def __init__(self, plan: Plan, total: int, most: int, tell: Callable[[str], None]) -> None:
+        self.steps, self.total, self.done, self.began = len(plan.campaign.time), total, 0, time.monotonic()
+        self._most, self._next, self._tell = most, min(FEWEST, most), tell
+
+    @property
+    def rate(self) -> float:
+        """Run-steps a second."""
+        return self.done * self.steps / max(time.monotonic() - self.began, 1e-9)
+
+    def next_batch(self) -> int:
+        """How many runs the next batch has: as many as a worker does in the time that an interruption may cost."""
+        return self._next
+
+    def add(self, runs: int, took: float) -> None:
+        """Shows that some more are done, by one worker in so many seconds."""
+        self._next = min(self._most, max(FEWEST, round(LOST * runs / max(took, 1e-9))))
+        self.done += runs
+        left = (self.total - self.done) * self.steps / self.rate
+        clock = f"{int(left // 3600)}:{int(left // 60 % 60):02d}:{int(left % 60):02d}"
+        self._tell(f"{self.done} of {self.total} runs, {self.rate:.3g} steps/s, {clock} left")

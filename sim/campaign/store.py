@@ -20,8 +20,7 @@ import pyarrow.parquet as pq
 
 from models.common import interrupt
 from models.common.errors import InputError
-from models.common.read_file import MIB, open_plain, read_bytes
-from models.common.whole_file import whole_file
+from models.common.files import MIB, open_plain, read_bytes, whole_file
 from sim.campaign.columns import Column
 from sim.campaign.manifest import FULL, FaultError, Manifest
 

@@ -15,13 +15,13 @@ import pyarrow as pa
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.threads import one_thread
-from models.law import LinearLaw, law_of
-from sim.campaign.aside import Asides
+from models.laws.linear import LinearLaw, law_of
+from sim.campaign.law_process import Asides
 from sim.campaign.manifest import FaultError, Gains, gains_of
 from sim.campaign.plan import Plan
 from sim.campaign.store import Store
 from sim.campaign.workers import run_timed
-from synth.designer import Designer
+from synth.vehicle.designer import Designer
 
 SAME_GAIN = 1e-9  # relative: how far rounding on another machine may move a designed gain
 SAME_RESPONSE = 1e-6  # and a response of one with states, whose coordinates cost digits

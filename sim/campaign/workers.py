@@ -11,14 +11,13 @@ from pathlib import Path
 from typing import Any
 
 from models.common.errors import InputError
-from models.common.side_by_side import AHEAD, side_by_side
-from models.common.threads import one_thread
-from sim.campaign.aside import Asides, of_worker
+from models.common.threads import AHEAD, one_thread, side_by_side
+from sim.campaign import HERE
 from sim.campaign.batch import Rows, run_batch
+from sim.campaign.law_process import Asides, of_worker
 from sim.campaign.plan import Plan
 
 Done = tuple[int, Rows, float]  # first run of a batch, its rows, and the time that it took [s]
-HERE = "local"  # Ray's own name for it
 ANSWER = 3.0  # s that a cluster's head may take to answer
 TOKEN = "where its head was started with tokens, as Ray 2.60 does by itself, set RAY_AUTH_MODE=token here as well"
 RETRIES = 5  # of a batch whose Ray worker dies

@@ -1,1 +1,1 @@
-"""What commands share: the choice of controllers, common options, outputs, progress."""
+"""What several commands share: their options, the choice of controllers, logs, and viewers."""

@@ -1,20 +1,157 @@
-"""What commands share that drive controllers of one vehicle over one road: their text and their view."""
+"""What commands share that drive controllers: which are driven, what is said of them, their text, their view and their logs."""
 
 import argparse
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from importlib.machinery import ModuleSpec
 from pathlib import Path
+from typing import Any
 
 from models.common.arrays import Array
+from models.common.command import complain
 from models.common.errors import InputError
+from models.laws.python_law import Programmed
+from models.laws.semi_active import SemiActive
 from models.roads.road import Road
-from models.vehicle import Vehicle
-from sim.command.claims import say_false_claims
-from sim.command.driven import driven
-from sim.runs.energy import energy_lines
-from sim.runs.run import Run, run_all
-from sim.runs.words import controller_lines, run_lines, verdict_lines
-from synth.controller import Controller
+from models.vehicle.vehicle import Vehicle
+from sim.runs.report import controller_lines, energy_lines, run_lines, verdict_lines
+from sim.runs.run import Reference, Run, reference, run_all
+from synth.controller.controller import Controller, Driver
+
+
+def controllers_of(vehicle: Vehicle, names: Sequence[str], design: Callable[[str], Controller]) -> list[Driver]:
+    """The controllers of these names; no law in Python is run.
+
+    Args:
+        vehicle: the vehicle.
+        names: of its controllers.
+        design: gives a linear one.
+
+    Raises:
+        InputError: one cannot be designed, or the file of a law cannot be read.
+    """
+    linear = vehicle.linear_names
+    return [design(name) if name in linear else lawful(vehicle, name) for name in names]
+
+
+def lawful(vehicle: Vehicle, name: str) -> Programmed | SemiActive:
+    """The controller of that name, of which linear analysis does not speak; arguments and errors as for `programmed`."""
+    law = vehicle.controllers[name].semi_active
+    return programmed(vehicle, name) if law is None else SemiActive(name, law)
+
+
+def programmed(vehicle: Vehicle, name: str) -> Programmed:
+    """The controller of that name; the file of its law is read, and not run.
+
+    Args:
+        vehicle: the vehicle.
+        name: of one of its controllers that is a law in Python.
+
+    Raises:
+        InputError: the file cannot be read.
+    """
+    entry = vehicle.controllers[name]
+    assert entry.python is not None, "it is a law in Python"
+    try:
+        return Programmed(entry.name, entry.measured, entry.python, entry.python.source())
+    except InputError as error:
+        raise InputError(f"controller {name!r}: {error}") from error
+
+
+def say_false_claims(controllers: Iterable[Driver]) -> None:
+    """One line on stderr for every controller whose certificate does not hold, and for one that does not keep its goals.
+
+    It is driven all the same.
+    """
+    for one in controllers:
+        if isinstance(one, Controller) and one.false_claims:
+            complain(
+                f"the certificate of controller {one.name!r} in the vehicle file does not hold ({_first(one.false_claims)}): its "
+                "gain is taken as it is; python -m synth --check says more"
+            )
+        if isinstance(one, Controller) and one.broken:
+            missed = [promise.text for promise in one.promises if not promise.holds]
+            complain(
+                f"controller {one.name!r} does not keep the goals that the vehicle file has for it ({_first(missed)}): it is "
+                "taken as it is; python -m synth says more"
+            )
+
+
+def _first(claims: Sequence[str]) -> str:
+    """The first of some claims, and how many more there are."""
+    return f"{claims[0]}; and {len(claims) - 1} more" if len(claims) > 1 else claims[0]
+
+
+class _NoPandas:
+    """A finder of modules that finds every one but pandas as it would be found without it."""
+
+    @staticmethod
+    def find_spec(name: str, path: Sequence[str] | None = None, target: object = None) -> ModuleSpec | None:
+        """None, which leaves a module to the other finders.
+
+        Raises:
+            ModuleNotFoundError: it is pandas.
+        """
+        if name == "pandas":
+            raise ModuleNotFoundError("No module named 'pandas'", name=name)
+        return None
+
+
+def leave_out_pandas() -> None:
+    """Keeps Arrow from importing pandas where nothing else has imported it.
+
+    For its first array, of whatever, Arrow imports pandas to know its types, and asks no second time. There is no setting for
+    that, and Rerun makes its arrays itself. So the first one is made here, while pandas is not to be found. Afterwards
+    `import pandas` is as before, and so is Arrow's `to_pandas`. Only pandas' objects are taken for other sequences until then.
+    A command makes none of them; a library must not decide that, so commands call this, and `sim.recording` does not.
+    """
+    if "pandas" in sys.modules:
+        return
+    import pyarrow
+
+    finder = _NoPandas()
+    sys.meta_path.insert(0, finder)
+    try:
+        pyarrow.array([])
+    finally:
+        sys.meta_path.remove(finder)
+
+
+def recorded(
+    options: argparse.Namespace,
+    vehicle: Vehicle,
+    controllers: Sequence[str],
+    runs: Callable[[], Mapping[str, Run]],
+    result: Mapping[str, Any],
+) -> dict[str, str | None]:
+    """Records what a command has run, as `record_runs` does; None for every file where there is no folder.
+
+    Args:
+        options: as the command's parser read them, `--logs` among them.
+        vehicle: as it was read.
+        controllers: names of those that were run.
+        runs: makes those that are recorded, by the names they have there, and is not called in vain.
+        result: as `--json` prints it.
+    """
+    if options.logs is None:
+        return {"mcap": None, "layout": None, "rerun": None}
+    from sim.recording.run_records import record_runs  # it imports Rerun
+
+    leave_out_pandas()
+    return {**record_runs(options.logs, options.command_line, vehicle, controllers, runs(), result)}
+
+
+def log_lines(logs: Mapping[str, str | None]) -> list[str]:
+    """Where a command has recorded, and how to open it; none where it has not."""
+    paths = {name: Path(path) for name, path in logs.items() if path}
+    if not paths:
+        return []
+    from sim.recording.files import opening_lines
+
+    return ["", "logs", *opening_lines(paths)]
+
+
+PASSIVE = "passive"
 
 
 def check_view(options: argparse.Namespace) -> None:
@@ -50,23 +187,31 @@ def view(options: argparse.Namespace, logs: Mapping[str, str | None]) -> None:
     (open_viewer if options.open else serve_viewer)(Path(recording))
 
 
-def run_beside_passive(
-    vehicle: Vehicle, names: Sequence[str], design: Callable[[str], Controller], road: Road, time: Array
-) -> tuple[list[Run], Run]:
-    """A run of every controller asked for, in their order, and that of the passive vehicle, with which they are compared.
+def run_named(vehicle: Vehicle, names: Sequence[str], design: Callable[[str], Controller], road: Road, time: Array) -> list[Run]:
+    """Returns a run of every controller asked for, in their order. Claims of theirs that are false are said first.
 
-    Claims of theirs that are false are said first. Arguments and errors as for `driven` and `run_all`.
+    Arguments and errors as for `controllers_of` and `run_all`.
     """
-    together = list(dict.fromkeys([*names, "passive"]))
-    controllers = driven(vehicle, together, design)
+    controllers = controllers_of(vehicle, names, design)
     say_false_claims(controllers)
-    runs = run_all(vehicle, controllers, road, time)
-    return runs[: len(names)], runs[together.index("passive")]
+    return run_all(vehicle, controllers, road, time)
 
 
-def compared_lines(run: Run, passive: Run) -> list[str]:
-    """One run: its controller, its table, its verdict."""
-    table = run_lines(run, passive if run is not passive else None)
+def compared_lines(runs: Sequence[Run], design: Callable[[str], Controller]) -> list[list[str]]:
+    """Returns the lines of each run: its controller, its table beside the passive vehicle, its verdict.
+
+    Args:
+        runs: over one road.
+        design: gives the passive vehicle's controller.
+    """
+    passive = next((run for run in runs if run.controller.name == PASSIVE), None)
+    beside = passive or reference(runs[0].vehicle, design(PASSIVE), runs[0].road, runs[0].prediction.time)
+    return [_compared_lines(run, None if run is passive else beside) for run in runs]
+
+
+def _compared_lines(run: Run, passive: Run | Reference | None) -> list[str]:
+    """Returns the lines of one run; None for the passive one itself."""
+    table = run_lines(run, passive)
     return [
         *controller_lines(run.vehicle, run.controller),
         "",

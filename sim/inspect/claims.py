@@ -9,26 +9,25 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.common.numbers import finite
-from models.controllers import DESIGNS
-from models.signals import is_kept
-from models.vehicle import Vehicle
+from models.common.printed import finite
+from models.kinds.signals import is_kept
+from models.vehicle.controllers import Method
+from models.vehicle.vehicle import Vehicle
 from sim.inspect.findings import FAILS, HOLDS, MISSING, NOTE, SAME, Finding, apart, count, different, folded, off, same
 from sim.inspect.log import Recorded, RecordedRun, read_json
 from sim.inspect.reproduction import FEWEST, as_response, kept
-from sim.recording.format import CONTINUOUS, RESULTS, SAMPLED, WHOLE
+from sim.recording.run_log import CONTINUOUS, RESULTS, SAMPLED, WHOLE
 from sim.response.response import Response
-from sim.ride.metrics import DEFINITIONS
 from sim.runs.agreement import ROUNDING
-from sim.runs.energy import energy_lines, energy_object
 from sim.runs.prediction import Prediction
+from sim.runs.report import energy_lines, energy_object, half_step_object, run_object, verdict_lines
 from sim.runs.run import Run
-from sim.runs.words import half_step_object, run_object, verdict_lines
-from synth.certificate.record import false_claims, to_record
-from synth.controller import Controller
-from synth.designs.in_the_mean import best_in_the_mean, mean_of
-from synth.dynamic.quadratic import ASSUMED
-from synth.implemented.claims import failures_as_it_runs, false_norm, norm_if_implemented, notes_as_it_runs
+from sim.studies.ride.metrics import DEFINITIONS
+from synth.analysis.record import false_claims, to_record
+from synth.controller.controller import Controller
+from synth.controller.report import failures_as_it_runs, false_norm, norm_if_implemented, notes_as_it_runs
+from synth.design.full_order.quadratic import ASSUMED
+from synth.vehicle.quadratic import best_in_the_mean, mean_of
 
 
 def claimed_samples(recorded: RecordedRun, otherwise: int) -> int:
@@ -103,7 +102,7 @@ def check_design(vehicle: Vehicle, controller: Controller) -> Iterator[Finding]:
         controller: its law is the logged one.
     """
     entry = vehicle.controllers.get(controller.name)
-    if entry is None or entry.design not in DESIGNS:
+    if entry is None or entry.method is not Method.QUADRATIC:
         return
     best, asked = best_in_the_mean(vehicle, entry), f'design = "{entry.design}" of vehicle.toml'
     logged, now = controller.law, best.law
@@ -267,7 +266,7 @@ def check_result(log: Recorded, recorded: RecordedRun, run: Run, current: bool) 
 
 def _metrics(run: Run, start: Any) -> dict[str, Any]:
     """Ride metrics, and what they rest on, from the sample at which the log says that measuring began."""
-    from sim.ride.measured import measure_run, metrics_object
+    from sim.studies.ride.run_metrics import measure_run, metrics_object
 
     if isinstance(start, bool) or not isinstance(start, (int, float)) or not 0 <= start <= run.physics.time[-2]:
         raise InputError("result.json does not say from when its metrics were measured")

@@ -1,26 +1,24 @@
 """Everything that a log holds, against what it would hold if it were written now from the runs made anew.
 
-What is written, and what a log is held to, comes from the same functions (`recording/format.py`), so that nothing can be missing
+What is written, and what a log is held to, comes from the same functions (`recording/run_log.py`), so that nothing can be missing
 from the one and not from the other. Nothing extra is accepted: whoever reads the log in a player would believe it.
 """
 
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from models.common.command import versions
 from models.common.errors import InputError
-from models.common.versions import versions
-from models.vehicle import Vehicle
+from models.vehicle.vehicle import Vehicle
 from sim.inspect.findings import FAILS, HOLDS, MISSING, NOTE, Finding, different, folded
 from sim.inspect.log import Recorded, read_json
 from sim.inspect.mcap_contents import Logged
-from sim.recording.format import DAMPERS, LOADS, WHOLE, check_keys
-from sim.recording.mcap_writer import PACKAGE, Channel, channels, records
-from sim.recording.provenance import attachments, common_metadata
-from sim.recording.run_log import RunLog
-from sim.ride.measured import first_sample
-from sim.ride.metrics import DEFINITIONS
-from sim.ride.roughness import driven_roughness, roughness_object
+from sim.recording.mcap_writer import PACKAGE, LoggedChannel, channels, records
+from sim.recording.run_log import DAMPERS, LOADS, WHOLE, RunLog, check_keys
+from sim.recording.run_records import attachments, common_metadata
 from sim.runs.prediction import Prediction
+from sim.studies.ride.metrics import DEFINITIONS
+from sim.studies.ride.run_metrics import driven_roughness, first_sample, roughness_object
 
 ELSEWHERE = (  # claims of a run that other checks hold, with a tolerance and words of their own
     "certificate",
@@ -139,7 +137,7 @@ def _attachments(log: Recorded, vehicle: Vehicle, timestep: float, made: Sequenc
             yield f"the attachment {name} is not what the run has"
 
 
-def _topics(log: Recorded, kept: Sequence[Channel]) -> tuple[list[str], list[str]]:
+def _topics(log: Recorded, kept: Sequence[LoggedChannel]) -> tuple[list[str], list[str]]:
     """Where the channels are not those that would be written; and topics whose schema another version of a library has made."""
     expected, found = {channel.topic: channel for channel in kept}, log.file.channels
     wrong, older = list(_keys("channel", found, expected)), []
@@ -158,7 +156,7 @@ def _topics(log: Recorded, kept: Sequence[Channel]) -> tuple[list[str], list[str
     return wrong, older
 
 
-def _channel(logged: Logged, channel: Channel) -> Iterator[str]:
+def _channel(logged: Logged, channel: LoggedChannel) -> Iterator[str]:
     """Where a channel is not the one that would be written."""
     if logged.encoding != "protobuf" or dict(logged.metadata) != dict(channel.metadata):
         yield "does not say of its fields what a log says"

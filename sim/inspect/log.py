@@ -1,6 +1,6 @@
 """A log of ours, read back: what is claimed of each of its runs, and its responses. Nothing of it is believed here, only read.
 
-The reverse of `sim.recording.mcap_writer` and `sim.recording.provenance`: names of topics and claims are theirs.
+The reverse of `sim.recording.mcap_writer` and `sim.recording.run_records`: names of topics and claims are theirs.
 """
 
 import json
@@ -19,8 +19,8 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from sim.inspect.mcap_contents import Logged, McapFile
 from sim.inspect.mcap_reader import read_mcap
-from sim.recording.format import CONTINUOUS, FORMAT, MUJOCO, SAMPLED, SINCE
 from sim.recording.mcap_writer import PACKAGE
+from sim.recording.run_log import CONTINUOUS, FORMAT, MUJOCO, SAMPLED, SINCE
 
 RESPONSES = (MUJOCO, SAMPLED, CONTINUOUS)
 NAME = re.compile(r"[\w-]{1,120}")  # of a run; a controller's, and what a command adds to it
@@ -52,7 +52,7 @@ class RecordedRun:
 
     Attributes:
         name: its name.
-        claims: its metadata as text, by key, see `sim.recording.provenance.run_log`.
+        claims: its metadata as text, by key, see `sim.recording.run_records.run_log`.
         responses: those of `RESPONSES` that are there and can be read.
         damage: of those that cannot, in words.
     """

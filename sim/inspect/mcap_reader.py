@@ -18,10 +18,8 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, DataEnd, Footer, McapRecord, Metadata, Schema
 
 from models.common.errors import InputError
-from models.common.read_file import open_plain
-from sim.inspect.mcap_channels import Channels
-from sim.inspect.mcap_contents import Attached, McapFile
-from sim.inspect.mcap_stream import MIB, MOST_RECORD, ExactStream, decompressed
+from models.common.files import open_plain
+from sim.inspect.mcap_contents import MIB, MOST_RECORD, Attached, Channels, ExactStream, McapFile, decompressed
 
 GIVE = "give an .mcap file that a run has written"
 MAGIC = b"\x89MCAP0\r\n"

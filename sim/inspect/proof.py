@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from models.common.errors import InputError
-from models.own.python_law import Programmed
-from models.vehicle import Vehicle
+from models.laws.python_law import Programmed
+from models.vehicle.vehicle import Vehicle
 from sim.inspect.claims import (
     check_certificate,
     check_design,
@@ -22,28 +22,28 @@ from sim.inspect.claims import (
     check_states,
     claimed_samples,
 )
-from sim.inspect.commanded import Held, check_command
+from sim.inspect.command_line import Held, check_command
 from sim.inspect.contents import check_contents, check_whole_result
-from sim.inspect.driven_again import balanced_again, written_again
 from sim.inspect.findings import FAILS, HOLDS, MISSING, NOTE, Finding
 from sim.inspect.log import Recorded, RecordedRun, is_current, read_json, timestep
 from sim.inspect.mcap_contents import McapFile
 from sim.inspect.reproduction import (
     FEWEST,
     as_response,
+    balanced_again,
     implemented,
     kept,
     predicted_again,
     recorded_controller,
     recorded_vehicle,
     usable_samples,
+    written_again,
 )
-from sim.recording.format import MUJOCO
-from sim.recording.run_log import RunLog
+from sim.recording.run_log import MUJOCO, RunLog
 from sim.runs.prediction import Prediction
+from sim.runs.report import NO_CLAIM, NO_CLAIM_OF_SWITCHING
 from sim.runs.run import Run, judge
-from sim.runs.words import NO_CLAIM, NO_CLAIM_OF_SWITCHING
-from synth.controller import Controller
+from synth.controller.controller import Controller
 
 UNCHECKED = (
     "who wrote it and when, with which versions and library, in which folders vehicle file and log lay, what a road file held "
@@ -167,8 +167,8 @@ def _held(one: Inspected) -> Held:
 
 def _model(log: Recorded, vehicle: Vehicle, h: float) -> Finding:
     """The attached MJCF, as text. It is never loaded: it is written anew."""
-    from models.common.versions import versions
-    from models.mjcf import mjcf_text
+    from models.common.command import versions
+    from models.vehicle.mjcf import mjcf_text
 
     attached = log.attachments.get("model.xml")
     if attached is None:

@@ -1,4 +1,4 @@
-"""A run made again from its log alone: the vehicle from the attached file, the controller from its gain, the road, the responses.
+"""A run made again from its log alone: its vehicle, controller, road and responses, and MuJoCo's run of them.
 
 Nothing is designed, and no solver is needed: a certificate is checked from its proof, and a linear response follows from a gain.
 What the log gives is bounded before it is used, so that no file of a few bytes can ask for hours or gigabytes.
@@ -13,29 +13,32 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, listing
-from models.common.read_file import TEXT
-from models.controllers import LARGEST, ControllerEntry
-from models.damping.laws import SemiActive
-from models.kinds import kinds as kind_names
-from models.law import MATRICES, LinearLaw, static_law
-from models.law import MOST_STATES as MOST_OF_A_LAW
-from models.own.python_law import MOST_TEXT, Programmed, PythonLaw
-from models.reality import read_implementation, read_limits
+from models.common.files import TEXT
+from models.kinds.signals import Signal, kept_signals
+from models.laws.linear import MATRICES, LinearLaw, static_law
+from models.laws.linear import MOST_STATES as MOST_OF_A_LAW
+from models.laws.python_law import MOST_TEXT, Programmed, PythonLaw
+from models.laws.semi_active import SemiActive
 from models.roads.description import described_road
-from models.roads.road import Road
-from models.signals import Signal, kept_signals
-from models.vehicle import Vehicle, parse_vehicle
-from sim.inspect.log import Recorded, RecordedRun
+from models.roads.road import Road, RoadInput
+from models.vehicle.controllers import LARGEST, ControllerEntry
+from models.vehicle.limits_and_implementation import read_implementation, read_limits
+from models.vehicle.vehicle import Vehicle, parse_vehicle
+from models.vehicle.vehicle import kinds as kind_names
+from sim.inspect.log import RESPONSES, Recorded, RecordedRun
 from sim.linear.dampers import command_names
-from sim.linear.loop import largest_timestep
-from sim.recording.format import MUJOCO
+from sim.linear.sampled_response import largest_timestep
+from sim.physics.simulate import simulate
+from sim.recording.run_log import MUJOCO, RunLog
+from sim.recording.run_records import run_log
 from sim.response.response import Response
 from sim.runs.forces import read_forces
-from sim.runs.made import predict_made
-from sim.runs.prediction import Prediction, predict
-from synth.certificate.record import SAMPLED_NORM
-from synth.controller import Controller, checked
-from synth.problem.problem import problem
+from sim.runs.prediction import Prediction, predict, predict_made
+from sim.runs.run import Run, balanced, driver_again
+from synth.analysis.record import SAMPLED_NORM
+from synth.controller.controller import Controller, Driver, checked
+from synth.controller.open_loop import LoopModel
+from synth.controller.problem import problem
 
 MOST_VEHICLE = TEXT  # bytes of a vehicle file: what a command reads, its log may hold
 MOST_STATES = 1000  # of a loop with all its delayed forces; its eigenvalues take seconds
@@ -82,7 +85,7 @@ def implemented(vehicle: Vehicle, run: RecordedRun) -> Vehicle:
     return replace(vehicle, implementation=read_implementation(_given(run.claim("implementation"), "implementation"), measurable))
 
 
-def recorded_controller(log: Recorded, vehicle: Vehicle, run: RecordedRun) -> Controller | Programmed | SemiActive:
+def recorded_controller(log: Recorded, vehicle: Vehicle, run: RecordedRun) -> Driver:
     """The controller of a run, with a certificate computed anew from its gain and the proof in the log; numpy and scipy alone.
 
     A law in Python is the text that is attached. Nobody runs it.
@@ -184,7 +187,7 @@ def predicted_again(
     log: Recorded,
     run: RecordedRun,
     vehicle: Vehicle,
-    controller: Controller | Programmed | SemiActive,
+    controller: Driver,
     samples: int,
     timestep: float,
 ) -> Prediction:
@@ -204,9 +207,9 @@ def predicted_again(
     """
     if not timestep <= largest_timestep(vehicle):
         raise InputError(f"the timestep of {timestep:g} s is one with which RK4 is unstable on this vehicle")
-    road, time = recorded_road(log, run, samples), np.arange(samples) * timestep
+    met = RoadInput(vehicle, recorded_road(log, run, samples), np.arange(samples) * timestep)
     if isinstance(controller, Controller) and not vehicle.dampers:
-        return predict(vehicle, controller, road, time, MOST_STATES)
+        return predict(LoopModel(vehicle, controller, met.timestep), met, MOST_STATES)
     asked = np.zeros((0, 0))
     if isinstance(controller, Programmed):
         content = log.attachments.get(run.claims.get("forces_file", ""))
@@ -214,7 +217,7 @@ def predicted_again(
             raise InputError("the forces of its law in Python are not attached")
         asked = read_forces(content, command_names(vehicle), samples)
     physics = as_response(vehicle, run, MUJOCO, samples, timestep, kept(controller))
-    return predict_made(vehicle, controller, road, time, physics, asked)
+    return predict_made(controller, met, physics, asked)
 
 
 def usable_samples(run: RecordedRun, timestep: float) -> int:
@@ -227,9 +230,9 @@ def usable_samples(run: RecordedRun, timestep: float) -> int:
     return min(counts, default=0)
 
 
-def kept(controller: Controller | Programmed | SemiActive) -> tuple[Signal, ...]:
+def kept(controller: Driver) -> tuple[Signal, ...]:
     """The signals of a controller's states."""
-    return kept_signals(range(1, controller.law.states + 1)) if isinstance(controller, Controller) else ()
+    return kept_signals(range(1, controller.states + 1))
 
 
 def as_response(
@@ -285,3 +288,21 @@ def _matrix(value: Any, name: str, shape: tuple[int, int]) -> Array:
         return np.array(value, dtype=float).reshape(shape)
     except (TypeError, ValueError, OverflowError):
         raise InputError(f"its {name} is no matrix of {shape[0]} x {shape[1]} numbers") from None
+
+
+def balanced_again(run: Run) -> tuple[Run, Response]:
+    """A run with the energy balance of what MuJoCo makes of it now, and what half the step changes; and that physics.
+
+    A law in Python is not run: the forces that it asked for are.
+    """
+    time = run.prediction.time
+    made = simulate([driver_again(run.prediction, time)], [RoadInput(run.vehicle, run.road, time)])
+    (run,) = balanced([run], made)
+    return run, made.run(0)
+
+
+def written_again(recorded: RecordedRun, run: Run, samples: int) -> RunLog:
+    """A run as it would be written now, with the responses that were logged."""
+    timestep, states = run.prediction.timestep, kept(run.controller)
+    responses = {name: as_response(run.vehicle, recorded, name, samples, timestep, states) for name in RESPONSES}
+    return replace(run_log(run, recorded.name), responses=responses)

@@ -9,10 +9,10 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.common.whole_file import whole_file
+from models.common.files import whole_file
 from sim.inspect.proof import Inspected, Proof
 from sim.inspect.reproduction import as_response, kept
-from sim.recording.format import MUJOCO, SAMPLED
+from sim.recording.run_log import MUJOCO, SAMPLED
 
 
 def write_signals(path: Path, proof: Proof) -> None:

@@ -3,10 +3,10 @@
 import numpy as np
 
 from models.common.arrays import Array
-from models.damping.range import range_of
-from models.vehicle import Vehicle
+from models.suspension.damper_range import range_of
+from models.vehicle.vehicle import Vehicle
 from sim.response.response import Response
-from synth.controller import Controller
+from synth.controller.controller import Controller
 
 
 def stretching(vehicle: Vehicle) -> Array:
@@ -61,8 +61,6 @@ def linear_signals(vehicle: Vehicle, states: Array, inputs: Array) -> dict[str, 
         states: of the vehicle, shape (T, n).
         inputs: the forces that act [N], shape (T, m).
     """
-    if not vehicle.dampers:
-        return {}
     of = range_of([vehicle.adjustable], vehicle.linear_model.inputs)
     closing = of.at_rest - states @ stretching(vehicle).T
     m = inputs.shape[1]

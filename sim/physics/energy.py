@@ -38,10 +38,9 @@ import numpy as np
 from mujoco.batch import Batch
 
 from models.common.arrays import Array
-from models.curves.reading import VELOCITY
-from models.mjcf import build_spec, mocap_indices, pushed_dofs
-from models.roads.road import Road, under_wheels
-from models.vehicle import Vehicle
+from models.roads.road import RoadInput
+from models.vehicle.mjcf import build_spec, mocap_indices, pushed_dofs
+from models.vehicle.vehicle import Vehicle
 from sim.physics.simulate import PhysicsRuns
 from sim.response.response import Response
 
@@ -83,23 +82,22 @@ class Energy:
         return self.residual <= BALANCED and (self.least is None or self.least >= -ROUNDING)
 
 
-def energy(vehicle: Vehicle, runs: PhysicsRuns, index: int, road: Road, until: float = np.inf) -> Energy:
+def energy(runs: PhysicsRuns, index: int, road: RoadInput, until: float = np.inf) -> Energy:
     """The energy balance of one run.
 
     Args:
-        vehicle: the vehicle.
-        runs: what MuJoCo made of it, among others.
+        runs: what MuJoCo made of N vehicles.
         index: which of them.
-        road: the road.
+        road: what this one met.
         until: when the vehicle broke off [s], if before it diverged: no number means anything from there.
     """
-    time, (model, along) = runs.response.time, _observed(vehicle, float(runs.response.time[1]))
+    vehicle, time, (model, along) = road.vehicle, road.time, _observed(road.vehicle, float(road.time[1]))
     h, count = float(time[1]), int(np.searchsorted(time, min(until, runs.diverged[index])))
     if count < 2:
         least, loads = 0.0 if vehicle.dampers else None, 0.0 if road.loaded else None
         return Energy(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, least, loads)
     qpos, qvel = runs.qpos[index, :count], runs.qvel[index, :count]
-    midway = under_wheels(road.displacement, road, vehicle, time[:count] + h / 2)
+    midway = road.midway[:count]
     # A step ends with the road where it held it, and the next begins with it elsewhere: every state is looked at twice.
     starts = _look(vehicle, model, qpos, qvel, midway)
     ends, moved = starts[1:].copy(), np.any(midway[1:] != midway[:-1], axis=1)
@@ -123,7 +121,7 @@ def energy(vehicle: Vehicle, runs: PhysicsRuns, index: int, road: Road, until: f
     losses = (speeds[:-1, dampers] ** 2 + 4 * middle[:, dampers] ** 2 + speeds[1:, dampers] ** 2) * damping * h / 6
     in_springs, in_dampers = np.zeros(count), np.zeros(count - 1)
     for i, one in enumerate(curves, dampers.stop):
-        if one.over is VELOCITY:
+        if one.damps:
             power = [v * one.curve.pieces.force(v) for v in (speeds[:-1, i], middle[:, i], speeds[1:, i])]
             in_dampers += (power[0] + 4 * power[1] + power[2]) * h / 6
         else:
@@ -133,7 +131,7 @@ def energy(vehicle: Vehicle, runs: PhysicsRuns, index: int, road: Road, until: f
     by_actuators = np.concatenate([[0.0], np.cumsum(work.sum(axis=1))])
     by_loads, pushed = np.zeros(count), 0.0
     if road.loaded:  # held, and along joints, so that their work is exact
-        pushes = road.loads(vehicle, time[: count - 1] + h / 2) * np.diff(qpos[:, pushed_dofs(vehicle, model)], axis=0)
+        pushes = road.held_loads[: count - 1] * np.diff(qpos[:, pushed_dofs(vehicle, model)], axis=0)
         by_loads, pushed = np.concatenate([[0.0], np.cumsum(pushes.sum(axis=1))]), float(np.abs(pushes).sum())
     lost = np.concatenate([[0.0], np.cumsum(losses.sum(axis=1) + in_dampers)])
     change = stored + in_springs - rest[0, :2].sum()
@@ -203,6 +201,7 @@ def _observed(vehicle: Vehicle, timestep: float) -> tuple[mujoco.MjModel, Array]
     for number, (length, speed, what, name) in enumerate(pairs):
         for sensor in (length, speed):
             spec.add_sensor(name=f"{sensor.name}_{number}", type=sensor, objtype=what, objname=name)
+    spec.compiler.discardvisual = True
     return spec.compile(), np.array(along)
 
 

@@ -1,4 +1,4 @@
-"""The MuJoCo response: one function for one run or ten thousand.
+"""The MuJoCo response: of one run or ten thousand, held whole or looked at as it goes on.
 
 What makes it agree with the analysis to the integrator's own error (RK4's, to the fourth power of the step):
 
@@ -16,18 +16,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.cores import cores
-from models.common.side_by_side import side_by_side
-from models.law import LinearLaw
-from models.own.python_law import Programmed
-from models.reality import steps_per_sample
-from models.roads.road import Road, under_wheels
-from models.signals import Signal, kept_signals
-from models.vehicle import Vehicle
-from sim.physics.blocks import Block, Course, in_shares
-from sim.physics.python_laws import Driven, steps_ahead
+from models.common.threads import cores, side_by_side
+from models.kinds.signals import Signal, kept_signals
+from models.laws.linear import LinearLaw
+from models.laws.python_law import Programmed
+from models.roads.road import Road, RoadInput, under_wheels
+from models.vehicle.limits_and_implementation import steps_per_sample
+from models.vehicle.vehicle import Vehicle
+from sim.physics.drivers import Failure, RunDriver, steps_ahead
+from sim.physics.run_blocks import Block, Course, in_blocks, in_shares
+from sim.response.regime import BLOCK, EndDetector
 from sim.response.response import Response
-from synth.controller import Controller
+from synth.controller.controller import Controller
 
 FEWEST = 4  # runs to a thread: of fewer the numpy between their steps, which one thread at a time can do, takes as long
 
@@ -60,42 +60,40 @@ class PhysicsRuns:
         return self.response.run(index).beside(states, self.kept[index, :, : len(states)])
 
 
-def simulate(
-    vehicles: Sequence[Vehicle],
-    controllers: Sequence[Driven],
-    roads: Sequence[Road],
-    time: Array,
-    threads: int = 1,
-    undelayed: Sequence[Controller | None] | None = None,
-) -> PhysicsRuns:
+def simulate(controllers: Sequence[RunDriver], met: Sequence[RoadInput], threads: int = 1) -> PhysicsRuns:
     """Runs N vehicles of one kind, each with its own parameters, controller and road, from rest.
 
+    A run's numbers are the same, to the last bit, whatever other runs of its controller are beside it: those whose computers
+    differ share no batch.
+
     Args:
-        vehicles: N vehicles of the same kind. Where they differ in the controller's implementation only, one model serves them.
         controllers: N controllers.
-        roads: N roads.
-        time: equidistant sample times [s], shape (T,), from 0; their distance is the timestep.
+        met: what N vehicles of the same kind meet, all at the same sample times from 0 [s], shape (T,). Where vehicles differ in
+            the controller's implementation only, one model serves them.
         threads: how many threads share the runs at most, `FEWEST` or more each; results do not depend on it. 0 is one for every
             core.
-        undelayed: second controllers, whose forces come to those of the first and know no `[implementation]`; None for none.
     """
-    kinds = [type(one) for one in controllers]
+    vehicles, time, timestep = [each.vehicle for each in met], met[0].time, met[0].timestep
+    kinds = [_kind(one, vehicle, timestep) for one, vehicle in zip(controllers, vehicles, strict=True)]
     if len(set(kinds)) > 1:
-        return _by_kind(kinds, vehicles, controllers, roads, time, threads)
-    timestep, signals, wheels = float(time[1] - time[0]), vehicles[0].kind.signals, vehicles[0].kind.wheels
-    now = on_each(vehicles, roads, "displacement", time)
-    midway = on_each(vehicles, roads, "displacement", time + timestep / 2)
+        return _by_kind(kinds, controllers, met, threads)
+    signals, wheels = vehicles[0].kind.signals, vehicles[0].kind.wheels
+    once = met_alike(met)
+    now, midway = (np.stack([getattr(each, what) for each in once], axis=1) for what in ("heights", "midway"))
     beyond = None
     if ahead := steps_ahead(vehicles, controllers, timestep):
-        beyond = on_each(vehicles, roads, "displacement", time[-1] + timestep * np.arange(1, ahead + 1))
-    shares = shared(len(vehicles), 1 if Programmed in kinds else threads or cores())  # Python is run by one thread at a time
+        after = time[-1] + timestep * np.arange(1, ahead + 1)
+        beyond = np.stack([under_wheels(each.road.displacement, each.road, each.vehicle, after) for each in once], axis=1)
+    shares = shared(
+        len(vehicles), 1 if kinds[0][0] is Programmed else threads or cores()
+    )  # Python is run by one thread at a time
     edges = (0, len(time))
-    loads = loads_on(vehicles, roads, time + timestep / 2)
-    course = Course(vehicles, controllers, now, midway, timestep, edges, undelayed, beyond=beyond, loads=loads)
+    loads = loads_on(met)
+    course = Course(vehicles, controllers, now, midway, timestep, edges, beyond=beyond, loads=loads)
     block = _whole(in_shares(course, shares))
 
     recorded, names = block.values, [signal.name for signal in signals]
-    velocity = on_each(vehicles, roads, "velocity", time)
+    velocity = np.stack([each.velocities for each in once], axis=1)
     recorded[:, [names.index(wheel.road_velocity) for wheel in wheels]] = np.moveaxis(velocity, 1, 2)
     diverged = block.diverged(time)
     recorded[np.broadcast_to((time[:, None] >= diverged)[:, None], recorded.shape)] = np.nan
@@ -114,25 +112,24 @@ def _of_state(law: LinearLaw, vehicle: Vehicle, timestep: float) -> float:
     return law.of_state(steps_per_sample(vehicle.implementation, timestep) * timestep)
 
 
+def _kind(controller: RunDriver, vehicle: Vehicle, timestep: float) -> tuple[type, int]:
+    """Returns the type of a controller and the steps for which it holds a force, 0 if noise or a delay comes between."""
+    computer = vehicle.implementation
+    return type(controller), 0 if computer.delay or computer.blurred else steps_per_sample(computer, timestep)
+
+
 def _by_kind(
-    kinds: Sequence[type],
-    vehicles: Sequence[Vehicle],
-    controllers: Sequence[Driven],
-    roads: Sequence[Road],
-    time: Array,
-    threads: int,
+    kinds: Sequence[tuple[type, int]], controllers: Sequence[RunDriver], met: Sequence[RoadInput], threads: int
 ) -> PhysicsRuns:
-    """`simulate` of runs some of which a linear law drives and some another: each as it is without the others."""
+    """Returns what `simulate` makes of each kind of runs, see `_kind`, in their order."""
     which, made = [], []
     for kind in dict.fromkeys(kinds):
-        some = [i for i, one in enumerate(kinds) if one is kind]
+        some = [i for i, one in enumerate(kinds) if one == kind]
         which += some
-        made.append(
-            simulate([vehicles[i] for i in some], [controllers[i] for i in some], [roads[i] for i in some], time, threads)
-        )
+        made.append(simulate([controllers[i] for i in some], [met[i] for i in some], threads))
     order = np.argsort(which)
     values = np.concatenate([one.response.values for one in made])[order]
-    response = Response(time, made[0].response.signals, values)
+    response = Response(met[0].time, made[0].response.signals, values)
     qpos, qvel, diverged, asked = (
         np.concatenate([getattr(one, name) for one in made])[order] for name in ("qpos", "qvel", "diverged", "asked")
     )
@@ -161,26 +158,71 @@ def _whole(parts: Sequence[Callable[[Callable[[], bool]], Iterator[Block]]]) -> 
     return Block(0, values, *(np.concatenate([getattr(block, name) for block in blocks], axis=1) for name in names))
 
 
-def on_each(vehicles: Sequence[Vehicle], roads: Sequence[Road], what: str, time: Array) -> Array:
-    """Heights of the roads [m], or their rates, under the wheels of all runs, shape (T, N, r); of runs that share both, once.
+def met_alike(met: Sequence[RoadInput]) -> list[RoadInput]:
+    """Returns in place of each the first whose wheels meet the same road alike, so that heights are computed once."""
+    keys = [(*each.vehicle.parameters.values(), id(each.road)) for each in met]
+    first = dict(zip(reversed(keys), reversed(met), strict=True))
+    return [first[key] for key in keys]
 
-    Args:
-        vehicles: N vehicles of the same kind.
-        roads: N roads.
-        what: `displacement` or `velocity`.
-        time: shape (T,).
+
+def loads_on(met: Sequence[RoadInput]) -> Array | None:
+    """Returns the loads that are held on the bodies of all runs [N, N m], shape (T, N, l); None if no run has any."""
+    return np.stack([each.held_loads for each in met], axis=1) if any(each.loaded for each in met) else None
+
+
+class Watched:
+    """N runs from rest, of vehicles of one kind that read out alike, over a road each.
+
+    Attributes:
+        now: heights of the roads under the wheels at the samples [m], shape (T, N, r).
+        midway: the same half a step later, where MuJoCo holds them.
+        ends: what ends their linear regime, and when, in the blocks so far.
+        loads: on their bodies [N, N m], midway through the steps, shape (T, N, l); None where there are none.
+        beyond: heights of the roads at the samples after the last, as far as laws in Python are told of them.
+        failures: by run, the laws in Python that have failed; such a run goes on without forces.
+        diverged: when each diverged in them [s], infinite where it did not, shape (N,).
     """
-    keys = [(*vehicle.parameters.values(), id(road)) for vehicle, road in zip(vehicles, roads, strict=True)]
-    one_of = dict(zip(keys, zip(vehicles, roads, strict=True), strict=True))
-    once = {key: under_wheels(getattr(road, what), road, vehicle, time) for key, (vehicle, road) in one_of.items()}
-    return np.stack([once[key] for key in keys], axis=1)
 
+    def __init__(self, vehicles: Sequence[Vehicle], controllers: Sequence[RunDriver], roads: Sequence[Road], time: Array) -> None:
+        """N vehicles of one kind with their controllers and roads, and equidistant sample times from 0 [s], shape (T,)."""
+        self.vehicles, self.controllers, self.time = vehicles, controllers, time
+        ahead = steps_ahead(vehicles, controllers, self.timestep)
+        halves = np.arange(2 * (len(time) + ahead)) * (self.timestep / 2)
+        heights = np.empty((len(halves), len(vehicles), len(vehicles[0].kind.wheels)))
+        for i, (vehicle, road) in enumerate(zip(vehicles, roads, strict=True)):
+            heights[:, i] = under_wheels(road.displacement, road, vehicle, halves)
+        self.now, self.midway = heights[: 2 * len(time) : 2], heights[1 : 2 * len(time) : 2]
+        self.loads = loads_on([RoadInput(vehicle, road, time) for vehicle, road in zip(vehicles, roads, strict=True)])
+        self.beyond, self.failures = heights[2 * len(time) :: 2], dict[int, Failure]()
+        self.ends, self.diverged = EndDetector(vehicles, time), np.full(len(vehicles), np.inf)
 
-def loads_on(vehicles: Sequence[Vehicle], roads: Sequence[Road], time: Array) -> Array | None:
-    """What loads push the bodies of all runs with [N, N m], shape (T, N, l); None where no run has any.
+    @property
+    def timestep(self) -> float:
+        """Of the runs [s]."""
+        return float(self.time[1] - self.time[0])
 
-    Arguments as for `on_each`.
-    """
-    if not any(road.loaded for road in roads):
-        return None
-    return np.stack([road.loads(vehicle, time) for vehicle, road in zip(vehicles, roads, strict=True)], axis=1)
+    @property
+    def until(self) -> Array:
+        """The time before which each is linear [s], infinite for always, shape (N,)."""
+        return np.minimum(self.ends.first, self.diverged)
+
+    def blocks(self) -> Iterator[Block]:
+        """Every block in its turn; once a run has diverged, what is left of it is clipped."""
+        edges = [*range(0, len(self.time), BLOCK), len(self.time)]
+        course = Course(
+            self.vehicles,
+            self.controllers,
+            self.now,
+            self.midway,
+            self.timestep,
+            edges,
+            beyond=self.beyond,
+            failures=self.failures,
+            loads=self.loads,
+        )
+        for block in in_blocks(course):
+            self.diverged = np.minimum(self.diverged, block.diverged(self.time))
+            if np.isfinite(self.diverged).any():
+                block.clip()
+            self.ends.update(block.start, block.values)
+            yield block

@@ -7,9 +7,8 @@ from pathlib import Path
 
 from models.common import interrupt
 from models.common.errors import InputError
-from models.common.printed import Whole
-from models.common.shell import pasted_path
-from models.common.whole_file import made_folder
+from models.common.files import made_folder
+from models.common.printed import Whole, pasted_path
 from sim.recording.foxglove_layout import foxglove_layout
 from sim.recording.mcap_writer import write_mcap
 from sim.recording.rerun_writer import write_rrd
@@ -43,6 +42,11 @@ def record(
     Raises:
         InputError: the folder cannot be made, or not written.
         ValueError: two runs have the same name.
+
+    Example:
+        See `sim.run_log`, which makes what is recorded:
+
+        >>> from sim import record, run_log
     """
     names = [run.name for run in runs]
     if len(set(names)) < len(names):

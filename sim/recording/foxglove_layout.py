@@ -12,13 +12,10 @@ from typing import Any
 import numpy as np
 
 from models.figures.figure import styles, tint
-from models.signals import Signal
-from sim.recording.format import DAMPERS, LOADS, MUJOCO, SAMPLED
+from models.kinds.signals import Signal
 from sim.recording.foxglove_scene import WORLD, frame
 from sim.recording.mcap_writer import topic
-from sim.recording.run_log import RunLog
-from sim.recording.signal_groups import PALETTE, RESPONSES, compared, groups, plotted, shown, title
-from sim.response.difference import difference
+from sim.recording.run_log import DAMPERS, LOADS, PALETTE, RESPONSES, RunLog, compared, groups, plotted, shown, title
 
 
 def foxglove_layout(runs: Sequence[RunLog]) -> str:
@@ -81,10 +78,7 @@ def _acting(panels: dict[str, Any], runs: Sequence[RunLog], run: RunLog, color: 
 
 def _difference(panels: dict[str, Any], runs: Sequence[RunLog], run: RunLog, group: str, signals: Sequence[Signal]) -> list[str]:
     """A plot of MuJoCo minus sampled, where there are both."""
-    if not {MUJOCO, SAMPLED} <= set(run.responses):
-        return []
-    made = difference(run.responses[MUJOCO], run.responses[SAMPLED]).names
-    names = [signal.name for signal in signals if signal.name in made]
+    names = [signal.name for signal in signals if run.gap is not None and signal.name in run.gap.names]
     paths = [
         _path(topic(runs, run, "difference"), name, name.replace("_", " "), PALETTE[i % len(PALETTE)], 1.5)
         for i, name in enumerate(names)

@@ -16,7 +16,6 @@ from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
 from foxglove_schemas_protobuf.Log_pb2 import Log
-from foxglove_schemas_protobuf.Point3_pb2 import Point3
 from foxglove_schemas_protobuf.Pose_pb2 import Pose
 from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
@@ -30,12 +29,12 @@ from google.protobuf.message import DecodeError, Message
 from google.protobuf.timestamp_pb2 import Timestamp
 
 from models.common.arrays import Array
-from sim.recording.appearance import BESIDE, FORCE, LIFTED, LINES, LONGEST, strut_lines, tyre_surface
 from sim.recording.run_log import RunLog
-from sim.recording.scene import Scene, Shape
+from sim.recording.scene import BESIDE, FORCE, LIFTED, LINES, LONGEST, Scene, Shape, strut_lines, tyre_surface
 
 WORLD = "world"
 NEAR = 1e-5  # m; how far another machine may draw something from here
+POINT = np.dtype([("head", "u1", 2), *((f"{kind}{axis}", how) for axis in "xyz" for kind, how in (("tag_", "u1"), ("", "<f8")))])
 GRID = 2.0**-12  # m, a quarter of a millimetre: what moves in the scene is drawn to it, and so takes a third of the room
 
 Messages = Iterator[Any]
@@ -101,29 +100,24 @@ def shapes(run: RunLog, time: int, color: tuple[int, int, int]) -> Messages:
 def moving(run: RunLog, times: list[int], largest: float) -> Messages:
     """What changes its shape: struts, tyres, and the control forces, of which `largest` [N] has the longest arrow."""
     scene = run.scene
-    struts = [[_drawn(line) for line in strut_lines(ends)] for ends in scene.springs.values()]
-    tyres = [(tyre, *tyre_surface(tyre)) for tyre in scene.tyres]
+    struts = [_packed(line, LinePrimitive.POINTS_FIELD_NUMBER) for ends in scene.springs.values() for line in strut_lines(ends)]
+    looks = [
+        LinePrimitive(type=LinePrimitive.LINE_STRIP, pose=_pose(), thickness=2 * radius, color=_color(colour))
+        for _ in scene.springs
+        for radius, colour in LINES
+    ]
+    tyres = []
+    for tyre in scene.tyres:
+        vertices, triangles = tyre_surface(tyre)
+        indices, colours = triangles.ravel().tolist(), (255 * tyre.rgba[:3], LIFTED)
+        surfaces = [TriangleListPrimitive(pose=_pose(), indices=indices, color=_color(colour)) for colour in colours]
+        tyres.append((tyre, surfaces, _packed(vertices, TriangleListPrimitive.POINTS_FIELD_NUMBER)))
     for index, time in enumerate(times):
-        lines = [
-            LinePrimitive(
-                type=LinePrimitive.LINE_STRIP,
-                pose=_pose(),
-                thickness=2 * radius,
-                points=_points(line[index]),
-                color=_color(colour),
-            )
-            for strut in struts
-            for line, (radius, colour) in zip(strut, LINES, strict=True)
-        ]
+        lines = [_with_points(look, points[index]) for look, points in zip(looks, struts, strict=True)]
         arrows = list(_arrows(scene, index, largest))
         entities = [_entity(time, frame(run), "struts", lines=lines), _entity(time, frame(run), "forces", arrows=arrows)]
-        for tyre, vertices, triangles in tyres:
-            surface = TriangleListPrimitive(
-                pose=_pose(),
-                points=_points(_drawn(vertices[index])),
-                indices=triangles.ravel().tolist(),
-                color=_color(LIFTED) if tyre.lifted[index] else _color(255 * tyre.rgba[:3]),
-            )
+        for tyre, surfaces, points in tyres:
+            surface = _with_points(surfaces[int(tyre.lifted[index])], points[index])
             entities.append(_entity(time, frame(run, tyre.body), tyre.name, triangles=[surface]))
         yield SceneUpdate(entities=entities)
 
@@ -197,13 +191,25 @@ def _add_solid(entity: SceneEntity, shape: Shape) -> None:
             entity.spheres.append(SpherePrimitive(pose=_pose(tip), size=ball, color=color))
 
 
-def _drawn(points: Array) -> Array:
-    """Points to the nearest `GRID`."""
-    return np.round(points / GRID) * GRID
+def _packed(points: Array, field: int) -> Array:
+    """Points to the nearest `GRID`, each as in a repeated field below 16 on the wire: a tag and a length, then three doubles.
+
+    Zeros are written, too; they are left out when the message is. Shape (..., P, 3) gives (..., P).
+    """
+    packed = np.empty(points.shape[:-1], POINT)
+    packed["head"] = field << 3 | 2, POINT.itemsize - 2
+    for i, name in enumerate("xyz"):
+        packed[f"tag_{name}"] = (i + 1) << 3 | 1
+        packed[name] = np.round(points[..., i] / GRID) * GRID
+    return packed
 
 
-def _points(points: Array) -> list[Point3]:
-    return [Point3(x=x, y=y, z=z) for x, y, z in points.tolist()]
+def _with_points(primitive: Any, packed: Array) -> Any:
+    """A copy of a primitive with points that are packed."""
+    copy = type(primitive)()
+    copy.CopyFrom(primitive)
+    copy.MergeFromString(packed.tobytes())
+    return copy
 
 
 def _stamp(time: int) -> Timestamp:

@@ -1,37 +1,188 @@
-"""Runs as an MCAP file: protobuf messages that Rerun and Foxglove plot without any schema installed.
+"""Runs as an MCAP file, https://mcap.dev/spec: protobuf messages that Rerun and Foxglove plot without any schema installed.
 
-Format: https://mcap.dev/spec and https://protobuf.dev/programming-guides/encoding. The descriptors are built here, at
+Messages are as in https://protobuf.dev/programming-guides/encoding. The descriptors are built here, at
 run time, from the responses' signals: a signal's name is its field's name, and there is no generated code.
 """
 
+import itertools
 import json
 import operator
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import struct
+import zlib
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
+import zstandard
 from google.protobuf.descriptor_pb2 import DescriptorProto, FieldDescriptorProto, FileDescriptorProto, FileDescriptorSet
+from mcap import __version__
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
 from mcap.well_known import MessageEncoding, SchemaEncoding
-from mcap.writer import Writer
 
 from models.common.arrays import Array
 from models.figures.figure import rgb, styles
-from models.signals import Signal
-from sim.recording.appearance import largest_force
-from sim.recording.format import MUJOCO, SAMPLED
+from models.kinds.signals import Signal
 from sim.recording.run_log import RunLog
-from sim.response.difference import difference
+from sim.recording.scene import largest_force
 from sim.response.response import Response
+
+MAGIC = b"\x89MCAP0\r\n"
+CHUNK = 1024 * 1024  # bytes of a chunk before it is compressed; the message that passes it is its last
+MESSAGE = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time; the content follows
+INDEX = struct.Struct("<BQHI")  # opcode, length, channel, length of the entries; they follow, each a time and a place
+BESIDE_CONTENT = MESSAGE.size - 9  # bytes of a message that its length counts
+
+Message = tuple[int, int, bytes]  # log time [ns], channel, content
+
+
+class McapFile:
+    """An MCAP file that is written: metadata and attachments first, then schemas, channels and all messages, then its end."""
+
+    def __init__(self, stream: BinaryIO) -> None:
+        self._stream = stream
+        self._at, self._crc = 0, 0
+        self._schemas: list[Schema] = []
+        self._channels: list[Channel] = []
+        self._before = b""  # the first message: schemas and channels
+        self._counts: Counter[int] = Counter()
+        self._times: list[int] = []  # of the first and of the last message
+        self._chunks: list[ChunkIndex] = []
+        self._attachments: list[AttachmentIndex] = []
+        self._metadata: list[MetadataIndex] = []
+        self._write(MAGIC)
+        self._write(_written(Header("", f"mcap-python/{__version__}")))
+
+    def add_metadata(self, name: str, data: Mapping[str, str]) -> None:
+        """Adds a metadata record."""
+        start, length = self._write(_written(Metadata(name, dict(data))))
+        self._metadata.append(MetadataIndex(start, length, name))
+
+    def add_attachment(self, name: str, media_type: str, data: bytes) -> None:
+        """Adds an attachment of no date."""
+        start, length = self._write(_written(Attachment(0, 0, name, media_type, data)))
+        self._attachments.append(AttachmentIndex(start, length, 0, 0, len(data), name, media_type))
+
+    def add_schema(self, name: str, encoding: str, data: bytes) -> int:
+        """Adds a schema; returns its number."""
+        self._schemas.append(Schema(len(self._schemas) + 1, data, encoding, name))
+        self._before += _written(self._schemas[-1])
+        return len(self._schemas)
+
+    def add_channel(self, topic: str, encoding: str, schema: int, metadata: Mapping[str, str]) -> int:
+        """Adds a channel of messages of a schema; returns its number."""
+        self._channels.append(Channel(len(self._channels) + 1, topic, encoding, dict(metadata), schema))
+        self._before += _written(self._channels[-1])
+        return len(self._channels)
+
+    def add_messages(self, messages: Iterable[Message]) -> None:
+        """Adds all messages, in the order of time, in chunks."""
+        parts, size, first, last = [self._before], len(self._before), 0, 0
+        places: dict[int, list[int]] = {}  # by channel: time and place of each of its messages in the chunk, in turn
+        for time, channel, content in messages:
+            if not places:
+                first = time
+            places.setdefault(channel, []).extend((time, size))
+            parts += (MESSAGE.pack(Opcode.MESSAGE, BESIDE_CONTENT + len(content), channel, 0, time, time), content)
+            size += MESSAGE.size + len(content)
+            last = time
+            if size > CHUNK:
+                self._add_chunk(b"".join(parts), first, last, places)
+                parts, size, places = [], 0, {}
+        if places:
+            self._add_chunk(b"".join(parts), first, last, places)
+
+    def finish(self) -> None:
+        """Writes what ends a file: checksums, and a summary that says where everything is."""
+        self._write(_written(DataEnd(self._crc)))
+        first, last = (self._times[0], self._times[-1]) if self._times else (0, 0)
+        statistics = Statistics(
+            attachment_count=len(self._attachments),
+            channel_count=len(self._channels),
+            channel_message_counts=self._counts,
+            chunk_count=len(self._chunks),
+            message_count=self._counts.total(),
+            message_end_time=last,
+            message_start_time=first,
+            metadata_count=len(self._metadata),
+            schema_count=len(self._schemas),
+        )
+        groups: list[tuple[Opcode, list]] = [
+            (Opcode.SCHEMA, self._schemas),
+            (Opcode.CHANNEL, self._channels),
+            (Opcode.STATISTICS, [statistics]),
+            (Opcode.CHUNK_INDEX, self._chunks),
+            (Opcode.ATTACHMENT_INDEX, self._attachments),
+            (Opcode.METADATA_INDEX, self._metadata),
+        ]
+        start, summary, offsets = self._at, b"", b""
+        for opcode, records in groups:
+            group = b"".join(map(_written, records))
+            offsets += _written(SummaryOffset(opcode, start + len(summary), len(group)))
+            summary += group
+        footer = _written(Footer(start, start + len(summary), 0))
+        self._write(summary + offsets)
+        crc = zlib.crc32(summary + offsets + footer[:-4])  # it is the footer's last field, and of all before it
+        self._write(footer[:-4] + struct.pack("<I", crc) + MAGIC)
+
+    def _add_chunk(self, content: bytes, first: int, last: int, places: Mapping[int, list[int]]) -> None:
+        """Adds messages, compressed, and where each of them is."""
+        data = zstandard.compress(content)
+        start, length = self._write(_written(Chunk("zstd", data, last, first, zlib.crc32(content), len(content))))
+        offsets, indexes, at = {}, [], self._at
+        for channel, entries in places.items():
+            room = 8 * len(entries)
+            offsets[channel] = at
+            indexes.append(INDEX.pack(Opcode.MESSAGE_INDEX, INDEX.size - 9 + room, channel, room))
+            indexes.append(struct.pack(f"<{len(entries)}Q", *entries))
+            at += INDEX.size + room
+            self._counts[channel] += len(entries) // 2
+        self._write(b"".join(indexes))
+        self._times += (first, last)
+        self._chunks.append(ChunkIndex(length, start, "zstd", len(data), last, at - start - length, offsets, first, len(content)))
+
+    def _write(self, data: bytes) -> tuple[int, int]:
+        """Writes; returns where and how much, in bytes."""
+        start = self._at
+        self._crc = zlib.crc32(data, self._crc)  # metadata has no checksum of its own
+        self._stream.write(data)
+        self._at += len(data)
+        return start, len(data)
+
+
+def _written(record: McapRecord) -> bytes:
+    """Returns the bytes of a record."""
+    builder = RecordBuilder()
+    record.write(builder)
+    return builder.end()
+
 
 PACKAGE = "roadproof"
 SAME = 1e-9  # relative, and absolute in N and N m: what acted is computed again, not read back
 
 
 @dataclass(frozen=True, eq=False)
-class Channel:
+class LoggedChannel:
     """A channel as a log has it.
 
     Attributes:
@@ -76,32 +227,27 @@ def write_mcap(
         OSError: the file cannot be written.
     """
     with path.open("wb") as stream:
-        writer = Writer(stream, enable_data_crcs=True)  # metadata has no checksum of its own
-        writer.start()
-
+        file = McapFile(stream)
         for name, record in records(runs, metadata).items():
-            writer.add_metadata(name, dict(record))
+            file.add_metadata(name, record)
         for name, (media_type, content) in attachments.items():
-            writer.add_attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=content)
+            file.add_attachment(name, media_type, content)
 
-        messages: list[tuple[int, int, bytes]] = []  # time [ns], channel, content
+        messages: list[Message] = []
         schemas: dict[tuple[str, str, bytes], int] = {}
         for channel in channels(runs):
             if channel.schema not in schemas:
-                schemas[channel.schema] = writer.register_schema(*channel.schema)
-            number = writer.register_channel(
-                channel.topic, MessageEncoding.Protobuf, schemas[channel.schema], dict(channel.metadata)
-            )
-            messages += ((time, number, content) for time, content in zip(channel.times, channel.contents(), strict=True))
+                schemas[channel.schema] = file.add_schema(*channel.schema)
+            number = file.add_channel(channel.topic, MessageEncoding.Protobuf, schemas[channel.schema], channel.metadata)
+            messages += zip(channel.times, itertools.repeat(number, len(channel.times)), channel.contents(), strict=True)
 
         # Players stream a file from front to back: all topics together, in the order of time.
-        messages.sort(key=lambda message: message[0])
-        for time, number, content in messages:
-            writer.add_message(number, log_time=time, data=content, publish_time=time)
-        writer.finish()
+        messages.sort(key=operator.itemgetter(0))
+        file.add_messages(messages)
+        file.finish()
 
 
-def channels(runs: Sequence[RunLog]) -> Iterator[Channel]:
+def channels(runs: Sequence[RunLog]) -> Iterator[LoggedChannel]:
     """Every channel of a log, in its order. What is written, and what a log is held to, is this.
 
     One topic per response, `/mujoco` for a single run and `/I/mujoco` among several: a message per sample, a double per
@@ -114,11 +260,11 @@ def channels(runs: Sequence[RunLog]) -> Iterator[Channel]:
     numbers: dict[tuple[Signal, ...], int] = {}
     for run in runs:
         responses = {name: (response, "<f8") for name, response in run.responses.items()}
-        if {MUJOCO, SAMPLED} <= set(responses):
-            responses["difference"] = (difference(run.responses[MUJOCO], run.responses[SAMPLED]), "<f4")
+        if run.gap is not None:
+            responses["difference"] = (run.gap, "<f4")
         for name, (response, kind) in responses.items():
             number = numbers.setdefault(response.signals, len(numbers) + 1)
-            yield Channel(
+            yield LoggedChannel(
                 topic(runs, run, name),
                 _signals_schema(response.signals, number, kind),
                 {signal.name: _described(signal) for signal in response.signals},
@@ -129,7 +275,7 @@ def channels(runs: Sequence[RunLog]) -> Iterator[Channel]:
     for run in runs:
         for name, response in run.acting.items():
             number = numbers.setdefault(response.signals, len(numbers) + 1)
-            yield Channel(
+            yield LoggedChannel(
                 topic(runs, run, name),
                 _signals_schema(response.signals, number, "<f8"),
                 {signal.name: _described(signal) for signal in response.signals},
@@ -218,7 +364,7 @@ def _varint(value: int) -> bytes:
     return bytes([low | 0x80]) + _varint(rest) if rest else bytes([low])
 
 
-def _published(runs: Sequence[RunLog]) -> Iterator[Channel]:
+def _published(runs: Sequence[RunLog]) -> Iterator[LoggedChannel]:
     """What has a published schema: events and the scene."""
     from sim.recording import foxglove_scene as scene
 
@@ -242,7 +388,7 @@ def _published(runs: Sequence[RunLog]) -> Iterator[Channel]:
             ("scene", scene.SceneUpdate, times, partial(scene.moving, run, times, largest)),
         ):
             made, alike = partial(_serialized, messages), partial(scene.alike, kind)
-            yield Channel(topic(runs, run, name), _published_schema(kind), {}, when, made, alike)
+            yield LoggedChannel(topic(runs, run, name), _published_schema(kind), {}, when, made, alike)
         low, high = run.scene.extent()
         stand = stand + [1.15 * (high[0] - low[0]), 0.0, 0.0]  # in a row
 

@@ -1,5 +1,6 @@
 """`python -m sim.report`: everything about a vehicle file and its controllers on one page that can be mailed."""
 
+import argparse
 import csv
 import datetime
 import json
@@ -8,21 +9,17 @@ import sys
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from models.common.command import Parser, chosen, run_command
-from models.common.printed import Whole, say
-from models.common.progress import Stages
-from models.common.whole_file import made_folder, together, whole_file
-from models.figures.outputs import check_outputs, written, written_lines
-from models.figures.page import Page, check_page, write_page
-from models.figures.picture import check_drawing, write_picture
-from models.loads.choice import choose_load
-from models.vehicle import Vehicle, read_vehicle
-from sim.asked.options import add_loads
-from sim.command.claims import say_false_claims
-from sim.command.driven import driven
-from sim.command.usual import USUAL, left_out, left_out_lines
-from synth.controller import Controller
+from models.common.printed import Stages, Whole, say
+from sim.command.road_options import USUAL, add_loads, left_out, left_out_lines
+
+if TYPE_CHECKING:
+    from models.figures.page import Page
+    from models.roads.load import Load
+    from models.vehicle.vehicle import Vehicle
+    from sim.report.worker_processes import Beside
 
 EPILOG = """
 exit code: 0 the report is written, 2 bad input
@@ -42,6 +39,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         InputError: bad options, vehicle file or output file.
     """
     options = _parser().parse_args(arguments)
+    from models.figures.outputs import check_outputs, written, written_lines
+    from models.figures.page import check_page
+    from models.figures.picture import check_drawing
+    from models.roads.load_choice import choose_load
+    from models.vehicle.vehicle import read_vehicle
+    from sim.report.worker_processes import Beside, processes
+
     check_page()
     vehicle = read_vehicle(options.vehicle)
     names = chosen(vehicle.controller_names, options.controller, _usual(vehicle))
@@ -50,31 +54,51 @@ def main(arguments: Sequence[str] | None = None) -> int:
     check_outputs(outputs, vehicle.files, options.json)
     if options.figures is not None:
         check_drawing()
-    from models.common.versions import versions
-    from sim.frequency.sweep import EXTREMES, LINES, OWN
-    from sim.report.content import page, report_object
+    loads = tuple(choose_load(text) for text in options.loads)
+    with Beside(processes(vehicle, options.quick)) as beside:  # they import what this one does
+        result = _reported(options, vehicle, names, loads, beside)
+    older = _others(result, options.figures) if options.figures is not None else []
+    if options.json:
+        from sim.report.contents import report_object
+
+        found = {**report_object(result), **written(outputs), "not_of_this_report": older, "left_out": others}
+        print(json.dumps(found, allow_nan=False))
+    else:
+        left = ["not of this report, and left in figures", *(Whole(f"  {name}") for name in older)] if older else []
+        say([*written_lines(outputs)[1:], *left, *left_out_lines(others), "", *result.answer])
+    return 0
+
+
+def _reported(
+    options: argparse.Namespace, vehicle: "Vehicle", names: Sequence[str], loads: "tuple[Load, ...]", beside: "Beside"
+) -> "Page":
+    """The page of a report, written, with its figures where they are asked for.
+
+    Raises:
+        InputError: what is asked for cannot be reported.
+    """
+    from models.common.command import versions
+    from models.common.files import made_folder, together
+    from models.figures.page import write_page
+    from sim.command.comparison import controllers_of, say_false_claims
+    from sim.report.contents import page, stages
     from sim.report.front import check_front
     from sim.report.loads import duration_of, loaded_road
     from sim.report.scope import Scope, check_scope
     from sim.runs.run import sample_times
-    from synth.designer import Designer
+    from synth.controller.controller import Controller
+    from synth.vehicle.designer import Designer
 
     check_scope(vehicle, options.timestep)
     if options.front is not None:
         check_front(vehicle, options.front)
-    loads = tuple(choose_load(text) for text in options.loads)
     if loads:
         loaded_road(loads).check(vehicle, sample_times(vehicle, duration_of(loads), options.timestep))
 
-    first, then = ("designs", "a bump", LINES), ("where the linear regime ends",)
-    if not options.quick:
-        first, then = (*first, EXTREMES, OWN), (*then, "margins", "map", "random roads")
-    then = (*then, *(["loads"] if options.loads else []))
-    then = (*then, *(["trade-off"] if options.front is not None else []))
-    stage = Stages(*first, *then, "the page")
+    stage = Stages("designs", *stages(vehicle, options.quick, bool(loads), options.front is not None), "the page")
     stage("designs")
     designer = Designer(vehicle)
-    controllers = driven(vehicle, names, designer.design)
+    controllers = controllers_of(vehicle, names, designer.design)
     say_false_claims(controllers)
     linear = tuple(one for one in controllers if isinstance(one, Controller))
     laws = tuple(one for one in controllers if not isinstance(one, Controller))
@@ -85,7 +109,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "vehicle file": vehicle.source,
         "versions": ", ".join(f"{name} {version}" for name, version in versions().items()),
     }
-    result = page(scope, about)
+    result = page(scope, about, beside)
     stage("the page")
     with ExitStack() as stack:  # all of it, or nothing
         if options.figures is not None:
@@ -94,18 +118,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         write_page(result, options.out)
         if options.figures is not None:
             _write_figures(result, options.figures)
-    older = _others(result, options.figures) if options.figures is not None else []
     stage.end()
-    if options.json:
-        found = {**report_object(result), **written(outputs), "not_of_this_report": older, "left_out": others}
-        print(json.dumps(found, allow_nan=False))
-    else:
-        left = ["not of this report, and left in figures", *(Whole(f"  {name}") for name in older)] if older else []
-        say([*written_lines(outputs)[1:], *left, *left_out_lines(others), "", *result.answer])
-    return 0
+    return result
 
 
-def _usual(vehicle: Vehicle) -> list[str]:
+def _usual(vehicle: "Vehicle") -> list[str]:
     """Those that are reported where none is asked for: the paper's four, or all of a vehicle file that has others instead."""
     names = vehicle.controller_names
     return [name for name in USUAL if name in names] if set(USUAL) & {*vehicle.controllers} else list(names)
@@ -129,8 +146,11 @@ def _parser() -> Parser:
     return parser
 
 
-def _write_figures(page: Page, folder: Path) -> None:
+def _write_figures(page: "Page", folder: Path) -> None:
     """Every figure as SVG and PNG, every table as CSV, each whole or not at all."""
+    from models.common.files import whole_file
+    from models.figures.picture import write_picture
+
     for part in page.parts:
         for figure in part.figures:
             write_picture(figure, folder / f"{figure.name}.svg", folder / f"{figure.name}.png")
@@ -142,7 +162,7 @@ def _write_figures(page: Page, folder: Path) -> None:
                 csv.writer(file).writerows([table.headings, *table.rows])
 
 
-def _others(page: Page, folder: Path) -> list[str]:
+def _others(page: "Page", folder: Path) -> list[str]:
     """Figures and tables in the folder that are not of this page: of an earlier report, or its owner's, so they stay."""
     own = {f"{table.name}.csv" for part in page.parts for table in part.tables}
     own |= {f"{figure.name}{suffix}" for part in page.parts for figure in part.figures for suffix in (".svg", ".png")}

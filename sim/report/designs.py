@@ -1,25 +1,27 @@
-"""The sections of a report on what was designed: gains and certificates, and their frequency responses, measured."""
+"""The sections of a report on what was designed: gains, certificates, frequency responses, and the paper's numbers."""
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from models.common.numbers import percent
-from models.damping.laws import SemiActive
+from models.common.printed import percent
 from models.figures.page import Section, Table
-from models.vehicle import Vehicle
-from sim.frequency.describing_function import DescribingFunction
-from sim.frequency.figure import sweep_figure
-from sim.frequency.identification import Lines
-from sim.frequency.sweep import Sweep
-from sim.linear.at_rest import at_rest_words
-from sim.report.scope import AMPLITUDE, Scope, number, what_law
-from sim.runs.words import law_text
-from synth.certificate.promise import digits
-from synth.controller import Controller
-from synth.implemented.claims import against, failures_as_it_runs, notes_as_it_runs
-from synth.words import judged_lines, states_text
+from models.laws.linear import gain_text, states_text
+from models.laws.semi_active import SemiActive
+from models.vehicle.vehicle import Vehicle
+from sim.linear.nonlinear_elements import at_rest_words
+from sim.report.scope import AMPLITUDE, Scope, number
+from sim.studies.frequency.describing_function import DescribingFunction
+from sim.studies.frequency.figure import sweep_figure
+from sim.studies.frequency.identification import Lines
+from sim.studies.frequency.sweep import Sweep
+from synth.analysis.specification import digits
+from synth.controller.controller import Controller
+from synth.controller.report import against, failures_as_it_runs, judged_lines, notes_as_it_runs
+from synth.vehicle.designer import Designer
+from synth.vehicle.paper import BOX, PRINTED, SEED, entry_of, ours, remark_4, remark_5
 
 OWN_HEADINGS = ("controller", "signal", "unit", "fundamental", "at [Hz]", "energy outside", "at, in Hz")
 FREQUENCIES = (0.1, 1.0, 3.0, 10.0, 25.0)  # Hz, from a body's to above a wheel's
@@ -44,7 +46,7 @@ def design_section(scope: Scope) -> Section:
             )
         )
     for one in scope.laws:
-        rows.append((one.name, ", ".join(one.measured).replace("_", " "), *["-"] * 6, f"no linear claim: {what_law(one)}"))
+        rows.append((one.name, ", ".join(one.measured).replace("_", " "), *["-"] * 6, f"no linear claim: {one.kind}"))
     headings = (
         "controller",
         "measures",
@@ -63,7 +65,7 @@ def design_section(scope: Scope) -> Section:
         "its lower bound.",
     )
     if scope.laws:
-        laws = "; ".join(f"{one.name}: {law_text(one)}" for one in scope.laws)
+        laws = "; ".join(f"{one.name}: {one.text}" for one in scope.laws)
         text = (
             *text,
             f"What {scope.kind_of_laws} asks for is {_known(scope)}, so that nothing is proved of it, and its columns are empty. "
@@ -262,3 +264,66 @@ def _fundamentals(own: Sequence[DescribingFunction]) -> Iterator[tuple[str, ...]
             largest, outside = f"{signal.largest:.4g}", percent(signal.outside)
             at = f"{signal.largest_at:.3g}", f"{signal.outside_at:.3g}"
             yield one.controller.name, signal.name.replace("_", " "), f"{signal.unit} per m/s", largest, at[0], outside, at[1]
+
+
+def paper_section(scope: Scope) -> Section:
+    """Does it reproduce the paper?"""
+    found = ours(scope.designer)
+    rows = []
+    for row in PRINTED:
+        entry = f"[{row.entry[0] + 1}, {row.entry[1] + 1}]" if row.entry is not None else ""
+        digits = max(0, -math.floor(math.log10(row.digit)))
+        mine = entry_of(found[row.quantity], row.entry)
+        same = round(mine / row.digit) == round(row.value / row.digit)
+        rows.append(
+            (
+                row.equation,
+                f"{row.quantity}{entry}",
+                "same" if same else row.reason,
+                f"{row.value:.{digits}f}",
+                f"{mine:.{digits + 2}f}",
+            )
+        )
+    text = ("Every number that the paper prints of its designs, and ours from scratch, to two digits more.",)
+    headings = ("equation", "quantity", "to the digits printed", "paper", "ours")
+    tables = [
+        Table("paper", "The paper's printed numbers beside ours.", headings, tuple(rows), words=3),
+        without_l(scope.designer),
+    ]
+    if not scope.quick:
+        scope.progress("a genetic algorithm")
+        tables.append(other_ways(scope.designer))
+    return Section("Does it reproduce the paper?", "every printed number, and ours", text, tuple(tables))
+
+
+def without_l(designer: Designer) -> Table:
+    """Remark 4: what becomes of L = 0."""
+    rows = [
+        (
+            f"{one.controller}, states {one.states}",
+            "none" if one.gain is None else gain_text(one.gain),
+            "none" if one.bound is None else f"{one.bound:.5g}",
+            f"{one.best:.5g}",
+        )
+        for one in remark_4(designer)
+    ]
+    caption = (
+        "Remark 4: controllers by (25) with L = 0, in one step. With the states (30) there are none. With the car's absolute "
+        "motion as states, as in [33], and the road's height as w, (25) has a solution for I, whose gain grows without bound as "
+        "the optimum is approached, and none for II."
+    )
+    return Table("without-l", caption, ("controller", "gain", "bound", "state feedback"), tuple(rows))
+
+
+def other_ways(designer: Designer) -> Table:
+    """Remark 5: the two steps beside a genetic algorithm."""
+    rows = [
+        (f"{one.controller}, {one.how}", one.work, gain_text(one.gain), f"{one.norm:.6f}", f"{one.seconds:.2f}")
+        for one in remark_5(designer)
+    ]
+    caption = (
+        "Remark 5: the two steps beside a genetic algorithm (differential evolution on the norm itself, every entry of the gain "
+        f"from {-BOX:g} to {BOX:g}, seed {SEED}). The times are of one run on the machine that made this page."
+    )
+    headings = ("controller", "work", "gain", "norm", "processor time [s]")
+    return Table("other-ways", caption, headings, tuple(rows), words=2)

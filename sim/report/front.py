@@ -6,27 +6,26 @@ import numpy as np
 
 from models.common.errors import InputError
 from models.figures.page import Section, Table
+from models.roads.road import RoadInput
 from models.roads.sinusoids import sinusoid
-from models.vehicle import Vehicle
-from sim.frequency.extremes import SETTLED, whole_periods
-from sim.frequency.gain import settled_gain
-from sim.frequency.identification import ideal_measurements
+from models.vehicle.vehicle import Vehicle
 from sim.physics.simulate import simulate
 from sim.report.scope import AMPLITUDE, Scope
 from sim.response.response import Response
 from sim.runs.run import sample_times
-from synth.certificate.gain import largest_singular_values, transfer_matrix
-from synth.controller import Controller
-from synth.designs.goal_problem import weighing
-from synth.errors import DesignError
-from synth.front.answer import others_of, usual
-from synth.front.axes import Axis, axes_of
-from synth.front.figure import front_figure
-from synth.front.front import DESIGNS, Front, entry_of, front
-from synth.front.trace import rays_of
-from synth.front.words import sentences
-from synth.implemented.loop import sampled_radius
-from synth.words import judged_lines
+from sim.studies.frequency.identification import ideal_measurements, settled_gain
+from sim.studies.frequency.worst_case_gain import SETTLED, whole_periods
+from synth.analysis.norm import largest_singular_values, transfer_matrix
+from synth.command.trade_off import others_of, usual
+from synth.controller.controller import Controller
+from synth.controller.open_loop import LoopModel
+from synth.controller.report import judged_lines
+from synth.plant.numerics import DesignError
+from synth.vehicle.multi_objective import weighing
+from synth.vehicle.trade_off.axes import Axis, axes_of
+from synth.vehicle.trade_off.continuation import rays_of
+from synth.vehicle.trade_off.front import DESIGNS, Front, entry_of, front
+from synth.vehicle.trade_off.report import front_figure, sentences
 
 SLOW = np.geomspace(1e-3, 1.0, 400)  # rad/s: where a norm that belongs to a standing road is looked for on a sinusoid
 TURN = 0.005  # rad of the sinusoid in a step
@@ -45,12 +44,12 @@ def check_front(vehicle: Vehicle, asked: str) -> None:
     entry_of(vehicle, usual(vehicle))
 
 
-def front_section(scope: Scope, asked: str) -> Section:
+def front_section(scope: Scope) -> Section:
     """The front of the usual controller; where there is none, why."""
-    vehicle, name = scope.vehicle, usual(scope.vehicle)
+    vehicle, name, asked = scope.vehicle, usual(scope.vehicle), scope.front
+    assert asked is not None, "a front was asked for"
     axes = axes_of(vehicle, asked)
     total = rays_of(len(axes), DESIGNS)
-    scope.progress("trade-off")
     try:
         found = front(vehicle, name, axes, others_of(vehicle), DESIGNS, lambda done: scope.progress(f"{done} of {total} designs"))
     except DesignError as error:
@@ -94,7 +93,7 @@ def measure(scope: Scope, found: Front, i: int, axis: Axis, turn: float = TURN) 
     if not np.isfinite(omega):
         return math.nan
     step = scope.timestep / math.ceil(omega * scope.timestep / turn)
-    radius = sampled_radius(vehicle, controller, step)
+    radius = LoopModel(vehicle, controller, step).radius
     if not radius < 1:
         return math.nan
     periods, count = whole_periods(omega, step)
@@ -103,7 +102,9 @@ def measure(scope: Scope, found: Front, i: int, axis: Axis, turn: float = TURN) 
         time = sample_times(vehicle, step * math.log(SETTLED) / math.log(radius) + step * count, step)
     except InputError:  # it takes too many samples
         return math.nan
-    response = simulate([vehicle], [controller], [sinusoid(omega, 12.5).scaled(AMPLITUDE / 2)], time, threads=0).response.run(0)
+    response = simulate(
+        [controller], [RoadInput(vehicle, sinusoid(omega, 12.5).scaled(AMPLITUDE / 2), time)], threads=0
+    ).response.run(0)
     last = Response(time[-count:], response.signals, response.values[-count:])
     return settled_gain(vehicle, last, omega)
 

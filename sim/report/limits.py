@@ -2,28 +2,29 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from models.common.numbers import percent
+from models.common.printed import percent
+from models.figures.figure import Figure
 from models.figures.page import Section, Table
-from models.reality import Implementation
 from models.roads.road import Bump
-from sim.frequency.identification import ideal_measurements
-from sim.report.answer import Finding, unclaimed_words
+from models.vehicle.limits_and_implementation import Implementation
+from sim.report.headline import Finding, unclaimed_words
 from sim.report.regime_end import RegimeEnd
 from sim.report.scope import BUMP_DURATION, Scope, number
 from sim.response.regime import END_NAMES
 from sim.runs.run import Run, sample_times
-from sim.stability.figure import margins_figure
-from sim.stability.fragile import find_fragility
-from sim.stability.margins import find_all, searches
-from sim.stability.robustness import robustness, varied_text
-from sim.validity.cells import validity
-from sim.validity.figure import envelope_figure
-from sim.validity.grid import grid, read_axes
-from synth.controller import Controller
+from sim.studies.frequency.identification import ideal_measurements
+from sim.studies.stability.figure import margins_figure
+from sim.studies.stability.fragility import find_fragility
+from sim.studies.stability.margin_search import find_all, searches
+from sim.studies.stability.robustness import robustness, varied_text
+from sim.studies.validity.grid import grid, read_axes
+from sim.studies.validity.regime_map import validity
+from sim.studies.validity.report import envelope_figure
+from synth.controller.controller import Controller
 
 MAP = ("height:0.02:0.3:20", "speed:3:30:20")
 THRESHOLD = 0.05  # of a peak, where linear analysis is said to hold
@@ -33,7 +34,6 @@ def margins_section(scope: Scope) -> tuple[Section, list[Finding]]:
     """What the loops bear, predicted and found; and the controllers of which physics says something else."""
     rows, figures, robust, found = [], [], [], []
     vehicle = replace(scope.vehicle, implementation=Implementation())
-    scope.progress("margins")
     actuators = range(len(vehicle.linear_model.inputs))
     timestep = scope.margins_timestep
     loops = [searches(vehicle, one, actuators, timestep) for one in scope.active]
@@ -82,8 +82,9 @@ def margins_section(scope: Scope) -> tuple[Section, list[Finding]]:
     )
     text = (
         "How much more gain, phase lag, delay or sample period the loop bears, all its actuators at once: predicted from the "
-        f"loop transfer function, found in MuJoCo by bisection on growth and decay at {1e3 * timestep:g} ms. Other vehicles, "
-        f"with the ideal loop: {varied_text(vehicle.kind)}.",
+        f"loop transfer function, and confirmed in MuJoCo at {1e3 * timestep:g} ms, which decays on one side of that and grows "
+        "on the other; where it does not, bisection finds where decay ends. Other vehicles, with the ideal loop: "
+        f"{varied_text(vehicle.kind)}.",
     )
     if not scope.plain:
         about = f"without [implementation]{scope.lag}: what is asked is how much of a delay or sample period it would bear"
@@ -132,31 +133,37 @@ def regime_section(scope: Scope, bump: Bump, ends: Sequence[tuple[Controller, Re
     return Section("How high may a bump be?", "where the linear regime ends", text, (table,))
 
 
-def validity_section(scope: Scope, bump: Bump) -> tuple[Section, list[Finding]]:
+@dataclass(frozen=True, eq=False)
+class Map:
+    """The map of validity of one controller: its figure, its row of the table, and what is wrong with it, if anything is."""
+
+    figure: Figure
+    row: tuple[str, ...]
+    findings: tuple[Finding, ...]
+
+
+def map_of(scope: Scope, number: int) -> Map:
+    """Runs bumps of the paper's length, of every height and speed of `MAP`, with one of the active controllers."""
+    one, bump, timestep, vehicle = scope.active[number], Bump(), scope.map_timestep, ideal_measurements(scope.vehicle)
+    axes, fixed = read_axes(MAP), {"height": bump.height, "length": bump.length, "speed": bump.speed}
+    cells = validity(vehicle, one, grid(axes, fixed), sample_times(vehicle, BUMP_DURATION, timestep))
+    figure = envelope_figure(vehicle, one, cells, axes, {"length": bump.length}, THRESHOLD)
+    shares = [np.mean(cells.first == end) for end in (-1, *range(len(END_NAMES)))]
+    row = (
+        one.name,
+        f"{100 * np.mean(cells.error <= THRESHOLD):.1f} %",
+        *(f"{100 * share:.1f} %" for share in shares),
+        f"{100 * cells.agreement:.2f} %",
+        f"{cells.unexplained}",
+    )
+    text = f"MuJoCo DOES NOT break as predicted in {percent(1 - cells.agreement)} of {one.name}'s map."
+    findings = () if cells.as_predicted else (Finding(text, "fails"),)
+    return Map(replace(figure, name=f"map-{one.name}", title=f"{figure.title}{scope.without}"), row, findings)
+
+
+def validity_section(scope: Scope, maps: Sequence[Map]) -> tuple[Section, list[Finding]]:
     """The map of every controller; and the controllers whose runs break otherwise than predicted."""
-    axes, timestep, vehicle = read_axes(MAP), scope.map_timestep, ideal_measurements(scope.vehicle)
-    fixed = {"height": bump.height, "length": bump.length, "speed": bump.speed}
-    time = sample_times(vehicle, BUMP_DURATION, timestep)
-    figures, rows, found = [], [], []
-    scope.progress("map")
-    for one in scope.active:
-        scope.progress(f"of {one.name}")
-        cells = validity(vehicle, one, grid(axes, fixed), time)
-        figure = envelope_figure(vehicle, one, cells, axes, {"length": bump.length}, THRESHOLD)
-        figures.append(replace(figure, name=f"map-{one.name}", title=f"{figure.title}{scope.without}"))
-        shares = [np.mean(cells.first == end) for end in (-1, *range(len(END_NAMES)))]
-        rows.append(
-            (
-                one.name,
-                f"{100 * np.mean(cells.error <= THRESHOLD):.1f} %",
-                *(f"{100 * share:.1f} %" for share in shares),
-                f"{100 * cells.agreement:.2f} %",
-                f"{cells.unexplained}",
-            )
-        )
-        if not cells.as_predicted:
-            text = f"MuJoCo DOES NOT break as predicted in {percent(1 - cells.agreement)} of {one.name}'s map."
-            found.append(Finding(text, "fails"))
+    axes, bump = read_axes(MAP), Bump()
     headings = (
         "controller",
         "linear analysis holds",
@@ -167,12 +174,19 @@ def validity_section(scope: Scope, bump: Bump) -> tuple[Section, list[Finding]]:
     )
     text = (
         f"Bumps of {bump.length:g} m length, {len(axes[0].values)} heights by {len(axes[1].values)} speeds, each run in MuJoCo "
-        f"at {1e3 * timestep:g} ms{scope.without}: what breaks first, and where the linear prediction is off by more than "
-        f"{100 * THRESHOLD:g} % of a peak.",
+        f"at {1e3 * scope.map_timestep:g} ms{scope.without}: what breaks first, and where the linear prediction is off by more "
+        f"than {100 * THRESHOLD:g} % of a peak.",
     )
-    table = Table("validity", "Shares of every controller's map, and how much of it is as predicted.", headings, tuple(rows))
+    table = Table(
+        "validity",
+        "Shares of every controller's map, and how much of it is as predicted.",
+        headings,
+        tuple(one.row for one in maps),
+    )
     title = "How far can the analysis be trusted?"
-    return Section(title, "the map of validity, over heights and speeds", text, (table,), tuple(figures)), found
+    figures = tuple(one.figure for one in maps)
+    section = Section(title, "the map of validity, over heights and speeds", text, (table,), figures)
+    return section, [finding for one in maps for finding in one.findings]
 
 
 def _margin(value: float) -> str:

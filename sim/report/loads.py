@@ -7,19 +7,20 @@ import numpy as np
 
 from models.figures.figure import Curve, Figure, Panel, thinned
 from models.figures.page import Section, Table
-from models.loads.load import Load
-from models.roads.loaded import PLUS, Loaded
+from models.roads.load import Load
+from models.roads.loaded import Loaded
 from models.roads.obstacles import Flat
-from sim.acting.loads import pushed
-from sim.frequency.eusama import DISPUTED
-from sim.frequency.sweep import Sweep
-from sim.linear.at_rest import at_rest_words
-from sim.report.answer import Finding
+from models.vehicle.names import PLUS
+from sim.linear.nonlinear_elements import at_rest_words
+from sim.report.headline import Finding
 from sim.report.scope import Scope, joined, number
-from sim.ride.attitude import DEGREES, angles_of
-from sim.ride.measured import measure_run
+from sim.runs.forces import pushed
+from sim.runs.report import verdict_lines
 from sim.runs.run import Run, run_all, sample_times
-from sim.runs.words import verdict_lines
+from sim.studies.frequency.eusama import DISPUTED
+from sim.studies.frequency.sweep import Sweep
+from sim.studies.ride.metrics import DEGREES, angles_of
+from sim.studies.ride.run_metrics import measure_run
 
 DURATION = 5.0  # s; longer where the loads come later
 AFTER = 2.0  # s that are looked at after the last load has come
@@ -39,10 +40,10 @@ def duration_of(loads: Sequence[Load]) -> float:
     return min(max(DURATION, math.ceil(last + AFTER)), LONGEST)
 
 
-def loads_section(scope: Scope, loads: Sequence[Load]) -> tuple[Section, list[Finding]]:
+def loads_section(scope: Scope) -> tuple[Section, list[Finding]]:
     """What loads do on a flat road: how they come, how the body leans, and where it rests; and where physics says otherwise."""
-    vehicle, road = scope.vehicle, loaded_road(loads)
-    scope.progress("loads")
+    vehicle, loads = scope.vehicle, scope.loads
+    road = loaded_road(loads)
     time = sample_times(vehicle, duration_of(loads), scope.timestep)
     runs = run_all(vehicle, [*scope.stable, *scope.laws], road, time)
     angles = angles_of(vehicle)

@@ -13,16 +13,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from models.common.arrays import Array
-from models.roads.road import LIMITS, Bump
-from models.vehicle import Vehicle
-from sim.linear.curved import is_curved
+from models.roads.road import LIMITS, Bump, RoadInput
+from models.vehicle.vehicle import Vehicle
 from sim.linear.dampers import is_linear
-from sim.linear.loop import sampled_response
-from sim.linear.switched import switched_response
+from sim.linear.nonlinear_elements import is_curved
+from sim.linear.sampled_response import sampled_response
+from sim.linear.switched_response import switched_response
 from sim.response.regime import DAMPER, END_NAMES, REGIME_ENDS, utilisation
 from sim.runs.run import run_all
-from sim.validity.cells import validity
-from synth.controller import Controller
+from sim.studies.validity.regime_map import validity
+from synth.controller.controller import Controller
+from synth.controller.open_loop import LoopModel
 
 # Factors on the predicted height, either way, within which the end is looked for: the first is how closely it is to be known,
 # the second what a turning body makes of it, the third more than any vehicle should need.
@@ -68,8 +69,11 @@ def regime_end(vehicle: Vehicle, controller: Controller, bump: Bump, time: Array
         time: equidistant sample times from 0 [s].
     """
     metre, short = replace(bump, height=1.0), not is_linear(vehicle, controller)
-    alone = switched_response if short else sampled_response
-    used = utilisation(vehicle, alone(vehicle.straight, controller, metre, time))
+    met = RoadInput(vehicle.straight, metre, time)
+    alone = (
+        switched_response(controller, met) if short else sampled_response(LoopModel(met.vehicle, controller, met.timestep), met)
+    )
+    used = utilisation(vehicle, alone)
     if short:
         used[REGIME_ENDS.index(DAMPER)] = 0.0
     if used.max() * LIMITS["height"][1] < REACHES[-1]:

@@ -6,22 +6,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from models.damping.laws import SemiActive
 from models.figures.figure import Curve, Dash, Figure, Panel
 from models.figures.page import Section, Table
-from models.own.python_law import Programmed
 from models.roads.iri import roughness_of
 from models.roads.iso8608 import Iso8608, long_enough
-from models.roads.road import track_width
-from models.vehicle import Vehicle
-from sim.linear.curved import is_curved
+from models.roads.road import RoadInput, track_width
+from models.vehicle.vehicle import Vehicle
+from sim.linear.nonlinear_elements import is_curved
 from sim.physics.simulate import simulate
 from sim.report.scope import joined, number
 from sim.response.regime import FLAT, REGIME_ENDS, reached
-from sim.ride.expected import expect, settling_time
-from sim.ride.metrics import dynamic_load, measure, off_ground, points
 from sim.runs.run import sample_times
-from synth.controller import Controller
+from sim.studies.ride.expected import expect, settling_time
+from sim.studies.ride.metrics import Meter, dynamic_load, off_ground, points
+from synth.controller.controller import Controller, Driver
 
 CLASSES, SPEED, SEEDS = "ABCD", 20.0, (0, 1, 2, 3)  # speed in m/s
 WINDOW = 10.0  # s, in which is measured, once the loop has forgotten that it began from rest
@@ -135,12 +133,12 @@ def ride_text(vehicle: Vehicle) -> str:
     )
 
 
-def rides_of(vehicle: Vehicle, controllers: Sequence[Controller | Programmed | SemiActive], timestep: float) -> list[Ride]:
+def rides_of(vehicle: Vehicle, controllers: Sequence[Driver], timestep: float) -> list[Ride]:
     """Drives every controller over every class."""
     return [ride for one in controllers for ride in _rides(vehicle, one, timestep)]
 
 
-def _rides(vehicle: Vehicle, controller: Controller | Programmed | SemiActive, timestep: float) -> Iterator[Ride]:
+def _rides(vehicle: Vehicle, controller: Driver, timestep: float) -> Iterator[Ride]:
     linear = isinstance(controller, Controller)
     start = min(settling_time(vehicle, controller), LONGEST) if linear else LONGEST  # how long a law in Python takes is not known
     time = sample_times(vehicle, start + WINDOW, timestep)
@@ -148,10 +146,13 @@ def _rides(vehicle: Vehicle, controller: Controller | Programmed | SemiActive, t
     length, width = long_enough(SPEED * float(time[-1])), track_width(vehicle)
     roads = [Iso8608(name, seed, SPEED, width, length) for name in CLASSES for seed in SEEDS]
     count = len(roads)
-    physics = simulate([vehicle] * count, [controller] * count, roads, time, threads=0)
+    physics = simulate([controller] * count, [RoadInput(vehicle, road, time) for road in roads], threads=0)
     response = physics.response
     ended = np.minimum(physics.diverged, reached(vehicle, response)[:, REGIME_ENDS.index(FLAT)])
-    measured = [measure(vehicle, response.run(i), first) for i in range(count)]
+    meter = Meter([vehicle] * count, float(time[1]), first)
+    meter.update(np.moveaxis(response.values, 0, 2))
+    found = meter.result()
+    measured = [{name: float(values[i]) for name, values in found.items()} for i in range(count)]
     ideal = replace(vehicle, implementation=vehicle.implementation.clear)
 
     where = points(vehicle)

@@ -5,22 +5,19 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
-from models.damping.laws import SemiActive
 from models.figures.figure import Dash, styles
-from models.loads.load import Load
-from models.own.python_law import Programmed
-from models.reality import Limits, steps_per_sample
-from models.vehicle import Vehicle
-from sim.frequency.identification import check
-from sim.linear.curved import is_curved
-from sim.linear.dampers import is_linear
+from models.roads.load import Load
+from models.vehicle.limits_and_implementation import Limits, steps_per_sample
+from models.vehicle.vehicle import Vehicle
+from sim.linear.nonlinear_elements import is_curved
 from sim.runs.run import sample_times
-from sim.stability.growth import TIMESTEP
-from synth.controller import Controller
-from synth.designer import Designer
-from synth.implemented.loop import sampled_radius
-from synth.implemented.norm import norm_as_implemented
-from synth.sampled.norm import SampledNorm
+from sim.studies.frequency.identification import check
+from sim.studies.stability import TIMESTEP
+from synth.analysis.specification import SampledNorm
+from synth.controller.controller import Controller, Driver
+from synth.controller.implementation_norm import norm_as_implemented
+from synth.controller.open_loop import LoopModel
+from synth.vehicle.designer import Designer
 
 BUMP_DURATION = 3.0  # s
 AMPLITUDE = 1e-4  # m, of the roads that frequency responses are identified on
@@ -51,28 +48,24 @@ class Scope:
     timestep: float
     quick: bool
     progress: Callable[[str], None]
-    laws: tuple[Programmed | SemiActive, ...] = ()
+    laws: tuple[Driver, ...] = ()
     front: str | None = None
     loads: tuple[Load, ...] = ()
 
     @property
-    def driven(self) -> tuple[Controller | Programmed | SemiActive, ...]:
+    def driven(self) -> tuple[Driver, ...]:
         """All that MuJoCo runs."""
         return (*self.controllers, *self.laws)
 
-    def unstable(self, controller: Controller | Programmed | SemiActive) -> bool:
+    def unstable(self, controller: Driver) -> bool:
         """Whether a loop is known not to be stable, ideal or as built."""
         return isinstance(controller, Controller) and controller not in self.stable
 
     @property
     def kind_of_laws(self) -> str:
         """What those are of which linear analysis does not speak, in words for one of them."""
-        kinds = {what_law(one): None for one in self.laws}
+        kinds = {one.kind: None for one in self.laws}
         return " or ".join(kinds)
-
-    def short(self, controller: Controller | Programmed | SemiActive) -> bool:
-        """Whether it asks adjustable dampers for forces, which they cannot always give."""
-        return not isinstance(controller, Controller) or not is_linear(self.vehicle, controller)
 
     @property
     def given(self) -> str:
@@ -149,7 +142,7 @@ class Scope:
         return [
             one
             for one in self.controllers
-            if (one.certificate.stable or not self.prompt) and sampled_radius(self.vehicle, one, self.timestep) < 1
+            if (one.certificate.stable or not self.prompt) and LoopModel(self.vehicle, one, self.timestep).radius < 1
         ]
 
     @cached_property
@@ -185,11 +178,6 @@ class Scope:
         except ValueError:
             return self.timestep
         return twice
-
-
-def what_law(controller: Controller | Programmed | SemiActive) -> str:
-    """What a law is of which linear analysis does not speak."""
-    return "a semi-active law" if isinstance(controller, SemiActive) else "a law in Python"
 
 
 def check_scope(vehicle: Vehicle, timestep: float) -> None:

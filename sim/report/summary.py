@@ -7,12 +7,12 @@ import numpy as np
 
 from models.figures.figure import Bars, Curve, Figure, Panel
 from models.figures.page import Section, Table
-from sim.report.answer import unclaimed
+from sim.report.headline import unclaimed
 from sim.report.regime_end import RegimeEnd
 from sim.report.ride import SPEED, Ride
 from sim.report.scope import Scope, number, percents
 from sim.runs.run import Run
-from synth.controller import Controller
+from synth.controller.controller import Controller
 
 CLASS = "C"  # of the roads that the summary compares rides on: an average one
 NO_CLAIM = "no linear claim"

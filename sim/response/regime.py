@@ -2,16 +2,18 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from models.common.arrays import Array
-from models.curves.curve import LEAVES
-from models.curves.fitted import Fitted
-from models.curves.reading import DEFLECTION
-from models.kind import MOST_SQUEEZE
-from models.vehicle import Vehicle
+from models.kinds.kind import MOST_SQUEEZE
+from models.suspension import LEAVES
+from models.vehicle.vehicle import Vehicle
 from sim.response.response import Response
+
+if TYPE_CHECKING:
+    from models.suspension.fitted_curves import Fitted
 
 AT = 1 - 1e-12  # of a threshold: a force at its limit is equal to it, to rounding
 # m; the stiffest tyre, squeezed nearly flat, flings a hub 1 mm off its way within 1 ms. A reading that is through a hub, and yet
@@ -93,9 +95,9 @@ def _at_the_stops(vehicle: Vehicle) -> list[Threshold]:
     return [Threshold(name, sign, one.stroke) for name, both in found for sign, one in ((-1.0, both.bump), (1.0, both.rebound))]
 
 
-def over(vehicle: Vehicle, one: Fitted) -> str:
+def over(vehicle: Vehicle, one: "Fitted") -> str:
     """The signal that a curve's force is over."""
-    if one.over is DEFLECTION:
+    if not one.damps:
         return one.deflection
     return next(suspension.velocity.name for suspension in vehicle.kind.suspensions if suspension.deflection == one.deflection)
 
@@ -208,10 +210,12 @@ class EndDetector:
         self.road = {names.index(tyre): names.index(road) for tyre, road in roads.items()}
         self.hubs: dict[int, Array] = {}  # at the last two samples, by tyre [m], shape (2, N)
         # (end, threshold of the first run, its signal, the value of every run)
+        once = {id(vehicle): vehicle for vehicle in vehicles}  # most are of one vehicle
+        thresholds = {key: [kind.thresholds(vehicle) for kind in REGIME_ENDS] for key, vehicle in once.items()}
         self.limits = [
             (end, limits[0], names.index(limits[0].signal), AT * np.array([limit.value for limit in limits]))
-            for end, kind in enumerate(REGIME_ENDS)
-            for limits in zip(*(kind.thresholds(vehicle) for vehicle in vehicles), strict=True)
+            for end in range(len(REGIME_ENDS))
+            for limits in zip(*(thresholds[id(vehicle)][end] for vehicle in vehicles), strict=True)
         ]
 
     @property

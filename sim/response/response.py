@@ -1,13 +1,21 @@
-"""A response: named signals over time, for one run or many. The linear analysis and the physics both make this."""
+"""A response: named signals over time, for one run or many; the linear analysis and the physics both make it, and they differ."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import listing
-from models.signals import Signal
+from models.kinds.signals import Signal
+from models.vehicle.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    import control
+    import pandas as pd
+
 
 SILENT = 1e-3
 
@@ -34,7 +42,7 @@ class Response:
         if self.values.shape[-2:] != expected:
             raise ValueError(f"values end in shape {self.values.shape[-2:]}; time and signals say {expected}")
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the signals."""
         return tuple(signal.name for signal in self.signals)
@@ -77,7 +85,12 @@ class Response:
 
     def peak(self, signal: str) -> Array:
         """Largest magnitude of a signal, shape (...,), NaN where a run broke off (see `sim.physics.simulate`)."""
-        return np.max(np.abs(self[signal]), axis=-1)
+        return self._peaks[..., self.names.index(signal)]
+
+    @cached_property
+    def _peaks(self) -> Array:
+        """The same of every signal, shape (..., S): each is asked for as often as there are signals of its unit."""
+        return np.maximum(np.abs(self.values.max(axis=-2)), np.abs(self.values.min(axis=-2)))
 
     def scale(self, signal: str) -> float:
         """What a single run's differences in a signal are measured against: its peak.
@@ -92,3 +105,62 @@ class Response:
     def rms(self, signal: str) -> Array:
         """Root mean square of a signal over the whole response, shape (...,)."""
         return np.sqrt(np.mean(self[signal] ** 2, axis=-1))
+
+    def to_pandas(self) -> "pd.DataFrame":
+        """One run as a DataFrame: a column per signal, the time [s] as index, units in `attrs["units"]`.
+
+        Raises:
+            ValueError: the response holds several runs; take one with `run`.
+        """
+        import pandas as pd
+
+        self._check_single()
+        frame = pd.DataFrame(self.values, index=pd.Index(self.time, name="time"), columns=list(self.names))
+        frame.attrs["units"] = {signal.name: signal.unit for signal in self.signals}
+        return frame
+
+    def to_control(self, vehicle: Vehicle) -> "control.TimeResponseData":
+        """One run as python-control's responses are: the outputs of its vehicle over its road, by name.
+
+        Raises:
+            ValueError: the response holds several runs; take one with `run`.
+        """
+        import control
+
+        self._check_single()
+        outputs = vehicle.linear_model.outputs
+        roads = tuple(wheel.road_velocity for wheel in vehicle.kind.wheels)
+        return control.TimeResponseData(
+            self.time,
+            np.stack([self[name] for name in outputs]),
+            inputs=np.stack([self[name] for name in roads]),
+            output_labels=list(outputs),
+            input_labels=list(roads),
+            issiso=False,
+        )
+
+    def _check_single(self) -> None:
+        if self.values.ndim != 2:
+            raise ValueError(f"the response holds runs of shape {self.values.shape[:-2]}; take one, as in response.run(0)")
+
+
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")  # an unstable loop overflows
+def difference(physics: Response, sampled: Response) -> Response:
+    """The difference of two responses over the sampled one's peak, without a unit: what the verdict takes the largest of.
+
+    Args:
+        physics: a run in MuJoCo.
+        sampled: its exact sampled response, at the same times.
+
+    Returns:
+        The signals that the vehicle makes, by their own names. Those of the road, which both are given, are left out.
+    """
+    made = tuple(signal for signal in sampled.signals if not signal.name.startswith("road_"))
+    columns: list[Array] = []
+    for signal in made:
+        scale = sampled.scale(signal.name) or 1.0  # a vehicle that nothing moves
+        apart = (physics[signal.name] - sampled[signal.name]) / scale
+        columns.append(np.where(np.isnan(apart), np.nan, apart))  # of NaNs machines know several, and logs are compared by bytes
+    about = "MuJoCo minus linear, over the peak"  # a log has these words, and logs that there are have them
+    signals = tuple(replace(s, symbol=f"({s.symbol}) / peak", unit="1", meaning=f"{about}: {s.meaning}") for s in made)
+    return Response(sampled.time, signals, np.stack(columns, axis=-1) if columns else np.zeros((len(sampled.time), 0)))

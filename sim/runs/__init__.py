@@ -1,1 +1,1 @@
-"""One vehicle, one road, one controller: physics beside its predictions, the verdict, and its words."""
+"""One vehicle, one road, one controller: physics beside its predictions, the verdict, what acted, and its words."""

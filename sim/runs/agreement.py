@@ -6,7 +6,7 @@ analysis agree where they differ by no more than that.
 
 A body that pitches and rolls is not linear, and there physics leaves the analysis with the amplitude. Then the same road is
 driven at a hundredth of its height: what is geometry has gone there, in proportion or faster, and what is wrong has not. A
-vehicle that has no such geometry (`sim.physics.geometry`), as a quarter-car, is not excused by it. What the integrator makes of a
+vehicle that has no such geometry (`models.vehicle.mjcf`), as a quarter-car, is not excused by it. What the integrator makes of a
 smaller motion is the same share of it where all is linear but geometry; where curves have knots near rest it may be a larger one,
 and is computed there, too.
 
@@ -19,12 +19,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from models.vehicle import Vehicle
-from sim.linear.rounding import grown, roundings
+from models.vehicle.vehicle import Vehicle
+from sim.linear.sampled_response import grown, roundings
 from sim.response.regime import AT, END_NAMES, FLAT, LIFT_OFF, REGIME_ENDS, reached
 from sim.response.response import Response
 from sim.runs.prediction import Prediction, Smaller
-from synth.controller import Controller
+from synth.controller.controller import Controller
 
 ROUNDING = 1e-9  # of a peak, over thousands of steps
 COARSEST = 1e-2  # of a peak; physics that is further off confirms nothing, even if the integrator has to be
@@ -41,7 +41,7 @@ class SignalAgreement:
         continuous: the same against the continuous closed loop; it contains the effect of holding the force over a step.
         allowed: what the integrator's own error may make of `sampled`, no more than `COARSEST`, with noise and rounding.
         blur: the part of `allowed` that noise and quantisation may make.
-        rounding: the part of `allowed` that is as large over any road; see `sim.linear.rounding`.
+        rounding: the part of `allowed` that is as large over any road; see `sim.linear.sampled_response`.
         scale: what all these are over, in the signal's unit.
         small: what `sampled` is over the same road at `SMALL` of its height; None where there was no need to look.
         allowed_small: what `allowed` is there; None with it.
@@ -115,8 +115,8 @@ def compare(prediction: Prediction, physics: Response) -> Agreement:
     signals = {}
     controller = prediction.controller if isinstance(prediction.controller, Controller) else None
     rounding = roundings(vehicle, controller)
-    if controller is not None and prediction.radius > 1:
-        rounding = grown(rounding, vehicle, controller, prediction.timestep, len(physics.time))
+    if prediction.loop is not None and prediction.radius > 1:
+        rounding = grown(rounding, prediction.loop, len(physics.time))
     for name, rounded in rounding.items():
         scale = _scale(sampled, name)
         blur = float(spread[name][: len(physics.time)].max(initial=0.0)) if spread else 0.0

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from models.common.numbers import percent
-from models.reality import steps_per_sample
-from models.vehicle import Vehicle
+from models.common.printed import percent
+from models.vehicle.limits_and_implementation import steps_per_sample
+from models.vehicle.vehicle import Vehicle
 from sim.linear.dampers import bent_velocities, commands_of, stretching
 from sim.response.regime import MISSED
 from sim.response.response import Response

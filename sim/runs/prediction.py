@@ -1,35 +1,35 @@
-"""What analysis says of one vehicle with one controller over one road, before any physics is run.
+"""What analysis says of one vehicle with one controller over one road: before any physics, and with what physics decided played.
 
 It is linear but for the curves of dampers and springs, where a vehicle has some: `sampled` and `integrated` follow these.
 """
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.damping.laws import SemiActive
-from models.own.python_law import Programmed
-from models.reality import steps_per_sample
-from models.roads.road import Road
-from models.signals import kept_signals
-from models.vehicle import Vehicle
-from sim.linear.blur import most_quantised, noise_rms
-from sim.linear.curved import is_curved
-from sim.linear.dampers import commands_of, damper_signals, stretching
-from sim.linear.deciding import VELOCITY, Decisions, Otherwise
-from sim.linear.forced import forced_continuous_response, forced_response
-from sim.linear.loop import continuous_response, response_of, sampled_response, taylor4
-from sim.linear.switched import Switched, switched
+from models.kinds.signals import kept_signals
+from models.laws.python_law import Programmed
+from models.laws.semi_active import SemiActive
+from models.roads.road import Road, RoadInput
+from models.vehicle.limits_and_implementation import steps_per_sample
+from models.vehicle.mjcf import has_geometry
+from models.vehicle.vehicle import Vehicle
+from sim.linear.nonlinear_elements import is_curved
+from sim.linear.sampled_response import continuous_response, response_of, sampled_response, taylor4
 from sim.response.response import Response
-from synth.controller import Controller
-from synth.implemented.controlled import sampled
-from synth.implemented.loop import sampled_radius
+from synth.controller.controller import Controller, Driver
+from synth.controller.open_loop import LoopModel
+
+if TYPE_CHECKING:
+    from sim.linear.switched_response import Otherwise, Switched
+
 
 SIGMAS = 6.0  # of noise: thousands of samples stay within it
 
@@ -41,9 +41,8 @@ class Prediction:
     Of a law in Python linear analysis says nothing. Its responses are the vehicle's to the forces that it has asked for.
 
     Attributes:
-        vehicle: the vehicle, with the limits and implementation of this run.
+        input: what the vehicle, with the limits and implementation of this run, meets of the road.
         controller: its controller.
-        road: the road.
         sampled: exact response of the sampled loop: linear, but for curves.
         integrated: the same as RK4 makes it.
         continuous: exact linear response of the continuous closed loop.
@@ -52,92 +51,101 @@ class Prediction:
         radius: growth per timestep of the sampled loop: above 1 it is unstable; NaN where it is too large to be asked, or there
             is no linear loop.
         asked: what a law in Python asked for, shape (T, m): forces [N], or of vehicles with adjustable dampers the commands,
-            shape (T, 2 m), see `models.damping.range.Range.commands`; empty of a linear controller, from which they follow.
+            shape (T, 2 m), see `models.suspension.damper_range.Range.commands`; empty of a linear controller, from which they
+            follow.
         otherwise: where physics decided otherwise on adjustable dampers, as rounding had it, and the responses follow it.
         played: whether they follow physics in all that it decided, for what is measured is noisy or a law in Python decides.
+        loop: the linear loop; None if there is none.
     """
 
-    vehicle: Vehicle
-    controller: Controller | Programmed | SemiActive
-    road: Road
+    input: RoadInput
+    controller: Driver
     sampled: Response
     integrated: Response
     continuous: Response
     spread: Mapping[str, Array]
     radius: float
     asked: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    otherwise: tuple[Otherwise, ...] = ()
+    otherwise: "tuple[Otherwise, ...]" = ()
     played: bool = False
+    loop: LoopModel | None = None
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """The vehicle, with the limits and implementation of this run."""
+        return self.input.vehicle
+
+    @property
+    def road(self) -> Road:
+        """The road."""
+        return self.input.road
 
     @property
     def time(self) -> Array:
         """Equidistant sample times from 0 [s], shape (T,)."""
-        return self.sampled.time
+        return self.input.time
 
     @property
     def timestep(self) -> float:
         """Of the run [s]."""
-        return float(self.time[1])
+        return self.input.timestep
 
 
-def predict(vehicle: Vehicle, controller: Controller, road: Road, time: Array, most_states: float = math.inf) -> Prediction:
+def predict(loop: LoopModel, road: RoadInput, most_states: float = math.inf) -> Prediction:
     """The prediction of one run, from rest.
 
     Args:
-        vehicle: the vehicle.
-        controller: its controller.
-        road: the road.
-        time: equidistant sample times from 0 [s], shape (T,).
+        loop: of the vehicle and its controller, at the timestep of the road's samples.
+        road: what the vehicle meets.
         most_states: of a loop, its delayed forces among them, of which eigenvalues are still taken.
 
     Raises:
         InputError: noise or quantisation goes through a larger loop than that, and its spread is not known.
     """
-    timestep = float(time[1] - time[0])
-    cut = sampled(vehicle, controller, timestep)
+    vehicle, cut = loop.vehicle, loop.open_loop
     small = len(cut.model.A) + vehicle.implementation.waiting * cut.forces <= most_states
     noisy = vehicle.implementation.blurred
     if noisy and not small:
         raise InputError(f"the spread of its {vehicle.implementation.blur} is not computed: its loop has too many delayed forces")
     return Prediction(
-        vehicle=vehicle,
-        controller=controller,
-        road=road,
-        sampled=sampled_response(vehicle, controller, road, time),
-        integrated=sampled_response(vehicle, controller, road, time, exponential=taylor4),
-        continuous=continuous_response(vehicle, controller, road, time),
-        spread=_spread(vehicle, controller, timestep, len(time)) if noisy else {},
-        radius=sampled_radius(vehicle, controller, timestep) if small else math.nan,
+        input=road,
+        controller=loop.controller,
+        sampled=sampled_response(loop, road),
+        integrated=sampled_response(loop, road, exponential=taylor4),
+        continuous=continuous_response(loop, road),
+        spread=_spread(loop, len(road.time)) if noisy else {},
+        radius=loop.radius if small else math.nan,
+        loop=loop,
     )
 
 
-def _spread(vehicle: Vehicle, controller: Controller, timestep: float, samples: int) -> dict[str, Array]:
+def _spread(loop: LoopModel, samples: int) -> dict[str, Array]:
     """What blurs the measurements, as it moves each output signal; empty where it is of nothing that is measured."""
-    how = vehicle.implementation
-    if not {*how.noise, *how.quantisation} & {*controller.measured}:
+    how = loop.vehicle.implementation
+    if not {*how.noise, *how.quantisation} & {*loop.controller.measured}:
         return {}
-    arguments = vehicle, controller, timestep, samples
-    far = SIGMAS * noise_rms(*arguments) + most_quantised(*arguments)
-    return dict(zip(vehicle.linear_model.outputs, far.T, strict=True))
+    from sim.linear.measurement_noise import most_quantised, noise_rms
+
+    far = SIGMAS * noise_rms(loop, samples) + most_quantised(loop, samples)
+    return dict(zip(loop.vehicle.linear_model.outputs, far.T, strict=True))
 
 
-def predict_forced(vehicle: Vehicle, controller: Programmed, road: Road, time: Array, asked: Array) -> Prediction:
+def predict_forced(controller: Programmed, road: RoadInput, asked: Array) -> Prediction:
     """What linear analysis makes of the forces that a law in Python has asked for in a run from rest.
 
     Args:
-        vehicle: the vehicle.
         controller: its controller.
-        road: the road.
-        time: equidistant sample times from 0 [s], shape (T,).
+        road: what the vehicle meets.
         asked: the forces at those [N], shape (T, m).
     """
+    from sim.linear.forced_response import forced_continuous_response, forced_response
+
     return Prediction(
-        vehicle=vehicle,
+        input=road,
         controller=controller,
-        road=road,
-        sampled=forced_response(vehicle, asked, road, time),
-        integrated=forced_response(vehicle, asked, road, time, taylor4),
-        continuous=forced_continuous_response(vehicle, asked, road, time),
+        sampled=forced_response(asked, road),
+        integrated=forced_response(asked, road, taylor4),
+        continuous=forced_continuous_response(asked, road),
         spread={},
         radius=math.nan,
         asked=asked,
@@ -159,24 +167,24 @@ class Smaller:
 
 def smaller(prediction: Prediction, share: float) -> Smaller:
     """What is predicted over a share of the road's height, and under the same share of the forces of a law in Python."""
-    whole, vehicle, controller = prediction.sampled, prediction.vehicle, prediction.controller
-    if not is_curved(vehicle):
+    whole, loop = prediction.sampled, prediction.loop
+    if not is_curved(prediction.vehicle):
         return Smaller(Response(whole.time, whole.signals, share * whole.values), None)
-    road = prediction.road.scaled(share)
+    road = prediction.input.scaled(share)
 
     def response(exponential: Callable[[Array], Array]) -> Response:
-        if isinstance(controller, Controller):
-            return sampled_response(vehicle, controller, road, whole.time, exponential)
-        return forced_response(vehicle, share * prediction.asked, road, whole.time, exponential)
+        if loop is not None:
+            return sampled_response(loop, road, exponential)
+        from sim.linear.forced_response import forced_response
+
+        return forced_response(share * prediction.asked, road, exponential)
 
     return Smaller(response(linalg.expm), response(taylor4))
 
 
 def predict_switched(
-    vehicle: Vehicle,
-    controller: Controller | Programmed | SemiActive,
-    road: Road,
-    time: Array,
+    controller: Driver,
+    road: RoadInput,
     physics: Response,
     near: float,
     asked: Array | None = None,
@@ -186,42 +194,43 @@ def predict_switched(
     Of a law that is not linear there is no continuous loop, and `continuous` is the same response.
 
     Args:
-        vehicle: the vehicle.
         controller: its controller.
-        road: the road.
-        time: equidistant sample times from 0 [s], shape (T,).
+        road: what the vehicle meets.
         physics: what MuJoCo made of it.
         near: how far physics may be from it, of a peak, for a decision to be otherwise for that alone.
         asked: the commands of a law in Python, shape (T, 2 m).
     """
-    linear = controller if isinstance(controller, Controller) else None
+    from sim.linear.dampers import commands_of, damper_signals
+    from sim.linear.switched_response import Decisions, switched
+
+    vehicle, time, h = road.vehicle, road.time, road.timestep
+    linear = LoopModel(vehicle, controller, h) if isinstance(controller, Controller) else None
     played = isinstance(controller, Programmed) or vehicle.implementation.blurred
-    h = float(time[1])
     period = steps_per_sample(vehicle.implementation, h) * h
     made = commands_of(vehicle, physics) if asked is None else asked
     peaks = partial(_peak, vehicle, physics)
     measured = () if played else controller.measured
 
-    def response(as_rk4: bool) -> tuple[Response, Switched]:
+    def response(as_rk4: bool) -> "tuple[Response, Switched]":
         decisions = None
-        if not (played or isinstance(controller, Programmed)):
+        if not played and isinstance(controller, Controller | SemiActive):
             decisions = Decisions(vehicle, controller, period, near, peaks)
-        found = switched(vehicle, road, time, decisions, made, measured, as_rk4)
+        found = switched(road, decisions, made, measured, as_rk4)
         beside = damper_signals(vehicle, found.beyond, found.missing)
-        whole = response_of(vehicle, vehicle.linear_model, road, time, found.states, found.inputs, found.outside, beside)
+        whole = response_of(vehicle.linear_model, road, found.states, found.inputs, found.outside, beside)
         if linear is None:
             return whole, found
-        kept = np.zeros((len(time), linear.law.states)) if played else linear.law.of_state(period) * found.kept
-        return whole.beside(kept_signals(range(1, linear.law.states + 1)), kept), found
+        law = linear.controller.law
+        kept = np.zeros((len(time), law.states)) if played else law.of_state(period) * found.kept
+        return whole.beside(kept_signals(range(1, law.states + 1)), kept), found
 
     sampled_one, found = response(False)
     return Prediction(
-        vehicle=vehicle,
+        input=road,
         controller=controller,
-        road=road,
         sampled=sampled_one,
         integrated=response(True)[0],
-        continuous=sampled_one if linear is None else continuous_response(vehicle, linear, road, time),
+        continuous=sampled_one if linear is None else continuous_response(linear, road),
         spread={},
         radius=math.nan,
         asked=made if isinstance(controller, Programmed) else np.zeros((0, 0)),
@@ -232,8 +241,61 @@ def predict_switched(
 
 def _peak(vehicle: Vehicle, physics: Response, signal: str) -> float:
     """The peak of a signal in physics as long as it goes, or of "velocity", that of all the suspensions."""
+    from sim.linear.dampers import stretching
+    from sim.linear.switched_response import VELOCITY
+
     whole = physics.until(physics.diverged)
     if signal != VELOCITY:
         return float(whole.peak(signal))
     states = np.stack([whole[name] for name in vehicle.linear_model.states], axis=-1)
     return float(np.abs(states @ stretching(vehicle).T).max(initial=0.0))
+
+
+NEAR = 1e-5  # of a peak, at 1 ms; MuJoCo is nearer to its exact response, and further off no decision is a slip of rounding
+ORDER = 4  # of RK4: as which power of the step it is off
+NEAR_KNOTS, KNOTS_ORDER = 1e-4, 2  # the same with curves: RK4 steps over their knots
+NEAR_GEOMETRY = 1e-2  # where bodies turn, over the whole road: geometry's share of a peak; over less of it in proportion
+
+
+def predict_made(controller: Driver, road: RoadInput, physics: Response, asked: Array) -> Prediction:
+    """What the exact response is in a run from rest whose decisions are known from physics alone.
+
+    Args:
+        controller: a law in Python, or any one of a vehicle with adjustable dampers.
+        road: what the vehicle meets.
+        physics: what MuJoCo made of it.
+        asked: what was asked for in it, see `PhysicsRuns`.
+    """
+    vehicle = road.vehicle
+    if vehicle.dampers:
+        at_1_ms, order = (NEAR_KNOTS, KNOTS_ORDER) if is_curved(vehicle) else (NEAR, ORDER)
+        near = NEAR_GEOMETRY if has_geometry(vehicle) else min(at_1_ms * max(1.0, road.timestep / 1e-3) ** order, NEAR_GEOMETRY)
+        programmed = asked if isinstance(controller, Programmed) else None
+        return predict_switched(controller, road, physics, near, programmed)
+    assert isinstance(controller, Programmed), "a linear one is predicted by itself"
+    return predict_forced(controller, road, asked)
+
+
+def reference_at(share: float, prediction: Prediction, physics: Response) -> Smaller:
+    """What is predicted of a run at a share of its road's height: as much of it, as far as it is linear.
+
+    Args:
+        share: of the height.
+        prediction: over the whole road.
+        physics: what MuJoCo made of it at that share of the road, whose own decisions adjustable dampers follow.
+    """
+    vehicle = prediction.vehicle
+    if not vehicle.dampers:
+        return smaller(prediction, share)
+    from sim.linear.dampers import scaled_commands
+
+    road = replace(prediction.input.scaled(share), vehicle=with_noise(share, vehicle))
+    asked = scaled_commands(vehicle, prediction.asked, share) if len(prediction.asked) else None
+    near = share * NEAR_GEOMETRY
+    again = predict_switched(prediction.controller, road, physics, near, asked)
+    return Smaller(again.sampled, again.integrated)
+
+
+def with_noise(share: float, vehicle: Vehicle) -> Vehicle:
+    """The vehicle with so much of its noise, as over that share of a road."""
+    return replace(vehicle, implementation=vehicle.implementation.scaled(share))

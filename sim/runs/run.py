@@ -1,30 +1,98 @@
-"""One vehicle, one road, some controllers: physics, its linear predictions, and the verdict on each."""
+"""One vehicle, one road, some controllers: physics, its linear predictions, the verdict on each, and how a notebook shows it."""
 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from models import USUAL_TIMESTEP
 from models.common.arrays import Array
 from models.common.errors import InputError, listing
-from models.damping.laws import SemiActive
-from models.own.python_law import Programmed
-from models.roads.road import Road
-from models.vehicle import Vehicle
-from sim.linear.dampers import scaled_commands
-from sim.linear.loop import largest_timestep
+from models.common.printed import Shown
+from models.laws.python_law import Programmed
+from models.roads.road import Road, RoadInput
+from models.vehicle.mjcf import has_geometry
+from models.vehicle.vehicle import Vehicle
+from sim.linear.sampled_response import largest_timestep, sampled_response
 from sim.physics.energy import Energy, energy
-from sim.physics.geometry import has_geometry
-from sim.physics.python_laws import Driven, Played
 from sim.physics.simulate import PhysicsRuns, simulate
 from sim.response.regime import FLAT
 from sim.response.response import Response
 from sim.runs.agreement import SMALL, Agreement, compare, look_closer
-from sim.runs.made import predict_made, reference_at, with_noise
-from sim.runs.prediction import Prediction, predict
-from synth.controller import Controller
+from sim.runs.prediction import Prediction, predict, predict_made, reference_at, with_noise
+from synth.controller.controller import Controller, Driver
+from synth.controller.open_loop import LoopModel
+
+if TYPE_CHECKING:
+    from models.figures.figure import Panel
+    from sim.physics.drivers import RunDriver
+
+
+STYLE = """<style>
+.roadproof {max-width: 600px}
+.roadproof .area, .roadproof .line, .roadproof .point {fill: none}
+.roadproof .grid {stroke: #ddd}
+.roadproof text {font: 12px sans-serif; fill: currentColor}
+.roadproof .s-d62728 {stroke: #d62728}
+.roadproof .s-1f77b4 {stroke: #1f77b4}
+</style>"""
+POINTS = 1000  # of a curve, at most about
+
+
+class ShownRun(Shown):
+    """What a run shows of what it has."""
+
+    prediction: Prediction
+    physics: Response
+    agreement: Agreement
+    energy: Energy | None
+
+    @property
+    def shown(self) -> tuple[str, dict[str, str]]:
+        """Its verdict, then what was driven over what."""
+        until, name = self.agreement.until, self.prediction.controller.name
+        when = f"until {until:.4g} s" if math.isfinite(until) else "throughout"
+        verdict = f"{'agrees' if self.agreement.agrees else 'DOES NOT AGREE'} {when}"
+        if self.energy is not None:
+            verdict += f"; energy {'balances' if self.energy.balances else 'DOES NOT BALANCE'}"
+        road, time = self.prediction.road.describe(), self.physics.time
+        return f"run of {name}: {verdict}", {
+            "vehicle": self.prediction.vehicle.kind.name,
+            "road": ", ".join(f"{what} {value}" for what, value in road.items()),
+            "time": f"{time[-1]:g} s at {time[1]:g} s",
+        }
+
+    def _repr_html_(self) -> str:
+        from models.figures.svg import svg
+
+        drawn = svg(self._panel(), "run", wide=True)
+        return f'{super()._repr_html_()}{STYLE}<div class="roadproof">{drawn}</div>'
+
+    def _panel(self) -> "Panel":
+        """The signal whose weighted peak is largest: MuJoCo, red, over the sampled response, blue."""
+        from models.figures.figure import Curve, Panel
+
+        physics, sampled = self.physics, self.prediction.sampled
+        weights = {name: weight for name, weight in self.prediction.vehicle.performance.items() if weight}
+        most = max(weights, key=lambda name: weights[name] * float(np.nan_to_num(sampled.peak(name), posinf=0.0)))
+        unit = next(signal.unit for signal in physics.signals if signal.name == most)
+        every = -(-len(physics.time) // POINTS)
+        curves = tuple(
+            Curve(
+                response.time[::every],
+                np.where(np.isfinite(response[most][::every]), response[most][::every], np.nan),
+                label=label,
+                color=color,
+                width=width,
+            )
+            for response, label, color, width in ((sampled, "sampled", "#1f77b4", 3.0), (physics, "MuJoCo", "#d62728", 1.2))
+        )
+        title = f"{self.prediction.controller.name}: MuJoCo (red) over the sampled response (blue)"
+        return Panel(title, "time [s]", f"{most.replace('_', ' ')} [{unit}]", curves)
+
 
 MOST_SAMPLES = 1_000_000  # a run of these takes 0.4 GB and half a minute
 
@@ -44,8 +112,8 @@ class HalfStep:
     signal: str
 
 
-@dataclass(frozen=True, eq=False)
-class Run:
+@dataclass(frozen=True, eq=False, repr=False)
+class Run(ShownRun):
     """One prediction beside its physics.
 
     Attributes:
@@ -72,7 +140,7 @@ class Run:
         return self.prediction.vehicle
 
     @property
-    def controller(self) -> Controller | Programmed | SemiActive:
+    def controller(self) -> Driver:
         """Its controller."""
         return self.prediction.controller
 
@@ -104,16 +172,32 @@ class Run:
         return (first, ends[first]) if math.isfinite(ends[first]) else None
 
     @property
+    def agrees(self) -> bool:
+        """Whether physics agrees with its analysis, for as long as that applies."""
+        return self.agreement.agrees
+
+    @property
     def holds(self) -> bool:
         """Whether physics agrees with its analysis, and with itself: its energy balances, where that is known."""
-        return self.agreement.agrees and (self.energy is None or self.energy.balances)
+        return self.agrees and (self.energy is None or self.energy.balances)
 
 
 def sample_times(vehicle: Vehicle, duration: float, timestep: float) -> Array:
-    """Sample times 0, h, 2 h, ... up to the duration [s].
+    """Returns the sample times 0, h, 2 h, ... up to the duration [s].
+
+    Args:
+        vehicle: the vehicle, on which RK4 has to be stable.
+        duration: of the run [s].
+        timestep: h [s].
 
     Raises:
         InputError: a timestep or duration that is not positive, too large for RK4 on this vehicle, or far too many samples.
+
+    Example:
+        >>> from models import read_vehicle
+        >>> from sim import sample_times
+        >>> sample_times(read_vehicle("quarter_car"), duration=3.0, timestep=1e-3).shape
+        (3001,)
     """
     for name, value in {"timestep": timestep, "duration": duration}.items():
         if not math.isfinite(value) or value <= 0:
@@ -130,7 +214,7 @@ def sample_times(vehicle: Vehicle, duration: float, timestep: float) -> Array:
     return np.arange(round(duration / timestep) + 1) * timestep
 
 
-def _check_noise(vehicle: Vehicle, controllers: Sequence[Controller | Programmed | SemiActive]) -> None:
+def _check_noise(vehicle: Vehicle, controllers: Sequence[Driver]) -> None:
     """Refuses noise or quantisation of a signal that no controller measures, of these or of the vehicle file.
 
     Raises:
@@ -145,7 +229,7 @@ def _check_noise(vehicle: Vehicle, controllers: Sequence[Controller | Programmed
 
 
 @np.errstate(over="ignore", invalid="ignore")  # an unstable loop overflows; its run says so
-def run_all(vehicle: Vehicle, controllers: Sequence[Controller | Programmed | SemiActive], road: Road, time: Array) -> list[Run]:
+def run_all(vehicle: Vehicle, controllers: Sequence[Driver], road: Road, time: Array) -> list[Run]:
     """Runs every controller over the road, from rest, and compares.
 
     Args:
@@ -156,13 +240,40 @@ def run_all(vehicle: Vehicle, controllers: Sequence[Controller | Programmed | Se
     """
     _check_noise(vehicle, controllers)
     ahead = not vehicle.dampers  # what those do follows from what physics has made of them
-    known = [predict(vehicle, each, road, time) if ahead and isinstance(each, Controller) else each for each in controllers]
-    made = simulate([vehicle] * len(controllers), controllers, [road] * len(controllers), time)
+    met = RoadInput(vehicle, road, time)
+    known = [
+        predict(LoopModel(vehicle, each, met.timestep), met) if ahead and isinstance(each, Controller) else each
+        for each in controllers
+    ]
+    made = simulate(controllers, [met] * len(controllers))
     predictions = [
-        each if isinstance(each, Prediction) else predict_made(vehicle, each, road, time, made.run(i), made.asked[i])
+        each if isinstance(each, Prediction) else predict_made(each, met, made.run(i), made.asked[i])
         for i, each in enumerate(known)
     ]
     return balanced(judge(predictions, [made.run(i) for i in range(len(predictions))]), made)
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """What runs are compared with in their tables: no verdict is asked of it.
+
+    Attributes:
+        physics: what MuJoCo did.
+        sampled: exact linear response of the sampled loop.
+    """
+
+    physics: Response
+    sampled: Response
+
+
+@np.errstate(over="ignore", invalid="ignore")
+def reference(vehicle: Vehicle, controller: Controller, road: Road, time: Array) -> Reference:
+    """Returns what `run_all` has of a linear controller without all that judges it. Arguments as there."""
+    met = RoadInput(vehicle, road, time)
+    made = simulate([controller], [met])
+    if vehicle.dampers:
+        return Reference(made.run(0), predict_made(controller, met, made.run(0), made.asked[0]).sampled)
+    return Reference(made.run(0), sampled_response(LoopModel(vehicle, controller, met.timestep), met))
 
 
 def judge(predictions: Sequence[Prediction], physics: Sequence[Response]) -> list[Run]:
@@ -192,7 +303,7 @@ def balanced(runs: Sequence[Run], made: PhysicsRuns) -> list[Run]:
         made: what MuJoCo makes of them.
     """
     runs = [
-        replace(run, qpos=made.qpos[i], energy=energy(run.vehicle, made, i, run.road, until=run.agreement.ended[FLAT.name]))
+        replace(run, qpos=made.qpos[i], energy=energy(made, i, run.prediction.input, until=run.agreement.ended[FLAT.name]))
         for i, run in enumerate(runs)
     ]
     lifted = [i for i, run in enumerate(runs) if run.agreement.lift_off and run.broke_off is None and not run.agreement.blurred]
@@ -217,15 +328,11 @@ def _simulated(
     """
     vehicles = {id(each.vehicle): vehicle(each.vehicle) for each in predictions}
     roads = {id(each.road): each.road if share == 1 else each.road.scaled(share) for each in predictions}
-    return simulate(
-        [vehicles[id(each.vehicle)] for each in predictions],
-        [driven(each, time, share) for each in predictions],
-        [roads[id(each.road)] for each in predictions],
-        time,
-    )
+    met = [RoadInput(vehicles[id(each.vehicle)], roads[id(each.road)], time) for each in predictions]
+    return simulate([driver_again(each, time, share) for each in predictions], met)
 
 
-def driven(prediction: Prediction, time: Array, share: float = 1.0) -> Driven:
+def driver_again(prediction: Prediction, time: Array, share: float = 1.0) -> "RunDriver":
     """What drives a run when it is made again.
 
     Args:
@@ -236,6 +343,9 @@ def driven(prediction: Prediction, time: Array, share: float = 1.0) -> Driven:
     if not isinstance(prediction.controller, Programmed):
         return prediction.controller
     held = round(prediction.timestep / float(time[1]))
+    from sim.linear.dampers import scaled_commands
+    from sim.physics.drivers import Played
+
     asked = scaled_commands(prediction.vehicle, prediction.asked, share)
     return Played(prediction.controller.measured, np.repeat(asked, held, axis=0)[: len(time)])
 
@@ -256,3 +366,36 @@ def _half_step(run: Run, finer: Response) -> HalfStep:
     apart = {name: far if math.isfinite(far) else math.inf for name, far in apart.items()}
     furthest = max(apart, key=lambda name: apart[name])
     return HalfStep(apart[furthest], furthest)
+
+
+def run(
+    vehicle: Vehicle,
+    controllers: Sequence[Driver],
+    road: Road,
+    duration: float = 3.0,
+    timestep: float = USUAL_TIMESTEP,
+) -> list[Run]:
+    """Returns a run for each controller, over the road from rest: MuJoCo, the linear prediction, and whether they agree.
+
+    Args:
+        vehicle: the vehicle.
+        controllers: its controllers, as `synth.design_controllers` makes them.
+        road: the road, such as `models.Bump(height=0.1)`.
+        duration: of the run [s].
+        timestep: of MuJoCo [s], and the controllers' sample period where the vehicle file says none.
+
+    Raises:
+        InputError: the road cannot be driven by this vehicle, a time is not allowed, or noise is of what nobody measures.
+
+    Example:
+        >>> from models import Bump, read_vehicle
+        >>> from sim import run
+        >>> from synth import design_controllers
+        >>> vehicle = read_vehicle("quarter_car")
+        >>> [passive] = run(vehicle, design_controllers(vehicle, ["passive"]), Bump(height=0.05), duration=1.0)
+        >>> passive.agrees, passive.physics["tyre_deflection"].shape
+        (True, (1001,))
+    """
+    time = sample_times(vehicle, duration, timestep)
+    road.check(vehicle, time)
+    return run_all(vehicle, controllers, road, time)

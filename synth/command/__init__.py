@@ -1,1 +1,1 @@
-"""What `python -m synth` prints, saves and checks."""
+"""What `python -m synth` does: its options, tables, pictures and files."""

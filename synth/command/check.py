@@ -1,16 +1,17 @@
-"""`python -m synth --check`: the gains and laws of a vehicle file against what is claimed of them. No solver, no design."""
+"""`python -m synth --check` and `--prove`: gains and laws of a vehicle file held against what is claimed, or given a bound."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from models.common.command import chosen
 from models.common.errors import InputError, listing
-from models.vehicle import ControllerEntry
+from models.vehicle.vehicle import ControllerEntry
+from synth.analysis.bounding import certify_tightly
+from synth.analysis.specification import Promise
 from synth.command.table import Row
-from synth.controller import Controller
-from synth.designer import Designer
-from synth.designs.goals import promises_of
-from synth.implemented.claims import failures_as_it_runs, false_norm, norm_if_implemented, notes_as_it_runs
-from synth.words import judged_lines
+from synth.controller.controller import Controller
+from synth.controller.report import failures_as_it_runs, false_norm, judged_lines, norm_if_implemented, notes_as_it_runs
+from synth.vehicle.designer import Designer
 
 
 def check(designer: Designer, names: Sequence[str] | None) -> list[Row]:
@@ -32,7 +33,11 @@ def check(designer: Designer, names: Sequence[str] | None) -> list[Row]:
 def _checked(designer: Designer, entry: ControllerEntry) -> Row:
     assert entry.law is not None
     certificate, failures = designer.checked(entry)
-    kept = promises_of(designer.vehicle, entry, entry.law, search=False)
+    kept: tuple[Promise, ...] = ()
+    if entry.goals is not None:
+        from synth.vehicle.multi_objective import promises_of
+
+        kept = promises_of(designer.vehicle, entry, entry.goals, entry.law, search=False)
     controller = Controller(entry.name, entry.measured, entry.law, False, certificate, hardware=entry.hardware, promises=kept)
     failures += controller.broken
     norm = norm_if_implemented(designer.vehicle, controller)
@@ -42,3 +47,23 @@ def _checked(designer: Designer, entry: ControllerEntry) -> Row:
     note = note or ("its certificate does not hold" if entry.certificate else "came without a certificate")
     said = (*judged_lines(controller), *notes_as_it_runs(designer.vehicle, certificate, norm), note)
     return Row(entry.name, controller, said, failures, sampled=norm)
+
+
+UNPROVED = "no bound is proved: rounding leaves no X that satisfies LMI (20) near its norm"
+
+
+def proved(designer: Designer, controller: Controller) -> tuple[Controller, tuple[str, ...]]:
+    """A controller with a bound just above its norm, and what is said of it; as it is where it has one, or no loop to prove.
+
+    Args:
+        designer: of the vehicle.
+        controller: one of the vehicle's.
+    """
+    certificate = controller.certificate
+    if certificate.bound is not None or not certificate.stable or not controller.measured:
+        return controller, ()
+    posed = designer.problem(controller.measured, controller.hardware)
+    found = certify_tightly(*posed.closed(controller.law), certificate.below, posed.plant)
+    if found.bound is None:
+        return controller, (UNPROVED,)
+    return replace(controller, certificate=found), ("its law is given; its bound is proved here",)

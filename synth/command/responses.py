@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from models.figures.figure import Curve, Figure, Panel, Spans, styles
-from models.goals.goals import NormBound
-from models.vehicle import Vehicle
-from synth.certificate.gain import largest_singular_values
+from models.vehicle.goals import NormBound
+from models.vehicle.vehicle import Vehicle
+from synth.analysis.norm import largest_singular_values
 from synth.command.table import Row
 
 SHOWN = (0.3, 30.0)  # Hz; a band that lies further out widens it

@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from models.common.errors import InputError
-from models.common.whole_file import whole_file
-from models.vehicle import Vehicle, parse_vehicle
-from synth.certificate.record import to_record
-from synth.controller import Controller
-from synth.implemented.claims import norm_if_implemented, norm_record
+from models.common.files import whole_file
+from models.vehicle.vehicle import Vehicle, parse_vehicle
+from synth.analysis.record import to_record
+from synth.controller.controller import Controller
+from synth.controller.report import norm_if_implemented, norm_record
 
 SUFFIX = "_designed"
 

@@ -3,22 +3,21 @@
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from models.common.numbers import finite, percent
-from models.common.printed import command, table, wrapped
-from models.common.shell import option
-from models.vehicle import Vehicle
-from synth.certificate.certificate import Certificate, LmiProof
-from synth.certificate.record import to_record
-from synth.command.fragile import Fragile
-from synth.command.witness import Witness
-from synth.controller import Controller
-from synth.implemented.claims import norm_lines, norm_object, norm_record
-from synth.sampled.norm import SampledNorm
-from synth.words import heading_lines
+from models.common.printed import command, finite, option, percent, table, wrapped
+from models.vehicle.vehicle import Vehicle
+from synth.analysis.certificate import Certificate, LmiProof
+from synth.analysis.record import to_record
+from synth.analysis.specification import SampledNorm
+from synth.controller.controller import Controller
+from synth.controller.report import heading_lines, norm_lines, norm_object, norm_record
+
+if TYPE_CHECKING:
+    from synth.command.cross_check import Witness
+    from synth.command.fragility import Fragile
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,9 +40,9 @@ class Row:
     notes: tuple[str, ...]
     failures: tuple[str, ...]
     worth: float = 0.0
-    witness: Witness | None = None
+    witness: "Witness | None" = None
     sampled: SampledNorm | None = None
-    fragile: Fragile | None = None
+    fragile: "Fragile | None" = None
 
 
 def row_object(row: Row) -> dict[str, Any]:
@@ -150,7 +149,7 @@ def detail_lines(row: Row, vehicle: Vehicle) -> list[str]:
     return [*lines, *(f"  {note}" for note in said), *(f"  FAILS: {failure}" for failure in row.failures)]
 
 
-def _witness_object(witness: Witness) -> dict[str, Any]:
+def _witness_object(witness: "Witness") -> dict[str, Any]:
     """A witness as JSON has it."""
     return {**asdict(witness), "apart": witness.apart, "above": witness.above}
 

@@ -10,10 +10,11 @@ checks of its usual wrappers cost more than its work.
 # scipy.linalg.lapack is made by f2py and carries no stubs.
 
 import functools
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from scipy.linalg import lapack
@@ -24,6 +25,8 @@ Block = tuple[Array, Array]  # an affine matrix F0 + sum_i p_i F_i that must sta
 
 QUADRATIC = 0.25  # a Newton decrement from which full steps converge quadratically (Boyd, Vandenberghe, 9.6.4)
 STEPS = 200
+TOGETHER = 24  # rows: so small blocks are one, for calls cost more than their work
+PANEL = 64  # columns that a QR turns at once, where there are so many
 
 
 class Barrier:
@@ -38,7 +41,11 @@ class Barrier:
         """
         if sum(len(F0) * (len(F0) + 1) // 2 for F0, _ in blocks) < len(blocks[0][1]):
             raise np.linalg.LinAlgError("some change of the unknowns changes no constraint")
-        self.blocks = [(F0, F, F.reshape(len(F), -1), *_upper(len(F0))) for F0, F in blocks]
+        sizes = tuple(len(F0) for F0, _ in blocks)
+        parts = [((size,), block) for size, block in zip(sizes, blocks, strict=True)]
+        if sum(sizes) <= TOGETHER:
+            parts = [(sizes, _beside(blocks))]
+        self.blocks = [(F0, F, F.reshape(len(F), -1), *_upper(each)) for each, (F0, F) in parts]
 
     def at(self, p: Array) -> "Local | None":
         """The derivatives at a point, or None outside the feasible set.
@@ -64,15 +71,27 @@ class Barrier:
         if not squares.all():
             raise np.linalg.LinAlgError("some change of the unknowns changes no constraint beyond rounding")
         scale = 1 / np.sqrt(squares)
-        triangle = lapack.dgeqrf((G * scale[:, None]).T, overwrite_a=1)[0][: len(p)]
+        triangle = lapack.dgeqrf((G * scale[:, None]).T, lwork=PANEL * len(p), overwrite_a=1)[0][: len(p)]
         return Local(np.asarray(trace), scale, np.asfortranarray(triangle), W)
 
 
+def _beside(blocks: Sequence[Block]) -> Block:
+    """Blocks as one along its diagonal."""
+    size = sum(len(F0) for F0, _ in blocks)
+    F0, F, at = np.zeros((size, size)), np.zeros((len(blocks[0][1]), size, size)), 0
+    for first, each in blocks:
+        here = slice(at, at + len(first))
+        F0[here, here], F[:, here, here] = first, each
+        at += len(first)
+    return F0, F
+
+
 @functools.cache
-def _upper(size: int) -> tuple[Array, Array, Array]:
-    """Where the upper triangle and the diagonal of a flat symmetric matrix lie, and weights that keep the former's norm."""
-    rows, columns = np.triu_indices(size)
-    return rows * size + columns, np.arange(size) * (size + 1), np.where(rows == columns, 1.0, np.sqrt(2.0))
+def _upper(sizes: tuple[int, ...]) -> tuple[Array, Array, Array]:
+    """Where the upper triangles of blocks and the diagonal lie in a flat symmetric matrix, and weights that keep their norm."""
+    of = np.repeat(np.arange(len(sizes)), sizes)
+    rows, columns = np.nonzero(np.triu(of[:, None] == of))
+    return rows * len(of) + columns, np.arange(len(of)) * (len(of) + 1), np.where(rows == columns, 1.0, np.sqrt(2.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,6 +120,10 @@ class Factored(ABC):
     def rates(self, step: Array) -> Array:
         """Eigenvalues r of the blocks' change in their own metric: along p + t step, log det changes by sum log(1 + t r)."""
 
+    def lowest(self, slope: float, step: Array) -> float:
+        """How far to go along a step to where the sum, with a slope beside it, is lowest."""
+        return _lowest(slope, self.rates(step))
+
 
 def _triangular(R: Array, x: Array, transposed: bool) -> Array:
     """R^-1 x or R^-T x of an upper triangle. LAPACK counts by columns: one that lies by rows is its lower one, transposed."""
@@ -121,11 +144,74 @@ class Local(Factored):
 
 
 class Derivatives(Protocol):
-    """What gives the derivatives at a point: `Barrier`, or `structured.StructuredBarrier`."""
+    """What gives the derivatives at a point: `Barrier`, `Raised`, or `structured_barrier.StructuredBarrier`."""
 
     def at(self, p: Array) -> Factored | None:
         """The derivatives at a point, or None outside the feasible set."""
         ...
+
+
+@dataclass(frozen=True, eq=False)
+class Raised:
+    """A barrier with a weight times the logarithm of the last unknown, which must be positive.
+
+    Where it is at rest the slope of the barrier alone is weight / p_N: the ratio of p_N to that slope's inverse is the weight.
+    """
+
+    barrier: Derivatives
+    weight: float
+
+    def at(self, p: Array) -> "RaisedLocal | None":
+        """The derivatives at a point, or None outside the feasible set."""
+        here = self.barrier.at(p) if p[-1] > 0 else None
+        if here is None:
+            return None
+        trace, per = here.trace.copy(), 1 / float(p[-1])
+        trace[-1] += self.weight * per
+        # The logarithm adds to the Hessian's last entry alone, and so to that of its factor.
+        corner = abs(float(here.triangle[-1, -1]))
+        less = corner / math.hypot(corner, self.weight**0.5 * per * float(here.scale[-1]))
+        return RaisedLocal(trace, here.scale, here.triangle, here, self.weight, per, less)
+
+
+@dataclass(frozen=True, eq=False)
+class RaisedLocal(Factored):
+    """Derivatives of both at a point; `triangle` is that of the barrier alone.
+
+    Attributes:
+        here: those of the barrier alone.
+        weight: of the logarithm.
+        per: 1 / p_N.
+        less: the last entry of R over that of both.
+    """
+
+    here: Factored
+    weight: float
+    per: float
+    less: float
+
+    def half(self, c: Array) -> Array:
+        """As `Factored.half`."""
+        return self._lessened(self.here.half(c))
+
+    def solve(self, half: Array) -> Array:
+        """As `Factored.solve`."""
+        return self.here.solve(self._lessened(half.copy()))
+
+    def rates(self, step: Array) -> Array:
+        """As `Factored.rates`, and the logarithm's, once."""
+        return np.append(self.here.rates(step), self.per * step[-1])
+
+    def lowest(self, slope: float, step: Array) -> float:
+        """As `Factored.lowest`, where the logarithm has its weight."""
+        rates = self.rates(step)
+        weights = np.ones(len(rates))
+        weights[-1] = self.weight
+        return _lowest(slope, rates, weights)
+
+    def _lessened(self, half: Array) -> Array:
+        half[-1] *= self.less
+        return half
 
 
 def _eigenvalues(flat: Array) -> Array:
@@ -161,14 +247,14 @@ def newton(
     previous = decrement = np.inf
     for _ in range(STEPS):
         half = here.half(c - here.trace)
-        decrement = float(np.linalg.norm(half))
+        decrement = math.sqrt(half @ half)
         if not decrement < np.inf:
             return p, np.inf, here
         if decrement < tolerance or (decrement < 1e-2 and decrement >= 0.5 * previous):
             break
         previous = decrement
         step = -here.solve(half)
-        length = 1.0 if decrement < QUADRATIC else _lowest(float(c @ step), here.rates(step))
+        length = 1.0 if decrement < QUADRATIC else here.lowest(float(c @ step), step)
         moved = barrier.at(p + length * step)
         while moved is None and length > 1e-10:  # closer to the boundary than rounding allows
             length /= 2
@@ -181,18 +267,19 @@ def newton(
     return p, decrement, here
 
 
-def _lowest(slope: float, rates: Array) -> float:
-    """The t > 0 that minimises slope t - sum log(1 + t rates), by Newton's method within the bracket that it narrows."""
+def _lowest(slope: float, rates: Array, weights: Any = 1.0) -> float:
+    """The t > 0 that minimises slope t - sum weights log(1 + t rates), by Newton's method within the bracket that it narrows."""
     high = 1 / -rates.min() if rates.min() < 0 else np.inf
     low, t = 0.0, min(1.0, 0.5 * high)
     for _ in range(30):
         terms = rates / (1 + t * rates)
-        rise = slope - float(terms.sum())
+        weighted = weights * terms
+        rise = slope - float(weighted.sum())
         if rise < 0:
             low = t
         else:
             high = t
-        curvature = float(terms @ terms)
+        curvature = float(weighted @ terms)
         if curvature == 0 or abs(rise) <= 0.1 * curvature * t:  # a tenth of the way: more does not pay
             break
         t = t - rise / curvature

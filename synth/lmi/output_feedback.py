@@ -1,13 +1,28 @@
-"""Static output feedback u = K y, y = C_y x, in two steps: L (14) and R (9) from the state-feedback X, then (25) for K (13)."""
+"""State feedback, problem (22), and static output feedback u = K y, y = C_y x: L (14) and R (9), then (25) for K (13)."""
 
 import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
-from synth.errors import DesignError, InfeasibleError
-from synth.lmi.central import CentralPoint, central_path
-from synth.plant import GeneralizedPlant
-from synth.scaling import independent, own_units, unit_rows
+from synth.lmi.central_path import LIMIT, CentralPoint, central_path
+from synth.plant.generalized import GeneralizedPlant
+from synth.plant.numerics import DesignError, InfeasibleError
+from synth.plant.units import independent, own_units, unit_rows
+
+
+def state_feedback(plant: GeneralizedPlant, mu: float = LIMIT) -> list[CentralPoint]:
+    """The central path of (22). Its last point is the optimal state-feedback controller u = G_s x, with G_s = Y X^-1 (3) as K.
+
+    Args:
+        plant: n states, m inputs.
+        mu: see `central_path`.
+
+    Raises:
+        InfeasibleError: the plant cannot be stabilised.
+        DesignError: see `central_path`.
+    """
+    n = len(plant.A)
+    return central_path(plant, Q=np.zeros((n, 0)), R=np.eye(n), mu=mu)
 
 
 def nullspace(Cy: Array) -> Array:
@@ -54,7 +69,7 @@ def r_matrix(Cy: Array, Q: Array, L: Array) -> Array:
     return np.linalg.pinv(rows) / lengths + Q @ L
 
 
-def output_feedback(plant: GeneralizedPlant, Cy: Array, L: Array, Q: Array) -> list[CentralPoint]:
+def output_feedback(plant: GeneralizedPlant, Cy: Array, L: Array, Q: Array, mu: float = LIMIT) -> list[CentralPoint]:
     """The central path of (25) for a given L. Its last point is the controller u = K y, with K = Y_R X_R^-1 (13).
 
     Args:
@@ -62,13 +77,14 @@ def output_feedback(plant: GeneralizedPlant, Cy: Array, L: Array, Q: Array) -> l
         Cy: observed output y = C_y x, shape (q, n), full row rank.
         L: shape (n - q, q): (14), or zero for the one-step design that remark 4 speaks of.
         Q: basis of the nullspace of C_y, shape (n, n - q).
+        mu: see `central_path`.
 
     Raises:
         InfeasibleError: (25) has no solution with eta > 0 for this L.
         DesignError: see `central_path`.
     """
     try:
-        return central_path(plant, Q, r_matrix(Cy, Q, L))
+        return central_path(plant, Q, r_matrix(Cy, Q, L), mu)
     except InfeasibleError as error:
         which, advice = ("L = 0", ", or use the L of equation (14)") if L.size and not np.any(L) else ("this L", "")
         raise InfeasibleError(f"problem (25) has no solution with eta > 0 for {which}: {error}{advice}") from error

@@ -11,10 +11,8 @@ Each benchmark prints its ratio, and fails where it exceeds the claim.
 import json
 import os
 import statistics
-import subprocess
-import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
@@ -23,83 +21,36 @@ import mujoco
 import numpy as np
 import pytest
 
-from models.damping.laws import LAWS, SemiActive, SemiActiveLaw
-from models.law import LinearLaw
-from models.mjcf import build_model
-from models.reality import Implementation
+from models.laws.linear import LinearLaw
+from models.laws.semi_active import LAWS, SemiActive, SemiActiveLaw
 from models.roads.road import Bump
-from models.vehicle import Vehicle, parse_vehicle, read_vehicle
+from models.vehicle.limits_and_implementation import Implementation
+from models.vehicle.mjcf import build_model
+from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.campaign.columns import columns
 from sim.campaign.file import read_campaign
 from sim.campaign.manifest import Manifest
-from sim.campaign.plan import Plan
-from sim.campaign.progress import FEWEST
+from sim.campaign.plan import FEWEST, Plan, Progress
 from sim.campaign.store import Store
 from sim.campaign.workers import run_batches
-from sim.physics.simulate import simulate
-from sim.validity.cells import validity
-from sim.validity.grid import grid, read_axes
-from synth.certificate.norm import hinf_norm
-from synth.controller import Controller
-from synth.design import two_step_design
-from synth.designer import Designer
-from synth.front.axes import axes_of
-from synth.front.front import front
-from synth.implemented.norm import norm_as_implemented
-from synth.lmi.clarabel import solve_lmi
-from synth.problem.problem import generalized_plant
-from synth.rates.cost import cost
+from sim.physics import RUNS_AT_ONCE
+from sim.studies.validity.grid import grid, read_axes
+from sim.studies.validity.regime_map import validity
+from synth.analysis.norm import hinf_norm
+from synth.controller.controller import Controller
+from synth.controller.implementation_norm import norm_as_implemented
+from synth.controller.problem import generalized_plant
+from synth.design.two_step import two_step_design
+from synth.lmi.sdp import solve_lmi
+from synth.vehicle.designer import Designer
+from synth.vehicle.sample_rate.cost import cost
+from synth.vehicle.trade_off.axes import axes_of
+from synth.vehicle.trade_off.front import front
+from tests.analysed import simulate
+from tests.benchmarks.pairs import paired_ratio, seconds, summed_ratio
 from tests.benchmarks.states import chain
 from tests.conftest import random_vehicles
 from tests.curved import AXLES, DIGRESSIVE, PROGRESSIVE, curved_text, with_curves
-
-
-def seconds(call: Callable[[], object], clock: Callable[[], float] = time.perf_counter) -> float:
-    start = clock()
-    call()
-    return clock() - start
-
-
-def paired_ratio(
-    benchmark,
-    call: Callable[[], object],
-    reference: Callable[[], object],
-    rounds: int,
-    clock: Callable[[], float] = time.perf_counter,
-) -> float:
-    """Median over rounds of call / reference, run in turn; `benchmark` records the calls.
-
-    By processor time (`time.process_time`) what works on one thread alone is told from what others do meanwhile.
-    """
-    call()
-    reference()
-    ratios = []
-
-    def turn():
-        ratios.append(seconds(call, clock) / seconds(reference, clock))
-
-    benchmark.pedantic(turn, rounds=rounds, iterations=1)
-    ratio = statistics.median(ratios)
-    benchmark.extra_info["ratio"] = ratio
-    print(f"\n{benchmark.name}: {ratio:.2f} (median of {rounds}; {min(ratios):.2f} to {max(ratios):.2f})")
-    return ratio
-
-
-def summed_ratio(benchmark, pairs: Sequence[tuple[Callable[[], object], Callable[[], object]]]) -> float:
-    """One long work over its reference, both in parts that take turns: no machine is as fast one minute as it was the last."""
-    spent = []
-
-    def turns():
-        for i, pair in enumerate(pairs):
-            first, second = (seconds(call) for call in (pair if i % 2 else pair[::-1]))
-            spent.append((first, second) if i % 2 else (second, first))
-
-    benchmark.pedantic(turns, rounds=1, iterations=1)
-    ours, reference = np.sum(spent, axis=0)
-    benchmark.extra_info["ratio"] = ours / reference
-    each = ", ".join(f"{mine / other:.2f}" for mine, other in spent)
-    print(f"\n{benchmark.name}: {ours / reference:.2f} ({ours:.1f} s / {reference:.1f} s; parts {each})")
-    return ours / reference
 
 
 def native_steps(model: mujoco.MjModel, threads: int) -> Callable[[int], None]:
@@ -111,17 +62,6 @@ def native_steps(model: mujoco.MjModel, threads: int) -> Callable[[int], None]:
         list(pool.map(lambda data: mujoco.mj_step(model, data, count // threads), datas))
 
     return steps
-
-
-def test_whole_command(benchmark, tmp_path):
-    """The whole command takes at most 1.5 times as long as importing cvxpy, mujoco, rerun and mcap."""
-    command = [sys.executable, "-m", "sim.bump", "--controller", "I", "--logs", str(tmp_path)]
-    imports = [sys.executable, "-c", "import cvxpy, mujoco, rerun, mcap"]
-
-    def run(arguments):
-        subprocess.run(arguments, check=True, capture_output=True)
-
-    assert paired_ratio(benchmark, lambda: run(command), lambda: run(imports), 7) <= 1.5
 
 
 @pytest.mark.parametrize(
@@ -137,11 +77,17 @@ def test_curves(benchmark, name, curves):
     def drive(i):
         simulate([both[i]] * runs, [passive[i]] * runs, [Bump()] * runs, times)
 
-    assert paired_ratio(benchmark, lambda: drive(1), lambda: drive(0), 9, time.process_time) <= 1.3
+    paired_ratio(benchmark, lambda: drive(1), lambda: drive(0), 9, 1.3, time.process_time)
 
 
-@pytest.mark.parametrize("name", ["quarter_car", "half_car", "full_car"])
-@pytest.mark.parametrize(("runs", "samples", "claim"), [(1, 3001, 2.0), (1024, 101, 1.25)])
+@pytest.mark.goal
+@pytest.mark.parametrize(
+    ("name", "runs", "samples", "claim"),
+    [
+        *((name, 1, 3001, 1.5) for name in ("quarter_car", "half_car", "full_car")),
+        *((name, 1024, 101, claim) for name, claim in (("quarter_car", 1.05), ("half_car", 1.2), ("full_car", 1.2))),
+    ],
+)
 def test_closed_loop(benchmark, name, runs, samples, claim):
     """A closed-loop run-step, every signal recorded, against native stepping of the same model on as many threads: one."""
     vehicle = read_vehicle(name)
@@ -150,13 +96,13 @@ def test_closed_loop(benchmark, name, runs, samples, claim):
     data = mujoco.MjData(model)
     sample_times = np.arange(samples) * 1e-3
     vehicles, controllers, roads = [vehicle] * runs, [controller] * runs, [Bump()] * runs
-    ratio = paired_ratio(
+    paired_ratio(
         benchmark,
         lambda: simulate(vehicles, controllers, roads, sample_times),
         lambda: mujoco.mj_step(model, data, runs * samples),
         7,
+        claim,
     )
-    assert ratio <= claim
 
 
 @pytest.mark.parametrize("name", ["quarter_car", "half_car", "full_car"])
@@ -169,7 +115,7 @@ def test_controller_with_states(benchmark, name, runs, samples, claim):
     law = LinearLaw(np.diag(poles), rng.standard_normal((8, q)), rng.standard_normal((m, 8)), static.gain)
     sample_times, vehicles, roads = np.arange(samples) * 1e-3, [vehicle] * runs, [Bump()] * runs
     calls = [partial(simulate, vehicles, [one] * runs, roads, sample_times) for one in (replace(static, law=law), static)]
-    assert paired_ratio(benchmark, calls[0], calls[1], 9) <= claim
+    paired_ratio(benchmark, calls[0], calls[1], 9, claim)
 
 
 def test_rates(benchmark):
@@ -218,14 +164,14 @@ def test_envelope(benchmark):
         (lambda bumps=bumps: validity(vehicle, controller, bumps, sample_times), lambda bumps=bumps: native(len(bumps) * 3001))
         for bumps in parts
     ]
-    assert summed_ratio(benchmark, pairs) <= 1.2
+    summed_ratio(benchmark, pairs, 1.2)
 
 
 def test_norm_of_a_large_system(benchmark):
     """Both routes to the norm at 100 states take at most 5 times the eigenvalues of one Hamiltonian, which the first needs."""
     plant, _ = chain(100)
     hamiltonian = np.block([[plant.A, plant.Bw @ plant.Bw.T], [-plant.C.T @ plant.C, -plant.A.T]])
-    assert paired_ratio(benchmark, lambda: hinf_norm(plant), lambda: np.linalg.eigvals(hamiltonian), 15) <= 5
+    paired_ratio(benchmark, lambda: hinf_norm(plant), lambda: np.linalg.eigvals(hamiltonian), 15, 5)
 
 
 @pytest.mark.parametrize("how", [Implementation(0.001), Implementation(0.01), Implementation(0.005, 1.5)])
@@ -267,17 +213,18 @@ def test_design_of_forty_states(benchmark):
     assert spent[0] <= 10
 
 
+@pytest.mark.goal
 def test_design(benchmark):
-    """Both steps and the whole certificate of controller I take at most 3 times one plain cvxpy solve of (22)."""
+    """Both steps and the whole certificate of controller I take at most 2 plain cvxpy solves of (22)."""
     vehicle = read_vehicle("quarter_car")
     plant = generalized_plant(vehicle)
-    ratio = paired_ratio(
+    paired_ratio(
         benchmark,
         lambda: Designer(vehicle).design("I"),
         lambda: solve_lmi(plant, np.zeros((4, 0)), np.eye(4)),
         21,
+        2,
     )
-    assert ratio <= 3
 
 
 def test_redesign(benchmark):
@@ -319,22 +266,21 @@ ROAD = "iso8608:class=A"
 @pytest.mark.parametrize(
     ("text", "controller", "road", "runs", "claim"),
     [
-        pytest.param(read_vehicle("quarter_car").text, "I", ROAD, 2048, 0.85, id="quarter_car"),
-        pytest.param(read_vehicle("full_car").text, "I", ROAD, 512, 0.65, id="full_car"),
-        pytest.param(CURVED, "I", ROAD, 1024, 0.8, id="quarter_car, curves"),
-        pytest.param(curved_text("full_car", **AXLES), "I", ROAD, 256, 0.6, id="full_car, curves"),
-        pytest.param(read_vehicle("quarter_car").text, "I", f"{ROAD} + lift:force=200", 1024, 0.8, id="quarter_car, loads"),
-        pytest.param(read_vehicle("quarter_car").text + DAMPED, "I", ROAD, 1024, 0.8, id="quarter_car, dampers"),
-        pytest.param(read_vehicle("quarter_car").text + DAMPED + LAW, "law", ROAD, 1024, 0.8, id="quarter_car, skyhook"),
-        pytest.param(read_vehicle("full_car").text + DAMPED + LAW, "law", ROAD, 256, 0.6, id="full_car, skyhook"),
+        pytest.param(read_vehicle("quarter_car").text, "I", ROAD, 512, 1.1, id="quarter_car", marks=pytest.mark.goal),
+        pytest.param(read_vehicle("full_car").text, "I", ROAD, 128, 1.3, id="full_car", marks=pytest.mark.goal),
+        pytest.param(CURVED, "I", ROAD, 1024, 1.25, id="quarter_car, curves"),
+        pytest.param(curved_text("full_car", **AXLES), "I", ROAD, 256, 1.67, id="full_car, curves"),
+        pytest.param(read_vehicle("quarter_car").text, "I", f"{ROAD} + lift:force=200", 1024, 1.25, id="quarter_car, loads"),
+        pytest.param(read_vehicle("quarter_car").text + DAMPED, "I", ROAD, 1024, 1.25, id="quarter_car, dampers"),
+        pytest.param(read_vehicle("quarter_car").text + DAMPED + LAW, "law", ROAD, 1024, 1.25, id="quarter_car, skyhook"),
+        pytest.param(read_vehicle("full_car").text + DAMPED + LAW, "law", ROAD, 256, 1.67, id="full_car, skyhook"),
     ],
 )
 def test_campaign(benchmark, tmp_path, text, controller, road, runs, claim):
-    """A campaign's run-steps a second, roads, metrics and files included: 0.85 of native steps on as many threads.
+    """A campaign, roads, metrics and files included, takes at most 1.1 times the native steps of its runs on as many threads.
 
-    With curves, loads and adjustable dampers, 0.8, the native steps are of the same model, which has them. What a full car's
-    controller measures is not linear in its state: its sensors are evaluated before every step as well, which takes a fifth to a
-    quarter of a native step.
+    Full cars take 1.3 times: what their controller measures is not linear in their state, so sensors are evaluated before every
+    step as well. With curves, loads and adjustable dampers the native steps are of the same model, which has them.
     """
     workers = os.cpu_count() or 1
     file = tmp_path / "campaign.toml"
@@ -349,8 +295,12 @@ def test_campaign(benchmark, tmp_path, text, controller, road, runs, claim):
     manifest = Manifest(str(file), "", {}, "", {}, {}, plan.count)
     store = Store(tmp_path, columns(campaign), {}, manifest)
     native = native_steps(build_model(vehicle, 1e-3), workers)
-    run_batches(plan, iter([(0, 2)]), 1, False, lambda start, rows, took: None)
-    batches = list(plan.batches([(0, plan.count)], lambda: FEWEST))
+    # Batches have as many runs as the command gives them once it knows how fast they are; the first two load what all need.
+    progress = Progress(plan, plan.count, RUNS_AT_ONCE, lambda told: None)
+    first = iter([(0, FEWEST), (FEWEST, 2 * FEWEST)])
+    run_batches(plan, first, 1, False, lambda start, rows, took: progress.add(len(rows), took))
+    size = progress.next_batch()
+    batches = list(plan.batches([(0, plan.count // (workers * size) * workers * size or plan.count)], lambda: size))
     pairs = [
         (
             lambda some=batches[i : i + workers]: run_batches(
@@ -360,7 +310,7 @@ def test_campaign(benchmark, tmp_path, text, controller, road, runs, claim):
         )
         for i in range(0, len(batches), workers)
     ]
-    assert summed_ratio(benchmark, pairs) <= 1 / claim
+    summed_ratio(benchmark, pairs, claim)
 
 
 # Of a run alone, modal skyhook asks for three modes at every corner, each in plain numbers, and reads what costs little.
@@ -396,11 +346,11 @@ def test_adjustable_dampers(benchmark, name, law, count, claim):
     """
     vehicle, one, gain = semi_active(name, law or "skyhook")
     times, bumps = np.arange(601 if count == 1 else 101) * 1e-3, [Bump()] * count
-    ratio = paired_ratio(
+    paired_ratio(
         benchmark,
         lambda: simulate([vehicle] * count, [one if law else gain] * count, bumps, times),
         lambda: simulate([vehicle.pushing] * count, [gain] * count, bumps, times),
         9,
+        claim,
         time.process_time,
     )
-    assert ratio <= claim

@@ -33,10 +33,10 @@ import numpy as np
 from scipy import linalg
 
 from models.common.errors import InputError
-from synth.errors import DesignError
-from synth.lmi.full_order import find_lower_bound
-from synth.plant import GeneralizedPlant
-from synth.search.static import LARGEST_GAIN, static_output_feedback
+from synth.design.static import LARGEST_GAIN, static_output_feedback
+from synth.lmi.full_order_bound import find_lower_bound
+from synth.plant.generalized import GeneralizedPlant
+from synth.plant.numerics import DesignError
 
 MATRICES = ("A", "B", "B1", "C1", "D12", "D11", "C", "D21")
 

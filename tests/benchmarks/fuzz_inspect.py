@@ -15,6 +15,7 @@ import sys
 import tempfile
 import time
 import traceback
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -48,13 +49,14 @@ def whole_logs(folder: Path) -> list[Path]:
     return logs
 
 
-def fuzz(first: int, count: int, report=None) -> dict[int, int]:
+def fuzz(first: int, count: int, report=None, logs: Sequence[Path] = ()) -> dict[int, int]:
     """Inspects hostile logs.
 
     Args:
         first: number of the first.
         count: how many.
         report: is called with a line now and then; None for silence.
+        logs: whole ones to begin with; `whole_logs`, if there are none.
 
     Returns:
         How often each exit code came.
@@ -63,7 +65,7 @@ def fuzz(first: int, count: int, report=None) -> dict[int, int]:
         AssertionError: a case went wrong; the message has its number.
     """
     with tempfile.TemporaryDirectory() as folder:
-        logs = whole_logs(Path(folder))
+        logs = logs or whole_logs(Path(folder))
         bases = [(log.read_bytes(), contents(log)) for log in logs]
         for log in logs:
             assert _inspected(log, []) == 0, "the whole logs are proved"
@@ -136,6 +138,7 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser()
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--count", type=int, default=10_000)
+    parser.add_argument("--logs", type=Path, nargs="*", default=[])
     options = parser.parse_args()
     np.seterr(all="ignore")
-    print(fuzz(options.first, options.count, lambda line: print(line, flush=True)), file=sys.stderr)
+    print(fuzz(options.first, options.count, lambda line: print(line, flush=True), options.logs), file=sys.stderr)

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from models.common.command import run_command
-from models.kind import HERE
+from models.kinds.kind import HERE
 from tests.commands import main_of
 from tests.damaged_kinds import damages
 from tests.pages import hopper

@@ -13,9 +13,9 @@ import time
 import numpy as np
 
 from models.common.errors import InputError
-from synth.errors import DesignError
-from synth.fallback import two_steps_or_descent
-from synth.plant import GeneralizedPlant
+from synth.design.fallback import two_steps_or_descent
+from synth.plant.generalized import GeneralizedPlant
+from synth.plant.numerics import DesignError
 
 SIZES = (4, 6, 8, 12, 16, 20, 26, 32, 40, 60, 100)
 MOST = 60  # by default; 100 take minutes

@@ -1,0 +1,425 @@
+"""The one door for files. What is written is whole or not there; what is read is plain, and no larger than stated; so is TOML.
+
+A file is written beside its place under a hidden name, flushed to the disk, and renamed. A link keeps being one: what it points
+to is written. Of a file with several names (hard links) the one that is written gets the new content, the others keep the old:
+written in place, all would hold half of it when a disk is full. A file that was there keeps its permissions, and its owner and
+group as far as the system lets us.
+"""
+
+import errno
+import hashlib
+import os
+import re
+import secrets
+import shutil
+import stat
+import sys
+import tempfile
+import tomllib
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
+from io import BufferedReader
+from pathlib import Path
+from typing import Any, TypeVar
+
+from models.common import interrupt
+from models.common.errors import InputError
+
+MOST_DOTS = 8  # within one key; tomllib takes their square in time and memory, 4 MiB of such keys seconds; ours have two
+# What may hold dots and is no key. What is not closed ends with its line, or the text: every text is read through once.
+_NO_KEY = re.compile(
+    r"""\#[^\n]*
+    | \"{3} (?: [^"\\] | \\. | \"{1,2}(?!\") )*+ \"{0,5}
+    | '{3} (?: [^'] | '{1,2}(?!') )*+ '{0,5}
+    | " (?: [^"\\\n] | \\[^\n] )*+ "?
+    | ' [^'\n]*+ '?""",
+    re.VERBOSE | re.DOTALL,
+)
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """The tables of a TOML text.
+
+    Raises:
+        InputError: it is not TOML, or a key has more than `MOST_DOTS` dots.
+    """
+    keys = re.split(r"[,=\n{}\[\]]", _NO_KEY.sub("''", text))  # and unquoted values, which have one dot
+    dots = max(key.count(".") for key in keys)
+    if dots > MOST_DOTS:
+        raise InputError(f"a key has {dots} dots, and at most {MOST_DOTS} are allowed; name a section's key by its own name")
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # not TOML; a number of 5000 digits; brackets in brackets in ...
+        raise InputError(f"not TOML: {error}") from error
+
+
+STDOUT = Path("/dev/stdout")  # the one name that is no file and may be written: the command's own output
+Waiting = tuple[Path, Path, os.stat_result | None]  # a whole file, the name that it is to get, and what has that name now
+# Those that wait for their names, in `together`; None outside it.
+_waiting: ContextVar[list[Waiting] | None] = ContextVar("_waiting", default=None)
+WRITABLE = stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH
+
+
+@contextmanager
+def whole_file(path: Path, what: str, instead: str = "give another") -> Iterator[Path]:
+    """A place to write to, of the suffix of the name that is given, whatever that leads to; it gets its name when it is whole.
+
+    Args:
+        path: the file, a link to it, or `/dev/stdout`.
+        what: it is, for the message.
+        instead: what to do where it cannot be written, for the message.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    target, before = _target(path, what, instead)
+    folder = Path(tempfile.gettempdir()) if target == STDOUT else target.parent
+    beside = folder / f".{target.stem[:100]}.{secrets.token_hex(4)}.part{path.suffix}"
+    try:
+        yield beside
+        if target == STDOUT:
+            sys.stdout.flush()
+            with beside.open("rb") as written:
+                shutil.copyfileobj(written, sys.stdout.buffer)
+            sys.stdout.buffer.flush()
+            return
+        with beside.open("rb+") as file:
+            os.fsync(file.fileno())
+        waiting = _waiting.get()
+        if waiting is not None:
+            waiting.append((beside, target, before))
+            return
+        with interrupt.finishing():
+            _name(beside, target, before)
+    except BrokenPipeError:
+        raise  # the reader of /dev/stdout has gone
+    except OSError as error:
+        raise _refused(path, what, f"cannot be written ({error.strerror or error})", instead) from error
+    finally:
+        if not any(beside == other for other, *_ in _waiting.get() or ()):
+            _removed(beside)
+
+
+@contextmanager
+def together() -> Iterator[None]:
+    """Files that are written in here get their names at its end, one right after the other, or none does.
+
+    Raises:
+        InputError: they cannot get their names.
+    """
+    waiting: list[Waiting] = []
+    token = _waiting.set(waiting)
+    try:
+        yield
+        with interrupt.finishing():
+            _name_all(waiting)
+    except OSError as error:
+        raise InputError(f"what was written cannot get its name ({error.strerror or error}); mend that") from error
+    finally:
+        _waiting.reset(token)
+        for beside, *_ in waiting:
+            _removed(beside)
+
+
+def _name_all(waiting: Sequence[Waiting]) -> None:
+    """Gives whole files their names; where one cannot get its own, those before it give way to what was there."""
+    named: list[tuple[Path, Path | None]] = []
+    try:
+        for beside, target, before in waiting:
+            kept = _kept(target) if before is not None else None
+            named.append((target, kept))
+            _name(beside, target, before)
+    except OSError:
+        for (target, kept), (beside, *_) in reversed(list(zip(named, waiting, strict=False))):
+            with suppress(OSError):  # of the others as many as can be
+                if kept is not None:
+                    kept.replace(target)
+                elif not beside.exists():  # it has got its name
+                    target.unlink()
+        raise
+    finally:
+        for _, kept in named:
+            if kept is not None:
+                _removed(kept)
+
+
+def _kept(target: Path) -> Path:
+    """A second, hidden name of a file, or where the system has no such, a copy."""
+    kept = target.with_name(f".{secrets.token_hex(8)}.part")
+    try:
+        kept.hardlink_to(target)
+    except OSError:
+        shutil.copy2(target, kept)
+    return kept
+
+
+def _name(beside: Path, target: Path, before: os.stat_result | None) -> None:
+    """Gives a whole file its name; what was there is replaced."""
+    if before is not None:
+        _make_like(beside, before)
+    beside.replace(target)
+    _settle(target.parent)
+
+
+def _removed(beside: Path) -> None:
+    with interrupt.finishing(), suppress(OSError):
+        beside.unlink(missing_ok=True)
+
+
+def check_file(path: Path, what: str, instead: str = "give another") -> None:
+    """Proves that a file can be written: ask before a long run, not after it.
+
+    Raises:
+        InputError: it cannot.
+    """
+    target, _ = _target(path, what, instead)
+    probe = target.with_name(f".{secrets.token_hex(8)}.part")
+    if target == STDOUT:
+        return
+    try:  # permission bits do not tell (root, read-only mounts, quotas): writing does
+        probe.write_bytes(b"roadproof")
+    except OSError as error:
+        raise _refused(path, what, f"cannot be written ({error.strerror or error})", instead) from error
+    finally:
+        with suppress(OSError):
+            probe.unlink(missing_ok=True)
+
+
+def check_folder(path: Path, what: str, instead: str = "give another folder") -> None:
+    """Proves that files can be written in a folder, or that it can be made; nothing is left of the proof.
+
+    Raises:
+        InputError: it cannot be made, or not written.
+    """
+    try:
+        for there in (path, *path.parents):
+            with suppress(FileNotFoundError):
+                is_folder = stat.S_ISDIR(there.stat().st_mode)
+                break
+            if there.is_symlink():
+                raise _refused(path, what, f"{there} is a link to nothing" if there != path else "is a link to nothing", instead)
+        else:
+            raise _refused(path, what, "cannot be made", instead)
+        if not is_folder:
+            raise _refused(path, what, "is no folder" if there == path else f"{there} is no folder", instead)
+        if there == path:
+            check_file(path / ".probe", what, instead)
+        else:
+            probe = there / f".{secrets.token_hex(8)}.part"
+            probe.mkdir()
+            probe.rmdir()
+    except NotADirectoryError as error:
+        raise _refused(path, what, "is no folder", instead) from error
+    except OSError as error:
+        raise _refused(path, what, f"cannot be made ({error.strerror or error})", instead) from error
+
+
+@contextmanager
+def made_folder(path: Path, what: str, instead: str = "give another folder") -> Iterator[None]:
+    """A folder, made with those above it where it is not there yet; where the block fails, what was made and is empty goes again.
+
+    Raises:
+        InputError: it cannot be made, or not written.
+    """
+    check_folder(path, what, instead)
+    missing = [each for each in (path, *path.parents) if not each.exists()]
+    try:
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise _refused(path, what, f"cannot be made ({error.strerror or error})", instead) from error
+        yield
+    except BaseException:
+        with interrupt.finishing(), suppress(OSError):  # one that holds something stays
+            for each in missing:
+                each.rmdir()
+        raise
+
+
+def _target(path: Path, what: str, instead: str) -> tuple[Path, os.stat_result | None]:
+    """Where a path leads to through links, and what is there now; None where there is nothing.
+
+    Raises:
+        InputError: it leads to something that may not be written.
+    """
+    if path == STDOUT:
+        return STDOUT, None
+    try:
+        target = Path(os.path.realpath(path))
+        if not target.parent.is_dir():
+            raise _refused(path, what, f"there is no folder {target.parent}", f"make it or {instead}")
+        try:
+            found = target.stat()
+        except FileNotFoundError:
+            return target, None
+    except OSError as error:
+        reason = "a loop of links" if error.errno == errno.ELOOP else error.strerror or str(error)
+        raise _refused(path, what, f"cannot be written ({reason})", instead) from error
+    if stat.S_ISDIR(found.st_mode):
+        raise _refused(path, what, "is a folder", "give the name of a file")
+    if not stat.S_ISREG(found.st_mode):
+        raise _refused(path, what, f"is {kind_of(found.st_mode)}, not a plain file", instead)
+    if not found.st_mode & WRITABLE or not os.access(target, os.W_OK):
+        raise _refused(path, what, "is read-only", f"make it writable or {instead}")
+    folder = target.parent.stat()
+    who = getattr(os, "geteuid", int)()  # 0 on Windows, where files have other owners, and folders no such bit
+    if folder.st_mode & stat.S_ISVTX and who not in (0, found.st_uid, folder.st_uid):
+        raise _refused(path, what, "is another user's, and only they may replace it in this folder", instead)
+    return target, found
+
+
+def kind_of(mode: int) -> str:
+    """What a file is that is no plain file, in words."""
+    if stat.S_ISDIR(mode):
+        return "a folder"
+    if stat.S_ISFIFO(mode):
+        return "a pipe"
+    if stat.S_ISSOCK(mode):
+        return "a socket"
+    return "a device"
+
+
+def _make_like(beside: Path, before: os.stat_result) -> None:
+    """Gives a new file the permissions of the one that it replaces, and its owner and group where the system lets us."""
+    mode = stat.S_IMODE(before.st_mode)
+    with_owner = getattr(os, "chown", None)  # not on Windows
+    if with_owner is not None:
+        for owner, group in ((-1, before.st_gid), (before.st_uid, -1)):
+            with suppress(PermissionError):
+                with_owner(beside, owner, group)
+        if beside.stat().st_gid != before.st_gid:  # another group may do with it what everyone may
+            mode = mode & ~stat.S_IRWXG | (mode & stat.S_IRWXO) << 3
+    beside.chmod(mode)
+
+
+def identity(path: Path) -> tuple[int, int] | str:
+    """What two paths share that are one file, or one folder, by whatever names: links, hard links, another case."""
+    try:
+        found = path.stat()
+    except (OSError, ValueError):
+        return os.path.realpath(path)
+    return found.st_dev, found.st_ino
+
+
+def _settle(folder: Path) -> None:
+    """A new name is on the disk when its folder is; only some systems can be told so."""
+    with suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+
+def _refused(path: Path, what: str, reason: str, instead: str) -> InputError:
+    return InputError(f"{what} {path}: {reason}; {instead}")
+
+
+MIB = 2**20
+TEXT = 4 * MIB  # most bytes of a vehicle, campaign or MJCF file
+TABLE = 64 * MIB  # of a measured road
+
+Content = TypeVar("Content")
+
+
+def read_bytes(path: Path, what: str, most: int, give: str) -> bytes:
+    """The content of a plain file.
+
+    Args:
+        path: the file, or a link to it.
+        what: it is, for the message.
+        most: bytes.
+        give: what to give instead, for the message.
+
+    Raises:
+        InputError: there is none, it is no plain file, too large, or cannot be read.
+    """
+    try:
+        with open_plain(path, what, give) as stream:
+            size = os.fstat(stream.fileno()).st_size
+            content = stream.read(most + 1) if size <= most else b""  # what /proc holds says that it is empty
+    except OSError as error:
+        raise InputError(f"{what} {path}: cannot be read ({error.strerror or error}); {give}") from error
+    if max(size, len(content)) > most:
+        found = f"{size / MIB:.0f} MiB" if size > most else "and does not end"
+        raise InputError(f"{what} {path}: is too large, {found}; at most {most / MIB:g} MiB is read: {give}")
+    return content
+
+
+def open_plain(path: Path, what: str, give: str) -> BufferedReader:
+    """A plain file, open to be read.
+
+    Args:
+        path, what, give: see `read_bytes`.
+
+    Raises:
+        InputError: there is none, it is no plain file, or cannot be opened.
+    """
+    try:
+        # A pipe would be waited for, for ever; without waiting it can be opened, and seen for what it is.
+        handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+        mode = os.fstat(handle).st_mode
+        if not stat.S_ISREG(mode):
+            os.close(handle)
+            raise InputError(f"{what} {path}: is {kind_of(mode)}, not a plain file; {give}")
+        return os.fdopen(handle, "rb")
+    except OSError as error:
+        reason = "is a folder, not a plain file" if path.is_dir() else _reason(path, error)  # Windows opens no folder
+        raise InputError(f"{what} {path}: {reason}; {give}") from error
+    except InputError:
+        raise
+    except ValueError as error:  # a NUL character in the name
+        raise InputError(f"{what} {str(path)!r}: cannot be read ({error}); {give}") from error
+
+
+def read_text(path: Path, what: str, most: int, give: str) -> str:
+    """The text of a plain file in UTF-8; some editors begin one with a byte order mark.
+
+    Args:
+        path, what, most, give: see `read_bytes`.
+
+    Raises:
+        InputError: see `read_bytes`; or it is not text.
+    """
+    try:
+        content = read_bytes(path, what, most, give)
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        found = f"{error.reason} at byte {error.start}"
+        raise InputError(f"{what} {path}: not a text file in UTF-8 ({found}); save it as UTF-8, or {give}") from error
+    if "\0" in text:
+        found = f"a NUL character at byte {content.index(0)}, as in UTF-16"
+        raise InputError(f"{what} {path}: not a text file in UTF-8 ({found}); save it as UTF-8, or {give}")
+    return text.replace("\r\n", "\n")
+
+
+def read_content(path: Path, what: str, give: str, of: Callable[[str], Content]) -> tuple[Content, str]:
+    """What a text file holds that goes into a vehicle file in place of its name, and the file's size and checksum in words.
+
+    Args:
+        path, what, give: see `read_bytes`.
+        of: its text -> what it holds; raises InputError where that is none.
+
+    Raises:
+        InputError: see `read_bytes`; or it is no text, or holds nothing of the kind. The message names the file.
+    """
+    content = read_bytes(path, what, TEXT, give)
+    try:
+        found = of(content.decode("utf-8-sig"))
+    except UnicodeDecodeError as error:
+        raise InputError(f"{what} {path}: is no text in UTF-8; {give}") from error
+    except InputError as error:
+        raise InputError(f"{what} {path}: {error}") from error
+    return found, f"{len(content)} bytes, SHA-256 {hashlib.sha256(content).hexdigest()}"
+
+
+def _reason(path: Path, error: OSError) -> str:
+    """Why a file cannot be read, in words."""
+    if error.errno == errno.ENOENT:
+        return "is a link to nothing" if path.is_symlink() else "there is no such file"
+    if error.errno == errno.ELOOP:
+        return "is a loop of links"
+    if error.errno == errno.ENXIO:
+        return "is a socket, not a plain file"
+    return f"cannot be read ({error.strerror or error})"

@@ -1,1 +1,0 @@
-"""Adjustable (semi-active) dampers: what they are, and the laws that ship for them."""

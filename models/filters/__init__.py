@@ -1,1 +1,0 @@
-"""Filters of one signal, and those that a standard has."""

@@ -1,1 +1,0 @@
-"""Formats of files from elsewhere, read as what they are: numbers."""

@@ -1,0 +1,156 @@
+"""A vehicle as a linear system with names.
+
+    x' = A x + B u + Bw w + Br z_r + Bl f,     signals = C x + D u + Cr z_r + Dl f,
+
+with the road's heights z_r under the wheels, their velocities w = z_r', and loads f on the body (`models/roads/load.py`). In the
+paper, and wherever the wheels' motions are all motions of the body too, Br and Cr are zero: only the road's velocity acts. Under
+four wheels its twist acts as a displacement.
+"""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError, listing, quoted
+
+
+@dataclass(frozen=True, eq=False)
+class LinearModel:
+    """Linear vehicle model, measured from static equilibrium.
+
+    Attributes:
+        A: state matrix, shape (n, n).
+        B: input matrix, shape (n, m).
+        Bw: disturbance matrix, shape (n, r). The disturbance is the road's vertical *velocity* under each wheel [m/s].
+        C: read-out of every output signal from the state, shape (p, n).
+        D: read-out of every output signal from the input, shape (p, m).
+        states: names of the states, n of them.
+        inputs: names of the inputs, m of them [N].
+        disturbances: names of the disturbances, r of them [m/s].
+        outputs: names of the output signals, p of them.
+        Br: what the road's heights add to x', shape (n, r).
+        Cr: what they add to the output signals, shape (p, r).
+        twist_rate: as what velocity [m/s] a metre of Br and Cr counts in a design [rad/s].
+        loads: names of the loads on the body, l of them [N, N m].
+        Bl: what they add to x', shape (n, l); where it is not given, nothing.
+        Dl: what they add to the output signals, shape (p, l); likewise.
+
+    Raises:
+        ValueError: a matrix does not fit the names or is not finite, or the names are no tuples of different texts.
+    """
+
+    A: Array
+    B: Array
+    Bw: Array
+    C: Array
+    D: Array
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    disturbances: tuple[str, ...]
+    outputs: tuple[str, ...]
+    Br: Array
+    Cr: Array
+    twist_rate: float = 1.0
+    loads: tuple[str, ...] = ()
+    Bl: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    Dl: Array = field(default_factory=lambda: np.zeros((0, 0)))
+
+    def __post_init__(self) -> None:
+        for what in ("states", "inputs", "disturbances", "outputs", "loads"):
+            names = getattr(self, what)
+            if not isinstance(names, tuple) or not all(isinstance(name, str) for name in names) or len(set(names)) < len(names):
+                raise ValueError(f"{what} = {quoted(names)} is no tuple of different names")
+        n, m, r, p = len(self.states), len(self.inputs), len(self.disturbances), len(self.outputs)
+        pushes = len(self.loads)
+        if not pushes:
+            object.__setattr__(self, "Bl", np.zeros((n, 0)))
+            object.__setattr__(self, "Dl", np.zeros((p, 0)))
+        shapes = {
+            "Bl": (n, pushes),
+            "Dl": (p, pushes),
+            "A": (n, n),
+            "B": (n, m),
+            "Bw": (n, r),
+            "C": (p, n),
+            "D": (p, m),
+            "Br": (n, r),
+            "Cr": (p, r),
+        }
+        for name, shape in shapes.items():
+            if np.iscomplexobj(getattr(self, name)):
+                raise ValueError(f"{name} has complex entries; give real ones")
+            matrix = np.array(getattr(self, name), dtype=float)
+            if matrix.shape != shape:
+                raise ValueError(f"{name} has shape {matrix.shape}; its names say {shape}")
+            for row, column in np.argwhere(~np.isfinite(matrix))[:1]:
+                raise ValueError(f"{name}[{row}, {column}] = {matrix[row, column]} is not finite")
+            matrix.flags.writeable = False
+            object.__setattr__(self, name, matrix)
+
+    @property
+    def measurable(self) -> tuple[str, ...]:
+        """The output signals that a controller can measure: all but those with the road's height in them.
+
+        A control force is one of them: a controller that is told which force acts can take it out of an acceleration.
+        """
+        return tuple(name for name, of_road in zip(self.outputs, np.any(self.Cr, axis=1), strict=True) if not of_road)
+
+    def without(self, outputs: Collection[str]) -> "LinearModel":
+        """The same model without some of its output signals."""
+        kept = [i for i, name in enumerate(self.outputs) if name not in outputs]
+        names = tuple(self.outputs[i] for i in kept)
+        return replace(self, C=self.C[kept], D=self.D[kept], Cr=self.Cr[kept], Dl=self.Dl[kept], outputs=names)
+
+    def has_rate(self, output: str) -> bool:
+        """Whether how fast an output signal changes is one, too: not of one that follows the road or a force at once."""
+        i = self.outputs.index(output)
+        return not (np.any(self.D[i]) or np.any(self.C[i] @ self.Bw + self.Cr[i]))
+
+    def with_rates(self, rates: Mapping[str, str]) -> "LinearModel":
+        """With more output signals, each how fast another one changes: names of those others, which have rates, by their own."""
+        index = [self.outputs.index(name) for name in rates.values()]
+        rows = {
+            "C": self.C[index] @ self.A,
+            "D": self.C[index] @ self.B,
+            "Cr": self.C[index] @ self.Br,
+            "Dl": self.C[index] @ self.Bl,
+        }
+        more = {name: np.vstack([getattr(self, name), found]) for name, found in rows.items()}
+        return replace(self, outputs=(*self.outputs, *rates), **more) if rates else self
+
+    def behind_lag(self, bandwidth: float | None) -> "LinearModel":
+        """The model with actuators that lag: its inputs are the forces asked for, and those that act are states.
+
+        Each follows f' = bandwidth (u - f), and what the control forces did in every signal, f does.
+
+        Args:
+            bandwidth: corner frequency of every actuator [rad/s]; None for forces that act at once, of which this is the model.
+        """
+        if bandwidth is None:
+            return self
+        (n, m), r = self.B.shape, self.Bw.shape[1]
+        return replace(
+            self,
+            A=np.block([[self.A, self.B], [np.zeros((m, n)), -bandwidth * np.eye(m)]]),
+            B=np.vstack([np.zeros((n, m)), bandwidth * np.eye(m)]),
+            Bw=np.vstack([self.Bw, np.zeros((m, r))]),
+            Br=np.vstack([self.Br, np.zeros((m, r))]),
+            Bl=np.vstack([self.Bl, np.zeros((m, len(self.loads)))]),
+            C=np.hstack([self.C, self.D]),
+            D=np.zeros_like(self.D),
+            states=(*self.states, *(f"lagged_{name}" for name in self.inputs)),
+        )
+
+    def rows(self, signals: Sequence[str]) -> tuple[Array, Array]:
+        """The rows of C and D of some output signals, shapes (k, n) and (k, m).
+
+        Raises:
+            InputError: a signal this vehicle has not.
+        """
+        for signal in signals:
+            if signal not in self.outputs:
+                raise InputError(f"unknown signal {signal!r}; this vehicle has {listing(self.outputs)}")
+        index = [self.outputs.index(signal) for signal in signals]
+        return self.C[index], self.D[index]

@@ -1,0 +1,288 @@
+"""A rigid body on several corners: what a half-car and a full car have in common.
+
+Axes are those of ISO 8855: x forward, y to the left, z up; pitch is positive nose down, roll is positive right side down. With
+heave z, pitch theta and roll phi of the body, small, its height above corner i is s_i = z - x_i theta + y_i phi, or s = S q. In
+the manner of the paper's (28), with the suspension's force f_i up on the body,
+
+    d = S q - z_u,     t = z_u - z_r,     f = -K_s d - C_s d' + u,
+    M q'' = S' f + l,      m_u z_u'' = -f - K_u t,
+
+with loads l on the body, a force and moments. The state is made of relative displacements and velocities: x = (d, P t, q', z_u').
+
+An anti-roll bar is a torsion spring between body and axle: it turns by the angle a = (d_left - d_right) / track that the body
+rolls over its axle, and its moment k a is a pair of forces at the two wheels. So K_s, which is diagonal without bars, has
+k (e_l - e_r)(e_l - e_r)' / track^2 in it.
+
+Four wheels on a rigid body are one too many for this. Where n is the twist that no rigid body follows (n' S = 0),
+n' (d + t + z_r) = 0 for ever: the twist of the road is a displacement, not a velocity that the suspension forgets. So the states
+take the tyre deflections only as the modes P t that a rigid body can follow, and the twist of the road enters beside them:
+
+    t = P+ (P t) - N (d + z_r),     N = n n' / n'n.
+
+Every wheel carries its own vertical slide, and the struts stand upright at rest, with their upper ends at the height of the
+centre of mass. So the preloads add nothing to the linear model, and the MJCF departs from it with the square of the amplitude.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError
+from models.kinds.kind import GRAVITY, BodyLoad, Parameter, Parameters
+from models.kinds.linear_model import LinearModel
+from models.kinds.signals import (
+    HEAVE_LOAD,
+    PITCH_LOAD,
+    ROAD_DISPLACEMENT,
+    ROLL_LOAD,
+    SUSPENSION_DEFLECTION,
+    TYRE_DEFLECTION,
+    Signal,
+)
+
+# What pushes the body from outside, along its own joints: they are the modes q, in their order.
+LOADS = tuple(BodyLoad(load.name, joint) for load, joint in ((HEAVE_LOAD, "heave"), (PITCH_LOAD, "pitch"), (ROLL_LOAD, "roll")))
+CENTRE_HEIGHT = Parameter(
+    "centre_height", "m", "h, of the body's centre of mass over the ground: brakes and curves push with m_s a h", usual=0.55
+)
+
+
+@dataclass(frozen=True)
+class Corner:
+    """A wheel with its suspension.
+
+    Attributes:
+        name: suffix of its signals and of its elements in the MJCF.
+        x, y: where it stands, from the centre of mass [m].
+        unsprung_mass: [kg].    suspension_stiffness, tyre_stiffness: [N/m].    suspension_damping: [N s/m].
+    """
+
+    name: str
+    x: float
+    y: float
+    unsprung_mass: float
+    suspension_stiffness: float
+    suspension_damping: float
+    tyre_stiffness: float
+
+
+@dataclass(frozen=True)
+class Bar:
+    """An anti-roll bar of one axle.
+
+    Attributes:
+        name: suffix of its tendon in the MJCF.
+        left, right: indices of its corners.
+        stiffness: moment per angle by which the body rolls over the axle [N m/rad].
+    """
+
+    name: str
+    left: int
+    right: int
+    stiffness: float
+
+
+@dataclass(frozen=True, eq=False)
+class RigidBody:
+    """A body on corners.
+
+    Attributes:
+        corners: c of them.
+        mass: sprung mass [kg].
+        pitch_inertia: about the lateral axis through the centre of mass [kg m2].
+        roll_inertia: about the longitudinal one [kg m2]; None for a body that does not roll.
+        tyre_modes: P, the modes of the tyre deflections among the states, shape (p, c).
+        twist: n, shape (c,); zero where every motion of the wheels is one of the body too.
+        bars: its anti-roll bars.
+    """
+
+    corners: tuple[Corner, ...]
+    mass: float
+    pitch_inertia: float
+    roll_inertia: float | None
+    tyre_modes: Array
+    twist: Array
+    bars: tuple[Bar, ...] = ()
+
+    def arms(self, bar: Bar) -> Array:
+        """The angle by which a bar turns, per deflection of every suspension [rad/m], shape (c,)."""
+        arms = np.zeros(len(self.corners))
+        arms[[bar.left, bar.right]] = np.array([1.0, -1.0]) / (self.corners[bar.left].y - self.corners[bar.right].y)
+        return arms
+
+    @property
+    def stiffness(self) -> Array:
+        """K_s: force of every suspension per deflection of each [N/m], shape (c, c)."""
+        bars = [bar.stiffness * np.outer(self.arms(bar), self.arms(bar)) for bar in self.bars]
+        return sum(bars, np.diag([corner.suspension_stiffness for corner in self.corners]))
+
+    @property
+    def shape(self) -> Array:
+        """S, the height of the body above each corner per heave, pitch (and roll), shape (c, 2 or 3)."""
+        x, y = np.array([[corner.x, corner.y] for corner in self.corners]).T
+        columns = [np.ones(len(x)), -x] + ([] if self.roll_inertia is None else [y])
+        return np.stack(columns, axis=-1)
+
+    @property
+    def inertia(self) -> Array:
+        """M, shape (2, 2) or (3, 3)."""
+        return np.diag([self.mass, self.pitch_inertia] + ([] if self.roll_inertia is None else [self.roll_inertia]))
+
+    def static_loads(self) -> Array:
+        """What each suspension carries at rest [N], shape (c,): the loads of least squares that balance the weight."""
+        weight = np.zeros(len(self.inertia))
+        weight[0] = self.mass * GRAVITY
+        return np.linalg.pinv(self.shape.T) @ weight
+
+    def static_tyre_deflection(self) -> dict[str, float]:
+        """How far each tyre is squeezed at rest [m], by its signal."""
+        loads = zip(self.corners, self.static_loads(), strict=True)
+        return {
+            f"tyre_deflection_{corner.name}": float(load + corner.unsprung_mass * GRAVITY) / corner.tyre_stiffness
+            for corner, load in loads
+        }
+
+
+def linear_model(
+    body: RigidBody,
+    states: Sequence[Signal],
+    inputs: Sequence[Signal],
+    disturbances: Sequence[Signal],
+    outputs: Sequence[Signal],
+) -> LinearModel:
+    """The linear model of a body on corners.
+
+    Args:
+        body: c corners, k body modes, p tyre modes.
+        states: (d, P t, q', z_u'), c + p + k + c of them.
+        inputs: the control forces, c of them.
+        disturbances: the road velocities, c of them.
+        outputs: in this order: the states, the tyre deflections where they are no states, q'', the body's velocity and
+            acceleration above each corner, the control forces, the wheels' accelerations.
+    """
+    S, M, P = body.shape, body.inertia, body.tyre_modes
+    c, k, p = len(S), len(M), len(P)
+    n = 2 * c + p + k
+    corner = {
+        name: np.diag([getattr(corner, name) for corner in body.corners])
+        for name in ("unsprung_mass", "suspension_damping", "tyre_stiffness")
+    }
+    # Rows of the identity pick out the parts of the state.
+    d, Pt, q_dot, z_u_dot = np.split(np.eye(n), [c, c + p, c + p + k])
+
+    N = np.outer(body.twist, body.twist) / (float(body.twist @ body.twist) or 1.0)
+    t = np.linalg.pinv(P) @ Pt - N @ d
+    d_dot = S @ q_dot - z_u_dot
+    f = -body.stiffness @ d - corner["suspension_damping"] @ d_dot  # and u
+    lift, push = np.linalg.solve(M, S.T), np.linalg.inv(corner["unsprung_mass"])
+
+    A = np.vstack([d_dot, P @ z_u_dot, lift @ f, -push @ (f + corner["tyre_stiffness"] @ t)])
+    B = np.vstack([np.zeros((c + p, c)), lift, -push])
+    Bw = np.vstack([np.zeros((c, c)), -P, np.zeros((k + c, c))])
+    Br = np.vstack([np.zeros((c + p + k, c)), push @ corner["tyre_stiffness"] @ N])
+    Bl = np.vstack([np.zeros((c + p, k)), np.linalg.inv(M), np.zeros((c, k))])
+
+    q_ddot, q_ddot_u = A[c + p : c + p + k], B[c + p : c + p + k]
+    z_u_ddot, z_u_ddot_u = A[c + p + k :], B[c + p + k :]
+    extra_t = t if p < c else t[:0]
+    C = np.vstack([np.eye(n), extra_t, q_ddot, S @ q_dot, S @ q_ddot, np.zeros((c, n)), z_u_ddot])
+    silent = np.zeros((n + len(extra_t), c))
+    D = np.vstack([silent, q_ddot_u, np.zeros((c, c)), S @ q_ddot_u, np.eye(c), z_u_ddot_u])
+    Cr = np.zeros((len(C), c))
+    Cr[n : n + len(extra_t)] = -N[: len(extra_t)]
+    Cr[-c:] = Br[c + p + k :]
+    Dl = np.zeros((len(C), k))
+    first = n + len(extra_t)
+    Dl[first : first + k] = Bl[c + p : c + p + k]
+    Dl[first + k + c : first + k + 2 * c] = S @ Bl[c + p : c + p + k]
+    rate = np.sqrt(np.mean(np.diag(corner["tyre_stiffness"]) / np.diag(corner["unsprung_mass"])))
+    return LinearModel(
+        A=A,
+        B=B,
+        Bw=Bw,
+        C=C,
+        D=D,
+        states=tuple(signal.name for signal in states),
+        inputs=tuple(signal.name for signal in inputs),
+        disturbances=tuple(signal.name for signal in disturbances),
+        outputs=tuple(signal.name for signal in outputs),
+        Br=Br,
+        Cr=Cr,
+        twist_rate=float(rate),
+        loads=tuple(load.name for load in LOADS[:k]),
+        Bl=Bl,
+        Dl=Dl,
+    )
+
+
+def angles(body: RigidBody) -> dict[str, dict[str, float]]:
+    """The body's angles [rad] as sums of signals: q = S+ (d + t + z_r), from its heights over the corners."""
+    q, names = np.linalg.pinv(body.shape), [corner.name for corner in body.corners]
+    parts = [signal.name for signal in (SUSPENSION_DEFLECTION, TYRE_DEFLECTION, ROAD_DISPLACEMENT)]
+    return {
+        angle: {f"{part}_{name}": float(share) for part in parts for name, share in zip(names, row, strict=True)}
+        for angle, row in zip(("pitch_angle", "roll_angle"), q[1:], strict=False)
+    }
+
+
+def wheelbase(p: Parameters) -> float:
+    """From the front axle to the rear one [m]."""
+    return p["axle_distance_front"] + p["axle_distance_rear"]
+
+
+def check_inertia(name: str, inertia: float, mass: float, size: float, of: str) -> None:
+    """Refuses an inertia that no body of this mass and size can have.
+
+    Raises:
+        InputError: the radius of gyration is larger than the size [m].
+    """
+    radius = float(np.sqrt(inertia / mass))
+    if radius > size:
+        raise InputError(
+            f"{name} = {inertia:g} kg m2 is an inertia that no body of {mass:g} kg can have: its radius of gyration would be "
+            f"{radius:.3g} m, more than the {of} of {size:g} m; give at most {mass * size**2:.4g}"
+        )
+
+
+def write_mjcf(spec: Any, body: RigidBody) -> None:
+    """Writes a body on corners into the MjSpec of its kind: masses, places, springs and preloads.
+
+    Elements are named by corner: bodies `road_NAME` and `unsprung_NAME`, sites `suspension_NAME_bottom` and `_top`, tendons
+    `suspension_NAME` and `tyre_NAME`. At qpos = 0 the preloads carry the weight, so that it is the static equilibrium. An
+    anti-roll bar, where there is one, is a fixed tendon `anti_roll_bar_NAME`: its length is the angle of the joint `roll` to its
+    axle.
+    """
+    sprung = spec.body("sprung")
+    sprung.mass = body.mass
+    roll = body.pitch_inertia if body.roll_inertia is None else body.roll_inertia
+    sprung.inertia = [roll, body.pitch_inertia, max(roll, body.pitch_inertia)]
+    # The third inertia, of a body that cannot yaw, counts where it pitches and rolls at once, with the square of the amplitude,
+    # and in the linear model not at all. No vehicle file gives it: the larger of the other two is near a car's. Any that a body
+    # with those two can have, from their difference to their sum, would move the full car's pitch acceleration by 5e-4 of its
+    # peak over a bump of 0.1 m under its left wheels, and less where it does less.
+
+    squeezes = body.static_tyre_deflection().values()
+    for corner, load, squeeze in zip(body.corners, body.static_loads(), squeezes, strict=True):
+        unsprung, road = spec.body(f"unsprung_{corner.name}"), spec.body(f"road_{corner.name}")
+        unsprung.mass = corner.unsprung_mass
+        unsprung.pos[:2] = road.pos[:2] = [corner.x, corner.y]
+        spec.site(f"suspension_{corner.name}_top").pos[:2] = [corner.x, corner.y]
+
+        suspension, tyre = spec.tendon(f"suspension_{corner.name}"), spec.tendon(f"tyre_{corner.name}")
+        suspension.stiffness[0] = corner.suspension_stiffness
+        suspension.damping[0] = corner.suspension_damping
+        length = sprung.pos[2] + spec.site(f"suspension_{corner.name}_top").pos[2] - unsprung.pos[2]
+        suspension.springlength = [length + load / corner.suspension_stiffness] * 2
+        tyre.stiffness[0] = corner.tyre_stiffness
+        tyre.springlength[0] = unsprung.pos[2] - road.pos[2] + squeeze
+    for bar in body.bars:
+        if bar.stiffness > 0:
+            torsion = spec.add_tendon(name=f"anti_roll_bar_{bar.name}", springlength=[0.0, 0.0])
+            torsion.stiffness[0] = bar.stiffness
+            torsion.wrap_joint("roll", 1.0)
+            for corner, arm in zip(body.corners, body.arms(bar), strict=True):
+                if arm:
+                    torsion.wrap_joint(f"unsprung_{corner.name}", -arm)

@@ -1,0 +1,338 @@
+"""A kind of vehicle of the user's own: its Python is run, and whatever is wrong with what it gives is one line.
+
+Every check returns what is wrong, in words, or nothing: who asks says whose it is.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from functools import wraps
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from models.common.errors import InputError, quoted, some
+from models.common.files import TEXT, read_text
+from models.kinds.kind import MOST_SQUEEZE, BodyLoad, Invariant, Parameter, Suspension, Variation, VehicleKind, Wheel
+from models.kinds.linear_model import LinearModel
+from models.kinds.signals import HEAVE_LOAD, KEPT, PITCH_LOAD, ROLL_LOAD, Signal
+from models.laws.user_code import compiled, run_own
+
+LARGEST = 1e30  # SI; of any entry. A parameter over a parameter is at most 1e18, and its square is no longer a vehicle's
+LONGEST = 60  # characters of a name
+SIDES = ("", "left", "right")
+LOADS = (HEAVE_LOAD.name, PITCH_LOAD.name, ROLL_LOAD.name)
+
+
+def wrong_parts(kind: VehicleKind) -> str:
+    """What is wrong with the parts of a kind that are no functions: parameters, signals, wheels, sums of sensors."""
+    for what, of in {"parameters": Parameter, "signals": Signal, "on_demand": Signal, "wheels": Wheel}.items():
+        parts = getattr(kind, what)
+        if not isinstance(parts, (tuple, list)) or not all(isinstance(part, of) for part in parts):
+            return f"its {what} are {quoted(parts)}; give a tuple of {of.__name__}s"
+        if what in ("signals", "wheels") and not parts:
+            return f"it has no {what}; give at least one"
+    for what, parts, texts in (
+        ("parameter", kind.parameters, ("unit", "meaning")),
+        ("signal", (*kind.signals, *kind.on_demand), ("symbol", "unit", "meaning")),
+    ):
+        if wrong := _wrong_names(what, [part.name for part in parts]):
+            return wrong
+        for part in parts:
+            if part.name.startswith(KEPT):
+                return f"{what} {part.name!r}: names that begin with {KEPT} are of a controller's states; give it another"
+            for text in texts:
+                if not isinstance(getattr(part, text), str):
+                    return f"{what} {part.name!r} has the {text} {quoted(getattr(part, text))}; give a text"
+    for part in kind.parameters:
+        varied = part.varied
+        if varied is not None and not (isinstance(varied, Variation) and isinstance(varied.name, str)):
+            return f"parameter {part.name!r} has varied = {quoted(varied)}; give Variation(name, smallest, largest)"
+        if part.usual is not None and not _is_number(part.usual):
+            return f"parameter {part.name!r} is usually {quoted(part.usual)}; give a finite number, or leave usual out"
+    if not isinstance(kind.lacking, Mapping) or not all(isinstance(text, str) for pair in kind.lacking.items() for text in pair):
+        return f"its lacking is {quoted(kind.lacking)}; give {{beginning of a parameter's name: why there is none}}"
+    return _wrong_loads(kind) or _wrong_wheels(kind) or _wrong_sums(kind) or _wrong_suspensions(kind) or _wrong_invariants(kind)
+
+
+def _wrong_wheels(kind: VehicleKind) -> str:
+    for what in ("road_body", "road_displacement", "road_velocity", "tyre_deflection"):
+        if wrong := _wrong_names(f"{what} of a wheel", [getattr(wheel, what) for wheel in kind.wheels]):
+            return wrong
+    names = {signal.name for signal in kind.signals}
+    for wheel in kind.wheels:
+        for what in ("road_displacement", "road_velocity", "tyre_deflection"):
+            if getattr(wheel, what) not in names:
+                return f"a wheel's {what} {getattr(wheel, what)!r} is none of its signals; add it to them"
+        if wheel.side not in SIDES:
+            return f"a wheel's side is {quoted(wheel.side)}; give 'left', 'right', or '' where there is only one track"
+        for what in ("behind", "lateral"):
+            if not callable(getattr(wheel, what)):
+                return f"a wheel's {what} is {quoted(getattr(wheel, what))}; give a function of the parameters"
+    return ""
+
+
+def _wrong_loads(kind: VehicleKind) -> str:
+    if not isinstance(kind.loads, (tuple, list)) or not all(isinstance(one, BodyLoad) for one in kind.loads):
+        return f"its loads are {quoted(kind.loads)}; give a tuple of BodyLoads, or leave it out"
+    for load in kind.loads:
+        if load.name not in LOADS or not isinstance(load.joint, str):
+            return f"a load is {quoted(load)}; give BodyLoad(name, joint), with a name out of {some(LOADS)}"
+    return _wrong_names("load", [load.name for load in kind.loads])
+
+
+def _wrong_sums(kind: VehicleKind) -> str:
+    if not isinstance(kind.combined, Mapping):
+        return f"its combined is {quoted(kind.combined)}; give {{signal: {{other signal: factor}}}}"
+    names = {signal.name for signal in (*kind.signals, *kind.on_demand)}
+    for name, parts in kind.combined.items():
+        if name not in names:
+            return f"combined {quoted(name)} is none of its signals; add it to them"
+        if not isinstance(parts, Mapping) or not parts:
+            return f"combined {name!r} is {quoted(parts)}; give {{other signal: factor}}"
+        for part, factor in parts.items():
+            if not isinstance(part, str) or not _is_number(factor) or factor == 0:
+                return f"combined {name!r} has {quoted(factor)} of {quoted(part)}; give finite factors that are not 0"
+    return ""
+
+
+def _wrong_suspensions(kind: VehicleKind) -> str:
+    if kind.suspended is None:
+        return ""
+    if not isinstance(kind.suspended, (tuple, list)) or not all(isinstance(one, Suspension) for one in kind.suspended):
+        return f"its suspended is {quoted(kind.suspended)}; give a tuple of Suspensions, or leave it out"
+    forces = [one.force for one in kind.suspended if one.force != ""]
+    for what, names in {
+        "deflection": [one.deflection for one in kind.suspended],
+        "tendon": [one.tendon for one in kind.suspended],
+        "force": forces,
+    }.items():
+        if wrong := _wrong_names(f"{what} of a suspension", names):
+            return wrong
+    signals, parameters = {signal.name for signal in kind.signals}, {parameter.name for parameter in kind.parameters}
+    for one in kind.suspended:
+        for what, name in {"stiffness": one.stiffness, "damping": one.damping}.items():
+            if name != "" and name not in parameters:
+                return f"a suspension's {what} {quoted(name)} is none of its parameters; add it to them, or leave it out"
+        if one.deflection not in signals:
+            return f"a suspension's deflection {one.deflection!r} is none of its signals; add it to them"
+    return ""
+
+
+def _wrong_invariants(kind: VehicleKind) -> str:
+    if not isinstance(kind.invariants, (tuple, list)) or not all(isinstance(one, Invariant) for one in kind.invariants):
+        return f"its invariants are {quoted(kind.invariants)}; give a tuple of Invariants"
+    names = {signal.name for signal in kind.signals}
+    for one in kind.invariants:
+        if not isinstance(one.name, str) or not one.name.isprintable() or not 0 < len(one.name) <= LONGEST:
+            return f"an invariant is called {quoted(one.name)}; give a text on one line, at most {LONGEST} characters"
+        if not isinstance(one.signals, (tuple, list)) or not one.signals or not all(name in names for name in one.signals):
+            return f"invariant {one.name!r} is of {quoted(one.signals)}; give a tuple of the kind's signals"
+        for what in ("omega", "magnitude"):
+            if not callable(getattr(one, what)):
+                return f"invariant {one.name!r} has the {what} {quoted(getattr(one, what))}; give a function of the parameters"
+    return ""
+
+
+def wrong_linear_model(model: Any, kind: VehicleKind) -> str:
+    """What is wrong with a linear model as one of this kind."""
+    if not isinstance(model, LinearModel):
+        return _of_type(model, "a LinearModel")
+    for what in ("states", "inputs", "disturbances", "outputs"):
+        if not getattr(model, what):
+            return f"a model without {what}; give at least one"
+    for name in ("A", "B", "Bw", "C", "D", "Br", "Cr", "Bl", "Dl"):
+        for row, column in np.argwhere(np.abs(getattr(model, name)) > LARGEST)[:1]:
+            return (
+                f"{name}[{row}, {column}] = {getattr(model, name)[row, column]:g}, larger than any vehicle's; at most {LARGEST:g}"
+            )
+    if not _is_number(model.twist_rate) or model.twist_rate <= 0:
+        return f"twist_rate = {quoted(model.twist_rate)}; give a finite number above 0"
+
+    for suspension in kind.suspended or ():
+        if suspension.force and suspension.force not in model.inputs:
+            return f"no input {suspension.force!r}, a suspension's force; add it, or leave it out of the suspension"
+    roads = tuple(wheel.road_velocity for wheel in kind.wheels)
+    if tuple(model.disturbances) != roads:
+        return f"the disturbances {some(model.disturbances)}; its wheels' road velocities, in their order, are {some(roads)}"
+    if model.loads != tuple(load.name for load in kind.loads):
+        own = some([load.name for load in kind.loads])
+        return f"the loads {some(model.loads) or 'none'}; the kind's, in their order, are {own or 'none'}"
+    driven = {*roads, *(wheel.road_displacement for wheel in kind.wheels)}
+    own = [signal.name for signal in (*kind.signals, *kind.on_demand) if signal.name not in driven]
+    for name in own:
+        if name not in model.outputs:
+            return f"no output {name!r}, which is one of the kind's signals; add it, or take it out of them"
+    for name in model.outputs:
+        if name not in own:
+            return f"an output {name!r}, which is none of the kind's signals but the road's; add it to them"
+    for what, names, own_part, others in (
+        ("state", model.states, model.C, (model.D, model.Cr)),
+        ("input", model.inputs, model.D, (model.C, model.Cr)),
+    ):
+        for i, name in enumerate(names):
+            if name not in model.outputs:
+                return f"the {what} {name!r}, which is none of its outputs; add it to them, it can then be measured"
+            if name in kind.unnamed:
+                return f"the {what} {name!r}, a signal on demand; every vehicle has its states and inputs: add it to signals"
+            row, unit = model.outputs.index(name), np.eye(len(names))[i]
+            if not np.array_equal(own_part[row], unit) or any(other[row].any() for other in others):
+                return f"an output {name!r} that is not the {what} of that name; mend its rows of C, D and Cr"
+    for wheel in kind.wheels:
+        if wheel.tyre_deflection not in model.outputs:
+            return f"no output {wheel.tyre_deflection!r}, a wheel's tyre; add it"
+    return ""
+
+
+def wrong_angles(angles: Any, kind: VehicleKind) -> str:
+    """What is wrong with the sums of signals that are the body's angles."""
+    names = {signal.name for signal in kind.signals}
+    for angle, parts in angles.items() if isinstance(angles, Mapping) else [("", None)]:
+        sound = isinstance(parts, Mapping) and all(name in names and _is_number(share) for name, share in parts.items())
+        if angle not in ("pitch_angle", "roll_angle") or not sound:
+            return f"{quoted(angles)}; give {{'pitch_angle': {{signal: factor}}}}, 'roll_angle' likewise, of the kind's signals"
+    return ""
+
+
+def wrong_rest(squeezes: Any, kind: VehicleKind) -> str:
+    """What is wrong with how far the tyres of this kind are squeezed at rest."""
+    if not isinstance(squeezes, Mapping):
+        return _of_type(squeezes, "a mapping from each tyre's signal to metres")
+    tyres = [wheel.tyre_deflection for wheel in kind.wheels]
+    for tyre in tyres:
+        if tyre not in squeezes:
+            return f"nothing for {tyre!r}; give one number for each of {some(tyres)}"
+    for tyre, squeeze in squeezes.items():
+        if tyre not in tyres:
+            return f"a number for {quoted(tyre)}, which is no wheel's tyre; give one for each of {some(tyres)}"
+        if not _is_number(squeeze) or squeeze <= 0:
+            return (
+                f"{tyre} = {quoted(squeeze)}; give a number above 0 and at most {MOST_SQUEEZE} m: a tyre that carries nothing "
+                "stands on no road"
+            )
+    return ""
+
+
+def wrong_place(place: Any) -> str:
+    """What is wrong with how far a wheel is behind the first, or to the left."""
+    return "" if _is_number(place) and abs(place) <= LARGEST else f"{quoted(place)}; give a finite number of metres"
+
+
+def wrong_size(size: Any) -> str:
+    """What is wrong with an invariant's frequency, or magnitude."""
+    return "" if _is_number(size) and 0 < size <= LARGEST else f"{quoted(size)}; give a finite number above 0"
+
+
+def wrong_distance(distance: Any) -> str:
+    """What is wrong with how far a wheel runs behind the first."""
+    return wrong_place(distance) or (
+        "" if distance >= 0 else f"{distance:g} m; the first wheel meets the road first, so give 0 or more"
+    )
+
+
+def _wrong_names(what: str, names: Iterable[Any]) -> str:
+    seen: set[str] = set()
+    for name in names:
+        if not isinstance(name, str) or not name.isidentifier() or len(name) > LONGEST:
+            return f"{what}: {quoted(name)} is no name; give letters, digits and '_', at most {LONGEST}, no digit first"
+        if name in seen:
+            return f"{what}: {name!r} is there twice; give each a name of its own"
+        seen.add(name)
+    return ""
+
+
+def _is_number(value: Any) -> bool:
+    """Whether it is one real and finite number; numpy's count."""
+    return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _of_type(found: Any, allowed: str) -> str:
+    return f"a {type(found).__name__}, not {allowed}"
+
+
+GIVE = "give the equations of the kind, as models/README.md shows them"
+
+
+def read_kind(folder: Path, name: str) -> VehicleKind:
+    """Runs `NAME.py` of a folder and takes its `KIND`.
+
+    Raises:
+        InputError: it cannot be read, is no Python, fails, or has no such `KIND`; and so do the kind's functions where they fail,
+            or give something else than they should.
+    """
+    path = folder / f"{name}.py"
+    what, module = f"kind of vehicle {path}", ModuleType(f"roadproof_{name}")
+    module.__file__ = str(path)
+    text = read_text(path, "kind of vehicle", TEXT, GIVE)
+    code = compiled(what, path, text)
+    _run(path, "the file", lambda: exec(code, vars(module)))
+    found = vars(module).get("KIND")
+    if not isinstance(found, VehicleKind):
+        has = f"its KIND is a {type(found).__name__}" if "KIND" in vars(module) else "it has no KIND"
+        raise InputError(f"{what}: {has}; end it with KIND = VehicleKind(...), as models/README.md shows")
+    if found.name != name:
+        raise InputError(f"{what}: its KIND is called {found.name!r}; call it {name!r}, as its files are")
+    if wrong := _run(path, "its KIND", lambda: wrong_parts(found)):
+        raise InputError(f"{what}: {wrong}")
+    return _guarded_kind(path, replace(found, folder=folder))
+
+
+def _guarded_kind(path: Path, kind: VehicleKind) -> VehicleKind:
+    """The same kind, whose functions give what they should or raise InputError."""
+    for name in ("linear_model", "static_tyre_deflection", "write_mjcf", "check_together", "angles"):
+        if not callable(getattr(kind, name)):
+            raise InputError(f"kind of vehicle {path}: its {name} is no function; give one of the parameters")
+    return replace(
+        kind,
+        wheels=tuple(
+            _guarded_part(path, f"the wheel at {wheel.road_body!r}", wheel, behind=wrong_distance, lateral=wrong_place)
+            for wheel in kind.wheels
+        ),
+        invariants=tuple(
+            _guarded_part(path, f"the invariant {one.name!r}", one, omega=wrong_size, magnitude=wrong_size)
+            for one in kind.invariants
+        ),
+        linear_model=_guarded(path, "linear_model", kind.linear_model, lambda model: wrong_linear_model(model, kind)),
+        static_tyre_deflection=_guarded(
+            path, "static_tyre_deflection", kind.static_tyre_deflection, lambda squeezes: wrong_rest(squeezes, kind)
+        ),
+        angles=_guarded(path, "angles", kind.angles, lambda angles: wrong_angles(angles, kind)),
+        write_mjcf=_guarded(path, "write_mjcf", kind.write_mjcf, lambda nothing: ""),
+        check_together=_guarded(path, "check_together", kind.check_together, lambda nothing: "", refuses=True),
+    )
+
+
+def _guarded_part(path: Path, what: str, part: Any, **wrong: Callable[[Any], str]) -> Any:
+    """A part of a kind, whose functions, by name with what is wrong with their results, are guarded."""
+    return replace(part, **{name: _guarded(path, f"{name} of {what}", getattr(part, name), said) for name, said in wrong.items()})
+
+
+def _guarded(
+    path: Path, name: str, function: Callable[..., Any], wrong: Callable[[Any], str], refuses: bool = False
+) -> Callable[..., Any]:
+    """A function of the user's, whose failures are ours to tell.
+
+    Args:
+        path: its file.
+        name: what a message calls it.
+        function: the function; its last argument are the parameters, and it gets a copy of its own.
+        wrong: result -> what is wrong with it, or nothing.
+        refuses: whether an InputError of its own is what it is there for: it speaks of the parameters.
+    """
+
+    @wraps(function)
+    def call(*arguments: Any) -> Any:
+        *others, parameters = arguments
+        result = _run(path, name, lambda: function(*others, dict(parameters)), refuses)
+        if said := _run(path, name, lambda: wrong(result)):  # what it gives may have code of theirs as well
+            raise InputError(f"kind of vehicle {path}: {name} gives {said}")
+        return result
+
+    return call
+
+
+def _run(path: Path, name: str, code: Callable[[], Any], refuses: bool = False) -> Any:
+    """Runs code of a kind; see `run_own`."""
+    return run_own(f"kind of vehicle {path}", path, name, code, refuses)

@@ -1,0 +1,237 @@
+"""A linear law from measurements to forces: x_c' = A x_c + B y, u = C x_c + D y. A static gain is one without a state."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import linalg
+
+from models.common.arrays import Array, real_matrix
+from models.common.errors import InputError
+
+MATRICES = ("A", "B", "C", "D")
+MOST_STATES = 200  # of a law; a controller of a vehicle has some dozens
+LARGEST = 1e15  # of an entry; beyond it rounding decides what acts
+SINGULAR = 1e-12  # relative: a loop through the measurements that is so nearly singular has no digit left
+
+
+@dataclass(frozen=True, eq=False)
+class LinearLaw:
+    """A linear law with k states, from q measurements to m forces.
+
+    Attributes:
+        A: shape (k, k).
+        B: shape (k, q).
+        C: shape (m, k).
+        D: shape (m, q), the static gain K where there are no states [N per measured unit].
+        sample_period: of a discrete law, x_c[i+1] = A x_c[i] + B y[i], u[i] = C x_c[i] + D y[i] [s]; None of a continuous one.
+
+    Raises:
+        InputError: a matrix is not one of real finite numbers, has an entry beyond `LARGEST` or the wrong shape, or there are too
+            many states; the message names it.
+    """
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    sample_period: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in MATRICES:
+            matrix, _ = real_matrix(getattr(self, name), name, LARGEST)
+            matrix.flags.writeable = False
+            object.__setattr__(self, name, matrix)
+        k, (m, q) = len(self.A), self.D.shape
+        if k > MOST_STATES:
+            raise InputError(f"a controller of {k} states is too large; at most {MOST_STATES}: reduce its order")
+        for name, shape in {"A": (k, k), "B": (k, q), "C": (m, k)}.items():
+            found = getattr(self, name).shape
+            if found != shape:
+                raise InputError(
+                    f"{name} has shape {found}; expected {shape}, as A has {k} row(s) and D, of shape {(m, q)}, a row per force "
+                    "and a column per measured signal"
+                )
+        period = self.sample_period
+        if period is not None and not 0 < period < np.inf:
+            raise InputError(f"sample_period = {period!r} s is not allowed; give a number above 0, or none for a continuous law")
+
+    @property
+    def states(self) -> int:
+        """How many states it has; 0 of a static gain."""
+        return len(self.A)
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """It as JSON and TOML hold it: the gain of a static law; else its matrices, and the sample period of a discrete one."""
+        if not self.states:
+            return {"gain": self.D.tolist()}
+        period = {} if self.sample_period is None else {"sample_period": self.sample_period}
+        return {name: getattr(self, name).tolist() for name in MATRICES} | period
+
+    @property
+    def acts(self) -> bool:
+        """Whether any measurement ever makes a force."""
+        return bool(np.any(self.D) or (np.any(self.B) and np.any(self.C)))
+
+    def response(self, omega: float) -> Array:
+        """From the measurements to the forces at a frequency [rad/s], complex, shape (m, q); discrete, below pi / period."""
+        at = 1j * omega if self.sample_period is None else np.exp(1j * omega * self.sample_period)
+        return self.C @ np.linalg.solve(at * np.eye(self.states) - self.A, self.B) + self.D
+
+    def of_state(self, period: float | None) -> float:
+        """What makes the law's own states of those of `sampled(period)`, or of `continuous()` where there is no period."""
+        if self.sample_period is None or (period is not None and self._at(period)):
+            return 1.0
+        return 1 / np.sqrt(self.sample_period)
+
+    def scaled(self, factors: Array | float) -> "LinearLaw":
+        """The law whose forces are so many times as large.
+
+        Args:
+            factors: one for all forces, or one for each, shape (m,).
+        """
+        rows = np.broadcast_to(np.asarray(factors, dtype=float), len(self.D))[:, None]
+        return LinearLaw(self.A, self.B, rows * self.C, rows * self.D, self.sample_period)
+
+    def read_as(self, factors: Array | float) -> "LinearLaw":
+        """The law whose readings are so many times as large as what is measured.
+
+        Args:
+            factors: one for all readings, or one for each, shape (q,).
+        """
+        columns = np.broadcast_to(np.asarray(factors, dtype=float), self.D.shape[1])
+        return LinearLaw(self.A, self.B * columns, self.C, self.D * columns, self.sample_period)
+
+    def only(self, forces: Array) -> "LinearLaw":
+        """The law of some of its forces; the others are zero. With `scaled` it is what cutting a loop at actuators takes.
+
+        Args:
+            forces: whether each is kept, shape (m,).
+        """
+        rows = np.asarray(forces, dtype=bool)[:, None]
+        return LinearLaw(self.A, self.B, np.where(rows, self.C, 0.0), np.where(rows, self.D, 0.0), self.sample_period)
+
+    def fed_back(self, through: Array) -> "LinearLaw":
+        """The law on y with y = y0 + `through` u, as a law on y0: the loop through the measurements is solved.
+
+        Args:
+            through: what the forces do to the measurements at once, shape (q, m).
+
+        Raises:
+            InputError: I - D `through` is singular: the force asks for itself.
+        """
+        if not np.any(through):
+            return self
+        loop = np.eye(len(self.D)) - self.D @ through
+        sizes = np.linalg.svd(loop, compute_uv=False)
+        if sizes[-1] < SINGULAR * max(1.0, sizes[0]):
+            raise InputError(
+                "its force acts on what it measures at once, and I - D_c D is singular there: no force solves that loop; change "
+                "the gain on the accelerations, or filter them"
+            )
+        C, D = np.linalg.solve(loop, self.C), np.linalg.solve(loop, self.D)
+        B = self.B @ through
+        return LinearLaw(self.A + B @ C, self.B + B @ D, C, D, self.sample_period)
+
+    def continuous(self) -> "LinearLaw":
+        """The law in continuous time: of a discrete one that whose bilinear transform (Tustin) it is.
+
+        Raises:
+            InputError: it has none, as there is a pole at -1, or one that has entries beyond `LARGEST`.
+        """
+        if self.sample_period is None:
+            return self
+        if not self.states:
+            return LinearLaw(self.A, self.B, self.C, self.D)
+        root, shifted = np.sqrt(self.sample_period), self.A + np.eye(self.states)
+        if np.linalg.svd(shifted, compute_uv=False)[-1] < SINGULAR * max(1.0, np.abs(self.A).max()):
+            raise InputError("a discrete controller with a pole at -1 has no continuous counterpart; move that pole")
+        inverse = np.linalg.inv(shifted)
+        try:
+            return LinearLaw(
+                2 / self.sample_period * (self.A - np.eye(self.states)) @ inverse,
+                2 / root * inverse @ self.B,
+                2 / root * self.C @ inverse,
+                self.D - self.C @ inverse @ self.B,
+            )
+        except InputError as error:
+            raise InputError(
+                f"of its continuous counterpart (Tustin), {error}; scale its states, so that B and C are of one size"
+            ) from error
+
+    @property
+    def text(self) -> str:
+        """It on one line."""
+        if not self.states:
+            return f"gain {gain_text(self.D)}"
+        if self.sample_period is None:
+            return f"x_c' = A x_c + B y, u = C x_c + D y, of {states_text(self)}"
+        return f"x_c[i+1] = A x_c[i] + B y[i], u[i] = C x_c[i] + D y[i], of {states_text(self)}"
+
+    def sampled(self, period: float) -> "LinearLaw":
+        """The law as a computer runs it, every so many seconds.
+
+        A continuous law's states are exact for measurements that go straight from sample to sample (ramp-invariant, or
+        first-order hold: Franklin, Powell, Workman 1998, section 6.3): that takes no time, as a held measurement would, and a
+        state that is fast against the period is none, instead of ringing as by Tustin's rule. A discrete law at its own period
+        is run as it is.
+
+        Args:
+            period: [s].
+        """
+        if not self.states or self._at(period):
+            return LinearLaw(self.A, self.B, self.C, self.D, period)
+        law = self.continuous()
+        k, q = law.B.shape
+        augmented = np.zeros((k + 2 * q, k + 2 * q))
+        augmented[:k, :k], augmented[:k, k : k + q] = period * law.A, period * law.B
+        augmented[k : k + q, k + q :] = np.eye(q)
+        step = linalg.expm(augmented)
+        Phi, held, ramp = step[:k, :k], step[:k, k : k + q], step[:k, k + q :]
+        return LinearLaw(Phi, held - ramp + Phi @ ramp, law.C, law.D + law.C @ ramp, period)
+
+    def _at(self, period: float) -> bool:
+        """Whether this is the sample period of its own."""
+        return self.sample_period is not None and bool(np.isclose(self.sample_period, period, rtol=1e-9, atol=0))
+
+
+def static_law(gain: Array) -> LinearLaw:
+    """u = K y.
+
+    Args:
+        gain: K, shape (m, q) [N per measured unit].
+    """
+    m, q = np.shape(gain)
+    return LinearLaw(np.zeros((0, 0)), np.zeros((0, q)), np.zeros((m, 0)), gain)
+
+
+def law_of(record: Mapping[str, Any]) -> LinearLaw:
+    """The law of a `LinearLaw.record`, in which other keys may stand, too.
+
+    Raises:
+        KeyError: it is none.
+        InputError: see `LinearLaw`.
+    """
+    if "gain" in record:
+        return static_law(record["gain"])
+    return LinearLaw(*(record[name] for name in MATRICES), sample_period=record.get("sample_period"))
+
+
+def states_text(law: LinearLaw) -> str:
+    """How many states a law has, and where its poles lie."""
+    poles = np.linalg.eigvals(law.A)
+    count = f"{law.states} states" if law.states > 1 else "1 state"
+    if law.sample_period is not None:
+        pole = "its largest pole" if law.states > 1 else "its pole"
+        return f"{count}, every {1e3 * law.sample_period:g} ms; {pole} {np.abs(poles).max():.4g}"
+    least, most = (f"{rate:.4g}" for rate in (np.abs(poles).min(), np.abs(poles).max()))
+    where = f"poles of {least} to {most}" if least != most else f"{'poles' if law.states > 1 else 'its pole'} of {least}"
+    unstable = ", not all stable" if poles.real.max() > 0 else ""
+    return f"{count}; {where} rad/s{unstable}"
+
+
+def gain_text(gain: Array) -> str:
+    """A gain matrix on one line, as a vehicle file has it."""
+    return "[" + ", ".join("[" + ", ".join(f"{entry:.6g}" for entry in row) + "]" for row in gain) + "]"

@@ -1,0 +1,145 @@
+"""A controller as Python of the user's own: `law = "my_law.py:step"` in `[controllers.NAME]`. Here it is only named, and read.
+
+No claim of linear analysis is made of it. Its file lies in the folder of the vehicle file, or below: no log, result or text of a
+vehicle file can name another one.
+"""
+
+import hashlib
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+from models.common.errors import InputError, quoted
+from models.common.files import MIB, read_text
+
+LAW = re.compile(r"(?P<file>[^:\\\x00-\x1f\x7f-\x9f\u2028\u2029]+\.py):(?P<function>[^\W\d]\w*)")
+GIVE = 'give a file beside the vehicle file and a function in it, as in law = "my_law.py:step"'
+MOST_TEXT = MIB  # bytes of its file
+FURTHEST = 60.0  # s of the road ahead
+
+
+@dataclass(frozen=True)
+class PythonLaw:
+    """A law in Python, as a vehicle file names it.
+
+    Attributes:
+        law: `FILE.py:FUNCTION`.
+        preview: how far ahead it is told the road [s]; None where it is told nothing of it.
+        folder: of the vehicle file; None of a vehicle file that is text alone, whose laws cannot be run.
+    """
+
+    law: str
+    preview: float | None = None
+    folder: Path | None = None
+
+    @property
+    def file(self) -> str:
+        """Its file, relative to the folder."""
+        return self.law.rpartition(":")[0]
+
+    @property
+    def function(self) -> str:
+        """Its function."""
+        return self.law.rpartition(":")[2]
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """It as JSON and TOML hold it."""
+        return {"law": self.law} | ({"preview": self.preview} if self.preview is not None else {})
+
+    @property
+    def path(self) -> Path | None:
+        """Where its file lies; None of a vehicle file that is text alone."""
+        return None if self.folder is None else self.folder / self.file
+
+    def source(self) -> str:
+        """The text of its file. It is not run.
+
+        Raises:
+            InputError: there is no such file, it lies elsewhere, is too large, or no text.
+        """
+        path = self.path
+        if self.folder is None or path is None:
+            raise InputError(f"law {self.law}: the vehicle file was read from text alone, and no code comes with that")
+        where, folder = (Path(os.path.realpath(one)) for one in (path, self.folder))  # of a loop of links it says nothing
+        if not where.is_relative_to(folder):
+            raise InputError(f"law {self.law}: is a link out of the folder of the vehicle file; {GIVE}")
+        return read_text(path, "law", MOST_TEXT, GIVE)
+
+
+@dataclass(frozen=True, eq=False)
+class Programmed:
+    """A controller that is a law in Python, with the text that is run; no claim is made of it.
+
+    Attributes:
+        name: as asked for.
+        measured: the signals y, q of them.
+        law: as the vehicle file names it.
+        source: of its file.
+    """
+
+    name: str
+    measured: tuple[str, ...]
+    law: PythonLaw
+    source: str
+
+    kind: ClassVar[str] = "a law in Python"
+
+    @property
+    def states(self) -> int:
+        """None: its law is not linear."""
+        return 0
+
+    @property
+    def sha256(self) -> str:
+        """Checksum of the source."""
+        return sha256(self.source)
+
+    @property
+    def text(self) -> str:
+        """The law on one line."""
+        preview = self.law.preview
+        ahead = "" if preview is None else f", told the road {preview:g} s ahead"
+        return f"law in Python {self.law.law}{ahead}; SHA-256 of its file {self.sha256[:16]}..."
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """Name, signals and law as JSON has them."""
+        return {"name": self.name, "measured": list(self.measured), **self.law.record, "sha256": self.sha256}
+
+
+def sha256(text: str) -> str:
+    """Checksum of the text of a law, in UTF-8."""
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def read_law(where: str, entry: Mapping[str, Any], folder: Path | None) -> PythonLaw | None:
+    """The law in Python that an entry of `[controllers]` names; None where it names none. No file is opened.
+
+    Args:
+        where: the entry, for messages.
+        entry: as it was read.
+        folder: of the vehicle file.
+
+    Raises:
+        InputError: `law` or `preview` is not what it may be, or something else gives the law too.
+    """
+    if "law" not in entry:
+        if "preview" in entry:
+            raise InputError(f"{where} preview is what a law in Python is told of the road ahead; {GIVE}, or take it out")
+        return None
+    others = [key for key in entry if key not in ("measured", "law", "preview")]
+    if others:
+        raise InputError(f"{where} has a law in Python and {others[0]}, which is of a linear one; take one of them out")
+    law = entry["law"]
+    found = LAW.fullmatch(law) if isinstance(law, str) else None
+    if found is None or Path(found["file"]).is_absolute() or ".." in Path(found["file"]).parts:
+        raise InputError(f"{where} law = {quoted(law)} is no law in Python; {GIVE}")
+    preview = entry.get("preview")
+    real = isinstance(preview, (int, float)) and not isinstance(preview, bool)
+    if preview is not None and not (real and 0 <= preview <= FURTHEST):
+        raise InputError(f"{where} preview = {quoted(preview)} is not allowed; give seconds from 0 to {FURTHEST:g}")
+    return PythonLaw(law, None if preview is None else float(preview), folder)

@@ -1,0 +1,274 @@
+"""A law in Python, run: called once a sample of the controller, guarded and timed. `Sample` is what it is given.
+
+Every run executes the file anew, so that what the file keeps in names of its own is the run's, as its state is: runs do not
+depend on those beside them. A vectorised law is executed once for all the runs that it is given together.
+
+A watchdog ends a call that takes too long by an exception in its thread. Python raises that between two instructions of its own:
+a call that waits within code that is not Python (a sleep, a read, one huge product) cannot be ended so. A command is then left
+as it is, by `os._exit`; a library goes on waiting, unless `leave_by` says how it is left. A call that goes on though the command
+was told to end has taken too long from then on.
+
+Over a run a law has a limit, too, which goes with what it does: `SLOWEST` times the time on the road. Else 0.9 of the limit of a
+call, ten thousand times, would be hours.
+"""
+
+import ctypes
+import inspect
+import os
+import threading
+from collections.abc import Callable, Mapping
+from time import monotonic as clock
+from time import sleep
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from models.common import interrupt
+from models.common.arrays import Array
+from models.common.command import BAD_INPUT, complain
+from models.common.errors import InputError, quoted
+from models.laws.python_law import Programmed
+from models.laws.user_code import compiled, run_own
+
+LONGEST = 10.0  # s of a call; the law of a car has milliseconds
+SLOWEST = 100.0  # times as long as the vehicle is on the road its law may take over a run, and `LONGEST` beyond
+LONGEST_START = 60.0  # s that its file may take to run: it may import what is large
+GRACE = 5.0  # s from being told to end until a command that waits for it is left
+SLOW = f"is slower than {SLOWEST:g} times real time, and {LONGEST:g} s,"
+PLAIN = "write it as def step(sample, state), with return force, state at its end"
+TICK = 0.05  # s between two looks of the watchdog
+JUMPS = 1000  # back in a loop; at the first of them Python raises what waits to be raised
+
+
+class Sample:
+    """What a law is given at a sample.
+
+    Attributes:
+        y: the measurements, in the order of `measured`, shape (q,); `sample["sprung_velocity"]` is one by name.
+        time: since the start [s].
+        period: until the next sample [s].
+        preview: heights of the road [m], a row per wheel: under it now, and at each of the next samples, as far as `preview`
+            says, shape (r, P); None where the vehicle file declares none.
+        parameters: of the vehicle, by name, in SI units.
+
+    Of a vectorised law N runs are side by side: y is of shape (N, q), `sample["sprung_velocity"]` (N,), preview (N, r, P), and
+    every one of the parameters (N,).
+    """
+
+    __slots__ = ("_index", "parameters", "period", "preview", "time", "y")
+
+    def __init__(
+        self, index: Mapping[str, int], y: Array, time: float, period: float, preview: Array | None, parameters: Mapping[str, Any]
+    ) -> None:
+        self._index, self.y, self.time, self.period = index, y, time, period
+        self.preview, self.parameters = preview, parameters
+
+    def __getitem__(self, signal: str) -> Any:
+        if signal not in self._index:
+            raise InputError(f"it measures no {quoted(signal)}, but {', '.join(self._index)}")
+        return self.y[..., self._index[signal]]
+
+
+class OwnLaw:
+    """One execution of a law: its state, and its file's own names.
+
+    Attributes:
+        vectorised: whether it is called for many runs at once, as its function says by an attribute of that name.
+    """
+
+    def __init__(self, controller: Programmed, forces: int) -> None:
+        """Executes its file.
+
+        Raises:
+            InputError: that fails, takes too long, or there is no such function.
+        """
+        law = controller.law
+        self._path, self._forces = law.path or law.folder, forces
+        self._what, self._name = f"controller {controller.name!r}, law {law.law}", law.function
+        self._index = {name: i for i, name in enumerate(controller.measured)}
+        self._left = LONGEST  # s that calls may still take
+        self._state: Any = None
+        assert self._path is not None, "code comes from files only"
+        module = ModuleType("roadproof_law")
+        module.__file__ = str(self._path)
+        code = compiled(self._what, self._path, controller.source)
+        self._run("the file", LONGEST_START, lambda: exec(code, vars(module)))
+        found = vars(module).get(law.function)
+        if not callable(found):
+            raise InputError(
+                f"{self._what}: the file has no function {law.function!r}; give it one: def {law.function}(sample, state)"
+            )
+        self._step: Callable[[Sample, Any], Any] = found
+        name = f"{law.function}.vectorised"
+        vectorised, returns = self._run(name, LONGEST, lambda: (_flag(getattr(found, "vectorised", False)), _returns(found)))
+        if not returns:
+            raise InputError(f"{self._what}: {law.function} is async, or yields, and is called once a sample; {PLAIN}")
+        if vectorised is None:
+            raise InputError(f"{self._what}: {name} is neither true nor false; give {name} = True, or leave it out")
+        self.vectorised = vectorised
+
+    def __call__(self, y: Array, time: float, period: float, preview: Array | None, parameters: Mapping[str, Any]) -> Array:
+        """The forces that it asks for [N], shape (m,) or, of a vectorised one, (N, m).
+
+        Args:
+            y, time, period, preview, parameters: as for `Sample`.
+
+        Raises:
+            InputError: it fails, takes too long, or gives something else than forces and a state.
+        """
+        sample = Sample(self._index, y.copy(), time, period, preview, dict(parameters))
+        shape = (*y.shape[:-1], self._forces)
+        self._left += SLOWEST * period * (len(y) if y.ndim > 1 else 1)
+        began = clock()
+        try:
+            return self._run(self._name, min(LONGEST, self._left), lambda: self._called(sample, shape))
+        except InputError as error:
+            raise InputError(f"{str(error).removesuffix('; mend that')} at {time:.6g} s; mend that") from None
+        finally:
+            self._left -= clock() - began
+
+    def _called(self, sample: Sample, shape: tuple[int, ...]) -> Array:
+        """One call; whatever it gives has code of theirs as well, so it is looked at here."""
+        given = self._step(sample, self._state)
+        if inspect.iscoroutine(given):
+            given.close()  # else Python complains that nobody has awaited it
+        if not isinstance(given, tuple) or len(given) != 2:
+            raise InputError(f"it gives {_short(given)}, and not two things; end it with: return force, state")
+        force, self._state = given
+        found = np.asarray(force)
+        if found.dtype.kind not in "bifu" and found.dtype.kind != "O":
+            raise InputError(f"its force is {_short(force)}, which is no real number; give newtons")
+        try:
+            found = np.array(found, dtype=float)
+        except (TypeError, ValueError):
+            raise InputError(f"its force is {_short(force)}, which is no real number; give newtons") from None
+        scalar = shape[-1] == 1 and found.shape == shape[:-1]  # one actuator: a number is enough
+        if found.shape != shape and not scalar:
+            raise InputError(f"its force has shape {found.shape}; expected {shape}, a number per actuator")
+        if not np.all(np.isfinite(found)):
+            raise InputError("its force is not finite")
+        return found.reshape(shape)
+
+    def _run(self, name: str, longest: float, code: Callable[[], Any]) -> Any:
+        """Runs code of theirs, watched.
+
+        Raises:
+            InputError: it fails, or takes too long.
+        """
+        assert self._path is not None, "code comes from files only"
+        over = f"takes longer than {longest:g} s" if longest in (LONGEST, LONGEST_START) else SLOW
+        said = f"{self._what}: {name} {over}; mend that"
+        told = interrupt.raised()
+        try:
+            with _watchdog.watching(said, longest) as watched:
+                try:
+                    return run_own(self._what, self._path, name, code)
+                except InputError:
+                    if not watched.late:
+                        raise
+        except _TooLong:  # raised a moment after their code had ended
+            pass
+        if interrupt.raised() != told:
+            raise KeyboardInterrupt
+        raise InputError(said)
+
+
+class _TooLong(BaseException):
+    """Ends a call that takes too long. Not an Exception, so that `except Exception` does not swallow it."""
+
+
+class _Watched:
+    """One call that is watched, in the thread that makes it."""
+
+    def __init__(self, watchdog: "_Watchdog", said: str, longest: float) -> None:
+        self.said, self.thread = said, threading.get_ident()
+        self.deadline, self.late, self.told = clock() + longest, False, interrupt.raised()
+        self._watchdog = watchdog
+
+    def __enter__(self) -> "_Watched":
+        self._watchdog.calls[self.thread] = self
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        while True:
+            try:
+                with self._watchdog.lock:
+                    self._watchdog.calls.pop(self.thread, None)
+                if self.late:  # the call may have ended by itself a moment ago: what is still to be raised in it is raised here
+                    # Not taken back by PyThreadState_SetAsyncExc(id, NULL): CPython 3.11 then stays on the look-out for it for
+                    # ever, and a function that is profiled never gets beyond its first instruction.
+                    for _ in range(JUMPS):
+                        pass
+            except _TooLong:
+                continue
+            return
+
+
+class _Watchdog:
+    """Ends calls that take too long, whatever thread they are in."""
+
+    def __init__(self) -> None:
+        self.calls: dict[int, _Watched] = {}
+        self.lock = threading.Lock()
+        self.leave: Callable[[str], None] | None = None
+        self._thread: threading.Thread | None = None
+
+    def watching(self, said: str, longest: float) -> _Watched:
+        """Watches what is done within it."""
+        if self._thread is None or not self._thread.is_alive():
+            with self.lock:
+                if self._thread is None or not self._thread.is_alive():
+                    self._thread = threading.Thread(target=self._watch, daemon=True, name="roadproof-watchdog")
+                    self._thread.start()
+        return _Watched(self, said, longest)
+
+    def _watch(self) -> None:
+        while True:
+            sleep(TICK)
+            now = clock()
+            for call in list(self.calls.values()):
+                if interrupt.raised() != call.told:  # and their code caught it, or was about to end
+                    call.deadline = min(call.deadline, now)
+                if now > call.deadline:
+                    self._end(call, now)
+
+    def _end(self, call: _Watched, now: float) -> None:
+        with self.lock:
+            if self.calls.get(call.thread) is not call:
+                return
+            leave = self.leave or (_leave_command if interrupt.came() is not None else None)
+            if leave is not None and now > call.deadline + GRACE:
+                leave(call.said)
+            call.late = True
+            ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(call.thread), ctypes.py_object(_TooLong))
+
+
+_watchdog = _Watchdog()
+
+
+def leave_by(leave: Callable[[str], None]) -> None:
+    """Where a call cannot be ended this process is left by a function, which gets what there is to say, and does not return."""
+    _watchdog.leave = leave
+
+
+def _leave_command(said: str) -> None:
+    told = interrupt.raised() > 0
+    complain(interrupt.word() if told else said)
+    os._exit(interrupt.code() if told else BAD_INPUT)
+
+
+def _flag(value: Any) -> bool | None:
+    """A value of theirs that should be true or false; None for anything else."""
+    return bool(value) if isinstance(value, (bool, np.bool_)) else None
+
+
+def _returns(function: Any) -> bool:
+    """Whether a call of a function of theirs is done when it comes back."""
+    kinds = (inspect.iscoroutinefunction, inspect.isgeneratorfunction, inspect.isasyncgenfunction)
+    return not any(kind(one) for one in (function, type(function).__call__) for kind in kinds)
+
+
+def _short(value: Any) -> str:
+    """A value of theirs, as a message has it."""
+    return quoted(value) if isinstance(value, (str, int, float, bool, type(None), list)) else f"a {type(value).__name__}"

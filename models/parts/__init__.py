@@ -1,1 +1,0 @@
-"""What a kind of vehicle is put together from, and what of it knows no other part."""

@@ -1,0 +1,300 @@
+"""Loads: forces and moments on the body, from outside, over time.
+
+A load is what a vehicle that goes straight ahead feels of braking, cornering, carrying and wind: a vertical force at the body's
+centre of mass, a pitch moment and a roll moment, signed as the body's motions are (up; nose down; right side down). They are
+d'Alembert's: with the sprung mass m_s, whose centre is h over the ground,
+
+    braking with a:     M_pitch = m_s a h,         cornering to the left with a:    M_roll = m_s a h,
+    a payload m at x, y:   F = -m g,   M_pitch = m g x,   M_roll = -m g y          (x forward, y to the left, from the centre).
+
+No anti-dive, no anti-squat, and roll centres on the ground: the links take no vertical force, so springs and tyres carry every
+moment. What brakes the wheels' own mass does not go through the springs, and is left out. A payload is its weight, laid on while
+the vehicle goes; for its inertia, which is that of another vehicle, raise `sprung_mass` and the inertias of the vehicle file.
+"""
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from typing import ClassVar, Self
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError
+from models.kinds.kind import GRAVITY, Parameters
+from models.kinds.signals import HEAVE_LOAD, PITCH_LOAD, ROLL_LOAD
+
+HEAVE, PITCH, ROLL = HEAVE_LOAD.name, PITCH_LOAD.name, ROLL_LOAD.name
+AFTER, BEFORE = (1e-3, 1e6), (0.0, 1e6)  # s; nothing is put on in no time, which no step could follow
+
+
+class Load(ABC):
+    """A load over time, on whatever vehicle."""
+
+    @property
+    @abstractmethod
+    def text(self) -> str:
+        """What it is, as it would be asked for, every digit."""
+
+    @property
+    def content(self) -> str:
+        """What it is, wherever that was read."""
+        return self.text
+
+    @property
+    def label(self) -> str:
+        """The same for people: of a file the name alone."""
+        return self.text
+
+    @property
+    @abstractmethod
+    def kinks(self) -> tuple[float, ...]:
+        """Times [s] at which it or one of its derivatives jumps."""
+
+    @property
+    @abstractmethod
+    def ways(self) -> tuple[str, ...]:
+        """The names of the body's loads that it is of."""
+
+    @abstractmethod
+    def over(self, t: Array, p: Parameters) -> Mapping[str, Array]:
+        """Its force [N] and moments [N m] at times t [s], by the names of the body's loads; those that it has not are left out.
+
+        Args:
+            t: times [s].
+            p: parameters of the vehicle, by name [SI].
+        """
+
+    @abstractmethod
+    def scaled(self, factor: float) -> "Load":
+        """The same, so many times as large."""
+
+
+@dataclass(frozen=True)
+class Ramped(Load):
+    """A load that comes, stays and goes: half periods of a cosine up and down.
+
+    Attributes:
+        start: when it begins to come [s].
+        rise: how long it takes to come, and to go [s].
+        hold: how long it stays in between [s]; for ever where infinite.
+
+    Raises:
+        InputError: a number beyond its limits.
+    """
+
+    kind: ClassVar[str]
+    limits: ClassVar[Mapping[str, tuple[float, float]]]
+
+    @property
+    def _history(self) -> tuple[float, float, float]:
+        values = vars(self)
+        return values["start"], values["rise"], values["hold"]
+
+    @abstractmethod
+    def amplitudes(self, p: Parameters) -> Mapping[str, float]:
+        """What it comes to, by the names of the body's loads [N, N m]."""
+
+    def __post_init__(self) -> None:
+        limits = {**self.limits, "start": BEFORE, "rise": AFTER, "hold": (0.0, math.inf)}
+        for name, (smallest, largest) in limits.items():
+            value = getattr(self, name)
+            if not smallest <= value <= largest:  # NaN is in no range
+                raise InputError(f"{self.kind} {name} = {value:g} is not allowed; give a number from {smallest:g} to {largest:g}")
+
+    @property
+    def text(self) -> str:
+        """Its kind, and its numbers; one that stays for ever does not say so."""
+        given = {field.name: getattr(self, field.name) for field in fields(self)}
+        return ":".join([self.kind, *(f"{name}={value!r}" for name, value in given.items() if value != math.inf)])
+
+    @property
+    def kinks(self) -> tuple[float, ...]:
+        """The ends of its ramps."""
+        start, rise, hold = self._history
+        going = start + rise + hold
+        return (start, start + rise, *((going, going + rise) if math.isfinite(hold) else ()))
+
+    def over(self, t: Array, p: Parameters) -> Mapping[str, Array]:
+        """See `Load`."""
+        start, rise, hold = self._history
+        share = (1 - np.cos(np.pi * np.clip((t - start) / rise, 0, 1))) / 2
+        if math.isfinite(hold):
+            share -= (1 - np.cos(np.pi * np.clip((t - start - rise - hold) / rise, 0, 1))) / 2
+        return {name: amplitude * share for name, amplitude in self.amplitudes(p).items()}
+
+
+G = (-2.0, 2.0)  # of a road vehicle's deceleration
+FORCE, PLACE = (-1e6, 1e6), (-20.0, 20.0)  # N, m
+NEEDED = ("sprung_mass", "centre_height")  # parameters that make a moment of an acceleration
+
+
+def _moment(kind: str, g: float, p: Parameters) -> float:
+    """m_s a h [N m].
+
+    Raises:
+        InputError: the vehicle has no such parameters.
+    """
+    if absent := [name for name in NEEDED if name not in p]:
+        raise InputError(
+            f"{kind}: its moment is made of {' and '.join(map(repr, NEEDED))}, and this vehicle has no {absent[0]!r}"
+        )
+    mass, height = (p[name] for name in NEEDED)
+    return mass * GRAVITY * g * height
+
+
+class _Inertial(Ramped):
+    """What the vehicle's own acceleration does: a moment of the body's weight times g at the height of its centre of mass."""
+
+    way: ClassVar[str]
+    limits: ClassVar[Mapping[str, tuple[float, float]]] = {"g": G}
+    g: float
+
+    @property
+    def ways(self) -> tuple[str, ...]:
+        """See `Load`."""
+        return (self.way,)
+
+    def amplitudes(self, p: Parameters) -> Mapping[str, float]:
+        """One moment."""
+        return {self.way: _moment(self.kind, self.g, p)}
+
+    def scaled(self, factor: float) -> Self:
+        """The same, harder or softer."""
+        return replace(self, g=self.g * factor)
+
+
+@dataclass(frozen=True)
+class Brake(_Inertial):
+    """Braking; below 0 it is driving off, and the body squats.
+
+    Attributes:
+        g: deceleration over that of gravity.
+    """
+
+    kind: ClassVar[str] = "brake"
+    way: ClassVar[str] = PITCH
+    g: float = 0.5
+    start: float = 0.5
+    rise: float = 0.2
+    hold: float = math.inf
+
+
+@dataclass(frozen=True)
+class Corner(_Inertial):
+    """A curve to the left, which rolls the body to the right; below 0 one to the right.
+
+    Attributes:
+        g: lateral acceleration over that of gravity.
+    """
+
+    kind: ClassVar[str] = "corner"
+    way: ClassVar[str] = ROLL
+    g: float = 0.3
+    start: float = 0.5
+    rise: float = 0.5
+    hold: float = math.inf
+
+
+def _pushed(force: float, x: float, y: float) -> dict[str, float]:
+    """A vertical force [N] at a place [m]; a moment of no arm is none, which a vehicle need not be able to feel."""
+    return {HEAVE: force} | ({PITCH: -force * x} if x else {}) | ({ROLL: force * y} if y else {})
+
+
+@dataclass(frozen=True)
+class Payload(Ramped):
+    """A weight that is laid on.
+
+    Attributes:
+        mass: [kg]; below 0 it is taken off.
+        x, y: where, forward and to the left of the body's centre of mass [m].
+    """
+
+    kind: ClassVar[str] = "payload"
+    limits: ClassVar[Mapping[str, tuple[float, float]]] = {"mass": (-1e5, 1e5), "x": PLACE, "y": PLACE}
+    mass: float = 100.0
+    x: float = 0.0
+    y: float = 0.0
+    start: float = 0.5
+    rise: float = 0.5
+    hold: float = math.inf
+
+    @property
+    def ways(self) -> tuple[str, ...]:
+        """See `Load`."""
+        return tuple(_pushed(1.0, self.x, self.y))
+
+    def amplitudes(self, p: Parameters) -> Mapping[str, float]:
+        """A force down, and its moments."""
+        return _pushed(-self.mass * GRAVITY, self.x, self.y)
+
+    def scaled(self, factor: float) -> "Payload":
+        """The same, heavier or lighter."""
+        return replace(self, mass=self.mass * factor)
+
+
+@dataclass(frozen=True)
+class Lift(Ramped):
+    """An aerodynamic lift.
+
+    Attributes:
+        force: up [N]; below 0 it is downforce.
+        x, y: where, as of a payload [m].
+    """
+
+    kind: ClassVar[str] = "lift"
+    limits: ClassVar[Mapping[str, tuple[float, float]]] = {"force": FORCE, "x": PLACE, "y": PLACE}
+    force: float = 500.0
+    x: float = 0.0
+    y: float = 0.0
+    start: float = 0.5
+    rise: float = 0.5
+    hold: float = math.inf
+
+    @property
+    def ways(self) -> tuple[str, ...]:
+        """See `Load`."""
+        return tuple(_pushed(1.0, self.x, self.y))
+
+    def amplitudes(self, p: Parameters) -> Mapping[str, float]:
+        """A force up, and its moments."""
+        return _pushed(self.force, self.x, self.y)
+
+    def scaled(self, factor: float) -> "Lift":
+        """The same, stronger or weaker."""
+        return replace(self, force=self.force * factor)
+
+
+@dataclass(frozen=True)
+class Gust(Ramped):
+    """A gust of wind from the left, one period of a cosine unless it stays: it rolls the body to the right.
+
+    Attributes:
+        force: to the right [N]; below 0 it is from the right.
+        height: over the ground at which it acts [m].
+    """
+
+    kind: ClassVar[str] = "gust"
+    limits: ClassVar[Mapping[str, tuple[float, float]]] = {"force": FORCE, "height": (0.0, 20.0)}
+    force: float = 1000.0
+    height: float = 0.8
+    start: float = 0.5
+    rise: float = 0.3
+    hold: float = 0.0
+
+    @property
+    def ways(self) -> tuple[str, ...]:
+        """See `Load`."""
+        return (ROLL,)
+
+    def amplitudes(self, p: Parameters) -> Mapping[str, float]:
+        """A roll moment."""
+        return {ROLL: self.force * self.height}
+
+    def scaled(self, factor: float) -> "Gust":
+        """The same, stronger or weaker."""
+        return replace(self, force=self.force * factor)
+
+
+LOADS: Mapping[str, type[Ramped]] = {one.kind: one for one in (Brake, Corner, Payload, Lift, Gust)}

@@ -1,0 +1,205 @@
+"""Loads by name: `KIND[:NAME=VALUE...]`, or a CSV file over time, as on a command line, in a campaign file or a log."""
+
+import csv
+import io
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError, listing, quoted
+from models.common.files import TEXT, read_text
+from models.common.printed import settings
+from models.kinds.kind import Parameters
+from models.roads.load import HEAVE, LOADS, PITCH, ROLL, Load
+from models.vehicle.names import LOAD_SYNTAX, is_load_file
+
+HEADING = re.compile(r"\s*(\w+)\s*\[([^\]]*)\]\s*")
+NAMES = {"heave": HEAVE, "pitch": PITCH, "roll": ROLL}
+OF_FORCE, OF_MOMENT = {"N": 1.0, "kN": 1e3}, {"N m": 1.0, "Nm": 1.0, "kN m": 1e3, "kNm": 1e3}
+UNITS = {"time": {"s": 1.0, "ms": 1e-3}, "heave": OF_FORCE, "pitch": OF_MOMENT, "roll": OF_MOMENT}
+MOST_ROWS = 20_000
+LARGEST = 1e9  # N, N m, s
+GIVE = "give a .csv file with the headings time [s] and some of heave [N], pitch [N m], roll [N m]"
+
+
+@dataclass(frozen=True, eq=False)
+class History(Load):
+    """Points, and straight lines between them; before the first it is 0, or as there from 0 s on, and after the last it stays.
+
+    Attributes:
+        source: the file's name.
+        time: [s], ascending, shape (K,).
+        columns: its values [N, N m] by heading, each of shape (K,).
+    """
+
+    source: str
+    time: Array
+    columns: Mapping[str, Array]
+
+    @property
+    def text(self) -> str:
+        """The file's name and its numbers, every digit, as rows of CSV with `;` between them."""
+        heading = ",".join(["time [s]", *(f"{name} [{'N' if name == 'heave' else 'N m'}]" for name in self.columns)])
+        rows = zip(self.time.tolist(), *(column.tolist() for column in self.columns.values()), strict=True)
+        return ";".join([self.source, heading, *(",".join(map(repr, row)) for row in rows)])
+
+    @property
+    def content(self) -> str:
+        """Its numbers."""
+        return self.text.partition(";")[2]
+
+    @property
+    def label(self) -> str:
+        """The file's name."""
+        return self.source
+
+    @property
+    def kinks(self) -> tuple[float, ...]:
+        """Every point."""
+        return tuple(self.time.tolist())
+
+    @property
+    def ways(self) -> tuple[str, ...]:
+        """Those of its headings."""
+        return tuple(NAMES[name] for name in self.columns)
+
+    def over(self, t: Array, p: Parameters) -> Mapping[str, Array]:
+        """See `Load`."""
+        return {NAMES[name]: np.interp(t, self.time, column) for name, column in self.columns.items()}
+
+    def scaled(self, factor: float) -> "History":
+        """The same, larger or smaller."""
+        return replace(self, columns={name: factor * column for name, column in self.columns.items()})
+
+
+def read_history(path: Path) -> History:
+    """A load from its file.
+
+    Raises:
+        InputError: it cannot be read, or is none; the message names the line.
+    """
+    return parse_history(read_text(path, "load file", TEXT, GIVE), named(path))
+
+
+def named(path: Path | str) -> str:
+    """A file's name as a description has it, where `;` and ` + ` mean something."""
+    return str(path).replace(";", "_").replace(" + ", "_+_")
+
+
+def parse_history(text: str, source: str) -> History:
+    """A load from the text of a CSV file.
+
+    Raises:
+        InputError: as `read_history`.
+    """
+    where = f"load file {source}"
+    rows = [row for row in csv.reader(io.StringIO(text)) if any(cell.strip() for cell in row)]
+    if not rows:
+        raise InputError(f"{where} is empty; {GIVE}")
+    names, factors = [], []
+    for heading in rows[0]:
+        found = HEADING.fullmatch(heading)
+        if not found or found[1] not in UNITS or found[1] in names:
+            raise InputError(f"{where}: heading {quoted(heading.strip())} is none, or there twice; {GIVE}")
+        if found[2].strip() not in UNITS[found[1]]:
+            raise InputError(f"{where}: {found[1]} in {quoted(found[2])} is not known; give {listing(UNITS[found[1]])}")
+        names.append(found[1])
+        factors.append(UNITS[found[1]][found[2].strip()])
+    if "time" not in names or len(names) < 2:
+        raise InputError(f"{where}: its headings are {listing(names)}; {GIVE}")
+    if not 2 <= len(rows) - 1 <= MOST_ROWS:
+        raise InputError(f"{where}: has {len(rows) - 1} rows of numbers; give 2 to {MOST_ROWS}")
+    numbers = np.array(
+        [[_number(where, line, cell) for cell in _whole(where, line, row, names)] for line, row in enumerate(rows[1:], 2)]
+    )
+    values = dict(zip(names, (numbers * factors).T, strict=True))
+    time = values.pop("time")
+    if (back := np.flatnonzero(np.diff(time) <= 0)).size:
+        raise InputError(
+            f"{where}: line {back[0] + 3}: its time, {time[back[0] + 1]:g} s, is not after the one before; sort the rows"
+        )
+    acting = [name for name, column in values.items() if column[0] != 0]
+    if time[0] > 0 and acting:
+        raise InputError(
+            f"{where}: begins at {time[0]:g} s with {acting[0]} that is not 0, and nothing says what it is before; "
+            "begin at 0 s, or with 0"
+        )
+    return History(source, time, values)
+
+
+def _whole(where: str, line: int, row: list[str], names: list[str]) -> list[str]:
+    if len(row) != len(names):
+        raise InputError(f"{where}: line {line} has {len(row)} numbers, and there are {len(names)} headings; give as many")
+    return row
+
+
+def _number(where: str, line: int, cell: str) -> float:
+    try:
+        value = float(cell)
+    except ValueError:
+        value = math.nan
+    if not abs(value) <= LARGEST:  # NaN is in no range
+        raise InputError(f"{where}: line {line}: {quoted(cell.strip())} is no number up to {LARGEST:g}")
+    return value
+
+
+def choose_load(text: str, folder: Path = Path()) -> Load:
+    """A load from its text.
+
+    Args:
+        text: the text.
+        folder: where a relative file name begins.
+
+    Raises:
+        InputError: an unknown kind or name, a value that is not allowed, a file that is no load.
+    """
+    if is_load_file(text):
+        return read_history(folder / text.strip())
+    kind, colon, rest = text.strip().partition(":")
+    if kind not in LOADS:
+        raise InputError(f"unknown load {text!r}; {LOAD_SYNTAX}")
+    of = LOADS[kind]
+    try:
+        given = settings(colon + rest, [field.name for field in fields(of)])
+        return of(**{name: _setting(name, value) for name, value in given.items()})
+    except InputError as error:
+        raise InputError(f"load {text!r}: {error}") from error
+
+
+def described_loads(texts: Sequence[str]) -> tuple[Load, ...]:
+    """Loads from their texts, as a log has them; no file is read.
+
+    Raises:
+        InputError: one is none.
+    """
+    found = []
+    for text in texts:
+        source, semicolon, rows = text.partition(";")
+        found.append(parse_history(rows.replace(";", "\n"), source) if semicolon else choose_described(text))
+    return tuple(found)
+
+
+def choose_described(text: str) -> Load:
+    """A load from its text, which is no file's.
+
+    Raises:
+        InputError: it is none.
+    """
+    if text.partition(":")[0] not in LOADS:
+        raise InputError(f"unknown load {text[:60]!r}; {LOAD_SYNTAX}")
+    return choose_load(text)
+
+
+def _setting(name: str, value: str) -> float:
+    try:
+        number = float(value)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise InputError(f"{name} = {value!r} is not a finite number")
+    return number

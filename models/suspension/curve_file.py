@@ -1,0 +1,197 @@
+"""A curve in a file of its own, `file = "damper.csv"` in `[curves]` or `[actuators]`: its table in place of its name.
+
+So a vehicle file is whole once it is read, as with laws and families. Two formats are known: CSV, whose header says what each
+column is and in which unit, `velocity [mm/s], force [kN]`; and the damper property files, `.dpr`, of Adams/Car, in the TeimOrbit
+format: blocks in brackets, tables under a row of names in braces, comments from `$` or `!` on, units in `[UNITS]`, the table in
+`[CURVE]` (MSC Software, Adams Tire help, "About tire property files"; Altair MotionView help, READ_T_O_START_TABLE_READ).
+"""
+
+import csv
+import io
+import itertools
+import json
+import math
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from models.common.errors import InputError, listing, quoted
+from models.common.files import TEXT, parse_toml, read_content
+
+GIVE = "give a .csv file with a header such as velocity [m/s], force [N], or a .dpr file"
+UNITS: Mapping[str, Mapping[str, float]] = {
+    "velocity": {"m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2, "in/s": 0.0254},
+    "deflection": {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254},
+    "force": {"N": 1.0, "kN": 1e3, "daN": 10.0, "lbf": 4.4482216152605},
+}
+HEADING = re.compile(r"^\s*(\w+)\s*(?:[\[(]\s*([^\])]+?)\s*[\])])?\s*$")
+LENGTHS = {"mm": 1e-3, "millimeter": 1e-3, "cm": 1e-2, "m": 1.0, "meter": 1.0, "inch": 0.0254, "in": 0.0254}
+FORCES = {"newton": 1.0, "n": 1.0, "kilonewton": 1e3, "kn": 1e3, "pound_force": 4.4482216152605, "lbf": 4.4482216152605}
+TIMES = {"second": 1.0, "sec": 1.0, "s": 1.0, "millisecond": 1e-3, "ms": 1e-3}
+BLOCK = re.compile(r"^\[\s*([^\]]+?)\s*\]$")
+
+
+def with_tables(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
+    """A vehicle file's text with tables in place of the files that it names for them, and those files.
+
+    Args:
+        text: TOML.
+        folder: where the vehicle file lies, from which its paths go.
+
+    Raises:
+        InputError: it is not TOML, or a file is not there, or holds no curve; the message names it.
+    """
+    files = []
+    for path, entry in _asked(parse_toml(text)):
+        try:
+            table, comment, file = _read(entry, folder)
+        except InputError as error:
+            raise InputError(f"{_words(path)}: {error}") from error
+        files.append(file)
+        text = _in_place(text, path, entry, table, comment)
+    if len(text.encode()) > TEXT:
+        raise InputError("with the tables of its files it is too large; thin them")
+    return text, tuple(files)
+
+
+def _asked(data: Mapping[str, Any]) -> list[tuple[tuple[str, ...], Mapping[str, Any]]]:
+    """The entries that name files, each with the keys that lead to it: curves, and limits of all dampers, or of single ones."""
+    found: list[tuple[tuple[str, ...], Mapping[str, Any]]] = []
+    for section in ("curves", "actuators"):
+        entries = data.get(section)
+        for name, one in entries.items() if isinstance(entries, dict) else ():
+            if not isinstance(one, dict):
+                continue
+            if "file" in one:
+                found.append(((section, name), one))
+            elif section == "actuators":
+                inner = {key: value for key, value in one.items() if isinstance(value, dict) and "file" in value}
+                found += [((section, name, key), value) for key, value in inner.items()]
+    return found
+
+
+def _words(path: tuple[str, ...]) -> str:
+    """Where an entry stands, for messages."""
+    return f"[{'.'.join(path[:-1])}] {path[-1]}"
+
+
+def _changed(data: Mapping[str, Any], path: tuple[str, ...], value: Any) -> dict[str, Any]:
+    """The same with another value where some keys lead."""
+    first, *rest = path
+    return {**data, first: _changed(data[first], tuple(rest), value) if rest else value}
+
+
+def _in_place(text: str, path: tuple[str, ...], entry: Mapping[str, Any], table: Mapping[str, Any], comment: str) -> str:
+    """The text with a table in place of a file, wherever that is said on a line of its own."""
+    name, before = path[-1], parse_toml(text)
+    whole = {key: value for key, value in entry.items() if key != "file"} | dict(table)
+    after = _changed(before, path, whole)
+    lines = [f"{key} = {json.dumps(value)}" for key, value in table.items()]
+    others = [f"{key} = {json.dumps(value)}" for key, value in entry.items() if key != "file"]
+    inline, own = f"{comment}\n{name} = {{ {', '.join([*lines, *others])} }}", "\n".join([comment, *lines])
+    for key, instead in ((name, inline), ("file", own)):
+        for found in re.finditer(rf"^[ \t]*{re.escape(key)}[ \t]*=[^\n]*$", text, re.M):
+            changed = text[: found.start()] + instead + text[found.end() :]
+            try:
+                if parse_toml(changed) == after:
+                    return changed
+            except InputError:
+                continue
+    raise InputError(f'{_words(path)}: its file is not named on a line of its own; write {name} = {{ file = "NAME.csv" }} on one')
+
+
+def _read(entry: Mapping[str, Any], folder: Path) -> tuple[dict[str, Any], str, Path]:
+    """The table of a file, as TOML has it; a comment that says where it is from; and the file."""
+    file = entry["file"]
+    if not isinstance(file, str) or not file:
+        raise InputError(f"file = {quoted(file)} is no file's name; {GIVE}")
+    if beside := [key for key in ("velocity", "deflection", "force") if key in entry]:
+        raise InputError(f"has a file and {listing(beside)}; a file is whole by itself, so leave one out")
+    path = folder / file
+    table, said = read_content(path, "curve", GIVE, _of_dpr if path.suffix.lower() == ".dpr" else _of_csv)
+    return table, f"# from {file!a}, {said}", path
+
+
+def _of_csv(text: str) -> dict[str, list[float]]:
+    """Columns by their header, in SI."""
+    rows = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
+    if len(rows) < 2:
+        raise InputError(f"has {len(rows)} row(s), and no table below a header; {GIVE}")
+    delimiter = next((one for one in (";", "\t") if one in rows[0]), ",")
+    cells = list(csv.reader(io.StringIO("\n".join(rows)), delimiter=delimiter, skipinitialspace=True))
+    columns, units = [], []
+    for cell in cells[0]:
+        found = HEADING.match(cell)
+        name = found[1].lower() if found else ""
+        if found is None or name not in UNITS:
+            raise InputError(f"has a column {quoted(cell)}; give velocity or deflection, and force, each with its unit: {GIVE}")
+        if found[2] is None:
+            raise InputError(
+                f"says no unit of {name}; give one of {listing(UNITS[name])}, as in {name} [{next(iter(UNITS[name]))}]"
+            )
+        if found[2] not in UNITS[name]:
+            raise InputError(f"has {name} in {quoted(found[2])}; give one of {listing(UNITS[name])}")
+        columns.append(name)
+        units.append(UNITS[name][found[2]])
+    if len(columns) != 2 or "force" not in columns or columns[0] == columns[1]:
+        raise InputError(f"has the columns {', '.join(columns)}; give two, force and either velocity or deflection")
+    values = _numbers(cells[1:], len(columns))
+    return {name: [unit * row[i] for row in values] for i, (name, unit) in enumerate(zip(columns, units, strict=True))}
+
+
+def _numbers(rows: list[list[str]], count: int) -> list[list[float]]:
+    """Rows of so many finite numbers."""
+    found = []
+    for number, row in enumerate(rows, 1):
+        try:
+            values = [float(cell) for cell in row]
+        except ValueError:
+            values = []
+        if len(values) != count or not all(map(math.isfinite, values)):
+            raise InputError(f"point {number} is {quoted(row)}; give {count} finite numbers")
+        found.append(values)
+    return found
+
+
+def _of_dpr(text: str) -> dict[str, list[float]]:
+    """The table of a damper property file, in SI."""
+    blocks: dict[str, list[str]] = {}
+    inside: list[str] = []
+    for line in text.splitlines():
+        line = re.split(r"[$!]", line, maxsplit=1)[0].strip()
+        if found := BLOCK.match(line):
+            inside = blocks.setdefault(found[1].upper(), [])
+        elif line:
+            inside.append(line)
+    for name in ("UNITS", "CURVE"):
+        if name not in blocks:
+            raise InputError(f"has no block [{name}]; a damper property file has [UNITS] and [CURVE]")
+    said = _units(blocks["UNITS"])
+    length, force, time = (_unit(said, key, known) for key, known in (("LENGTH", LENGTHS), ("FORCE", FORCES), ("TIME", TIMES)))
+    heads = [i for i, line in enumerate(blocks["CURVE"]) if line.startswith("{")]
+    if len(heads) != 1:
+        raise InputError(f"has {len(heads)} tables in [CURVE]; give one, under {{ vel force }}")
+    names = [re.sub(r"<.*", "", name).lower() for name in blocks["CURVE"][heads[0]].strip("{} ").split()]
+    if names not in (["vel", "force"], ["velocity", "force"]):
+        raise InputError(f"has a table of {', '.join(names) or 'nothing'} in [CURVE]; give one of vel and force")
+    rows = _numbers([line.split() for line in blocks["CURVE"][heads[0] + 1 :]], 2)
+    return {"velocity": [row[0] * length / time for row in rows], "force": [row[1] * force for row in rows]}
+
+
+def _units(lines: list[str]) -> dict[str, str]:
+    """What a block of units says, as `KEY = 'unit'`, or as a table."""
+    said = {key.strip().upper(): value.strip(" '\"") for key, _, value in (line.partition("=") for line in lines) if value}
+    for head, row in itertools.pairwise(lines):
+        if head.startswith("{"):
+            said = dict(zip(head.strip("{} ").upper().split(), row.replace("'", " ").split(), strict=False)) | said
+            break
+    return said
+
+
+def _unit(said: Mapping[str, str], key: str, known: Mapping[str, float]) -> float:
+    if key not in said:
+        raise InputError(f"says no unit of {key} in [UNITS]; give one of {listing(known)}")
+    if said[key].lower() not in known:
+        raise InputError(f"has {key} = {quoted(said[key])} in [UNITS]; give one of {listing(known)}")
+    return known[said[key].lower()]

@@ -1,0 +1,281 @@
+"""`[curves]` of a vehicle file: tables of a damper's force over velocity, or a spring's over deflection, checked and thinned.
+
+Curves of many points get fewer straight lines, after H. Imai and M. Iri (1986), An optimal algorithm for approximating a
+piecewise linear function, J. Inf. Process. 9, 159-162, with points of the curve as ends. Between points both are straight, so the
+error at the points is the error everywhere.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError, listing, quoted
+from models.suspension.curve import Curve
+
+FRICTION_ERROR = 0.02  # of a friction's force: how far its lines may be from the smooth curve
+FRICTION_ENDS = 3.0  # times its velocity, from where it is flat, with its full force
+FRICTION_POINTS = 601  # of the smooth curve, from which the lines are taken; what lies between them adds 1e-5
+
+
+def thinned(x: Array, force: Array, error: float) -> Array:
+    """Which points of a curve remain, as indices, shape (k,): the first, the last, rest, and as few as will do between.
+
+    Args:
+        x: ascending, with rest, 0, among them, shape (n,).
+        force: shape (n,).
+        error: that is allowed, in the force's unit.
+    """
+    rest = int(np.searchsorted(x, 0.0))
+    kept, first = [], 0
+    for last in (rest, len(x) - 1):
+        while first < last:
+            kept.append(first)
+            first = _farthest(x, force, first, last, error)
+    return np.array([*kept, len(x) - 1])
+
+
+def _farthest(x: Array, force: Array, first: int, last: int, error: float) -> int:
+    """The last point that a straight line from the first reaches while it misses none between by more than the error."""
+    run, rise = x[first + 1 : last + 1] - x[first], force[first + 1 : last + 1] - force[first]
+    # A line's slope has to lie between what every point on the way leaves open.
+    steepest = np.minimum.accumulate((rise + error) / run)
+    flattest = np.maximum.accumulate((rise - error) / run)
+    slope = rise / run
+    fits = np.ones(len(run), dtype=bool)
+    fits[1:] = (slope[1:] <= steepest[:-1]) & (slope[1:] >= flattest[:-1])
+    return first + 1 + int(np.flatnonzero(fits)[-1])
+
+
+def friction_points(force: float, velocity: float) -> tuple[Array, Array]:
+    """Points of a friction F tanh(v / v0) that are no farther from it than `FRICTION_ERROR` of F, shapes (k,).
+
+    Args:
+        force: F [N].
+        velocity: v0 [m/s].
+    """
+    v = np.linspace(0.0, FRICTION_ENDS, FRICTION_POINTS)
+    smooth = np.append(np.tanh(v[:-1]), 1.0)
+    some = thinned(v, smooth, FRICTION_ERROR - 1e-4)
+    half = np.append(v[some], 2 * FRICTION_ENDS), np.append(smooth[some], 1.0)
+    v, smooth = (np.concatenate([-part[:0:-1], part]) for part in half)
+    return velocity * v, force * smooth
+
+
+MOST_POINTS = 20_000  # of a table
+MOST_LINES = 24  # of a curve without its friction; each is an actuator, and costs physics 2 % of a quarter-car's step
+USUAL_ERROR = 0.005  # of a curve's range, where a table has more points than that
+SMALLEST_ERROR, LARGEST_ERROR = 1e-6, 0.05
+ROUNDING = 1e-9  # of a range
+SMALLEST_FRICTION, LARGEST_FRICTION = 1e-3, 1e5  # N
+SMALLEST_CREEP, LARGEST_CREEP = 1e-4, 1.0  # m/s
+
+
+@dataclass(frozen=True)
+class Argument:
+    """What a curve's force is over.
+
+    Attributes:
+        name: its key.
+        unit: SI unit.
+        largest: of its values; what is larger is in another unit.
+        small: the unit that it is mistaken for.
+    """
+
+    name: str
+    unit: str
+    largest: float
+    small: str
+
+
+VELOCITY = Argument("velocity", "m/s", 50.0, "mm/s")
+DEFLECTION = Argument("deflection", "m", 5.0, "mm")
+FRICTION = ("friction", "friction_velocity")
+
+
+def read_curves(section: Mapping[str, Any], parameters: Mapping[str, Argument]) -> dict[str, Curve]:
+    """The curves of a vehicle, by the parameter that each stands in for.
+
+    Args:
+        section: as read, tables in place of files.
+        parameters: that a curve can stand in for, with what its force is over.
+
+    Raises:
+        InputError: one is none, or none that a suspension can have.
+    """
+    found = {}
+    for name, entry in section.items():
+        if name not in parameters:
+            raise InputError(
+                f"[curves] {name!r} is no stiffness or damping of a suspension; this vehicle has {listing(parameters)}"
+            )
+        try:
+            found[name] = curve_of(entry, parameters[name])
+        except InputError as error:
+            raise InputError(f"[curves] {name}: {error}") from error
+    return found
+
+
+def curve_of(entry: Any, over: Argument) -> Curve:
+    """A curve from its table.
+
+    Raises:
+        InputError: it is none, or none that a suspension can have.
+    """
+    what = f'{{ {over.name} = [...], force = [...] }}, or {{ file = "NAME.csv" }}'
+    if not isinstance(entry, Mapping):
+        raise InputError(f"{quoted(entry)} is no curve; give {what}")
+    if "file" in entry:
+        raise InputError("names a file, which is read for a vehicle file alone, not for text; give its table")
+    friction = FRICTION if over is VELOCITY else ()
+    for key in entry:
+        if key not in (over.name, "force", "fit_error", *friction):
+            raise InputError(f"unknown key {key!r}; known: {listing((over.name, 'force', 'file', 'fit_error', *friction))}")
+    for key in (over.name, "force"):
+        if key not in entry:
+            raise InputError(f"{key} is missing; give {what}")
+    x, force = _points(entry[over.name], over.name), _points(entry["force"], "force")
+    if len(x) != len(force):
+        raise InputError(f"has {len(x)} values of {over.name} and {len(force)} of force; give as many")
+    _check_argument(x, over)
+    x, force = _from_rest(x, force, over)
+    lines, force, words = _as_lines(x, force, entry.get("fit_error"))
+    curve = _checked(Curve(lines, force, _slope_at_rest(lines, force), words), over)
+    return _with_friction(curve, entry) if set(FRICTION) & set(entry) else curve
+
+
+def _points(given: Any, name: str) -> Array:
+    """A list of finite numbers."""
+    if not isinstance(given, list) or len(given) < 2:
+        count = f"{len(given)} point(s)" if isinstance(given, list) else quoted(given)
+        raise InputError(
+            f"{name} has {count}; give a list of at least two, [N]"
+            if name == "force"
+            else f"{name} has {count}; give a list of at least two"
+        )
+    if len(given) > MOST_POINTS:
+        raise InputError(f"{name} has {len(given)} points; at most {MOST_POINTS} are read: thin the table")
+    for i, value in enumerate(given, 1):
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= 1e9:
+            raise InputError(f"{name} has {quoted(value)} as point {i}; give finite numbers, at most 1e9")
+    return np.array(given, dtype=float)
+
+
+def _check_argument(x: Array, over: Argument) -> None:
+    for i in np.flatnonzero(np.diff(x) <= 0)[:1].tolist():
+        raise InputError(
+            f"{over.name} goes from {x[i]:g} to {x[i + 1]:g} {over.unit} at point {i + 2}; sort the points by "
+            f"{over.name}, each once"
+        )
+    if not x[0] < 0 < x[-1]:
+        raise InputError(
+            f"{over.name} goes from {x[0]:g} to {x[-1]:g} {over.unit}; give both sides of rest: below 0 where the suspension is "
+            "squeezed, above 0 where it stretches"
+        )
+    if max(-x[0], x[-1]) > over.largest:
+        raise InputError(
+            f"{over.name} goes from {x[0]:g} to {x[-1]:g}, and at most {over.largest:g} {over.unit} is allowed; "
+            f"give {over.unit}, not {over.small}"
+        )
+
+
+def _from_rest(x: Array, force: Array, over: Argument) -> tuple[Array, Array]:
+    """The points with rest among them, and forces from there: a spring's is what it has beyond the weight that it carries."""
+    at_rest, largest = float(np.interp(0.0, x, force)), float(np.abs(force).max())
+    if over is VELOCITY and abs(at_rest) > ROUNDING * largest:
+        raise InputError(
+            f"its force at rest is {at_rest:g} N, and a damper's is 0; take off the force of its gas, which the "
+            "spring's preload has"
+        )
+    force = force - at_rest
+    if not np.abs(force).max() > 0:
+        raise InputError("has no force at any point; leave it out, or give its forces in N")
+    if 0.0 not in x:
+        i = int(np.searchsorted(x, 0.0))
+        x, force = np.insert(x, i, 0.0), np.insert(force, i, 0.0)
+    return x, np.where(x == 0, 0.0, force)
+
+
+def _as_lines(x: Array, force: Array, asked: Any) -> tuple[Array, Array, str]:
+    """The curve in as few straight lines as will do, and in words."""
+    if asked is not None and (
+        isinstance(asked, bool) or not isinstance(asked, (int, float)) or not SMALLEST_ERROR <= asked <= LARGEST_ERROR
+    ):
+        raise InputError(
+            f"fit_error = {quoted(asked)} is not allowed; give a share of its largest force, from {SMALLEST_ERROR:g} to "
+            f"{LARGEST_ERROR:g}"
+        )
+    largest = float(np.abs(force).max())
+    some = thinned(x, force, ROUNDING * largest / 1e3)
+    words = f"{len(x)} points"
+    if asked is not None or len(some) > MOST_LINES + 1:
+        error = USUAL_ERROR if asked is None else float(asked)
+        some = thinned(x, force, error * largest)
+        words = f"{len(x)} points as {len(some) - 1} straight lines, within {100 * error:g} % of {largest:.4g} N"
+        if len(some) > MOST_LINES + 1:
+            raise InputError(
+                f"needs {len(some) - 1} straight lines to be within {100 * error:g} % of its largest force, and at most "
+                f"{MOST_LINES} are allowed; smooth the table, or give fit_error, up to {LARGEST_ERROR:g}"
+            )
+    return x[some], force[some], words
+
+
+def _slope_at_rest(x: Array, force: Array) -> float:
+    """The mean of the slopes on both sides of rest."""
+    i = int(np.searchsorted(x, 0.0))
+    slopes = np.diff(force[i - 1 : i + 2]) / np.diff(x[i - 1 : i + 2])
+    return float(slopes[0] if np.isclose(*slopes, rtol=1e-12, atol=0) else slopes.mean())
+
+
+def _checked(curve: Curve, over: Argument) -> Curve:
+    """A curve that a suspension can have.
+
+    Raises:
+        InputError: it is a damper's that feeds energy in somewhere, or a spring's that does not hold the vehicle up.
+    """
+    if over is VELOCITY:
+        for x, force in zip(curve.x.tolist(), curve.force.tolist(), strict=True):
+            if x * force < 0:
+                raise InputError(
+                    f"its force at {x:g} m/s is {force:g} N: that feeds energy in, where a damper takes it; give forces of the "
+                    "velocity's sign, both positive where the suspension stretches"
+                )
+    elif min(float(curve(np.array([s * 1e-12]))[0]) * s for s in (-1, 1)) <= 0 or curve.slope <= 0:
+        raise InputError(
+            "its slope at rest is not above 0, and so it holds nothing up; give forces that rise with deflection, both positive "
+            "where the suspension stretches"
+        )
+    for end, side in ((0, "below its first point"), (-1, "beyond its last point")):
+        if curve.slopes[end] < 0:
+            raise InputError(
+                f"its force falls {side}, as it goes on from there, by {-curve.slopes[end]:g} N per {over.unit}; give a last "
+                "point that ends flat or rising"
+            )
+    return curve
+
+
+def _with_friction(curve: Curve, entry: Mapping[str, Any]) -> Curve:
+    """The curve with a friction F tanh(v / v0) beside it, which is no part of what linear analysis takes for the damper."""
+    limits = {"friction": (SMALLEST_FRICTION, LARGEST_FRICTION), "friction_velocity": (SMALLEST_CREEP, LARGEST_CREEP)}
+    for key, (low, high) in limits.items():
+        if key not in entry:
+            raise InputError(
+                f"{key} is missing; a friction is F tanh(v / v0) with friction, F, in N and friction_velocity, v0, in m/s"
+            )
+        value = entry[key]
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
+            raise InputError(
+                f"{key} = {quoted(value)} is not allowed; a friction is F tanh(v / v0) with friction, F, from "
+                f"{SMALLEST_FRICTION:g} to {LARGEST_FRICTION:g} N, and friction_velocity, v0, from {SMALLEST_CREEP:g} to "
+                f"{LARGEST_CREEP:g} m/s"
+            )
+    v, force = friction_points(entry["friction"], entry["friction_velocity"])
+    x = np.unique(np.concatenate([curve.x, v]))
+    straight = np.interp(np.clip(x, v[0], v[-1]), v, force)
+    words = (
+        f"{curve.words}, and friction of {entry['friction']:g} N tanh(v / {entry['friction_velocity']:g} m/s) as "
+        f"{len(v) - 1} straight lines, within {100 * FRICTION_ERROR:g} % of it"
+    )
+    return Curve(x, curve(x) + straight, curve.slope, words)

@@ -1,0 +1,249 @@
+"""`[actuators]` of a vehicle file: what sits in every suspension, an actuator that pushes or an adjustable damper.
+
+An adjustable damper has a coefficient c from c_min to c_max that a valve sets, and gives -c v, with v the velocity at which its
+suspension is stretched. The linear model (28) has the nominal coefficient c_s in it, so what such a damper gives beyond that is
+
+    u = -(c - c_s) v.
+
+A controller that asks for a force u* beyond the nominal damper's gets the coefficient that would give it, as far as there is one:
+
+    c = clip(c_s - u* / v, c_min, c_max),
+
+with curves in place of c_min and c_max: c = clip(c_s - u* / h(v), c_min, c_max), see below. It is set
+at the controller's sample from the velocity then, and held until the next. Where v is 0 and u* is not, v is taken for one that is
+about to be below it; where both are 0 the damper is the nominal one.
+
+Such a damper may be measured, as its force over velocity at its softest and at its firmest setting. With F_min and F_max these
+curves (`models.suspension`), and s the setting that a valve holds, from 0 to 1, the damper pulls with
+
+    F = (1 - s) F_min(v) + s F_max(v) = F_min(v) + (c - c_min) h(v),    h = (F_max - F_min) / (c_max - c_min),
+
+where c_min and c_max are the slopes of both at rest, and c = c_min + s (c_max - c_min) the coefficient at rest of a setting, by
+which it is called. h is a velocity that bends as the curves do, of slope 1 at rest; of straight curves it is v, and F is c v.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError, listing, quoted
+from models.suspension.curve import STRAIGHT, Curve
+from models.suspension.curve_reading import VELOCITY, curve_of
+
+TOUCHING = 1e-9  # of the largest force: curves that are no further apart are as one
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """The curves of an adjustable damper.
+
+    Attributes:
+        soft, hard: at its softest and at its firmest setting.
+    """
+
+    soft: Curve
+    hard: Curve
+
+    @cached_property
+    def knots(self) -> Array:
+        """The points of both [m/s], shape (n,)."""
+        return np.unique(np.concatenate([self.soft.x, self.hard.x]))
+
+    @cached_property
+    def shape(self) -> Curve:
+        """h [m/s] over velocity [m/s]."""
+        x = self.knots
+        bent = (self.hard.pieces.force(x) - self.soft.pieces.force(x)) / (self.hard.slope - self.soft.slope)
+        return Curve(x, x + bent, 1.0, "how its settings are apart")
+
+    @property
+    def line(self) -> float:
+        """Slope of h at rest, of both sides that of the flatter one."""
+        rest = int(np.searchsorted(self.knots, 0.0))
+        return float(self.shape.slopes[rest : rest + 2].min())
+
+    @property
+    def ramps(self) -> tuple[tuple[float, float, int], ...]:
+        """What h has beyond that line: knots [m/s], beyond which it is steeper by so much, and to which side, 1 or -1, of each.
+
+        One from rest is never flatter: as an actuator that would have a bias in which MuJoCo sees a damping ratio.
+        """
+        x, slopes = self.knots, self.shape.slopes
+        rest = int(np.searchsorted(x, 0.0))
+        found = [(0.0, float(slopes[rest + 1]) - self.line, 1), (0.0, float(slopes[rest]) - self.line, -1)]
+        found += [(float(x[i]), float(slopes[i + 1] - slopes[i]), 1) for i in range(rest + 1, len(x))]
+        found += [(float(x[i]), float(slopes[i] - slopes[i + 1]), -1) for i in range(rest)]
+        return tuple(one for one in found if abs(one[1]) > STRAIGHT * np.abs(slopes).max())
+
+    @property
+    def straight(self) -> bool:
+        """Whether neither bends."""
+        return not len(self.soft.pieces.slope) and not len(self.hard.pieces.slope)
+
+    def same(self, other: "Pair | None") -> bool:
+        """Whether another has the same curves."""
+        if other is None:
+            return False
+        pairs = ((self.soft, other.soft), (self.hard, other.hard))
+        return all(np.array_equal(a.x, b.x) and np.array_equal(a.force, b.force) for a, b in pairs)
+
+
+def pair_of(soft: Curve, hard: Curve) -> Pair:
+    """Two curves as limits.
+
+    Raises:
+        InputError: the firmer one is not above the softer one at every velocity.
+    """
+    found = Pair(soft, hard)
+    x, largest = found.knots, max(soft.range, hard.range)
+    low, high = (curve.slope * x + curve.pieces.force(x) for curve in (soft, hard))
+    for i in np.flatnonzero((x != 0) & ((high - low) * np.sign(x) <= TOUCHING * largest))[:1].tolist():
+        raise InputError(
+            f"at {x[i]:g} m/s c_min pulls with {low[i]:g} N and c_max with {high[i]:g} N; give as c_max the firmest setting, "
+            "which takes more than the softest at every velocity"
+        )
+    if not soft.slope < hard.slope:
+        raise InputError(
+            f"at rest c_min has a slope of {soft.slope:g} N s/m and c_max of {hard.slope:g} N s/m; give as c_max the firmest "
+            "setting, which is the steeper one there"
+        )
+    for end, side in ((0, "below the first points"), (-1, "beyond the last points")):
+        if hard.slopes[end] < soft.slopes[end] - TOUCHING * abs(soft.slopes[end]):
+            raise InputError(
+                f"{side} c_min and c_max go on with {soft.slopes[end]:g} and {hard.slopes[end]:g} N s/m, and meet there; give "
+                "last points from which they do not"
+            )
+    return found
+
+
+KINDS = ("force", "damper")
+CURVED = ("c_min", "c_max")  # that may be tables
+KEYS = ("kind", *CURVED, "bandwidth")
+SMALLEST, LARGEST = 1e-6, 1e12  # SI; beyond these a number is a slip of the pen
+
+
+@dataclass(frozen=True)
+class Damper:
+    """An adjustable damper.
+
+    Attributes:
+        c_min, c_max: its smallest and its largest coefficient [N s/m]; at rest, where it has curves.
+        bandwidth: corner frequency of its valve, a first-order lag from the coefficient that is set to the one that acts [rad/s];
+            None for one that acts at once.
+        pair: its curves; None where they are straight.
+    """
+
+    c_min: float
+    c_max: float
+    bandwidth: float | None = None
+    pair: Pair | None = None
+
+    @property
+    def words(self) -> str:
+        """It in a phrase."""
+        lag = "" if self.bandwidth is None else f", whose valve lags from {self.bandwidth:g} rad/s on"
+        between = "" if self.pair is None else " at rest, between two curves"
+        return f"an adjustable damper of {self.c_min:g} to {self.c_max:g} N s/m{between}{lag}"
+
+
+def read_actuators(section: Mapping[str, Any], corners: Mapping[str, str], limited: Sequence[str]) -> dict[str, Damper]:
+    """`[actuators]`, checked: the adjustable dampers, by the force that each stands for.
+
+    Args:
+        section: as it was read: keys of all of them, and sections of single ones by the ending of their force's name.
+        corners: of every force of a suspension, that ending, with its underscore.
+        limited: what `[limits]` says of actuators.
+
+    Raises:
+        InputError: a key that is unknown, a value that is not allowed, or something that goes with actuators that push alone.
+    """
+    endings = {ending.removeprefix("_"): force for force, ending in corners.items() if ending}
+    single = {name: value for name, value in section.items() if isinstance(value, Mapping) and name not in CURVED}
+    for name in section:
+        if name in single and name not in endings:
+            known = f"sections {listing(endings)}" if endings else "no sections, for there is one suspension"
+            raise InputError(f"[actuators.{name}] is no suspension of this vehicle; it has {known}")
+        if name not in single and name not in KEYS:
+            raise InputError(f"[actuators] unknown key {name!r}; known: {listing((*KEYS, *endings))}")
+    common = {name: value for name, value in section.items() if name not in single}
+    own = {endings[name]: (f"[actuators.{name}]", value) for name, value in single.items()}
+    for where, value in own.values():
+        for name in value:
+            if name not in KEYS:
+                raise InputError(f"{where} unknown key {name!r}; known: {listing(KEYS)}")
+    made = {force: _damper(*_merged(common, own.get(force))) for force in corners}
+    if not made and section:
+        raise InputError("[actuators]: this kind of vehicle has no suspension with a force; leave the section out")
+    found = {force: damper for force, damper in made.items() if damper is not None}
+    if found and limited:
+        raise InputError(
+            f"[limits] {limited[0]} is of actuators that push, and [actuators] has adjustable dampers, which c_min, c_max and "
+            "bandwidth limit; leave it out"
+        )
+    return found
+
+
+def _merged(common: Mapping[str, Any], own: tuple[str, Mapping[str, Any]] | None) -> tuple[str, dict[str, Any]]:
+    """Where one actuator is spoken of, for messages, and all that is said of it."""
+    if own is None:
+        return "[actuators]", dict(common)
+    where, section = own
+    usual = {} if section.get("kind") == KINDS[0] else common
+    return where, {**usual, **section}
+
+
+def _damper(where: str, given: Mapping[str, Any]) -> Damper | None:
+    kind = given.get("kind", KINDS[0])
+    if kind not in KINDS:
+        raise InputError(f"{where} kind = {quoted(kind)} is not known; known: {listing(KINDS)}")
+    numbers = {name: given[name] for name in KEYS[1:] if name in given}
+    if kind == KINDS[0]:
+        if numbers:
+            raise InputError(
+                f'{where} has {next(iter(numbers))} and no kind = "damper", of which alone that is; an actuator\'s largest force '
+                "and its lag stand in [limits]"
+            )
+        return None
+    if absent := [name for name in CURVED if name not in numbers]:
+        raise InputError(f"{where} {absent[0]} is missing; an adjustable damper has c_min and c_max [N s/m]")
+    pair = _pair(where, numbers)
+    if pair is not None:
+        numbers |= {"c_min": pair.soft.slope, "c_max": pair.hard.slope}
+    for name, value in numbers.items():
+        smallest, unit = (0.0, "N s/m") if name == "c_min" else (SMALLEST, "rad/s" if name == "bandwidth" else "N s/m")
+        real = isinstance(value, (int, float)) and not isinstance(value, bool)
+        if not real or not smallest <= value <= LARGEST:
+            allowed = f"a number from {smallest:g} to {LARGEST:g} {unit}"
+            raise InputError(f"{where} {name} = {quoted(value)} is not allowed; give {allowed}")
+    if not numbers["c_min"] < numbers["c_max"]:
+        raise InputError(
+            f"{where} c_min = {numbers['c_min']:g} N s/m is not below c_max = {numbers['c_max']:g} N s/m; give a smaller "
+            "c_min, or a larger c_max"
+        )
+    bandwidth = float(numbers["bandwidth"]) if "bandwidth" in numbers else None
+    bent = pair if pair is not None and not pair.straight else None
+    return Damper(float(numbers["c_min"]), float(numbers["c_max"]), bandwidth, bent)
+
+
+def _pair(where: str, given: Mapping[str, Any]) -> Pair | None:
+    """The curves of both limits; None where they are numbers."""
+    tables = [name for name in CURVED if isinstance(given[name], Mapping)]
+    if len(tables) == 1:
+        (other,) = {*CURVED} - {*tables}
+        raise InputError(f"{where} {tables[0]} is a curve, and {other} is none; give both as curves, or both as numbers [N s/m]")
+    if not tables:
+        return None
+    curves = []
+    for name in tables:
+        try:
+            curves.append(curve_of(given[name], VELOCITY))
+        except InputError as error:
+            raise InputError(f"{where} {name}: {error}") from error
+    try:
+        return pair_of(*curves)
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from error

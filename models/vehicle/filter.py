@@ -1,0 +1,224 @@
+"""Filters of a vehicle file: weights that depend on frequency, as those of ISO 2631-1, and the shape of a road's spectrum.
+
+A filter is a ratio of polynomials in s, stable and proper, or several in series. Its states are those of each in controllable
+form, in a unit of time of its own: what a vehicle file says is then what they say, but for the rounding of a quotient.
+
+W_k and W_d of ISO 2631-1, for vertical and for horizontal vibration of seated or standing people, have constants of ISO 8041.
+With w_i = 2 pi f_i,
+
+    H(s) = 1 / (1 + w1/(Q1 s) + (w1/s)^2) * 1 / (1 + s/(Q2 w2) + (s/w2)^2) * (1 + s/w3) / (1 + s/(Q4 w4) + (s/w4)^2)
+           * (1 + s/(Q5 w5) + (s/w5)^2) / (1 + s/(Q6 w6) + (s/w6)^2) * (w5/w6)^2:
+
+the band limits, the step from acceleration to velocity, and the upward step, which W_d has not.
+"""
+
+import functools
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy import linalg
+
+from models.common.arrays import Array
+from models.common.errors import InputError, listing, quoted
+
+F1, F2, F3, F4, F5, F6 = 0.4, 100.0, 12.5, 12.5, 2.37, 3.35  # Hz, of W_k
+Q1, Q2, Q4, Q5, Q6 = 1 / np.sqrt(2), 1 / np.sqrt(2), 0.63, 0.91, 0.91
+HORIZONTAL = 2.0  # Hz, in the place of f3 and f4 in W_d
+
+Section = tuple[tuple[float, ...], tuple[float, ...]]  # numerator and denominator, by falling powers of s
+
+
+def _limits() -> tuple[Section, Section]:
+    low, high = 2 * np.pi * F1, 2 * np.pi * F2
+    return ((1.0, 0.0, 0.0), (1.0, low / Q1, low**2)), ((high**2,), (1.0, high / Q2, high**2))
+
+
+def _step(f3: float, f4: float) -> Section:
+    w3, w4 = 2 * np.pi * f3, 2 * np.pi * f4
+    return (w4**2 / w3, w4**2), (1.0, w4 / Q4, w4**2)
+
+
+def _upward() -> Section:
+    w5, w6 = 2 * np.pi * F5, 2 * np.pi * F6
+    return (1.0, w5 / Q5, w5**2), (1.0, w6 / Q6, w6**2)
+
+
+WEIGHTINGS: dict[str, tuple[Section, ...]] = {
+    "iso2631_wk": (*_limits(), _step(F3, F4), _upward()),
+    "iso2631_wd": (*_limits(), _step(HORIZONTAL, HORIZONTAL)),
+}
+
+
+POLYNOMIALS = ("numerator", "denominator")
+KEYS = ("weight", "filter", *POLYNOMIALS)
+MOST = 12  # of a polynomial's degree: roots of higher ones move by more than rounding
+SMALLEST, LARGEST = 1e-60, 1e60  # of a coefficient: those of degree 12 at the fastest pole
+SLOWEST, FASTEST = 1e-6, 1e7  # rad/s, of a pole; no road or car has to do with others
+LEAST, MOST_GAIN = 1e-12, 1e12  # of the gain where it is largest: beyond these rounding decides
+
+
+class Realisation(NamedTuple):
+    """A filter as x' = A x + B v, e = C x + D v, shapes (k, k), (k, 1), (1, k), (1, 1)."""
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+
+
+@dataclass(frozen=True)
+class Filter:
+    """A stable and proper filter of one signal.
+
+    Attributes:
+        sections: numerator and denominator of each of those in series, coefficients by falling powers of s.
+        name: of a known one; empty of one that is given by its coefficients.
+
+    Raises:
+        InputError: a polynomial is none, too long or zero, or the filter is improper or unstable, or has a pole or a gain that is
+            beyond what counts.
+    """
+
+    sections: tuple[Section, ...]
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        sections = tuple((_polynomial("numerator", above), _polynomial("denominator", below)) for above, below in self.sections)
+        object.__setattr__(self, "sections", sections)
+        for above, below in sections:
+            _check(above, below)
+
+    def response(self, omega: Array) -> Array:
+        """Its frequency response, complex, shape like omega [rad/s]."""
+        s = 1j * np.asarray(omega, dtype=float)
+        return np.prod([np.polyval(above, s) / np.polyval(below, s) for above, below in self.sections], axis=0)
+
+    @functools.cached_property
+    def realisation(self) -> Realisation:
+        """Its states: those of each section, one after another, in units that are powers of two."""
+        A, B, C, D = np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1))
+        for above, below in self.sections:
+            a, b, c, d = _controllable(above, below)
+            A = np.block([[A, np.zeros((len(A), len(a)))], [b @ C, a]])
+            B, C, D = np.vstack([B, b @ D]), np.hstack([d @ C, c]), d @ D
+        return Realisation(A, B, C, D)
+
+    @property
+    def words(self) -> str:
+        """The filter in words."""
+        return self.name or " ".join(f"({_text(above)}) / ({_text(below)})" for above, below in self.sections)
+
+
+def read_filter(where: str, given: Mapping[str, Any]) -> Filter:
+    """A filter as a vehicle file has it: `filter = NAME`, or `numerator = [...]` and `denominator = [...]`.
+
+    Args:
+        where: it stands, for messages.
+        given: the table.
+
+    Raises:
+        InputError: it is none; the message says what is.
+    """
+    name, there = given.get("filter"), [key for key in POLYNOMIALS if key in given]
+    if "filter" in given:
+        if there:
+            raise InputError(f"{where} has a filter by name and a {there[0]}; give one of them")
+        if not isinstance(name, str) or name not in WEIGHTINGS:
+            raise InputError(f"{where} filter = {quoted(name)} is unknown; give a numerator and a denominator, or {_known()}")
+        return Filter(WEIGHTINGS[name], name)
+    if len(there) < len(POLYNOMIALS):
+        raise InputError(
+            f"{where} is no filter; give numerator = [...] and denominator = [...], coefficients by falling powers of s, or "
+            f"filter = {_known()}"
+        )
+    for key in POLYNOMIALS:
+        if not isinstance(given[key], list):
+            raise InputError(f"{where} {key} = {quoted(given[key])} is no list; give its coefficients by falling powers of s")
+    try:
+        return Filter(((tuple(given["numerator"]), tuple(given["denominator"])),))
+    except InputError as error:
+        raise InputError(f"{where} {error}") from error
+
+
+def _known() -> str:
+    return listing([f'"{name}"' for name in WEIGHTINGS])
+
+
+def _polynomial(what: str, given: Sequence[Any]) -> tuple[float, ...]:
+    """Its coefficients, without zeros before the first."""
+    for one in given:
+        number = isinstance(one, (int, float)) and not isinstance(one, bool)
+        if not number or not (one == 0 or SMALLEST <= abs(one) <= LARGEST):
+            raise InputError(
+                f"{what} has the coefficient {quoted(one)}; give 0 or numbers from {SMALLEST:g} to {LARGEST:g} in size"
+            )
+    found = tuple(float(one) for one in itertools.dropwhile(lambda one: one == 0, given))
+    if not found:
+        raise InputError(f"{what} is zero; give its coefficients by falling powers of s")
+    if len(found) > MOST + 1:
+        raise InputError(f"{what} is of degree {len(found) - 1}; at most {MOST}: split the filter, or reduce its order")
+    return found
+
+
+def _check(above: Sequence[float], below: Sequence[float]) -> None:
+    """Whether a section is proper, stable, and of a size that counts."""
+    if len(above) > len(below):
+        raise InputError(
+            f"its numerator has degree {len(above) - 1} and its denominator {len(below) - 1}: it differentiates, without end at "
+            "high frequencies; give a denominator of no lower degree"
+        )
+    if not _decays(below):
+        raise InputError("its denominator has a root that is not left of the imaginary axis: the filter is not stable")
+    poles = np.abs(np.roots(below))
+    beyond = [pole for pole in poles if not SLOWEST <= pole <= FASTEST]
+    if beyond:
+        raise InputError(f"it has a pole of {beyond[0]:.4g} rad/s; give poles of {SLOWEST:g} to {FASTEST:g} rad/s")
+    around = np.geomspace(poles.min(initial=1.0) / 10, poles.max(initial=1.0) * 10, 200)
+    largest = np.abs(np.polyval(above, 1j * around) / np.polyval(below, 1j * around)).max()
+    if not LEAST <= largest <= MOST_GAIN:
+        raise InputError(f"its gain is {largest:.3g} where it is largest; give one from {LEAST:g} to {MOST_GAIN:g}")
+
+
+def _decays(polynomial: Sequence[float]) -> bool:
+    """Whether all its roots lie left of the imaginary axis: Routh's array, in rational numbers, so that nothing is rounded."""
+    sign = 1 if polynomial[0] > 0 else -1
+    exact = [sign * Fraction(one) for one in polynomial]
+    above, below = exact[0::2], exact[1::2]
+    for _ in range(len(exact) - 1):
+        if not below or below[0] <= 0:
+            return False
+        ratio = above[0] / below[0]
+        shifted = [one - ratio * two for one, two in itertools.zip_longest(above[1:], below[1:], fillvalue=Fraction(0))]
+        above, below = below, shifted
+    return True
+
+
+def _controllable(above: Sequence[float], below: Sequence[float]) -> Realisation:
+    """The controllable form of a section, with time counted in its poles' and each state in a unit that balances it."""
+    k = len(below) - 1
+    a = np.array(below) / below[0]
+    b = np.concatenate([np.zeros(k + 1 - len(above)), above]) / below[0]
+    if not k:
+        return Realisation(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), b[:, None])
+    rate = np.exp2(np.round(np.log2(a[-1]) / k))
+    powers = rate ** -np.arange(k + 1.0)
+    a, b = a * powers, b * powers
+    A = rate * np.vstack([-a[1:], np.eye(k)[:-1]])
+    B, C = rate * np.eye(k)[:, :1], (b[1:] - b[0] * a[1:])[None]
+    whole = np.block([[A, B], [C, np.zeros((1, 1))]])
+    _, (scale, _) = linalg.matrix_balance(whole, permute=False, separate=True)
+    unit = scale[:k] / scale[k]
+    return Realisation(A / unit[:, None] * unit, B / unit[:, None], C * unit, b[:1, None])
+
+
+def _text(polynomial: Sequence[float]) -> str:
+    """A polynomial in s."""
+    terms = []
+    for power, one in zip(range(len(polynomial) - 1, -1, -1), polynomial, strict=True):
+        s = "" if not power else "s" if power == 1 else f"s^{power}"
+        terms.append(f"{one:g}" if not s else s if one == 1 else f"{one:g} {s}")
+    return " + ".join(term for term, one in zip(terms, polynomial, strict=True) if one).replace("+ -", "- ")

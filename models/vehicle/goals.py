@@ -1,0 +1,424 @@
+"""Goals of a design, as a controller's section says them: what is minimised, within which bounds, for which vehicles, checked.
+
+minimise = { signals = "performance", band = [4.0, 8.0], over = "worst" }
+bounds = [{ norm = 8.6 }, { peak = "suspension_deflection", road = "bump", at_most = 0.09 }, { decay = 1.2 }, { gain = 2e4 }]
+tolerance = { suspension_deflection = 0.1, sprung_velocity = 0.1, force = 0.05 }
+family = [{ sprung_mass = 0.7 }, {}, { sprung_mass = 1.4, tyre_stiffness = 1.25 }]
+structure = "corner"
+"""
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from models.common.errors import InputError, listing, quoted
+from models.vehicle import GOAL_KEYS
+
+EVERYWHERE = (0.0, float("inf"))
+WORST, REGRET = "worst", "regret"
+CORNER = "corner"
+
+
+@dataclass(frozen=True, eq=False)
+class NormOf:
+    """A norm from the road to weighted signals.
+
+    Attributes:
+        signals: weights by signal; None for z as `[performance]` weighs it.
+        band: from and to [Hz].
+    """
+
+    signals: Mapping[str, float] | None = None
+    band: tuple[float, float] = EVERYWHERE
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """As a table of a vehicle file has it."""
+        signals = {"signals": dict(self.signals)} if self.signals is not None else {}
+        return signals | ({"band": list(self.band)} if self.narrow else {})
+
+    @property
+    def narrow(self) -> bool:
+        """Whether it is of a band, and not of all frequencies."""
+        return self.band != EVERYWHERE
+
+    @property
+    def rates(self) -> tuple[float, float]:
+        """The band [rad/s]."""
+        low, high = self.band
+        return 2 * math.pi * low, 2 * math.pi * high
+
+    @property
+    def text(self) -> str:
+        """In words."""
+        low, high = self.band
+        where = "" if not self.narrow else f" from {low:g} Hz up" if high == float("inf") else f" from {low:g} to {high:g} Hz"
+        of = "" if self.signals is None else f" of {', '.join(self.signals)}"
+        return f"norm{of}{where}"
+
+
+@dataclass(frozen=True, eq=False)
+class NormBound:
+    """A norm of at most so much."""
+
+    norm: NormOf
+    at_most: float
+
+
+@dataclass(frozen=True)
+class PeakBound:
+    """A signal's largest magnitude over a road, of at most so much in the signal's unit.
+
+    Attributes:
+        signal: its name.
+        road: as `--road` takes it.
+        speed: [m/s]; None for the usual 12.5 m/s, whatever road it is.
+        at_most: the bound.
+    """
+
+    signal: str
+    road: str
+    speed: float | None
+    at_most: float
+
+
+@dataclass(frozen=True)
+class EnergyBound:
+    """A signal's largest magnitude for all roads of given energy, of at most so much in the signal's unit.
+
+    Attributes:
+        signal: its name.
+        energy: the integral of the squared velocity under all wheels together [m2/s].
+        at_most: the bound.
+    """
+
+    signal: str
+    energy: float
+    at_most: float
+
+
+@dataclass(frozen=True)
+class DecayBound:
+    """All poles left of -rate [rad/s]."""
+
+    rate: float
+
+
+@dataclass(frozen=True)
+class GainBound:
+    """No entry of the gain larger than this."""
+
+    at_most: float
+
+
+Bound = NormBound | PeakBound | EnergyBound | DecayBound | GainBound
+
+
+@dataclass(frozen=True, eq=False)
+class Goals:
+    """Of one controller.
+
+    Attributes:
+        minimise: the norm whose largest value over all vehicles and errors is minimised.
+        bounds: each is kept for all vehicles; norms and decay for all errors, too.
+        tolerance: how far each measured signal, and each force, may be off, relative, independent of one another.
+        family: the vehicles, each as factors on parameters, or as the name of a vehicle file; empty for the file's own alone.
+        over: over the family "worst" minimises the largest norm, "regret" the largest ratio to a vehicle's own best.
+        structure: which measurement may act on which force, a row a force; None for every one.
+    """
+
+    minimise: NormOf = field(default_factory=NormOf)
+    bounds: tuple[Bound, ...] = ()
+    tolerance: Mapping[str, float] = field(default_factory=dict)
+    family: tuple[Mapping[str, float], ...] = ()
+    over: str = WORST
+    structure: tuple[tuple[bool, ...], ...] | None = None
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """The signals that are minimised or bounded, beside those of `[performance]`."""
+        norms = (self.minimise, *(bound.norm for bound in self.bounds if isinstance(bound, NormBound)))
+        peaks = [bound.signal for bound in self.bounds if isinstance(bound, (PeakBound, EnergyBound))]
+        return (*(name for norm in norms for name in norm.signals or ()), *peaks)
+
+    @property
+    def roads(self) -> tuple[str, ...]:
+        """The roads of bounds, as they are named."""
+        return tuple(bound.road for bound in self.bounds if isinstance(bound, PeakBound))
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """As the section of a vehicle file has them."""
+        minimise = self.minimise.record | ({"over": self.over} if self.over != WORST else {})
+        found: dict[str, Any] = {"minimise": minimise} if minimise else {}
+        if self.bounds:
+            found["bounds"] = [_described(bound) for bound in self.bounds]
+        if self.tolerance:
+            found["tolerance"] = dict(self.tolerance)
+        if self.family:
+            found["family"] = [dict(member) for member in self.family]
+        if self.structure is not None:
+            found["structure"] = [[int(each) for each in row] for row in self.structure]
+        return found or {"minimise": {}}
+
+
+def _described(bound: Bound) -> dict[str, Any]:
+    """A bound as a table of a vehicle file has it."""
+    match bound:
+        case NormBound(norm, at_most):
+            return {"norm": at_most, **norm.record}
+        case DecayBound(rate):
+            return {"decay": rate}
+        case GainBound(at_most):
+            return {"gain": at_most}
+        case EnergyBound(signal, energy, at_most):
+            return {"energy_peak": signal, "energy": energy, "at_most": at_most}
+        case PeakBound(signal, road, speed, at_most):
+            driven = {"speed": speed} if speed is not None else {}
+            return {"peak": signal, "road": road, **driven, "at_most": at_most}
+
+
+PERFORMANCE = "performance"
+FORCE = "force"  # in a tolerance: all forces
+SMALLEST, LARGEST = 1e-9, 1e12
+MOST_MEMBERS = 50
+MOST_BOUNDS = 20
+LARGEST_TOLERANCE = 0.9  # relative: a sensor that may be off by its whole reading says nothing
+LOWEST_FACTOR, HIGHEST_FACTOR = 0.1, 10.0  # of a parameter in a family
+
+OTHER_WAYS = ("order", "design", "sampled", "law", "file", "A", "sample_period")  # keys that goals do not go with
+
+BOUND_KINDS = {  # the keys beside that of the kind, and one as it is written
+    "norm": (("signals", "band"), "{ norm = 8.6 }"),
+    "peak": (("road", "speed", "at_most"), "{ peak = SIGNAL, road = ROAD, at_most = 0.09 }"),
+    "energy_peak": (("energy", "at_most"), "{ energy_peak = SIGNAL, energy = 0.02, at_most = 0.09 }, m2/s"),
+    "decay": ((), "{ decay = 1.2 }, rad/s"),
+    "gain": ((), "{ gain = 2e4 }"),
+}
+
+
+class _Named(Protocol):
+    @property
+    def name(self) -> str: ...
+
+
+class Kind(Protocol):
+    """What of a `VehicleKind` goals name."""
+
+    @property
+    def parameters(self) -> Sequence[_Named]:
+        """Its parameters."""
+        ...
+
+    @property
+    def corners(self) -> Mapping[str, str]:
+        """Of every force the ending of the names of what lies at its own suspension; empty where there is only one."""
+        ...
+
+
+def read_goals(
+    where: str,
+    entry: Mapping[str, Any],
+    measured: Sequence[str],
+    outputs: Collection[str],
+    kind: Kind,
+) -> Goals:
+    """The goals of a section that has some.
+
+    Args:
+        where: the section, for messages.
+        entry: the section.
+        measured: the signals that are measured.
+        outputs: the signals of the vehicle.
+        kind: of the vehicle.
+
+    Raises:
+        InputError: a key or a number that is not allowed.
+    """
+    for key in OTHER_WAYS:
+        if entry.get(key):
+            raise InputError(
+                f"{where} has {key} = {quoted(entry[key])} beside goals, which are of static gains in continuous "
+                f"time; leave {key} out, or {listing([each for each in GOAL_KEYS if each in entry])}"
+            )
+    corners = kind.corners
+    minimise, over = _minimise(where, entry.get("minimise", {}), outputs)
+    family = _family(where, entry.get("family"), [one.name for one in kind.parameters])
+    if over == REGRET and not family:
+        raise InputError(
+            f'{where} minimise has over = "regret", which is of a family; give family = [{{ ... }}, ...], or leave it out'
+        )
+    return Goals(
+        minimise,
+        _bounds(where, entry.get("bounds", []), outputs),
+        _tolerance(where, entry.get("tolerance", {}), measured, tuple(corners)),
+        family,
+        over,
+        _structure(where, entry.get("structure"), measured, corners),
+    )
+
+
+def _minimise(where: str, value: Any, outputs: Collection[str]) -> tuple[NormOf, str]:
+    if not isinstance(value, dict):
+        raise InputError(
+            f"{where} minimise = {quoted(value)} is no table; give one, as in minimise = {{ band = [4.0, 8.0] }}, Hz"
+        )
+    _known(f"{where} minimise", value, ("signals", "band", "over"))
+    over = value.get("over", WORST)
+    if over not in (WORST, REGRET):
+        raise InputError(
+            f'{where} minimise has over = {quoted(over)}; give "{WORST}", the largest norm of the family, or "{REGRET}", the '
+            "largest ratio to what each vehicle has at its own best"
+        )
+    return _norm(f"{where} minimise", value, outputs), over
+
+
+def _norm(where: str, value: Mapping[str, Any], outputs: Collection[str]) -> NormOf:
+    signals, band = value.get("signals", PERFORMANCE), value.get("band")
+    weights = None
+    if isinstance(signals, str) and signals != PERFORMANCE:
+        signals = [signals]
+    if isinstance(signals, list):
+        if len(signals) != len({*map(repr, signals)}):
+            raise InputError(f"{where} names a signal twice; name it once")
+        signals = {name if isinstance(name, str) else quoted(name): 1.0 for name in signals}
+    if isinstance(signals, dict):
+        for name, weight in signals.items():
+            if name not in outputs:
+                raise InputError(f"{where} unknown signal {quoted(name)}; this vehicle has {listing(outputs)}")
+            _number(f"{where} the weight of {name}", weight, SMALLEST, LARGEST)
+        weights = {name: float(weight) for name, weight in signals.items()}
+    elif signals != PERFORMANCE:
+        weights = {}
+    if weights is not None and not weights:
+        raise InputError(
+            f'{where} signals = {quoted(value["signals"])} is none; give "performance", or signals with their weights, as in '
+            "{ sprung_acceleration = 1.0 }"
+        )
+    if band is None:
+        return NormOf(weights)
+    fits = isinstance(band, list) and len(band) == 2 and all(_is_number(each, True) for each in band)
+    if not fits or not 0 <= band[0] < band[1]:
+        raise InputError(f"{where} band = {quoted(band)} is none; give two frequencies [Hz], from and to, as in [4.0, 8.0]")
+    found = (float(band[0]), float(band[1]))
+    return NormOf(weights, found if found != EVERYWHERE else EVERYWHERE)
+
+
+def _bounds(where: str, value: Any, outputs: Collection[str]) -> tuple[Bound, ...]:
+    if not isinstance(value, list) or not all(isinstance(each, dict) for each in value):
+        raise InputError(f"{where} bounds = {quoted(value)} is no list of tables; give one, as in bounds = [{{ norm = 8.6 }}]")
+    if len(value) > MOST_BOUNDS:
+        raise InputError(f"{where} has {len(value)} bounds; give at most {MOST_BOUNDS}")
+    return tuple(_bound(f"{where} bounds[{i}]", each, outputs) for i, each in enumerate(value))
+
+
+def _bound(where: str, value: Mapping[str, Any], outputs: Collection[str]) -> Bound:
+    kinds = [key for key in BOUND_KINDS if key in value]
+    if len(kinds) != 1:
+        raise InputError(
+            f"{where} = {quoted(dict(value))} is no bound; give one of {', '.join(text for _, text in BOUND_KINDS.values())}"
+        )
+    kind = kinds[0]
+    _known(where, value, (kind, *BOUND_KINDS[kind][0]))
+    if kind == "norm":
+        return NormBound(_norm(where, value, outputs), _number(f"{where} norm", value["norm"], SMALLEST, LARGEST))
+    if kind == "decay":
+        return DecayBound(_number(f"{where} decay", value["decay"], SMALLEST, LARGEST, " rad/s"))
+    if kind == "gain":
+        return GainBound(_number(f"{where} gain", value["gain"], SMALLEST, LARGEST))
+    signal, road = value[kind], value.get("road", "bump")
+    if signal not in outputs:
+        raise InputError(f"{where} unknown signal {quoted(signal)}; this vehicle has {listing(outputs)}")
+    if "at_most" not in value:
+        raise InputError(f"{where} has no at_most; give the largest magnitude of {signal} that is allowed, in its SI unit")
+    at_most = _number(f"{where} at_most", value["at_most"], SMALLEST, LARGEST)
+    if kind == "energy_peak":
+        return EnergyBound(signal, _number(f"{where} energy", value.get("energy", 1.0), SMALLEST, LARGEST, " m2/s"), at_most)
+    if not isinstance(road, str):
+        raise InputError(f'{where} road = {quoted(road)} is no road; give its name, as in road = "bump:height=0.08"')
+    speed = _number(f"{where} speed", value["speed"], 0.1, 200.0, " m/s") if "speed" in value else None
+    return PeakBound(signal, road, speed, at_most)
+
+
+def _tolerance(where: str, value: Any, measured: Sequence[str], forces: Sequence[str]) -> dict[str, float]:
+    if not isinstance(value, dict):
+        raise InputError(
+            f"{where} tolerance = {quoted(value)} is no table; give how far each sensor may be off, relative, as in "
+            f"tolerance = {{ {measured[0]} = 0.1 }}"
+        )
+    allowed = (*measured, *(force for force in forces if force not in measured), FORCE)
+    for name, share in value.items():
+        if name not in allowed:
+            raise InputError(
+                f"{where} tolerance names {quoted(name)}; give what is measured, a force or {FORCE}: {listing(allowed)}"
+            )
+        _number(f"{where} tolerance of {name}", share, 0.0, LARGEST_TOLERANCE, ", relative: 0.1 is 10 %")
+    if FORCE in value and any(force in value for force in forces):
+        raise InputError(f"{where} tolerance names {FORCE}, which is all forces, and one of them; give one or the other")
+    return {name: float(share) for name, share in value.items()}
+
+
+def _family(where: str, value: Any, parameters: Collection[str]) -> tuple[Mapping[str, float], ...]:
+    if value is None:
+        return ()
+    if not isinstance(value, list) or not value or not all(isinstance(each, dict) for each in value):
+        raise InputError(
+            f"{where} family = {quoted(value)} is no list of vehicles; give factors on parameters, as in "
+            "family = [{}, { sprung_mass = 1.4 }]"
+        )
+    if len(value) > MOST_MEMBERS:
+        raise InputError(f"{where} family has {len(value)} vehicles; give at most {MOST_MEMBERS}")
+    for i, member in enumerate(value):
+        for name, factor in member.items():
+            if name not in parameters:
+                raise InputError(f"{where} family[{i}] has no parameter {quoted(name)}; this vehicle has {listing(parameters)}")
+            _number(f"{where} family[{i}] the factor on {name}", factor, LOWEST_FACTOR, HIGHEST_FACTOR)
+    return tuple({name: float(factor) for name, factor in member.items()} for member in value)
+
+
+def _structure(
+    where: str, value: Any, measured: Sequence[str], corners: Mapping[str, str]
+) -> tuple[tuple[bool, ...], ...] | None:
+    if value is None:
+        return None
+    if value == CORNER:
+        rows = tuple(tuple(not ending or signal.endswith(ending) for signal in measured) for ending in corners.values())
+        for signal, used in zip(measured, zip(*rows, strict=True), strict=True):
+            if not any(used):
+                raise InputError(
+                    f'{where} structure = "{CORNER}", and {signal!r} is of no corner; measure signals that end as the forces do, '
+                    f"{listing(corners)}, or give structure as rows of 0 and 1, one row a force"
+                )
+        for force, row in zip(corners, rows, strict=True):
+            if not any(row):
+                raise InputError(
+                    f'{where} structure = "{CORNER}", and nothing that is measured is of the corner of {force!r}; measure some'
+                )
+        return rows
+    fits = isinstance(value, list) and len(value) == len(corners) and all(isinstance(row, list) for row in value)
+    if not fits or not all(len(row) == len(measured) and all(each in (0, 1) for each in row) for row in value):
+        raise InputError(
+            f'{where} structure = {quoted(value)} is none; give "{CORNER}", or {len(corners)} row(s), one a force, of '
+            f"{len(measured)} numbers 0 or 1, one a measured signal"
+        )
+    if not any(any(row) for row in value):
+        raise InputError(f"{where} structure leaves no entry of the gain; give a 1 where a signal may act on a force")
+    return tuple(tuple(bool(each) for each in row) for row in value)
+
+
+def _known(where: str, value: Mapping[str, Any], keys: Sequence[str]) -> None:
+    for key in value:
+        if key not in keys:
+            raise InputError(f"{where} unknown key {quoted(key)}; known: {listing(keys)}")
+
+
+def _number(what: str, value: Any, smallest: float, largest: float, unit: str = "") -> float:
+    if not _is_number(value) or not smallest <= value <= largest:
+        raise InputError(f"{what} = {quoted(value)} is not allowed; give a number from {smallest:g} to {largest:g}{unit}")
+    return float(value)
+
+
+def _is_number(value: Any, infinite: bool = False) -> bool:
+    real = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return real and not math.isnan(value) and (infinite or math.isfinite(value))

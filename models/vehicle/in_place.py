@@ -1,0 +1,279 @@
+"""What a file holds, in place of its name: a law's matrices, or a family's members, for the line that names their file.
+
+So a vehicle file is whole once it is read: what goes into a log, a campaign, or a file that is saved has the matrices, and what
+reads those never opens a file for them. A comment says which file they come from.
+
+Of a family, a TOML file has its `family`, as a section would have it; a CSV file has a vehicle for every row, whose header names
+parameters and whose numbers are factors on them.
+"""
+
+import csv
+import hashlib
+import io
+import json
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from models.common.arrays import Array, real_matrix
+from models.common.errors import InputError, listing, quoted, some
+from models.common.files import MIB, TEXT, parse_toml, read_bytes, read_content
+from models.vehicle.mat_file import SAVE, Variable, read_mat
+
+
+def controllers_of(text: str) -> dict[str, Any]:
+    """`[controllers]` of a vehicle file's text; empty where there is none.
+
+    Raises:
+        InputError: it is not TOML.
+    """
+    sections = parse_toml(text).get("controllers")
+    return sections if isinstance(sections, dict) else {}
+
+
+def in_place_of(text: str, key: str, given: Mapping[str, str]) -> str:
+    """A vehicle file's text with other lines in place of those that give a key a file's name.
+
+    Where a key stands on no line of its own the text stays as it is there: whoever asks has to look at what it says.
+
+    Args:
+        text: TOML.
+        key: of the sections of controllers.
+        given: what stands there instead, by controller.
+    """
+    line = re.compile(rf"^[ \t]*{key}[ \t]*=[^\n]*$", re.M)
+    # Each such line says where it stands, once; so the parser says which is whose.
+    lines = {str(found.start()): found for found in line.finditer(text)}
+    try:
+        marked = controllers_of(line.sub(lambda found: f'{key} = "{found.start()}"', text))
+    except InputError:
+        marked = {}
+    place = {name: str(marked.get(name, {}).get(key)) for name in given}
+    for name in sorted(given, key=lambda name: -int(place[name]) if place[name] in lines else 0):
+        if place[name] in lines:
+            start, end = lines[place[name]].span()
+            text = text[:start] + given[name] + text[end:]
+    return text
+
+
+KEY = "family"
+GIVE_FAMILY = "give a .toml file with family = [{ ... }, ...], or a .csv file whose header names parameters"
+
+
+def with_families(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
+    """A vehicle file's text with families in place of the files that it names for them, and those files.
+
+    Args:
+        text: TOML.
+        folder: where the vehicle file lies, from which its paths go.
+
+    Raises:
+        InputError: it is not TOML, or a file is not there, or holds no family; the message names it.
+    """
+    asked = {
+        name: entry[KEY]
+        for name, entry in controllers_of(text).items()
+        if isinstance(entry, dict) and isinstance(entry.get(KEY), str)
+    }
+    if not asked:
+        return text, ()
+    given, families, files = {}, {}, []
+    for name, file in asked.items():
+        try:
+            families[name], comment = _read_family(file, folder)
+        except InputError as error:
+            raise InputError(f"[controllers.{name}] {error}") from error
+        given[name] = f"{comment}\n{KEY} = [{', '.join(map(_table, families[name]))}]"
+        files.append(folder / file)
+    whole = in_place_of(text, KEY, given)
+    for name, family in families.items():
+        if repr(controllers_of(whole)[name].get(KEY)) != repr(family):  # NaN is not NaN; it is refused where a member is read
+            raise InputError(f'[controllers.{name}] its {KEY} is not named on a line of its own; write {KEY} = "NAME.csv" on one')
+    return whole, tuple(files)
+
+
+def _read_family(file: str, folder: Path) -> tuple[list[dict[str, Any]], str]:
+    """The members of a file, and a comment that says where they are from."""
+    path = folder / file
+    family, said = read_content(path, KEY, GIVE_FAMILY, _of_toml if path.suffix.lower() == ".toml" else _of_csv)
+    return family, f"# from {file!a}, {said}"
+
+
+def _of_toml(text: str) -> list[dict[str, Any]]:
+    found = parse_toml(text)
+    family = found.get(KEY)
+    if set(found) != {KEY} or not isinstance(family, list) or not all(isinstance(member, dict) for member in family):
+        raise InputError(f"holds no {KEY} alone; {GIVE_FAMILY}")
+    return family
+
+
+def _of_csv(text: str) -> list[dict[str, Any]]:
+    try:  # lines may end as on any system, old Macs too
+        rows = [row for row in csv.reader(io.StringIO(text, newline=None)) if any(cell.strip() for cell in row)]
+    except csv.Error as error:
+        raise InputError(f"is no table ({error}); {GIVE_FAMILY}") from error
+    if len(rows) < 2:
+        raise InputError(f"has {len(rows)} row(s) and no vehicle below a header; {GIVE_FAMILY}")
+    names = [name.strip() for name in rows[0]]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"has {quoted(name)} as the name of {names.count(name)} columns; give a column for each parameter")
+    family = []
+    for number, row in enumerate(rows[1:], 2):
+        if len(row) != len(names):
+            raise InputError(f"row {number} has {len(row)} numbers, and the header {len(names)} names; give as many")
+        try:
+            family.append({name: float(cell) for name, cell in zip(names, row, strict=True)})
+        except ValueError as error:
+            raise InputError(f"row {number} is {quoted(row)}; give numbers, factors on the parameters") from error
+    return family
+
+
+def _table(member: dict[str, Any]) -> str:
+    """A member on one line of TOML."""
+    numbers = {name: repr(value) if isinstance(value, float) else json.dumps(value) for name, value in member.items()}  # NaN, too
+    return "{ " + ", ".join(f"{json.dumps(name)} = {number}" for name, number in numbers.items()) + " }"
+
+
+MATRICES = ("A", "B", "C", "D")
+PERIODS = ("Ts", "sample_period")
+NAMES = (*MATRICES, "K", *PERIODS)
+DELAYS = ("InputDelay", "OutputDelay", "IODelay", "ioDelay", "InternalDelay")
+FIELDS = ("E", *DELAYS, "TimeUnit")  # of a struct made by get(sys): what it says beside its matrices
+MOST = 64 * MIB  # of a file: who saves a whole workspace saves more than a controller
+GIVE_LAW = "give a MATLAB file with A, B, C, D, or K"
+
+
+def with_laws(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
+    """A vehicle file's text with matrices in place of the files that it names for them, and those files.
+
+    Args:
+        text: TOML.
+        folder: where the vehicle file lies, from which its paths go.
+
+    Raises:
+        InputError: it is not TOML, or a file is not there, is none, or holds no controller; the message names it.
+    """
+    sections = controllers_of(text)
+    asked = {name: entry for name, entry in sections.items() if isinstance(entry, dict) and "file" in entry}
+    if not asked:
+        return text, ()
+    records, comments, files = {}, {}, []
+    for name, entry in asked.items():
+        try:
+            records[name], comments[name], file = _read_law(entry, folder)
+        except InputError as error:
+            raise InputError(f"[controllers.{name}] {error}") from error
+        files.append(file)
+
+    given = {name: "\n".join([comments[name], *lines_of(records[name])]) for name in asked}
+    whole = in_place_of(text, "file", given)
+    if len(whole.encode()) > TEXT:
+        raise InputError(f"with the matrices of its files it has more than {TEXT / MIB:g} MiB; reduce the controllers' order")
+    found = controllers_of(whole)
+    for name, entry in asked.items():
+        if found.get(name) != {key: value for key, value in entry.items() if key != "file"} | records[name]:
+            raise InputError(f'[controllers.{name}] its file is not named on a line of its own; write file = "NAME.mat" on one')
+    return whole, tuple(files)
+
+
+def lines_of(record: Mapping[str, Any]) -> list[str]:
+    """Lines of TOML."""
+    return [f"{key} = {json.dumps(value)}" for key, value in record.items()]
+
+
+def _read_law(entry: Mapping[str, Any], folder: Path) -> tuple[dict[str, Any], str, Path]:
+    """What a file gives an entry, as TOML has it; a comment that says where it is from; and the file."""
+    file = entry["file"]
+    if not isinstance(file, str) or not file:
+        raise InputError(f"file = {quoted(file)} is no file's name; {GIVE_LAW}")
+    beside = [key for key in ("gain", "law", *MATRICES) if key in entry]
+    if beside:
+        raise InputError(f"has a file and {listing(beside)}; a file is whole by itself, so leave one out")
+    path = folder / file
+    content = read_bytes(path, "file", MOST, GIVE_LAW)
+    try:
+        variables, others = read_mat(content, NAMES, FIELDS)
+        record, period = _law(variables, others, path.name)
+    except InputError as error:
+        raise InputError(f"file {path}: {error}") from error
+    if period is not None:
+        said = entry.get("sample_period", period)
+        if said != period:
+            raise InputError(f"file {path}: has a sample period of {period:g} s, and sample_period = {quoted(said)} is another")
+        record |= {} if "sample_period" in entry else {"sample_period": period}
+    digest = hashlib.sha256(content).hexdigest()
+    return record, f"# from {file!a}, {len(content)} bytes, SHA-256 {digest}", path
+
+
+def _law(variables: Mapping[str, Variable], others: Mapping[str, str], file: str) -> tuple[dict[str, Any], float | None]:
+    """The one law among what a file holds, as TOML has it, and its sample period; None of a continuous or static one."""
+    loose = {name: value for name, value in variables.items() if not isinstance(value, dict)}
+    places = {"the file": loose} | {f"the struct {name}": value for name, value in variables.items() if isinstance(value, dict)}
+    holding = {where: held for where, held in places.items() if {*held} & {*MATRICES, "K"}}
+    if not holding:
+        opaque = [name for name, what in others.items() if what.startswith("a MATLAB object")]
+        if opaque:
+            name = opaque[0]
+            raise InputError(
+                f"{name} is {others[name]}, which only MATLAB reads; there, say [A, B, C, D, Ts] = ssdata({name}); "
+                f"save('{file}', 'A', 'B', 'C', 'D', 'Ts', '-v7')"
+            )
+        there = [f"{name}, {what}" for name, what in others.items()] + [name for name in variables]
+        raise InputError(f"holds no A, B, C, D, and no K; it has {some(there) or 'nothing'}: {SAVE}")
+    if len(holding) > 1:
+        raise InputError(f"holds more than one controller, in {' and '.join(holding)}; keep one")
+    ((where, held),) = holding.items()
+    gains = [name for name in ("K", "D") if name in held]
+    if {"A", "B", "C"} & {*held}:
+        missing = [name for name in MATRICES if name not in held]
+        if missing:
+            raise InputError(f"{listing(missing)} is missing in {where}; give A, B, C and D, or K alone")
+    if "K" in held and {*MATRICES} & {*held}:
+        raise InputError(f"{where} has K beside {listing({*MATRICES} & {*held})}; keep K, a static gain, or A, B, C and D")
+    _check_plain(held)
+    static = "A" not in held or not held["A"].size
+    if static:
+        return {"gain": _numbers(gains[0], held[gains[0]]).tolist()}, None
+    return {name: _numbers(name, held[name]).tolist() for name in MATRICES}, _period(held)
+
+
+def _numbers(name: str, value: Array) -> Array:
+    """A matrix of real finite numbers; how large they may be, the law says."""
+    return real_matrix(value, name, np.inf)[0]
+
+
+def _check_plain(held: Mapping[str, Array]) -> None:
+    """A struct of a system says more than its matrices, and what of it would change the law is not left out in silence.
+
+    Raises:
+        InputError: it has a descriptor matrix E, a delay, or another unit of time than seconds.
+    """
+    E = held.get("E", np.zeros((0, 0)))
+    if E.size and not np.array_equal(E, np.eye(len(E))):
+        raise InputError("has an E that is not the identity; give x' = A x + B y without one, by ss(sys, 'explicit') in MATLAB")
+    delayed = [name for name in DELAYS if np.any(held.get(name, 0))]
+    if delayed:
+        raise InputError(
+            f"has {', '.join(delayed)} above 0, and a law has no delay; give one to [implementation], or take pade(sys, 3)"
+        )
+    unit = "".join(chr(int(code)) for code in np.real(held.get("TimeUnit", np.zeros(0))).ravel())
+    if unit not in ("", "seconds"):
+        raise InputError(f"TimeUnit is {quoted(unit)}; give seconds, by chgTimeUnit(sys, 'seconds') in MATLAB")
+
+
+def _period(held: Mapping[str, Array]) -> float | None:
+    """The sample period, in seconds; None of a continuous law, whose period MATLAB writes as 0."""
+    found = {}
+    for name in PERIODS:
+        if name in held:
+            value = _numbers(name, held[name])
+            if value.size != 1 or value.item() < 0:
+                raise InputError(f"{name} = {quoted(value)} is no sample period; give seconds, or 0 for a continuous law")
+            found[name] = value.item()
+    if len({*found.values()}) > 1:
+        raise InputError("Ts and sample_period are two sample periods; keep one")
+    return next(iter(found.values()), 0.0) or None

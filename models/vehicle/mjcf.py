@@ -1,0 +1,341 @@
+"""From a vehicle to an MjModel, by MjSpec and the MJCF of its kind; and whether it is linear for small motions only.
+
+A quarter-car goes up and down: between its limits it is linear, however far it moves. What pitches or rolls is not, and a spring
+that does not pull along a joint is not either. This is asked of the compiled model itself, so that it holds for any kind.
+"""
+
+import contextlib
+import functools
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError, quoted
+from models.common.files import MIB, TEXT, open_plain
+from models.kinds.kind import GRAVITY, LOWEST_HUB
+from models.vehicle.limits_and_implementation import Limits
+from models.vehicle.vehicle import Vehicle
+
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's bindings carry no type stubs.
+
+
+GIVE = "give the model of the kind of vehicle"
+FITTED = "fitted_"  # begins the name of an actuator that a vehicle file puts into the model, after the MJCF's, the inputs
+MUJOCO_SAYS = (ValueError, mujoco.FatalError)  # against a model
+_quiet_lock, _quiet_users = threading.Lock(), [0]
+
+
+@contextlib.contextmanager
+def quiet() -> Iterator[None]:
+    """Keeps MuJoCo from writing MUJOCO_LOG.TXT: what it warns of is found and reported. Its handler is one for all threads."""
+    with _quiet_lock:
+        _quiet_users[0] += 1
+        mujoco.set_mju_user_warning(lambda text: None)
+    try:
+        yield
+    finally:
+        with _quiet_lock:
+            _quiet_users[0] -= 1
+            if not _quiet_users[0]:
+                mujoco.set_mju_user_warning(None)
+
+
+def build_spec(vehicle: Vehicle, timestep: float) -> mujoco.MjSpec:
+    """The editable model of a vehicle.
+
+    Args:
+        vehicle: the vehicle.
+        timestep: integration step [s].
+
+    Raises:
+        InputError: the kind's MJCF cannot be read, or is none.
+    """
+    open_plain(vehicle.kind.mjcf, "MJCF", GIVE).close()
+    if vehicle.kind.mjcf.stat().st_size > TEXT:
+        raise InputError(f"MJCF {vehicle.kind.mjcf}: is too large; at most {TEXT / MIB:g} MiB is read: {GIVE}")
+    spec = _drawn(vehicle)
+    if taken := [actuator.name for actuator in spec.actuators if actuator.name.startswith(FITTED)]:
+        raise InputError(f"MJCF {vehicle.kind.mjcf}: has an actuator {taken[0]!r}; call it otherwise, {FITTED}... is taken")
+    for sensor in spec.sensors:
+        if sensor.name in vehicle.kind.unnamed:
+            spec.delete(sensor)
+    spec.option.timestep = timestep
+    spec.option.gravity = [0.0, 0.0, -GRAVITY]
+    vehicle.kind.write_mjcf(spec, vehicle.parameters)
+    _write_limits(spec, vehicle)
+    _write_curves(spec, vehicle)
+    if vehicle.dampers:
+        from models.suspension.curve_actuators import write_dampers
+
+        tendons = {one.force: one.tendon for one in vehicle.kind.suspensions}
+        write_dampers(spec, vehicle.adjustable, tendons, str(vehicle.kind.mjcf), FITTED)
+    return spec
+
+
+def _drawn(vehicle: Vehicle) -> mujoco.MjSpec:
+    """The MJCF of a kind as its file has it.
+
+    Raises:
+        InputError: it is none.
+    """
+    try:
+        with quiet():
+            return mujoco.MjSpec.from_file(str(vehicle.kind.mjcf))
+    except MUJOCO_SAYS as error:
+        raise InputError(f"MJCF {vehicle.kind.mjcf}: MuJoCo does not take it ({_said(error)}); mend that") from error
+
+
+def _compiled(vehicle: Vehicle, spec: mujoco.MjSpec) -> mujoco.MjModel:
+    """A model with the vehicle's parameters in it.
+
+    Raises:
+        InputError: MuJoCo does not take it. The message says whose fault that is: the MJCF's as it is drawn, or that of what
+            was written into it.
+    """
+    try:
+        with quiet():
+            return spec.compile()
+    except MUJOCO_SAYS as error:
+        try:
+            _drawn(vehicle).compile()
+        except MUJOCO_SAYS:
+            whose = f"MJCF {vehicle.kind.mjcf}: MuJoCo does not take it"
+        else:
+            whose = (
+                f"kind of vehicle {vehicle.kind.mjcf.with_suffix('.py')}: MuJoCo does not take what write_mjcf makes of the MJCF"
+            )
+        raise InputError(f"{whose} ({_said(error)}); mend that") from error
+
+
+def _said(error: Exception) -> str:
+    return " ".join(str(error).split())
+
+
+def _write_limits(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
+    """Bump stops, largest force and lag, into every suspension and actuator.
+
+    A bump stop is a second spring beside each suspension's tendon, with a dead band of the stroke; where bump and rebound are not
+    alike, each is a spring of its own, slack to the other side.
+
+    Raises:
+        InputError: the kind's MJCF has not its suspensions' tendons.
+    """
+    limits, stops = vehicle.limits, vehicle.limits.stops(vehicle.kind.suspensions)
+    by_tendon = {one.tendon: stops[one.deflection] for one in vehicle.kind.suspensions if one.deflection in stops}
+    by_tendon = {name: one for name, one in by_tendon.items() if one.push}
+    if names := list(by_tendon):
+        suspensions = {tendon.name: tendon for tendon in spec.tendons if tendon.name in names}
+        if absent := [name for name in names if name not in suspensions]:
+            raise InputError(
+                f"MJCF {vehicle.kind.mjcf}: has no tendon {', no tendon '.join(map(repr, absent))}, whose suspension "
+                "[limits] suspension_stroke is to stop; add what is missing, or leave the stroke out"
+            )
+        at_rest = _compiled(vehicle, spec.copy())
+        for tendon in suspensions.values():
+            rest = float(at_rest.tendon_length0[at_rest.tendon(tendon.name).id])
+            for name, (slack, stiffness) in by_tendon[tendon.name].springs(rest).items():
+                stop = spec.add_tendon(name=f"{name}_{tendon.name}")
+                stop.stiffness[:] = stiffness
+                stop.springlength = slack
+                for wrap in tendon.path:
+                    if wrap.type == mujoco.mjtWrap.mjWRAP_JOINT:
+                        stop.wrap_joint(wrap.target.name, wrap.coef)
+                    else:
+                        stop.wrap_site(wrap.target.name)
+    for actuator in spec.actuators:
+        if limits.actuator_force is not None:
+            actuator.forcelimited = True
+            actuator.forcerange = [-limits.actuator_force, limits.actuator_force]
+        if limits.actuator_bandwidth is not None:
+            # Integrated with the rest by RK4. `filterexact` is exact by itself, but reaches RK4's stages half a step late.
+            actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTER
+            actuator.dynprm[0] = 1 / limits.actuator_bandwidth
+
+
+def _write_curves(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
+    """What curves have beyond their lines, and sensors of the velocities that suspensions have as signals.
+
+    Raises:
+        InputError: the kind's MJCF has not what they need.
+    """
+    names, sensed = {signal.name for signal in vehicle.kind.signals}, {sensor.name for sensor in spec.sensors}
+    pairs = [(one.velocity.name, one.deflection) for one in vehicle.kind.suspensions]
+    pairs, rest = [pair for pair in pairs if pair[0] in names - sensed], {}
+    if not (pairs or vehicle.fitted):
+        return
+    from models.suspension.adjustable_dampers import softest
+    from models.suspension.curve_actuators import fit_curves, sense_velocities
+
+    if vehicle.fitted:
+        at_rest = _compiled(vehicle, spec.copy())
+        rest = {at_rest.tendon(i).name: float(at_rest.tendon_length0[i]) for i in range(at_rest.ntendon)}
+    try:
+        sense_velocities(spec, pairs)
+        fit_curves(spec, softest(vehicle.fitted, vehicle.adjustable, vehicle.kind.pushed), FITTED, rest)
+    except InputError as error:
+        raise InputError(f"MJCF {vehicle.kind.mjcf}: {error}") from error
+
+
+def build_model(vehicle: Vehicle, timestep: float, drawn: bool = True) -> mujoco.MjModel:
+    """The compiled model of a vehicle. At qpos = 0 it is at rest: qacc is 0 to rounding.
+
+    Args:
+        vehicle: the vehicle.
+        timestep: integration step [s].
+        drawn: whether what is only looked at stays in it; without, a step has the same numbers and takes a twentieth less.
+
+    Raises:
+        InputError: see `build_spec`; or it lacks what the equations name, or is no model of theirs.
+    """
+    spec = build_spec(vehicle, timestep)
+    spec.compiler.discardvisual = not drawn
+    model = _compiled(vehicle, spec)
+    _check_names(vehicle, model)
+    _check_numbers(vehicle, model)
+    return model
+
+
+def _check_names(vehicle: Vehicle, model: mujoco.MjModel) -> None:
+    """Refuses a model without something that its equations name.
+
+    Raises:
+        InputError: it says what is missing.
+    """
+    kind, missing = vehicle.kind, []
+    sensors = {model.sensor(i).name for i in range(model.nsensor)}
+    parts = [part for name in vehicle.linear_model.outputs for part in kind.combined.get(name, {name: 1.0})]
+    missing += [f"sensor {part!r}" for part in dict.fromkeys(parts) if part not in sensors]
+    actuators = len(_inputs(model))
+    if actuators != len(vehicle.linear_model.inputs):
+        raise InputError(
+            f"MJCF {kind.mjcf}: has {actuators} actuator(s), and the equations {len(vehicle.linear_model.inputs)}; give as many"
+        )
+    mocap = {model.body(i).name for i in range(model.nbody) if model.body(i).mocapid[0] >= 0}
+    missing += [f"mocap body {wheel.road_body!r}" for wheel in kind.wheels if wheel.road_body not in mocap]
+    joints = {model.joint(i).name for i in range(model.njnt)}
+    missing += [f"joint {load.joint!r}" for load in kind.loads if load.joint not in joints]
+    if missing:
+        raise InputError(f"MJCF {kind.mjcf}: has no {', no '.join(missing)}, which the equations name; add what is missing")
+
+
+def _inputs(model: mujoco.MjModel) -> tuple[str, ...]:
+    """The names of a model's actuators without those that are fitted, which come after all others."""
+    names = [model.actuator(i).name for i in range(model.nu)]
+    return tuple(name for name in names if not name.startswith(FITTED))
+
+
+def _check_numbers(vehicle: Vehicle, model: mujoco.MjModel) -> None:
+    """Refuses a model that cannot be driven from qpos = 0, or read out.
+
+    Raises:
+        InputError: it says what is wrong.
+    """
+    where = f"MJCF {vehicle.kind.mjcf}"
+    actuators = _inputs(model)
+    if actuators != vehicle.linear_model.inputs:
+        raise InputError(
+            f"{where}: its actuators are {', '.join(map(repr, actuators))}, and the inputs of the equations "
+            f"{', '.join(map(repr, vehicle.linear_model.inputs))}; name them alike, in the same order"
+        )
+    if model.nq != model.nv:
+        raise InputError(f"{where}: has a free or a ball joint, whose angles are no coordinates; give slides and hinges")
+    for name in vehicle.linear_model.outputs:
+        for part in vehicle.kind.combined.get(name, {name: 1.0}):
+            sensor = model.sensor(part)
+            count = int(sensor.dim[0])
+            along = sensor.user[:count]
+            if len(along) < count or not np.all(np.isfinite(along)) or not along.any():
+                raise InputError(
+                    f"{where}: sensor {part!r} has {count} number(s), and user = {quoted(along)} is no direction along "
+                    'which to read them; give as many, as in user="0 0 1", and <size nuser_sensor="3"/>'
+                )
+    data = mujoco.MjData(model)
+    with quiet():
+        mujoco.mj_forward(model, data)
+    for what, values in {"acceleration": data.qacc, "sensor": data.sensordata}.items():
+        if not np.all(np.isfinite(values)):
+            raise InputError(f"{where}: its {what}s at qpos = 0 are not finite; mend it, or what write_mjcf writes into it")
+    _check_hubs(vehicle, model)
+
+
+def _check_hubs(vehicle: Vehicle, model: mujoco.MjModel) -> None:
+    """Refuses a model whose tyres cannot be squeezed flat: past its hub a road makes the tyre longer again.
+
+    Raises:
+        InputError: it says which tyre.
+    """
+    kind, data = vehicle.kind, mujoco.MjData(model)
+
+    def read(tyre: str) -> float:
+        with quiet():
+            mujoco.mj_forward(model, data)
+        total = 0.0
+        for part, factor in kind.combined.get(tyre, {tyre: 1.0}).items():
+            sensed = data.sensor(part).data
+            total += factor * float(model.sensor(part).user[: len(sensed)] @ sensed)
+        return total
+
+    for wheel, mocap in zip(kind.wheels, mocap_indices(vehicle, model), strict=True):
+        mujoco.mj_resetData(model, data)
+        rest = read(wheel.tyre_deflection)
+        data.mocap_pos[mocap, 2] += LOWEST_HUB
+        moved = read(wheel.tyre_deflection) - rest
+        if not abs(moved + LOWEST_HUB) < 1e-6:
+            raise InputError(
+                f"MJCF {kind.mjcf}: where {wheel.road_body!r} rises by {LOWEST_HUB} m, {wheel.tyre_deflection!r} changes by "
+                f"{moved:.4g} m, not by -{LOWEST_HUB}; give a hub that is at least so high above its road at rest"
+            )
+
+
+def mjcf_text(vehicle: Vehicle, timestep: float) -> str:
+    """The exact MJCF that `build_model` compiles, for the logs."""
+    spec = build_spec(vehicle, timestep)
+    spec.compiler.savecompiled = False  # every number exactly, not with the six digits of compiled values
+    return spec.to_xml()
+
+
+def pushed_dofs(vehicle: Vehicle, model: mujoco.MjModel) -> list[int]:
+    """Degree of freedom along which each of the kind's loads pushes."""
+    return [int(model.joint(load.joint).dofadr[0]) for load in vehicle.kind.loads]
+
+
+def mocap_indices(vehicle: Vehicle, model: mujoco.MjModel) -> list[int]:
+    """Mocap index of every wheel's road."""
+    return [int(model.body(wheel.road_body).mocapid[0]) for wheel in vehicle.kind.wheels]
+
+
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's bindings carry no type stubs.
+
+
+MOVE = 2e-3  # m, rad and their rates: rounding is 1e-12 of what it makes, and turning 1e-3
+OF_TYRE = 0.1  # of its static deflection a tyre gives way at most: it stays on the road
+LINEAR = 1e-8  # of what a motion makes, what twice as far makes beside twice as much
+TRIALS = 3
+
+
+@functools.lru_cache(maxsize=16)
+def has_geometry(vehicle: Vehicle) -> bool:
+    """Whether accelerations are not linear in position and speed, between its limits, for some motions drawn at random."""
+    model = build_model(replace(vehicle, limits=Limits()), 1e-3, drawn=False)
+    data, rng = mujoco.MjData(model), np.random.default_rng(0)
+
+    def accelerations(motion: Array) -> Array:
+        mujoco.mj_resetData(model, data)
+        data.qpos[:], data.qvel[:] = motion[: model.nq], motion[model.nq :]
+        mujoco.mj_forward(model, data)
+        return np.array(data.qacc)
+
+    far = min(MOVE, OF_TYRE * min(vehicle.kind.static_tyre_deflection(vehicle.parameters).values()))
+    rest = accelerations(np.zeros(model.nq + model.nv))
+    for _ in range(TRIALS):
+        motion = rng.uniform(-far / 2, far / 2, model.nq + model.nv)
+        once, twice = accelerations(motion) - rest, accelerations(2 * motion) - rest
+        if np.abs(twice - 2 * once).max() > LINEAR * np.abs(twice).max():
+            return True
+    return False

@@ -1,0 +1,81 @@
+"""Names in vehicle files and commands: of controllers, of roads and of loads, as in `bump + brake:g=0.5`.
+
+Help pages have the latter two, and so nothing of what builds roads is imported here.
+"""
+
+import re
+import unicodedata
+from collections.abc import Collection
+
+from models.common.errors import InputError
+
+LONGEST_NAME = 60  # bytes; the names of three controllers go into a file name
+
+
+def check_name(where: str, name: str, taken: Collection[str]) -> None:
+    """Whether a controller may be called so.
+
+    Args:
+        where: its section, for messages.
+        name: its name.
+        taken: names that always exist.
+
+    Raises:
+        InputError: it may not.
+    """
+    if name in taken or name == "all":
+        raise InputError(f"{where} the name {name!r} is taken: passive, state and all always exist; rename it")
+    if len(name.encode()) > LONGEST_NAME or not _is_name(name):
+        raise InputError(
+            f"{where} a controller's name has letters, digits, '_' and '-' only, at most {LONGEST_NAME} bytes of UTF-8, and no "
+            "'-' first, as an option has"
+        )
+
+
+def _is_name(name: str) -> bool:
+    """Whether it is made of what names are; vowel signs, as in Hindi and Thai, are marks on letters."""
+    kinds = ["L" if one.isalnum() else "-" if one in "_-" else unicodedata.category(one) for one in name]
+    return "L" in kinds and {*kinds} <= {"L", "-", "Mn", "Mc"} and kinds[0] not in ("Mn", "Mc") and not name.startswith("-")
+
+
+ROAD_KINDS = ("iso8608", "bump", "watts_hump", "step", "pothole", "sweep", "flat", "rig")
+CLASSES = "ABCDEFGH"  # of ISO 8608
+BUMP_HEIGHT, BUMP_LENGTH, BUMP_SPEED = 0.1, 5.0, 12.5  # m, m, m/s: the paper's bump (62)
+ROAD_SYNTAX = (
+    f"give {', '.join(ROAD_KINDS)}, each with :NAME=VALUE for its numbers, as in pothole:depth=0.03:length=2, or a .csv, .txt or "
+    ".crg file, as in road.csv:height_unit=mm; or a rig's drive file, as in rig:file=drive.csv; loads may be added, as in "
+    "bump + brake:g=0.5"
+)
+SETTINGS = r"(?P<settings>(:\w+=[^:]*|:[^:\\/]*)*)"
+FILE = re.compile(rf"(?P<path>.+\.(?P<suffix>csv|txt|crg)){SETTINGS}", re.IGNORECASE | re.DOTALL)
+RIG = re.compile(rf"rig:file=(?P<path>.+\.(?P<suffix>csv|txt)){SETTINGS}", re.IGNORECASE | re.DOTALL)
+
+
+def named_file(text: str) -> tuple[str, str] | None:
+    """The file that a road's text names, and what a road of it describes itself as; None where it names none."""
+    if found := RIG.fullmatch(text):
+        return found["path"], "rig"
+    found = FILE.fullmatch(text)
+    return (found["path"], "profile") if found else None
+
+
+LOAD_KINDS = ("brake", "corner", "payload", "lift", "gust")
+PLUS = " + "  # between the loads of a description
+LOAD_SYNTAX = (
+    f"give {', '.join(LOAD_KINDS)}, each with :NAME=VALUE for its numbers, as in brake:g=0.5:start=1:rise=0.2:hold=2 or "
+    "payload:mass=100:x=-1.2, or a .csv file"
+)
+NAMED = rf"\s*\+\s*(?=(?:{'|'.join(LOAD_KINDS)})(?:[:+]|\s*$))"
+FILED = r"\s+\+\s+(?=\S[^+]*\.csv\s*(?:$|\+))"
+JOINED = re.compile(rf"{NAMED}|{FILED}", re.IGNORECASE)  # between a road and its loads, and between these
+
+
+def split_off(text: str) -> tuple[str, list[str]]:
+    """A road's text without the loads that are added to it, and these: `bump + brake:g=0.5 + push.csv`."""
+    road, *loads = JOINED.split(text)
+    return road, loads
+
+
+def is_load_file(text: str) -> bool:
+    """Whether a load's text names a file."""
+    return text.strip().lower().endswith(".csv")

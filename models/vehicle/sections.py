@@ -1,0 +1,189 @@
+"""Sections of a vehicle file: `[performance]`, and those that few files have, whose readers are loaded where they are there."""
+
+import re
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from models.common.errors import InputError, listing, quoted
+from models.kinds.kind import VehicleKind
+from models.vehicle import GOAL_KEYS
+
+if TYPE_CHECKING:
+    from models.suspension.adjustable_dampers import Adjustable
+    from models.suspension.curve import Curve
+    from models.suspension.damper import Damper
+    from models.vehicle.filter import Filter
+    from models.vehicle.goals import Goals
+    from models.vehicle.limits_and_implementation import Implementation, Limits
+
+
+ROAD = "road"  # the filter from the disturbance w to the road's velocity
+SMALLEST_WEIGHT, LARGEST_WEIGHT = 1e-12, 1e12  # relative to one another; beyond these rounding decides
+
+
+def read_performance(
+    section: Mapping[str, Any], outputs: Sequence[str]
+) -> "tuple[dict[str, float], dict[str, Filter], Filter | None]":
+    """The weights by signal, the filters of those that have one, and that of the road.
+
+    Args:
+        section: as it was read.
+        outputs: the signals that can be weighed.
+
+    Raises:
+        InputError: a signal that is unknown, a weight or filter that is not allowed, or no weight at all.
+    """
+    weights, filters, road_filter = {}, {}, None
+    for signal, given in section.items():
+        where, weight = f"[performance] {signal}", given
+        if signal == ROAD:
+            if not isinstance(given, Mapping) or "weight" in given:
+                raise InputError(f"{where} = {quoted(given)} is no filter; give it a numerator and a denominator, and no weight")
+            road_filter = _filter(where, given)
+            continue
+        if signal not in outputs:
+            raise InputError(
+                f"[performance] unknown signal {signal!r}; this vehicle has {listing(outputs)}; {ROAD!r} is the road's filter"
+            )
+        if isinstance(given, Mapping):
+            filters[signal], weight = _filter(where, given), given.get("weight", 1.0)
+        real = isinstance(weight, (int, float)) and not isinstance(weight, bool)
+        if not real or not (weight == 0 or SMALLEST_WEIGHT <= weight <= LARGEST_WEIGHT):
+            raise InputError(
+                f"{where} = {quoted(weight)} is not allowed; give 0 or a weight from {SMALLEST_WEIGHT:g} to {LARGEST_WEIGHT:g}, "
+                'or one with a filter, as in { weight = 1.0, filter = "iso2631_wk" }'
+            )
+        weights[signal] = float(weight)
+    if not any(weights.values()):
+        raise InputError(f"[performance] weighs nothing; give at least one weight above 0 to: {listing(outputs)}")
+    return weights, {signal: one for signal, one in filters.items() if weights[signal]}, road_filter
+
+
+def _filter(where: str, given: Mapping[str, Any]) -> "Filter":
+    from models.vehicle.filter import KEYS, read_filter
+
+    for key in given:
+        if key not in KEYS:
+            raise InputError(f"{where} unknown key {key!r}; a weight with a filter has {listing(KEYS)}")
+    return read_filter(where, given)
+
+
+def whole_text(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
+    """A vehicle file's text with what other files hold in place of their names, and those files.
+
+    Raises:
+        InputError: it is not TOML, or one of these files is not there, or holds something else.
+    """
+    families = laws = tables = ()
+    if re.search(r"\bfamily\b", text):
+        from models.vehicle.in_place import with_families
+
+        text, families = with_families(text, folder)
+    if re.search(r"\bfile\b[\"']?\s*[=\]]", text):
+        from models.vehicle.in_place import with_laws
+
+        text, laws = with_laws(text, folder)
+    if re.search(r"\b(curves|actuators)\b", text):
+        from models.suspension.curve_file import with_tables
+
+        text, tables = with_tables(text, folder)
+    return text, (*families, *laws, *tables)
+
+
+def road_files(goals: Iterable["Goals | None"]) -> list[Path]:
+    """The files that roads of goals' bounds lie in."""
+    roads = [road for one in goals if one is not None for road in one.roads]
+    if not roads:
+        return []
+    from models.vehicle.names import named_file
+
+    return [Path(file[0]) for file in map(named_file, roads) if file]
+
+
+def curves_and_parameters(data: Mapping[str, Any], kind: VehicleKind) -> tuple[dict[str, "Curve"], dict[str, float]]:
+    """`[curves]`, and `[parameters]` with their slopes at rest, checked."""
+    if not data.get("curves"):
+        return {}, kind.check(data["parameters"])
+    from models.suspension.curve_reading import read_curves
+    from models.suspension.fitted_curves import curvable, with_slopes
+
+    curves = read_curves(data["curves"], curvable(kind.suspensions))
+    return curves, kind.check(with_slopes(data["parameters"], curves))
+
+
+def dampers_of(
+    data: Mapping[str, Any], kind: VehicleKind, limits: "Limits", parameters: Mapping[str, float], curves: Mapping[str, "Curve"]
+) -> "tuple[dict[str, Damper], tuple[Adjustable, ...]]":
+    """`[actuators]`, checked, and the dampers in their vehicle."""
+    if not data.get("actuators"):
+        return {}, ()
+    from models.suspension.adjustable_dampers import adjustable
+    from models.suspension.damper import read_actuators
+
+    dampers = read_actuators(data["actuators"], kind.corners, limits.of_actuators)
+    return dampers, adjustable(dampers, kind.suspensions, parameters, curves)
+
+
+def goals_of(
+    where: str, entry: Mapping[str, Any], measured: Sequence[str], outputs: Collection[str], kind: VehicleKind
+) -> "Goals | None":
+    """The goals of a controller's section, None where it has none; arguments and errors as for `read_goals`."""
+    if not any(key in entry for key in GOAL_KEYS):
+        return None
+    from models.vehicle.goals import read_goals
+
+    return read_goals(where, entry, measured, outputs, kind)
+
+
+def loads_of(where: str, entry: Mapping[str, Any], loads: Sequence[str]) -> tuple[tuple[str, float], ...]:
+    """The loads that a controller's section weighs, none where it does not say; arguments and errors as for `weighed_loads`."""
+    if "loads" not in entry:
+        return ()
+    from models.vehicle.weighted_loads import weighed_loads
+
+    return weighed_loads(where, entry, loads, GOAL_KEYS)
+
+
+def read_sampled(section: Mapping[str, Any]) -> bool:
+    """Whether `[implementation]` asks for designs for the loop that its computer closes.
+
+    Raises:
+        InputError: the value is none, or the section gives no sample period.
+    """
+    return _sampled("[implementation]", section.get("sampled", False), section.get("sample_period"))
+
+
+def designed_for_samples(
+    where: str, entry: Mapping[str, Any], two_steps: bool, implementation: "Implementation", usual: bool
+) -> bool:
+    """Whether a controller's section asks for a design for the loop that the computer closes.
+
+    Args:
+        where: the section, for messages.
+        entry: the section.
+        two_steps: whether it is designed in two steps, without noise.
+        implementation: of the vehicle.
+        usual: what `[implementation]` asks for, where the section does not say.
+
+    Raises:
+        InputError: it asks for one, and there is none of it.
+    """
+    asked = _sampled(where, entry.get("sampled", usual and two_steps), implementation.sample_period)
+    if asked and not two_steps:
+        raise InputError(
+            f"{where} has sampled = true, which is of static gains that are designed in two steps, without noise; leave sampled "
+            "out, or its law, order, design or noise"
+        )
+    return asked
+
+
+def _sampled(where: str, value: Any, period: Any) -> bool:
+    if not isinstance(value, bool):
+        raise InputError(f"{where} sampled = {quoted(value)} is not allowed; give true or false")
+    if value and period is None:
+        raise InputError(
+            f"{where} has sampled = true, and [implementation] gives no sample period; give it, as in sample_period = 0.01, "
+            "seconds, or leave sampled out"
+        )
+    return value

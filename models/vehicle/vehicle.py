@@ -1,0 +1,335 @@
+"""A vehicle file (TOML), all that a user writes: the kind of vehicle, its parameters, performance weights and controllers."""
+
+import importlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError, listing, quoted
+from models.common.files import TEXT, parse_toml, read_text
+from models.kinds.kind import HERE, ShownVehicle, VehicleKind
+from models.kinds.linear_model import LinearModel
+from models.kinds.signals import of_dampers
+from models.vehicle.controllers import IDEAL, RESERVED, ControllerEntry, Hardware, read_controllers
+from models.vehicle.limits_and_implementation import Implementation, Limits, check_period, read_implementation, read_limits
+from models.vehicle.sections import curves_and_parameters, dampers_of, read_performance, read_sampled, road_files, whole_text
+
+if TYPE_CHECKING:
+    from models.suspension.adjustable_dampers import Adjustable
+    from models.suspension.curve import Curve
+    from models.suspension.damper import Damper
+    from models.suspension.fitted_curves import Fitted
+    from models.vehicle.filter import Filter
+
+
+def kinds(folder: Path = HERE) -> list[str]:
+    """The kinds of vehicle in a folder: those with equations and an MJCF. By default, those that ship."""
+    return sorted(path.stem for path in folder.glob("*.xml") if path.with_suffix(".py").exists())
+
+
+def shipped() -> list[str]:
+    """The vehicles that ship: a file of every kind, and some more."""
+    return sorted(path.stem for path in HERE.glob("*.toml"))
+
+
+def kind(name: str, folder: Path | None = None) -> VehicleKind:
+    """The kind of vehicle of that name: one that ships, or one whose `.py` and `.xml` lie in a folder of the user's.
+
+    Raises:
+        InputError: there is none, or it is one of the user's own that does not work.
+    """
+    if name in kinds():
+        return importlib.import_module(f"models.{name}").KIND
+    own = kinds(folder) if folder else []
+    if folder is None or name not in own:
+        beside = f", or beside the vehicle file: {name}.py and {name}.xml" if folder else ""
+        raise InputError(f"unknown vehicle type {name!r}; known: {listing([*kinds(), *own])}{beside}")
+    from models.kinds.user_kind import read_kind
+
+    return read_kind(folder, name)
+
+
+SECTIONS = ("type", "parameters", "performance", "controllers", "limits", "implementation", "curves", "actuators")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Vehicle(ShownVehicle):
+    """A vehicle, as its file says.
+
+    Attributes:
+        kind: equations and MJCF.
+        parameters: SI values by name.
+        performance: weight of each signal in the controlled output z (34).
+        controllers: by name, without `passive` and `state`, which always exist.
+        text: the vehicle file, as read, with the matrices of laws in place of the files that it names; it goes into the logs.
+            Laws in Python stay named.
+        source: where it came from, for messages.
+        limits: where the hardware ends.
+        implementation: the controller as it would be built.
+        law_files: the files with matrices, those with families, and those with tables.
+        filters: what a weighted signal goes through on its way into z, by signal; those of a constant weight are not in it.
+        road_filter: what the disturbance w goes through to the road's velocity under every wheel, where that is not w itself.
+        sampled: whether designs are for the loop that the computer closes, `state` and all whose sections do not say otherwise.
+        curves: of dampers and springs, by the parameter that each stands in for.
+        dampers: the suspensions that have an adjustable damper where others have an actuator, by force.
+    """
+
+    kind: VehicleKind
+    parameters: Mapping[str, float]
+    performance: Mapping[str, float]
+    controllers: Mapping[str, ControllerEntry]
+    text: str = ""
+    source: str = ""
+    limits: Limits = field(default_factory=Limits)
+    implementation: Implementation = field(default_factory=Implementation)
+    law_files: tuple[Path, ...] = ()
+    filters: Mapping[str, "Filter"] = field(default_factory=dict)
+    road_filter: "Filter | None" = None
+    sampled: bool = False
+    curves: Mapping[str, "Curve"] = field(default_factory=dict)
+    dampers: Mapping[str, "Damper"] = field(default_factory=dict)
+
+    @cached_property
+    def fitted(self) -> "tuple[Fitted, ...]":
+        """The curves of its suspensions, scaled to its parameters."""
+        if not (self.curves or self.dampers):
+            return ()
+        from models.suspension.fitted_curves import fitted
+
+        dampers = {self.kind.pushed(one.force): one.standing for one in self.adjustable}
+        return fitted(self.kind.suspensions, self.curves, self.parameters, dampers)
+
+    @property
+    def straight(self) -> "Vehicle":
+        """The vehicle of linear analysis: every curve is its line at rest."""
+        dampers = {force: replace(one, pair=None) for force, one in self.dampers.items()}
+        return replace(self, curves={}, dampers=dampers) if self.fitted else self
+
+    @cached_property
+    def linear_model(self) -> LinearModel:
+        """The linear model of these parameters."""
+        return self.kind.model(self.parameters)
+
+    @cached_property
+    def adjustable(self) -> "tuple[Adjustable, ...]":
+        """Its adjustable dampers, in the order of its forces."""
+        if not self.dampers:
+            return ()
+        from models.suspension.adjustable_dampers import adjustable
+
+        return adjustable(self.dampers, self.kind.suspensions, self.parameters, self.curves)
+
+    @cached_property
+    def pushing(self) -> "Vehicle":
+        """It with actuators that push in place of its adjustable dampers, so that every force is given that is asked for."""
+        if not self.dampers:
+            return self
+        names = {name for one in self.adjustable for name in (one.coefficient, one.missing)}
+        signals = tuple(signal for signal in self.kind.signals if signal.name not in names)
+        of = {one.force: one.damping for one in self.kind.suspensions}
+        curves = {of[one.force]: one.standing for one in self.adjustable if one.standing is not None}
+        return replace(self, dampers={}, kind=replace(self.kind, signals=signals), curves={**self.curves, **curves})
+
+    @property
+    def filtered(self) -> bool:
+        """Whether a weight of z or of the road depends on frequency, so that a design knows more states than the vehicle's."""
+        return bool(self.filters) or self.road_filter is not None
+
+    def weights(self, omega: Array) -> Array:
+        """The weight of every output signal in the controlled output z (34) by frequency, complex, shape (F, p).
+
+        Args:
+            omega: angular frequencies [rad/s], shape (F,).
+        """
+        ones = np.ones(len(omega), dtype=complex)
+        return np.stack(
+            [
+                self.performance.get(name, 0.0) * (self.filters[name].response(omega) if name in self.filters else ones)
+                for name in self.linear_model.outputs
+            ],
+            axis=-1,
+        )
+
+    def road_shape(self, omega: Array) -> Array:
+        """The road's velocity per disturbance w by frequency, complex, shape (F,); one without a filter.
+
+        Args:
+            omega: angular frequencies [rad/s], shape (F,).
+        """
+        return np.ones(len(omega), dtype=complex) if self.road_filter is None else self.road_filter.response(omega)
+
+    @property
+    def kind_files(self) -> tuple[Path, ...]:
+        """The files that its kind was read from."""
+        return self.kind.mjcf, self.kind.mjcf.with_suffix(".py")
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The files that are read for it: its own, unless it is text alone, those of laws and bounds' roads, and its kind's."""
+        entries, own = self.controllers.values(), (Path(self.source),) if self.source else ()
+        laws = (*self.law_files, *(entry.python.path for entry in entries if entry.python and entry.python.path))
+        return (*own, *laws, *road_files(entry.goals for entry in entries), *self.kind_files)
+
+    @property
+    def ideal(self) -> bool:
+        """Whether the file says nothing of limits and of the controller as it would be built."""
+        return self.limits == Limits() and self.implementation.ideal
+
+    def checked(self) -> "Vehicle":
+        """The same, its parameters and weights checked as a vehicle file's are: what `dataclasses.replace` was given was not.
+
+        Raises:
+            InputError: one is missing, unknown or not allowed.
+        """
+        parameters = self.kind.check(self.parameters)
+        performance, filters, road_filter = read_performance(self.performance, self.kind.whole_model(parameters).outputs)
+        sound = replace(self, kind=self.kind.naming(performance), parameters=parameters)
+        _ = sound.adjustable  # these parameters, too, must go with its dampers
+        filters = {signal: one for signal, one in {**self.filters, **filters}.items() if performance.get(signal)}
+        return replace(sound, performance=performance, filters=filters, road_filter=road_filter or self.road_filter)
+
+    @property
+    def controller_names(self) -> tuple[str, ...]:
+        """Every controller that can be asked for."""
+        return (*RESERVED, *self.controllers)
+
+    @property
+    def linear_names(self) -> tuple[str, ...]:
+        """Those of them of which linear analysis speaks: all but laws in Python and semi-active ones."""
+        return (*RESERVED, *(name for name, entry in self.controllers.items() if entry.linear))
+
+    def found_wrong(self, error: InputError) -> InputError:
+        """What was found wrong of it when it was worked with, with the file that it stands in, as where it is read."""
+        return InputError(f"vehicle file {self.source}: {error}" if self.source else str(error))
+
+    def check_entry(self, entry: ControllerEntry) -> None:
+        """Refuses a controller of another sample period than it is built with, or that measures what no sensor tells."""
+        check_period(entry.name, entry.law.sample_period if entry.law is not None else None, self.implementation)
+        if self.dampers:
+            from models.suspension.adjustable_dampers import check_measured
+
+            check_measured(entry.name, entry.measured, self.dampers)
+
+    def hardware(self, name: str) -> Hardware:
+        """What of sensors and actuators a controller of that name is designed for; of `passive` and `state` nothing."""
+        return self.controllers[name].hardware if name in self.controllers else IDEAL
+
+    def linear_entry(self, name: str) -> ControllerEntry:
+        """What the file says of a controller, of which linear analysis speaks.
+
+        Raises:
+            InputError: the file has none of that name, or it is a law in Python.
+        """
+        if name not in self.controllers:
+            raise InputError(f"unknown controller {name!r}; this vehicle has {listing(self.controller_names)}")
+        entry = self.controllers[name]
+        if not entry.linear:
+            what = "law in Python, " + entry.python.law if entry.python else "semi-active law"
+            raise InputError(
+                f"controller {name!r} is a {what}, of which there is no linear claim, and here is nothing else; sim.bump, "
+                "sim.drive, sim.sweep, sim.campaign and sim.report drive it: name another one here"
+            )
+        return entry
+
+
+def read_vehicle(file: str | Path, own_kinds: bool = True) -> Vehicle:
+    """Reads a vehicle file, or a vehicle that ships, by name (`quarter_car`).
+
+    Args:
+        file: its path, or name.
+        own_kinds: whether it may be of a kind that does not ship, whose Python is then run.
+
+    Raises:
+        InputError: it is not there, not TOML, or something in it is missing, unknown or not allowed: file, key, what is.
+
+    Example:
+        >>> from models import read_vehicle
+        >>> vehicle = read_vehicle("quarter_car")
+        >>> vehicle.parameters["sprung_mass"], vehicle.linear_model.A.shape
+        (504.5, (4, 4))
+    """
+    path = Path(file)
+    if str(file) in shipped() and not path.is_file():
+        path = HERE / f"{file}.toml"
+    text = read_text(path, "vehicle file", TEXT, f"give a TOML file or one of: {listing(shipped())}")
+    try:
+        if not own_kinds and (name := parse_toml(text).get("type")) not in kinds():
+            raise InputError(
+                f"type = {quoted(name)} is a kind of somebody's own, whose Python would be run, and that is not asked for"
+            )
+        whole, files = whole_text(text, path.parent)
+        return replace(parse_vehicle(whole, source=str(path), folder=path.parent), law_files=files)
+    except InputError as error:
+        raise InputError(f"vehicle file {path}: {error}") from error
+
+
+def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Vehicle:
+    """A vehicle from the text of its file.
+
+    Args:
+        text: TOML.
+        source: where it came from, for messages.
+        folder: where a kind of vehicle of the user's own may lie, and laws in Python; without one, only those kinds that ship are
+            known, and no such law can be run.
+
+    Raises:
+        InputError: see `read_vehicle`; or it names a file for a law, which is read for a vehicle file alone, not for text.
+
+    Example:
+        >>> from models import parse_vehicle, read_vehicle
+        >>> text = read_vehicle("quarter_car").text.replace("sprung_mass = 504.5", "sprung_mass = 600")
+        >>> parse_vehicle(text).parameters["sprung_mass"]
+        600.0
+    """
+    data = parse_toml(text)
+    for section in data:
+        if section not in SECTIONS:
+            what = "section" if isinstance(data[section], dict) else "key"
+            raise InputError(f"unknown {what} {section!r}; known: {listing(SECTIONS)}")
+    for section in SECTIONS[:3]:
+        if section not in data:
+            raise InputError(f"{section!r} is missing; a vehicle file has {listing(SECTIONS)}")
+    for section in SECTIONS[1:]:
+        if not isinstance(data.get(section, {}), dict):
+            raise InputError(f"{section!r} is not a section; write it as [{section}]")
+    if not isinstance(data["type"], str):
+        raise InputError(f"type = {quoted(data['type'])} is not a name in quotes; known: {listing(kinds())}")
+
+    vehicle_kind = kind(data["type"], folder)
+    curves, parameters = curves_and_parameters(data, vehicle_kind)
+    model = vehicle_kind.whole_model(parameters)
+    limits = read_limits(data.get("limits", {}), vehicle_kind.suspensions)
+    implementation = read_implementation(data.get("implementation", {}), model.measurable)
+    sampled = read_sampled(data.get("implementation", {}))
+    section = data.get("controllers", {})
+    dampers, adjusted = dampers_of(data, vehicle_kind, limits, parameters, curves)
+    endings = {one.force: one.ending for one in adjusted}
+    controllers = read_controllers(section, model, limits, implementation, vehicle_kind, folder, sampled, endings)
+    performance, filters, road_filter = read_performance(data["performance"], model.outputs)
+    named = {signal for entry in controllers.values() for signal in entry.named}
+    bent = {*curves, *(force for force, one in dampers.items() if one.pair is not None)}
+    named |= {one.velocity.name for one in vehicle_kind.suspensions if {one.stiffness, one.damping, one.force} & bent}
+    measured = vehicle_kind.naming(named.union(performance, implementation.noise, implementation.quantisation))
+    found = Vehicle(
+        kind=replace(measured, signals=(*measured.signals, *of_dampers([one.ending for one in adjusted]))),
+        parameters=parameters,
+        performance=performance,
+        controllers=controllers,
+        text=text,
+        source=source,
+        limits=limits,
+        implementation=implementation,
+        filters=filters,
+        road_filter=road_filter,
+        sampled=sampled,
+        curves=curves,
+        dampers=dampers,
+    )
+    for entry in controllers.values():
+        found.check_entry(entry)
+    return found

@@ -1,1 +1,0 @@
-"""What acted in a run beside its signals: loads on the body, and what dampers and springs pulled with."""

@@ -1,0 +1,220 @@
+"""What `sim.campaign` does: it runs a campaign, or checks a finished one."""
+
+import argparse
+import json
+import sys
+from contextlib import nullcontext
+from pathlib import Path
+
+from models.common import interrupt
+from models.common.command import complain, versions
+from models.common.errors import InputError
+from models.common.files import TEXT, read_text
+from models.common.printed import Stages, Whole, say
+from models.common.threads import cores
+from models.figures.outputs import check_outputs, written, written_lines
+from models.figures.picture import write_picture
+from sim.campaign import MOST_RUNS
+from sim.campaign.columns import columns, described
+from sim.campaign.controllers import as_begun, designed
+from sim.campaign.file import Campaign, parse_campaign, read_campaign
+from sim.campaign.manifest import FaultError, Gains, Manifest, check_same, digest, gains_of, held, read_manifest
+from sim.campaign.plan import Plan, Progress
+from sim.campaign.store import Store
+from sim.campaign.summary import summarise, summary_lines, trade_off
+from sim.campaign.verify import Verified, verify
+from sim.campaign.workers import Rows, cluster, run_batches
+from sim.physics import RUNS_AT_ONCE
+
+FINISHED = "give a folder of a finished campaign's results"
+LEFT_OUT = (
+    "of the runs that were drawn {count} are of laws in Python and were not driven again: their code is run only for a campaign "
+    "file that you name, as in --verify DIR FILE"
+)
+NUMBERS = ("roadproof", "mujoco", "numpy", "scipy")  # packages whose versions decide the numbers
+
+
+def run_campaign(options: argparse.Namespace) -> int:
+    """Runs what is missing of the campaign that was named, and says what came out; returns the exit code.
+
+    Raises:
+        InputError: a bad campaign file or results folder, options that do not go together, or a disk that is full.
+    """
+    campaign = read_campaign(options.file)
+    check_outputs({"picture": options.picture}, [options.file])
+    folder = options.results or options.file.with_name(f"{options.file.stem}-results")
+    if options.ray is not None and "workers" in options.given:
+        raise InputError("--workers are threads of this machine, and --ray has workers of its own; leave one of them out")
+    with cluster(options.ray) if options.ray is not None else nullcontext(), held(folder):
+        stage = Stages("designs", "runs", "results")
+        stage("designs")
+        plan, manifest = _plan(campaign, folder, options.file)
+        store = _store(plan, folder, manifest)
+        store.tidy()
+        for remark in store.damaged:
+            print(f"roadproof: {remark}", file=sys.stderr)
+        gaps = store.missing()
+        stage("runs")
+        progress = Progress(plan, sum(stop - start for start, stop in gaps), options.batch or RUNS_AT_ONCE, stage)
+
+        def write(start: int, rows: Rows, took: float) -> None:
+            store.write(start, rows)
+            progress.add(len(rows), took)
+
+        try:
+            run_batches(
+                plan,
+                plan.batches(gaps, progress.next_batch),
+                options.workers or cores(),
+                options.ray is not None,
+                write,
+            )
+        except KeyboardInterrupt:
+            stage.end()
+            left = sum(stop - start for start, stop in store.missing())
+            complain(f"{interrupt.word()}: {plan.count - left} of {plan.count} runs are kept; start it again to go on")
+            return interrupt.code()
+        stage("results")
+        store.finish()
+        entries = summarise(plan, store)
+        if options.picture is not None:
+            write_picture(trade_off(plan, entries), options.picture)
+        stage.end()
+        if options.json:
+            result = {
+                "results": str(store.results),
+                "runs": plan.count,
+                "new": progress.done,
+                "damaged": store.damaged,
+                "summary": entries,
+                **written({"picture": options.picture}),
+            }
+            print(json.dumps(result, allow_nan=False))
+        else:
+            now = f"{progress.done} of them now: {progress.rate:.3g} steps/s" if progress.done else "all of them there already"
+            lines = [f"{plan.count} runs of {campaign.duration:g} s at {campaign.timestep:g} s, {now}"]
+            say(
+                [
+                    *lines,
+                    "",
+                    "results",
+                    Whole(f"  {store.results}"),
+                    *summary_lines(entries),
+                    *written_lines({"picture": options.picture}),
+                ]
+            )
+    return 0
+
+
+def check_results(options: argparse.Namespace) -> int:
+    """Checks a finished campaign and says what was found; returns the exit code.
+
+    Raises:
+        InputError: an option that does not go with it; there is no finished campaign, or it cannot be read here.
+    """
+    for name in ("results", "workers", "batch", "ray", "picture"):
+        if name in options.given:
+            raise InputError(f"--verify runs no campaign, so --{name} does not go with it; leave it out")
+    folder = options.verify
+    if not folder.is_dir():
+        raise InputError(f"--verify {folder}: there is no such folder; give one of a finished campaign's results")
+    try:
+        runs, found, remark = _found(options, folder)
+    except FaultError as error:
+        runs, found, remark = None, Verified(0, (), (str(error),)), ""
+    if options.json:
+        result = {"results": str(folder), "runs": runs, "rows": found.rows, "seed": options.seed, "remark": remark}
+        print(json.dumps({**result, "again": found.again, "faults": found.faults, "holds": not found.faults}))
+        return 1 if found.faults else 0
+    if remark:
+        say([remark])
+    say(["results", Whole(f"  {folder}")])
+    if found.faults:
+        say([*found.faults, "", "the results DO NOT HOLD what the campaign comes to"])
+    else:
+        say(
+            [
+                f"each of {found.rows} runs has its row, with its inputs; {len(found.again)} of them, drawn with seed "
+                f"{options.seed}, were driven again and are the same to the last bit",
+                "",
+                "the results hold what the campaign comes to",
+            ]
+        )
+    return 1 if found.faults else 0
+
+
+def _found(options: argparse.Namespace, folder: Path) -> tuple[int, Verified, str]:
+    """How many runs there are, what --verify found, and what there is to say of the campaign file.
+
+    Raises:
+        InputError: there is no finished campaign, or not all that it names is here.
+        FaultError: its folder's files are not what they were.
+    """
+    manifest = read_manifest(folder, FINISHED)
+    if manifest is None:
+        raise InputError(f"--verify {folder}: is empty; {FINISHED}")
+    remark = ""
+    if options.file is not None:
+        campaign = read_campaign(options.file)
+    else:
+        file = Path(manifest.file)
+        if not file.is_absolute() or not file.parent.is_dir():  # the folder was copied to another machine
+            file = folder.absolute().parent / file.name
+        try:  # what the folder names is no code that anybody has asked for, be it a law or a kind of vehicle
+            campaign = parse_campaign(manifest.campaign, file, own_kinds=False)
+        except InputError as error:
+            raise InputError(f"{error}; where you trust what it names, give the file too: --verify {folder} FILE") from error
+        try:
+            same = read_text(file, "campaign file", TEXT, "") == manifest.campaign
+            remark = "" if same else f"campaign file {file} is another one by now; the folder's own text of it counts"
+        except InputError:
+            remark = f"campaign file {file} is not there any more; the folder's own text of it counts"
+        if manifest.digest != digest(campaign.sources):
+            raise FaultError(
+                f"results {folder}: the campaign's text, or a vehicle or road file that it names, is not what it was when the "
+                "campaign began"
+            )
+    check_same(manifest, folder, campaign.sources, _versions(), described(campaign), FINISHED)
+    plan = _planned(campaign, manifest.controllers, folder)
+    stage = Stages("rows", "runs driven again")
+    stage("rows")
+    store = _store(plan, folder, manifest)
+    own = options.file is not None
+    found = verify(plan, store, options.runs, options.seed, own, stage.counted("runs driven again", options.runs, "runs"))
+    stage.end()
+    if found.left_out:
+        remark = "; ".join(filter(None, [remark, LEFT_OUT.format(count=found.left_out)]))
+    return plan.count, found, remark
+
+
+def _plan(campaign: Campaign, folder: Path, file: Path) -> tuple[Plan, Manifest]:
+    """The runs with the gains that the campaign began with, designed now where it begins; and what the folder says of them.
+
+    Raises:
+        InputError: the folder holds another campaign; a controller cannot be designed; far too many runs.
+    """
+    count = Plan(campaign, {}).count
+    if count > MOST_RUNS:
+        raise InputError(f"{count} runs are too many; at most {MOST_RUNS}")
+    manifest, used = read_manifest(folder), _versions()
+    if manifest is None:
+        gains = gains_of(designed(campaign))
+        about = described(campaign)
+        manifest = Manifest(str(file.absolute()), digest(campaign.sources), used, campaign.text, gains, about, count)
+        manifest.write(folder)
+    check_same(manifest, folder, campaign.sources, used, described(campaign))
+    return _planned(campaign, manifest.controllers, folder), manifest
+
+
+def _planned(campaign: Campaign, gains: Gains, folder: Path) -> Plan:
+    return Plan(campaign, as_begun(campaign, gains, folder))
+
+
+def _store(plan: Plan, folder: Path, manifest: Manifest) -> Store:
+    about = {"campaign": plan.campaign.text, "versions": json.dumps(versions()), "controllers": json.dumps(manifest.controllers)}
+    return Store(folder, columns(plan.campaign), about, manifest)
+
+
+def _versions() -> dict[str, str]:
+    """Of the packages that decide the numbers."""
+    return {name: version for name, version in versions().items() if name in NUMBERS}

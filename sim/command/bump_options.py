@@ -1,0 +1,62 @@
+"""What `sim.bump` can be asked for."""
+
+import argparse
+from typing import TYPE_CHECKING
+
+from models.common.command import Parser, chosen
+from models.vehicle.names import BUMP_HEIGHT, BUMP_LENGTH, BUMP_SPEED
+from sim.command.road_options import add_run_options
+
+if TYPE_CHECKING:
+    from models.roads.road import Bump
+    from models.vehicle.vehicle import Vehicle
+    from sim.command.road_options import Asked
+
+EPILOG = """
+exit code: 0 physics and analysis agree for every controller and energy balances, 1 not, 2 bad input
+
+examples:
+  python -m sim.bump --controller I
+  python -m sim.bump --controller I --controller II --height 0.05
+  python -m sim.bump --controller all --serve
+  python -m sim.bump --controller mine --vehicle my_car.toml --json
+"""
+
+
+def parser() -> Parser:
+    """The options."""
+    parser = Parser(
+        "sim.bump", "Drives controllers over a bump, in MuJoCo and in linear analysis, compares and logs them.", EPILOG
+    )
+    parser.add_controller_and_vehicle("required")
+    parser.add_number("--height", BUMP_HEIGHT, "m", "bump height")
+    parser.add_number("--length", BUMP_LENGTH, "m", "bump length")
+    parser.add_number("--speed", BUMP_SPEED, "m/s", "forward speed of the vehicle")
+    parser.add_argument(
+        "--track", choices=("left", "right", "both"), default="both", help="the wheels that the bump lies under (default: both)"
+    )
+    add_run_options(parser, 3.0)
+    return parser
+
+
+def asked(vehicle: "Vehicle", options: argparse.Namespace) -> "Asked":
+    """What a log of these options holds."""
+    from sim.command.road_options import Asked
+    from sim.runs.run import sample_times
+
+    names = chosen(vehicle.controller_names, options.controller)
+    samples = len(sample_times(vehicle, options.duration, options.timestep))
+    return Asked(
+        names,
+        samples,
+        options.timestep,
+        lambda road: road == asked_road(options).describe(),
+        lambda name, how: name in names and how == vehicle.implementation,
+    )
+
+
+def asked_road(options: argparse.Namespace) -> "Bump":
+    """The bump that was asked for."""
+    from models.roads.road import Bump
+
+    return Bump(options.height, options.length, options.speed, options.track)

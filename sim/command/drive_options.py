@@ -1,0 +1,114 @@
+"""What `sim.drive` can be asked for."""
+
+import argparse
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from models.common.command import Parser, chosen
+from models.common.errors import InputError
+from models.vehicle.names import CLASSES, ROAD_SYNTAX, named_file, split_off
+from sim.command.road_options import add_loads, add_run_options, without_loads
+
+if TYPE_CHECKING:
+    from models.common.arrays import Array
+    from models.roads.choice import RoadChoice
+    from models.roads.road import Road
+    from models.vehicle.vehicle import Vehicle
+    from sim.command.road_options import Asked
+
+EPILOG = """
+exit code: 0 physics and analysis agree for every controller and energy balances, 1 not, 2 bad input. A run that ends early,
+diverged or on a flat tyre, is judged until then, and has no metrics.
+
+examples:
+  python -m sim.drive --controller I --class C --speed 20
+  python -m sim.drive --controller passive --controller I --road pothole:depth=0.06:length=1.5 --speed 10
+  python -m sim.drive --controller I --road measured.csv --speed 15 --json
+  python -m sim.drive --controller I --road survey.txt:separator=semicolon:columns=1,3:height_unit=mm --speed 15
+  python -m sim.drive --vehicle full_car --controller I --class B --seed 7
+  python -m sim.drive --vehicle full_car --controller I --road rig:file=drive.csv --duration 30
+  python -m sim.drive --vehicle full_car --controller I --load brake:g=0.5 --load corner:g=0.3
+"""
+
+
+def parser() -> Parser:
+    """The options."""
+    parser = Parser(
+        "sim.drive",
+        "Drives controllers over a road, in MuJoCo and in linear analysis; compares, measures and logs them.",
+        EPILOG,
+    )
+    parser.add_controller_and_vehicle("required")
+    parser.add_argument(
+        "--class", dest="road_class", metavar="CLASS", help=f"random road of ISO 8608, {CLASSES[0]} to {CLASSES[-1]} (default: C)"
+    )
+    parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="of the random road (default: 0)")
+    parser.add_argument("--road", metavar="ROAD", help=f"another road: {ROAD_SYNTAX}".replace("%", "%%"))
+    add_loads(parser, "pushes the body, on a flat road where none is named")
+    parser.add_number("--speed", 20.0, "m/s", "forward speed of the vehicle")
+    add_run_options(parser, 20.0)
+    return parser
+
+
+def asked(vehicle: "Vehicle", options: argparse.Namespace) -> "Asked":
+    """What a log of these options holds. Of a file of a road or a load only the name: it is not read."""
+    from models.roads.choice import choose_road
+    from sim.command.road_options import Asked, same_path
+    from sim.runs.run import sample_times
+
+    text, added = split_off(_road_text(options))
+    loads, file = [*added, *options.loads], named_file(text)
+
+    def is_it(road: Mapping[str, Any]) -> bool:
+        alone = without_loads(road, loads)
+        if alone is None:
+            return False
+        if file:
+            path, kind = file
+            speed = None if kind == "rig" else options.speed
+            return same_path(str(road.get("source")), path) and (road.get("type"), road.get("speed")) == (kind, speed)
+        return alone == _built(vehicle, options, choose_road(text)).describe()
+
+    names = chosen(vehicle.controller_names, options.controller)
+    samples = len(sample_times(vehicle, options.duration, options.timestep))
+    return Asked(names, samples, options.timestep, is_it, lambda name, how: name in names and how == vehicle.implementation)
+
+
+def asked_road(vehicle: "Vehicle", options: argparse.Namespace, time: "Array") -> "Road":
+    """The road that was asked for, if it can be driven."""
+    from models.roads.choice import choose_road
+    from models.roads.load_choice import choose_load
+
+    choice = choose_road(_road_text(options))
+    choice = replace(choice, loads=(*choice.loads, *map(choose_load, options.loads)))
+    if "seed" in options.given and not choice.random:
+        raise InputError(f"--seed says which random road, and {choice.text!r} is none; leave it out")
+    if "speed" in options.given and choice.kind == "rig":
+        raise InputError("--speed says how fast a vehicle drives, and on a rig it stands; leave it out")
+    road = _built(vehicle, options, choice)
+    try:
+        road.check(vehicle, time)
+    except InputError as error:
+        raise InputError(f"road {choice.text!r}: {error}") from error
+    return road
+
+
+def _road_text(options: argparse.Namespace) -> str:
+    """Which road was asked for."""
+    if options.road_class is None:
+        return options.road or ("flat" if options.loads and "seed" not in options.given else "iso8608:class=C")
+    if options.road is not None:
+        raise InputError("give --class or --road, not both: --class C is --road iso8608:class=C")
+    return f"iso8608:class={options.road_class.upper()}"
+
+
+def _built(vehicle: "Vehicle", options: argparse.Namespace, choice: "RoadChoice") -> "Road":
+    return choice.build(vehicle, options.speed, options.seed, options.speed * options.duration)
+
+
+def _seed(text: str) -> int:
+    try:
+        return int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None

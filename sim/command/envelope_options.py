@@ -1,0 +1,88 @@
+"""What `sim.envelope` can be asked for."""
+
+import argparse
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from models import USUAL_TIMESTEP
+from models.common.command import Parser, one_chosen
+from models.vehicle.names import BUMP_HEIGHT, BUMP_LENGTH, BUMP_SPEED
+from sim.command.road_options import add_loads, without_loads
+
+if TYPE_CHECKING:
+    from models.vehicle.vehicle import Vehicle
+    from sim.command.road_options import Asked
+
+EPILOG = """
+exit code: 0 physics breaks first what linear analysis predicts, 1 it does not, 2 bad input,
+130 interrupted, 143 by SIGTERM, 129 by the end of its terminal: what is done is kept
+
+examples:
+  python -m sim.envelope --controller I --vary height:0.02:0.3:20 --vary speed:3:30:20 --picture envelope.png
+  python -m sim.envelope --controller II --vary length:1:10:30 --vary speed:4:30:30 --height 0.08 --csv envelope.csv
+"""
+
+
+def parser() -> Parser:
+    """The options."""
+    parser = Parser(
+        "sim.envelope", "Maps where linear analysis holds over bumps, and what breaks first where it does not.", EPILOG
+    )
+    parser.add_one("passive, state, or one of the vehicle file's")
+    parser.add_argument(
+        "--vary", action="append", metavar="NAME:LOW:HIGH:COUNT", help="an axis of the map: height, length or speed; give two"
+    )
+    parser.add_number("--height", BUMP_HEIGHT, "m", "bump height, where it is not varied")
+    parser.add_number("--length", BUMP_LENGTH, "m", "bump length, where it is not varied")
+    parser.add_number("--speed", BUMP_SPEED, "m/s", "forward speed, where it is not varied")
+    add_loads(parser, "pushes the body over every bump")
+    parser.add_number("--threshold", 0.05, "-", "largest error at which linear analysis is said to hold, as a share of a peak")
+    parser.add_number("--duration", 3.0, "s", "how long every run is")
+    parser.add_number("--timestep", USUAL_TIMESTEP, "s", "integration step and sample period of the controller")
+    parser.add_logs("the cells nearest to where something breaks")
+    parser.add_argument("--csv", type=Path, metavar="FILE", help="write every cell's numbers")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the map, as .png or .svg; needs matplotlib")
+    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    return parser
+
+
+def asked(vehicle: "Vehicle", options: argparse.Namespace) -> "Asked":
+    """What a log of these options holds: some of the cells."""
+    from models.figures.outputs import written
+    from models.roads.road import Bump
+    from sim.command.road_options import Asked
+    from sim.response.regime import END_NAMES
+    from sim.runs.run import sample_times
+    from sim.studies.validity.grid import UNITS, read_axes
+    from sim.studies.validity.report import loads_object
+
+    axes = {axis.name: axis.values for axis in read_axes(options.vary or [])}
+    allowed = {name: axes.get(name, (getattr(options, name),)) for name in UNITS}
+
+    def is_it(road: Mapping[str, Any]) -> bool:
+        alone = without_loads(road, options.loads)
+        cell = {name: road.get(name) for name in UNITS}
+        return alone == {**Bump().describe(), **cell} and all(cell[name] in allowed[name] for name in UNITS)
+
+    name = one_chosen(vehicle.controller_names, options.controller)
+    samples = len(sample_times(vehicle, options.duration, options.timestep))
+    result = {
+        "controller": name,
+        "axes": {name: list(values) for name, values in axes.items()},
+        "threshold": options.threshold,
+        **loads_object(options.loads),
+        **written({"csv": options.csv, "picture": options.picture}),
+    }
+    names = {nearest_run(name, end) for end in (-1, *range(len(END_NAMES)))}
+    return Asked(
+        [name], samples, options.timestep, is_it, lambda run, how: run in names and how == vehicle.implementation, result
+    )
+
+
+def nearest_run(controller: str, end: int) -> str:
+    """What a run is called by what broke first, of `REGIME_ENDS`; -1 for nothing."""
+    from sim.response.regime import END_NAMES
+
+    what = "nothing_breaks" if end < 0 else END_NAMES[end].replace(" ", "_").replace("-", "_")
+    return f"{controller}_{what}"

@@ -1,0 +1,65 @@
+"""What `sim.margins` can be asked for."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from models.common.command import Parser, one_chosen
+from sim.studies.stability import TIMESTEP
+
+if TYPE_CHECKING:
+    from models.vehicle.vehicle import Vehicle
+    from sim.command.road_options import Asked
+
+EPILOG = """
+errors [%]: every reading is off by a factor of its own, between 1 - error and
+1 + error, and of several forces every force, too. Of one force that is an error
+of each entry of its gain. What is proved is true of all such errors; found are
+the worst, along which MuJoCo looks for the edge. An actuator's lag counts.
+
+exit code: 0 prediction and physics agree, 1 they do not, 2 bad input
+
+examples:
+  python -m sim.margins --controller II
+  python -m sim.margins --controller I --picture margins.png --logs logs
+  python -m sim.margins --controller I --vehicle half_car --json
+"""
+
+
+def parser() -> Parser:
+    """The options."""
+    parser = Parser(
+        "sim.margins",
+        "Finds how much gain, phase, delay and sample period a loop bears, and how large errors of what it reads.",
+        EPILOG,
+    )
+    parser.add_one("state, or one of the vehicle file's")
+    parser.add_number("--timestep", TIMESTEP, "s", "integration step; delays and sample periods are its multiples")
+    parser.add_logs("MuJoCo on either side of the delay margin")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the margins, as .png or .svg; needs matplotlib")
+    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    return parser
+
+
+def asked(vehicle: "Vehicle", options: argparse.Namespace) -> "Asked":
+    """What a log of these options holds."""
+    from models.vehicle.limits_and_implementation import Implementation
+    from sim.command.road_options import Asked
+    from sim.runs.run import sample_times
+    from sim.studies.stability.growth_test import BUMP, EARLIER, SHORTEST
+
+    name = one_chosen(vehicle.controller_names, options.controller)
+    samples, result = len(sample_times(vehicle, SHORTEST, options.timestep)), {"controller": name}
+    return Asked(
+        [name],
+        samples,
+        options.timestep,
+        lambda road: road in (BUMP.describe(), EARLIER.describe()),
+        lambda run, how: run == late_run(name, how.delay) and how == Implementation(delay=how.delay),
+        result,
+    )
+
+
+def late_run(name: str, samples: float) -> str:
+    """What a run is called."""
+    return f"{name}_{samples}_samples_late"

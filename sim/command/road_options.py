@@ -1,0 +1,116 @@
+"""What the options of commands share that drive over one road, and what they ask for, against which a log is held."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Any
+
+from models import USUAL_TIMESTEP
+from models.common.command import ALL, Parser
+from models.vehicle.names import LOAD_SYNTAX, PLUS, is_load_file
+
+if TYPE_CHECKING:
+    from models.vehicle.limits_and_implementation import Implementation
+    from models.vehicle.vehicle import Vehicle
+
+
+Road = Mapping[str, Any]  # as it describes itself
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What a command is asked for.
+
+    Attributes:
+        controllers: of the logged runs, in their order; a single one may have several runs.
+        samples: of every run; None where the command itself finds out how many it takes.
+        timestep: [s].
+        road: whether a run may have had the road that describes itself so.
+        run: whether a run may be called so, and have this implementation.
+        result: what of the result follows from the options, by key.
+    """
+
+    controllers: Sequence[str]
+    samples: int | None
+    timestep: float
+    road: Callable[[Road], bool]
+    run: "Callable[[str, Implementation], bool]"
+    result: Mapping[str, Any] = field(default_factory=dict)
+
+
+def same_path(first: str, second: str) -> bool:
+    """Whether two texts name one path, on whatever system they were written."""
+    return PurePosixPath(first.replace("\\", "/")) == PurePosixPath(second.replace("\\", "/"))
+
+
+USUAL = ("passive", "state", "I", "II")
+
+
+def left_out(vehicle: "Vehicle", asked: Sequence[str] | None, names: Sequence[str]) -> list[str]:
+    """Controllers of a vehicle that nobody asked for, and that are not among those taken instead; none where some were asked for.
+
+    Args:
+        vehicle: the vehicle.
+        asked: as `--controller` was given.
+        names: of those that are taken.
+    """
+    return [] if asked else [name for name in vehicle.controller_names if name not in names]
+
+
+def left_out_lines(names: Sequence[str]) -> list[str]:
+    """Those in a line, with how to have them; none where there are none."""
+    return [f"left out: {', '.join(names)}; to have one, name it with --controller, which may be {ALL}"] if names else []
+
+
+def add_run_options(parser: Parser, duration: float) -> None:
+    """`--duration`, with a default [s], `--timestep`, `--logs`, `--no-logs`, `--open`, `--serve` and `--json`."""
+    parser.add_number("--duration", duration, "s", "how long to run")
+    parser.add_number("--timestep", USUAL_TIMESTEP, "s", "integration step and sample period of the controller")
+    logs = parser.add_mutually_exclusive_group()
+    logs.add_argument("--logs", type=Path, default=Path("logs"), metavar="DIR", help="folder for the log files (default: logs)")
+    logs.add_argument("--no-logs", dest="logs", action="store_const", const=None, help="write no log files")
+    view = parser.add_mutually_exclusive_group()
+    view.add_argument(
+        "--open", action="store_true", help="open the recording in Rerun's window, which stays when the command ends"
+    )
+    view.add_argument("--serve", action="store_true", help="serve the recording to a browser on this machine, until Ctrl-C")
+    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+
+
+def add_loads(parser: Parser, what: str) -> None:
+    """`--load`, again and again.
+
+    Args:
+        parser: of the command.
+        what: what loads do there.
+    """
+    parser.add_argument(
+        "--load",
+        dest="loads",
+        action="append",
+        default=[],
+        metavar="LOAD",
+        help=f"{what}; several act together: {LOAD_SYNTAX}",
+    )
+
+
+def without_loads(road: Mapping[str, Any], asked: Sequence[str]) -> dict[str, Any] | None:
+    """What a log describes as a road, without its loads; None where these are not those that were asked for.
+
+    Of a load's file only the name counts: it is not read.
+    """
+    pushed = str(road["loads"]).split(PLUS) if "loads" in road else []
+    if len(pushed) != len(asked) or not all(_is_load(*pair) for pair in zip(pushed, asked, strict=True)):
+        return None
+    return {name: value for name, value in road.items() if name != "loads"}
+
+
+def _is_load(described: str, asked: str) -> bool:
+    """Whether a load that describes itself so was asked for."""
+    if is_load_file(asked):
+        from models.roads.load_choice import named
+
+        return same_path(described.partition(";")[0], named(asked))
+    from models.roads.load_choice import choose_load
+
+    return described == choose_load(asked).text

@@ -1,0 +1,80 @@
+"""What `sim.sweep` can be asked for."""
+
+import argparse
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from models import USUAL_TIMESTEP
+from models.common.command import Parser, chosen
+from sim.command.road_options import USUAL
+
+if TYPE_CHECKING:
+    from models.common.arrays import Array
+    from models.roads.sinusoids import Multisine
+    from models.vehicle.vehicle import Vehicle
+    from sim.command.road_options import Asked
+
+EPILOG = """
+A law in Python has no line of analysis: it is driven over one sinusoid at a time, and of each there are the fundamental and the
+energy outside it.
+exit code: 0 every claim holds, or physics has left the linear regime and the text says how; 1 a claim fails, or nothing could be
+measured of a law as every run of it diverged; 2 bad input
+
+examples:
+  python -m sim.sweep --picture sweep.png
+  python -m sim.sweep --controller I --amplitude 0.05
+  python -m sim.sweep --vehicle half_car --controller all --json
+"""
+
+
+def parser() -> Parser:
+    """The options."""
+    parser = Parser("sim.sweep", "Identifies frequency responses in MuJoCo and compares them with the linear analysis.", EPILOG)
+    parser.add_controller_and_vehicle("default: passive, state, I and II")
+    parser.add_number("--amplitude", 1e-4, "m", "largest height of every road; larger ones meet the vehicle's limits")
+    parser.add_number("--speed", 12.5, "m/s", "forward speed; only the later wheels of longer vehicles notice")
+    parser.add_number("--timestep", USUAL_TIMESTEP, "s", "integration step and sample period of the controller")
+    parser.add_logs("every controller on its worst sinusoid")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the responses, as .png or .svg; needs matplotlib")
+    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    return parser
+
+
+def asked(vehicle: "Vehicle", options: argparse.Namespace) -> "Asked":
+    """What a log of these options holds: worst sinusoids, whose frequencies the command finds itself."""
+    from models.roads.description import described_road
+    from models.roads.sinusoids import Multisine
+    from sim.command.road_options import Asked
+    from sim.studies.frequency.identification import ideal_measurements
+
+    def is_it(road: Mapping[str, Any]) -> bool:
+        found = described_road(road)
+        return isinstance(found, Multisine) and road == worst_road(found.omega[0], options).describe()
+
+    result = {name: getattr(options, name) for name in ("amplitude", "timestep", "speed")}
+    names, ideal = asked_names(vehicle, options), ideal_measurements(vehicle).implementation
+    samples = len(worst_times(vehicle, options))
+    return Asked(names, samples, options.timestep, is_it, lambda name, how: name in names and how == ideal, result)
+
+
+def asked_names(vehicle: "Vehicle", options: argparse.Namespace) -> list[str]:
+    """Names of the controllers that were asked for."""
+    usual = [name for name in USUAL if name in vehicle.controller_names]
+    return chosen(vehicle.controller_names, options.controller, usual)
+
+
+def worst_times(vehicle: "Vehicle", options: argparse.Namespace) -> "Array":
+    """Sample times of a run on a worst sinusoid [s]."""
+    from sim.runs.run import sample_times
+    from sim.studies.frequency.identification import ideal_measurements
+    from sim.studies.frequency.worst_case_gain import DURATION
+
+    return sample_times(ideal_measurements(vehicle), DURATION, options.timestep)
+
+
+def worst_road(omega: float, options: argparse.Namespace) -> "Multisine":
+    """The road of a frequency [rad/s], as high as was asked for."""
+    from models.roads.sinusoids import sinusoid
+
+    return sinusoid(omega, options.speed).scaled(options.amplitude / 2)

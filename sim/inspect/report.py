@@ -1,0 +1,111 @@
+"""What was found in a log: in lines for the terminal, and as JSON has it."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from models.common.errors import InputError
+from models.common.printed import Whole, wrapped
+from sim.inspect.findings import HOLDS, NOTE, Finding
+from sim.inspect.log import Recorded, RecordedRun, read_json
+from sim.inspect.proof import Inspected, Proof
+from sim.runs.report import controller_object, run_object
+from synth.controller.controller import Controller
+from synth.controller.report import law_lines
+
+LONGEST = 400  # characters of a text from a log on the terminal
+
+
+def proof_object(proof: Proof) -> dict[str, Any]:
+    """What was found, as JSON has it: SI units, None for what does not exist."""
+    log = proof.log
+    return {
+        "log": str(log.path),
+        "proves": proof.holds,
+        "command_line": log.metadata.get("command_line"),
+        "vehicle": log.metadata.get("vehicle"),
+        "vehicle_type": proof.vehicle.kind.name if proof.vehicle else None,
+        "timestep": proof.timestep if math.isfinite(proof.timestep) else None,
+        "versions": _versions(log),
+        "findings": [vars(finding) for finding in proof.findings],
+        "runs": [_run_object(run) for run in proof.runs],
+    }
+
+
+def _run_object(one: Inspected) -> dict[str, Any]:
+    again = one.again
+    return {
+        "name": one.recorded.name,
+        "samples": one.samples,
+        "findings": [vars(finding) for finding in one.findings],
+        "controller": controller_object(again.controller) if again else None,
+        "road": _road(one.recorded),
+        "again": run_object(one.run) if one.run else None,
+    }
+
+
+def proof_lines(proof: Proof) -> list[str]:
+    """What was found, in lines for the terminal."""
+    log, vehicle = proof.log, proof.vehicle
+    about = {
+        "command": log.metadata.get("command_line"),
+        "vehicle": vehicle.kind.name if vehicle else "unknown",
+        "from": log.metadata.get("vehicle", "a file of no name"),
+        "versions": ", ".join(f"{name} {version}" for name, version in _versions(log).items()),
+    }
+    lines = [Whole(log.path)]
+    for key, text in about.items():
+        lines += wrapped(_shown(text), f"  {key:10}", 12) if text else []
+    lines += _lines(proof.findings)
+    for one in proof.runs:
+        end = f" to {(one.samples - 1) * proof.timestep:.6g} s at {proof.timestep:g} s" if one.samples else ""
+        lines += ["", f"run {one.recorded.name}: {one.samples} samples{end}"]
+        if one.again:
+            controller = one.again.controller
+            lines += wrapped(_shown(one.again.road.words), f"  {'road':10}", 12)
+            lines += wrapped(f"{controller.name} measures {', '.join(controller.measured) or 'nothing'}", f"  {'law':10}", 12)
+            if not isinstance(controller, Controller):
+                lines += wrapped(_shown(controller.text), f"  {'':10}", 12)
+            elif controller.measured:
+                lines += law_lines(controller.law, f"  {'gain':10}", f"  {'':10}")
+        lines += _lines(one.findings)
+    broken = [f"the {name}" for name in _broken(proof.findings)]
+    broken += [f"{name} of {one.recorded.name}" for one in proof.runs for name in _broken(one.findings)]
+    fails = f"the log DOES NOT PROVE what it claims: {', '.join(broken)}"
+    goals = any(finding.part == "goals" for one in proof.runs for finding in one.findings)
+    holds = f"the log still proves what it claims{', and of goals it claims nothing' if goals else ''}"
+    return [*lines, "", holds if proof.holds else fails]
+
+
+def _lines(findings: Sequence[Finding]) -> list[str]:
+    """Findings in columns."""
+    return [line for one in findings for line in wrapped(f"{one.part}: {_shown(one.text)}", f"  {one.verdict:8}", 12)]
+
+
+def _broken(findings: Sequence[Finding]) -> list[str]:
+    """The parts of which something is not proved, each once."""
+    return list(dict.fromkeys(finding.part for finding in findings if finding.verdict not in (HOLDS, NOTE)))
+
+
+def _road(recorded: RecordedRun) -> dict[str, Any] | None:
+    """The description of a run's road; None where there is none."""
+    try:
+        road = recorded.claim("road")
+    except InputError:
+        return None
+    return road if isinstance(road, dict) else None
+
+
+def _versions(log: Recorded) -> dict[str, str]:
+    """What the log was written with."""
+    try:
+        found = read_json(log.metadata.get("versions", "{}"), "versions")
+    except InputError:
+        return {}
+    return {str(name): str(version) for name, version in found.items()} if isinstance(found, dict) else {}
+
+
+def _shown(text: str) -> str:
+    """Text from a log as a terminal may have it: on one line, without what would steer the terminal, and not endless."""
+    short = text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in short)

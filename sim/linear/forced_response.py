@@ -1,0 +1,59 @@
+"""The exact linear response to forces that are known: of a vehicle whose controller no linear analysis speaks of.
+
+As in `sim.linear.sampled_response`, but the forces u[k], held from one sample to the next, are given, and no loop is closed:
+
+    xi[k+1] = Phi xi[k] + Gamma [u[k]; z_r(t_k + h/2)],    x[k] = xi[k] + Bw z_r(t_k).
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy import linalg
+
+from models.common.arrays import Array
+from models.roads.road import RoadInput
+from sim.linear.nonlinear_elements import is_curved
+from sim.linear.sampled_response import load_forcing, recursion, response_of, road_forcing, taylor4
+from sim.response.response import Response
+from synth.controller.open_loop import with_lag
+from synth.plant.discrete import held_inputs
+
+
+def forced_response(forces: Array, road: RoadInput, exponential: Callable[[Array], Array] = linalg.expm) -> Response:
+    """The response to forces, and to the road as MuJoCo holds it, from rest.
+
+    Args:
+        forces: asked for at every sample [N], shape (T, m).
+        road: what the vehicle meets.
+        exponential: the matrix exponential; `taylor4` to predict an RK4 integrator to rounding.
+    """
+    vehicle, time, h, model = road.vehicle, road.time, road.timestep, with_lag(road.vehicle)
+    loads = road.held_loads if road.loaded else None
+    outside = [] if loads is None else [model.Bl]
+    Phi, Gamma, Gamma_r, *Gamma_l = held_inputs(model.A, h, exponential, model.B, model.A @ model.Bw + model.Br, *outside)
+    jump, add = road.heights @ model.Bw.T, 0.0 if loads is None else loads @ model.Dl.T
+    if not is_curved(vehicle):
+        push = road.midway @ Gamma_r.T + forces @ Gamma.T
+        if loads is not None:
+            push += loads @ Gamma_l[0].T
+        return response_of(model, road, recursion(Phi, push) + jump, forces, add)
+    from sim.linear.piecewise_linear_steps import CurvedSteps
+
+    steps = CurvedSteps(vehicle, model, h, exact=exponential is not taylor4)
+    xi = np.zeros((len(time), 1, len(model.A)))
+    for k in range(len(time) - 1):
+        pushed = None if loads is None else loads[k : k + 1] @ model.Bl.T
+        xi[k + 1] = steps(xi[k], forces[k : k + 1], road.midway[k : k + 1], pushed=pushed)
+    states = xi[:, 0] + jump
+    return response_of(model, road, states, forces, steps.beyond(states, road.heights) + add)
+
+
+def forced_continuous_response(forces: Array, road: RoadInput) -> Response:
+    """The response to forces that are held, and to the road as it is, from rest. Arguments as for `forced_response`."""
+    model = with_lag(road.vehicle)
+    Phi, Gamma = held_inputs(model.A, road.timestep, linalg.expm, model.B)
+    forcing, loads = road_forcing(model.A, model, road) + forces @ Gamma.T, None
+    if road.loaded:
+        forcing, loads = forcing + load_forcing(model.A, model.Bl, road), road.loads
+    add = 0.0 if loads is None else loads @ model.Dl.T
+    return response_of(model, road, recursion(Phi, forcing), np.asarray(forces), add)

@@ -1,0 +1,283 @@
+"""Frequency responses from the road's velocity, exact in two ways: of the sampled loop that MuJoCo runs, and the continuous one.
+
+A road z_r(t) = Z exp(j omega t) under the wheels has the velocity W = j omega Z. All that follows is per unit of W.
+
+Continuous.    x = (j omega - A_G)^-1 (Bw W + Br Z),    A_G = A + B K C_y.
+
+Sampled, in the notation of `sim/linear/sampled_response.py`: at the samples the road is Z exp(j omega t_k), over a step it is
+held at its midpoint, exp(j omega h/2) times as much, and the force is held. The recursion there then is solved by xi[k] = xi
+exp(j omega h k) with
+
+    (exp(j omega h) - Phi - Gamma_u G) xi = Gamma_r exp(j omega h/2) Z + Gamma_u G Bw Z,    x = xi + Bw Z,
+
+without any approximation: a sampled sinusoid stays one. Where the controller's own sample period is several steps, it does not:
+then the response is its share at omega itself, over all the steps of a period.
+
+A force in a suspension that is F exp(j omega t), held over a step at its midpoint as the road is, is one more Z, which moves no
+state at once. Responses to such forces stand beside those to the wheels' roads, per newton.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import linalg
+
+from models.common.arrays import Array
+from models.vehicle.limits_and_implementation import Implementation, steps_held, steps_per_sample
+from models.vehicle.vehicle import Vehicle
+from sim.linear.nonlinear_elements import Elements
+from synth.controller.controller import Controller
+from synth.controller.open_loop import Controlled, continuous, sampled
+from synth.plant.discrete import held_inputs
+
+LOWEST, GRID = 1e-2, 3000  # rad/s, points: a peak is looked for from here to the Nyquist frequency
+
+
+def continuous_frequency_response(vehicle: Vehicle, controller: Controller, omega: Array) -> Array:
+    """From the road velocity under each wheel to each output signal, in the continuous loop, complex, shape (F, p, r).
+
+    Args:
+        vehicle: p outputs, r wheels.
+        controller: its controller.
+        omega: angular frequencies above 0 [rad/s], shape (F,).
+    """
+    cut = continuous(vehicle, controller)
+    model, G = cut.model, cut.G
+    s = 1j * np.asarray(omega, dtype=float)[:, None, None]
+    x = np.linalg.solve(s * np.eye(len(model.A)) - model.A - model.B @ G, model.Bw + model.Br / s)
+    return (model.C + model.D @ G) @ x + model.Cr / s
+
+
+def sampled_frequency_response(
+    vehicle: Vehicle,
+    controller: Controller,
+    omega: Array,
+    timestep: float,
+    exponential: Callable[[Array], Array] = linalg.expm,
+    pulls: Elements | None = None,
+) -> Array:
+    """The same in the sampled loop as it is implemented (held, delayed, lagged), complex, shape (F, p, r).
+
+    Args:
+        vehicle: p outputs, r wheels.
+        controller: its controller.
+        omega: angular frequencies above 0 and below pi / timestep [rad/s], shape (F,).
+        timestep: h [s].
+        exponential: the matrix exponential; `taylor4` to predict an RK4 integrator.
+        pulls: e forces, responses to which follow, per newton, shape (F, p, r + e).
+    """
+    cut, _, mean_x, inputs = _harmonic(vehicle, controller, omega, timestep, exponential, pulls)
+    model, outside = cut.model, _outside(cut, controller, pulls)
+    return (model.C @ mean_x + model.D @ inputs + outside.outputs) / outside.per(omega)
+
+
+def sampled_states(vehicle: Vehicle, controller: Controller, omega: Array, timestep: float) -> Array:
+    """From the road velocity under each wheel to the states of a `LoopModel` at the controller's samples, shape (F, s, r).
+
+    Arguments as for `sampled_frequency_response`.
+    """
+    s = 1j * np.asarray(omega, dtype=float)[:, None, None]
+    how = vehicle.implementation
+    cut, x, _, _ = _harmonic(vehicle, controller, omega, timestep, linalg.expm)
+    period = timestep * steps_per_sample(how, timestep)
+    waiting = [np.exp(-s * period * late) * (cut.asked @ x) for late in range(how.waiting, 0, -1)]
+    return np.concatenate([x, *waiting], axis=1) / s
+
+
+def stepwise_frequency_response(
+    vehicle: Vehicle, controller: Controller, omega: Array, timestep: float, pulls: Elements | None = None
+) -> Array:
+    """From the road velocity under each wheel to the output signals at every timestep of a period of the controller.
+
+    What a signal is at step i of a period, exactly, for a road that is exp(j omega t) with t from the period's start on: between
+    its samples a held force makes other frequencies, too, and `sampled_frequency_response` has only the share at omega.
+
+    Arguments as for `sampled_frequency_response`.
+
+    Returns:
+        Shape (steps + 1, F, p, r + e), complex; the last is the first of the next period.
+    """
+    s = 1j * np.asarray(omega, dtype=float)[:, None, None]
+    how, h = vehicle.implementation, timestep
+    cut, x, _, _ = _harmonic(vehicle, controller, omega, timestep, linalg.expm, pulls)
+    model, steps, outside = cut.model, steps_per_sample(how, h), _outside(cut, controller, pulls)
+    Phi, Gamma, Gamma_r = held_inputs(model.A, h, linalg.expm, model.B, outside.rates)
+    by_step, xi, found, per = _inputs_by_step(cut, how, s, h, x, outside.felt), x - outside.jump, [], outside.per(omega)
+    for i in range(steps + 1):
+        road = np.exp(s * h * i)
+        inputs = by_step[i] if i < steps else by_step[0] * road
+        found.append((model.C @ (xi + outside.jump * road) + model.D @ inputs + outside.outputs * road) / per)
+        xi = Phi @ xi + Gamma @ inputs + Gamma_r * np.exp(s * h * (i + 0.5))
+    return np.stack(found)
+
+
+def leaps_by_step(
+    vehicle: Vehicle, controller: Controller, omega: Array, timestep: float, pulls: Elements | None = None
+) -> Array:
+    """What the output signals leap by at every timestep of a period of the controller, where a force is replaced by the next.
+
+    Of a road, and of forces, as for `stepwise_frequency_response`; behind a lag nothing leaps.
+
+    Returns:
+        Shape (steps, F, p, r + e), complex.
+    """
+    s = 1j * np.asarray(omega, dtype=float)[:, None, None]
+    how, h = vehicle.implementation, timestep
+    cut, x, _, _ = _harmonic(vehicle, controller, omega, timestep, linalg.expm, pulls)
+    outside, turn = _outside(cut, controller, pulls), np.exp(-s * h * steps_per_sample(how, h))
+    by_step, per = _inputs_by_step(cut, how, s, h, x, outside.felt), outside.per(omega)
+    before = [by_step[-1] * turn, *by_step[:-1]]
+    return np.stack([cut.model.D @ (now - last) / per for now, last in zip(by_step, before, strict=True)])
+
+
+@dataclass(frozen=True, eq=False)
+class _Outside:
+    """What acts from outside, c of it: the roads under r wheels, then forces, each exp(j omega t).
+
+    Attributes:
+        jump: of the states, with it, shape (n, c).
+        rates: what it adds to the rates of what does not jump, shape (n, c).
+        outputs: and to the output signals, shape (p, c).
+        felt: and, by way of measured accelerations, to all inputs, shape (m + k, c); None for nothing.
+        wheels: r.
+    """
+
+    jump: Array
+    rates: Array
+    outputs: Array
+    felt: Array | None
+    wheels: int
+
+    def per(self, omega: Array) -> Array:
+        """What responses are per unit of: of a road its velocity, shape (F, 1, c), or (F, 1, 1) for all of them."""
+        s = 1j * np.asarray(omega, dtype=float)[:, None, None]
+        forces = self.jump.shape[1] - self.wheels
+        return np.concatenate([*([s] * self.wheels), *([np.ones_like(s)] * forces)], axis=-1) if forces else s
+
+
+def _outside(cut: Controlled, controller: Controller, pulls: Elements | None) -> _Outside:
+    """The roads under the wheels, and forces in suspensions."""
+    model = cut.model
+    rates, wheels = model.A @ model.Bw + model.Br, model.Bw.shape[1]
+    if pulls is None:
+        return _Outside(model.Bw, rates, model.Cr, None, wheels)
+    count = pulls.outputs.shape[1]
+    push = np.vstack([pulls.push, np.zeros((len(model.A) - len(pulls.push), count))])
+    measured = cut.reading @ pulls.outputs[[model.outputs.index(name) for name in controller.measured]]
+    felt = np.hstack([np.zeros((len(measured), wheels)), measured]) if np.any(measured) else None
+    jump = np.hstack([model.Bw, np.zeros((len(model.A), count))])
+    return _Outside(jump, np.hstack([rates, push]), np.hstack([model.Cr, pulls.outputs]), felt, wheels)
+
+
+def _inputs_by_step(cut: Controlled, how: Implementation, s: Array, h: float, x: Array, felt: Array | None = None) -> list[Array]:
+    """All inputs at every timestep of a period that begins with a state, per unit of Z."""
+    held, steps = steps_held(how, h), steps_per_sample(how, h)
+    asked, kept = cut.asked @ x, cut.kept @ x
+    if felt is not None:
+        asked, kept = asked + felt[: cut.forces], kept + felt[cut.forces :]
+    forces = [np.exp(-s * h * steps * late) * asked for _, late in held]
+    of_parts = [cut.inputs(one, kept, forces[-1]) for one in forces]
+    return [one for (count, _), one in zip(held, of_parts, strict=True) for _ in range(count)]
+
+
+def _harmonic(
+    vehicle: Vehicle,
+    controller: Controller,
+    omega: Array,
+    timestep: float,
+    exponential: Callable[[Array], Array],
+    pulls: Elements | None = None,
+) -> tuple[Controlled, Array, Array, Array]:
+    """What oscillates with omega per unit of Z: of what, state at the controller's samples, state and inputs over a period."""
+    how, h = vehicle.implementation, timestep
+    s = 1j * np.asarray(omega, dtype=float)[:, None, None]
+    steps = steps_per_sample(how, h)
+    cut = sampled(vehicle, controller, steps * h)
+    model, outside = cut.model, _outside(cut, controller, pulls)
+    jump = outside.jump
+    Phi, Gamma, Gamma_r = held_inputs(model.A, h, exponential, model.B, outside.rates)
+
+    # From xi at a sample of the controller and Z to xi after i steps, P xi + Q Z, under the inputs F (xi + Bw Z) + E Z.
+    held = steps_held(how, h)
+    turns = [np.exp(-s * h * steps * late) for _, late in held]
+    forces = [turn * cut.asked for turn in turns]
+    of_parts: list[Array] = [cut.inputs(one, last=forces[-1]) for one in forces]
+    of_felt: list[Array | float] = [0.0 for _ in held]
+    if outside.felt is not None:
+        asked, kept = outside.felt[: cut.forces], outside.felt[cut.forces :]
+        of_felt = [cut.inputs(turn * asked, np.broadcast_to(kept, (len(s), *kept.shape)), turns[-1] * asked) for turn in turns]
+    P, Q = np.broadcast_to(np.eye(len(model.A)), (len(s), *model.A.shape)), np.zeros((len(s), *jump.shape))
+    # What of them, and of held forces, oscillates with omega itself.
+    mean_P, mean_Q, mean_held = 0.0, 0.0, [np.zeros_like(s) for _ in held]
+    for i, part in enumerate(part for part, (count, _) in enumerate(held) for _ in range(count)):
+        turn, F = np.exp(-s * h * i) / steps, of_parts[part]
+        mean_P, mean_Q, mean_held[part] = mean_P + turn * P, mean_Q + turn * Q, mean_held[part] + turn
+        pushed = Gamma @ F @ jump if outside.felt is None else Gamma @ (F @ jump + of_felt[part])
+        P, Q = Phi @ P + Gamma @ F, Phi @ Q + pushed + Gamma_r * np.exp(s * h * (i + 0.5))
+    xi = np.linalg.solve(np.exp(s * h * steps) * np.eye(len(model.A)) - P, Q)
+    parts = zip(mean_held, of_parts, of_felt, strict=True)
+    mean_inputs = sum(mean * (F @ (xi + jump) + felt) for mean, F, felt in parts)
+    return cut, xi + jump, mean_P @ xi + mean_Q + jump, np.asarray(mean_inputs)
+
+
+def as_met(vehicle: Vehicle, omega: Array, speed: float) -> Array:
+    """What every wheel meets of a road exp(j omega t) under the first one, shape (F, r): it comes later.
+
+    Args:
+        vehicle: r wheels.
+        omega: angular frequencies [rad/s], shape (F,).
+        speed: forward velocity [m/s].
+    """
+    later = np.array([wheel.behind(vehicle.parameters) / speed for wheel in vehicle.kind.wheels])
+    return np.exp(-1j * np.multiply.outer(omega, later))
+
+
+@dataclass(frozen=True)
+class Worst:
+    """The road that moves the weighted output z most, per its own size, or that of w where the road has a filter (both in L2).
+
+    Attributes:
+        gain: ||z|| / ||w||. With one wheel, the H-infinity norm; with more, no more than it, as one road is under them all.
+        omega: its frequency [rad/s].
+    """
+
+    gain: float
+    omega: float
+
+
+def worst_sinusoid(vehicle: Vehicle, response: Callable[[Array], Array], highest: float, speed: float) -> Worst:
+    """The largest gain of a frequency response from the road as the wheels meet it to z, and where it is.
+
+    By Parseval it is the largest L2 gain of any road below `highest`: the H-infinity norm, where there is one wheel.
+
+    Args:
+        vehicle: the vehicle.
+        response: angular frequencies (F,) -> frequency response (F, p, r).
+        highest: end of the search [rad/s], the Nyquist frequency pi / h.
+        speed: forward velocity [m/s].
+    """
+
+    def gain(omega: Array) -> Array:
+        met = as_met(vehicle, omega, speed)
+        z = vehicle.weights(omega) * np.einsum("fpr,fr->fp", response(omega), vehicle.road_shape(omega)[:, None] * met)
+        return np.linalg.norm(z, axis=1) / np.linalg.norm(met, axis=1)
+
+    # Lightly damped poles make narrow peaks; those of a vehicle are wider than the grid's 0.4 %, and each is refined.
+    omega = np.geomspace(LOWEST, 0.99 * highest, GRID)
+    gains = gain(omega)
+    best = Worst(float(gains.max()), float(omega[gains.argmax()]))
+    peaks = 1 + np.flatnonzero((gains[1:-1] >= gains[:-2]) & (gains[1:-1] >= gains[2:]) & (gains[1:-1] > 0.9 * best.gain))
+    from scipy import optimize  # half a second
+
+    for i in peaks:
+        refined: Any = optimize.minimize_scalar(
+            lambda log_omega: -gain(np.exp([log_omega]))[0],
+            bounds=np.log(omega[[i - 1, i + 1]]),
+            method="bounded",
+            options={"xatol": 1e-10},
+        )
+        if -refined.fun > best.gain:
+            best = Worst(float(-refined.fun), float(np.exp(refined.x)))
+    return best

@@ -1,0 +1,329 @@
+"""The linear response, exact in two ways: of the sampled loop that MuJoCo runs, and of the paper's continuous closed loop.
+
+Sampled. The controller is held over a step, and so is the road: at its midpoint height, where `sim.physics` puts it. With
+xi = x - Bw z_r, the state that does not jump when the road does, (29) becomes xi' = A xi + B u + (A Bw + Br) z_r, and over a step
+everything on the right but xi is constant:
+
+    xi[k+1] = Phi xi[k] + Gamma [u[k]; z_r(t_k + h/2)],    x[k] = xi[k] + Bw z_r(t_k),    u[k] = K C_y x[k].
+
+Where a damper or a spring has a curve, every step is as in `sim.linear.nonlinear_elements`, and the rest stays.
+
+Loads f on the body (`models/roads/load.py`) are held over a step as the road is, at what they are midway through it, and enter as
+u does, with Bl in the place of B. A law with states, and a measured acceleration, make the vehicle larger
+(`synth/controller/open_loop.py`), and the formulas stay as they are.
+
+Continuous. x' = A_G x + Bw z_r'(t) + Br z_r(t) with A_G = A + B K C_y. Over a step,
+
+    x[k+1] = exp(A_G h) x[k] + integral of exp(A_G (h - s)) (Bw z_r' + Br z_r)(t_k + s) ds,
+
+by Gauss-Legendre quadrature with 8 nodes: exact to rounding for a smooth road. A step that holds a kink of the road is cut there.
+
+Rounding moves signals whatever the road. MuJoCo holds a vehicle up by lengths of about a metre, rounded to 1e-16 of it, and
+forces of its whole weight that balance. What that makes of a signal is the same over a bump of a decimetre and over one of a
+micrometre. It is as if every length among the states were shaken by a few roundings: then velocities are by that times the
+vehicle's fastest rate, and what is read out of both follows from the linear model.
+"""
+
+import itertools
+import math
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+from scipy import linalg
+
+from models.common.arrays import Array
+from models.kinds.linear_model import LinearModel
+from models.kinds.signals import kept_signals
+from models.laws.linear import LinearLaw
+from models.roads.road import RoadInput, delays, under_wheels
+from models.vehicle.limits_and_implementation import steps_held
+from models.vehicle.vehicle import Vehicle
+from sim.linear.nonlinear_elements import is_curved
+from sim.response.response import Response
+from synth.controller.controller import Controller
+from synth.controller.open_loop import Controlled, LoopModel
+from synth.plant.discrete import held_inputs
+
+LENGTH = 16 * float(np.finfo(float).eps)  # m or rad; measured over roads of 1e-9 m: up to 5e-16 m, in 20000 steps
+LENGTHS = ("m", "rad")
+RATES = 400  # at which a law is asked what it makes of a measurement
+
+
+def roundings(vehicle: Vehicle, controller: Controller | None) -> dict[str, float]:
+    """How far rounding moves every output signal [the signal's unit], at most; without a controller, under given forces."""
+    model = vehicle.linear_model
+    rate, shaken = _shaken(vehicle)
+    if controller is None:
+        return dict(zip(model.outputs, (np.abs(model.C) @ shaken).tolist(), strict=True))
+    gain = _most_asked(controller.law_on_states(vehicle), rate) @ np.abs(model.rows(controller.measured)[0])
+    if controller.law.states:  # it may ask for far more than a static gain would, and what it asks for moves the states
+        shaken = shaken + np.abs(model.B) @ (gain @ shaken) / rate
+    moved = np.abs(model.C) @ shaken + np.abs(model.D) @ (gain @ shaken)
+    return dict(zip(model.outputs, moved.tolist(), strict=True))
+
+
+def grown(rounding: Mapping[str, float], model: LoopModel, samples: int) -> dict[str, float]:
+    """The same in a run of an unstable loop: rounding grows there, in each signal as far as the loop carries it.
+
+    Args:
+        rounding: see `roundings`.
+        model: of the vehicle and its controller.
+        samples: of the run.
+    """
+    loop, linear, shaken = model.closed_loop, model.open_loop.model, _shaken(model.vehicle)[1]
+    rows = np.eye(len(linear.A), len(loop.transition))
+    rows = linear.C @ rows + linear.D @ loop.parts[0].inputs
+    state = np.eye(len(loop.transition), len(shaken)) * shaken
+    most = np.zeros(len(rows))
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(samples // model.steps):
+            state = loop.transition @ state
+            most = np.fmax(most, np.abs(rows @ state).sum(axis=1))
+    return {name: max(far, float(more)) for (name, far), more in zip(rounding.items(), most, strict=True)}
+
+
+def _shaken(vehicle: Vehicle) -> tuple[float, Array]:
+    """The fastest rate [rad/s], and how far rounding shakes every state, shape (n,)."""
+    model, kind = vehicle.linear_model, vehicle.kind
+    rate = float(np.abs(np.linalg.eigvals(model.A)).max())
+    return rate, np.array([LENGTH if kind.signal(name).unit in LENGTHS else rate * LENGTH for name in model.states])
+
+
+def _most_asked(law: LinearLaw, fastest: float) -> Array:
+    """The most that a law makes of each measurement, at whatever rate up to twice that of the vehicle [rad/s], shape (m, q)."""
+    if not law.states:
+        return np.abs(law.D)
+    s = 1j * np.concatenate([[0.0], np.geomspace(1e-4, 2.0, RATES) * fastest])[:, None, None]
+    steady = np.linalg.lstsq(-law.A, law.B)[0][None]  # an integrator asks for what it has come to
+    moving = np.linalg.solve(s[1:] * np.eye(law.states) - law.A, np.broadcast_to(law.B.astype(complex), (RATES, *law.B.shape)))
+    return np.abs(law.C @ np.concatenate([steady, moving]) + law.D).max(axis=0)
+
+
+SLOWEST_RATE = 1e-12  # rad/s; a mode that is slower does not move within any run, and a step for it would be beyond numbers
+
+
+def taylor4(M: Array) -> Array:
+    """What RK4 makes of the matrix exponential: its Taylor polynomial of degree 4. For a linear system RK4 is exactly that."""
+    identity = np.eye(len(M))
+    return identity + M @ (identity + M / 2 @ (identity + M / 3 @ (identity + M / 4)))
+
+
+def sampled_response(loop: LoopModel, road: RoadInput, exponential: Callable[[Array], Array] = linalg.expm) -> Response:
+    """The response of the sampled loop, from rest.
+
+    Args:
+        loop: at the timestep of the road's samples.
+        road: what the vehicle meets.
+        exponential: the matrix exponential; `taylor4` to predict an RK4 integrator to rounding.
+    """
+    return sampled_responses(loop, [road], exponential).run(0)
+
+
+def sampled_responses(
+    loop: LoopModel, roads: Sequence[RoadInput], exponential: Callable[[Array], Array] = linalg.expm
+) -> Response:
+    """The responses to N roads side by side, values of shape (N, T, S). Arguments as for `sampled_response`.
+
+    Signals are the vehicle's and, after them, the states of the law, each as it was at the law's last sample.
+    """
+    vehicle, controller, h, period, cut = loop.vehicle, loop.controller, loop.timestep, loop.steps, loop.open_loop
+    how, model, time = vehicle.implementation, cut.model, roads[0].time
+    loads = np.stack([each.held_loads for each in roads]) if any(each.loaded for each in roads) else None
+    outside = [] if loads is None else [model.Bl]
+    Phi, Gamma, Gamma_r, *Gamma_l = held_inputs(model.A, h, exponential, model.B, model.A @ model.Bw + model.Br, *outside)
+    now, midway = np.stack([each.heights for each in roads]), np.stack([each.midway for each in roads])
+
+    measured = [model.outputs.index(name) for name in controller.measured]
+    jump, push = now @ model.Bw.T, midway @ Gamma_r.T  # x - xi, and what the road does to xi
+    steps = None
+    if is_curved(vehicle):
+        from sim.linear.piecewise_linear_steps import CurvedSteps
+
+        steps = CurvedSteps(vehicle, model, h, exact=exponential is not taylor4)
+    felt = None  # of loads, by way of accelerations: what they add to the forces asked for and to the rates of what is kept
+    if loads is not None:
+        push += loads @ Gamma_l[0].T
+        # A reading is taken before a new load acts, as before a new force does.
+        felt = np.concatenate([np.zeros_like(loads[:, :1]), loads[:, :-1]], axis=1) @ readings_of_loads(cut, controller).T
+    if how.prompt and steps is None:
+        G = cut.inputs(cut.asked)
+        if felt is not None:
+            felt = np.swapaxes(cut.inputs(*np.split(np.swapaxes(felt, 1, 2), [cut.forces], axis=1)), 1, 2)
+            push += felt @ Gamma.T
+        states = recursion(Phi + Gamma @ G, push + jump @ (Gamma @ G).T) + jump
+        inputs = states @ G.T
+        if felt is not None:
+            inputs += felt
+    else:
+        states, inputs = np.zeros_like(jump), np.zeros((*jump.shape[:2], model.B.shape[1]))
+        # By the sample at which they are computed, after as many as were on their way before the first.
+        computed = np.zeros((len(time) // period + 1 + how.waiting, len(roads), cut.forces))
+        xi, acting, held = np.zeros((len(roads), len(model.A))), [], steps_held(how, h)
+        for k in range(len(time)):
+            states[:, k] = xi + jump[:, k]
+            if k % period == 0:
+                newest = k // period + how.waiting
+                computed[newest], kept = states[:, k] @ cut.asked.T, cut.kept @ states[:, k].T
+                more = [] if felt is None else [felt[:, k]]
+                if steps is not None:  # accelerations that are measured have the curves' forces in them
+                    more.append(steps.beyond(states[:, k], now[:, k])[:, measured] @ cut.reading.T)
+                for one in more:
+                    computed[newest], kept = computed[newest] + one[:, : cut.forces], kept + one[:, cut.forces :].T
+                forces = [computed[newest - late].T for _, late in held]
+                of_parts = [cut.inputs(one, kept, forces[-1]).T for one in forces]
+                acting = [one for (steps, _), one in zip(held, of_parts, strict=True) for _ in range(steps)]
+            inputs[:, k] = acting[k % period]
+            if steps is None:
+                xi = xi @ Phi.T + inputs[:, k] @ Gamma.T + push[:, k]
+            else:
+                xi = steps(xi, inputs[:, k], midway[:, k], pushed=None if loads is None else loads[:, k] @ model.Bl.T)
+    beyond = steps.beyond(states, now) if steps is not None else np.zeros(len(roads))
+    if loads is not None:
+        add = loads @ model.Dl.T
+        beyond = add if steps is None else beyond + add
+    runs = [response_of(model, road, states[i], inputs[i], beyond[i]).values for i, road in enumerate(roads)]
+    last = np.arange(len(time)) // period * period
+    kept = controller.law.of_state(loop.period) * states[:, last, cut.law_states]
+    return _with_kept(Response(time, vehicle.kind.signals, np.stack(runs)), kept)
+
+
+def continuous_response(loop: LoopModel, road: RoadInput) -> Response:
+    """The response of the continuous closed loop (16), from rest. Arguments as for `sampled_response`."""
+    controller, cut = loop.controller, loop.continuous
+    model, G = cut.model, cut.G
+    A = model.A + model.B @ G
+
+    forcing, felt, loads = road_forcing(A, model, road), None, None
+    if road.loaded:
+        felt, loads = readings_of_loads(cut, controller), road.loads
+        forcing += load_forcing(A, model.Bl + model.B @ felt, road)
+    states = recursion(linalg.expm(A * loop.timestep), forcing)
+    inputs = states @ G.T
+    if loads is not None and felt is not None:
+        inputs += loads @ felt.T
+    response = response_of(model, road, states, inputs, 0.0 if loads is None else loads @ model.Dl.T)
+    return _with_kept(response, controller.law.of_state(None) * states[:, cut.law_states])
+
+
+def _with_kept(response: Response, kept: Array) -> Response:
+    """A response with the states of a law after the vehicle's signals, shape (..., T, k)."""
+    return response.beside(kept_signals(range(1, kept.shape[-1] + 1)), kept)
+
+
+def readings_of_loads(cut: Controlled, controller: Controller) -> Array:
+    """What loads add to all inputs by way of measured accelerations, before what acts adds to rates, shape (m + k, l)."""
+    rows = [cut.model.outputs.index(name) for name in controller.measured]
+    return cut.reading @ cut.model.Dl[rows]
+
+
+def road_forcing(A: Array, model: LinearModel, met: RoadInput) -> Array:
+    """What a road adds to the states of x' = A x + ... over the step from each of its samples, shape (T, n)."""
+    road, vehicle = met.road, met.vehicle
+
+    def push(t: Array) -> Array:
+        pushed = under_wheels(road.velocity, road, vehicle, t) @ model.Bw.T
+        return pushed + under_wheels(road.displacement, road, vehicle, t) @ model.Br.T if model.Br.any() else pushed
+
+    return _forcing(A, push, np.array([kink + delay for kink in road.kinks for delay in delays(road, vehicle)]), met.time)
+
+
+def load_forcing(A: Array, Bl: Array, met: RoadInput) -> Array:
+    """What the loads of a road add likewise, by way of Bl, shape (n, l)."""
+    return _forcing(A, lambda t: met.road.loads(met.vehicle, t) @ Bl.T, np.array(met.road.load_kinks), met.time)
+
+
+def _forcing(A: Array, push: Callable[[Array], Array], kinks: Array, time: Array) -> Array:
+    """What x' = A x + push(t) gains over the step from each of these times [s], shape (T, n); cut at kinks [s]."""
+    h = float(time[1] - time[0])
+    forcing = _convolution(A, push, time, h)
+    for k in np.unique(np.floor((kinks - time[0]) / h).astype(int)):
+        if 0 <= k < len(time):
+            start, end = time[k], time[k] + h
+            edges = [start, *np.unique(kinks[(kinks > start) & (kinks < end)]), end]
+            forcing[k] = 0.0
+            for left, right in itertools.pairwise(edges):
+                piece = _convolution(A, push, np.array([left]), right - left)[0]
+                forcing[k] += linalg.expm(A * (end - right)) @ piece
+    return forcing
+
+
+def _convolution(A: Array, push: Callable[[Array], Array], start: Array, h: float) -> Array:
+    """Integral of exp(A (h - s)) push(start + s) ds over 0..h, shape (T, n), for start times of shape (T,)."""
+    nodes, weights = np.polynomial.legendre.leggauss(8)
+    total = np.zeros((len(start), len(A)))
+    for s, weight in zip(h * (nodes + 1) / 2, h * weights / 2, strict=True):
+        total += weight * push(start + s) @ linalg.expm(A * (h - s)).T
+    return total
+
+
+def recursion(Phi: Array, forcing: Array) -> Array:
+    """x[k+1] = Phi x[k] + forcing[k] from x[0] = 0, shape (..., T, n) like the forcing."""
+    states = np.zeros_like(forcing)
+    x, transposed = states[..., 0, :], np.ascontiguousarray(Phi.T)
+    with np.errstate(over="ignore", invalid="ignore"):  # an unstable loop may overflow; the run says so
+        for k in range(forcing.shape[-2] - 1):
+            x = states[..., k + 1, :] = x @ transposed + forcing[..., k, :]
+    return states
+
+
+def response_of(
+    model: LinearModel,
+    road: RoadInput,
+    states: Array,
+    inputs: Array,
+    beyond: Array | float = 0.0,
+    beside: Mapping[str, Array] | None = None,
+) -> Response:
+    """Every signal of the vehicle from the states and inputs of a model of it over time, shapes (T, n) and (T, m).
+
+    Args:
+        model: the vehicle's own, or a larger one that has its states and inputs first.
+        road: what the vehicle meets.
+        states, inputs: over time.
+        beyond: what curves and loads add to the outputs, shape (T, p), or 0.
+        beside: signals that are no outputs of the model, of shape (T,); None for what its dampers would be for these inputs.
+    """
+    vehicle, z_r, w = road.vehicle, road.heights, road.velocities
+    if beside is None and vehicle.dampers:
+        from sim.linear.dampers import linear_signals
+
+        n, m = vehicle.linear_model.B.shape
+        beside = linear_signals(vehicle, states[:, :n], inputs[:, :m])
+    values = {}
+    for i, wheel in enumerate(vehicle.kind.wheels):
+        values |= {wheel.road_displacement: z_r[:, i], wheel.road_velocity: w[:, i]}
+    outputs = states @ model.C.T + inputs @ model.D.T + z_r @ model.Cr.T + beyond
+    values |= dict(zip(model.outputs, outputs.T, strict=True)) | dict(beside or {})
+    signals = vehicle.kind.signals
+    return Response(road.time, signals, np.stack([values[signal.name] for signal in signals], axis=-1))
+
+
+def largest_timestep(vehicle: Vehicle) -> float:
+    """The step [s] above which RK4 itself is unstable on the vehicle without control, to 1 %; infinite where nothing moves.
+
+    Of adjustable dampers, with the softest and the hardest, and with the lag of their valves.
+    """
+    A, forces = vehicle.linear_model.A, vehicle.linear_model.inputs
+    systems = [A]
+    if vehicle.dampers:
+        from models.suspension.damper_range import range_of
+        from sim.linear.dampers import stretching
+
+        of, V = range_of([vehicle.adjustable], forces), stretching(vehicle)
+        steepest = {one.force: one.steepest - one.nominal for one in vehicle.adjustable}
+        firm = np.array([steepest.get(force, 0.0) for force in forces])
+        systems += [A - (vehicle.linear_model.B * one) @ V for one in (np.where(of.adjustable, of.low[0], 0.0), firm)]
+        systems += [np.array([[-one.bandwidth]]) for one in vehicle.dampers.values() if one.bandwidth is not None]
+    return min(_largest_timestep(system) for system in systems)
+
+
+def _largest_timestep(A: Array) -> float:
+    """The same of x' = A x."""
+    rate = float(np.abs(np.linalg.eigvals(A)).max())
+    if rate <= SLOWEST_RATE:
+        return math.inf
+    steps = np.arange(3.0, 0.0, -0.01) / rate  # RK4 is unstable for every |lambda h| above 2.83
+    for h in steps:
+        if np.abs(np.linalg.eigvals(taylor4(A * h))).max() <= 1:
+            return float(h)
+    return math.nan

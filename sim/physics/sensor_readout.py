@@ -1,0 +1,321 @@
+"""How a vehicle's signals come out of MuJoCo, and what a controller as it would be built has of them."""
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import mujoco
+import numpy as np
+
+from models.common.arrays import Array
+from models.vehicle.limits_and_implementation import Implementation, steps_per_sample
+from models.vehicle.mjcf import build_model, mocap_indices, pushed_dofs
+from models.vehicle.vehicle import Vehicle
+from synth.controller.controller import Controller
+
+
+class Laws(Protocol):
+    """What N controllers make of what they measure.
+
+    Attributes:
+        forces: m, or how many commands there are for them.
+    """
+
+    forces: int
+
+    @property
+    def used(self) -> Array:
+        """What their states were at their last sample, shape (N, k)."""
+        ...
+
+    def __call__(self, due: Array | slice, which: Array, k: int, seen: Array) -> Array:
+        """The forces of step k of those that are due, shape (d, m), from the signals as they read them, shape (d, S).
+
+        Args:
+            due: which of the N they are; a slice for all.
+            which: the same as indices, ascending, shape (d,).
+            k: the step.
+            seen: the signals.
+        """
+        ...
+
+
+class LinearLaws:
+    """N linear laws."""
+
+    def __init__(self, gain: Array, memory: Array) -> None:
+        """From the signals to [u; x_c], shape (N, m + k, S), and from x_c, shape (N, m + k, k)."""
+        self.gain, self.memory = gain, memory if memory.shape[2] else None
+        self.forces = gain.shape[1] - memory.shape[2]
+        self.kept, self.used = (np.zeros((len(gain), memory.shape[2])) for _ in range(2))
+
+    def __call__(self, due: Array | slice, which: Array, k: int, seen: Array) -> Array:
+        """See `Laws`."""
+        computed = np.matvec(self.gain[due], seen)
+        if self.memory is not None:
+            self.used[due] = self.kept[due]
+            computed += np.matvec(self.memory[due], self.used[due])
+            self.kept[due] = computed[:, self.forces :]
+            computed = computed[:, : self.forces]
+        return computed
+
+
+class Sampler:
+    """N controllers that each sample, compute and hold as an `[implementation]` says.
+
+    A measurement is read as quantisation * round((signal + noise) / quantisation), and the force computed from it acts `delay`
+    samples later, between two of them where that is a fraction. Before the first one arrives the force is zero. Its own states
+    are never late.
+    """
+
+    def __init__(self, how: Sequence[Implementation], laws: Laws, names: Sequence[str], timestep: float, samples: int) -> None:
+        """For laws on the signals of these names."""
+        self.laws = laws
+        self.period = np.array([steps_per_sample(one, timestep) for one in how])
+        self.late = np.array([round(one.delay * steps) for one, steps in zip(how, self.period, strict=True)])  # steps
+        self.resolution = np.array([[one.quantisation.get(name, 0.0) for name in names] for one in how])
+        rms = np.array([[one.noise.get(name, 0.0) for name in names] for one in how])
+        self.noise = np.zeros((samples if np.any(rms) else 0, *rms.shape))
+        for i, one in enumerate(how):
+            if np.any(rms[i]):
+                self.noise[:, i] = rms[i] * np.random.default_rng(one.seed).standard_normal((samples, len(names)))
+        self.coarse = bool(np.any(self.resolution))
+        self.queue = np.zeros((max(one.waiting for one in how) + 1, len(how), laws.forces))  # forces by sample, in a ring
+        self.force = np.zeros((len(how), laws.forces))
+        self.all = np.arange(len(how))
+        self.together = bool(np.all(self.period == 1))
+        self.between = (self.late % self.period).nonzero()[0]  # those whose forces change between their samples
+
+    def __call__(self, k: int, signals: Array) -> Array:
+        """The forces of step k, shape (N, m), from the signals at its start, shape (N, S)."""
+        # This runs between any two steps of the physics, where a call of numpy costs as much as stepping a run: no call in vain.
+        due = self.all if self.together else (k % self.period == 0).nonzero()[0]
+        if len(due) == len(self.all):
+            self._sample(slice(None), due, k, signals)
+        elif len(due):
+            self._sample(due, due, k, signals[due])
+        if len(self.between):
+            some = self.between[(k - self.late[self.between]) % self.period[self.between] == 0]
+            self._act(some, some, k)
+        return self.force
+
+    def _sample(self, due: Array | slice, which: Array, k: int, seen: Array) -> None:
+        """Those that are due measure, and take the force that is."""
+        if len(self.noise):
+            seen = seen + self.noise[k, due]
+        if self.coarse:
+            resolution = self.resolution[due]
+            steps = np.where(resolution > 0, resolution, 1.0)
+            seen = np.where(resolution > 0, steps * np.round(seen / steps), seen)
+        computed = self.laws(due, which, k, seen)
+        if len(self.queue) == 1:
+            self.force[due] = computed
+            return
+        self.queue[(k // self.period[due]) % len(self.queue), which] = computed
+        if not len(self.between):
+            self._act(due, which, k)
+        else:
+            some = which[self.late[which] % self.period[which] == 0]
+            self._act(some, some, k)
+
+    def _act(self, due: Array | slice, which: Array, k: int) -> None:
+        """The forces of those act whose time is come; before the first arrives it is a place in the ring that is still zero."""
+        self.force[due] = self.queue[(k - self.late[due]) // self.period[due] % len(self.queue), which]
+
+
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's bindings carry no type stubs.
+
+
+def reads_out(vehicle: Vehicle, timestep: float) -> bytes:
+    """A key that is the same for vehicles that can be stepped side by side: of the same geometry, and of as many elements."""
+    model, readout = prepared(vehicle, timestep)
+    # One without a stop, a bar or a ramp has no place for that of another.
+    elements = np.array([model.ntendon, model.nwrap, model.nu, *model.actuator_gaintype, *model.actuator_trnid[:, 0]])
+    used = np.where(readout.linear[:, None], readout.of_state, 0.0)
+    return b"".join(
+        part.tobytes()
+        for part in (elements, readout.linear, readout.stage, used, readout.of_sensors, readout.of_road, readout.rest)
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Readout:
+    """How signals come out of MuJoCo. A signal is its sensor, read along its `user` direction, from its value at rest.
+
+    Attributes:
+        names: of the S signals.
+        stage: mjtStage that the sensor of each needs, shape (S,).
+        linear: whether it is linear in (qpos, qvel), shape (S,). Such a signal can be read from the state before a step, where
+            evaluating its sensor would cost a seventh of the step.
+        of_state: signals from (qpos, qvel) where they are linear, shape (S, nq + nv).
+        of_sensors: signals from `sensordata`, shape (S, nsensordata).
+        of_road: their derivative in the road heights, shape (S, r). They are linear in those.
+        rest: what `of_sensors` gives at rest, shape (S,).
+        felt: whether an acceleration feels the road at once; then sensing it inside the step, road midway, is not enough.
+        mocap: mocap index of every wheel's road.
+        stretching: how fast the inputs' actuators move out, from qvel, shape (m, nv); as at rest.
+        lagging: of every input's actuator, where its activation lies among those of the model, -1 for none, shape (m,).
+        pushed: along which degree of freedom each load pushes the body.
+    """
+
+    names: tuple[str, ...]
+    stage: Array
+    linear: Array
+    of_state: Array
+    of_sensors: Array
+    of_road: Array
+    rest: Array
+    felt: bool
+    mocap: list[int]
+    stretching: Array
+    lagging: Array
+    pushed: list[int]
+
+
+@functools.lru_cache(maxsize=16)
+def prepared(vehicle: Vehicle, timestep: float) -> tuple[mujoco.MjModel, Readout]:
+    """Model and readout of a vehicle. A search runs one vehicle hundreds of times; `Batch` copies the model."""
+    model = build_model(vehicle, timestep, drawn=False)
+    return model, _readout(vehicle, model)
+
+
+def _readout(vehicle: Vehicle, model: mujoco.MjModel) -> Readout:
+    data = mujoco.MjData(model)
+    mocap = mocap_indices(vehicle, model)
+    names = vehicle.linear_model.outputs
+    stage = np.zeros(len(names), dtype=int)
+    of_sensors = np.zeros((len(names), model.nsensordata))
+    for i, name in enumerate(names):
+        for part, factor in vehicle.kind.combined.get(name, {name: 1.0}).items():
+            sensor = model.sensor(part)
+            start, dim = int(sensor.adr[0]), int(sensor.dim[0])
+            of_sensors[i, start : start + dim] = factor * sensor.user[:dim]
+            stage[i] = max(stage[i], int(sensor.needstage[0]))
+
+    def read(motion: Array, heights: Array) -> Array:
+        mujoco.mj_resetData(model, data)
+        data.qpos[:], data.qvel[:] = motion[: model.nq], motion[model.nq :]
+        data.mocap_pos[mocap, 2] = heights
+        mujoco.mj_forward(model, data)
+        return of_sensors @ data.sensordata
+
+    # qpos = 0 is the static equilibrium of every MJCF here.
+    still, flat = np.zeros(model.nq + model.nv), np.zeros(len(mocap))
+    rest = np.round(read(still, flat), 12)  # in SI; an acceleration's rounding would differ with the masses
+    small = 0.1  # of a metre, a radian: a tyre's length is linear only while its road stays below the hub
+    of_road = np.stack([read(still, height) - rest for height in small * np.eye(len(flat))], axis=-1) / small
+    of_state = np.stack([read(move, flat) - rest for move in small * np.eye(len(still))], axis=-1) / small
+
+    late = stage > int(mujoco.mjtStage.mjSTAGE_VEL)
+    felt = bool(np.any(np.abs(of_road[late]) > 1e-9 * (1 + np.abs(rest[late, None]))))
+    linear = ~late
+    rng = np.random.default_rng(0)
+    for _ in range(3):  # linear, if a few states far from the axes say so
+        move, height = rng.uniform(-0.1, 0.1, len(still)), rng.uniform(-0.1, 0.1, len(flat))
+        linear &= np.abs(read(move, height) - rest - of_state @ move - of_road @ height) < 1e-12
+    inputs, stretching = len(vehicle.linear_model.inputs), []
+    mujoco.mj_resetData(model, data)
+    for speeds in np.eye(model.nv):
+        data.qvel[:] = speeds
+        mujoco.mj_forward(model, data)
+        stretching.append(np.array(data.actuator_velocity[:inputs]))
+    return Readout(
+        names=names,
+        stage=stage,
+        linear=linear,
+        of_state=of_state,
+        of_sensors=of_sensors,
+        of_road=np.where(late[:, None], 0.0, of_road),
+        rest=rest,
+        felt=felt,
+        mocap=mocap,
+        stretching=np.stack(stretching, axis=-1),
+        lagging=np.array(model.actuator_actadr[:inputs]),
+        pushed=pushed_dofs(vehicle, model),
+    )
+
+
+def laws_on(
+    signals: Sequence[str], vehicles: Sequence[Vehicle], controllers: Sequence[Controller | None], timestep: float
+) -> tuple[Array, Array]:
+    """N controllers as they are run, [u; next x_c] from these signals and x_c, each sampled as its vehicle says.
+
+    Args:
+        signals: names of S of them; a controller has no gain on what it does not measure.
+        vehicles: N of them.
+        controllers: N of them; None for no force.
+        timestep: at which one without a sample period of its own is sampled [s].
+
+    Returns:
+        From the signals, shape (N, m + k, S), and from x_c, shape (N, m + k, k), with the k of the one that has most states.
+    """
+    of_vehicle = {id(one): steps_per_sample(one.implementation, timestep) * timestep for one in vehicles}
+    pairs = [(id(one), of_vehicle[id(vehicle)]) for one, vehicle in zip(controllers, vehicles, strict=True)]
+    places = {pair: i for i, pair in enumerate(dict.fromkeys(pairs))}
+    by_id = {id(one): one for one in controllers}
+    once = [(by_id[one], period) for one, period in places]
+    laws = [None if one is None else one.law.sampled(period) for one, period in once]
+    m, k = len(vehicles[0].linear_model.inputs), max((law.states for law in laws if law is not None), default=0)
+    of_signals, of_states = np.zeros((len(once), m + k, len(signals))), np.zeros((len(once), m + k, k))
+    for i, ((one, _), law) in enumerate(zip(once, laws, strict=True)):
+        if one is not None and law is not None:
+            seen, end = [signals.index(name) for name in one.measured], m + law.states
+            of_signals[i, :m, seen], of_signals[i, m:end, seen] = law.D.T, law.B.T
+            of_states[i, :m, : law.states], of_states[i, m:end, : law.states] = law.C, law.A
+    which = [places[pair] for pair in pairs]
+    return of_signals[which], of_states[which]
+
+
+def measured_by(signals: Sequence[str], measured: Sequence[Sequence[str]]) -> tuple[Array, Array]:
+    """What picks what N controllers measure out of these signals, shape (N, q, S), with the q of the one that measures most.
+
+    Its rows are in the order of each; beside it the (N, q, 0) that `laws_on` gives of laws without states.
+    """
+    picked = np.zeros((len(measured), max(map(len, measured)), len(signals)))
+    for rows, names in zip(picked, measured, strict=True):
+        rows[range(len(names)), [signals.index(name) for name in names]] = 1.0
+    return picked, np.zeros((*picked.shape[:2], 0))
+
+
+def stage_of(vehicle: Vehicle, controller: Controller, timestep: float) -> int:
+    """The mjtStage up to which sensors are evaluated before a step, for what the controller measures; 0 where none is needed."""
+    readout = prepared(vehicle, timestep)[1]
+    of_signals, _ = laws_on(readout.names, [vehicle], [controller], timestep)
+    return sensed_stage(readout, np.any(of_signals, axis=(0, 1)))
+
+
+def sensed_stage(readout: Readout, used: Array) -> int:
+    """The mjtStage up to which sensors are evaluated before a step, for the signals that are used, shape (S,)."""
+    return int(max(readout.stage[used & ~readout.linear], default=0))
+
+
+def force_from_road(gain: Array, road: Array, readout: Readout) -> Array:
+    """What is known beforehand of the forces, shape (T, N, m): a gain (N, m, S) on what a reading has not seen of the road.
+
+    A sensor's reading has its value at rest in it, too; what is read from the state has none.
+    """
+    known = np.zeros((*road.shape[:2], gain.shape[1]))
+    for m, s in np.argwhere(gain.any(axis=0)).tolist():
+        unseen = np.full(road.shape[:2], 0.0 if readout.linear[s] else -readout.rest[s])
+        for r in np.flatnonzero(readout.of_road[s]):
+            unseen += readout.of_road[s, r] * road[..., r]
+        known[..., m] += gain[:, m, s] * unseen
+    return known
+
+
+def signal_from_road(road: Array, readout: Readout, linear: bool) -> Array:
+    """The same for the signals themselves, shape (T, N, S): of those that are read from the state, or those from sensors."""
+    unseen = np.zeros((*road.shape[:2], len(readout.names)))
+    for s in np.flatnonzero(readout.linear == linear):
+        unseen[..., s] = 0.0 if linear else -readout.rest[s]
+        for r in np.flatnonzero(readout.of_road[s]):
+            unseen[..., s] += readout.of_road[s, r] * road[..., r]
+    return unseen
+
+
+def mix(matrix: Array, parts: Array, total: Array) -> None:
+    """Adds sums of parts, shape (B, k, N), to totals, shape (B, S, N), by a matrix of shape (S, k), one by one."""
+    for i, j in np.argwhere(matrix).tolist():
+        total[:, i] += parts[:, j] if matrix[i, j] == 1 else matrix[i, j] * parts[:, j]

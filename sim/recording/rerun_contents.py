@@ -1,0 +1,326 @@
+"""A run in Rerun: its scene, its curves with what happened marked on them, differences, and texts."""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pyarrow as pa
+import rerun as rr
+
+from models.common.arrays import Array
+from models.figures.figure import rgb, styles, tint
+from sim.recording.run_log import DAMPERS, LOADS, PALETTE, RESPONSES, RunLog, groups, plotted, shown
+from sim.recording.scene import (
+    BESIDE,
+    FORCE,
+    LIFTED,
+    LINES,
+    LONGEST,
+    PROFILE,
+    ROAD,
+    Scene,
+    Shape,
+    Track,
+    Tyre,
+    road_surface,
+    strut_lines,
+    tyre_surface,
+)
+from sim.response.regime import REGIME_ENDS
+from sim.response.response import Response
+
+if TYPE_CHECKING:
+    from sim.runs.force_diagram import Diagram
+
+
+TIMELINE = "time"
+
+ROOM = 1.15  # of a diagram, times what was reached
+ANY_RESPONSE = (0.3, 2.0)
+READ = 4000  # characters of a claim that a page shows: more than a gain of 45 states has, less than a load from a file
+
+# What happens, by its text: (shape, colour that no curve has). Anything else is a cross.
+MARKERS = {end.event: end.marker for end in REGIME_ENDS} | {"landing": ("Down", (255, 255, 255))}
+ANY_MARKER = ("Cross", (20, 20, 20))
+
+
+def entity(*parts: str) -> str:
+    """An entity path; a name may hold any character."""
+    return "/" + rr.new_entity_path(list(parts))
+
+
+def time_index(time: Array) -> list[rr.TimeColumn]:
+    """Times [s] to the nearest nanosecond, as in the MCAP file; of seconds, Rerun would cut off the rest."""
+    return [rr.TimeColumn(TIMELINE, duration=np.round(time * 1e9).astype("timedelta64[ns]"))]
+
+
+def colours(runs: Sequence[RunLog]) -> list[str]:
+    """The report's colour of each run."""
+    return [color for color, _ in styles(tuple(run.name for run in runs)).values()]
+
+
+def line(label: str, color: str, width: float) -> rr.SeriesLines:
+    """A curve that keeps its peaks: Rerun's default averages over the samples of a pixel."""
+    return rr.SeriesLines(names=label, colors=rgb(color), widths=width, aggregation_policy="MinMax")
+
+
+def log_signals(recording: rr.RecordingStream, run: RunLog, color: str) -> None:
+    """Every response of a run, at `signals/<signal>/<response>`, in tints of its colour."""
+    for name, response in run.responses.items():
+        index = time_index(response.time)
+        label, white, width = RESPONSES.get(name, (name, *ANY_RESPONSE))
+        units = {signal.unit for signal in response.signals}
+        looks = {unit: line(f"{label} [{unit}]", tint(color, white), width) for unit in units}
+        for signal in response.signals:
+            path = entity(run.name, "signals", signal.name, name)
+            recording.log(path, looks[signal.unit], static=True)
+            recording.send_columns(path, index, rr.Scalars.columns(scalars=response[signal.name]))
+
+
+def log_difference(recording: rr.RecordingStream, run: RunLog) -> None:
+    """MuJoCo minus sampled, of each signal's peak, at `difference/<group>`: one series for each signal of a group."""
+    gap = run.gap
+    if gap is None:
+        return
+    for name, group in groups(plotted(run)).items():
+        names = [signal.name for signal in group if signal.name in gap.names]
+        if not names:
+            continue
+        path = entity(run.name, "difference", name)
+        looks = rr.SeriesLines(
+            names=[name.replace("_", " ") for name in names],
+            colors=[rgb(PALETTE[i % len(PALETTE)]) for i in range(len(names))],
+            widths=[1.5] * len(names),
+            aggregation_policy="MinMax",
+        )
+        recording.log(path, looks, static=True)
+        values = np.stack([gap[name] for name in names], axis=-1)
+        columns = rr.Scalars.columns(scalars=values.ravel()).partition([len(names)] * len(values))
+        recording.send_columns(path, time_index(gap.time), columns)
+
+
+def log_acting(recording: rr.RecordingStream, run: RunLog, color: str) -> None:
+    """Loads over time at `acting/loads/<load>`; every diagram, as a drawing, at `acting/diagrams/<force>`."""
+    if LOADS in run.acting:
+        loads = run.acting[LOADS]
+        for signal in loads.signals:
+            path = entity(run.name, "acting", LOADS, signal.name)
+            recording.log(path, line(f"{signal.name.replace('_', ' ')} [{signal.unit}]", color, 1.5), static=True)
+            recording.send_columns(path, time_index(loads.time), rr.Scalars.columns(scalars=loads[signal.name]))
+    if DAMPERS not in run.acting:
+        return
+    pulled = run.acting[DAMPERS]
+    pulled = pulled.until(pulled.diverged)
+    for one in run.diagrams:
+        _log_diagram(recording, entity(run.name, "acting", "diagrams", one.pull.name), one, pulled, color)
+
+
+def _log_diagram(recording: rr.RecordingStream, path: str, one: "Diagram", pulled: Response, color: str) -> None:
+    """A force over its argument: Rerun has no such plot, so it is drawn, 2 by 2, in a 2D view, whose y points down."""
+    x, force = pulled[one.argument.name], pulled[one.pull.name]
+    far, high = (ROOM * max(float(np.abs(values).max(initial=0.0)), least) for values, least in ((x, 1e-3), (force, 1.0)))
+
+    def place(at: Array, height: Array) -> Array:
+        return np.stack([at / far, -height / high], axis=-1)
+
+    grid, ends = np.linspace(-far, far, 401), np.array([-1.0, 1.0])
+    axes = [place(far * ends, 0 * ends), place(0 * ends, high * ends)]
+    recording.log(f"{path}/axes", rr.LineStrips2D(axes, colors=[(110, 110, 110)], radii=rr.Radius.ui_points(0.7)), static=True)
+    texts = [f"{far / ROOM:.4g} {one.argument.unit}", f"{high / ROOM:.4g} {one.pull.unit}"]
+    points = [(far / ROOM, 0.0), (0.0, high / ROOM)]
+    for each in one.lines:
+        height = each.force(grid)
+        seen = np.abs(height) <= high
+        drawn = rr.LineStrips2D(
+            [place(grid[seen], height[seen])], colors=[(20, 20, 20)], radii=rr.Radius.ui_points(each.width / 2)
+        )
+        recording.log(f"{path}/{each.signal.name}", drawn, static=True)
+        points.append((grid[seen][-1], height[seen][-1]))
+        texts.append(each.label)
+    named = rr.Points2D(
+        place(*np.array(points).T), labels=texts, colors=[(245, 245, 245)], radii=rr.Radius.ui_points(2.5), show_labels=True
+    )
+    recording.log(f"{path}/names", named, static=True)
+    way = place(x, force)
+    recording.log(f"{path}/way", rr.LineStrips2D([way], colors=[rgb(color)], radii=rr.Radius.ui_points(0.8)), static=True)
+    now = rr.Points2D.from_fields(colors=[rgb(color)], radii=rr.Radius.ui_points(5.0))
+    recording.log(f"{path}/now", now, static=True)
+    recording.send_columns(f"{path}/now", time_index(pulled.time), rr.Points2D.columns(positions=way))
+
+
+def log_events(recording: rr.RecordingStream, run: RunLog) -> None:
+    """What happened: as text at `events`, and as markers on every curve of the physics, at `signals/<signal>/<what>`."""
+    if not run.events:
+        return
+    texts = [text for _, text in run.events]
+    index = time_index(np.array([time for time, _ in run.events]))
+    lines = [f"{time:.4g} s   {text}" for time, text in run.events]  # a narrow view cuts the column of times off
+    recording.send_columns(entity(run.name, "events"), index, rr.TextLog.columns(text=lines, level=["INFO"] * len(lines)))
+    response = run.responses[shown(run)]
+    for text in dict.fromkeys(texts):
+        shape, colour = MARKERS.get(text, ANY_MARKER)
+        looks = rr.SeriesPoints(names=text, colors=colour, markers=rr.components.MarkerShape[shape], marker_sizes=7.0)
+        times = np.array([time for time, what in run.events if what == text])
+        samples = np.clip(np.searchsorted(response.time, times), 0, len(response.time) - 1)
+        for signal in plotted(run):
+            if signal not in response.signals:
+                continue
+            path = entity(run.name, "signals", signal.name, text)
+            recording.log(path, looks, static=True)
+            recording.send_columns(path, time_index(times), rr.Scalars.columns(scalars=response[signal.name][samples]))
+
+
+def log_properties(recording: rr.RecordingStream, name: str, metadata: Mapping[str, str]) -> None:
+    """Metadata where programs look for it; people read it in the documents."""
+    if metadata:
+        recording.send_property(name, rr.AnyValues(drop_untyped_nones=True, **metadata))
+
+
+def log_text(recording: rr.RecordingStream, path: str, text: str) -> None:
+    """A page of Markdown."""
+    recording.log(path, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
+
+
+def listed(metadata: Mapping[str, str]) -> str:
+    """Metadata as Markdown: a table of what fits on a line, then the rest; what no one would scroll through is cut."""
+    short = {key: value for key, value in metadata.items() if len(value) <= 80 and "\n" not in value}
+    rows = [f"| {key} | {_cell(value)} |" for key, value in short.items()]
+    table = ["| key | value |", "|---|---|", *rows] if rows else []
+    blocks = [f"\n**{key}**\n```\n{_cut(value)}\n```" for key, value in metadata.items() if key not in short]
+    return "\n".join(table + blocks)
+
+
+def _cut(text: str) -> str:
+    if len(text) <= READ:
+        return text
+    return f"{text[:READ]} ...\n({len(text)} characters; all of them are in the run's properties and in the MCAP file)"
+
+
+def certificates(runs: Sequence[RunLog]) -> str:
+    """What is proved of every run, a table as narrow as a view, and what was found, in sentences that break; as Markdown."""
+    keys = ("bound", "norm", "stable")
+    rows, found = ["| controller | " + " | ".join(keys) + " |", "|---" * (len(keys) + 1) + "|"], []
+    for run in runs:
+        claims = [_number(run.metadata.get(key, "-")) for key in keys]
+        rows.append(f"| {_cell(run.name)} | {' | '.join(claims)} |")
+        first = f"; first: {run.events[0][1]}, {run.events[0][0]:.3g} s" if run.events else ""
+        found.append(f"- **{_cell(run.name)}** {_cell(run.verdict) or '-'}{first}")
+    return "\n".join([*rows, "", "MuJoCo:", "", *found])
+
+
+def _number(text: str) -> str:
+    """A claim as people write it."""
+    words = {"true": "yes", "false": "NO", "null": "-"}
+    try:
+        return f"{float(text):.6g}"
+    except ValueError:
+        return words.get(text, _cell(text))
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", chr(92) + "|").replace("\n", " ")
+
+
+def log_scene(recording: rr.RecordingStream, run: RunLog, largest: float) -> None:
+    """The moving car, at `world/<body>/<shape>`, `world/springs/<spring>` and `world/forces/<spring>`, and its road.
+
+    The road is at `world/profile/<track>`, in place of the pieces under the wheels that stand for it in other viewers.
+
+    Args:
+        recording: where to.
+        run: what to log; frames that are not finite are left out.
+        largest: force whose arrow has the full length [N].
+    """
+    scene = run.scene.finite()
+    recording.log(entity(run.name, "world"), rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    profiled = {body for track in scene.tracks for body in track.bodies}
+    for shape in scene.shapes:
+        if shape.body not in profiled:
+            recording.log(entity(run.name, "world", shape.body, shape.name), _solid(shape), static=True)
+    for body, motion in scene.bodies.items():
+        columns = rr.Transform3D.columns(
+            translation=motion.positions,
+            quaternion=np.roll(motion.quaternions, -1, axis=1),  # w last
+        )
+        recording.send_columns(entity(run.name, "world", body), time_index(scene.time), columns)
+    for track in scene.tracks:
+        _log_track(recording, entity(run.name, "world", "profile", track.name), scene.time, track)
+    for tyre in scene.tyres:
+        _log_tyre(recording, entity(run.name, "world", tyre.body, tyre.name), scene, tyre)
+    for name, ends in scene.springs.items():
+        _log_strut(recording, entity(run.name, "world", "springs", name), scene.time, ends)
+    for name, force in scene.forces.items():
+        _log_force(recording, entity(run.name, "world", "forces", name), scene.time, scene.springs[name], force, largest)
+
+
+def _log_track(recording: rr.RecordingStream, path: str, time: Array, track: Track) -> None:
+    """The road is written once, and moves as a whole: that of a long run takes no more than its points."""
+    vertices, colours, triangles = road_surface(track)
+    surface = rr.Mesh3D(
+        vertex_positions=vertices.astype(np.float32), vertex_colors=colours.astype(np.uint8), triangle_indices=triangles
+    )
+    recording.log(f"{path}/surface", surface, static=True)
+    edge = np.column_stack([track.position, np.full(len(track.position), track.middle + ROAD), track.height])
+    recording.log(f"{path}/edge", rr.LineStrips3D([edge.astype(np.float32)], colors=[PROFILE], radii=[0.008]), static=True)
+    back = np.column_stack([-track.travelled, np.zeros((len(time), 2))])
+    recording.send_columns(path, time_index(time), rr.Transform3D.columns(translation=back))
+
+
+def _log_tyre(recording: rr.RecordingStream, path: str, scene: Scene, tyre: Tyre) -> None:
+    vertices, triangles = tyre_surface(tyre)
+    colour = np.where(tyre.lifted[:, None], np.array(LIFTED), 255 * tyre.rgba[:3]).round().astype(np.uint8)
+    recording.log(path, rr.Mesh3D.from_fields(triangle_indices=triangles), static=True)
+    count = vertices.shape[1]
+    columns = rr.Mesh3D.columns(vertex_positions=vertices.reshape(-1, 3).astype(np.float32)).partition([count] * len(vertices))
+    recording.send_columns(path, time_index(scene.time), columns)
+    recording.send_columns(path, time_index(scene.time), rr.Mesh3D.columns(albedo_factor=colour))
+
+
+def _log_strut(recording: rr.RecordingStream, path: str, time: Array, ends: Array) -> None:
+    looks = rr.LineStrips3D.from_fields(colors=[colour for _, colour in LINES], radii=[radius for radius, _ in LINES])
+    recording.log(path, looks, static=True)
+    lines = strut_lines(ends)
+    # In one array, as Rerun would make it of all strips, one by one.
+    points = rr.encodings.Vec3DBatch(np.concatenate(lines, axis=1).reshape(-1, 3).astype(np.float32)).as_arrow_array()
+    ends_at = np.cumsum([0, *[line.shape[1] for line in lines] * len(time)])
+    strips = pa.ListArray.from_arrays(ends_at, points, type=rr.components.LineStrip3DBatch([]).as_arrow_array().type)
+    columns = rr.LineStrips3D.columns(strips=strips).partition([len(lines)] * len(time))
+    recording.send_columns(path, time_index(time), columns)
+
+
+def _log_force(recording: rr.RecordingStream, path: str, time: Array, ends: Array, force: Array, largest: float) -> None:
+    """What pushes on the body, as an arrow beside the strut."""
+    axis = ends[:, 1] - ends[:, 0]
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    recording.log(path, rr.Arrows3D.from_fields(colors=[FORCE], radii=[0.018]), static=True)
+    columns = rr.Arrows3D.columns(
+        origins=ends.mean(axis=1) + BESIDE,
+        vectors=axis * (LONGEST / (largest or 1.0) * force)[:, None],
+    )
+    recording.send_columns(path, time_index(time), columns)
+
+
+def _solid(shape: Shape) -> rr.AsComponents:
+    """A shape as Rerun draws it.
+
+    Raises:
+        ValueError: the form is not one of those that `Shape` allows.
+    """
+    looks: dict[str, Any] = {
+        "quaternions": [np.roll(shape.quaternion, -1)],  # Rerun writes w last
+        "colors": [(255 * shape.rgba).round().astype(np.uint8)],
+        "fill_mode": "solid",
+    }
+    radius, half_length, _ = shape.half_size
+    match shape.form:
+        case "box":
+            return rr.Boxes3D(half_sizes=[shape.half_size], centers=[shape.position], **looks)
+        case "cylinder":
+            return rr.Cylinders3D(radii=[radius], lengths=[2 * half_length], centers=[shape.position], **looks)
+        case "capsule":
+            # Rerun's runs from its origin along z, ours is centred.
+            start = shape.position - half_length * shape.rotation[:, 2]
+            return rr.Capsules3D(radii=[radius], lengths=[2 * half_length], translations=[start], **looks)
+        case "sphere":
+            return rr.Ellipsoids3D(radii=[radius], centers=[shape.position], **looks)
+    raise ValueError(f"shape {shape.name!r} has form {shape.form!r}; box, capsule, cylinder and sphere can be drawn")

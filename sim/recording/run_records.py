@@ -1,0 +1,352 @@
+"""A run as it is recorded: where it comes from (versions, command line, vehicle file, MJCF), what it came to, and its scene."""
+
+import datetime
+import hashlib
+import json
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import mujoco
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.command import versions
+from models.kinds.signals import is_kept
+from models.laws.python_law import Programmed
+from models.roads.road import Road, delays, under_wheels
+from models.vehicle.mjcf import FITTED, build_model, mjcf_text, mocap_indices
+from models.vehicle.vehicle import Vehicle
+from sim.physics.run_blocks import DIVERGED
+from sim.recording.run_log import CONTINUOUS, DAMPERS, FORMAT, LOADS, MUJOCO, SAMPLED, RunLog, check_keys
+from sim.recording.scene import Motion, Scene, Shape, Track, Tyre
+from sim.response.response import Response
+from sim.runs.report import controller_object, energy_object, events, half_step_object, summary, verdict
+from sim.runs.run import Run
+from synth.analysis.record import to_record
+from synth.controller.controller import Controller
+from synth.controller.report import norm_if_implemented, norm_record
+
+if TYPE_CHECKING:
+    from sim.runs.force_diagram import Diagram
+
+
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's bindings carry no type stubs.
+
+
+FORMS = {
+    int(mujoco.mjtGeom.mjGEOM_BOX): "box",
+    int(mujoco.mjtGeom.mjGEOM_CYLINDER): "cylinder",
+    int(mujoco.mjtGeom.mjGEOM_CAPSULE): "capsule",
+    int(mujoco.mjtGeom.mjGEOM_SPHERE): "sphere",
+}
+
+FRAMES = 60  # a second
+
+BEHIND, AHEAD = 6.0, 12.0  # how much road is seen, from the last wheel at the start and from the first at the end [m]
+SPACING, MOST = 0.05, 20_000  # of a profile's points [m], and how many there are beside those that wheels stand on
+
+
+def scene_of(vehicle: Vehicle, road: Road, physics: Response, qpos: Array) -> Scene:
+    """One run as a scene of 60 frames a second.
+
+    The names in the MJCF say what is drawn: a spring from every site `NAME_bottom` to its `NAME_top`, the force of an actuator on
+    the tendon NAME beside it, and a cylinder that has the name of a tendon as a tyre of that tendon's length.
+
+    Args:
+        vehicle: the vehicle.
+        road: its road.
+        physics: the response, at equidistant sample times from 0.
+        qpos: generalized positions, shape (T, nq).
+    """
+    time = physics.time
+    timestep = float(time[1] - time[0])
+    model = build_model(vehicle, timestep)
+    data = mujoco.MjData(model)
+    frames = np.unique(np.round(np.arange(0, time[-1], 1 / FRAMES) / timestep).astype(int))
+    frames = frames[np.all(np.abs(qpos[frames]) < DIVERGED, axis=-1)]
+    heights = under_wheels(road.displacement, road, vehicle, time[frames])
+    mocap = mocap_indices(vehicle, model)
+    sites = [model.site(i).name for i in range(model.nsite)]
+    springs = [name.removesuffix("_bottom") for name in sites if name.endswith("_bottom")]
+    ends = np.array([[model.site(f"{name}_{end}").id for end in ("bottom", "top")] for name in springs], dtype=int).reshape(-1, 2)
+
+    positions, quaternions = np.empty((len(frames), model.nbody, 3)), np.empty((len(frames), model.nbody, 4))
+    coils, lengths = np.empty((len(frames), len(springs), 2, 3)), np.empty((len(frames), model.ntendon))
+    for f, frame in enumerate(frames):
+        data.qpos[:] = qpos[frame]
+        data.mocap_pos[mocap, 2] = heights[f]
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_tendon(model, data)
+        positions[f], quaternions[f], coils[f], lengths[f] = data.xpos, data.xquat, data.site_xpos[ends], data.ten_length
+
+    tendons = {model.tendon(i).name: i for i in range(model.ntendon)}
+    drawn = [i for i in range(model.ngeom) if int(model.geom_type[i]) in FORMS]
+    rubber = [i for i in drawn if model.geom(i).name in tendons and FORMS[int(model.geom_type[i])] == "cylinder"]
+    return Scene(
+        time=time[frames],
+        shapes=tuple(_shape(model, i) for i in drawn if i not in rubber),
+        bodies={model.body(i).name: Motion(positions[:, i], quaternions[:, i]) for i in range(1, model.nbody)},
+        springs={name: coils[:, i] for i, name in enumerate(springs)},
+        tyres=tuple(_tyre(model, i, tendons[model.geom(i).name], lengths) for i in rubber),
+        forces={name: physics[signal][frames] for name, signal in _actuators(model).items() if name in springs},
+        tracks=_tracks(vehicle, road, data.mocap_pos[mocap], time[frames], heights),
+    )
+
+
+def _tracks(vehicle: Vehicle, road: Road, places: Array, time: Array, heights: Array) -> tuple[Track, ...]:
+    """The road's profiles, one for all wheels that run in each other's track; none of a rig, whose posts are bodies.
+
+    Args:
+        vehicle: the vehicle.
+        road: its road.
+        places: where its wheels stand, shape (r, 3) [m].
+        time: of the frames [s], shape (F,).
+        heights: of the road under the wheels at that time [m], shape (F, r).
+    """
+    if not len(time) or not road.laid:
+        return ()
+    # To the micrometre: where the drawing has its wheels elsewhere than the parameters do, each has a profile of its own.
+    wheels: dict[tuple[str, float, float], list[int]] = {}
+    later = np.array(delays(road, vehicle))
+    for i, wheel in enumerate(vehicle.kind.wheels):
+        start = places[i, 0] + road.speed * later[i]
+        wheels.setdefault((wheel.side, round(start, 6), round(places[i, 1], 6)), []).append(i)
+
+    first, last = -BEHIND / road.speed - later.max(), time[-1] + AHEAD / road.speed
+    count = int(min(np.ceil((last - first) * road.speed / SPACING) + 1, MOST))
+    even = np.linspace(first, last, count)  # of evenly spaced times a random road is computed at once
+    tracks = []
+    for (side, start, middle), members in wheels.items():
+        # At every frame a wheel stands on a point.
+        t, once = np.unique(np.concatenate([even, *(time - later[i] for i in members)]), return_index=True)
+        height = np.concatenate([road.displacement(even, side), *heights[:, members].T])[once]
+        bodies = tuple(vehicle.kind.wheels[i].road_body for i in members)
+        tracks.append(Track(bodies[0], middle, start + road.speed * t, height, road.speed * time, bodies))
+    return tuple(tracks)
+
+
+def _actuators(model: mujoco.MjModel) -> dict[str, str]:
+    """The signal of every actuator that pulls on a tendon, by tendon, in their order; what is fitted beside them has none."""
+    on_tendon = int(mujoco.mjtTrn.mjTRN_TENDON)
+    names = {i: model.actuator(i).name for i in range(model.nu) if int(model.actuator_trntype[i]) == on_tendon}
+    asked = {i: name for i, name in names.items() if not name.startswith(FITTED)}
+    return {model.tendon(int(model.actuator_trnid[i, 0])).name: name for i, name in asked.items()}
+
+
+def _tyre(model: mujoco.MjModel, i: int, tendon: int, lengths: Array) -> Tyre:
+    """The tyre that geom `i` stands for: squeezed by what its tendon, from the road to the hub, is shorter than when slack."""
+    shape = _shape(model, i)
+    return Tyre(
+        name=shape.name,
+        body=shape.body,
+        radius=float(model.tendon_lengthspring[tendon, 0]),
+        half_width=float(shape.half_size[1]),
+        middle=float(shape.position[1]),
+        height=lengths[:, tendon],
+        rgba=shape.rgba,
+    )
+
+
+def _shape(model: mujoco.MjModel, i: int) -> Shape:
+    geom = model.geom(i)
+    form = FORMS[int(model.geom_type[i])]
+    material = int(model.geom_matid[i])
+    return Shape(
+        name=geom.name,
+        body=model.body(int(geom.bodyid[0])).name,
+        form=form,
+        half_size=geom.size.copy(),
+        position=geom.pos.copy(),
+        quaternion=geom.quat.copy(),
+        rgba=(model.mat_rgba[material] if material >= 0 else geom.rgba).copy(),
+    )
+
+
+def stem(command: str, vehicle: Vehicle, controllers: Sequence[str]) -> str:
+    """Name of a log: what was run, and when (UTC)."""
+    now = datetime.datetime.now(datetime.UTC).strftime("%Y%m%dT%H%M%SZ")
+    which = "_".join(controllers) if len(controllers) <= 3 else f"{len(controllers)}_controllers"
+    return f"{command}-{vehicle.kind.name}-{which}-{now}"
+
+
+def common_metadata(command_line: str, vehicle: Vehicle, timestep: float) -> dict[str, str]:
+    """What all runs of a log share.
+
+    Args:
+        command_line: `python -m sim.COMMAND ...`, which does the same again.
+        vehicle: as it was read.
+        timestep: [s].
+    """
+    return {
+        "format": str(FORMAT),
+        "command": command_of(command_line),
+        "command_line": command_line,
+        "vehicle": vehicle.source,
+        "vehicle_type": vehicle.kind.name,
+        "timestep": repr(timestep),
+        "versions": json.dumps(versions()),
+    }
+
+
+def command_of(command_line: str) -> str:
+    """The name of the command of a line `python -m sim.NAME ...`; empty where it is none."""
+    found = re.match(r"python -m sim\.(\w+)( |$)", command_line)
+    return found[1] if found else ""
+
+
+def attachments(vehicle: Vehicle, timestep: float, result: Mapping[str, Any]) -> dict[str, tuple[str, bytes]]:
+    """The vehicle file, the exact MJCF, and the result as `--json` prints it."""
+    return {
+        "vehicle.toml": ("application/toml", vehicle.text.encode()),
+        "model.xml": ("application/xml", mjcf_text(vehicle, timestep).encode()),
+        "result.json": ("application/json", json.dumps(result, allow_nan=False).encode()),
+    }
+
+
+def record_runs(
+    folder: Path,
+    command_line: str,
+    vehicle: Vehicle,
+    controllers: Sequence[str],
+    runs: Mapping[str, Run],
+    result: Mapping[str, Any],
+) -> dict[str, str]:
+    """Records what a command has run, as `sim.recording.files.record` does.
+
+    Args:
+        folder: where to.
+        command_line: see `common_metadata`.
+        vehicle: as it was read.
+        controllers: names of those that were run.
+        runs: by the names that they have in the log.
+        result: as `--json` prints it.
+
+    Returns:
+        The files' paths: `mcap` and `rerun`.
+
+    Raises:
+        InputError: the folder cannot be written, or the result is none of the command's (`sim.recording.run_log`).
+    """
+    from sim.recording.files import record  # it imports Rerun
+
+    check_keys(command_of(command_line), result)
+    logs = [run_log(run, name) for name, run in runs.items()]
+    time = logs[0].responses[MUJOCO].time
+    timestep = float(time[1] - time[0])
+    paths = record(
+        folder,
+        stem(command_of(command_line), vehicle, controllers),
+        logs,
+        common_metadata(command_line, vehicle, timestep),
+        attachments(vehicle, timestep, result) | {name: file for log in logs for name, file in log.files.items()},
+    )
+    return {name: str(path) for name, path in paths.items()}
+
+
+def _named(what: str, suffix: str, content: bytes) -> str:
+    """The name of an attachment: by its content, so that runs share those that are alike."""
+    return f"{what}-{hashlib.sha256(content).hexdigest()[:16]}.{suffix}"
+
+
+def run_log(run: Run, name: str) -> RunLog:
+    """Returns a run as a log has it, for `sim.record`.
+
+    Args:
+        run: that MuJoCo has run, not one that was read from a log.
+        name: of the run in the log.
+
+    Example:
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> from models import Bump, read_vehicle
+        >>> from sim import record, run, run_log
+        >>> from synth import design_controllers
+        >>> vehicle = read_vehicle("quarter_car")
+        >>> [passive] = run(vehicle, design_controllers(vehicle, ["passive"]), Bump(height=0.05), duration=0.5)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     paths = record(Path(folder), "mine", [run_log(passive, "passive")], metadata={}, attachments={})
+        ...     paths["mcap"].name, paths["rerun"].name
+        ('mine.mcap', 'mine.rrd')
+    """
+    vehicle, road, controller, agreement = run.vehicle, run.road, run.controller, run.agreement
+    assert run.qpos is not None, "what is written down MuJoCo has run"
+    files: dict[str, tuple[str, bytes]] = {}
+    named: dict[str, str] = {}
+    points = road.points
+    if points is not None:
+        named["road_file"] = _named("road", "csv", points)
+        files[named["road_file"]] = ("text/csv", points)
+    proved: dict[str, Any] = {}
+    if isinstance(controller, Programmed):
+        from sim.linear.dampers import command_names
+        from sim.runs.forces import written_forces
+
+        for what, suffix, media_type, content in (
+            ("law", "py", "text/x-python", controller.source.encode()),
+            ("forces", "csv", "text/csv", written_forces(command_names(vehicle), run.prediction.asked)),
+        ):
+            named[f"{what}_file"] = _named(what, suffix, content)
+            files[named[f"{what}_file"]] = (media_type, content)
+    elif isinstance(controller, Controller):
+        certificate = controller.certificate
+        norm = norm_if_implemented(vehicle, controller, run.prediction.timestep)
+        proved = {
+            "designed": controller.designed,
+            "stable": certificate.stable,
+            "poles": [[float(pole.real), float(pole.imag)] for pole in certificate.poles],
+            "certificate": to_record(certificate) | norm_record(norm),
+        }
+    claims = {
+        **controller_object(controller),
+        "samples": len(run.physics.time),
+        "road": road.describe(),
+        "limits": vehicle.limits.record,
+        "implementation": asdict(vehicle.implementation),
+        **proved,
+        "agrees": agreement.agrees,
+        "energy": energy_object(run.energy) if run.energy is not None else None,
+        "half_step": half_step_object(run),
+        "lift_off": [list(interval) for interval in agreement.lift_off],
+        "errors": {name: signal.sampled if math.isfinite(signal.sampled) else None for name, signal in agreement.signals.items()},
+    }
+    claims |= named
+    acting: dict[str, Response | None] = {}
+    drawn: tuple[Diagram, ...] = ()
+    if road.loaded:
+        from sim.runs.forces import pushed
+
+        acting[LOADS] = pushed(vehicle, road, run.physics.time)
+    if vehicle.fitted or vehicle.adjustable:
+        from sim.runs.force_diagram import diagrams, pulled
+
+        acting[DAMPERS], drawn = pulled(vehicle, run.physics), tuple(diagrams(vehicle))
+    return RunLog(
+        name=name,
+        responses={MUJOCO: run.physics, SAMPLED: run.sampled, CONTINUOUS: run.continuous},
+        metadata={key: value if isinstance(value, str) else json.dumps(value) for key, value in claims.items()},
+        events=events(run),
+        summary=summary(run),
+        scene=scene_of(vehicle, road, run.physics, run.qpos),
+        verdict=verdict(run),
+        files=files,
+        acting={name: one for name, one in acting.items() if one is not None},
+        diagrams=drawn,
+        active=_active(run),
+    )
+
+
+def _active(run: Run) -> tuple[str, ...]:
+    """Its controller's states, the one that asks for most at any moment first, as the sampled response has it."""
+    if not isinstance(run.controller, Controller):
+        return ()
+    names = [signal.name for signal in run.sampled.signals if is_kept(signal)]
+    asks = np.abs(run.controller.law.C).max(axis=0, initial=0.0)
+    with np.errstate(over="ignore", invalid="ignore"):  # of an unstable loop
+        most = [float(np.nan_to_num(ask * run.sampled.peak(name), nan=np.inf)) for ask, name in zip(asks, names, strict=True)]
+    return tuple(names[i] for i in np.argsort(-np.array(most), kind="stable"))

@@ -1,0 +1,204 @@
+"""What a report says: its answer, then section by section."""
+
+import json
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+from models.figures.page import Page, Section, Table
+from models.roads.road import Bump
+from models.vehicle.vehicle import Vehicle
+from sim.linear.nonlinear_elements import at_rest
+from sim.report import headline as report_answer
+from sim.report.agreement import agreement_section, bump_section
+from sim.report.designs import design_section, frequency_section, paper_section
+from sim.report.front import front_section
+from sim.report.headline import Finding
+from sim.report.limits import map_of, margins_section, regime_section, validity_section
+from sim.report.loads import loads_section, workshop_section
+from sim.report.regime_end import regime_end
+from sim.report.ride import SEEDS, Ride, ride_section, rides_of
+from sim.report.scope import AMPLITUDE, BUMP_DURATION, Scope
+from sim.report.summary import summary
+from sim.report.worker_processes import Beside, Piece
+from sim.runs.run import run_all, sample_times
+from sim.studies.frequency.describing_function import DescribingFunction, describing_function
+from sim.studies.frequency.identification import ideal_measurements, identify
+from sim.studies.frequency.sweep import OWN, sweep
+from synth.vehicle.paper import SEED, is_the_papers
+
+BUMP, REGIME, FREQUENCIES, MARGINS = "a bump", "where the linear regime ends", "frequency responses", "margins"
+MAP, RIDE, LOADS, FRONT, PAPER = "map", "random roads", "loads", "trade-off", "the paper"
+
+
+def page(scope: Scope, provenance: dict[str, str], beside: Beside) -> Page:
+    """The whole report.
+
+    Args:
+        scope: what it is about.
+        provenance: where it comes from, in words.
+        beside: processes for what does not depend on anything else here.
+    """
+    vehicle, road, h = scope.vehicle, Bump(), scope.timestep
+    results = beside.begin(scope, pieces_of(scope))
+    scope.progress(BUMP)
+    time, halves = (sample_times(vehicle, BUMP_DURATION, step) for step in (h, h / 2))
+    runs = run_all(vehicle, scope.driven, road, time)
+    finer = run_all(vehicle, scope.driven, road, halves)
+    scope.progress(REGIME)
+    ends = [(one, regime_end(ideal_measurements(vehicle), one, road, time)) for one in scope.stable]
+    found = results()
+
+    frequencies: Frequencies = found[FREQUENCIES, ""]
+    answer = [
+        *report_answer.loops(scope),
+        *report_answer.norms(scope),
+        *report_answer.over_the_bump(scope, runs),
+        *report_answer.left_short(scope, runs),
+        *frequencies.findings,
+        *report_answer.regime(scope, road, ends, runs),
+    ]
+    sections = [design_section(scope)]
+    if frequencies.section is not None:
+        sections.append(frequencies.section)
+    sections += [bump_section(scope, runs, road), agreement_section(scope, runs, finer)]
+    if ends:
+        sections.append(regime_section(scope, road, ends, runs))
+    if (MARGINS, "") in found:
+        maps = [found[MAP, one.name] for one in scope.active]
+        for section, findings in (found[MARGINS, ""], validity_section(scope, maps)):
+            sections.append(section)
+            answer += findings
+    rides: list[Ride] = found.get((RIDE, ""), [])
+    if rides:
+        sections.append(ride_section(vehicle, rides, scope.styles))
+    if frequencies.workshop is not None:
+        sections.append(frequencies.workshop)
+    if (LOADS, "") in found:
+        section, findings = found[LOADS, ""]
+        sections.append(section)
+        answer += findings
+    sections += [found[name, ""] for name in (FRONT, PAPER) if (name, "") in found]
+    sections.append(_provenance(scope, provenance))
+    title = f"{vehicle.kind.name.replace('_', ' ').capitalize()}: suspension control from linear analysis to physics"
+    texts = tuple(one.text for one in answer)
+    return Page(title, texts, summary(scope, runs, ends, rides), tuple(sections), report_answer.worst(answer))
+
+
+def stages(vehicle: Vehicle, quick: bool, loads: bool, front: bool) -> tuple[str, ...]:
+    """The stages of a page, in their order where one process does all of it: the reverse of `pieces_of`."""
+    there = {PAPER: is_the_papers(vehicle), LOADS: loads, RIDE: not quick, MAP: not quick, MARGINS: not quick, FRONT: front}
+    return (BUMP, REGIME, *(name for name in (PAPER, LOADS, FREQUENCIES, RIDE, MAP, MARGINS, FRONT) if there.get(name, True)))
+
+
+def pieces_of(scope: Scope) -> dict[tuple[str, str], Piece]:
+    """What of a page depends on nothing else there, by stage and of what, the longest first."""
+    pieces: dict[tuple[str, str], Piece] = {}
+    if scope.front is not None:
+        pieces[FRONT, ""] = front_section
+    if not scope.quick and scope.active:
+        pieces[MARGINS, ""] = _margins
+        pieces |= {(MAP, one.name): partial(map_of, number=i) for i, one in enumerate(scope.active)}
+    if not scope.quick and (scope.stable or scope.laws):
+        pieces[RIDE, ""] = _rides
+    pieces[FREQUENCIES, ""] = _frequencies
+    if scope.loads and (scope.stable or scope.laws):
+        pieces[LOADS, ""] = loads_section
+    if is_the_papers(scope.vehicle):
+        pieces[PAPER, ""] = paper_section
+    return pieces
+
+
+@dataclass(frozen=True, eq=False)
+class Frequencies:
+    """What is found on sinusoids.
+
+    Attributes:
+        findings: for the answer.
+        section: on frequency responses; None where nothing has any.
+        workshop: on a workshop's plate; None in a quick report.
+    """
+
+    findings: list[Finding]
+    section: Section | None
+    workshop: Section | None
+
+
+def _frequencies(scope: Scope) -> Frequencies:
+    """Frequency responses and the norm, measured."""
+    vehicle, h, speed = scope.vehicle, scope.timestep, Bump().speed
+    if scope.quick:
+        sweeps, lines = [], identify(at_rest(vehicle), scope.stable, AMPLITUDE, h, speed) if scope.stable else []
+    else:
+        sweeps = sweep(vehicle, scope.stable, AMPLITUDE, h, speed, scope.progress) if scope.stable else []
+        lines = [one.lines for one in sweeps]
+    own: list[DescribingFunction] = []
+    if not scope.quick and scope.laws:
+        scope.progress(OWN)
+        own = [describing_function(vehicle, one, AMPLITUDE, h, speed) for one in scope.laws]
+    return Frequencies(
+        report_answer.responses(scope, lines, sweeps),
+        frequency_section(scope, lines, sweeps, speed, own) if lines or own else None,
+        workshop_section(scope, sweeps) if sweeps else None,
+    )
+
+
+def _margins(scope: Scope) -> tuple[Section, list[Finding]]:
+    """What loops bear, of the vehicle at rest."""
+    return margins_section(replace(scope, vehicle=at_rest(scope.vehicle)))
+
+
+def _rides(scope: Scope) -> list[Ride]:
+    """Random roads, of all whose bump is not the only thing to be reported."""
+    return rides_of(scope.vehicle, [*scope.stable, *scope.laws], scope.timestep)
+
+
+def _provenance(scope: Scope, provenance: dict[str, str]) -> Section:
+    """What the page was made from: every number of the vehicle file that it depends on, and every setting."""
+    vehicle, how = scope.vehicle, scope.vehicle.implementation
+    rows = dict(provenance)
+    h = 1e3 * scope.timestep
+    rows["timestep"] = f"{h:g} ms, and {h / 2:g} ms for the orders of convergence"
+    seeds = [f"{how.seed}, of the noise on measurements"] if any(how.noise.values()) else []
+    if not scope.quick:
+        rows["timestep"] += f"; {1e3 * scope.margins_timestep:g} ms for margins, {1e3 * scope.map_timestep:g} ms for the map"
+        seeds.append("1, of the random road that the norm is tried on")
+        seeds += [f"{SEED}, of the genetic algorithm"] if is_the_papers(vehicle) else []
+        seeds.append(f"{SEEDS[0]} to {SEEDS[-1]}, of the random roads of the ride")
+    rows["seeds"] = "; ".join(seeds) or "none: nothing is random"
+    settings = [(name, f"{value:g}") for name, value in vehicle.parameters.items()]
+    settings += [(f"weight of {name}", f"{value:g}") for name, value in vehicle.performance.items()]
+    settings += [(f"filter of {name}", one.words) for name, one in vehicle.filters.items()]
+    settings += [("filter of the road", vehicle.road_filter.words)] if vehicle.road_filter is not None else []
+    settings += [(f"[limits] {name}", text) for name, text in vehicle.limits.written.items()] or [("[limits]", "none")]
+    built = {"sample_period": how.sample_period, "delay": how.delay or None}
+    built |= {f"noise of {name}": rms for name, rms in how.noise.items()}
+    built |= {f"quantisation of {name}": step for name, step in how.quantisation.items()}
+    there = [(f"[implementation] {name}", f"{value:g}") for name, value in built.items() if value is not None]
+    settings += there or [("[implementation]", "none")]
+    settings += [
+        (f"[curves] {one.parameter}", one.curve.words) for one in {one.parameter: one for one in vehicle.fitted}.values()
+    ]
+    for one in vehicle.adjustable:
+        lag = {} if one.damper.bandwidth is None else {"bandwidth": one.damper.bandwidth}
+        ranges = {"c_min": one.damper.c_min, "c_max": one.damper.c_max, **lag}
+        settings += [(f"[actuators] {name}{one.ending}", f"{value:g}") for name, value in ranges.items()]
+    caption = (
+        "Every number of the vehicle file that this page depends on, as it stands there, in SI units: a bandwidth in rad/s. All "
+        "other frequencies on this page are in Hz."
+    )
+    tables = (
+        Table("provenance", "What this page was made from, and how.", ("what", "value"), tuple(rows.items()), words=2),
+        Table("vehicle", caption, ("parameter [SI]", "value"), tuple(settings)),
+    )
+    return Section("Where does this page come from?", "provenance and settings", (), tables)
+
+
+def report_object(page: Page) -> dict[str, Any]:
+    """Answer and tables as JSON has them."""
+    tables = {
+        table.name: [dict(zip(table.headings, row, strict=True)) for row in table.rows]
+        for part in page.parts
+        for table in part.tables
+    }
+    return json.loads(json.dumps({"title": page.title, "answer": page.answer, "verdict": page.state, "tables": tables}))

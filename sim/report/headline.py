@@ -1,0 +1,241 @@
+"""What a report answers at its top, sentence by sentence, and whether all of it is good news."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from models.common.printed import percent
+from models.figures.page import State
+from models.roads.road import Bump
+from sim.linear.dampers import is_linear
+from sim.report.regime_end import REACHES, RegimeEnd
+from sim.report.scope import BUMP_DURATION, Scope, at_most, joined, percents
+from sim.response.regime import REGIME_ENDS
+from sim.runs.dampers import shortfalls
+from sim.runs.run import Run
+from sim.studies.frequency.identification import Lines
+from sim.studies.frequency.sweep import Sweep, failures
+from synth.controller.controller import Controller
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One sentence of the answer, and what it says of physics against analysis."""
+
+    text: str
+    state: State = "holds"
+
+
+def worst(findings: Sequence[Finding]) -> State:
+    """What all of them together say."""
+    order: tuple[State, ...] = ("fails", "ends", "holds")
+    return next(state for state in order if state == "holds" or any(one.state == state for one in findings))
+
+
+def loops(scope: Scope) -> list[Finding]:
+    """Which of two loops is meant where; whose is stable only as the ideal one, or not at all; who keeps no goals."""
+    found = []
+    if not scope.plain:
+        found.append(
+            Finding(
+                "Two loops are meant on this page. The ideal loop is continuous, with no limits and no computer; designs and "
+                f"certificates are of it. MuJoCo runs the loop as built: {scope.built}."
+            )
+        )
+    for one in scope.controllers:
+        if not one.certificate.stable and one in scope.stable:
+            text = (
+                f"{one.name} is stable as built, and UNSTABLE as the ideal loop, without its computer: it has no ideal norm and "
+                "no margins."
+            )
+            found.append(Finding(text))
+        elif not one.certificate.stable:
+            found.append(Finding(f"{one.name}'s loop is UNSTABLE, so only its bump is reported.", "ends"))
+        elif one not in scope.stable:
+            text = f"{one.name} is stable ideally and UNSTABLE as built, so only its design and its bump are reported."
+            found.append(Finding(text, "ends"))
+        if broken := [promise for promise in one.promises if not promise.holds]:
+            more = f", and {len(broken) - 1} more" if len(broken) > 1 else ""
+            text = f"{one.name} DOES NOT KEEP the goals that the vehicle file has for it: {broken[0].text}{more}."
+            found.append(Finding(text, "ends"))
+    if scope.laws:
+        found.append(
+            Finding(
+                f"Of {joined([one.name for one in scope.laws])} there is no linear claim, as "
+                f"{'each' if len(scope.laws) > 1 else 'it'} is {scope.kind_of_laws}: no norm, bound or margin, and no height "
+                f"up to which analysis is true. MuJoCo drives {'them' if len(scope.laws) > 1 else 'it'} as it drives the others, "
+                f"and is held against {_held_against(scope)}."
+            )
+        )
+    return found
+
+
+def _held_against(scope: Scope) -> str:
+    """What MuJoCo is held against with laws of which there is no linear claim."""
+    if scope.vehicle.dampers:
+        return "the exact response of the system that its dampers switch"
+    return "the linear vehicle's response to the forces that it asked for"
+
+
+def norms(scope: Scope) -> list[Finding]:
+    """The H-infinity norms, of the ideal loop and, where that is another, as built."""
+    values = {one.name: one.certificate.norm.value for one in scope.controllers if one.certificate.stable}
+    if not values:
+        return []
+    least = min(values, key=lambda name: values[name])
+    passive = scope.designer.design("passive").certificate.norm.value
+    text = (
+        f"H-infinity norms of the ideal loop{scope.given}: {', '.join(f'{name} {value:.4g}' for name, value in values.items())}."
+    )
+    if least != "passive" and math.isfinite(passive):
+        share = values[least] / passive - 1
+        text += f" The least is {least}'s, {percents(share)} % {'below' if share < 0 else 'above'} the passive suspension's."
+    if scope.built_norms:
+        built = ", ".join(f"{name} {value.value:.4g}" for name, value in scope.built_norms.items())
+        text += f" As built{scope.without}, at a step of {1e3 * scope.timestep:g} ms: {built}."
+    return [Finding(text)]
+
+
+def over_the_bump(scope: Scope, runs: Sequence[Run]) -> list[Finding]:
+    """Whether MuJoCo is the linear analysis over the paper's bump, and until when."""
+    built = "" if scope.plain else " of the loop as built"
+    which = f"{scope.analysis}{built}"
+    throughout = [run.controller.name for run in runs if run.agreement.agrees and math.isinf(run.agreement.until)]
+    found = []
+    if throughout:
+        found.append(
+            Finding(
+                f"Over the paper's bump MuJoCo agrees with {which} throughout its {BUMP_DURATION:g} s for "
+                f"{joined(throughout)}{_how(scope, runs)}."
+            )
+        )
+    for run in runs:
+        until = run.agreement.until
+        if run.agreement.agrees and until < math.inf:
+            text = (
+                f"Over the paper's bump, {run.controller.name} agrees with {which} until {until:.3g} s of "
+                f"{BUMP_DURATION:g} s: {what_ended(run)}."
+            )
+            found.append(Finding(text, "ends"))
+    wrong = [run.controller.name for run in runs if not run.agreement.agrees]
+    if wrong:
+        text = f"Over the paper's bump MuJoCo DOES NOT AGREE with {which} for {joined(wrong)}."
+        found.append(Finding(text, "fails"))
+    unbalanced = [run.controller.name for run in runs if run.energy is not None and not run.energy.balances]
+    if unbalanced:
+        text = f"Over the paper's bump energy DOES NOT BALANCE{built} for {joined(unbalanced)}: see the table of energy."
+        found.append(Finding(text, "fails"))
+    return found
+
+
+def left_short(scope: Scope, runs: Sequence[Run]) -> list[Finding]:
+    """How much of the force that linear controllers ask of adjustable dampers these leave out, and what is not true then."""
+    missing = {}
+    for run in runs:
+        if isinstance(run.controller, Controller) and not is_linear(scope.vehicle, run.controller):
+            share = max((one.rms for one in shortfalls(run.vehicle, run.physics).values()), default=0.0)
+            if share > 0:
+                missing[run.controller.name] = percent(share)
+    if not missing:
+        return []
+    text = (
+        f"Over the paper's bump adjustable dampers leave out, of the force that they are asked for (rms): "
+        f"{joined([f'{share} of {name}' + chr(39) + 's' for name, share in missing.items()])}. Norms, frequency responses and "
+        "margins are of the loop whose every force is given, and say nothing of these rides."
+    )
+    return [Finding(text)]
+
+
+def _how(scope: Scope, runs: Sequence[Run]) -> str:
+    """How closely those agree that agree throughout."""
+    some = [run.agreement for run in runs if run.agreement.agrees and math.isinf(run.agreement.until)]
+    words = []
+    if any(one.blurred for one in some):
+        words.append(f"to within the predicted spread of its {scope.vehicle.implementation.blur}")
+    geometry = [signal.sampled for one in some for signal in one.signals.values() if signal.small is not None]
+    if geometry:
+        words.append(f"to first order, as bodies turn: within {at_most(max(geometry))} of a peak")
+    exact = [signal.sampled for one in some if not one.blurred for signal in one.signals.values() if signal.small is None]
+    if exact and not geometry:
+        words.append(f"{'else ' if words else ''}within {at_most(max(exact))} of a peak")
+    return f", {', '.join(words)}" if words else ""
+
+
+def what_ended(run: Run) -> str:
+    """What ended the comparison of a run, in words."""
+    one = run.agreement
+    causes = {end.happens: one.ended[end.name] for end in REGIME_ENDS} | {"the run diverges": run.diverged}
+    return next((text for text, when in causes.items() if when == one.until), "within a step, a tyre may leave the road")
+
+
+def responses(scope: Scope, lines: Sequence[Lines], sweeps: Sequence[Sweep]) -> list[Finding]:
+    """How close the frequency responses are, and the claims on gains that fail."""
+    if not lines:
+        return []
+    off = max(float(one.error(one.sampled).max()) for one in lines)
+    found = [
+        Finding(
+            f"Every frequency response in MuJoCo is within {at_most(off)} of the exact one of the loop "
+            f"{'with its force held over a step' if scope.plain else 'as built'}{scope.without}{scope.given}."
+        )
+    ]
+    for one in sweeps:
+        if not one.ended:
+            found += [Finding(f"A claim fails. {one.lines.controller.name}: {text}.", "fails") for text in failures(one)]
+        else:
+            text = f"{one.lines.controller.name}'s sweep left the linear regime: {joined(list(one.ended))}."
+            found.append(Finding(text, "ends"))
+    return found
+
+
+def unclaimed(ends: Sequence[tuple[Controller, RegimeEnd | None]], runs: Sequence[Run]) -> list[str]:
+    """For whom no end of the analysis is claimed, though something breaks at some height: it is not true below, either."""
+    wrong = {run.controller.name for run in runs if not run.agreement.agrees}
+    return [one.name for one, _ in ends if one.name in wrong]
+
+
+def unclaimed_words(ends: Sequence[tuple[Controller, RegimeEnd | None]], runs: Sequence[Run]) -> str:
+    """The same in a sentence; empty where there is none."""
+    names = unclaimed(ends, runs)
+    if not names:
+        return ""
+    return (
+        f"For {joined(names)} no height is claimed below which the analysis is true: over the paper's bump MuJoCo does not "
+        "agree with it."
+    )
+
+
+def regime(scope: Scope, bump: Bump, ends: Sequence[tuple[Controller, RegimeEnd | None]], runs: Sequence[Run]) -> list[Finding]:
+    """Up to which height of a bump the linear regime holds, as MuJoCo has it on both sides, where it holds over the paper's."""
+    if not ends:
+        return []
+    wrong, none = unclaimed(ends, runs), unclaimed_words(ends, runs)
+    ends = [(one, end) for one, end in ends if one.name not in wrong]
+    heights: list[str] = []
+    found = [Finding(none, "fails")] if none else []
+    for one, end in ends:
+        if end is None:
+            heights.append(f"{one.name} at no height")
+        elif not end.confirmed:
+            text = (
+                f"MuJoCo DOES NOT end {one.name}'s linear regime as predicted, by {end.predicted_end} at {end.predicted:.4g} m: "
+                f"see the table."
+            )
+            found.append(Finding(text, "fails"))
+        else:
+            height = (end.stays + end.leaves) / 2
+            predicted = f", predicted {end.predicted:.3g}" if f"{end.predicted:.3g}" != f"{height:.3g}" else ""
+            heights.append(f"{one.name} {height:.3g} m ({end.end}{predicted})")
+    comma = "," if scope.blurred else ""
+    errors = [end.error for _, end in ends if end is not None and end.confirmed]
+    which = scope.analysis if scope.vehicle.dampers else "the linear regime"
+    text = (
+        f"Over bumps of {bump.length:g} m at {bump.speed:g} m/s {which}"
+        f"{'' if scope.plain else f' of the loop as built{scope.without}{comma}'} ends at a height of: {'; '.join(heights)}."
+    )
+    if errors:
+        text += (
+            f" MuJoCo{scope.without}{comma} was run {100 * (REACHES[0] - 1):.2g} % or less on either side of each: below, "
+            f"nothing breaks and it is within {at_most(max(errors))} of every peak; above, that breaks."
+        )
+    return [Finding(text), *found] if heights else found

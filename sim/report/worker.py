@@ -1,0 +1,41 @@
+"""`python -m sim.report.worker`: a process that does pieces of a report, as `sim.report.worker_processes` asks it to.
+
+It reads a piece and what it is about, and writes its result; it ends where a piece fails, or where whoever asks has ended.
+"""
+
+import os
+import pickle
+import queue
+import threading
+from typing import BinaryIO
+
+import sim.report.contents  # noqa: F401 - all that a piece needs, before the first is asked for
+
+
+def main() -> None:
+    """Does pieces until there is no more to be done."""
+    asked, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what a library prints is no answer
+    pieces: queue.SimpleQueue = queue.SimpleQueue()
+    threading.Thread(target=_listen, args=(asked, pieces), daemon=True).start()
+    while True:
+        piece, scope = pieces.get()
+        try:
+            found = pickle.dumps(piece(scope))
+        except Exception:
+            os._exit(1)
+        answers.write(found)
+        answers.flush()
+
+
+def _listen(asked: BinaryIO, pieces: queue.SimpleQueue) -> None:
+    """Reads pieces; ends the process, whatever it is at, when nobody can ask for more."""
+    try:
+        while True:
+            pieces.put(pickle.load(asked))
+    finally:
+        os._exit(0)
+
+
+if __name__ == "__main__":
+    main()

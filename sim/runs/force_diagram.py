@@ -1,0 +1,139 @@
+"""Damper and spring diagrams: what a suspension pulls with over how fast, or far, it is stretched, and its curve or limits."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.figures.figure import Dash
+from models.kinds.signals import Signal
+from models.vehicle.vehicle import Vehicle
+from sim.response.regime import over
+from sim.response.response import Response
+
+if TYPE_CHECKING:
+    from models.suspension.adjustable_dampers import Adjustable
+    from models.suspension.fitted_curves import Fitted
+
+PREFIX = "suspension_deflection"  # begins the names of suspensions, in the kinds that ship
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """A line of a diagram.
+
+    Attributes:
+        signal: what a log calls its force at the argument that was reached.
+        label, dash, width: how it is drawn.
+        force: over its argument [N].
+    """
+
+    signal: Signal
+    label: str
+    dash: Dash
+    width: float
+    force: Callable[[Array], Array]
+
+
+@dataclass(frozen=True, eq=False)
+class Diagram:
+    """One diagram.
+
+    Attributes:
+        title: of the parameter, and where.
+        over: what the force is over, in words with the unit.
+        argument, pull: what a log calls the two.
+        x: the argument in a response, shape (T,).
+        force: what pulls together at those x in the response [N], shape (T,).
+        lines: forces over x that are drawn.
+    """
+
+    title: str
+    over: str
+    argument: Signal
+    pull: Signal
+    x: Callable[[Response], Array]
+    force: Callable[[Array, Response], Array]
+    lines: tuple[Line, ...]
+
+
+def diagrams(vehicle: Vehicle) -> list[Diagram]:
+    """Those of a vehicle's curves, then of its adjustable dampers."""
+    from models.suspension.curve_reading import VELOCITY
+
+    adjusted = {vehicle.kind.pushed(one.force) for one in vehicle.adjustable}
+    alone = [one for one in vehicle.fitted if one.over is not VELOCITY or one.deflection not in adjusted]
+    return [*(_of_curve(vehicle, one) for one in alone), *(_of_adjustable(vehicle, one) for one in vehicle.adjustable)]
+
+
+def pulled(vehicle: Vehicle, physics: Response) -> Response | None:
+    """What all diagrams have of a response, as signals over time; None of a vehicle that has none.
+
+    Drawn over its argument, each is the diagram: the force that was reached, and the curve or the limits at that argument.
+    """
+    signals: list[Signal] = []
+    values: list[Array] = []
+    for one in diagrams(vehicle):
+        x = one.x(physics)
+        signals += [one.argument, one.pull, *(line.signal for line in one.lines)]
+        values += [x, one.force(x, physics), *(line.force(x) for line in one.lines)]
+    return Response(physics.time, tuple(signals), np.stack(values, axis=-1)) if signals else None
+
+
+def _of_curve(vehicle: Vehicle, one: "Fitted") -> Diagram:
+    signal = vehicle.kind.signal(over(vehicle, one))
+    actuator = next(each.force for each in vehicle.kind.suspensions if each.deflection == one.deflection)
+    damper = one.damps
+    pushed = damper and actuator in vehicle.linear_model.inputs
+    words = signal.name.replace("_", " ")
+    what, ending = "damper" if damper else "spring", _ending(one.deflection)
+    return Diagram(
+        f"{one.parameter.replace('_', ' ')}, {words}",
+        f"{words} [{signal.unit}]",
+        _named(what, "velocity" if damper else "deflection", ending, signal.unit, "positive where it is stretched"),
+        _named(what, "force", ending, "N", "with its actuator's, positive where it pulls together" if damper else "its pull"),
+        lambda response: response[signal.name],
+        lambda x, response: one.curve(x) - (response[actuator] if pushed else 0.0),
+        (
+            _line(what, ending, "curve", "solid", 1.8, one.curve),
+            _line(what, ending, "line at rest", "dash", 1.0, lambda x: one.curve.slope * x),
+        ),
+    )
+
+
+def _of_adjustable(vehicle: Vehicle, one: "Adjustable") -> Diagram:
+    from sim.linear.dampers import stretching
+
+    model = vehicle.linear_model
+    row = stretching(vehicle)[model.inputs.index(one.force)]
+    place = one.ending.replace("_", " ")
+    return Diagram(
+        f"adjustable damper{place}",
+        f"suspension velocity{place} [m/s]",
+        _named("damper", "velocity", one.ending, "m/s", "positive where it is stretched"),
+        _named("damper", "force", one.ending, "N", "all that it pulls together with"),
+        lambda response: np.stack([response[name] for name in model.states], axis=-1) @ row,
+        lambda x, response: one.pull(x, 0.0) - response[one.force],
+        (
+            _line("damper", one.ending, "c_min", "solid", 1.8, lambda x: one.pull(x, one.low)),
+            _line("damper", one.ending, "c_max", "solid", 1.8, lambda x: one.pull(x, one.high)),
+            _line("damper", one.ending, "line at rest", "dash", 1.0, lambda x: one.nominal * x),
+        ),
+    )
+
+
+def _ending(deflection: str) -> str:
+    """What tells its suspension's names from those of others."""
+    return deflection.removeprefix(PREFIX) if deflection.startswith(PREFIX) else f"_{deflection}"
+
+
+def _named(what: str, quantity: str, ending: str, unit: str, meaning: str) -> Signal:
+    place = ending.replace("_", " ")
+    return Signal(f"{what}_{quantity}{ending}", f"{quantity.replace('_', ' ')}{place}", unit, f"{what}{place}: {meaning}")
+
+
+def _line(what: str, ending: str, label: str, dash: Dash, width: float, force: Callable[[Array], Array]) -> Line:
+    signal = _named(what, f"force_{label.replace(' ', '_')}", ending, "N", f"force of its {label} at what was reached")
+    return Line(signal, label, dash, width, force)

@@ -1,0 +1,302 @@
+"""Runs in words and numbers: the table on the terminal, the object for `--json`, the text and events in the logs."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from models.common.printed import cell, finite, percent, table, wrapped
+from models.kinds.kind import MOST_SQUEEZE
+from models.laws.python_law import Programmed
+from models.laws.semi_active import SemiActive
+from models.vehicle.vehicle import Vehicle
+from sim.physics.energy import BALANCED, Energy
+from sim.response.regime import CURVE, FLAT, LIFT_OFF, REGIME_ENDS, departures
+from sim.runs.agreement import COARSEST, SLACK, SMALL
+from sim.runs.run import Reference, Run
+from synth.controller.controller import Controller, Driver
+from synth.controller.report import (
+    failures_as_it_runs,
+    filter_lines,
+    heading_lines,
+    ideal_lines,
+    norm_if_implemented,
+    notes,
+    notes_as_it_runs,
+)
+
+
+def energy_object(energy: Energy) -> dict[str, float | bool | None]:
+    """An energy balance as JSON has it [J]; its residual is a share of `turnover`."""
+    numbers = {
+        name: finite(value) for name, value in asdict(energy).items() if name not in ("least", "loads") or value is not None
+    }
+    return numbers | {"balances": energy.balances}
+
+
+def energy_lines(run: Run) -> list[str]:
+    """A run's energy balance in a sentence; none where it is not known."""
+    energy = run.energy
+    if energy is None:
+        return []
+    of = f"{energy.residual:.1e} of the {energy.turnover:.4g} J turned over"
+    if energy.least is not None and energy.least < 0 and not energy.balances:
+        return [f"energy DOES NOT BALANCE: an adjustable damper gave energy, {-energy.least:.1e} of the most that it took"]
+    if energy.balances:
+        sources = "road and actuators" if energy.loads is None else "road, loads and actuators"
+        return [f"energy balances: the work of {sources} is stored or dissipated, all but {of}"]
+    why = "a force does work that is none of the vehicle's, or the timestep is too coarse"
+    return [f"energy DOES NOT BALANCE: {of} is neither stored nor dissipated, where {BALANCED:.0e} is allowed: {why}"]
+
+
+NO_CLAIM = "no linear claim: a law in Python"
+NO_CLAIM_OF_SWITCHING = "no linear claim: a law that sets adjustable dampers"
+MOST_FLIGHTS = 4  # of a run that are told one by one
+
+
+@np.errstate(over="ignore")  # an unstable loop's squares overflow; what is infinite is None
+def run_object(run: Run) -> dict[str, Any]:
+    """One run as JSON has it: SI units, None for what is infinite or does not exist."""
+    responses = {"mujoco": run.physics, "sampled": run.sampled, "continuous": run.continuous}
+    agreement = run.agreement
+    return {
+        "controller": controller_object(run.controller),
+        "signals": {
+            name: {
+                "unit": run.vehicle.kind.signal(name).unit,
+                "peak": {key: finite(response.peak(name)) for key, response in responses.items()},
+                "rms": {key: finite(response.rms(name)) for key, response in responses.items()},
+                "error": {"sampled": finite(signal.sampled), "continuous": finite(signal.continuous)},
+            }
+            for name, signal in agreement.signals.items()
+        },
+        "until": finite(agreement.until),
+        "lift_off": [list(interval) for interval in agreement.lift_off],
+        "agrees": agreement.agrees,
+        **_dampers_object(run),
+    } | ({"energy": energy_object(run.energy)} if run.energy is not None else {})
+
+
+def _dampers_object(run: Run) -> dict[str, Any]:
+    """How far adjustable dampers are set, under a key of its own, of a vehicle that has some."""
+    if not run.vehicle.dampers:
+        return {}
+    from sim.runs.dampers import dampers_object
+
+    return {"dampers": dampers_object(run.prediction, run.physics)}
+
+
+def half_step_object(run: Run) -> dict[str, Any] | None:
+    """What half the step changes after a lift-off, as JSON has it; None where that is not known."""
+    found = run.half_step
+    return {"difference": finite(found.difference), "signal": found.signal} if found else None
+
+
+def controller_object(controller: Driver) -> dict[str, Any]:
+    """A controller as JSON has it; of a law in Python there are no linear claims, which are None."""
+    if not isinstance(controller, Controller):
+        return controller.record | dict.fromkeys(("bound", "norm", "peak_frequency", "stability"))
+    certificate = controller.certificate
+    return {
+        **controller.record,
+        "bound": certificate.bound,
+        "norm": finite(certificate.norm.value),
+        "peak_frequency": finite(certificate.norm.peak_frequency),
+        "stability": certificate.stability.verdict,
+    }
+
+
+def controller_lines(vehicle: Vehicle, controller: Driver) -> list[str]:
+    """A controller and what is known of it."""
+    if not isinstance(controller, Controller):
+        heading = [f"controller {controller.name}: measures {', '.join(controller.measured)}", f"  {controller.text}"]
+    else:
+        heading = heading_lines(controller)
+    return [*heading, *(f"  {sentence}" for sentence in _found(vehicle, controller))]
+
+
+def _found(vehicle: Vehicle, controller: Driver) -> list[str]:
+    """What is known of a controller beside its gain, in sentences."""
+    if isinstance(controller, SemiActive):
+        return [NO_CLAIM_OF_SWITCHING, "sampled and continuous are the exact response of the system that it switches at samples"]
+    if not isinstance(controller, Controller):
+        what = "with the coefficients" if vehicle.dampers else "under the forces"
+        return [NO_CLAIM, f"sampled and continuous are the linear vehicle's {what} that the law asked for"]
+    certificate = controller.certificate
+    norm, lines = certificate.norm, []
+    built = None if certificate.stable else norm_if_implemented(vehicle, controller)
+    if certificate.stable:
+        proof = f"bound {certificate.bound:.7g}, " if certificate.bound is not None else ""
+        where = f" at {norm.peak_frequency:.5g} rad/s" if math.isfinite(norm.peak_frequency) else ""
+        lines += [f"{proof}norm {norm.value:.7g}{where}", certificate.own.words]
+    return [
+        *lines,
+        *ideal_lines(vehicle, [controller]),
+        *filter_lines(vehicle),
+        *notes(controller),
+        *certificate.remarks,
+        *notes_as_it_runs(vehicle, certificate, built),
+        *failures_as_it_runs(vehicle, certificate, certificate.failures, built),
+    ]
+
+
+def verdict(run: Run) -> str:
+    """What the comparison of physics and analysis came to, and the balance of energy, in a few words."""
+    agreement = run.agreement
+    if math.isfinite(agreement.until):
+        ended = [name for name, when in agreement.ended.items() if when == agreement.until]
+        why = ended or (["divergence"] if run.diverged == agreement.until else [LIFT_OFF.name])
+        when = f"until {agreement.until:.4g} s ({' and '.join(why)})"
+    else:
+        why, when = [], "throughout"
+    order = " to first order" if any(signal.small is not None for signal in agreement.signals.values()) else ""
+    words = f"agrees{order} {when}" if agreement.agrees else f"DOES NOT AGREE {when}"
+    if agreement.until <= 0:
+        words = f"NOTHING COMPARED: it ended at once ({' and '.join(why)})"
+    if run.energy is None:
+        return words
+    return f"{words}; energy {'balances' if run.energy.balances else 'DOES NOT BALANCE'}"
+
+
+def summary_lines(runs: Sequence[Run]) -> list[str]:
+    """The verdict on every run, a line each."""
+    width = max(len(run.controller.name) for run in runs)
+    return [line for run in runs for line in wrapped(verdict(run), f"{run.controller.name:{width}}  ", 4)]
+
+
+def _flights(lift_off: Sequence[tuple[float, float]]) -> list[str]:
+    """When tyres are off the road: each time, or, where these are many, how often and how long."""
+    if len(lift_off) > MOST_FLIGHTS:
+        longest = max(end - start for start, end in lift_off)
+        start, end = lift_off[0]
+        return [
+            f"lift-off: {len(lift_off)} times a tyre is off the road, first from {start:.4g} s to {end:.4g} s "
+            f"({end - start:.3g} s), for {longest:.3g} s at most"
+        ]
+    return [
+        f"lift-off: a tyre is off the road from {start:.4g} s to {end:.4g} s ({end - start:.3g} s)" for start, end in lift_off
+    ]
+
+
+def verdict_lines(run: Run) -> list[str]:
+    """What the comparison of physics and analysis came to, in sentences."""
+    agreement, blur, lines = run.agreement, run.vehicle.implementation.blur, []
+    if run.prediction.radius > 1:
+        lines.append(f"unstable: the sampled loop grows by a factor of {run.prediction.radius:.6g} every step")
+    elif run.prediction.radius == 1:
+        lines.append("marginal: to rounding, something in the sampled loop neither grows nor decays")
+    if math.isfinite(run.diverged):
+        lines.append(f"diverged: MuJoCo was stopped at {run.diverged:.4g} s; there is no vehicle any more")
+    lines += _flights(agreement.lift_off)
+    if run.half_step is not None and math.isfinite(run.half_step.difference):
+        size, signal = run.half_step.difference, run.half_step.signal
+        lines.append(
+            f"after lift-off the physics is good to about {size:.1e} of a peak: half the step changes {signal} by so much"
+        )
+    elif run.half_step is not None:
+        lines.append("after lift-off the physics is good for nothing: at half the step it diverges")
+    elif agreement.lift_off and agreement.blurred:
+        lines.append(f"how good the physics is after lift-off is not said: at half the step its {blur} would be another")
+    times = agreement.ended
+    lines += [end.verdict.format(when=times[end.name]) for end in REGIME_ENDS if end.verdict and math.isfinite(times[end.name])]
+    left = departures(run.vehicle, run.physics) if math.isfinite(times[CURVE.name]) else {}
+    lines += [f"{name} is off its line at rest by up to {percent(share)} of its largest force" for name, share in left.items()]
+    if run.vehicle.dampers:
+        from sim.runs.dampers import damper_lines
+
+        lines += damper_lines(run.prediction, run.physics, agreement.until)
+    when = "throughout"
+    if times[FLAT.name] == agreement.until < math.inf:
+        lines.append(
+            f"flat: a tyre is squeezed by more than {MOST_SQUEEZE} m at {times[FLAT.name]:.4g} s, its hub is in the road; "
+            "no model of it holds from there"
+        )
+    if math.isfinite(agreement.until):
+        why = "" if agreement.until in (*times.values(), run.diverged) else ": within a step, a tyre may leave the road there"
+        lines.append(f"the linear comparison does not apply from {agreement.until:.4g} s on{why}")
+        when = f"until {agreement.until:.4g} s"
+    if agreement.until <= 0:
+        return [*lines, "NOTHING COMPARED: there is no time at which the linear comparison applies"]
+    worst = max(agreement.signals, key=lambda name: agreement.signals[name].excess)
+    error = agreement.signals[worst]
+    difference, allowed = error.judged
+    small = f"{SMALL:g} of this road's height{' and loads' * run.road.loaded}"
+    where = "" if error.small is None else f" at {small}"
+    numbers = f"worst {worst}, {difference:.1e} of its peak{where}; {allowed:.1e} is allowed"
+    if agreement.agrees and error.small is not None:
+        worst = max(agreement.signals, key=lambda name: agreement.signals[name].sampled - agreement.signals[name].allowed / SLACK)
+        error = agreement.signals[worst]
+        made, with_it, is_it = ("geometry makes", "", f"follows {_reference(run)} to")
+        if agreement.blurred:
+            made, with_it, is_it = (f"geometry and {blur} make", f" and {blur}", "is within")
+        off = error.sampled - (0.0 if agreement.blurred else error.allowed / SLACK)
+        lines.append(
+            f"agrees to first order {when}: {made} up to {off:.1e} of a peak ({worst}); at "
+            f"{small}{with_it} MuJoCo {is_it} {error.small:.1e} of it"
+        )
+    elif agreement.agrees and agreement.blurred:
+        lines.append(f"agrees {when}: MuJoCo stays within the spread that is predicted of its measurements' {blur} ({numbers})")
+    elif agreement.agrees:
+        lines.append(f"agrees {when}: MuJoCo follows {_reference(run)} to within RK4's own error ({numbers})")
+    else:
+        why = "; the timestep is too coarse, give a smaller one" if allowed >= COARSEST and not agreement.blurred else ""
+        lines.append(f"DOES NOT AGREE {when} with {_reference(run)} ({numbers}{why})")
+    return lines
+
+
+def _reference(run: Run) -> str:
+    """What the physics is held against."""
+    if isinstance(run.controller, Programmed):
+        return "the exact linear response to the forces of the law"
+    return "the exact sampled response"
+
+
+@np.errstate(over="ignore")
+def run_lines(run: Run, passive: Run | Reference | None) -> list[str]:
+    """The table of one run: peak and rms of every signal, physics and sampled, their errors, the change against passive."""
+    rows: list[tuple[str, ...] | str] = [("signal", "MuJoCo", "sampled", "continuous", "error", "to cont.", "vs passive")]
+    if math.isfinite(run.agreement.until):
+        rows.append(f"(error and to cont.: until {run.agreement.until:.4g} s; peak and rms: of the whole run)")
+    for name, signal in run.agreement.signals.items():
+        rows.append(f"{name} [{run.vehicle.kind.signal(name).unit}]")
+        # What symmetry keeps silent, or all of it on a flat road, is rounding in the physics without control.
+        silent = passive is not None and (
+            float(passive.physics.peak(name)) < passive.physics.scale(name) or not passive.sampled.peak(name)
+        )
+        for kind in ("peak", "rms"):
+            values = [float(getattr(response, kind)(name)) for response in (run.physics, run.sampled, run.continuous)]
+            reference = float(getattr(passive.physics, kind)(name)) if passive else 0.0
+            change = cell(100 * (values[0] / reference - 1), "+.1f", " %") if reference and not silent else "-"
+            errors = (cell(signal.sampled, ".1e"), cell(signal.continuous, ".1e")) if kind == "peak" else ("", "")
+            # Where MuJoCo has left numbers behind, what linear analysis goes on to says nothing of a vehicle.
+            numbers = ("-" if math.isfinite(run.diverged) else cell(value, ".6g") for value in values)
+            rows.append((f"  {kind}", *numbers, *errors, change))
+    return table(rows)
+
+
+def events(run: Run) -> tuple[tuple[float, str], ...]:
+    """Lift-offs, landings, the first bump stop and saturation, and divergence, in the order of their times [s]."""
+    happened = [(start, LIFT_OFF.event) for start, _ in run.agreement.lift_off]
+    happened += [(end, "landing") for _, end in run.agreement.lift_off]
+    if math.isfinite(run.diverged):
+        happened.append((run.diverged, "diverged"))
+    others = [(run.agreement.ended[end.name], end.event) for end in REGIME_ENDS if end.event and end is not LIFT_OFF]
+    happened += [(when, event) for when, event in others if math.isfinite(when)]
+    return tuple(sorted(happened))
+
+
+def summary(run: Run) -> str:
+    """Design and verdict as Markdown."""
+    lines = [f"# {run.controller.name}", ""]
+    lines += [f"- {line}" for line in [run.controller.text, *_found(run.vehicle, run.controller)]]
+    lines += [f"- measures {', '.join(run.controller.measured) or 'nothing'}", "", "## Verdict", ""]
+    lines += [f"- {line}" for line in [*verdict_lines(run), *energy_lines(run)]]
+    until = f" until {run.agreement.until:.4g} s" if math.isfinite(run.agreement.until) else ""
+    lines += ["", f"| signal | peak MuJoCo | peak sampled | error{until} |", "|---|---|---|---|"]
+    for name, signal in run.agreement.signals.items():
+        unit = run.vehicle.kind.signal(name).unit
+        physics, sampled = float(run.physics.peak(name)), float(run.sampled.peak(name))
+        lines.append(f"| {name} [{unit}] | {physics:.6g} | {sampled:.6g} | {signal.sampled:.1e} |")
+    return "\n".join(lines) + "\n"

@@ -1,1 +1,0 @@
-"""Semi-active laws that ship, on the vehicles that they are run on."""

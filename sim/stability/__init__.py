@@ -1,1 +1,0 @@
-"""How much the loop bears: predicted, then found by bisection."""

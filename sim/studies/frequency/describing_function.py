@@ -1,0 +1,218 @@
+"""What a loop with a law in Python makes of one sinusoid at a time, measured in MuJoCo: its describing function.
+
+Nobody knows whether such a law is linear, so that no chirp can be taken apart into its lines, and there is no response to hold
+this against. Of every output there is the fundamental, which is at the road's own frequency, and the share of its energy that is
+elsewhere: at harmonics, in a mean, or in what has not settled. Another height of the road may have other ones.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.printed import cell, finite, finite_pairs, percent, table
+from models.laws.python_law import Programmed
+from models.roads.road import RoadInput
+from models.roads.sinusoids import sinusoid
+from models.vehicle.limits_and_implementation import steps_per_sample
+from models.vehicle.vehicle import Vehicle
+from sim.physics.simulate import simulate
+from sim.response.regime import ended_by
+from sim.response.response import SILENT, Response
+from sim.runs.run import sample_times
+from sim.studies.frequency.identification import ALIASED, HIGHEST, LOWEST, check, ideal_measurements, settled_gain
+from synth.controller.controller import Driver
+
+SINUSOIDS = 20  # of the chirp's lines, from its first to its last
+ENTRIES = 2e7  # numbers in a batch's record
+STEADY = 1e-3  # of a fundamental: what it may still change from one period of the lowest to the next, unsaid
+
+
+@dataclass(frozen=True)
+class Moving:
+    """An output that moves: its largest fundamental per road velocity, the largest share of energy outside it, and where [Hz]."""
+
+    name: str
+    unit: str
+    largest: float
+    largest_at: float
+    outside: float
+    outside_at: float
+
+
+@dataclass(frozen=True, eq=False)
+class DescribingFunction:
+    """Of one controller, per road velocity under the first wheel.
+
+    Attributes:
+        controller: the controller.
+        outputs: names of the p output signals.
+        units: their units.
+        omega: frequencies [rad/s], shape (F,), a run each.
+        diverged: when each run diverged [s], infinite where it did not, shape (F,); nothing is measured in one that did.
+        measured: the fundamental, complex, shape (F, p).
+        outside: share of an output's energy that is not in it, shape (F, p); NaN where the output does not move.
+        gains: L2 gains from w to z, shape (F,).
+        drift: by how much a fundamental still changed from one period of the lowest frequency to the next, relative, at most.
+        without: what the vehicle file has of noise and quantisation, and these runs had not, in words; empty for neither.
+        ended: what ended the linear regime, in whichever run.
+    """
+
+    controller: Driver
+    outputs: tuple[str, ...]
+    units: tuple[str, ...]
+    omega: Array
+    diverged: Array
+    measured: Array
+    outside: Array
+    gains: Array
+    drift: float
+    without: str
+    ended: tuple[str, ...]
+
+    @property
+    def worst(self) -> int:
+        """Which of the frequencies has the largest gain."""
+        return int(np.argmax(np.nan_to_num(self.gains)))
+
+    @property
+    def moving(self) -> list[Moving]:
+        """Its outputs that move, in short."""
+        found, hertz = [], self.omega / (2 * np.pi)
+        for i, name in enumerate(self.outputs):
+            size, outside = np.abs(self.measured[:, i]), self.outside[:, i]
+            if not np.all(np.isnan(outside)):
+                most, least = int(np.nanargmax(size)), int(np.nanargmax(outside))
+                places = float(size[most]), float(hertz[most]), float(outside[least]), float(hertz[least])
+                found.append(Moving(name, self.units[i], *places))
+        return found
+
+    @property
+    def worst_omega(self) -> float:
+        """That frequency [rad/s]."""
+        return float(self.omega[self.worst])
+
+
+def describing_function(
+    vehicle: Vehicle, controller: Driver, amplitude: float, timestep: float, speed: float
+) -> DescribingFunction:
+    """Drives a controller over one sinusoid after another, three periods of the lowest each, of which the first is for settling.
+
+    Arguments and errors as for `sim.studies.frequency.identification.identify`; and the law may fail.
+    """
+    check(vehicle, (), amplitude, timestep)
+    without, vehicle = vehicle.implementation.blur, ideal_measurements(vehicle)
+    steps = steps_per_sample(vehicle.implementation, timestep)
+    period = round(1 / LOWEST / timestep / steps) * steps  # as that of the chirp
+    omega = 2 * np.pi / (period * timestep) * np.unique(np.round(np.geomspace(1, HIGHEST / LOWEST, SINUSOIDS)))
+    omega = omega[omega < ALIASED * np.pi / (steps * timestep)]
+    time = sample_times(vehicle, 3 * period * timestep, timestep)[:-1]
+    outputs = vehicle.linear_model.outputs
+    units = tuple(vehicle.kind.signal(name).unit for name in outputs)
+    together = max(1, int(ENTRIES / (len(time) * len(vehicle.kind.signals))))
+    parts, times, ended = [], list[float](), dict[str, None]()
+    for some in np.split(omega, range(together, len(omega), together)):
+        roads = [sinusoid(each, speed).scaled(amplitude / 2) for each in some.tolist()]
+        runs = simulate([controller] * len(some), [RoadInput(vehicle, road, time) for road in roads])
+        times += runs.diverged.tolist()
+        for i, each in enumerate(some.tolist()):
+            run = runs.response.run(i)
+            ended |= dict.fromkeys(ended_by(vehicle, run))
+            if np.isfinite(runs.diverged[i]):
+                nothing = np.full(len(outputs), np.nan)
+                parts.append((nothing * 1j, nothing, nothing * 1j, np.nan))
+                continue
+            before, last = (Response(time[:period], run.signals, run.values[k * period : (k + 1) * period]) for k in (1, 2))
+            parts.append(
+                (*_found(vehicle, units, last, each), _found(vehicle, units, before, each)[0], settled_gain(vehicle, last, each))
+            )
+    measured, outside, earlier, gains = (np.stack(column) for column in zip(*parts, strict=True))
+    diverged = np.array(times)
+    size = np.where(np.isfinite(diverged)[:, None], 0.0, np.abs(measured))
+    scale = np.maximum(size, SILENT * size.max(axis=0))  # where it is next to nothing it need not be steady
+    change = np.divide(np.abs(measured - earlier), scale, out=np.zeros_like(scale), where=scale > 0)
+    drift = float(np.where(np.isnan(outside), 0.0, change).max())
+    found = (measured, outside, gains, drift, without, tuple(ended))
+    return DescribingFunction(controller, outputs, units, omega, diverged, *found)
+
+
+def _found(vehicle: Vehicle, units: Sequence[str], response: Response, omega: float) -> tuple[Array, Array]:
+    """The fundamental of every output per road velocity, and the share of its energy outside, shapes (p,), from whole periods."""
+    turning = 2 * np.exp(-1j * omega * response.time) / len(response.time)
+    signals = np.stack([response[name] for name in vehicle.linear_model.outputs], axis=-1)
+    lines, energy = turning @ signals, np.mean(signals**2, axis=0)
+    loudest = np.array([max(e for e, u in zip(energy, units, strict=True) if u == unit) for unit in units])
+    moves = energy > SILENT**2 * loudest
+    inside = np.divide(np.abs(lines) ** 2 / 2, energy, out=np.full(len(energy), np.nan), where=moves)
+    return lines / (turning @ response[vehicle.kind.wheels[0].road_velocity]), np.maximum(1 - inside, 0.0)
+
+
+def describing_lines(one: DescribingFunction) -> list[str]:
+    """It in words and numbers."""
+    hertz, law = one.omega / (2 * np.pi), one.controller.text
+    if isinstance(one.controller, Programmed):
+        law = f"law in Python {one.controller.law.law}"
+    lines = [
+        f"controller {one.controller.name}",
+        f"  {law}: no linear claim, and no line of analysis beside it. Its describing function, from {len(hertz)} "
+        "sinusoids, one at a time; a road of another height may have another one",
+    ]
+    if one.without:
+        lines.append(f"  its loop as built, but without its {one.without}")
+    wild = np.isfinite(one.diverged)
+    if wild.any():
+        some = f"{np.sum(wild)} of its {len(hertz)} runs" if not wild.all() else f"every one of its {len(hertz)} runs"
+        lines.append(f"  {some} diverged, the first at {np.min(one.diverged):.4g} s: nothing is measured in such")
+    if wild.all():
+        return lines
+    rows: list[tuple[str, ...]] = [("per road velocity, over the sinusoids:", "largest", "at Hz", "energy outside", "at Hz")]
+    for each in one.moving:
+        places = f"{each.largest_at:.3g}", percent(each.outside), f"{each.outside_at:.3g}"
+        rows.append((each.name, f"{each.largest:.4g}", *places))
+    lines += table(rows)
+    gain = f"{cell(one.gains[one.worst], '.5g')} at {hertz[one.worst]:.3g} Hz"
+    lines.append(f"  largest L2 gain of these sinusoids: {gain}; no norm, as another road may be amplified more")
+    if one.drift > STEADY:
+        lines.append(
+            f"  not all has settled: from one period of {hertz[0]:.3g} Hz to the next a fundamental still changed by "
+            f"{percent(one.drift)}"
+        )
+    return lines
+
+
+def describing_failures(one: DescribingFunction) -> list[str]:
+    """What went wrong, in words: nothing is claimed of a law, but something is to be measured."""
+    return ["every run diverged, and nothing is measured"] if np.all(np.isfinite(one.diverged)) else []
+
+
+def describing_verdict(one: DescribingFunction) -> str:
+    """What it came to, in a sentence."""
+    if describing_failures(one):
+        return "NOTHING MEASURED: every run diverged"
+    if one.ended:
+        return f"no linear claim; outside the linear regime: {', '.join(one.ended)}"
+    return f"no linear claim: at most {percent(float(np.nanmax(one.outside)))} of a signal's energy is outside its fundamental"
+
+
+def describing_object(one: DescribingFunction) -> dict[str, Any]:
+    """It as JSON has it: SI units, complex numbers as [real, imaginary], None for what does not exist."""
+    return {
+        "controller": one.controller.name,
+        **one.controller.law.record,
+        "without": one.without or None,
+        "omega": one.omega.tolist(),
+        "signals": {
+            name: {
+                "measured": finite_pairs(one.measured[:, i]),
+                "outside": [finite(share) for share in one.outside[:, i]],
+            }
+            for i, name in enumerate(one.outputs)
+        },
+        "norm": None,
+        "gains": [finite(gain) for gain in one.gains],
+        "drift": finite(one.drift),
+        "ended": list(one.ended),
+        "failures": describing_failures(one),
+    }

@@ -1,0 +1,176 @@
+"""EUSAMA's minimum load: how much of a wheel's static load is left on a plate that moves by 6 mm, up to 25 Hz.
+
+The European Shock Absorber Manufacturers Association's test (TS-02-76, 1976), as workshops do it: under one wheel at a time a
+plate moves up and down by 6 mm from peak to peak, at 25 Hz and then ever more slowly. What is judged is the smallest load, over
+the static one. In a linear vehicle it follows from what the wheel's tyre, of static deflection t_0, makes of its own plate:
+
+    ratio = 1 - 3 mm  max |t / z_r| / t_0,    and 0 where that is below 0 and the wheel lifts.
+
+Closed form, and MuJoCo drives each wheel at the worst frequency. The number is disputed: M. Klapka, I. Mazurek and O. Machacek
+(2016), "Analysis of causes of false-negative evaluation of EUSAMA methodology for suspension assessment", Engineering Mechanics
+2016, Svratka: stiff tyres under light axles make cars fail whose dampers are sound.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import linalg, optimize
+
+from models.common.arrays import Array
+from models.common.printed import finite, table
+from models.roads.road import RoadInput
+from models.vehicle.limits_and_implementation import steps_per_sample
+from models.vehicle.vehicle import Vehicle
+from sim.linear.frequency_response import sampled_frequency_response
+from sim.linear.sampled_response import taylor4
+from sim.physics.simulate import simulate
+from sim.response.regime import ended_by
+from sim.runs.agreement import COARSEST, SLACK
+from sim.runs.run import sample_times
+from sim.studies.frequency.identification import ALIASED, HIGHEST, fit, ideal_measurements, images, lead_in
+from sim.studies.frequency.worst_case_gain import Apart, whole_periods
+from synth.controller.controller import Controller
+
+STROKE = 3e-3  # m, the plate's amplitude
+LOWEST, GRID = 0.3, 600  # Hz, frequencies: below it a wheel follows its plate
+WINDOW = 4.0  # s of whole periods that are fitted
+TURNING = 1e-3  # of a tyre's response: what the body's turning may make of it; 3 mm under one wheel of a car make 1e-5
+DISPUTED = "disputed: stiff tyres under light axles fail with sound dampers (Klapka, Mazurek, Machacek 2016)"
+
+
+@dataclass(frozen=True)
+class MinimumLoad:
+    """What is left of one wheel's load.
+
+    Attributes:
+        tyre: its deflection, by name.
+        ratio: predicted of the sampled loop as it is built, of its static load; at least 0.
+        omega: where that is [rad/s].
+        driven: predicted at the frequency that MuJoCo drives, next to it, before it is cut at 0.
+        measured: there in MuJoCo.
+        allowed: how far they may be apart; infinite where a damper or spring has a curve, and what is predicted is of its line.
+        ended: what ended it.
+    """
+
+    tyre: str
+    ratio: float
+    omega: float
+    driven: float
+    measured: float
+    allowed: float
+    ended: tuple[str, ...]
+
+
+def minimum_loads(vehicle: Vehicle, controllers: Sequence[Controller], timestep: float) -> list[tuple[MinimumLoad, ...]]:
+    """The minimum load of every wheel under every controller.
+
+    Args:
+        vehicle: the vehicle.
+        controllers: of which each has a loop that decays.
+        timestep: [s].
+    """
+    vehicle, wheels = ideal_measurements(vehicle), vehicle.kind.wheels
+    static = vehicle.kind.static_tyre_deflection(vehicle.parameters)
+    highest = min(HIGHEST, ALIASED / (2 * steps_per_sample(vehicle.implementation, timestep) * timestep))
+    found = []
+    for controller in controllers:
+        worst = [_worst(vehicle, controller, i, highest, timestep) for i in range(len(wheels))]
+        found.append(tuple(_driven(vehicle, controller, i, omega, static, timestep) for i, omega in enumerate(worst)))
+    return found
+
+
+def _amplitude(vehicle: Vehicle, controller: Controller, wheel: int, omega: Array, timestep: float, exponential: Any) -> Array:
+    """Of a wheel's tyre on a plate of its own, over the plate's, shape like omega."""
+    response = sampled_frequency_response(vehicle, controller, omega, timestep, exponential)
+    tyre = vehicle.linear_model.outputs.index(vehicle.kind.wheels[wheel].tyre_deflection)
+    return omega * np.abs(response[:, tyre, wheel])
+
+
+def _worst(vehicle: Vehicle, controller: Controller, wheel: int, highest: float, timestep: float) -> float:
+    """The frequency at which that is largest, up to the highest [Hz], in rad/s."""
+    omega = 2 * np.pi * np.geomspace(LOWEST, highest, GRID)
+    at = int(np.argmax(_amplitude(vehicle, controller, wheel, omega, timestep, linalg.expm)))
+    around = omega[max(at - 1, 0)], omega[min(at + 1, GRID - 1)]
+    peak: Any = optimize.minimize_scalar(
+        lambda w: -_amplitude(vehicle, controller, wheel, np.array([w]), timestep, linalg.expm)[0],
+        bounds=around,
+        method="bounded",
+        options={"xatol": 1e-9 * around[1]},
+    )
+    return float(peak.x)
+
+
+def _driven(
+    vehicle: Vehicle, controller: Controller, wheel: int, omega: float, static: Mapping[str, float], timestep: float
+) -> MinimumLoad:
+    """A wheel on its plate at a frequency."""
+    tyre = vehicle.kind.wheels[wheel].tyre_deflection
+    share = STROKE / static[tyre]
+    _, samples = whole_periods(omega, timestep)
+    samples *= max(1, round(WINDOW / (samples * timestep)))
+    tried = np.array([round(samples * timestep * omega / (2 * np.pi)) * 2 * np.pi / (samples * timestep)])
+    exact, integrated = (
+        float(_amplitude(vehicle, controller, wheel, tried, timestep, exponential)[0]) for exponential in (linalg.expm, taylor4)
+    )
+    time = sample_times(vehicle, (1 + lead_in(vehicle, [controller], timestep, samples)) * samples * timestep, timestep)[:-1]
+    waves = np.zeros((1, len(vehicle.kind.wheels)), dtype=complex)
+    waves[0, wheel] = STROKE * tried[0]
+    run = simulate([controller], [RoadInput(vehicle, Apart.under(vehicle, tried, waves, float(time[-1])), time)]).response.run(0)
+    ended = ended_by(vehicle, run)
+    curved = bool(vehicle.fitted)
+    if ended or curved:
+        measured = max(0.0, 1 - float(run[tyre][-samples:].max()) / static[tyre])
+    else:
+        lines = fit(vehicle, controller, run, tried, samples, images(tried, vehicle, timestep))
+        measured = 1 - float(np.abs(lines[tyre][0])) / static[tyre]
+    allowed = share * exact * (min(SLACK * abs(integrated / exact - 1), COARSEST) + TURNING)
+    if curved:
+        allowed = math.inf
+    peak = float(_amplitude(vehicle, controller, wheel, np.array([omega]), timestep, linalg.expm)[0])
+    return MinimumLoad(tyre, max(0.0, 1 - share * peak), omega, 1 - share * exact, measured, allowed, tuple(ended))
+
+
+def load_failures(loads: Sequence[MinimumLoad]) -> list[str]:
+    """What MuJoCo measures elsewhere than predicted, in words."""
+    return [
+        f"on EUSAMA's plate {one.tyre} leaves {one.measured:.5f} of the load; {one.driven:.5f} is predicted"
+        for one in loads
+        if not one.ended and not abs(one.measured - one.driven) <= one.allowed
+    ]
+
+
+def load_lines(loads: Sequence[MinimumLoad]) -> list[str]:
+    """The minimum loads as a table, and what is said against them."""
+    rows = [
+        (
+            one.tyre,
+            f"{100 * one.ratio:.2f}",
+            f"{100 * one.measured:.2f}",
+            f"{one.omega / (2 * math.pi):.2f}",
+            ", ".join(one.ended) or ("curve" if math.isinf(one.allowed) else ""),
+        )
+        for one in loads
+    ]
+    heads = ("EUSAMA's least load, % of static:", "predicted", "MuJoCo", "at Hz", "")
+    return [*table([heads, *rows]), f"  {DISPUTED}"]
+
+
+def load_object(loads: Sequence[MinimumLoad]) -> dict[str, Any]:
+    """The same as JSON has it."""
+    return {
+        "disputed": DISPUTED.removeprefix("disputed: "),
+        "tyres": {
+            one.tyre: {
+                "ratio": one.ratio,
+                "omega": one.omega,
+                "driven": one.driven,
+                "mujoco": finite(one.measured),
+                "allowed": finite(one.allowed),
+                "ended": list(one.ended),
+            }
+            for one in loads
+        },
+    }

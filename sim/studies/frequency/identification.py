@@ -1,0 +1,310 @@
+"""Frequency responses and L2 gains, measured in MuJoCo, beside what the linear analysis says they are.
+
+A run starts from rest, so its first seconds are its own free motion, and the passive car's takes a minute to die. Its *shape* is
+known, as it is that of the loop's poles; only its size is not. So the last period of a run is fitted, by least squares, with a
+sine and a cosine at every line and with those decaying shapes. A wrong frequency response cannot hide there: nothing decaying
+looks like a line over a whole period.
+
+In gains a weight that is a filter goes over the run from rest, on the straight lines between samples. Where the road has a
+filter, too, w is what comes in there; of a sinusoid it is known, and of another road it would take the inverse of the filter,
+which may not be.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import linalg
+
+from models.common.arrays import Array
+from models.common.errors import InputError
+from models.laws.linear import LinearLaw
+from models.roads.road import RoadInput
+from models.roads.sinusoids import chirp
+from models.vehicle.filter import Filter
+from models.vehicle.limits_and_implementation import Implementation, steps_per_sample
+from models.vehicle.vehicle import Vehicle
+from sim.linear.frequency_response import as_met, continuous_frequency_response, sampled_frequency_response
+from sim.linear.sampled_response import taylor4
+from sim.physics.simulate import simulate
+from sim.response.regime import ended_by
+from sim.response.response import SILENT, Response
+from sim.runs.run import sample_times
+from synth.controller.controller import Controller
+from synth.controller.open_loop import LoopModel
+
+
+def l2_gain(vehicle: Vehicle, response: Response) -> float | None:
+    """||z|| / ||w|| of a run from rest, both over time and wheels; None where the road has a filter, so that w is not known."""
+    if vehicle.road_filter is not None:
+        return None
+    period = float(response.time[1] - response.time[0])
+    signals = np.stack([response[name] for name in vehicle.linear_model.outputs], axis=-1)
+    sides = [signals]
+    if steps_per_sample(vehicle.implementation, period) > 1:  # between leaps there are steps, over which z goes on
+        forces = np.stack([response[name] for name in vehicle.linear_model.inputs], axis=-1)
+        leaps = np.diff(forces, axis=0, prepend=np.zeros((1, forces.shape[1]))) @ _at_once(vehicle).T
+        sides = beside_leaps(vehicle, signals, signals - leaps)
+    sizes = [np.linalg.norm(_weighted(vehicle, side, period)) for side in sides]
+    size = sizes[0] if len(sizes) == 1 else math.hypot(*sizes) / math.sqrt(2)
+    return float(size / np.linalg.norm(_roads(vehicle, response)))
+
+
+def settled_gain(vehicle: Vehicle, response: Response, omega: float) -> float:
+    """The same of whole periods of a sinusoid, once all else has decayed.
+
+    Args:
+        vehicle: the vehicle.
+        response: some periods and nothing else.
+        omega: frequency of the road [rad/s].
+    """
+    if not vehicle.filtered:
+        gain = l2_gain(vehicle, response)
+        assert gain is not None, "the road has no filter"
+        return gain
+    signals = np.stack([response[name] for name in vehicle.linear_model.outputs], axis=-1)
+    count, period = len(signals), float(response.time[1] - response.time[0])
+    lines = 2 * np.pi * np.fft.rfftfreq(count, period)
+    z = np.fft.irfft(vehicle.weights(lines) * np.fft.rfft(signals, axis=0), count, axis=0)
+    shape = np.abs(vehicle.road_shape(np.array([omega]))[0])
+    return float(shape * np.linalg.norm(z) / np.linalg.norm(_roads(vehicle, response)))
+
+
+def mean_square(vehicle: Vehicle, response: Response) -> float:
+    """Of z over the whole periods of a run's last samples, exact to the square of the step where forces are held.
+
+    Args:
+        vehicle: the vehicle.
+        response: whole periods and one sample before them, which tells the first leap.
+    """
+    model = vehicle.linear_model
+    signals = np.stack([response[name] for name in model.outputs], axis=-1)
+    forces = np.stack([response[name] for name in model.inputs], axis=-1)
+    sides = beside_leaps(vehicle, signals[1:], signals[1:] - np.diff(forces, axis=0) @ _at_once(vehicle).T)
+    count, period = len(response.time) - 1, float(response.time[1] - response.time[0])
+    weights = vehicle.weights(2 * np.pi * np.abs(np.fft.fftfreq(count, period)))
+    return float(np.mean([np.sum(np.abs(weights * np.fft.fft(side, axis=0) / count) ** 2) for side in sides]))
+
+
+def beside_leaps(vehicle: Vehicle, after: Array, before: Array) -> tuple[Array, Array]:
+    """Signals on either side of the leaps that they make where forces are replaced, as the mean square of z needs them.
+
+    A filter smooths a leap, and goes over what lies midway; shapes (..., p) of both.
+    """
+    through = np.array([name in vehicle.filters for name in vehicle.linear_model.outputs])
+    midway = (after + before) / 2
+    return np.where(through, midway, after), np.where(through, midway, before)
+
+
+def _weighted(vehicle: Vehicle, signals: Array, period: float) -> Array:
+    """z of the output signals, shape (T, p) both."""
+    rows = []
+    for name, values in zip(vehicle.linear_model.outputs, signals.T, strict=True):
+        one = vehicle.filters.get(name)
+        rows.append(vehicle.performance.get(name, 0.0) * (_filtered(one, values, period) if one is not None else values))
+    return np.stack(rows, axis=-1)
+
+
+def _at_once(vehicle: Vehicle) -> Array:
+    """What the forces that are asked for do at once to the output signals, shape (p, m): nothing behind a lag."""
+    D = vehicle.linear_model.D
+    return D if vehicle.limits.actuator_bandwidth is None else np.zeros_like(D)
+
+
+def _roads(vehicle: Vehicle, response: Response) -> Array:
+    return np.stack([response[wheel.road_velocity] for wheel in vehicle.kind.wheels], axis=-1)
+
+
+def _filtered(one: Filter, values: Array, period: float) -> Array:
+    """A signal through a filter, from rest."""
+    law = LinearLaw(*one.realisation).sampled(period)
+    from scipy.signal import dlsim  # half a second
+
+    return dlsim((law.A, law.B, law.C, law.D, period), values[:, None])[1][:, 0]
+
+
+LOWEST, HIGHEST, LINES = 0.1, 25.0, 60  # Hz, Hz, lines between them, evenly on a logarithmic scale; equal ones fall together
+IMAGES = 8  # of a line on either side of so many multiples of the sample rate; later ones are smaller still
+ALIASED = 0.98  # of half the controller's sample rate; a line above it has images that lie on other lines, or nearly
+DEAD = 1e-12  # free motion that has decayed to this is none
+SETTLED = 1e-7  # what may be left of it where its shape is not fitted
+
+
+@dataclass(frozen=True, eq=False)
+class Lines:
+    """The frequency response of one controller, per road velocity under the first wheel.
+
+    Attributes:
+        controller: the controller.
+        outputs: names of the p output signals.
+        units: their units.
+        omega: lines [rad/s], shape (F,).
+        measured: in MuJoCo, complex, shape (F, p).
+        sampled: exact, of the sampled loop as it is implemented.
+        integrated: the same as RK4 makes it.
+        continuous: exact, of the continuous loop.
+        order: power of the timestep with which sampled tends to continuous; NaN where a delay or sample period stands between.
+        gain: L2 gain of the run, from w to z; None where the road has a filter (`sim.studies.frequency.identification`).
+        ended: what ended the linear regime.
+    """
+
+    controller: Controller
+    outputs: tuple[str, ...]
+    units: tuple[str, ...]
+    omega: Array
+    measured: Array
+    sampled: Array
+    integrated: Array
+    continuous: Array
+    order: float
+    gain: float | None
+    ended: tuple[str, ...]
+
+    def error(self, reference: Array) -> Array:
+        """Largest difference over the lines between measured and a reference, relative at each line, shape (p,)."""
+        return difference(self.measured, reference, self.units).max(axis=0)
+
+
+def difference(response: Array, reference: Array, units: Sequence[str]) -> Array:
+    """Relative difference at every line, shape (F, p). A signal that symmetry keeps silent counts as `Response.scale` says."""
+    size = np.abs(reference)
+    same = np.array([[one == other for other in units] for one in units])
+    loudest = np.where(same, size[:, None, :], 0.0).max(axis=-1)
+    scale = np.maximum(size, SILENT * loudest)
+    apart = np.abs(response - reference)
+    return np.divide(apart, scale, out=np.where(apart > 0, np.inf, 0.0), where=scale > 0)
+
+
+def ideal_measurements(vehicle: Vehicle) -> Vehicle:
+    """The vehicle without noise and quantisation of `[implementation]`: those have no frequency response."""
+    return replace(vehicle, implementation=vehicle.implementation.clear)
+
+
+def identify(vehicle: Vehicle, controllers: Sequence[Controller], amplitude: float, timestep: float, speed: float) -> list[Lines]:
+    """The frequency responses of controllers, each from one chirp of two periods.
+
+    Args:
+        vehicle: the vehicle.
+        controllers: its controllers.
+        amplitude: largest height of the road [m].
+        timestep: [s].
+        speed: forward velocity [m/s]; only vehicles with several axles notice.
+
+    Raises:
+        InputError: a timestep too coarse for the highest line, an amplitude that is not allowed, a loop that is unstable.
+
+    Example:
+        >>> from models import read_vehicle
+        >>> from sim import identify
+        >>> from synth import design_controllers
+        >>> vehicle = read_vehicle("quarter_car")
+        >>> [lines] = identify(vehicle, design_controllers(vehicle, ["I"]), amplitude=1e-3, timestep=4e-3, speed=12.5)
+        >>> lines.omega.shape
+        (44,)
+    """
+    check(vehicle, controllers, amplitude, timestep)
+    steps = steps_per_sample(vehicle.implementation, timestep)
+    # In whole sample periods, so that the images of lines, which a slower controller makes, are other lines of the period.
+    vehicle, period = ideal_measurements(vehicle), round(1 / LOWEST / timestep / steps) * steps
+    omega = 2 * np.pi / (period * timestep) * np.unique(np.round(np.geomspace(1, HIGHEST / LOWEST, LINES)))
+    omega = omega[omega < ALIASED * np.pi / (steps * timestep)]
+    time = sample_times(vehicle, (1 + lead_in(vehicle, controllers, timestep, period)) * period * timestep, timestep)[:-1]
+    road = chirp(omega, period * timestep, speed).to_height(amplitude, time[-period:])
+    response = simulate(controllers, [RoadInput(vehicle, road, time)] * len(controllers), threads=0).response
+
+    met, outputs = as_met(vehicle, omega, speed)[..., None], vehicle.linear_model.outputs
+    units = tuple(vehicle.kind.signal(name).unit for name in outputs)
+    found = []
+    for i, controller in enumerate(controllers):
+        run = response.run(i)
+        sampled, half, integrated = (
+            (sampled_frequency_response(vehicle, controller, omega, step, exponential) @ met)[..., 0]
+            for step, exponential in ((timestep, linalg.expm), (timestep / 2, linalg.expm), (timestep, taylor4))
+        )
+        continuous = (continuous_frequency_response(vehicle, controller, omega) @ met)[..., 0]
+        far, near = (difference(one, continuous, units).max() for one in (sampled, half))
+        lines = fit(vehicle, controller, run, omega, period)
+        driven = lines[vehicle.kind.wheels[0].road_velocity]
+        measured = np.stack([lines[name] for name in outputs], axis=-1) / driven[:, None]
+        gain, ended = l2_gain(vehicle, run), ended_by(vehicle, run)
+        order = math.log2(far / near) if vehicle.implementation.ideal else math.nan
+        found.append(Lines(controller, outputs, units, omega, measured, sampled, integrated, continuous, order, gain, ended))
+    return found
+
+
+def images(omega: Array, vehicle: Vehicle, timestep: float) -> Array:
+    """Frequencies of the largest sinusoids that a controller makes besides the road's, as it samples every few steps [rad/s]."""
+    steps = steps_per_sample(vehicle.implementation, timestep)
+    rate = 2 * np.pi / (steps * timestep)
+    orders = rate * np.arange(1, min(IMAGES, steps // 2) + 1)[:, None]
+    found = np.unique(np.abs(np.concatenate([orders - omega, orders + omega])).ravel())
+    return found[found < np.pi / timestep]
+
+
+def fit(
+    vehicle: Vehicle, controller: Controller, response: Response, omega: Array, samples: int, besides: Array | None = None
+) -> dict[str, Array]:
+    """Complex amplitude of every line in every signal, shape (F,) each, from the last samples of a run.
+
+    Args:
+        vehicle: the vehicle.
+        controller: its controller.
+        response: of one run.
+        omega: lines [rad/s], shape (F,).
+        samples: how many samples are fitted.
+        besides: other lines [rad/s] that are in it, and are not asked for.
+    """
+    time, values = response.time[-samples:], response.values[-samples:]
+    if not np.all(np.isfinite(values)):
+        return {name: np.full(len(omega), np.nan + 0j) for name in response.names}
+    timestep = float(time[1] - time[0])
+    angle = np.multiply.outer(time, omega if besides is None else np.concatenate([omega, besides]))
+    shapes = np.hstack(
+        [np.ones((samples, 1)), np.cos(angle), -np.sin(angle), _free_motion(vehicle, controller, timestep, samples)]
+    )
+    coefficients = np.linalg.lstsq(shapes, values)[0]
+    count = angle.shape[1]
+    lines = coefficients[1 : 1 + count] + 1j * coefficients[1 + count : 1 + 2 * count]
+    return dict(zip(response.names, lines[: len(omega)].T, strict=True))
+
+
+def _free_motion(vehicle: Vehicle, controller: Controller, timestep: float, samples: int) -> Array:
+    """How the loop moves by itself over some samples, shape (samples, k), without what has decayed in as many before them."""
+    if steps_per_sample(vehicle.implementation, timestep) > 1:
+        if controller.measured:
+            return np.zeros((samples, 0))  # see `lead_in`
+        vehicle = replace(vehicle, implementation=Implementation())
+    loop = LoopModel(vehicle, controller, timestep).closed_loop.transition
+    poles = np.linalg.eigvals(loop)
+    poles = poles[np.abs(poles) > DEAD ** (1 / samples)].astype(complex)
+    motion = np.exp(np.multiply.outer(np.arange(samples), np.log(poles)))
+    return np.hstack([np.real(motion), np.imag(motion)])
+
+
+def lead_in(vehicle: Vehicle, controllers: Sequence[Controller], timestep: float, period: int) -> int:
+    """How many periods a run has before the one that is fitted.
+
+    Between the samples of a slower controller its force makes lines besides those of the road, which are not fitted. They look
+    like free motion a little, so there that has to have died.
+    """
+    if steps_per_sample(vehicle.implementation, timestep) == 1:
+        return 1
+    slowest = max([LoopModel(vehicle, one, timestep).radius for one in controllers if one.measured], default=0.0)
+    return max(1, math.ceil(math.log(SETTLED) / math.log(slowest) / period)) if slowest else 1
+
+
+def check(vehicle: Vehicle, controllers: Sequence[Controller], amplitude: float, timestep: float) -> None:
+    """Whether these can be identified; raises InputError where they cannot."""
+    sample_times(vehicle, 1.0, timestep)
+    if timestep > 0.25 / HIGHEST:
+        raise InputError(f"timestep = {timestep:g} s is too coarse for {HIGHEST:g} Hz; give at most {0.25 / HIGHEST:g} s")
+    if not 1e-6 <= amplitude <= 1:
+        raise InputError(f"amplitude = {amplitude:g} m is not allowed; give a number from 1e-06 to 1 m")
+    for controller in controllers:
+        radius = LoopModel(vehicle, controller, timestep).radius
+        if radius >= 1:
+            raise InputError(
+                f"controller {controller.name!r} makes a loop that does not decay at this timestep (a step multiplies it by "
+                f"{radius:.6g}), and that has no frequency response; give another controller, or a smaller timestep"
+            )

@@ -1,0 +1,269 @@
+"""What a sweep finds of a controller, held against its claims: in words, and as `--json` has it."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.printed import finite, finite_pairs, table, wrapped
+from models.vehicle.vehicle import Vehicle
+from sim.linear.nonlinear_elements import at_rest
+from sim.runs.agreement import COARSEST, SLACK
+from sim.studies.frequency.describing_function import (
+    DescribingFunction,
+    describing_failures,
+    describing_lines,
+    describing_object,
+    describing_verdict,
+)
+from sim.studies.frequency.eusama import MinimumLoad, load_failures, load_lines, load_object, minimum_loads
+from sim.studies.frequency.identification import Lines, difference, ideal_measurements, identify
+from sim.studies.frequency.worst_case_gain import Extremes, WorstRoad, extremes, worst_road
+from synth.analysis.specification import SampledNorm
+from synth.controller.controller import Controller
+from synth.controller.report import judged_lines, norm_if_implemented
+
+LINES, EXTREMES, OWN = "frequency responses", "norms", "laws in Python"
+# Beside RK4's own error, which is known:
+TOLERANCE = 1e-4  # of the response at a line: what turning makes of higher roads; on those of 0.1 mm 3e-7 is left
+ABOVE = 1e-5  # above the norm, relative: free motion that is left when a gain is read
+REACHED = 1e-3  # below the norm
+LEAPS = 1e-3  # above the norm of a slower controller: energies between leaps are exact to the square of the timestep
+DRIVEN = 1e-4  # above it, of its worst road, whose steps are shorter: 3e-5 is found
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """What was found of one controller: its frequency response, and the most that it lets through."""
+
+    lines: Lines
+    extremes: Extremes
+    sampled: SampledNorm | None  # of the loop as it is implemented, exact; None where the vehicle file says nothing of that
+    road: WorstRoad | None  # the one that reaches it; None where there is none such
+    loads: tuple[MinimumLoad, ...]  # by wheel, on EUSAMA's plate
+    without: str  # what the vehicle file has of noise and quantisation, and these runs had not, in words; empty for neither
+
+    @property
+    def controller(self) -> Controller:
+        """Its controller."""
+        return self.lines.controller
+
+    @property
+    def omega(self) -> Array:
+        """Its lines [rad/s], shape (F,)."""
+        return self.lines.omega
+
+    @property
+    def worst_omega(self) -> float:
+        """The worst sinusoid that was driven [rad/s]."""
+        return self.extremes.tried
+
+    @property
+    def ended(self) -> tuple[str, ...]:
+        """What ended the linear regime, in whichever run."""
+        on_road = self.road.ended if self.road is not None else ()
+        return tuple(dict.fromkeys((*self.lines.ended, *self.extremes.ended, *on_road)))
+
+    @property
+    def gains(self) -> dict[str, float]:
+        """L2 gain by road."""
+        return {**self.extremes.gains, **({} if self.lines.gain is None else {"chirp": self.lines.gain})}
+
+
+def sweep(
+    vehicle: Vehicle,
+    controllers: Sequence[Controller],
+    amplitude: float,
+    timestep: float,
+    speed: float,
+    progress: Callable[[str], None] = lambda text: None,
+) -> list[Sweep]:
+    """Everything, of every controller, in two stages that `progress` is told of, `LINES` and `EXTREMES`.
+
+    Other arguments and errors as for `sim.studies.frequency.identification.identify`.
+    """
+    progress(LINES)
+    near = at_rest(vehicle)
+    lines = identify(near, controllers, amplitude, timestep, speed)
+    progress(EXTREMES)
+    most = extremes(near, controllers, amplitude, timestep, speed)
+    loads = minimum_loads(vehicle.pushing, controllers, timestep)
+    ideal, found = ideal_measurements(near), []
+    for controller, line, extreme, load in zip(controllers, lines, most, loads, strict=True):
+        norm = norm_if_implemented(ideal, controller, timestep)
+        road = worst_road(ideal, controller, norm, amplitude, timestep) if norm is not None else None
+        found.append(Sweep(line, extreme, norm, road, load, vehicle.implementation.blur))
+    return found
+
+
+def failures(one: Sweep | DescribingFunction) -> list[str]:
+    """The claims that do not hold of a sweep, in words; of a law in Python, of which none is made, that nothing is known."""
+    if isinstance(one, DescribingFunction):
+        return describing_failures(one)
+    failed, found, norm = [], one.lines, one.extremes.worst.gain
+    off = difference(found.measured, found.sampled, found.units)
+    integrator = SLACK * difference(found.integrated, found.sampled, found.units)
+    allowed = np.minimum(integrator, COARSEST) + TOLERANCE
+    at = np.unravel_index(np.argmax(off / allowed), off.shape)
+    if not off[at] <= allowed[at]:
+        why = "; the timestep is too coarse, give a smaller one" if integrator[at] > COARSEST else ""
+        failed.append(
+            f"a line of {found.outputs[at[1]]} is {off[at]:.2e} off the sampled response; {allowed[at]:.2e} is allowed{why}"
+        )
+    for invariant in one.extremes.invariants:
+        if not invariant.error <= invariant.allowed:
+            failed.append(f"{invariant.name} is {invariant.error:.1e} off its invariant; {invariant.allowed:.1e} is allowed")
+    failed += _road_failures(one) + load_failures(one.loads)
+    if not one.extremes.lti:
+        assert one.sampled is not None, "it is slower than the timestep"
+        most = one.sampled.value
+        above = [(name, gain) for name, gain in one.gains.items() if not gain <= most * (1 + LEAPS)]
+        return failed + [f"the {name} has an L2 gain of {gain:.7g}, above the norm {most:.7g}" for name, gain in above]
+    own = min(SLACK * abs(one.extremes.integrated - norm), COARSEST * norm)
+    for name, gain in one.gains.items():
+        if not gain <= norm * (1 + ABOVE) + own:
+            failed.append(f"the {name} has an L2 gain of {gain:.7g}, above the held-road norm {norm:.7g}")
+    if not one.gains["worst sinusoid"] >= norm * (1 - REACHED) - own:
+        failed.append(f"the worst sinusoid reaches {one.gains['worst sinusoid']:.7g} of the held-road norm {norm:.7g} only")
+    return failed
+
+
+def holds(one: Sweep | DescribingFunction) -> bool:
+    """Whether every claim holds as far as the linear regime goes, and anything was measured at all."""
+    return not failures(one) or (isinstance(one, Sweep) and bool(one.ended))
+
+
+def _road_failures(one: Sweep) -> list[str]:
+    """The claims that do not hold of the worst road of a sampled loop."""
+    if one.road is None or one.sampled is None:
+        return []
+    said, gain, norm = f"the worst road has an L2 gain of {one.road.gain:.7g}", one.road.gain, one.sampled.value
+    failed = [] if abs(gain - one.road.predicted) <= ABOVE * gain else [f"{said}; {one.road.predicted:.7g} is predicted"]
+    if not gain <= norm * (1 + DRIVEN):
+        failed.append(f"{said}, above the norm {norm:.7g} of the sampled loop")
+    if not one.road.twisted and not gain >= norm * (1 - REACHED):
+        failed.append(f"{said} only; the norm of the sampled loop is {norm:.7g}")
+    return failed
+
+
+def _road_lines(one: Sweep) -> list[str]:
+    """The worst road of a sampled loop, in words and numbers."""
+    if one.sampled is None:
+        return []
+    if one.road is None:
+        return [
+            f"  norm of the sampled loop: {one.sampled.value:.7g}, decided within one sample, where no periodic road is worst"
+        ]
+    share, norm = one.road.gain / one.sampled.value, one.sampled.value
+    twisted = "; that is of twists of the road beside its velocity, too" if one.road.twisted else ""
+    return [
+        f"  worst road of the sampled loop: gain {one.road.gain:.7g}, norm {norm:.7g} ({100 * share:.4f} %), in steps of "
+        f"{1e3 * one.road.timestep:.4g} ms{twisted}"
+    ]
+
+
+def sweep_lines(one: Sweep | DescribingFunction) -> list[str]:
+    """A sweep in words and numbers."""
+    if isinstance(one, DescribingFunction):
+        return describing_lines(one)
+    norm, failed, found = one.extremes.worst, failures(one), one.lines
+    sampled, continuous = found.error(found.sampled), found.error(found.continuous)
+    errors = zip(found.outputs, sampled.tolist(), continuous.tolist(), strict=True)
+    rows = [(name, f"{a:.1e}", f"{b:.1e}") for name, a, b in errors]
+    lines = [f"controller {found.controller.name}"]
+    if one.without:
+        lines.append(f"  its loop as built, but without its {one.without}: no frequency response knows of such")
+    lines += table([("largest relative error over the lines:", "to sampled", "to continuous"), *rows])
+    if math.isfinite(found.order):
+        lines.append(f"  sampled tends to continuous with the timestep to the power {found.order:.2f}")
+    for invariant in one.extremes.invariants:
+        lines.append(
+            f"  |{invariant.name}| = {invariant.measured:.6f} at {invariant.omega:.2f} rad/s, {invariant.expected:.6f} for any "
+            f"suspension ({invariant.error:.1e} off)"
+        )
+    lines.append(
+        f"  held-road norm of the sampled loop, one road under all wheels: {norm.gain:.7g} at {norm.omega:.5g} rad/s; norm of "
+        f"the continuous one, any road under any wheel: {_norm(one):.7g}"
+    )
+    lines += [f"  of the continuous one, {text}" for text in judged_lines(found.controller)]
+    gains = "".join(f", {name} {gain:.5g}" for name, gain in one.gains.items() if name != "worst sinusoid")
+    worst = one.gains["worst sinusoid"]
+    share = f"{100 * worst / norm.gain:.4f} % of the held-road norm"
+    lines.append(f"  L2 gains in MuJoCo: worst sinusoid {worst:.7g} ({share}){gains}")
+    if not one.extremes.lti:
+        lines.append("  the controller is slower than the timestep, so its loop has harmonics: this norm is without them")
+    lines += [*_road_lines(one), *load_lines(one.loads)]
+    if failed and not one.ended:
+        lines += [f"  DOES NOT AGREE: {text}" for text in failed]
+    return lines
+
+
+def summary_lines(sweeps: Sequence[Sweep | DescribingFunction]) -> list[str]:
+    """The verdict on every sweep, a line each."""
+    width = max(len(one.controller.name) for one in sweeps)
+    return [line for one in sweeps for line in wrapped(_verdict(one), f"{one.controller.name:{width}}  ", 4)]
+
+
+def _verdict(one: Sweep | DescribingFunction) -> str:
+    """What a sweep came to, in a sentence."""
+    if isinstance(one, DescribingFunction):
+        return describing_verdict(one)
+    if one.ended:
+        return f"outside the linear regime: {', '.join(one.ended)}; what physics does there is shown, and is no disagreement"
+    failed = failures(one)
+    if failed:
+        return f"DOES NOT AGREE in {len(failed)} claim{'s' * (len(failed) != 1)}"
+    invariants = "the invariants, " if one.extremes.invariants else ""
+    without = f" without its {one.without}" if one.without else ""
+    norm = "the norm as the largest gain" if one.extremes.lti or one.road is not None else "nothing above the norm"
+    return f"agrees{without}: every line, {invariants}and {norm}"
+
+
+def sweep_object(one: Sweep | DescribingFunction) -> dict[str, Any]:
+    """A sweep as JSON has it: SI units, complex numbers as [real, imaginary], None for what does not exist."""
+    if isinstance(one, DescribingFunction):
+        return describing_object(one)
+    found, norm = one.lines, one.extremes.worst
+    error = {"sampled": found.error(found.sampled), "continuous": found.error(found.continuous)}
+    return {
+        "controller": found.controller.name,
+        "without": one.without or None,
+        "omega": found.omega.tolist(),
+        "signals": {
+            name: {
+                "measured": finite_pairs(found.measured[:, i]),
+                "sampled": finite_pairs(found.sampled[:, i]),
+                "continuous": finite_pairs(found.continuous[:, i]),
+                "error": {key: finite(value[i]) for key, value in error.items()},
+            }
+            for i, name in enumerate(found.outputs)
+        },
+        "order": finite(found.order),
+        "invariants": [
+            {"name": i.name, "omega": i.omega, "expected": i.expected, "measured": finite(i.measured)}
+            for i in one.extremes.invariants
+        ],
+        "norm": {"sampled": norm.gain, "peak_frequency": norm.omega, "continuous": finite(_norm(one))},
+        **_road_object(one),
+        "minimum_load": load_object(one.loads),
+        "gains": {name: finite(gain) for name, gain in one.gains.items()},
+        "ended": list(one.ended),
+        "failures": failures(one),
+    }
+
+
+def _road_object(one: Sweep) -> dict[str, Any]:
+    """The exact norm of a sampled loop and the road that reaches it; nothing where the vehicle file has no such loop."""
+    if one.sampled is None:
+        return {}
+    road, found = one.road, None
+    if road is not None:
+        found = {"gain": finite(road.gain), "predicted": road.predicted, "angle": road.angle, "timestep": road.timestep}
+    return {"sampled_norm": one.sampled.value, "worst_road": found}
+
+
+def _norm(one: Sweep) -> float:
+    return one.lines.controller.certificate.norm.value

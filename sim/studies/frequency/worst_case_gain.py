@@ -1,0 +1,405 @@
+"""The largest L2 gain that MuJoCo can be driven to, by a sinusoid, or by a periodic road of a loop that a computer closes.
+
+With the largest gain of a sinusoid come the transmissibilities that no suspension force can change, of kinds of vehicle that have
+such.
+
+A loop that a computer closes has a worst road that is periodic. What a disturbance of the frequency omega makes in a loop that is
+sampled every T seconds has the frequencies omega + 2 pi m / T, and so has the disturbance that gains most: from sample to sample
+it turns by one angle, omega T. So it is a sum of sinusoids of these frequencies under every wheel, of which a few are enough:
+what the others add falls with the square of their share. Of as many of them as are driven the best is a singular vector.
+
+All is computed and measured at a step that is small against the sample, with z on either side of the leap that it makes where a
+force is replaced by the next: its mean square is then exact to the square of the step.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from scipy import linalg
+
+from models.common.arrays import Array
+from models.roads.road import Bump, Road, RoadInput
+from models.roads.sinusoids import Multisine, random_road, sinusoid
+from models.vehicle.limits_and_implementation import steps_per_sample
+from models.vehicle.vehicle import Vehicle
+from sim.linear.frequency_response import (
+    Worst,
+    leaps_by_step,
+    sampled_frequency_response,
+    stepwise_frequency_response,
+    worst_sinusoid,
+)
+from sim.linear.sampled_response import taylor4
+from sim.physics.simulate import simulate
+from sim.response.regime import ended_by
+from sim.response.response import Response
+from sim.runs.run import sample_times
+from sim.studies.frequency.identification import (
+    HIGHEST,
+    LINES,
+    LOWEST,
+    beside_leaps,
+    check,
+    fit,
+    ideal_measurements,
+    images,
+    l2_gain,
+    mean_square,
+    settled_gain,
+)
+from synth.analysis.specification import SampledNorm
+from synth.controller.controller import Controller
+from synth.controller.open_loop import LoopModel
+from synth.controller.problem import twists
+
+
+@dataclass(frozen=True)
+class Apart(Road):
+    """A sum of sinusoids under each wheel that starts at height zero.
+
+    The road is one: under the rear wheels lies at the beginning what the front ones have passed long before, and a run is over
+    before any wheel is where the next one began.
+
+    Attributes:
+        omega: w_i [rad/s], none of them zero.
+        waves: velocity of the road under every wheel, the real part of the sum of c_i exp(j w_i t) [m/s], by side and by how much
+            later than the first wheel it is where that one was [s]; the last wheel first.
+        speed: forward velocity [m/s].
+    """
+
+    omega: tuple[float, ...]
+    waves: tuple[tuple[str, float, tuple[complex, ...]], ...]
+    speed: float
+
+    @classmethod
+    def under(cls, vehicle: Vehicle, omega: Array, waves: Array, duration: float) -> "Apart":
+        """A road for a vehicle.
+
+        Args:
+            vehicle: r wheels.
+            omega: shape (L,).
+            waves: c, shape (L, r).
+            duration: of the run [s].
+        """
+        wheels = vehicle.kind.wheels
+        behind = sorted({wheel.behind(vehicle.parameters) for wheel in wheels})
+        speed = min((float(gap) for gap in np.diff(behind)), default=duration) / (2 * duration)
+        each = [
+            (wheel.side, wheel.behind(vehicle.parameters) / speed, tuple(c.tolist()))
+            for wheel, c in zip(wheels, waves.T, strict=True)
+        ]
+        return cls(tuple(omega.tolist()), tuple(sorted(each, key=lambda one: -one[1])), speed)
+
+    def displacement(self, t: Array, side: str = "") -> Array:
+        """The sum under the wheel of that side that is there at the time."""
+        return self._sum(t, side, 1j * np.array(self.omega))
+
+    def velocity(self, t: Array, side: str = "") -> Array:
+        """Its exact derivative."""
+        return self._sum(t, side, None)
+
+    def highest(self, time: Array) -> float:
+        """The largest height under any wheel in these times of a run [m]."""
+        return max(float(np.abs(self.displacement(time - late, side)).max()) for side, late, _ in self.waves)
+
+    @property
+    def kinks(self) -> tuple[float, ...]:
+        """Where each wheel begins."""
+        return tuple(sorted({-late for _, late, _ in self.waves}))
+
+    def describe(self) -> dict[str, Any]:
+        """Its frequencies, and what each wheel has of them."""
+        waves = [
+            {"side": side, "late": late, "real": np.real(c).tolist(), "imag": np.imag(c).tolist()} for side, late, c in self.waves
+        ]
+        return {"type": "apart", "omega": list(self.omega), "waves": waves, "speed": self.speed}
+
+    def scaled(self, factor: float) -> "Apart":
+        """The same road, higher or lower."""
+        return replace(self, waves=tuple((side, late, tuple(factor * x for x in c)) for side, late, c in self.waves))
+
+    def _sum(self, t: Array, side: str, integral: Array | None) -> Array:
+        """The velocity, or the height, which begins at zero."""
+        found = np.zeros(np.shape(t))
+        for own, late, c in self.waves:  # the last wheel first: where the next one is its road ends
+            here = (t >= -late) & (side == own)
+            waves = np.array(c) if integral is None else np.array(c) / integral
+            turning = np.exp(1j * np.multiply.outer(t[here] + late, np.array(self.omega)))
+            found[here] = np.real((turning if integral is None else turning - 1) @ waves)
+        return found
+
+
+DURATION = 20.0  # s, of all roads but the worst sinusoid, which takes as long as it needs to settle
+SETTLED = 1e-6  # what is left of free motion when its gain is read; the gain is then within about as much
+ENTRIES = 2e7  # numbers in a batch's record: a full car's roads all at once would take gigabytes
+FINEST = 2000  # samples of the worst sinusoid at least: its frequency is then within 0.03 % of the peak's
+
+
+@dataclass(frozen=True)
+class MeasuredInvariant:
+    """A transmissibility from the road's displacement that no suspension force can change, see `models.kinds.kind.Invariant`.
+
+    Attributes:
+        name: of which quantity.
+        omega: at which frequency [rad/s].
+        expected: its magnitude.
+        measured: in MuJoCo.
+        allowed: relative difference that the road makes by being held over a step, (omega h)^2 / 24, twice over.
+    """
+
+    name: str
+    omega: float
+    expected: float
+    measured: float
+    allowed: float
+
+    @property
+    def error(self) -> float:
+        """Relative difference."""
+        return abs(self.measured / self.expected - 1)
+
+
+@dataclass(frozen=True)
+class Extremes:
+    """What one controller lets through at most.
+
+    Attributes:
+        worst: gain and frequency of the worst sinusoid of the sampled loop over a road that is held over every step, as MuJoCo
+            holds it: its held-road norm, which `synth.analysis.sampled_norm` does not hold it for.
+        integrated: gain of the worst sinusoid of the loop as RK4 makes it.
+        tried: the frequency that was driven [rad/s], next to it.
+        gains: L2 gains from w to z, measured in MuJoCo, by road; of the worst sinusoid alone where the road has a filter.
+        invariants: those that this vehicle has.
+        ended: what ended the linear regime, in whichever run.
+        lti: whether the sampled loop is time-invariant, as it is where the controller samples at every step; else its norm here
+            is without the harmonics that it makes, and bounds no gain.
+    """
+
+    worst: Worst
+    integrated: float
+    tried: float
+    gains: Mapping[str, float]
+    invariants: tuple[MeasuredInvariant, ...]
+    ended: tuple[str, ...]
+    lti: bool
+
+
+def extremes(
+    vehicle: Vehicle, controllers: Sequence[Controller], amplitude: float, timestep: float, speed: float
+) -> list[Extremes]:
+    """Drives every controller over a bump, a random road, its invariants' frequencies and its worst sinusoid.
+
+    Arguments and errors as for `sim.studies.frequency.identification.identify`.
+    """
+    check(vehicle, controllers, amplitude, timestep)
+    vehicle = ideal_measurements(vehicle)
+    time = sample_times(vehicle, DURATION, timestep)
+    roads = {
+        "random": random_road(2 * np.pi * np.geomspace(LOWEST, HIGHEST, LINES), 1, speed).to_height(amplitude, time),
+        "bump": Bump(height=amplitude, speed=speed),
+    }
+    special = [invariant.omega(vehicle.parameters) for invariant in vehicle.kind.invariants]
+    if special:
+        together = Multisine(tuple(special), (1.0,) * len(special), (0.0,) * len(special), speed)
+        roads["invariants"] = together.to_height(amplitude, time)
+    responses = _responses(vehicle, controllers, roads, time)
+    worst, integrated = (
+        [
+            worst_sinusoid(
+                vehicle,
+                lambda omega, c=c, e=exponential: sampled_frequency_response(vehicle, c, omega, timestep, e),
+                np.pi / timestep,
+                speed,
+            )
+            for c in controllers
+        ]
+        for exponential in (linalg.expm, taylor4)
+    )
+    settled, tried = _drive_worst(vehicle, controllers, worst, amplitude, timestep, speed)
+
+    lti = steps_per_sample(vehicle.implementation, timestep) == 1
+    found = []
+    for i, controller in enumerate(controllers):
+        runs = {name: of_each[i] for name, of_each in responses.items()}
+        ended = dict.fromkeys(name for run in (settled[i], *runs.values()) for name in ended_by(vehicle, run))
+        invariants = _measured(vehicle, controller, runs["invariants"], len(time) // 2, timestep) if special else ()
+        gains = {"worst sinusoid": settled_gain(vehicle, settled[i], tried[i])}
+        others = {name: l2_gain(vehicle, run) for name, run in runs.items() if name != "invariants"}
+        gains |= {name: gain for name, gain in others.items() if gain is not None}
+        found.append(Extremes(worst[i], integrated[i].gain, tried[i], gains, invariants, tuple(ended), lti))
+    return found
+
+
+def _responses(
+    vehicle: Vehicle, controllers: Sequence[Controller], roads: Mapping[str, Road], time: Array
+) -> dict[str, list[Response]]:
+    """The responses of all controllers over each road, as many roads in a batch as memory is asked for."""
+    count = len(controllers)
+    together = max(1, int(ENTRIES / (count * len(time) * len(vehicle.kind.signals))))
+    names, found = list(roads), {}
+    for first in range(0, len(names), together):
+        some = names[first : first + together]
+        on = [roads[name] for name in some for _ in controllers]
+        response = simulate([*controllers] * len(some), [RoadInput(vehicle, road, time) for road in on], threads=0).response
+        found |= {name: [response.run(k * count + i) for i in range(count)] for k, name in enumerate(some)}
+    return found
+
+
+def _drive_worst(
+    vehicle: Vehicle, controllers: Sequence[Controller], worst: Sequence[Worst], amplitude: float, timestep: float, speed: float
+) -> tuple[list[Response], list[float]]:
+    """The worst sinusoid of every controller, its last whole periods once it has settled, and the frequencies [rad/s]."""
+    samples = [whole_periods(one.omega, timestep) for one in worst]
+    tried = [2 * np.pi * periods / (count * timestep) for periods, count in samples]
+    slowest = max(LoopModel(vehicle, controller, timestep).radius for controller in controllers)
+    settling = timestep * math.log(SETTLED) / math.log(slowest)
+    time = sample_times(vehicle, settling + timestep * max(count for _, count in samples), timestep)
+    roads = [sinusoid(omega, speed).scaled(amplitude / 2) for omega in tried]
+    response = simulate(controllers, [RoadInput(vehicle, road, time) for road in roads], threads=0).response
+    last = [Response(time[-count:], response.signals, response.values[i, -count:]) for i, (_, count) in enumerate(samples)]
+    return last, tried
+
+
+def whole_periods(omega: float, timestep: float) -> tuple[int, int]:
+    """How many periods of about this frequency are exactly how many samples, `FINEST` of them or more."""
+    periods = math.ceil(FINEST * timestep * omega / (2 * np.pi))
+    return periods, round(periods * 2 * np.pi / (omega * timestep))
+
+
+def _measured(
+    vehicle: Vehicle, controller: Controller, response: Response, samples: int, timestep: float
+) -> tuple[MeasuredInvariant, ...]:
+    """The invariants of a vehicle, measured over the last samples of a run along them."""
+    p, kind = vehicle.parameters, vehicle.kind
+    omega = np.array([invariant.omega(p) for invariant in kind.invariants])
+    lines = fit(vehicle, controller, response, omega, samples, images(omega, vehicle, timestep))
+    road = lines[kind.wheels[0].road_displacement]
+    found = []
+    for i, (invariant, at) in enumerate(zip(kind.invariants, omega.tolist(), strict=True)):
+        moved = np.sum([lines[name] for name in invariant.signals], axis=0)
+        allowed = 2 * (at * timestep) ** 2 / 24
+        found.append(MeasuredInvariant(invariant.name, at, invariant.magnitude(p), float(np.abs(moved[i] / road[i])), allowed))
+    return tuple(found)
+
+
+FINE = 2.5e-4  # s, of a step at most: a wheel hop turns by a sixtieth of a radian in it, of which the square counts
+FEWEST, SHORTEST_STEP = 8, 1e-4  # steps in a sample, where they need not be shorter than so [s]
+MOST_LINES = 6  # of either sign beside the angle's own
+NEAR = 3e-4  # relative: how far from the worst angle the one is that is driven, a hundredth of the least damped mode's width
+PERIODIC_SETTLED = 1e-6  # what is left of free motion when the gain is read
+
+
+@dataclass(frozen=True)
+class WorstRoad:
+    """The worst road of a sampled loop.
+
+    Attributes:
+        angle: by which the road turns from sample to sample [rad].
+        predicted: its gain, by analysis, held at its height midway through each step as MuJoCo holds it.
+        gain: in MuJoCo.
+        timestep: of its run [s].
+        twisted: whether the vehicle's norm is over twists of the road that come beside its velocity, as none does that is driven.
+        ended: what ended the linear regime.
+    """
+
+    angle: float
+    predicted: float
+    gain: float
+    timestep: float
+    twisted: bool
+    ended: tuple[str, ...]
+
+
+def worst_road(
+    vehicle: Vehicle, controller: Controller, norm: SampledNorm, amplitude: float, timestep: float
+) -> WorstRoad | None:
+    """The worst road of a loop, driven; None where what happens within one sample decides, which no such road does.
+
+    Args:
+        vehicle: the vehicle, without noise and quantisation.
+        controller: its controller, whose loop is stable.
+        norm: of that loop as it is implemented.
+        amplitude: largest height of the road [m].
+        timestep: longest of the run [s]; the sample period, where the vehicle gives none.
+    """
+    if norm.inside:
+        return None
+    period, own = vehicle.implementation.sample_period or timestep, steps_per_sample(vehicle.implementation, timestep)
+    wanted = period / max(min(timestep, FINE, period / FEWEST), SHORTEST_STEP) * (1 - 1e-9)
+    steps = own * math.ceil(wanted / own)  # a delay that ends with a step does so with a part of one
+    built = replace(vehicle, implementation=replace(vehicle.implementation, sample_period=period))
+    return _driven(built, controller, norm, amplitude, period / steps)
+
+
+def _driven(vehicle: Vehicle, controller: Controller, norm: SampledNorm, amplitude: float, h: float) -> WorstRoad:
+    """A controller on its worst road, at a step of h seconds."""
+    turn, steps = _turn(norm.angle), steps_per_sample(vehicle.implementation, h)
+    angle, count = 2 * math.pi * float(turn), turn.denominator * steps
+    predicted, waves, omega = _worst(vehicle, controller, angle, h)
+    settling = h * math.log(PERIODIC_SETTLED) / math.log(LoopModel(vehicle, controller, h).radius)
+    time = sample_times(vehicle, settling + (count + 2) * h, h)
+    road = Apart.under(vehicle, omega, waves, float(time[-1]))
+    scale = amplitude / road.highest(time[: count + 1])
+    response = simulate([controller], [RoadInput(vehicle, road.scaled(scale), time)], threads=0).response.run(0)
+    # The sample before the last periods tells the first leap. Of a sinusoid the mean square is half that of its amplitude, but
+    # where every one is there twice.
+    last = Response(time[-count - 1 :], response.signals, response.values[-count - 1 :])
+    size = scale * (1.0 if turn == Fraction(1, 2) else math.sqrt(0.5))
+    gain = math.sqrt(mean_square(vehicle, last)) / size
+    twisted = len(twists(vehicle.linear_model)) > 0
+    return WorstRoad(angle, predicted, gain, h, twisted, ended_by(vehicle, response))
+
+
+def _turn(angle: float) -> Fraction:
+    """The share of a turn that a road turns by from sample to sample, so that it has a period."""
+    share, most = angle / (2 * math.pi), 64
+    while True:
+        turn = min(max(Fraction(share).limit_denominator(most), Fraction(1, most)), Fraction(1, 2))
+        if abs(float(turn) - share) <= NEAR * share or most > 10 / NEAR:
+            return turn
+        most *= 2
+
+
+def _worst(vehicle: Vehicle, controller: Controller, angle: float, h: float) -> tuple[float, Array, Array]:
+    """The largest gain of sinusoids that turn by an angle [rad], what they are then, and their frequencies.
+
+    Returns:
+        The gain; the road's velocity under every wheel [m/s] of the disturbance of mean square 1, complex, shape (L, r); and the
+        frequencies [rad/s], negative ones too, shape (L,).
+    """
+    steps, wheels = steps_per_sample(vehicle.implementation, h), len(vehicle.kind.wheels)
+    most = max(0, min((steps - 2) // 4, MOST_LINES))
+    sides = np.arange(-most - 1, most + 1) if most else np.zeros(1)
+    omega = (angle + 2 * np.pi * sides) / (steps * h)
+    positive, shape = np.abs(omega), vehicle.road_shape(np.abs(omega))[:, None]
+    after = shape[..., None] * np.swapaxes(stepwise_frequency_response(vehicle, controller, positive, h)[:-1], 2, 3)
+    before = after - shape[..., None] * np.swapaxes(leaps_by_step(vehicle, controller, positive, h), 2, 3)
+    negative, around = (omega < 0)[:, None, None], beside_leaps(vehicle, after, before)
+    rows = [_lines(vehicle, angle, np.where(negative, z.conj(), z), h) for z in around]
+
+    # What is driven is measured by the velocities and, where heights act as such, by the twists that they make.
+    model = vehicle.linear_model
+    twist = model.twist_rate / positive[:, None, None] * twists(model)
+    roots = np.linalg.cholesky(np.eye(wheels) + np.swapaxes(twist, 1, 2) @ twist)
+    whitened = np.einsum("zlr,lrs->zls", np.concatenate(rows), np.swapaxes(np.linalg.inv(roots), 1, 2))
+    _, sizes, best = np.linalg.svd(whitened.reshape(len(whitened), -1) / math.sqrt(2), full_matrices=False)
+    w = np.swapaxes(np.linalg.inv(roots), 1, 2) @ best[0].conj().reshape(len(omega), wheels, 1)
+    w = w[..., 0]
+    if math.isclose(angle, math.pi):  # every sinusoid is there twice, and the two must not cancel
+        w = w * np.exp(-0.5j * np.angle(np.sum(w * w[::-1])))
+    return float(sizes[0]), np.where(omega[:, None] < 0, shape.conj(), shape) * w, omega
+
+
+def _lines(vehicle: Vehicle, angle: float, signals: Array, h: float) -> Array:
+    """Signals at the N steps of a period, shape (N, L, r, p), as lines of z, whose squares are its mean square: (N p, L, r)."""
+    steps = len(signals)
+    turned = np.exp(-1j * angle * np.arange(steps) / steps)[:, None, None, None] * signals
+    omega = (angle + 2 * np.pi * np.fft.fftfreq(steps, 1 / steps)) / (steps * h)
+    weights = vehicle.weights(np.abs(omega))
+    weights = np.where(omega[:, None] < 0, weights.conj(), weights)
+    lines = weights[:, None, None] * np.fft.fft(turned, axis=0) / steps
+    return np.moveaxis(lines, 3, 1).reshape(-1, *signals.shape[1:3])

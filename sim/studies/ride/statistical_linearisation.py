@@ -1,0 +1,373 @@
+"""Statistical linearisation: over a random road, the line that does on average what a curve does, and what the curve does beyond.
+
+A signal y over a random road is nearly Gaussian, of mean m and standard deviation s. Of all lines the one that misses the curve F
+least, in mean square, goes through its mean with its mean slope,
+
+    F(y) ~ E F + E F' (y - m),    E F' = c_0 + sum over knots of d_i Q((k_i - m) / s),
+    E F = F(first knot) + c_0 (m - first knot) + sum of d_i s (phi(a_i) - a_i Q(a_i)),    a_i = (k_i - m) / s,
+
+where the slope changes by d_i at the knot k_i, and phi and Q are the normal density and tail: in closed form for straight lines
+(T. K. Caughey (1963), J. Acoust. Soc. Am. 35, 1706-1711; J. B. Roberts and P. D. Spanos, Random Vibration and Statistical
+Linearization, 1990, chapter 5). With those slopes the vehicle is linear, and has other m and s: so it goes round until they are
+consistent. An asymmetric damper has a force on average, which the springs hold: the body stands lower or higher (jacks down).
+
+What a curve has beyond its line is left out of that, and is added to second order: noise that it makes
+of its own, down to frequencies that the road has not. Where a controller leaves a slow mode, which that moves most, travel is
+some 5 % low without it.
+
+Where two wheels share a parameter their slopes are averaged: a road and a car are the same on both sides.
+
+Beyond that, over a Gaussian signal x = m + s z a curve is a sum of Hermite polynomials of z,
+
+    F(x) = E F + s E F' z + e,    e = sum over n >= 2 of c_n He_n(z),    n! c_n = s sum over knots of d_i phi(a_i) He_{n-2}(a_i),
+
+with a_i = (k_i - m) / s, where the slope changes by d_i at the knot k_i. Statistical linearisation leaves e out. It has a power
+though, and a spectrum: with rho_ij the correlation of x_i with x_j (F. G. Mehler's formula),
+
+    D_ij(tau) = E e_i(t + tau) e_j(t) = sum of c_in c_jn n! rho_ij(tau)^n,
+
+whose even terms reach down to frequency 0, where roads have nothing and a slow loop answers most. And what e has moved meets the
+curves' slopes, which vary as e does. With R_ij(tau) the response of x_i to a force in j, to second order in e,
+
+    F(x) = <F> + s E F' z + sum over j of (Sigma_ij * x_j) + noise of covariance D,
+    Sigma_ij(tau) = R_ij(tau) sum over n >= 2 of n^2 (n - 1)! c_in c_jn / (s_i s_j) rho_ij(tau)^(n-1),
+    <F_i> = E F_i + sum over j of the integral of R_ij(tau) sum over n >= 2 of (n + 1)! c_i,n+1 c_jn / s_i rho_ij(tau)^n,
+
+each taken of the s, rho and R that they themselves lead to (the direct interaction approximation: R. H. Kraichnan (1959), J.
+Fluid Mech. 5, 497-543; P. C. Martin, E. D. Siggia and H. A. Rose (1973), Phys. Rev. A 8, 423-437). So the memory is one more line
+between signals, by frequency, the noise one more source beside the road, and the mean is another one.
+
+Degrees 2 to 4 count. Those above are faster than anything that a suspension amplifies, and of sharp bends, as friction has, the
+second order of them overshoots: with all of them ride would be 0.3 % further from what roads say, and nothing nearer.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from scipy import special
+
+from models.common.arrays import Array
+from models.roads.spectrum import Spectrum
+from models.suspension.curve import Curve
+from models.vehicle.vehicle import Vehicle
+from sim.linear.frequency_response import sampled_frequency_response, stepwise_frequency_response
+from sim.linear.nonlinear_elements import Elements, elements, is_curved
+from sim.response.regime import over
+from sim.studies.ride.quadrature import longest_panel, loop_poles, power_of, sample_band, sources
+from synth.controller.controller import Controller
+from synth.controller.open_loop import LoopModel, continuous
+
+DEGREES = (2, 3, 4)  # Hermite polynomials that count
+COUNT = 4096  # frequencies
+HIGHEST = 2 * np.pi * 125.0  # rad/s; or, of a faster vehicle,
+ABOVE = 6.0  # times the rate of its fastest oscillation
+MEMORY_CONSISTENT = 1e-6  # relative
+MEMORY_DIRECT = 10  # rounds
+MEMORY_ROUNDS = 100
+LOWEST = 1e-3  # of a road's lowest frequency: where noise that the road has not is looked for
+
+
+@dataclass(frozen=True, eq=False)
+class Remainder:
+    """What e curves have beyond their lines.
+
+    Attributes:
+        pulls: where their forces act.
+        index: among the vehicle's outputs, what each is over, shape (e,).
+        omega: ascending from 0 [rad/s], shape (F,).
+        memory: from what they are over to their forces, beyond the lines of the vehicle, shape (F, e, e).
+        noise: of their forces, the matrix of one-sided spectra [N^2/Hz], shape (F, e, e).
+        mean_force: of them, beyond those lines at their means [N], shape (e,).
+    """
+
+    pulls: Elements
+    index: Array
+    omega: Array
+    memory: Array
+    noise: Array
+    mean_force: Array
+
+    def sources(self, vehicle: Vehicle, road: Spectrum, omega: Array, timestep: float, at_steps: Array) -> Array:
+        """What acts on the vehicle, over the amplitude of a road of its density: under wheels, then as forces in curves.
+
+        Args:
+            vehicle: linear, with the lines of the curves, r wheels.
+            road: the spectrum of the road.
+            omega: frequencies [rad/s], shape (F,).
+            timestep: of the sampled loop [s].
+            at_steps: its `stepwise_frequency_response` with `pulls`.
+
+        Returns:
+            By source, the road's two and those of the noise, shape (F, r + e, 2 + e).
+        """
+        met, steps = sources(vehicle, road, omega), len(at_steps) - 1
+        met = met * ((omega >= road.band[0]) & (omega <= road.band[1]))[:, None, None]
+        values, vectors = np.linalg.eigh(_between(self.omega, self.noise, omega))
+        own = vectors * np.sqrt(np.maximum(values, 0.0) / road.density)[:, None, :]
+        wheels = met.shape[1]
+        outside = np.zeros((len(omega), wheels + len(self.index), 2 + len(self.index)), dtype=complex)
+        outside[:, :wheels, :2], outside[:, wheels:, 2:] = met, own
+        turn = np.exp(-1j * np.multiply.outer(np.arange(steps) * timestep, omega))[..., None, None]
+        over = (turn * at_steps[:-1][:, :, self.index]).mean(axis=0)  # what of it oscillates with omega
+        memory = _between(self.omega, self.memory, omega)
+        closed = np.linalg.solve(np.eye(len(self.index)) - over[..., wheels:] @ memory, over @ outside)
+        outside[:, wheels:] += memory @ closed
+        return outside
+
+
+def remainder(
+    vehicle: Vehicle,
+    controller: Controller,
+    road: Spectrum,
+    timestep: float,
+    fastest: float,
+    pulls: Elements,
+    index: Array,
+    means: Array,
+    lines: Array,
+    resting: Callable[[Array], Array],
+) -> Remainder | None:
+    """What curves have beyond their lines over a road, consistent with itself; None where it is never consistent.
+
+    Args:
+        vehicle: linear, with the lines of e curves.
+        controller: its controller.
+        road: the spectrum of the road.
+        timestep: of the sampled loop [s].
+        fastest: rate of the fastest oscillation of its loop [rad/s].
+        pulls: the curves.
+        index: among the vehicle's outputs, what each is over, shape (e,).
+        means: of that, to begin with, shape (e,).
+        lines: the slopes that the vehicle has in place of the curves, shape (e,).
+        resting: what it is on average where the curves pull beyond their lines with some forces on average, (e,) to (e,).
+    """
+    curves = [curve for curve in pulls.curves if curve is not None]
+    highest = min(max(HIGHEST, ABOVE * fastest), 0.9 * np.pi / timestep)
+    omega = highest / COUNT * np.arange(COUNT + 1)
+    omega[0] = 1e-3 * omega[1]
+    between, dt = omega[1] / (2 * np.pi), np.pi / highest
+    wheels = len(vehicle.kind.wheels)
+    responses = sampled_frequency_response(vehicle, controller, omega, timestep, pulls=pulls)[:, index]
+    to_force = responses[..., wheels:]
+    met = sources(vehicle, road, omega) * ((omega >= road.band[0]) & (omega <= road.band[1]))[:, None, None]
+    of_road = math.sqrt(road.density) * responses[..., :wheels] @ met
+    identity, memory, noise = np.eye(len(curves)), np.zeros_like(to_force), np.zeros_like(to_force)
+    for rounds in range(1, MEMORY_ROUNDS + 1):
+        closed = np.linalg.inv(identity - to_force @ memory)
+        by_road, by_force = closed @ of_road, closed @ to_force
+        spectra = by_road @ _adjoint(by_road) + by_force @ noise @ _adjoint(by_force)
+        covariance = np.fft.irfft(spectra, axis=0) * COUNT * between
+        deviations = np.sqrt(np.diagonal(covariance[0]))
+        if not np.all(deviations > 0):
+            return None
+        rho = covariance / np.outer(deviations, deviations)
+        back = np.fft.irfft(by_force, axis=0) / dt
+        answer = np.concatenate([back[:1], back[1:COUNT] + back[:COUNT:-1], np.zeros_like(back[COUNT:])])
+        moments = [averages(one, m, s) for one, m, s in zip(curves, means, deviations, strict=True)]
+        hermite = np.array([coefficients(one, m, s) for one, m, s in zip(curves, means, deviations, strict=True)])
+        force, slopes, own = _second_order(rho, answer * dt, hermite, deviations)
+        beyond = force + [mean for mean, _ in moments] - lines * means
+        shifted = resting(beyond)
+        found = np.diag([slope for _, slope in moments] - lines) + np.fft.rfft(slopes, axis=0)
+        heard = 2 * dt * np.fft.rfft(own, axis=0)
+        still = np.abs(shifted - means) <= MEMORY_CONSISTENT * (np.abs(shifted) + deviations)
+        settled = (np.abs(found - memory) <= MEMORY_CONSISTENT * np.abs(lines).max()).all()
+        settled &= (np.abs(heard - noise) <= MEMORY_CONSISTENT * np.abs(heard).max()).all()
+        if settled and np.all(still):
+            return Remainder(pulls, index, omega, found, heard, beyond)
+        step = 1.0 if rounds < MEMORY_DIRECT else 1 / 4  # where it overshoots, as with a spring that a controller all but cancels
+        memory, noise, means = memory + step * (found - memory), noise + step * (heard - noise), means + step * (shifted - means)
+    return None
+
+
+def averages(curve: Curve, mean: float, deviation: float) -> tuple[float, float]:
+    """Mean force [N] and mean slope of a curve over a Gaussian argument of this mean and standard deviation."""
+    if deviation == 0:
+        near = 1e-9 * float(np.abs(curve.x).max())
+        below, at, above = (float(curve(np.array(mean + x))) for x in (-near, 0.0, near))
+        return at, (above - below) / (2 * near)
+    a = (curve.x - mean) / deviation
+    tails, densities = special.ndtr(-a), np.exp(-(a**2) / 2) / math.sqrt(2 * math.pi)
+    steps, first = np.diff(curve.slopes), float(curve.slopes[0])
+    slope = first + float(steps @ tails)
+    force = float(curve.force[0]) + first * (mean - float(curve.x[0])) + deviation * float(steps @ (densities - a * tails))
+    return force, slope
+
+
+def coefficients(curve: Curve, mean: float, deviation: float) -> Array:
+    """Of the Hermite polynomials of `DEGREES`, He_n((x - mean) / deviation), in a curve [N]."""
+    a = (curve.x - mean) / deviation
+    weights = deviation * np.diff(curve.slopes) * np.exp(-(a**2) / 2) / math.sqrt(2 * math.pi)
+    return np.array([float(weights @ special.eval_hermitenorm(n - 2, a)) / math.factorial(n) for n in DEGREES])
+
+
+def _second_order(rho: Array, answer: Array, c: Array, deviations: Array) -> tuple[Array, Array, Array]:
+    """Mean force beyond that of a Gaussian signal, memory and covariance of the noise, shapes (e,), (T, e, e) and (T, e, e).
+
+    Args:
+        rho: correlations, shape (T, e, e).
+        answer: what lies under the responses to forces from time to time, likewise.
+        c: of every curve its Hermite coefficients, shape (e, degrees).
+        deviations: shape (e,).
+    """
+    memory, own, force = np.zeros_like(rho), np.zeros_like(rho), np.zeros(len(c))
+    power = rho  # rho^(n-1)
+    for k, n in enumerate(DEGREES):
+        pairs = np.outer(c[:, k], c[:, k])
+        memory += n**2 * math.factorial(n - 1) * pairs / np.outer(deviations, deviations) * power
+        power = power * rho
+        own += math.factorial(n) * pairs * power
+        if k + 1 < c.shape[1]:
+            both = np.outer(c[:, k + 1] / deviations, c[:, k])
+            force += math.factorial(n + 1) * (both * np.sum(answer * power, axis=0)).sum(axis=1)
+    return force, answer * memory, own
+
+
+def _adjoint(matrices: Array) -> Array:
+    return np.conj(np.swapaxes(matrices, -1, -2))
+
+
+def _between(omega: Array, matrices: Array, at: Array) -> Array:
+    """Matrices by frequency at other frequencies, straight between them, shape (F, e, e)."""
+    i = np.clip(np.searchsorted(omega, at) - 1, 0, len(omega) - 2)
+    share = np.clip((at - omega[i]) / (omega[i + 1] - omega[i]), 0.0, 1.0)[:, None, None]
+    return (1 - share) * matrices[i] + share * matrices[i + 1]
+
+
+CONSISTENT = 1e-6  # by which slopes still change, relative
+DIRECT = 10  # rounds
+MOST_ROUNDS = 100
+
+
+@dataclass(frozen=True, eq=False)
+class Equivalent:
+    """The linear vehicle that a vehicle is on average over a random road.
+
+    Attributes:
+        vehicle: without curves.
+        mean: of the output signals that have one, by name [the signal's unit].
+        rounds: after how many it was consistent; 0 where there was nothing to do.
+        remainder: what the curves have beyond their lines; None where there is nothing, or none that is consistent.
+    """
+
+    vehicle: Vehicle
+    mean: Mapping[str, float] = field(default_factory=dict)
+    rounds: int = 0
+    remainder: Remainder | None = None
+
+
+def equivalent(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: float) -> Equivalent | None:
+    """The linear vehicle in place of one with curves; None where on the way its loop is not stable, or it is never consistent.
+
+    Args:
+        vehicle: the vehicle.
+        controller: its controller.
+        road: the spectrum of the road.
+        timestep: of the sampled loop [s].
+    """
+    if not is_curved(vehicle):
+        return Equivalent(vehicle)
+    curves = [one for one in vehicle.fitted if len(one.curve.pieces.slope)]
+    signals, names = [over(vehicle, one) for one in curves], [one.parameter for one in curves]
+    pulls = elements(vehicle, vehicle.linear_model)
+    slopes, means = np.array([one.curve.slope for one in curves]), np.zeros(len(curves))
+    for rounds in range(1, MOST_ROUNDS + 1):
+        shared = {name: float(np.mean(slopes[[i for i, other in enumerate(names) if other == name]])) for name in names}
+        linear = replace(vehicle.straight, parameters={**vehicle.parameters, **shared})
+        if LoopModel(linear, controller, timestep).radius >= 1:
+            return None
+        deviations = _deviations(linear, controller, road, timestep, signals)
+        moments = [averages(one.curve, m, s) for one, m, s in zip(curves, means, deviations, strict=True)]
+        of_line = np.array([shared[name] for name in names])
+        outputs = _mean_outputs(linear, controller, pulls, np.array([force for force, _ in moments]) - of_line * means)
+        found, shifted = np.array([slope for _, slope in moments]), np.array([outputs[signal] for signal in signals])
+        if np.all(np.abs(found - slopes) <= CONSISTENT * np.abs(found).max()) and np.all(
+            np.abs(shifted - means) <= CONSISTENT * (np.abs(shifted) + deviations)
+        ):
+            return _with_remainder(Equivalent(linear, outputs, rounds), controller, road, timestep, pulls, signals, of_line)
+        step = 1.0 if rounds < DIRECT else 1 / 4  # where it overshoots, as with a spring that a controller all but cancels
+        slopes, means = slopes + step * (found - slopes), means + step * (shifted - means)
+    return None
+
+
+def _with_remainder(
+    line: Equivalent,
+    controller: Controller,
+    road: Spectrum,
+    timestep: float,
+    pulls: Elements,
+    signals: list[str],
+    slopes: Array,
+) -> Equivalent:
+    """With what the curves have beyond their lines, where that is consistent."""
+    cut = continuous(line.vehicle, controller)
+    poles = np.linalg.eigvals(cut.model.A + cut.model.B @ cut.G)
+    fastest = float(np.abs(poles[np.abs(poles.imag) > np.abs(poles.real)]).max(initial=0.0))
+
+    def resting(forces: Array) -> Array:
+        outputs = _mean_outputs(line.vehicle, controller, pulls, forces)
+        return np.array([outputs[signal] for signal in signals])
+
+    index, means = np.array([line.vehicle.linear_model.outputs.index(signal) for signal in signals]), line.mean
+    began = np.array([means[signal] for signal in signals])
+    found = remainder(line.vehicle, controller, road, timestep, fastest, pulls, index, began, slopes, resting)
+    if found is not None:
+        means = _mean_outputs(line.vehicle, controller, pulls, found.mean_force)
+    return replace(line, mean={name: value for name, value in means.items() if value}, remainder=found)
+
+
+def line_words(vehicle: Vehicle, line: Equivalent) -> list[str]:
+    """What is expected of a vehicle with curves, in a sentence; none of one without."""
+    if not line.rounds:
+        return []
+    found = line_object(vehicle, line)
+    slopes = [f"{name} {slope:.4g}, not {vehicle.parameters[name]:.4g} as at rest" for name, slope in found["slopes"].items()]
+    means = [f"{name} is {1e3 * mean:.3g} mm on average" for name, mean in found["mean"].items()]
+    beyond = "with what the curves have beyond them to second order" if line.remainder else "without what they have beyond them"
+    return [
+        "expected numbers are by statistical linearisation, of the lines that do on average over this road what the curves do, "
+        f"{beyond}: " + "; ".join([*slopes, *means]),
+        "so they are approximate: rms and dynamic load to about 1 % for digressive dampers and progressive springs, to 3 % with "
+        "friction, or other sharp bends at rest; energy to 5 %",
+    ]
+
+
+def line_object(vehicle: Vehicle, line: Equivalent) -> dict[str, Any]:
+    """The same as JSON has it, SI units."""
+    names = dict.fromkeys(one.parameter for one in vehicle.fitted if len(one.curve.pieces.slope))
+    travels = [one.deflection for one in vehicle.kind.suspensions]
+    return {
+        "slopes": {name: line.vehicle.parameters[name] for name in names},
+        "mean": {name: line.mean.get(name, 0.0) for name in travels},
+        "rounds": line.rounds,
+        "second_order": line.remainder is not None,
+    }
+
+
+def _deviations(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: float, signals: list[str]) -> Array:
+    """Standard deviation of some output signals of a linear vehicle over the road, shape (k,)."""
+    low, high = road.band
+    poles, _ = loop_poles(vehicle, controller, timestep, high)
+    index = [vehicle.linear_model.outputs.index(name) for name in signals]
+
+    def spectra(omega: Array) -> Array:
+        at_steps = stepwise_frequency_response(vehicle, controller, omega, timestep)[:-1, :, index]
+        return road.density * power_of(at_steps @ sources(vehicle, road, omega)).mean(axis=0)
+
+    band = sample_band(spectra, lambda _, found: found, low, high, poles, longest_panel(vehicle, road.speed))
+    return np.sqrt(band.share @ band.values)
+
+
+def _mean_outputs(vehicle: Vehicle, controller: Controller, pulls: Elements, forces: Array) -> dict[str, float]:
+    """Means of all output signals of a linear vehicle whose curves pull with these forces on average [N], shape (k,)."""
+    cut = continuous(vehicle, controller)
+    push = np.zeros(len(cut.model.A))
+    push[: len(pulls.push)] = pulls.push @ forces
+    state = -np.linalg.lstsq(cut.model.A + cut.model.B @ cut.G, push)[0]
+    found = cut.model.C @ state + cut.model.D @ (cut.G @ state)
+    # At rest on average, nothing moves or accelerates.
+    still = {name for name in vehicle.linear_model.outputs if vehicle.kind.signal(name).unit not in ("m", "rad", "N")}
+    return {name: 0.0 if name in still else float(value) for name, value in zip(cut.model.outputs, found, strict=True)}

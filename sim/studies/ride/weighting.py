@@ -1,0 +1,139 @@
+"""The frequency weighting W_k of ISO 2631-1, analog and sampled, and the recursive filters that it is made of.
+
+H(s) and its constants are those of `models/vehicle/filter.py`, where a design finds them as a weight, too.
+
+Sampled, it is H on the straight lines between samples (first-order hold), exactly: each pair of its poles is one recursion of
+second order, side by side. Lines between samples lose high frequencies, by d / (omega h)^2 with d = 2 - 2 cos(omega h). Before
+them stand seven taps, 1 + d/12 + d^2/90 + d^3/560, the series of arcsine squared, that give this back to (omega h)^8 / 3150. At
+80 Hz it is off by 3e-6 at 1 ms and by 1e-4 at 2 ms. At 5 ms, where 100 Hz is the end, it is 5 % high there, and 0.3 % at 40 Hz.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.vehicle.filter import F1, F2, F3, F4, F5, F6, Q1, Q2, Q4, Q5, Q6
+
+FEW = 4  # signals; of more, vectors are faster than plain numbers, and worth half a second of imports
+ORDER = 2
+
+
+def filtered(b: Array, a: Array, signals: Array, memory: Array) -> tuple[Array, Array]:
+    """Returns what `scipy.signal.lfilter` makes of signals, shape (N, T), and its memory after them, to the last bit.
+
+    Args:
+        b: numerator by powers of 1/z.
+        a: denominator, which begins with 1, of second order at most and no longer than the numerator.
+        signals: shape (N, T).
+        memory: before them, shape (N, len(b) - 1).
+    """
+    if len(signals) > FEW:
+        from scipy.signal import lfilter
+
+        return lfilter(b, a, signals, zi=memory)
+    rows = [_row(b, a, *pair) for pair in zip(signals, memory, strict=True)]
+    return np.stack([made for made, _ in rows]), np.stack([after for _, after in rows])
+
+
+def _row(b: Array, a: Array, signal: Array, memory: Array) -> tuple[Array, Array]:
+    """Returns the same of one signal: a transposed direct form, in the order of its sums.
+
+    After the first samples, which memory reaches, the taps beyond the order are sums of shifted signals.
+    """
+    reach = max(len(b) - 1, ORDER)
+    taps, poles = np.pad(b, (0, reach + 1 - len(b))), np.pad(a, (0, reach + 1 - len(a))).tolist()
+    state = np.pad(memory, (0, reach - len(memory))).tolist()
+    first = signal[:reach].tolist()
+    out = [_step(value, None, state, taps.tolist(), poles) for value in first]
+    if len(signal) > reach:
+        count = len(signal) - reach
+        summed = signal[:count] * taps[reach]
+        for i in range(reach - 1, ORDER - 1, -1):
+            summed = summed + signal[reach - i :][:count] * taps[i]
+        late, now = signal[reach - 1 :][:count] * taps[1], signal[reach:] * taps[0]
+        (_, a1, a2), before, last = poles[: ORDER + 1], out[-2], out[-1]
+        for older, newer, newest in zip(summed.tolist(), late.tolist(), now.tolist(), strict=True):
+            before, last = last, ((older - before * a2) + newer - last * a1) + newest
+            out.append(last)
+        state = [0.0] * reach
+        for value, made in zip(signal[-reach:].tolist(), out[-reach:], strict=True):
+            _step(value, made, state, taps.tolist(), poles)
+    return np.array(out), np.array(state[: len(memory)])
+
+
+def _step(value: float, made: float | None, state: list[float], b: Sequence[float], a: Sequence[float]) -> float:
+    """Returns what comes out for a value, if that is not known, and changes the state in place."""
+    out = state[0] + b[0] * value if made is None else made
+    for i in range(len(state) - 1):
+        state[i] = state[i + 1] + value * b[i + 1] - out * a[i + 1]
+    state[-1] = value * b[-1] - out * a[-1]
+    return out
+
+
+DIFFERENCE = np.array([-1.0, 2.0, -1.0])  # 2 - 2 cos(omega h), one sample late
+RESTORE = np.zeros(7)  # three samples late
+for power, share in enumerate((1.0, 1 / 12, 1 / 90, 1 / 560)):
+    taps = np.array([1.0])
+    for _ in range(power):
+        taps = np.convolve(taps, DIFFERENCE)
+    RESTORE[3 - power : 4 + power] += share * taps
+POLES = ((F1, Q1), (F2, Q2), (F4, Q4), (F6, Q6))  # frequency [Hz] and quality of each pair
+
+
+def wk(omega: Array) -> Array:
+    """W_k at angular frequencies above 0 [rad/s], complex, shape like omega."""
+    s = 1j * np.asarray(omega, dtype=float)
+    return _zeros(s) / np.prod([_pair(s, f, q) for f, q in POLES], axis=0)
+
+
+def _zeros(s: Array) -> Array:
+    """Numerator of H(s): two zeros at 0, one at -w3, a pair at w5."""
+    w2, w3, w4, w5, w6 = (2 * np.pi * f for f in (F2, F3, F4, F5, F6))
+    return s**2 * (1 + s / w3) * (1 + s / (Q5 * w5) + (s / w5) ** 2) * (w5 / w6) ** 2 * (w2 * w4 * w6) ** 2
+
+
+def _pair(s: Array, f: float, q: float) -> Array:
+    """Denominator of H(s): one of its four factors."""
+    w = 2 * np.pi * f
+    return s**2 + s * w / q + w**2
+
+
+@dataclass(frozen=True, eq=False)
+class SampledWk:
+    """W_k on samples, as four filters side by side whose outputs are summed; the sum is three samples late.
+
+    Attributes:
+        numerators: shape (4, 9), by powers of 1/z.
+        denominators: shape (4, 3).
+    """
+
+    numerators: Array
+    denominators: Array
+
+    def response(self, omega: Array, timestep: float) -> Array:
+        """Its frequency response, complex, shape like omega [rad/s]."""
+        z = np.exp(-1j * np.asarray(omega) * timestep)
+        return sum(
+            (np.polyval(b[::-1], z) / np.polyval(a[::-1], z) for b, a in zip(self.numerators, self.denominators, strict=True)),
+            start=np.zeros_like(z),
+        )
+
+
+def sampled_wk(timestep: float) -> SampledWk:
+    """W_k on samples a timestep [s] apart."""
+    numerators, denominators = [], []
+    for f, q in POLES:
+        w = 2 * np.pi * f
+        pole = w * (-1 / (2 * q) + 1j * np.sqrt(1 - 1 / (4 * q**2)))
+        others = np.prod([_pair(pole, *other) for other in POLES if other != (f, q)])
+        residue = _zeros(pole) / others / (pole - np.conj(pole))
+        # q' = pole q + u on straight lines: q[k+1] = e q[k] + a u[k] + b u[k+1].
+        e, x = np.exp(pole * timestep), pole * timestep
+        b = (e - 1 - x) / (pole * x)
+        a = (e - 1) / pole - b
+        hold = 2 * np.real([residue * b, residue * (a - b * np.conj(e)), -residue * a * np.conj(e)])
+        numerators.append(np.convolve(hold, RESTORE))
+        denominators.append([1.0, -2 * np.real(e), np.abs(e) ** 2])
+    return SampledWk(np.array(numerators), np.array(denominators))

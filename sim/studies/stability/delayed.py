@@ -1,0 +1,66 @@
+"""How fast a loop grows whose forces act late, by many samples: without the eigenvalues of all that is on its way.
+
+Over one delay of d samples the state and the d forces on their way become the state after it and the forces computed
+meanwhile. That map is the d-th power of the one from sample to sample, whose eigenvalues lie so close together in size that the
+largest is found only with all the others. Those of the power are apart: what decays is all but gone after a delay, so that a few
+dozen applications of it do (Arnoldi's method; Lehoucq, Sorensen, Yang 1998, ARPACK Users' Guide).
+"""
+
+import math
+
+import numpy as np
+from scipy.sparse.linalg import LinearOperator, eigs
+
+from models.common.arrays import Array
+from models.vehicle.vehicle import Vehicle
+from sim.studies.stability.loop_transfer import cut_sampled
+from synth.controller.controller import Controller
+
+FEW = 60  # states and forces on their way; of so few all eigenvalues are quicker
+LARGEST = 4  # eigenvalues that are asked for: two pairs, should two loops of a symmetric vehicle be alike
+
+
+def delayed_rate(vehicle: Vehicle, controller: Controller, timestep: float, delay: int) -> float:
+    """Rate of the slowest mode [1/s], above 0 where it grows, with forces that act so many samples late.
+
+    Args:
+        vehicle: the vehicle; what its `[implementation]` says of sampling and delay does not count.
+        controller: its controller, which samples every step.
+        timestep: [s].
+        delay: in samples, at least 0.
+    """
+    return rate_from_sample_to_sample(*cut_sampled(vehicle, controller, timestep), delay) / timestep
+
+
+def rate_from_sample_to_sample(Phi: Array, Gamma: Array, G: Array, delay: int) -> float:
+    """The logarithm of the spectral radius of x[k+1] = Phi x[k] + Gamma G x[k-delay]."""
+    n, m = Gamma.shape
+    if delay == 0:
+        return math.log(_radius(np.linalg.eigvals(Phi + Gamma @ G)))
+    size = n + delay * m
+    moved = np.empty((delay + 1, n, n))  # powers of Phi
+    moved[0] = np.eye(n)
+    for k in range(delay):
+        moved[k + 1] = moved[k] @ Phi
+    seen = G @ moved[:-1]  # the force that a state of k samples ago asks for, shape (delay, m, n)
+    pushed = moved[-2::-1] @ Gamma  # the last state, of the force that acts in step k, shape (delay, n, m)
+    length = 2 ** (2 * delay - 1).bit_length()  # nothing runs round
+    # The force that is asked for, of the one that acted k samples ago.
+    answered = np.fft.rfft(np.concatenate([np.zeros((1, m, m)), seen[:-1] @ Gamma]), length, axis=0)
+
+    def after(state: Array) -> Array:
+        x, forces = state[:n], state[n:].reshape(delay, m)
+        asked = seen @ x + np.fft.irfft(np.matvec(answered, np.fft.rfft(forces, length, axis=0)), length, axis=0)[:delay]
+        return np.concatenate([moved[-1] @ x + np.einsum("kij,kj->i", pushed, forces), asked.ravel()])
+
+    if size <= FEW:
+        found = np.linalg.eigvals(np.stack([after(unit) for unit in np.eye(size)], axis=1))
+    else:
+        start = np.random.default_rng(0).standard_normal(size)
+        operator = LinearOperator((size, size), matvec=after, dtype=float)  # pyright: ignore[reportCallIssue]
+        found = np.asarray(eigs(operator, LARGEST, v0=start, return_eigenvectors=False))
+    return math.log(_radius(found)) / delay
+
+
+def _radius(eigenvalues: Array) -> float:
+    return float(np.abs(eigenvalues).max())

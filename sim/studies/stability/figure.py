@@ -1,0 +1,149 @@
+"""Margins drawn: growth or decay with more gain, delay and sample period, the norm with errors, and on other vehicles."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.figures.figure import Curve, Figure, Marker, Panel, Shades
+from models.vehicle.limits_and_implementation import Implementation
+from models.vehicle.vehicle import Vehicle
+from sim.studies.stability.bisection import Search
+from sim.studies.stability.delayed import delayed_rate
+from sim.studies.stability.fragility import FragilityFound
+from sim.studies.stability.margin_search import LoopMargins
+from sim.studies.stability.robustness import Robustness
+from synth.controller.controller import Controller
+from synth.controller.open_loop import LoopModel
+from synth.design.uncertainty.fragility import whose, worst_met
+
+POINTS = 30  # of a predicted curve
+AMOUNTS = 16  # of errors at which the worst norm is looked for
+SHOWN = 1.3  # times the norm, the highest that is shown with errors: beyond, it grows without end
+MET, PROVED = "#9467bd", "#2ca02c"
+LINE = "#404040"
+MARKERS: tuple[tuple[bool, str, Marker, str], ...] = (
+    (False, "#1f77b4", "o", "MuJoCo decays"),
+    (True, "#d62728", "x", "MuJoCo grows"),
+)
+
+
+def margins_figure(
+    vehicle: Vehicle,
+    controller: Controller,
+    loop: LoopMargins,
+    fragile: FragilityFound,
+    box: Robustness | None,
+    timestep: float,
+) -> Figure:
+    """How fast the slowest mode grows or decays: lines by the poles of the implemented linear loop, points in MuJoCo's runs.
+
+    Where both cross zero is the margin.
+
+    Args:
+        vehicle: the vehicle, its controller ideal.
+        controller: its controller.
+        loop: all its loops at once.
+        fragile: what errors it bears.
+        box: the controller on other vehicles; None where there are none.
+        timestep: of the physics [s].
+    """
+
+    def rate(vehicle: Vehicle, controller: Controller) -> float:
+        return math.log(LoopModel(vehicle, controller, timestep).radius) / timestep
+
+    def of_gain(factor: float) -> float:
+        return rate(vehicle, replace(controller, law=controller.law.scaled(factor)))
+
+    def of_delay(seconds: float) -> float:
+        return delayed_rate(vehicle, controller, timestep, round(seconds / timestep))
+
+    def of_period(seconds: float) -> float:
+        held = max(1, round(seconds / timestep)) * timestep
+        return rate(replace(vehicle, implementation=Implementation(sample_period=held)), controller)
+
+    gain = loop.gain
+    ended = math.isinf(gain.found) and math.isfinite(gain.search.unstable)
+    title = "more gain: any; what ends it here is the sampling" if ended else "more gain, all loops at once"
+    searches: list[tuple[str, Search, Callable[[float], float], float, str, str]] = [
+        (title, gain.search, of_gain, 1.0, "factor on the gain", ""),
+        ("delay from measurement to force", loop.delay, of_delay, 1e3, "delay [ms]", " ms"),
+        ("sample period of the controller", loop.sample_period, of_period, 1e3, "sample period [ms]", " ms"),
+    ]
+    predicted = [gain.sampled[0], loop.predicted.delay, loop.predicted.sample_period]
+    found = [gain.search.found, loop.delay.unstable, loop.found_sample_period]
+    panels = []
+    for (title, search, growth, scale, label, unit), at, seen in zip(searches, predicted, found, strict=True):
+        numbers = [f"{scale * value:.4g}{unit}" if math.isfinite(value) else "any" for value in (at, seen)]
+        title = f"{title}\nbears, predicted: {numbers[0]}; in MuJoCo: {numbers[1]}"
+        panels.append(_search_panel(title, label, search, growth, scale))
+    panels.append(_fragile_panel(fragile))
+    if box is not None:
+        panels.append(_box_panel(controller, box))
+    about = f"{vehicle.kind.name.replace('_', ' ')}, controller {controller.name}: what its loop bears"
+    title = f"{about}. Lines: slowest pole of the sampled loop. Points: MuJoCo at {1e3 * timestep:g} ms"
+    return Figure("margins", title, tuple(panels))
+
+
+def _search_panel(title: str, label: str, search: Search, growth: Callable[[float], float], scale: float) -> Panel:
+    """The predicted rate over the amount, and that of the runs near where it changes its sign."""
+    # Far from the margin nothing is to be seen, and the rates are large.
+    end = 1.35 * search.unstable if math.isfinite(search.unstable) else max(search.tried)
+    known = [amount for amount in (search.stable, search.unstable) if math.isfinite(amount)]
+    amounts: Array = np.unique([*np.linspace(0.0, end, POINTS), *known])
+    rates = np.array([growth(amount) for amount in amounts])
+    curves = [Curve(scale * amounts, rates, "linear analysis", LINE)]
+    for grows, color, marker, name in MARKERS:
+        runs = {a: one.rate for a, one in search.tried.items() if one.grows == grows and a <= end and math.isfinite(one.rate)}
+        curves.append(Curve(scale * np.array(list(runs)), np.array(list(runs.values())), name, color, "none", marker))
+    curves.append(Curve(np.array([0.0, scale * end]), np.zeros(2), "", "#000000", width=0.8))
+    top = min(1.1 * rates.max(), -4 * rates.min()) if rates.max() > 0 else -0.3 * rates.min()
+    return Panel(title, label, "growth of the loop [1/s]", tuple(curves), ylim=(1.3 * rates.min(), top))
+
+
+def _fragile_panel(fragile: FragilityFound) -> Panel:
+    """The worst norm over the size of errors: what is met, what is proved of all of them, and where MuJoCo decays and grows."""
+    predicted, search = fragile.predicted, fragile.edge.search
+    norm, stable = predicted.norm, predicted.stable
+    end = min(1.2 * stable.found, 1.0)
+    known = [one.found for one in predicted.within.values() if one.found < end]
+    amounts = np.unique([*np.linspace(0.0, min(stable.found, 1.0), AMOUNTS), *known])
+    met = np.array([worst_met(fragile.gain, amount) for amount in amounts])
+    curves = [Curve(100 * amounts, np.where(np.isfinite(met), met, np.nan), "worst norm met", MET)]
+    steps = sorted((one.proved, one.bound) for one in (*predicted.within.values(), stable) if one.proved)
+    edges, bounds = np.repeat([0.0, *(proved for proved, _ in steps)], 2)[1:-1], np.repeat([bound for _, bound in steps], 2)
+    curves.append(Curve(100 * edges, bounds, "proved: no norm is higher", PROVED, "dash"))
+    low, high = norm - 0.15 * (SHOWN - 1) * norm, SHOWN * norm
+    if math.isfinite(stable.found):
+        curves.append(Curve(np.full(2, 100 * stable.found), np.array([low, high]), "unstable from here", "#000000", width=0.8))
+    for grows, color, marker, name in MARKERS:
+        runs = 100 * np.array([a for a, one in search.tried.items() if one.grows == grows and a <= end])
+        curves.append(Curve(runs, np.full(len(runs), (low + norm) / 2), name, color, "none", marker))
+    numbers = [f"{100 * value:.4g} %" if math.isfinite(value) else "any" for value in (stable.found, fragile.edge.found)]
+    title = f"errors of {whose(predicted)}, each by itself\nbears, predicted: {numbers[0]}; in MuJoCo: {numbers[1]}"
+    return Panel(title, "error of each [%]", "H-infinity norm", tuple(curves), xlim=(0.0, 100 * end), ylim=(low, high))
+
+
+def _box_panel(controller: Controller, box: Robustness) -> Panel:
+    """The norm over what varies, with what physics did at the corners; over more than two such things, the worst of the rest."""
+    percent = [100 * (factors - 1) for factors in box.factors]
+    labels = [f"{one.name} [% off]" for one in box.varied]
+    norms = np.where(np.isfinite(box.norms), box.norms, np.nan)
+    at = 100 * (np.array([corner.factors for corner in box.corners]) - 1)
+    fine = np.array([corner.decays and corner.agrees for corner in box.corners])
+    verdict = "agrees and settles at every corner" if box.holds else "and analysis do not say the same at every corner"
+    nominal = controller.certificate.norm.value
+    title = f"other vehicles: worst norm {box.norm:.4g}, designed {nominal:.4g}\nMuJoCo {verdict}"
+    if len(percent) == 1:
+        curves, ground, height = [Curve(percent[0], norms, "H-infinity norm", LINE)], None, np.array([nominal])
+        heights = np.array([corner.norm for corner in box.corners])
+    else:
+        worst = norms.max(axis=tuple(range(2, norms.ndim)))
+        curves, ground, height, heights = [], Shades(percent[0], percent[1], worst.T, "H-infinity norm"), np.zeros(1), at[:, 1]
+    curves.append(Curve(np.zeros(1), height, "as designed", "#000000", "none", "+"))
+    for good, color, marker, _ in MARKERS:
+        some = fine != good
+        curves.append(Curve(at[some, 0], heights[some], "", color, "none", marker))
+    return Panel(title, labels[0], labels[1] if ground else "H-infinity norm", tuple(curves), ground)

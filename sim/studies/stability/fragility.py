@@ -1,0 +1,108 @@
+"""How large errors of its readings and forces a loop bears: predicted, proved, and found in MuJoCo along the worst of them."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from models.vehicle.vehicle import Vehicle
+from sim.studies.stability.bisection import Search, run_searches
+from sim.studies.stability.growth_test import Trial, silent
+from sim.studies.stability.margin_search import GainMargin
+from synth.analysis.certificate import Certificate
+from synth.analysis.uncertainty_box import ScaledGain
+from synth.controller.controller import Controller
+from synth.controller.open_loop import LoopModel
+from synth.controller.problem import problem
+from synth.design.uncertainty.fragility import Fragility, fragility, rounding
+from synth.design.uncertainty.problem import scaled_gain
+
+MOST = 1.0  # the largest error that is tried: a reading that is missing, or twice as large
+GRID = 64  # amounts up to it at which the sampled loop is looked at
+EXACT = 1e-6  # relative; how closely its own edge is found
+
+
+class Edge(GainMargin):
+    """The error at which a loop is lost, which is a gain margin but for how it tends to the loop's own as the timestep shrinks.
+
+    Of a factor of 1.1 a tenth of the way is little; of an error of 10 % it is as much as the error.
+    """
+
+    @property
+    def found(self) -> float:
+        """What physics tends to as its timestep shrinks. Without an edge of the loop's own it is the sampling that ends it."""
+        coarse, fine = self.search.found, self.finer.found
+        if not self.finer.tried:
+            return coarse
+        return math.inf if math.isinf(self.own) or math.isinf(fine) else 2 * fine - coarse
+
+
+@dataclass(frozen=True, eq=False)
+class FragilityFound:
+    """The errors that a loop bears.
+
+    Attributes:
+        gain: the loop itself, with factors on what it reads and asks for.
+        predicted: of that.
+        edge: how large the worst errors may be until it is unstable, predicted and found.
+        rounding: what is true of the law with its numbers as computers hold them, by format.
+        timestep: of the physics [s].
+    """
+
+    gain: ScaledGain
+    predicted: Fragility
+    edge: Edge
+    rounding: dict[str, Certificate]
+    timestep: float
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the worst errors end the loop in MuJoCo where they are predicted to."""
+        return self.edge.agrees
+
+
+def find_fragility(
+    vehicle: Vehicle, controller: Controller, timestep: float, progress: Callable[[str], None] = silent
+) -> FragilityFound:
+    """The errors that a loop bears, with an actuator's lag if the vehicle's have one; physics runs along the worst of them."""
+    lag = replace(controller.hardware, bandwidth=vehicle.limits.actuator_bandwidth or controller.hardware.bandwidth)
+    posed, law = problem(vehicle, controller.measured, lag), controller.law.continuous()
+    gain = scaled_gain(posed.plant, posed.Cy, law, posed.Dyw, posed.through)
+    predicted = fragility(gain)
+
+    def trial(amount: float) -> Trial:
+        return Trial(vehicle, with_errors(controller, predicted, amount))
+
+    at, at_half = (_sampled_edge(vehicle, controller, predicted, step) for step in (timestep, timestep / 2))
+    coarse, fine = Search(trial, at, most=MOST), Search(trial, at_half, most=MOST)
+    edge = Edge(predicted.stable.found, (at, at_half), coarse, fine)
+    run_searches([coarse], timestep, progress)
+    if edge.doubtful:
+        run_searches([fine], timestep / 2, progress)
+    ideal = controller.problem(vehicle)
+    return FragilityFound(gain, predicted, edge, rounding(controller.law, ideal.closed, ideal.plant), timestep)
+
+
+def with_errors(controller: Controller, predicted: Fragility, amount: float) -> Controller:
+    """A controller whose readings and forces are off as in the worst errors, so far at most."""
+    worst = predicted.stable
+    size = amount / min(worst.found, MOST)
+    return replace(controller, law=controller.law.read_as(1 + size * worst.readings).scaled(1 + size * worst.forces))
+
+
+def _sampled_edge(vehicle: Vehicle, controller: Controller, predicted: Fragility, timestep: float) -> float:
+    """The same edge of the loop that is sampled every timestep; infinite where there is none up to `MOST`."""
+
+    def grows(amount: float) -> bool:
+        return LoopModel(vehicle, with_errors(controller, predicted, amount), timestep).radius >= 1
+
+    low = 0.0
+    for high in np.linspace(0.0, MOST, GRID + 1)[1:].tolist():
+        if grows(high):
+            while high - low > EXACT * high:
+                middle = (low + high) / 2
+                low, high = (low, middle) if grows(middle) else (middle, high)
+            return high
+        low = high
+    return math.inf

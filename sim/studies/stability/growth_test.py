@@ -1,0 +1,296 @@
+"""Growth or decay: what becomes of a loop in MuJoCo after a tiny bump.
+
+A run that grows is unstable, one that decays is not. What its sampled loop does is known exactly. A run ends as soon as the
+slowest mode that is found in it is that loop's, or it goes on as the loop does from the run's own past. Else it has to settle by
+itself. One that has settled into neither by the end of a first, short run is run anew, and looked at each time that it has
+doubled. One that takes long from the outset goes on instead.
+"""
+
+import functools
+import math
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.threads import cores, side_by_side
+from models.roads.road import Bump, RoadInput
+from models.vehicle.vehicle import Vehicle
+from sim.physics.run_blocks import Course, in_blocks
+from sim.physics.sensor_readout import stage_of
+from sim.physics.simulate import met_alike, shared
+from sim.studies.stability.late_loop import LateLoop, late_loop
+from sim.studies.stability.slowest_mode import slowest_rate
+from synth.controller.controller import Controller
+
+BUMP = Bump(height=2e-5, length=20.0, speed=100.0, track="left")  # body and wheels, every roll; soon over; lifts none
+EARLIER = replace(BUMP, height=2e-3)  # which logs of earlier versions were driven over
+SOON = 2.0  # s; when a run is looked at first: its bump is over, and modes are told from each other
+SHORTEST, LONGEST = 4.0, 32.0  # s; how long a run is first, and one that has not settled by then
+CONFIRMED = 1e-2  # relative; how close the rate that is found in a run is to its loop's, where both are of the same mode
+FREE_FROM = 0.5  # s; when the bump is over for every wheel
+FOLLOWS, TOLD = 1e-3, 10.0  # of what is left of a run: how far it may be from what its loop makes of it; times that, a rate tells
+PASSES = 3  # of its controller's sample periods, or delays, a run has at least for that
+HOLDS = 24  # of its controller's sample periods, or delays, a run has at least: what alternates from one to the next grows slowly
+STILL = 2  # of them without motion are enough: then nothing is on its way either
+CERTAIN, EXPONENTIAL = 0.02, 0.3  # of the logarithm of energy from window to window: its size, its spread
+FREE = 0.125  # of a run, after which the bump is over
+CREEPS = 3.0  # time constants of its slowest mode that a run has at least where a controller has states: some are slow, and faint
+LINEAR = 25.0  # growth of energy before a wheel may lift
+GONE, ESCAPED = 1e-12, 1e4  # of the energy that the bump has left: nothing, and what no decaying run has between
+TOGETHER = 16  # runs in a batch at most: more hardly save time, and a batch goes on until its last run has settled
+ENTRIES = 1e7  # numbers in a batch's record
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One run that grows or decays.
+
+    Attributes:
+        vehicle: with its implementation of the controller.
+        controller: the controller.
+        undelayed: a second one, whose forces act at every timestep, without delay, whatever the implementation; or None.
+    """
+
+    vehicle: Vehicle
+    controller: Controller
+    undelayed: Controller | None = None
+
+
+@dataclass(frozen=True)
+class Growth:
+    """What became of a run.
+
+    Attributes:
+        grows: whether it grows; else it decays.
+        rate: of the slowest mode in it [1/s]; NaN where too little of it was free and linear.
+    """
+
+    grows: bool
+    rate: float = math.nan
+
+
+def silent(message: str) -> None:
+    """Shows no progress."""
+
+
+def grow(trials: Sequence[Trial], timestep: float, progress: Callable[[str], None] = silent) -> list[Growth]:
+    """Whether runs grow, and how fast. Those that have not settled into growth or decay start anew, and run until they have."""
+    found: dict[int, Growth] = {}
+    for least in (SHORTEST, LONGEST):
+        going = [i for i in range(len(trials)) if i not in found]
+        if not going:
+            break
+        batches = [[going[i] for i in batch] for batch in _batches([trials[i] for i in going], timestep, least)]
+        progress(f"{len(going)} runs to go")
+        pieces = [functools.partial(_settled, [trials[i] for i in batch], timestep, least) for batch in batches]
+        with closing(side_by_side(pieces, cores())) as done:
+            for number, growths in done:
+                found |= {batches[number][i]: growth for i, growth in growths.items()}
+                progress(f"{len(trials) - len(found)} of {len(trials)} runs to go")
+    progress("")
+    return [found[i] for i in range(len(trials))]
+
+
+def _batches(trials: Sequence[Trial], timestep: float, least: float) -> list[list[int]]:
+    """Which trials run in one batch, the longest first: such as take as long, and whose forces are computed alike.
+
+    So what becomes of a run does not depend on the others, to the last bit.
+    """
+    alike: dict[tuple[object, ...], list[int]] = {}
+    for i, trial in enumerate(trials):
+        how, laws = trial.vehicle.implementation, [one for one in (trial.controller, trial.undelayed) if one is not None]
+        stage = max(stage_of(trial.vehicle, one, timestep) for one in laws)
+        states = tuple(one.law.states for one in laws) if any(one.law.states for one in laws) else ()
+        key = stage, states, how.sample_period is None, how.ideal and trial.undelayed is None
+        alike.setdefault(key, []).append(i)
+    batches: list[tuple[float, list[int]]] = []
+    for group in alike.values():
+        group.sort(key=lambda i: -_enough(trials[i], timestep))
+        while group:
+            first = trials[group[0]]
+            samples = _duration(first, timestep, least) / timestep
+            most = max(1, min(TOGETHER, int(ENTRIES / (samples * len(first.vehicle.linear_model.states)))))
+            share = shared(len(group), max(cores(), math.ceil(len(group) / most)))[0]
+            batches.append((samples, group[share]))
+            del group[share]
+    return [batch for _, batch in sorted(batches, key=lambda one: -one[0] * len(one[1]))]
+
+
+def _settled(trials: Sequence[Trial], timestep: float, least: float, stopped: Callable[[], bool]) -> dict[int, Growth]:
+    """Returns what becomes of the trials of a batch that settle in time.
+
+    They are looked at soon, each time that it has doubled, and when each has gone on for as long as it takes at least.
+    """
+    loops = [late_loop(trial.vehicle, trial.controller, trial.undelayed, timestep) for trial in trials]
+    duration = max(_duration(trial, timestep, least) for trial in trials)
+    time = np.arange(round(duration / timestep) + 1) * timestep
+    vehicles, controllers = [trial.vehicle for trial in trials], [trial.controller for trial in trials]
+    undelayed = [trial.undelayed for trial in trials] if any(trial.undelayed for trial in trials) else None
+    met = met_alike([RoadInput(vehicle, BUMP, time) for vehicle in vehicles])
+    now, midway = (np.stack([getattr(each, what) for each in met], axis=1) for what in ("heights", "midway"))
+    ends = [1 + round(at / timestep) for at in (SOON, *(SHORTEST * k for k in range(1, round(duration / SHORTEST) + 1)))]
+    doubled = [SOON * 2**k for k in range(1 + round(math.log2(LONGEST / SOON)))]
+    own = [_least(trial, timestep) for trial in trials]
+    looks = {1 + round(at / timestep): at for at in (*doubled, *own)}
+    names = [signal.name for signal in vehicles[0].kind.signals]
+    rows = [names.index(name) for name in vehicles[0].linear_model.states]
+    states, diverged, going = (
+        np.empty((len(trials), len(rows), len(time))),
+        np.full(len(trials), np.inf),
+        np.full(len(trials), True),
+    )
+    found: dict[int, Growth] = {}
+    course = Course(vehicles, controllers, now, midway, timestep, (0, *ends), undelayed, going, accelerations=False)
+    for block in in_blocks(course):
+        end = block.start + len(block.values)
+        states[:, :, block.start : end] = block.values[:, rows].transpose(2, 1, 0)
+        diverged = np.minimum(diverged, block.diverged(time))
+        if end in looks:
+            for i in [j for j in np.flatnonzero(going).tolist() if looks[end] in (*doubled, own[j])]:
+                seen, peaks = _over_its_peak(states[i, :, :end], time[:end], diverged[i])
+                growth = _confirmed(trials[i], loops[i], seen, peaks, timestep, looks[end])
+                if growth is None and looks[end] >= SHORTEST:
+                    growth = _growth(trials[i], seen, timestep, looks[end])
+                if growth is not None:
+                    going[i], found[i] = False, growth
+        if stopped() or not going.any():
+            break
+    return found
+
+
+def _confirmed(
+    trial: Trial, loop: LateLoop | None, states: Array, peaks: Array, timestep: float, duration: float
+) -> Growth | None:
+    """What the loop of a run does, where the run is seen to do so; None where it is not."""
+    if loop is None or not np.all(np.isfinite(states)):
+        return None
+    hold = _hold(trial, timestep)
+    rate = _rate(states, timestep, round(hold / timestep))
+    long_enough = math.isnan(rate) and duration >= max(SHORTEST, PASSES * hold) and len(loop.Phi) == len(states)
+    if long_enough and _follows(states, loop.scaled(peaks), duration):
+        return Growth(loop.rate > 0, loop.rate)
+    return Growth(rate > 0, rate) if abs(rate - loop.rate) <= CONFIRMED * abs(loop.rate) else None
+
+
+def _follows(states: Array, loop: LateLoop, duration: float) -> bool:
+    """Whether a run goes on as its loop does with the run's own past, and what is left of it goes as the loop's slowest mode."""
+    first = loop.held * math.ceil(FREE_FROM / (loop.held * loop.timestep))
+    last = states.shape[1] // 4
+    left, off = states[:, -last:], (states - loop.goes_on(states, first))[:, -last:]
+    _, before, after = _windows(states)
+    alike = bool(np.linalg.norm(off) <= FOLLOWS * np.linalg.norm(left))
+    return alike and abs(loop.rate) * duration > TOLD * FOLLOWS and (after > before) == (loop.rate > 0)
+
+
+def _growth(trial: Trial, states: Array, timestep: float, duration: float) -> Growth | None:
+    """What is made of a run that has gone for so long [s]; None where that is not enough."""
+    enough = _enough(trial, timestep)
+    rate = _rate(states, timestep, round(_hold(trial, timestep) / timestep))
+    if trial.controller.law.states:
+        enough = max(enough, min(CREEPS / abs(rate), LONGEST) if rate else LONGEST)
+    elif _still(states, round(STILL * _hold(trial, timestep) / timestep)):
+        enough = duration
+    grows = _grows(states, rate, last=duration >= max(LONGEST, enough))
+    return Growth(grows, rate) if grows or (grows is False and duration >= enough) else None
+
+
+def _duration(trial: Trial, timestep: float, least: float) -> float:
+    """Returns how long a run is at most [s]: so long, or until it settles, as what takes longer is not begun twice.
+
+    First, one that can be held against its loop is so long that it is.
+    """
+    own = _least(trial, timestep)
+    if own > least == SHORTEST and not trial.controller.law.states and trial.vehicle.limits.actuator_bandwidth is None:
+        return SHORTEST * math.ceil(PASSES * _hold(trial, timestep) / SHORTEST)
+    return least if own <= least else max(LONGEST, own)
+
+
+def _least(trial: Trial, timestep: float) -> float:
+    """Returns how long a run is before it can be said to decay [s], as it is looked at."""
+    return SHORTEST * math.ceil(_enough(trial, timestep) / SHORTEST)
+
+
+def _enough(trial: Trial, timestep: float) -> float:
+    return HOLDS * _hold(trial, timestep)
+
+
+def _hold(trial: Trial, timestep: float) -> float:
+    """How long a measurement acts, or waits to [s]."""
+    how = trial.vehicle.implementation
+    return (how.sample_period or timestep) * (1 + how.delay)
+
+
+def _over_its_peak(states: Array, time: Array, diverged: float) -> tuple[Array, Array]:
+    """States over time, each over its peak in the first half second, shape (n, T), infinite once it diverged; and the peaks."""
+    states = np.where(time >= diverged, np.nan, states)
+    peaks = np.nanmax(np.abs(states[:, time < 0.5]), axis=-1)
+    peaks = np.where(peaks > 0, peaks, 1.0)
+    return np.nan_to_num(states / peaks[:, None], nan=np.inf), peaks
+
+
+def _rate(states: Array, timestep: float, hold: int) -> float:
+    """The rate of a run's slowest mode [1/s], see `slowest_mode`, from when the bump is over until a wheel may lift."""
+    free = states[:, round(FREE * states.shape[1]) :]
+    with np.errstate(over="ignore"):
+        energy = (free**2).sum(axis=0)
+    far = ~(energy < LINEAR * energy[: len(energy) // 4].max())
+    return slowest_rate(free[:, : int(far.argmax())] if far.any() else free, timestep, hold)
+
+
+def _still(states: Array, samples: int) -> bool:
+    """Returns whether nothing of a run is left over its last so many samples, and over its last quarter."""
+    length = states.shape[-1] // 4
+    with np.errstate(over="ignore"):
+        energy = (states**2).sum(axis=0)
+    return bool(energy[-max(length, samples) :].max() <= GONE * energy[:length].max())
+
+
+def _grows(states: Array, rate: float, last: bool) -> bool | None:
+    """Whether a run grows; None where it has not settled yet.
+
+    Its energy is taken in three windows, without the first quarter. A Hann window does not see the oscillation within it, so what
+    is left of a run that has settled is an exponential: the same ratio from window to window. Two kinds of growth the bump hardly
+    excites, so that they hide behind what decays: to one side, and from one side to the other with every step. They are told by
+    the mean over a window, plain and with alternating sign, and nothing decays while they grow. A run that has not settled by
+    that is told by the rate of its slowest mode, where that is known. Where that rate says otherwise than the windows, a mode
+    that creeps, or turns but once in the run, is hidden in them by what is faster: a longer run tells, and at last the rate.
+    """
+    length = states.shape[-1] // 4
+    with np.errstate(over="ignore"):
+        energy = (states**2).sum(axis=0)
+    if not np.all(np.isfinite(energy)) or energy[-length:].max() > ESCAPED * energy[:length].max():
+        return True
+    gone, hann = GONE * energy[:length].max(), _hann(length)
+    first, second, third = _windows(states)
+    if third <= gone:
+        return False
+    early, late = math.log(second / first), math.log(third / second)
+    settled = abs(late) > CERTAIN and abs(late - early) < EXPONENTIAL * abs(late)
+    if last:
+        return late > 0 if math.isnan(rate) else rate > 0
+    if settled and rate * late < 0:
+        return None
+    if settled and late > 0:
+        return True
+    for sign in (np.ones(length), (-1.0) ** np.arange(length)):
+        before, after = (float(((states[:, k * length : (k + 1) * length] @ (sign * hann)) ** 2).sum()) for k in (2, 3))
+        if after >= max(before, gone):
+            return True if rate > 0 else None
+    if settled:
+        return False
+    return None if math.isnan(rate) else rate > 0
+
+
+def _windows(states: Array) -> list[float]:
+    """The energy of a run in the last three quarters of it, each seen through a Hann window."""
+    length = states.shape[-1] // 4
+    energy, hann = (states**2).sum(axis=0), _hann(length)
+    return [float(hann @ energy[k * length : (k + 1) * length]) for k in (1, 2, 3)]
+
+
+def _hann(length: int) -> Array:
+    hann = np.hanning(length)
+    return hann / hann.sum()

@@ -1,0 +1,89 @@
+"""The sampled loop that a run of MuJoCo is to be: how fast it grows, and what it makes of the run's own past."""
+
+import functools
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.sparse.linalg import ArpackError
+
+from models.common.arrays import Array
+from models.vehicle.limits_and_implementation import steps_per_sample
+from models.vehicle.vehicle import Vehicle
+from sim.linear.sampled_response import taylor4
+from sim.studies.stability.delayed import rate_from_sample_to_sample
+from sim.studies.stability.loop_transfer import cut_sampled
+from synth.controller.controller import Controller
+
+
+@dataclass(frozen=True, eq=False)
+class LateLoop:
+    """From step to step, x[k+1] = Phi x[k] + Gamma G x[i], where i is the last sample that is at least `delay` steps old.
+
+    Attributes:
+        Phi: with every force that acts at once closed, shape (n, n).
+        Gamma: from the forces that act late, shape (n, m).
+        G: to the forces asked for, shape (m, n).
+        delay: in steps; 0 where they are sampled more seldom than every step.
+        held: steps from sample to sample.
+        timestep: [s].
+    """
+
+    Phi: Array
+    Gamma: Array
+    G: Array
+    delay: int
+    held: int
+    timestep: float
+
+    @functools.cached_property
+    def rate(self) -> float:
+        """Rate of the slowest mode [1/s], above 0 where it grows; NaN where iterations do not find it."""
+        moved, pushed = self.Phi, self.Gamma
+        for _ in range(self.held - 1):
+            moved, pushed = self.Phi @ moved, self.Phi @ pushed + self.Gamma
+        try:
+            return rate_from_sample_to_sample(moved, pushed, self.G, self.delay) / (self.held * self.timestep)
+        except ArpackError:
+            return math.nan
+
+    def goes_on(self, states: Array, first: int) -> Array:
+        """What it makes of a run's states up to a step, which is a sample: those of all later steps, shape (n, T).
+
+        Args:
+            states: of the run, shape (n, T).
+            first: the last step up to which they are believed.
+        """
+        expected = np.array(states)
+        now, forces, Phi, Gamma = expected[:, first], np.zeros(len(self.Phi)), self.Phi, self.Gamma
+        for k in range(first, states.shape[1] - 1):
+            if k % self.held == 0 and k >= self.delay:
+                forces = Gamma @ (self.G @ expected[:, k - self.delay])
+            now = Phi @ now + forces
+            expected[:, k + 1] = now
+        return expected
+
+    def scaled(self, scale: Array) -> "LateLoop":
+        """The same with its states in these units, shape (n,)."""
+        return replace(self, Phi=self.Phi * scale / scale[:, None], Gamma=self.Gamma / scale[:, None], G=self.G * scale)
+
+
+def late_loop(vehicle: Vehicle, controller: Controller, undelayed: Controller | None, timestep: float) -> LateLoop | None:
+    """The loop of a vehicle, as MuJoCo integrates it, with a second controller whose forces act at once.
+
+    None where the first one is late by part of a sample, or samples seldom and is late or has states, or where it has company and
+    either has states.
+    """
+    how = vehicle.implementation
+    held = steps_per_sample(how, timestep)
+    Phi, Gamma, G = cut_sampled(vehicle, controller, timestep, exponential=taylor4)
+    memory = len(Phi) > len(vehicle.linear_model.states) + len(G) * (vehicle.limits.actuator_bandwidth is not None)
+    if how.delay % 1 or (held > 1 and (how.delay or memory)):
+        return None
+    if undelayed is not None:
+        others = cut_sampled(vehicle, undelayed, timestep, exponential=taylor4)[2]
+        if memory or others.shape != G.shape:
+            return None
+        Phi = Phi + Gamma @ others
+    acts = np.any(G, axis=1)
+    return LateLoop(Phi, Gamma[:, acts], G[acts], int(how.delay), held, timestep)

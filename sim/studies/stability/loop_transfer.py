@@ -1,0 +1,116 @@
+"""The loop of a vehicle and its controller, cut at some actuators with the others closed.
+
+    x' = A x + B u,    v = G x + H u,    L(s) = G (s I - A)^-1 B + H,
+
+where u is the force that acts and v the force asked for; the loop is closed by u = v. The states are the vehicle's and the
+controller's own. H is zero, but for a measured acceleration, which has the force in it.
+"""
+
+import functools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from models.common.arrays import Array
+from models.vehicle.vehicle import Vehicle
+from synth.controller.controller import Controller
+from synth.controller.open_loop import continuous, sampled, with_lag
+from synth.plant.discrete import held_inputs
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """A loop, cut at k actuators.
+
+    Attributes:
+        A: state matrix with the other actuators' loops closed, shape (n, n).
+        B: from the forces that act, shape (n, k).
+        G: to the forces asked for, shape (k, n).
+        H: to those from the forces that act, shape (k, k).
+        at_period: of a controller with states, the same sampled every so many seconds, see `cut_sampled`; None of a static one.
+    """
+
+    A: Array
+    B: Array
+    G: Array
+    H: Array
+    at_period: Callable[[float], tuple[Array, Array, Array]] | None = None
+
+    @property
+    def M(self) -> Array:
+        """What closing the loop adds to A where H is zero, shape (n, n)."""
+        return self.B @ self.G
+
+    @property
+    def comes_back(self) -> float:
+        """How many times as large a force comes back at once through its own measurement: from 1 on it bears no delay at all."""
+        return float(np.abs(np.linalg.eigvals(self.H)).max(initial=0.0))
+
+    def balanced(self) -> "Loop":
+        """The same with its states in units that make its numbers of a like size, powers of two."""
+        _, (scale, _) = linalg.matrix_balance(np.abs(self.A) + np.abs(self.M), permute=False, separate=True)
+        return Loop(self.A * scale / scale[:, None], self.B / scale[:, None], self.G * scale, self.H, self.at_period)
+
+    def closed(self, factor: Array | complex) -> Array:
+        """A of the loops that are closed by u = factor v, shape (..., n, n), for factors of any shape."""
+        factor = np.asarray(factor)[..., None, None]
+        if not np.any(self.H):
+            return self.A + factor * self.M
+        return self.A + self.B @ np.linalg.solve(np.eye(len(self.H)) - factor * self.H, factor * self.G)
+
+    def transfer(self, omega: Array) -> Array:
+        """L(j omega), shape (F, k, k), for angular frequencies [rad/s] of shape (F,)."""
+        resolvent = 1j * omega[:, None, None] * np.eye(len(self.A)) - self.A
+        return self.G @ np.linalg.solve(resolvent, np.broadcast_to(self.B, (len(omega), *self.B.shape))) + self.H
+
+
+def cut(vehicle: Vehicle, controller: Controller, actuators: Sequence[int]) -> Loop:
+    """The loop of a vehicle and its controller, cut at some actuators; with their lag, if the vehicle's have one."""
+    law, model = controller.law.continuous(), with_lag(vehicle)
+    C, D = model.rows(controller.measured)
+    others = [i for i in range(len(law.D)) if i not in actuators]
+    if not law.states and not np.any(D):
+        G = continuous(vehicle, controller).G
+        H = np.zeros((len(actuators), len(actuators)))
+        return Loop(model.A + model.B[:, others] @ G[others], model.B[:, actuators], G[actuators], H)
+    A = np.block([[model.A, np.zeros((len(model.A), law.states))], [law.B @ C, law.A]])
+    B, G, H = np.vstack([model.B, law.B @ D]), np.hstack([law.D @ C, law.C]), law.D @ D
+    # The others' forces: u = inverse (their rows of G x + H u of the cut ones).
+    inverse = np.linalg.inv(np.eye(len(others)) - H[np.ix_(others, others)])
+    closing, through = inverse @ G[others], inverse @ H[np.ix_(others, actuators)]
+    return Loop(
+        A + B[:, others] @ closing,
+        B[:, actuators] + B[:, others] @ through,
+        G[actuators] + H[np.ix_(actuators, others)] @ closing,
+        H[np.ix_(actuators, actuators)] + H[np.ix_(actuators, others)] @ through,
+        functools.partial(cut_sampled, vehicle, controller, actuators=actuators),
+    )
+
+
+def cut_sampled(
+    vehicle: Vehicle,
+    controller: Controller,
+    period: float,
+    actuators: Sequence[int] | None = None,
+    exponential: Callable[[Array], Array] = linalg.expm,
+) -> tuple[Array, Array, Array]:
+    """The same from sample to sample, x[i+1] = Phi x[i] + Gamma u[i], v[i] = G x[i]: Phi, Gamma and G.
+
+    The others' forces are sampled and held, too.
+
+    Args:
+        vehicle: the vehicle; what its `[implementation]` says of sampling and delay does not count.
+        controller: its controller.
+        period: from sample to sample [s].
+        actuators: those that are cut; None for all.
+        exponential: the matrix exponential; `taylor4` to predict an RK4 integrator whose step is the period.
+    """
+    kept = sampled(vehicle, controller, period)
+    actuators = range(kept.forces) if actuators is None else actuators
+    Phi, Gamma = held_inputs(kept.model.A, period, exponential, kept.model.B)
+    m, others = kept.forces, [i for i in range(kept.forces) if i not in actuators]
+    if len(kept.hold):
+        Phi, Gamma = Phi + Gamma[:, m:] @ kept.kept, Gamma[:, :m] + Gamma[:, m:] @ kept.hold
+    return Phi + Gamma[:, others] @ kept.asked[others], Gamma[:, actuators], kept.asked[actuators]

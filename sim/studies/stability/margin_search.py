@@ -1,0 +1,193 @@
+"""The margins of a loop, predicted from its transfer function and found in MuJoCo."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from models.vehicle.limits_and_implementation import Implementation
+from models.vehicle.vehicle import Vehicle
+from sim.linear.sampled_response import taylor4
+from sim.studies.stability.bisection import Search, run_searches
+from sim.studies.stability.growth_test import Trial, silent
+from sim.studies.stability.loop_transfer import cut, cut_sampled
+from sim.studies.stability.stability_margins import Margins, margins, sampled_gain_crossings
+from synth.controller.controller import Controller
+
+SLOWEST = 2.0  # s; the longest delay and sample period that are tried where none is predicted to matter
+AMPLE = 32.0  # the largest gain that is tried where none is predicted to matter, not even for a sampled loop
+AGREES = 5e-3  # relative, of a gain; a search ends at 0.2 %, and what two of them tend to is known to 0.3 %
+WITHOUT_END = 1.5  # times as much at half the step: it goes with the step's inverse, where a loop's own end stays
+
+
+@dataclass(frozen=True, eq=False)
+class GainMargin:
+    """How many times more gain a loop bears, or how many times less, predicted and found; infinite where any.
+
+    Physics holds the force over a step, and so runs the sampled loop, whose margin tends to the loop's own with the first power
+    of the timestep. Where what is found at one step is not the loop's own, half the step tells what it tends to.
+
+    Attributes:
+        own: predicted of the loop itself, without sampling.
+        sampled: predicted of the sampled loop, as RK4 integrates it, at the timestep and at half of it.
+        search: for the margin at the timestep.
+        finer: at half of it; not run where it need not be.
+    """
+
+    own: float
+    sampled: tuple[float, float]
+    search: Search
+    finer: Search
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether what is found at the timestep is not the loop's own."""
+        return not _close(self.own, self.search.found, AGREES * self.own)
+
+    @property
+    def found(self) -> float:
+        """What physics tends to as its timestep shrinks. A margin that grows as the step shrinks is the sampling's alone."""
+        if not self.finer.tried:
+            return self.search.found
+        coarse, fine = self.search.found, self.finer.found
+        return math.inf if fine > WITHOUT_END * coarse or math.isinf(fine) else 2 * fine - coarse
+
+    @property
+    def agrees(self) -> bool:
+        """Whether physics bears what is predicted, at each step that it ran with and in what it tends to.
+
+        What two steps tend to is off by a second power of the step: by less than half of what the halving has moved.
+        """
+        tried = zip(self.sampled, (self.search, self.finer), strict=True)
+        here = all(_close(at, one.found, AGREES * at) for at, one in tried if one.tried)
+        moved = abs(self.finer.found - self.search.found) if self.finer.tried else 0.0
+        return here and _close(self.own, self.found, max(moved / 2, AGREES * self.own))
+
+
+@dataclass(frozen=True, eq=False)
+class LoopMargins:
+    """The margins of one loop, predicted and found.
+
+    Attributes:
+        predicted: from the loop transfer function.
+        gain: how much more it bears.
+        gain_lower: how much less, as the factor's inverse.
+        delay, sample_period: the searches.
+        timestep: of the physics [s].
+    """
+
+    predicted: Margins
+    gain: GainMargin
+    gain_lower: GainMargin
+    delay: Search
+    sample_period: Search
+    timestep: float
+
+    @property
+    def found_gain_lower(self) -> float:
+        """The largest factor below 1 that grows; 0 where none does."""
+        return 1 / self.gain_lower.found
+
+    @property
+    def found_sample_period(self) -> float:
+        """The longest sample period before the first that grows [s]."""
+        return self.sample_period.unstable - self.timestep
+
+    @property
+    def found_phase(self) -> float:
+        """What the delay makes of phase at the crossover [rad]."""
+        if math.isinf(self.delay.unstable):
+            return math.inf
+        return self.delay.unstable * self.predicted.frequency
+
+    @property
+    def agrees(self) -> bool:
+        """Whether every margin is found where it is predicted: a gain to 0.5 %, a delay and a sample period to a timestep."""
+        return (
+            self.gain.agrees
+            and self.gain_lower.agrees
+            and _close(self.predicted.delay, self.delay.unstable, self.timestep)
+            and _close(self.predicted.sample_period, self.found_sample_period, self.timestep)
+        )
+
+
+def _close(predicted: float, found: float, within: float) -> bool:
+    return predicted == found or (math.isfinite(predicted) and abs(predicted - found) <= within)
+
+
+def find_margins(
+    vehicle: Vehicle, controller: Controller, timestep: float, progress: Callable[[str], None] = silent
+) -> dict[str, LoopMargins]:
+    """Returns gain and delay margins and the largest sample period, as predicted and as found in MuJoCo.
+
+    Args:
+        vehicle: the vehicle; what its `[implementation]` says does not count.
+        controller: its controller, whose loop is stable.
+        timestep: of MuJoCo [s].
+        progress: called with a line on how far the search has come.
+
+    Returns:
+        The margins of all loops at once under ""; where there are several, also of each, with the others closed, by its force.
+
+    Example:
+        >>> from models import read_vehicle
+        >>> from sim import find_margins
+        >>> from synth import design_controllers
+        >>> vehicle = read_vehicle("quarter_car")
+        >>> [controller] = design_controllers(vehicle, ["II"])
+        >>> margins = find_margins(vehicle, controller, timestep=2e-3)
+        >>> f"delay {margins[''].predicted.delay:.3f} s predicted, {margins[''].delay.unstable:.3f} s found"
+        'delay 0.087 s predicted, 0.088 s found'
+    """
+    names = vehicle.linear_model.inputs
+    loops = {"": list(range(len(names)))}
+    if len(names) > 1:
+        loops |= {name: [i] for i, name in enumerate(names)}
+    found = {name: searches(vehicle, controller, actuators, timestep) for name, actuators in loops.items()}
+    find_all(list(found.values()), timestep, progress)
+    return found
+
+
+def find_all(loops: Sequence[LoopMargins], timestep: float, progress: Callable[[str], None] = silent) -> None:
+    """Runs the searches of any loops, of several controllers too, to their ends: those of one round in one batch."""
+    gains = [gain for one in loops for gain in (one.gain, one.gain_lower)]
+    others = [search for one in loops for search in (one.delay, one.sample_period)]
+    run_searches([*(gain.search for gain in gains), *others], timestep, progress)
+    run_searches([gain.finer for gain in gains if gain.doubtful], timestep / 2, progress)
+
+
+def searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int], timestep: float) -> LoopMargins:
+    """The predicted margins of the loop cut at some actuators, and the searches for them, not yet run."""
+    loop = cut(vehicle, controller, actuators)
+    predicted = margins(loop)
+    mine = np.isin(np.arange(len(vehicle.linear_model.inputs)), actuators)
+
+    def with_gain(factor: float) -> Trial:
+        return Trial(vehicle, replace(controller, law=controller.law.scaled(np.where(mine, factor, 1.0))))
+
+    def gain_margin(trial: Callable[[float], Trial], own: float, power: int) -> GainMargin:
+        # A factor to this power is an amount above 1: how many times more gain, or how many times less.
+        coarse, fine = (min((factor**power for factor in factors if factor**power > 1), default=math.inf) for factors in sampled)
+        return GainMargin(own, (coarse, fine), Search(trial, coarse, most=AMPLE), Search(trial, fine, most=AMPLE))
+
+    def built(how: Implementation) -> Trial:
+        cut_out, rest = (replace(controller, law=controller.law.only(part)) for part in (mine, ~mine))
+        return Trial(replace(vehicle, implementation=how), cut_out, rest if rest.law.acts else None)
+
+    sampled = [
+        sampled_gain_crossings(*cut_sampled(vehicle, controller, step, actuators, taylor4)) for step in (timestep, timestep / 2)
+    ]
+    late = max(predicted.delay - timestep / 2, timestep)  # half a sample is in the hold
+    return LoopMargins(
+        predicted=predicted,
+        gain=gain_margin(with_gain, predicted.gain, 1),
+        gain_lower=gain_margin(
+            lambda amount: with_gain(1 / amount), 1 / predicted.gain_lower if predicted.gain_lower else math.inf, -1
+        ),
+        delay=Search(lambda amount: built(Implementation(delay=round(amount / timestep))), late, most=SLOWEST, step=timestep),
+        sample_period=Search(
+            lambda amount: built(Implementation(sample_period=amount)), predicted.sample_period, most=SLOWEST, step=timestep
+        ),
+        timestep=timestep,
+    )

@@ -1,0 +1,164 @@
+"""Margins in words, and as JSON has them."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from models.common.printed import WIDTH, finite, wrapped
+from models.vehicle.vehicle import Vehicle
+from sim.studies.stability.fragility import FragilityFound
+from sim.studies.stability.margin_search import GainMargin, LoopMargins
+from sim.studies.stability.robustness import Robustness, varied_text
+from synth.controller.controller import Controller
+from synth.design.uncertainty.fragility import errors_text, fragility_object, proved_text, rounding_text, whose
+
+NAME, CELL = 24, 12  # columns of a table of margins
+
+
+def margins_object(
+    vehicle: Vehicle, controller: Controller, found: dict[str, LoopMargins], fragile: FragilityFound, box: Robustness | None
+) -> dict[str, Any]:
+    """The result as JSON has it: SI units, None for what is infinite or does not exist."""
+    loops = {name: _loop_object(one) for name, one in found.items() if name}
+    result = {"controller": controller.name, **_loop_object(found[""]), "loops": loops}
+    names = controller.measured, vehicle.linear_model.inputs
+    edge = {"mujoco": finite(fragile.edge.found), "sampled": _sampled_object(fragile.edge, fragile.timestep)}
+    result["fragility"] = fragility_object(fragile.predicted, fragile.rounding, *names) | edge
+    if box is None:
+        return {**result, "robustness": None}
+    varied = {one.name: [one.smallest, one.largest] for one in box.varied}
+    corners = [
+        {**corner.parameters, "norm": finite(corner.norm), "stable": corner.decays, "agrees": corner.agrees}
+        for corner in box.corners
+    ]
+    result["robustness"] = {"varied": varied, "worst_norm": finite(box.norm), "at": box.at, "corners": corners}
+    return result
+
+
+def _loop_object(one: LoopMargins) -> dict[str, Any]:
+    predicted = one.predicted
+    gain = {
+        "predicted": finite(predicted.gain),
+        "found": finite(one.gain.found),
+        "lower": {"predicted": predicted.gain_lower or None, "found": one.found_gain_lower or None},
+        "sampled": _sampled_object(one.gain, one.timestep),
+    }
+    phase = {  # lag: what a delay makes
+        "predicted": finite(predicted.phase),
+        "found": finite(one.found_phase),
+        "frequency": finite(predicted.frequency),
+        "smallest": finite(predicted.smallest_phase),
+    }
+    return {
+        "gain": gain,
+        "phase": phase,
+        "delay": {"predicted": finite(predicted.delay), "found": finite(one.delay.unstable)},
+        "sample_period": {"predicted": finite(predicted.sample_period), "found": finite(one.found_sample_period)},
+    }
+
+
+def _sampled_object(margin: GainMargin, timestep: float) -> list[dict[str, Any]]:
+    """What the sampled loop bears at each timestep that physics ran with."""
+    return [
+        {"timestep": timestep / k, "predicted": finite(at), "found": finite(search.found)}
+        for k, at, search in zip((1, 2), margin.sampled, (margin.search, margin.finer), strict=True)
+        if search.tried
+    ]
+
+
+def margins_lines(
+    vehicle: Vehicle, controller: Controller, found: dict[str, LoopMargins], fragile: FragilityFound, box: Robustness | None
+) -> list[str]:
+    """What a loop bears, predicted and found, in lines for a terminal."""
+    lines = []
+    for name, one in found.items():
+        lines += ["", *_loop_lines(_called(name, len(found)), one)]
+        lines.append(_agreement(one.agrees))
+    lines += ["", *_fragile_lines(vehicle, controller, fragile), _agreement(fragile.agrees)]
+    if box is None:
+        return [*lines, "", f"other vehicles: {varied_text(vehicle.kind)}"]
+    at = ", ".join(f"{name} {value:.6g}" for name, value in box.at.items())
+    lines += ["", f"{varied_text(vehicle.kind)}: worst norm {box.norm:.6g} at {at}"]
+    for corner in box.corners:
+        at = ", ".join(f"{name} {value:.6g}" for name, value in corner.parameters.items())
+        physics = f"MuJoCo {'settles' if corner.decays else 'GROWS'}, {'agrees' if corner.agrees else 'DOES NOT AGREE'}"
+        lines.append(f"  {at}: norm {corner.norm:.6g}; {physics}")
+    return lines
+
+
+def _agreement(agrees: bool) -> str:
+    return "  agrees" if agrees else "  DOES NOT AGREE; where the timestep is too coarse, give a smaller one"
+
+
+def _fragile_lines(vehicle: Vehicle, controller: Controller, fragile: FragilityFound) -> list[str]:
+    """How large errors of its readings and forces a loop bears."""
+    predicted, edge, h = fragile.predicted, fragile.edge, fragile.timestep
+    names = controller.measured, vehicle.linear_model.inputs
+    worst = errors_text(predicted.stable, *names) if math.isfinite(edge.own) else "none up to 100 % ends it"
+    rows = [("bears up to, %", 100 * edge.own, 100 * edge.found, worst)]
+    rows += [(name, 100 * at, 100 * seen, note) for name, at, seen, note in _sampled_rows(edge, h, 1)]
+    rounded = rounding_text(controller.certificate.norm.value, fragile.rounding)
+    return [*_table(f"errors of {whose(predicted)}", rows), f"  {proved_text(predicted)}", f"  {rounded}"]
+
+
+def verdict(found: dict[str, LoopMargins], fragile: FragilityFound, box: Robustness | None) -> str:
+    """Whether MuJoCo bears what is predicted."""
+    wrong = [_called(name, len(found)) for name, one in found.items() if not one.agrees]
+    if not fragile.agrees:
+        wrong.append(f"errors of {whose(fragile.predicted)}")
+    if box is not None and not box.holds:
+        wrong.append("other vehicles")
+    if wrong:
+        return f"DOES NOT AGREE: {'; '.join(wrong)}"
+    others = f"; {len(box.corners)} other vehicles do what is predicted" if box is not None else ""
+    return f"agrees: the loop bears in MuJoCo what is predicted{others}"
+
+
+def _called(name: str, count: int) -> str:
+    """What a loop is called, one of so many."""
+    return f"the loop of {name}, the others closed" if name else ("all loops at once" if count > 1 else "the loop")
+
+
+def _loop_lines(title: str, one: LoopMargins) -> list[str]:
+    """A loop's margins as a table."""
+    predicted, h = one.predicted, one.timestep
+    rows = [("gain, factor", predicted.gain, one.gain.found, ""), *_sampled_rows(one.gain, h, 1)]
+    if predicted.gain_lower or one.found_gain_lower:
+        rows.append(("gain, lower factor", predicted.gain_lower, one.found_gain_lower, ""))
+        rows += _sampled_rows(one.gain_lower, h, -1)
+    where = f"at {predicted.frequency:.5g} rad/s" if predicted.crossovers else ""
+    if predicted.smallest_phase < predicted.phase * (1 - 1e-9):
+        where += f"; another crossover needs less, {predicted.smallest_phase:.4g}, but more delay"
+    rows.append(("phase lag, rad", predicted.phase, one.found_phase, where))
+    samples = ""
+    if math.isfinite(one.delay.unstable):
+        samples = f"{round(one.delay.stable / h)} samples decay, {round(one.delay.unstable / h)} grow"
+    rows.append(("delay, ms", 1e3 * predicted.delay, 1e3 * one.delay.unstable, samples))
+    rows.append(("sample period, ms", 1e3 * predicted.sample_period, 1e3 * one.found_sample_period, ""))
+    return _table(title, rows)
+
+
+def _table(title: str, rows: Sequence[tuple[str, float, float, str]]) -> list[str]:
+    """Rows of a name, what is predicted, what is found, and a note to the right, or below where it does not fit."""
+    heading = f"{'predicted':>{CELL}}{'MuJoCo':>{CELL}}"
+    room = NAME + 2
+    lines = [f"{title:{room}}{heading}"] if len(title) <= room else [title, f"{'':{room}}{heading}"]
+    for name, first, second, note in rows:
+        row = f"  {name:{NAME}}{_cell(first)}{_cell(second)}"
+        beside = f"{row}  {note}".rstrip()
+        lines += [beside] if len(beside) <= WIDTH else [row, *wrapped(note, "      ")]
+    return lines
+
+
+def _sampled_rows(gain: GainMargin, h: float, power: int) -> list[tuple[str, float, float, str]]:
+    """What the sampled loop bears at both timesteps, where that is not what the loop itself does; a lower factor has power -1."""
+    searches = zip((h, h / 2), gain.sampled, (gain.search, gain.finer), strict=True)
+    return [
+        (f"  sampled every {1e3 * step:g} ms", at**power, search.found**power, "" if step == h else "above: what these tend to")
+        for step, at, search in searches
+        if gain.finer.tried
+    ]
+
+
+def _cell(value: float) -> str:
+    return f"{'any' if math.isinf(value) else format(value, '.6g'):>{CELL}}"

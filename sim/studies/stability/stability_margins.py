@@ -1,0 +1,294 @@
+"""The margins of a loop, predicted from where it is cut.
+
+Cut as in `loop_transfer.py`, the loop L(s) = G (s I - A)^-1 B + H is on the verge of stability where an eigenvalue of L(j w)
+is 1. No margin is read off a frequency grid. With M = B G, and H = 0:
+
+- a gain factor k puts a pole of A + k M on the imaginary axis only if two poles of it add to zero, so only if
+  (A + k M) (+) (A + k M) is singular, with X (+) Y = kron(X, I) + kron(I, Y): a linear eigenvalue problem in k;
+- a phase lag z = exp(-j theta) does so only if (A + z M) (+) (A + conj(z) M) is singular, and conj(z) = 1 / z: a quadratic
+  eigenvalue problem in z, whose solutions on the unit circle are all crossovers (Chen, Gu, Nett 1995). The delay theta / w makes
+  that lag, and of all crossovers the one with the smallest delay is the delay margin;
+- a sample period T puts an eigenvalue of exp(A T) + (integral of exp(A s) ds B) G on the unit circle.
+
+With H these are no problems of one matrix, and candidates come from a fine grid. What all this gives is then refined on the poles
+themselves.
+"""
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import linalg, optimize
+
+from models.common.arrays import Array
+from sim.studies.stability.loop_transfer import Loop
+from synth.plant.discrete import held_inputs
+
+LARGEST_FACTOR = 1e4  # a loop that bears this much gain bears any: beyond, rounding decides on which side a pole is
+FACTORS = np.geomspace(1.001 / LARGEST_FACTOR, LARGEST_FACTOR / 1.001, 4000)
+SAME = 1e-6  # relative; two factors as close are one: a double eigenvalue is known to half the digits
+ANGLES = 4001  # from no lag to a whole turn; odd, so that half a turn is among them
+MOST_QUADRATIC = 18  # states; the quadratic problem of more has a matrix of above 500 rows, and a grid is quicker
+COARSER = 0.1  # radian that a pole turns by from one sample period that is tried to the next
+LONGEST = 100.0  # s; the longest sample period that is looked at where the vehicle does not settle without the loop
+
+
+@dataclass(frozen=True)
+class Crossover:
+    """Where an eigenvalue of L(j w) has magnitude one.
+
+    Attributes:
+        frequency: w [rad/s]; infinite of a force that is in its own measurement and grows with any delay.
+        phase: the lag that makes it 1, between 0 and 2 pi [rad].
+    """
+
+    frequency: float
+    phase: float
+
+    @property
+    def delay(self) -> float:
+        """The delay that makes this lag [s]."""
+        return self.phase / self.frequency
+
+
+@dataclass(frozen=True)
+class Margins:
+    """What a loop bears, predicted. Infinite: any amount.
+
+    Attributes:
+        gain: the smallest factor above 1 at which it is unstable.
+        gain_lower: the largest factor below 1 at which it is unstable; 0 where there is none.
+        crossovers: all of them, by the delay that they allow; the first is the margin.
+        sample_period: the shortest one at which it is unstable [s].
+    """
+
+    gain: float
+    gain_lower: float
+    crossovers: tuple[Crossover, ...]
+    sample_period: float
+
+    @property
+    def delay(self) -> float:
+        """The shortest delay at which it is unstable [s]."""
+        return self.crossovers[0].delay if self.crossovers else math.inf
+
+    @property
+    def phase(self) -> float:
+        """The lag that this delay makes at its crossover [rad]."""
+        return self.crossovers[0].phase if self.crossovers else math.inf
+
+    @property
+    def frequency(self) -> float:
+        """That crossover [rad/s]; NaN where there is none."""
+        return self.crossovers[0].frequency if self.crossovers else math.nan
+
+    @property
+    def smallest_phase(self) -> float:
+        """The smallest lag of all crossovers [rad]: less than `phase` where a slower one needs less lag, but more delay."""
+        return min((crossover.phase for crossover in self.crossovers), default=math.inf)
+
+
+def margins(loop: Loop) -> Margins:
+    """All margins of a loop that is stable when closed."""
+    factors = gain_crossings(loop)
+    return Margins(
+        gain=min((factor for factor in factors if factor > 1), default=math.inf),
+        gain_lower=max((factor for factor in factors if factor < 1), default=0.0),
+        crossovers=crossovers(loop),
+        sample_period=largest_sample_period(loop),
+    )
+
+
+def gain_crossings(loop: Loop) -> list[float]:
+    """Factors on the gain, between 0 and `LARGEST_FACTOR`, at which the loop changes between stable and unstable.
+
+    Beyond the factor that makes the spectral radius of H one no loop that is built is stable, as the least delay shows. Where
+    that is below 1 the loop is one on paper only, and factors are of that.
+    """
+    if np.any(loop.H):
+        # A force that is in its own measurement, k H of it, grows by that at every turn once this takes any time at all.
+        turned = 1 / max(loop.comes_back, 1 / LARGEST_FACTOR) if loop.comes_back < 1 else math.inf
+        changes = _sign_changes(lambda k: float(np.linalg.eigvals(loop.closed(k)).real.max()), FACTORS)
+        return [*(k for k in changes if k < turned), *([turned] if turned < LARGEST_FACTOR else [])]
+    # From the closed loop, which is stable: with k = 1 + d, S + d T is singular where -1 / d is an eigenvalue of S^-1 T.
+    S, T = (_kronecker_sum(X, X) for X in (loop.A + loop.M, loop.M))
+    inverses = np.linalg.eigvals(np.linalg.solve(S, T))
+    inverses = inverses[np.abs(inverses) > 1 / LARGEST_FACTOR]
+    tried = 1 - 1 / inverses[np.abs(inverses.imag) < 1e-5 * np.abs(inverses)].real
+    return _sign_changes(lambda k: float(np.linalg.eigvals(loop.A + k * loop.M).real.max()), tried)
+
+
+def sampled_gain_crossings(Phi: Array, Gamma: Array, G: Array) -> list[float]:
+    """The same for the loop that is sampled, and holds the force between; arguments as `cut_sampled` returns them."""
+    M, n = Gamma @ G, len(Phi)
+    if n > MOST_QUADRATIC:
+        return _sign_changes(lambda k: float(np.abs(np.linalg.eigvals(Phi + k * M)).max() - 1), FACTORS)
+    # kron(Phi + k M, Phi + k M) has the eigenvalue 1: with k = 1 + d, a quadratic problem in d.
+    closed = Phi + M
+    constant = np.kron(closed, closed) - np.eye(n * n)
+    linear, square = np.kron(closed, M) + np.kron(M, closed), np.kron(M, M)
+    first, second = np.linalg.solve(constant, linear), np.linalg.solve(constant, square)
+    inverses = np.linalg.eigvals(np.block([[-first, -second], [np.eye(n * n), np.zeros((n * n, n * n))]]))
+    inverses = inverses[np.abs(inverses) > 1 / LARGEST_FACTOR]
+    tried = 1 + 1 / inverses[np.abs(inverses.imag) < 1e-5 * np.abs(inverses)].real
+    return _sign_changes(lambda k: float(np.abs(np.linalg.eigvals(Phi + k * M)).max() - 1), tried)
+
+
+def crossovers(loop: Loop) -> tuple[Crossover, ...]:
+    """Every crossover at a frequency above zero, by the delay that it allows."""
+    # The pencil has squares of the loop's numbers in it. Of states in unlike units, as a lagged force in N beside metres, it
+    # hides solutions that a balanced one shows. A crossover is cheap to verify and a missing one is not, so a grid is
+    # asked too.
+    quadratic = not np.any(loop.H) and len(loop.A) <= MOST_QUADRATIC
+    found = [*_of_the_pencil(loop), *_of_the_pencil(loop.balanced())] if quadratic else []
+    beyond = [Crossover(math.inf, 0.0)] if loop.comes_back >= 1 else []
+    return _by_delay([*beyond, *found, *_crossings_on_a_grid(loop)])
+
+
+def _of_the_pencil(loop: Loop) -> list[Crossover | None]:
+    """Crossovers by the quadratic eigenvalue problem, see the top."""
+    A, M, identity = loop.A, loop.M, np.eye(len(loop.A))
+    # z^2 kron(M, I) + z (A (+) A) + kron(I, M) is singular.
+    S, size = _kronecker_sum(A, A), len(A) ** 2
+    eye, zero = np.eye(size), np.zeros((size, size))
+    pencil = np.block([[zero, eye], [-np.kron(identity, M), -S]]), np.block([[eye, zero], [zero, np.kron(M, identity)]])
+    with np.errstate(divide="ignore", invalid="ignore"):  # infinite eigenvalues: M has no full rank
+        solutions = linalg.eigvals(*pencil)
+    solutions = solutions[np.isfinite(solutions)]
+
+    found: list[Crossover | None] = []
+    fastest = float(np.abs(np.linalg.eigvals(A + M)).max())
+    for z in solutions[np.abs(np.abs(solutions) - 1) < 1e-4]:
+        poles = np.linalg.eigvals(A + z * M)
+        for pole in poles[(np.abs(poles.real) < 1e-3 * np.abs(poles)) & (poles.imag > 1e-6 * fastest)]:
+            found.append(_refined(loop, float(-np.angle(z)), complex(pole)))
+    return found
+
+
+def _by_delay(found: Sequence[Crossover | None]) -> tuple[Crossover, ...]:
+    """Those that are crossovers, each once, by the delay that they allow."""
+    different: list[Crossover] = []
+    for one in found:
+        if one and not any(math.isclose(one.delay, other.delay, rel_tol=1e-7) for other in different):
+            different.append(one)
+    return tuple(sorted(different, key=lambda crossover: crossover.delay))
+
+
+def _crossings_on_a_grid(loop: Loop) -> list[Crossover | None]:
+    """Crossovers where, between two lags of a fine grid, another number of poles is unstable."""
+    angles = np.linspace(0, 2 * np.pi, ANGLES)
+    # A lag and what it lacks of a whole turn have poles that are each other's conjugates.
+    half = np.linalg.eigvals(loop.closed(np.exp(-1j * angles[: ANGLES // 2 + 1])))
+    poles = np.concatenate([half, half[-2::-1].conj()])
+    unstable = np.sum(np.real(poles) > 0, axis=1)
+    found = []
+    for i in np.flatnonzero(np.diff(unstable)):
+        nearest = poles[i][np.argsort(np.abs(poles[i].real))[: 1 + abs(int(unstable[i + 1] - unstable[i]))]]
+        found += [_refined(loop, float(angles[i]), complex(pole)) for pole in nearest if pole.imag > 0]
+    return found
+
+
+def _refined(loop: Loop, theta: float, pole: complex) -> Crossover | None:
+    """The crossover next to a lag and a pole, to rounding; None where the pole only comes near the axis."""
+
+    def nearest(angle: float) -> complex:
+        poles = np.linalg.eigvals(loop.closed(np.exp(-1j * angle)))
+        return complex(poles[np.argmin(np.abs(poles - pole))])
+
+    found: Any = optimize.root_scalar(
+        lambda angle: nearest(angle).real, method="secant", x0=theta, x1=theta + 1e-6, xtol=1e-13, maxiter=30
+    )
+    angle = float(found.root)
+    reached = nearest(angle)
+    if not found.converged or abs(reached.real) > 1e-9 * abs(reached) or abs(angle - theta) > 1e-2:
+        return None
+    return Crossover(reached.imag, angle % (2 * np.pi))
+
+
+def largest_sample_period(loop: Loop) -> float:
+    """The shortest sample period at which the loop is unstable [s]; infinite where there is none.
+
+    Looked for in steps that no pole turns by more than a twentieth of a radian in, as long as anything is left of it. A force
+    that comes back as large through its own measurement bears none.
+    """
+    if loop.comes_back >= 1:
+        return 0.0
+    poles = np.linalg.eigvals(loop.A)
+    at_period = loop.at_period
+    if at_period is not None:
+        return _first_unstable(lambda period: _closed(at_period(period)), poles)
+    n, k = loop.B.shape
+    augmented = np.zeros((n + k, n + k))
+    augmented[:n] = np.hstack([loop.A, loop.B])
+
+    def growth(period: float) -> float:
+        Phi, Gamma = held_inputs(loop.A, period, linalg.expm, loop.B)
+        return float(np.abs(np.linalg.eigvals(Phi + Gamma @ loop.G)).max() - 1)
+
+    start, count = 0.0, 128
+    while start < LONGEST:
+        alive = np.abs(poles[-poles.real * start < 25])  # of the others e^-25 is left
+        if len(alive) == 0:
+            break
+        h = 0.05 / alive.max()
+        step, now, grows = linalg.expm(augmented * h), linalg.expm(augmented * start), []
+        for _ in range(count):
+            now = now @ step
+            grows.append(now[:n, :n] + now[:n, n:] @ loop.G)
+        unstable = np.abs(np.linalg.eigvals(np.array(grows))).max(axis=1) > 1
+        if unstable.any():
+            first = start + h * (1 + int(unstable.argmax()))
+            before = max(first - h, 1e-3 * h)  # at zero itself every period is on the verge
+            refined: Any = optimize.brentq(growth, before, first, xtol=1e-13)
+            return float(refined)
+        start += count * h
+    return math.inf
+
+
+def _closed(sampled_loop: tuple[Array, Array, Array]) -> Array:
+    Phi, Gamma, G = sampled_loop
+    return Phi + Gamma @ G
+
+
+def _first_unstable(at_period: Callable[[float], Array], poles: Array) -> float:
+    """The shortest period at which a transition has an eigenvalue on the unit circle, as above, but each is made by itself."""
+
+    def growth(period: float) -> float:
+        return float(np.abs(np.linalg.eigvals(at_period(period))).max() - 1)
+
+    start = 0.0
+    while start < LONGEST:
+        alive = np.abs(poles[-np.real(poles) * start < 25])
+        if len(alive) == 0:
+            break
+        h = COARSER / alive.max()
+        if growth(start + h) > 0:
+            refined: Any = optimize.brentq(growth, max(start, 1e-3 * h), start + h, xtol=1e-13)
+            return float(refined)
+        start += h
+    return math.inf
+
+
+def _kronecker_sum(X: Array, Y: Array) -> Array:
+    """X (+) Y: its eigenvalues are all sums of one of X and one of Y."""
+    identity = np.eye(len(X))
+    return np.kron(X, identity) + np.kron(identity, Y)
+
+
+def _sign_changes(growth: Callable[[float], float], tried: Array) -> list[float]:
+    """The positive ones of the candidates at which a growth really changes its sign, refined to 1e-13."""
+    changes = []
+    candidates = np.unique(tried[(tried > 1 / LARGEST_FACTOR) & (tried < LARGEST_FACTOR)])
+    # A pair of poles gives one twice, which rounding may tell apart: midway between those the growth is none, and has no sign.
+    candidates = candidates[np.diff(candidates, append=np.inf) > SAME * candidates]
+    # Between two neighbours nothing changes, so midway between them the sign is safe from rounding.
+    middles = [float(np.sqrt(a * b)) for a, b in itertools.pairwise(candidates)]
+    edges = [candidates[0] * 0.9, *middles, candidates[-1] * 1.1] if len(candidates) else []
+    for low, high in itertools.pairwise(edges):
+        if growth(low) * growth(high) < 0:
+            refined: Any = optimize.brentq(growth, low, high, xtol=1e-13)
+            changes.append(float(refined))
+    return changes

@@ -1,0 +1,296 @@
+"""The map of validity: over a grid of bumps, where linear analysis holds, and what breaks first where it does not.
+
+Before anything breaks, physics *is* linear, so what breaks first, and when, follows from the linear response alone; and that is
+proportional to the height of the bump. One linear run per length and speed predicts a whole column of heights, and MuJoCo, run in
+every cell, says whether that is so.
+
+Adjustable dampers that are asked for forces leave a linear controller short at once, at whatever height. So what is told of them
+is how much of the force is missing; what breaks first is then what ends the analysis *with* its dampers, the switched response,
+which is proportional to the height as well. A curve is off its line by more and more: it breaks at a stated share, `LEAVES`.
+"""
+
+import functools
+import math
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.printed import percent
+from models.common.threads import cores, side_by_side
+from models.roads.load import Load
+from models.roads.loaded import Loaded
+from models.roads.obstacles import Flat
+from models.roads.road import Bump, Road, RoadInput
+from models.vehicle.vehicle import Vehicle
+from sim.linear.dampers import is_linear
+from sim.linear.nonlinear_elements import is_curved
+from sim.linear.sampled_response import sampled_response, sampled_responses
+from sim.linear.switched_response import switched_response
+from sim.physics.run_blocks import runs_at_once
+from sim.physics.simulate import Watched
+from sim.response.regime import DAMPER, END_NAMES, REGIME_ENDS, EndDetector, first_end, scaled_reached, utilisation
+from sim.response.response import Response
+from synth.controller.controller import Controller
+from synth.controller.open_loop import LoopModel
+
+ENOUGH = 0.99  # of the cells have to break as predicted; the others lie at a boundary
+MOST_AT_ONCE = 64  # runs in a batch: more hardly save time, and an interruption loses the batches at work
+EDGE = 0.01  # relative height; a cell whose prediction changes within that lies at a boundary
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """Cells of the map, N of them, in the order of their bumps. Of a run that did not happen all is NaN, or -1, or 0.
+
+    Attributes:
+        bumps: one per cell.
+        done: whether it was run, shape (N,).
+        error: largest difference of physics from the linear prediction over the whole run, of any signal's peak, shape (N,).
+        first: what broke first in physics, as an index into `REGIME_ENDS`, -1 for nothing, shape (N,).
+        time: when [s], infinite for never, shape (N,).
+        predicted: the same from the linear response, shape (N,).
+        predicted_time: the same [s], shape (N,).
+        used: how much of the way to each of `REGIME_ENDS` the linear response goes, shape (N, E).
+        edge: whether the prediction is another one at a height 1 % lower or higher, shape (N,).
+        missing: rms of the forces that adjustable dampers did not give in physics, over that of all that were asked of them at
+            the samples, 0 where none was, NaN of a vehicle without any, shape (N,).
+    """
+
+    bumps: tuple[Bump, ...]
+    done: Array
+    error: Array
+    first: Array
+    time: Array
+    predicted: Array
+    predicted_time: Array
+    used: Array
+    edge: Array
+    missing: Array
+
+    def counted(self, noun: str) -> str:
+        """How many were run, and of how many asked where those are more."""
+        done, asked = int(self.done.sum()), len(self.bumps)
+        return f"{done} {noun}" if done == asked else f"{done} {noun} (of {asked} asked)"
+
+    @property
+    def short(self) -> str:
+        """How much of the force asked of adjustable dampers is missing, in words; empty where none is."""
+        some = self.missing[self.done & (self.missing > 0)]
+        if not len(some):
+            return ""
+        least, most = (percent(float(share)) for share in (some.min(), some.max()))
+        much = most if least == most else f"{least} to {most}"
+        return f"of the force asked of its adjustable dampers {much} (rms) is missing"
+
+    @property
+    def agrees(self) -> Array:
+        """Where physics breaks first what was predicted, shape (N,)."""
+        return self.done & (self.first == self.predicted)
+
+    @property
+    def agreement(self) -> float:
+        """Share of the cells run whose prediction was right."""
+        return float(self.agrees.sum() / max(self.done.sum(), 1))
+
+    @property
+    def unexplained(self) -> int:
+        """Cells whose prediction was wrong though they lie at no boundary."""
+        return int(np.sum(self.done & ~self.agrees & ~self.edge))
+
+    @property
+    def as_predicted(self) -> bool:
+        """Whether physics breaks first what is predicted: in all but a few cells, and those at a boundary."""
+        return self.agreement >= ENOUGH and not self.unexplained
+
+
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C, with what was done before it.
+
+    Attributes:
+        cells: all, those that were not run among them.
+    """
+
+    def __init__(self, cells: Cells) -> None:
+        super().__init__()
+        self.cells = cells
+
+
+def validity(
+    vehicle: Vehicle,
+    controller: Controller,
+    bumps: Sequence[Bump],
+    time: Array,
+    progress: Callable[[int], None] = lambda done: None,
+    loads: tuple[Load, ...] = (),
+    foretold: bool = True,
+) -> Cells:
+    """Runs every bump in MuJoCo, in a few large batches, and compares with the linear prediction.
+
+    Args:
+        vehicle: the vehicle.
+        controller: its controller.
+        bumps: N of them.
+        time: equidistant sample times from 0 [s].
+        progress: is told how many cells are done.
+        loads: on the body over every one of them.
+        foretold: whether anybody asks what is predicted of each, which with curves or loads is dear; else nothing is.
+
+    Raises:
+        Interrupted: Ctrl-C came before the last cell was done.
+    """
+    # One linear response serves all heights, so they lie side by side. Every core has batches as many and as large as the others.
+    order = sorted(range(len(bumps)), key=lambda i: (bumps[i].length, bumps[i].speed))
+    at_once = min(MOST_AT_ONCE, runs_at_once(len(time), len(vehicle.kind.wheels)))
+    rounds = math.ceil(len(bumps) / (cores() * at_once))
+    chunks = [chunk for chunk in np.array_split(order, cores() * rounds) if len(chunk)]
+    pieces = [functools.partial(_run, vehicle, controller, [bumps[i] for i in chunk], time, loads, foretold) for chunk in chunks]
+    parts: list[Cells | None] = [None] * len(chunks)
+    try:
+        with closing(side_by_side(pieces, cores())) as results:
+            for number, part in results:
+                parts[number] = part
+                progress(sum(len(part.bumps) for part in parts if part is not None))
+    except KeyboardInterrupt:
+        pass
+    complete = None not in parts
+    parts = [part or _not_run([bumps[i] for i in chunk]) for part, chunk in zip(parts, chunks, strict=True)]
+    back = np.argsort(order)
+    arrays = [name for name in Cells.__dataclass_fields__ if name != "bumps"]
+    cells = Cells(tuple(bumps), **{name: np.concatenate([getattr(part, name) for part in parts])[back] for name in arrays})
+    if not complete:
+        raise Interrupted(cells)
+    return cells
+
+
+def _run(
+    vehicle: Vehicle,
+    controller: Controller,
+    bumps: Sequence[Bump],
+    time: Array,
+    loads: tuple[Load, ...],
+    foretold: bool,
+    stopped: Callable[[], bool],
+) -> Cells | None:
+    """Some cells, in one batch that is compared with the linear response as it goes; None once it is stopped."""
+    count, heights = len(bumps), np.array([bump.height for bump in bumps])
+    keys = [(bump.length, bump.speed) for bump in bumps]
+    columns = {key: i for i, key in enumerate(dict.fromkeys(keys))}
+    column = np.array([columns[key] for key in keys])
+
+    # Of bumps one metre high: all else is proportional to it.
+    loop = LoopModel(vehicle.straight, controller, float(time[1]))
+    metres = [RoadInput(vehicle.straight, Bump(1.0, *key), time) for key in columns]
+    unit = sampled_responses(loop, metres)
+    outputs = [i for i, name in enumerate(unit.names) if name in vehicle.linear_model.outputs]
+    linear = np.moveaxis(unit.values, 0, 2)[:, outputs]
+    short = not is_linear(vehicle, controller)
+    if not foretold:
+        used, times = np.zeros((count, len(END_NAMES))), np.full((count, 3, len(END_NAMES)), np.inf)
+    elif is_curved(vehicle) or loads:
+        used, times = _one_by_one(vehicle, controller, bumps, time, loads)
+    else:
+        met = _switched(controller, [replace(one, vehicle=vehicle) for one in metres]) if short else unit
+        used, times = _in_proportion(vehicle, met, heights, column)
+    end = REGIME_ENDS.index(DAMPER)
+    if short:
+        used[:, end], times[..., end] = 0.0, np.inf
+    predicted = first_end(times)
+    roads = [loaded(bump, loads) for bump in bumps]
+    flat = sampled_response(loop, RoadInput(vehicle.straight, loaded(Flat(), loads), time))  # what loads alone do is added
+    push = flat.values[:, outputs, None]
+
+    watched, apart = Watched([vehicle] * count, [controller] * count, roads, time), np.zeros((len(outputs), count))
+    forces = [[unit.names.index(name) for name in (one.force, one.missing)] for one in vehicle.adjustable]
+    squares = np.zeros((2, count))  # of what is missing, and of what was asked
+    for block in watched.blocks():
+        if stopped():
+            return None
+        some = slice(block.start, block.start + len(block.values))
+        parts = zip(apart, outputs, np.moveaxis(linear[some], 1, 0), np.moveaxis(push[some], 1, 0), strict=True)
+        for worst, i, response, more in parts:
+            np.maximum(worst, np.abs(block.values[:, i] - heights * response[:, column] - more).max(axis=0), out=worst)
+        for given, missing in forces:
+            lost = block.values[:, missing]
+            squares += np.sum([lost**2, (block.values[:, given] + lost) ** 2], axis=1)
+
+    scales = np.array([[unit.run(i).scale(unit.names[j]) or np.inf for j in outputs] for i in columns.values()])
+    sizes = np.abs(heights) * scales[column].T
+    if loads:
+        whole = [replace(unit, values=height * unit.values[i] + flat.values) for height, i in zip(heights, column, strict=True)]
+        sizes = np.array([[one.scale(unit.names[j]) or np.inf for one in whole] for j in outputs])
+    error = (apart / sizes).max(axis=0)
+    reached, diverged = watched.ends.times, watched.diverged
+    if short:
+        reached[:, end] = np.inf
+    first = reached.min(axis=1)
+    broken = first < diverged
+    return Cells(
+        bumps=tuple(bumps),
+        done=np.ones(count, dtype=bool),
+        error=np.where(np.isfinite(diverged), np.inf, error),
+        first=np.where(broken, first_end(reached), -1),
+        time=np.where(broken, first, np.inf),
+        predicted=predicted[:, 0],
+        predicted_time=times[:, 0].min(axis=-1),
+        used=used,
+        edge=np.any(predicted != predicted[:, :1], axis=1),
+        missing=np.sqrt(squares[0] / np.where(squares[1] > 0, squares[1], np.inf)) if forces else np.full(count, np.nan),
+    )
+
+
+def _in_proportion(vehicle: Vehicle, unit: Response, heights: Array, column: Array) -> tuple[Array, Array]:
+    """How much of the way bumps go to each end, shape (N, E), and when they reach it, from responses to a metre.
+
+    The times are of every bump as it is, and 1 % lower and higher, shape (N, 3, E).
+
+    Args:
+        vehicle: the vehicle.
+        unit: of one run for every length and speed.
+        heights: of the bumps [m], shape (N,).
+        column: their runs, shape (N,).
+    """
+    hole, times = replace(unit, values=-unit.values), np.empty((len(heights), 3, len(END_NAMES)))
+    used = np.abs(heights)[:, None] * np.where(
+        heights[:, None] > 0, utilisation(vehicle, unit)[column], utilisation(vehicle, hole)[column]
+    )
+    for i in dict.fromkeys(column.tolist()):
+        mine = np.flatnonzero(column == i)
+        factors = heights[mine, None] * np.array([1, 1 - EDGE, 1 + EDGE])
+        times[mine] = scaled_reached(vehicle, unit.run(i), factors.ravel()).reshape(len(mine), 3, len(END_NAMES))
+    return used, times
+
+
+def _one_by_one(
+    vehicle: Vehicle, controller: Controller, bumps: Sequence[Bump], time: Array, loads: tuple[Load, ...]
+) -> tuple[Array, Array]:
+    """The same of responses with curves or loads, which are not proportional to the height."""
+    factors = (1, 1 - EDGE, 1 + EDGE)
+    near = [loaded(replace(bump, height=factor * bump.height), loads) for factor in factors for bump in bumps]
+    met = [RoadInput(vehicle, road, time) for road in near]
+    linear = is_linear(vehicle, controller)
+    made = sampled_responses(LoopModel(vehicle, controller, met[0].timestep), met) if linear else _switched(controller, met)
+    detector = EndDetector([vehicle] * len(near), time, predicted=True)
+    detector.update(0, np.moveaxis(made.values, 0, 2))
+    times = np.moveaxis(detector.times.reshape(3, len(bumps), len(END_NAMES)), 0, 1)
+    return utilisation(vehicle, replace(made, values=made.values[: len(bumps)])), times
+
+
+def _switched(controller: Controller, met: Sequence[RoadInput]) -> Response:
+    """Responses with adjustable dampers, side by side."""
+    found = [switched_response(controller, road) for road in met]
+    return replace(found[0], values=np.stack([one.values for one in found]))
+
+
+def loaded(bump: Road, loads: tuple[Load, ...]) -> Road:
+    """A bump, with loads on the body where there are some."""
+    return Loaded(bump, loads) if loads else bump
+
+
+def _not_run(bumps: Sequence[Bump]) -> Cells:
+    count = len(bumps)
+    unknown, nothing, no = np.full(count, np.nan), np.full(count, -1), np.zeros(count, dtype=bool)
+    zeros = np.zeros((count, len(END_NAMES)))
+    return Cells(tuple(bumps), no, unknown, nothing, unknown, nothing, unknown, zeros, no, unknown)

@@ -1,0 +1,178 @@
+"""A map of validity in words, as JSON, as a table, and drawn so that it needs no explanation."""
+
+import csv
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.files import whole_file
+from models.common.printed import finite
+from models.figures.figure import Classes, Curve, Figure, Panel, level
+from models.roads.load import Load
+from models.suspension import LEAVES
+from models.vehicle.names import PLUS
+from models.vehicle.vehicle import Vehicle
+from sim.linear.nonlinear_elements import is_curved
+from sim.response.regime import CURVE, END_NAMES, REGIME_ENDS, End
+from sim.studies.validity.grid import UNITS, Axis
+from sim.studies.validity.regime_map import Cells
+from synth.controller.controller import Controller
+
+
+def write_csv(path: Path, cells: Cells, threshold: float) -> None:
+    """One line per cell that was run, SI units; what never happens is left empty; in every line whether all cells are there."""
+    names = [end.replace(" ", "_").replace("-", "_") for end in END_NAMES]
+    with whole_file(path, "csv") as beside, beside.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        complete = bool(cells.done.all())
+        columns = ("error", "holds", "broke_first", "at", "predicted", "predicted_at", "agrees")
+        dampers = ("missing_force",) if np.isfinite(cells.missing).any() else ()
+        shares = (f"linear_share_of_{name}" for name in names)
+        writer.writerow([*UNITS, *columns, *shares, *dampers, "map_complete"])
+        for i in np.flatnonzero(cells.done):
+            bump, row = cells.bumps[i], _cell(cells, int(i), threshold)
+            of_cell = [bump.height, bump.length, bump.speed, *(row[name] for name in columns), *cells.used[i].tolist()]
+            writer.writerow([*of_cell, *(row[name] for name in dampers), complete])
+
+
+def envelope_object(cells: Cells, axes: Sequence[Axis], controller: str, threshold: float) -> dict[str, Any]:
+    """The map as JSON has it: SI units, None for what never happens."""
+    done = np.flatnonzero(cells.done)
+    return {
+        "controller": controller,
+        "axes": {axis.name: list(axis.values) for axis in axes},
+        "threshold": threshold,
+        "agreement": cells.agreement,
+        "unexplained": cells.unexplained,
+        "done": len(done),
+        "complete": len(done) == len(cells.bumps),
+        "cells": [{name: getattr(cells.bumps[i], name) for name in UNITS} | _cell(cells, int(i), threshold) for i in done],
+    }
+
+
+def loads_object(asked: Sequence[str]) -> dict[str, list[str]]:
+    """The loads over every bump, as they were asked for; no key where there are none."""
+    return {"loads": list(asked)} if asked else {}
+
+
+def _cell(cells: Cells, i: int, threshold: float) -> dict[str, Any]:
+    return {
+        "error": finite(cells.error[i]),
+        "holds": bool(cells.error[i] <= threshold),
+        "broke_first": END_NAMES[cells.first[i]] if cells.first[i] >= 0 else None,
+        "at": finite(cells.time[i]),
+        "predicted": END_NAMES[cells.predicted[i]] if cells.predicted[i] >= 0 else None,
+        "predicted_at": finite(cells.predicted_time[i]),
+        "agrees": bool(cells.agrees[i]),
+        **({"missing_force": float(cells.missing[i])} if np.isfinite(cells.missing[i]) else {}),
+    }
+
+
+def envelope_lines(cells: Cells, threshold: float) -> list[str]:
+    """What a map shows, in lines for a terminal."""
+    done = cells.done
+    that = "" if done.all() else " that were run"
+
+    def share(which: Array) -> str:
+        return f"{100 * which[done].mean():5.1f} % of the cells{that}" if done.any() else "-"
+
+    lines = [f"  {share(cells.error <= threshold)}: linear analysis holds to {threshold:g} of every peak"]
+    lines.append(f"  {share(cells.first < 0)}: nothing breaks")
+    lines += [
+        f"  {share(cells.first == i)}: {end} comes first" for i, end in enumerate(END_NAMES) if np.any(cells.first[done] == i)
+    ]
+    if np.any(cells.first[done] == END_NAMES.index(CURVE.name)):
+        lines.append(f"  curve: a damper's or spring's force is off its line at rest by {100 * LEAVES:g} % of its largest")
+    if cells.short:
+        lines.append(f"  {cells.short}, so that linear analysis holds at no height;")
+        lines.append("  what comes first ends the analysis with its adjustable dampers, which goes on without that force")
+    count = int(done.sum()) - round(cells.agreement * int(done.sum()))
+    others = f"; of the other {count}, {cells.unexplained or 'none'} lies away from a boundary" if count else ""
+    lines.append(
+        f"{'agrees' if cells.as_predicted else 'DOES NOT AGREE'}: {100 * cells.agreement:.2f} % of {cells.counted('cells')} "
+        f"break as {'the analysis with its dampers' if cells.short else 'linear analysis'} predicts{others}"
+    )
+    return lines
+
+
+LABELS = {"height": "bump height [m]", "length": "bump length [m]", "speed": "speed [m/s]"}
+NOTHING, UNKNOWN = "#dcefdc", "#ffffff"
+
+
+def envelope_figure(
+    vehicle: Vehicle,
+    controller: Controller,
+    cells: Cells,
+    axes: "Sequence[Axis]",
+    fixed: Mapping[str, float],
+    threshold: float,
+    loads: Sequence[Load] = (),
+) -> Figure:
+    """Colours say what broke first in MuJoCo; the solid line is what linear analysis predicts; dashed, where its error passes.
+
+    Args:
+        vehicle: the vehicle.
+        controller: its controller.
+        cells: of the grid, the second axis running faster.
+        axes: vertical and horizontal.
+        fixed: what is not varied.
+        threshold: error at which linear analysis is said to hold.
+        loads: on the body over every bump.
+    """
+    # Height, or else length, is vertical, whatever order was asked for.
+    shape = (len(axes[0].values), len(axes[1].values))
+    turned = axes[1].name == "height" or axes[0].name == "speed"
+    vertical, horizontal = (axes[1], axes[0]) if turned else (axes[0], axes[1])
+
+    def plane(values):
+        return values.reshape(shape).T if turned else values.reshape(shape)
+
+    x, y = np.array(horizontal.values), np.array(vertical.values)
+    broke = np.where(cells.done, cells.first, -2)
+    colors = (UNKNOWN, NOTHING, *(end.color for end in REGIME_ENDS))
+    first = (f"{end.name} breaks first{_at(vehicle, end)}" for end in REGIME_ENDS)
+    nothing = "nothing breaks: the regime is linear" if not cells.short else "nothing breaks; its dampers are short of force"
+    ground = Classes(x, y, plane(broke + 2), colors, ("", nothing, *first))
+
+    curves = []
+
+    used = plane(np.where(cells.done, cells.used.max(axis=-1), np.nan))
+    if np.nanmin(used) < 1 < np.nanmax(used):
+        whose = "from its response with dampers" if cells.short else "from one linear run"
+        whose = "from responses with its curves" if is_curved(vehicle) else whose
+        whose = whose.replace("one linear run", "linear runs") + " under the loads" if loads else whose
+        curves.append(Curve(*level(x, y, np.log(used), 0.0), f"predicted end, {whose}", "#000000", width=1.8))
+    error = plane(np.where(cells.done, np.clip(cells.error, threshold / 10, 10 * threshold), np.nan))
+    if np.nanmin(error) < threshold < np.nanmax(error):
+        text = f"linear prediction off by {100 * threshold:g} % of a peak"
+        curves.append(Curve(*level(x, y, np.log(error), float(np.log(threshold))), text, "#b22222", "dash", width=1.6))
+    wrong = cells.done & ~cells.agrees
+    if np.any(wrong):
+        row, column = np.nonzero(plane(wrong))
+        curves.append(Curve(x[column], y[row], "another end than predicted", "#000000", "none", "x"))
+
+    rest = ", ".join(
+        f"{LABELS[name].split(' [')[0]} {value:g} {LABELS[name].split('[')[1][:-1]}" for name, value in fixed.items()
+    )
+    which = "analysis with adjustable dampers" if cells.short else "linear analysis"
+    ends = (
+        f"end the analysis with its dampers as predicted; {cells.short}" if cells.short else "end the linear regime as predicted"
+    )
+    rest += f", under {PLUS.join(load.label for load in loads)}" if loads else ""
+    title = (
+        f"How far {which} may be trusted: {vehicle.kind.name.replace('_', ' ')}, controller {controller.name}, {rest}\n"
+        f"{100 * cells.agreement:.4g} % of {cells.counted('MuJoCo runs')} {ends}"
+    )
+    panel = Panel("", LABELS[horizontal.name], LABELS[vertical.name], tuple(curves), ground)
+    return Figure("envelope", title, (panel,), columns=1, size=(9.0, 5.2))
+
+
+def _at(vehicle: Vehicle, end: End) -> str:
+    """Where the vehicle has a limit that was chosen for it, the same either way; of a curve how far off its line that is."""
+    if end is CURVE:
+        return f" (off its line by {100 * LEAVES:g} % of its largest force)"
+    values = {(limit.value, vehicle.kind.signal(limit.signal).unit) for limit in end.thresholds(vehicle) if not limit.sign}
+    return "".join(f" (at ±{value:g} {unit})" for value, unit in values)

@@ -1,0 +1,371 @@
+"""What is true of a gain, checked with numpy alone and without the solver that found it: its norm, by the Bounded Real Lemma.
+
+The lemma stands here in the paper's variables, (20) for a closed loop and (21) for a design. With a feed-through Dw from w to z
+(zero in the paper) the same Schur complement gives
+
+    [ A X + X A' + B Y + Y' B' + eta Bw Bw'    *                  ]
+    [ C X + D Y + eta Dw Bw'                   -I + eta Dw Dw'    ]  < 0,
+
+which is still affine in X, Y and eta = gamma^-2.
+
+Of a discrete plant it is, for a closed loop,
+
+    [ A X A' - X + eta Bw Bw'    A X C' + eta Bw Dw'       ]
+    [ *                          C X C' - I + eta Dw Dw'   ]  < 0,
+
+which is not affine in a gain. For a design stands, with the plant in differences over a step T (`GeneralizedPlant.differences`)
+and X T in the place of X, what it is the Schur complement of: the continuous matrix, bordered,
+
+    [ He(A X + B Y) + eta Bw Bw'          *                 *   ]
+    [ C X + D Y + eta Dw Bw'              -I + eta Dw Dw'   *   ]
+    [ sqrt(T) (A X + B Y)'        sqrt(T) (C X + D Y)'     -X   ]  < 0.
+
+It tends to the continuous one as T falls, and so do the numbers in it: at 1 kHz nothing cancels.
+
+That the LMI holds is *proved*, in exact arithmetic on the numbers given (`analysis/rigorous.py`), and with it that the loop A
++ B G is stable and that its norm lies below the bound. The norm itself is computed, by two routes.
+"""
+
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError
+from models.common.printed import Shown
+from synth.analysis.lower_bound import LowerBound
+from synth.analysis.norm import Norm, gain_at, hinf_norm
+from synth.analysis.rigorous import SMALLEST, Definiteness, definiteness, floats, integers, product, zeros
+from synth.analysis.stability import Stability, balance, beside_weights, stability
+from synth.plant.generalized import Feedback, GeneralizedPlant
+from synth.plant.numerics import numerics
+from synth.plant.units import speed
+
+
+def bounded_real_matrix(plant: GeneralizedPlant, X: Array, Y: Array, eta: float, step: float = 0.0) -> Array:
+    """The left side of (21), shape (n + d, n + d); bordered by n with a step. With Y = 0 it is (20) for the plant as it is.
+
+    Args:
+        plant: n states, m inputs, d controlled outputs.
+        X: shape (n, n), symmetric.
+        Y: shape (m, n).
+        eta: gamma^-2.
+        step: of differences; 0 of a continuous plant.
+    """
+    top = plant.A @ X + plant.B @ Y
+    low = plant.C @ X + plant.D @ Y
+    disturbance = np.vstack([plant.Bw, plant.Dw])
+    d = len(plant.C)
+    F = np.block([[top + top.T, low.T], [low, -np.eye(d)]]) + eta * disturbance @ disturbance.T
+    if not step:
+        return F
+    border = step**0.5 * np.vstack([top, low])
+    return np.block([[F, border], [border.T, -X]])
+
+
+def bounded_real_exactly(plant: GeneralizedPlant, G: Array | Feedback, X: Array, eta: float) -> Array:
+    """The left side of (20) for the loop A + B G, C + D G, or of the discrete one; by integers, every entry rounded once.
+
+    Args:
+        plant: n states, m inputs, d controlled outputs.
+        G: shape (m, n), or a gain from measurements.
+        X: shape (n, n), symmetric.
+        eta: gamma^-2.
+
+    Raises:
+        OverflowError: an entry is too large for a float.
+    """
+    n, m = plant.B.shape
+    (system, unit), (gain, per), (unknown, over) = integers(plant.system_matrix), _gain(G), integers(X)
+    eta_top, eta_bottom = float(eta).as_integer_ratio()
+    loop = system[:, :n] * per + product(system[:, n : n + m], gain)  # over unit * per
+    F = product(loop, unknown)
+    if plant.dt is None:
+        one, half = unit * per * over, zeros(len(system), len(system))
+        half[:, :n] = F
+        F = half + half.T
+    else:
+        one = (unit * per) ** 2 * over
+        F = product(F, loop.T)
+        F[:n, :n] -= unknown * (unit * per) ** 2
+    F[np.arange(n, len(F)), np.arange(n, len(F))] -= one
+    other, from_w = eta_bottom * unit**2, system[:, n + m :]
+    # What the terms with X, and those with eta, are integers over.
+    return floats(F * other + eta_top * one * product(from_w, from_w.T), Fraction(1, one * other))
+
+
+def _gain(G: Array | Feedback) -> tuple[Array, int]:
+    """Integers and what they are over, as `integers`."""
+    if not isinstance(G, Feedback):
+        return integers(G)
+    (gain, per), (rows, over) = integers(G.K), integers(G.Cy)
+    return product(gain, rows), per * over
+
+
+FASTEST = 100.0  # times the plant: an actuator of such a speed hardly exists
+BELOW = 1e-9  # relative; how far rounding may put a norm below what no controller can beat
+ROUTES_AGREE = 1e-6  # relative; the two norms of a well-conditioned plant agree to 1e-12
+PEAKS_AGREE = 1e-9  # relative; how far from the norm the gain at its peak may lie: the peak itself is flat
+
+
+@dataclass(frozen=True, eq=False)
+class LmiProof:
+    """The proof of a bound: X > 0 and LMI (20) < 0, or that of a discrete loop (`certificate.py`).
+
+    Attributes:
+        X: shape (n, n), symmetric.
+        eta: gamma^-2.
+        positive: of X.
+        negative: of (20), with its sign turned.
+    """
+
+    X: Array
+    eta: float
+    positive: Definiteness
+    negative: Definiteness
+
+    @property
+    def holds(self) -> bool:
+        """Whether both are proved."""
+        return self.positive.proved and self.negative.proved
+
+    @property
+    def bound(self) -> float:
+        """eta^-1/2, rounded upwards."""
+        return bound_of(self.eta)
+
+    @property
+    def failures(self) -> tuple[str, ...]:
+        """What is not proved, in words."""
+        failures = []
+        if not self.positive.proved:
+            failures.append(_not_proved("X is not positive definite", "X > 0 is not proved", "smallest", 1, self.positive))
+        if not self.negative.proved:
+            failures.append(
+                _not_proved("LMI (20) is not negative definite", "LMI (20) is not proved", "largest", -1, self.negative)
+            )
+        return tuple(failures)
+
+
+def _not_proved(false: str, open_: str, which: str, sign: int, found: Definiteness) -> str:
+    """Why an inequality does not count as proved."""
+    if np.isnan(found.smallest):
+        return f"{false}: a diagonal entry has the wrong sign, or an entry is beyond 1e200"
+    if found.smallest <= 0:
+        return f"{false}: balanced, its {which} eigenvalue is {sign * found.smallest:.1e}"
+    needed = f"{'above' if sign > 0 else 'below'} {sign * found.rounding:.0e}"
+    return f"{open_}: balanced, its {which} eigenvalue is {sign * found.smallest:.1e}, and must be {needed} to be beyond rounding"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Certificate(Shown):
+    """Everything claimed of a closed loop.
+
+    Attributes:
+        loop: the closed loop itself.
+        stability: its poles, and where they lie.
+        own: the same of those that are not of filters in z and w, which no control moves.
+        norm: the H-infinity norm by two routes, and where it peaks.
+        proof: of the bound; None for a gain that came without one.
+        speed_up: magnitude of the fastest of its own poles, over the plant's speed without control.
+        moves: whether the plant moves by itself: that speed is its fastest pole's. Where all its poles lie at 0 it is the rate at
+            which its motion and the force that drives it weigh alike in z (`units.own_units`).
+        norm_rounding: a norm below this is zero to rounding, and its routes need not agree.
+        below: the proof of the lower bound, what no controller of its kind can beat; None where nobody asked.
+    """
+
+    loop: GeneralizedPlant
+    stability: Stability
+    own: Stability
+    norm: Norm
+    proof: LmiProof | None
+    speed_up: float
+    moves: bool
+    norm_rounding: float
+    below: LowerBound | None = None
+
+    @property
+    def shown(self) -> tuple[str, dict[str, str]]:
+        """Norm, bound and lower bound, and what does not hold."""
+        known = {"norm": self.norm.value, "bound": self.bound, "lower bound": self.lower_bound}
+        rows = {name: f"{value:.7g}" for name, value in known.items() if value is not None}
+        return f"certificate: {'FAILS' if self.failures else 'holds'}", rows | (
+            {"failures": "; ".join(self.failures)} if self.failures else {}
+        )
+
+    @property
+    def bound(self) -> float | None:
+        """The gamma that the LMI proves; None for a gain that came without a proof."""
+        return self.proof.bound if self.proof is not None else None
+
+    @property
+    def lower_bound(self) -> float | None:
+        """What no controller of its kind can beat; None where nobody asked, or only zero is proved."""
+        return (self.below.gamma or None) if self.below is not None else None
+
+    @property
+    def poles(self) -> Array:
+        """Eigenvalues of A + B K C_y [rad/s], complex, shape (n,); of a discrete loop z."""
+        return self.stability.poles
+
+    @property
+    def stable(self) -> bool:
+        """Whether all poles lie left of the imaginary axis, or within the unit circle, by more than rounding."""
+        return self.stability.stable
+
+    @property
+    def gap(self) -> float | None:
+        """How far the norm lies above the lower bound, relative; None without a bound, or without a finite norm."""
+        if self.lower_bound is None or not np.isfinite(self.norm.value):
+            return None
+        return self.norm.value / self.lower_bound - 1
+
+    @property
+    def beyond_actuators(self) -> bool:
+        """Whether the gain asks for more speed than actuators have. That makes no proof wrong, and many a gain useless."""
+        return self.speed_up > FASTEST
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What else there is to know, in words: no claim fails by it."""
+        if not self.beyond_actuators:
+            return ()
+        than = (
+            "the plant's fastest without control"
+            if self.moves
+            else "what z asks of a plant that does not move by itself: the rate at which motion and force weigh alike"
+        )
+        return (f"beyond any actuator: a pole is {self.speed_up:.2g} times as fast as {than}; {FASTEST:g} times is much",)
+
+    @property
+    def failures(self) -> tuple[str, ...]:
+        """The claims that do not hold, in words; empty where all do."""
+        failures = []
+        if not self.stable:
+            failures.append(self.stability.words)
+        elif self.norm.value > self.norm_rounding and self.norm.rounding > ROUTES_AGREE:
+            failures.append(
+                f"rounding may have moved the norm by {self.norm.rounding:.0e}: so near to marginal floats cannot tell"
+            )
+        elif self.norm.value > self.norm_rounding and self.norm.gap > ROUTES_AGREE:
+            failures.append(f"the two routes to the norm differ by {self.norm.gap:.0e}")
+        if self.proof is not None:
+            failures += self.proof.failures
+            if self.norm.value > self.proof.bound:
+                failures.append(f"the norm {self.norm.value:.7g} exceeds the bound {self.proof.bound:.7g}")
+        if self.gap is not None and self.gap < -BELOW:
+            failures.append(f"the norm {self.norm.value:.7g} lies below the lower bound {self.lower_bound:.7g}")
+        return tuple(failures)
+
+    def peaks_at(self, omega: float) -> bool:
+        """Whether the gain at a frequency [rad/s] is the norm. A peak is flat: its frequency itself is good to 1e-5 only."""
+        if not np.isfinite(self.norm.value):
+            return False
+        there = gain_at(self.loop, omega)
+        allowed = PEAKS_AGREE * self.norm.value if self.norm.value > self.norm_rounding else self.norm_rounding
+        return abs(there - self.norm.value) <= allowed
+
+
+@numerics()
+def certify(
+    plant: GeneralizedPlant,
+    G: Array | Feedback,
+    X: Array | None = None,
+    eta: float | None = None,
+    lower_bound: LowerBound | None = None,
+    by_itself: GeneralizedPlant | None = None,
+) -> Certificate:
+    """Checks a gain, and its proof if it comes with one: an X of an LMI, or of a record.
+
+    Without an X there is no bound. `certify_tightly` finds one for a gain that has none, in some times the time.
+
+    Args:
+        plant: n states, m inputs.
+        G: the gain from measurements (6), of which nothing is rounded; or a state gain, shape (m, n).
+        X: the matrix of (20), shape (n, n).
+        eta: gamma^-2 of (20); given with X.
+        lower_bound: what no controller of the gain's kind can beat.
+        by_itself: the plant without the states of a controller, whose speed an actuator's is compared to, and which says which
+            states are those of filters; None: the plant.
+
+    Raises:
+        InputError: eta or X is out of range.
+
+    Example:
+        >>> from synth import GeneralizedPlant, Feedback, certify
+        >>> oscillator = GeneralizedPlant(
+        ...     A=[[0, 1], [-4, -0.1]], B=[[0], [1]], Bw=[[0], [1]], C=[[1, 0], [0, 0]], D=[[0], [0.1]], Dw=[[0], [0]]
+        ... )
+        >>> certificate = certify(oscillator, Feedback(K=[[-2.0]], Cy=[[0, 1]]))
+        >>> certificate.stable, f"{certificate.norm.value:.4f}"
+        (True, '0.2903')
+    """
+    loop = plant.closed_loop(G)
+    base = by_itself or plant
+    found, norm, (fastest, moves) = stability(loop.A, loop.dt), hinf_norm(loop), speed(base)
+    own = stability(beside_weights(base, loop.A), loop.dt) if base.weights else found
+    return Certificate(
+        loop=loop,
+        stability=found,
+        own=own,
+        norm=norm,
+        proof=prove_bound(plant, G, X, eta) if X is not None and eta is not None else None,
+        speed_up=float(own.rates.max()) / fastest,
+        moves=moves,
+        norm_rounding=_norm_rounding(loop, norm.peak_frequency) if found.stable else 0.0,
+        below=lower_bound,
+    )
+
+
+def prove_bound(plant: GeneralizedPlant, G: Array | Feedback, X: Array, eta: float) -> LmiProof:
+    """Whether X and eta satisfy X > 0 and (20) for the loop A + B G, C + D G.
+
+    All numbers are taken as they are, and the matrix of (20), see `certificate.py`, is computed without rounding.
+
+    Args:
+        plant: n states, m inputs.
+        G: shape (m, n), or a gain from measurements.
+        X: shape (n, n); its symmetric part counts.
+        eta: gamma^-2.
+
+    Raises:
+        InputError: eta or X is out of range.
+    """
+    X = (X + X.T) / 2
+    try:
+        if not (SMALLEST <= eta <= 1 / SMALLEST and np.all(np.abs(X) <= 1 / SMALLEST)):
+            raise OverflowError
+        negative = -bounded_real_exactly(plant, G, X, eta)
+    except OverflowError:
+        raise InputError(
+            f"eta = {eta:g} with an X of size {np.abs(X).max(initial=0.0):g} is out of range, and proves no bound; give an eta "
+            f"from {SMALLEST:g} to {1 / SMALLEST:g} and no larger entry of X"
+        ) from None
+    return LmiProof(X, eta, definiteness(X), definiteness(negative))
+
+
+def eta_of(bound: float) -> float:
+    """gamma^-2, rounded upwards: what it proves lies at or below the bound."""
+    eta = bound**-2
+    while Fraction(bound) ** 2 * Fraction(eta) < 1:
+        eta = float(np.nextafter(eta, np.inf))
+    return eta
+
+
+def bound_of(eta: float) -> float:
+    """gamma = eta^-1/2, rounded upwards."""
+    bound = float(eta**-0.5)
+    while Fraction(bound) ** 2 * Fraction(eta) < 1:
+        bound = float(np.nextafter(bound, np.inf))
+    return bound
+
+
+def _norm_rounding(loop: GeneralizedPlant, at: float) -> float:
+    """What rounding makes of a transfer function that is zero, near a frequency [rad/s]: the parts that are 0 are not quite."""
+    A, scale = balance(loop.A)
+    points = 1j * np.array([0.0, at if np.isfinite(at) else 0.0])
+    points = points if loop.dt is None else np.exp(points * loop.dt)
+    R = np.abs(np.linalg.inv(points[:, None, None] * np.eye(len(A)) - A))
+    passes = np.abs(loop.C * scale) @ R @ np.abs(loop.Bw / scale[:, None])
+    return float(100 * np.finfo(float).eps * np.linalg.norm(passes, axis=(1, 2)).max(initial=0.0))

@@ -1,0 +1,422 @@
+"""The H-infinity norm (18), by two routes to its peak, and the largest singular value at a frequency that it is the peak of.
+
+- `level_set_norm`: imaginary eigenvalues of a Hamiltonian tell where the largest singular value crosses a level (Boyd,
+  Balakrishnan, Kabamba 1989; Bruinsma, Steinbuch 1990). It cannot overlook a peak, up to the rounding of eigenvalues.
+- `sweep_norm`: a frequency sweep that is dense around every pole, refined at every local maximum. It believes only values that
+  the transfer function really takes.
+
+`hinf_norm` runs both and says how far they are apart. The routes themselves find the peak on the imaginary axis (the L-infinity
+norm), or on a stretch of it, which exists for unstable systems too and is infinite where a pole lies on the axis.
+
+What both share is the transfer function. Where to look is decided with the modes of the system, a frequency of which costs next
+to nothing; every value that is returned was computed without them, from a linear system of equations.
+
+What rounding may have done to the values is bounded, to first order. Where that could be seen, as with a huge gain, whose loop
+A + B G holds fast poles beside slow ones, both routes go on from where they ended with twice the digits, on the loop as it was
+before it was rounded. So two routes that agree are not two that err alike.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy import linalg
+
+from models.common.arrays import Array
+from models.common.threads import one_thread
+from synth.analysis.stability import balance, stability, stability_of_balanced
+from synth.plant.double_double import transfer_matrix_closely
+from synth.plant.generalized import GeneralizedPlant
+
+ZOOMS = 6  # of a bracket, tenfold; a maximum is flat: 10^-12 of the gain
+CLOSE_ZOOMS = 8  # where the gain has twice the digits: 10^-16 of it
+WITHIN = 1e-4  # of the damping of the nearest pole; so close to its top it is a parabola
+ILL_CONDITIONED = 1e6  # of the eigenvectors; beyond it the modes give fewer than ten digits
+ALIKE = 1e-9  # relative to the largest gain; where the modes are as close to the transfer function they may say where to look
+
+
+def transfer_matrix(A: Array, Bw: Array, C: Array, Dw: Array, omega: Array) -> Array:
+    """Dw + C (j omega - A)^-1 Bw (19), complex, shape (F, d, r), for finite angular frequencies [rad/s] of shape (F,)."""
+    n = len(A)
+    shifted = np.broadcast_to(-A, (len(omega), n, n)).astype(complex)
+    shifted[:, np.arange(n), np.arange(n)] += 1j * omega[:, None]
+    return C @ np.linalg.solve(shifted, np.broadcast_to(Bw.astype(complex), (len(omega), *Bw.shape))) + Dw
+
+
+def largest_singular_values(T: Array) -> Array:
+    """Of each of a stack of matrices, shape (F,) for (F, d, r)."""
+    if 1 in T.shape[1:]:
+        return np.sqrt(np.sum(np.real(T) ** 2 + np.imag(T) ** 2, axis=(1, 2)))  # of a vector the singular value is its length
+    square = _smaller_square(T)
+    if square.shape[1] == 2:  # a quadratic equation, and nothing cancels in its larger root
+        a, b, c = np.real(square[:, 0, 0]), np.abs(square[:, 0, 1]), np.real(square[:, 1, 1])
+        return np.sqrt((a + c) / 2 + np.hypot((a - c) / 2, b))
+    return np.sqrt(np.maximum(np.linalg.eigvalsh(square)[:, -1], 0.0))  # the largest one keeps its digits when squared
+
+
+def highest(T: Array, above: float) -> tuple[float, int]:
+    """The largest singular value of a whole stack of matrices, shape (F, d, r), and the index of the one that has it.
+
+    Only what exceeds `above` is looked at: 0 at no index where nothing does. No singular value exceeds the root of the sum of the
+    squares of all entries, which costs little.
+    """
+    squares = (np.real(T) ** 2 + np.imag(T) ** 2).reshape(len(T), -1).sum(axis=1)
+    among = np.flatnonzero(~(squares <= above * above))
+    if not len(among):
+        return 0.0, -1
+    gains = largest_singular_values(T[among])
+    i = int(gains.argmax())
+    return float(gains[i]), int(among[i])
+
+
+def _smaller_square(T: Array) -> Array:
+    """T T' or T' T, the smaller one."""
+    adjoint = T.conj().transpose(0, 2, 1)
+    return T @ adjoint if T.shape[1] < T.shape[2] else adjoint @ T
+
+
+class Gain:
+    """The largest singular value of T(j omega) of a continuous system, in balanced coordinates, on a stretch of the axis.
+
+    Args:
+        system: its w and z; u = 0.
+        low: where the stretch begins [rad/s], from 0.
+        high: where it ends [rad/s], above low; may be infinite.
+    """
+
+    def __init__(self, system: GeneralizedPlant, low: float = 0.0, high: float = np.inf) -> None:
+        self.low, self.high = low, high
+        self.A, scale = balance(system.A)
+        self.Bw, self.C, self.Dw = system.Bw / scale[:, None], system.C * scale, system.Dw
+        beyond = np.zeros((len(self.A) + len(self.C), len(self.A))) if system.beyond is None else system.beyond * scale
+        self.A_beyond, self.C_beyond = beyond[: len(self.A)] / scale[:, None], beyond[len(self.A) :]
+        found = stability_of_balanced(self.A)
+        self.poles, self.vectors = found.poles, found.vectors
+        self.at_infinity = float(np.linalg.norm(self.Dw, 2))
+        self.last = (self.Dw.size + 4) * np.finfo(float).eps  # what a singular value loses, relative, be T without error
+        self.stable = found.stable
+        on_axis = np.abs(np.imag(self.poles[found.on_axis]))
+        on_axis = on_axis[(on_axis >= low) & (on_axis <= high)]
+        self.on_axis = float(on_axis[0]) if len(on_axis) else None
+        self.edges = np.array([low, high] if np.isfinite(high) else [low])
+
+    def within(self, omega: Array) -> Array:
+        """Frequencies [rad/s], those that lie beside the stretch at its nearer edge."""
+        return np.minimum(np.maximum(omega, self.low), self.high)
+
+    def at(self, omega: Array) -> Array:
+        """At angular frequencies [rad/s] of shape (F,), shape (F,)."""
+        return np.linalg.norm(transfer_matrix(self.A, self.Bw, self.C, self.Dw, omega), 2, axis=(1, 2))
+
+    def about(self, omega: Array) -> Array:
+        """The same by the modes, to ALIKE; where they give fewer digits it is `at`."""
+        return self.at(omega) if self._residues is None else self._by_modes(self._residues, omega)
+
+    def climb(self, omega: Array, width: Array) -> tuple[float, float]:
+        """The highest gain within some widths of some frequencies, and where it is [rad/s]: all of them at once."""
+        at = self._climbed(self.about, omega, width)
+        return float(self.at(at)[0]), float(at[0])
+
+    def rounding(self, omega: Array) -> float:
+        """What rounding did to `at` at frequencies [rad/s] at most, to first order.
+
+        (Higham 2002, Accuracy and Stability of Numerical Algorithms, section 7.2.)
+        """
+        n = len(self.A)
+        R = np.abs(np.linalg.inv(1j * omega[:, None, None] * np.eye(n) - self.A))
+        seen, driven = np.abs(self.C) @ R, R @ np.abs(self.Bw)
+        lost = seen @ ((np.abs(self.A) + omega[:, None, None] * np.eye(n)) @ driven) + np.abs(self.C) @ driven
+        return float((n + 2) * np.finfo(float).eps * np.linalg.norm(lost, axis=(1, 2)).max(initial=0.0))
+
+    def rounded(self, omega: Array) -> float:
+        """What rounding did to `at` at frequencies [rad/s] at most, measured with twice the digits."""
+        gains, missing = self.closely(omega)
+        return float((np.abs(self.at(omega) - gains) + missing).max())
+
+    def closely(self, omega: Array) -> tuple[Array, Array]:
+        """`at` with twice the digits, shape (F,), and what may be missing in it."""
+        T, missing = transfer_matrix_closely((self.A, self.A_beyond), self.Bw, (self.C, self.C_beyond), self.Dw, omega)
+        return largest_singular_values(T), missing
+
+    def missing(self, at: float) -> float:
+        """What is missing in the gain at a frequency, be it infinite, when it is computed with twice the digits."""
+        return float(self.closely(np.array([at]))[1][0]) if np.isfinite(at) else 0.0
+
+    def beside(self, at: float) -> float:
+        """How much higher the gain may be between the best frequency that was tried and the next, relative, to second order."""
+        if not (np.isfinite(at) and len(self.poles)):
+            return 0.0
+        apart = np.spacing(at) + 10.0**-ZOOMS * float(self._width(np.array([at]))[0])
+        return float(np.sum((apart / 2 / np.abs(1j * at - self.poles)) ** 2) / 2)
+
+    def between(self, at: float) -> float:
+        """The same, measured with twice the digits: where rounding may have moved poles and led the search.
+
+        About a resonance the gain to the power of -2 is a parabola: that through three frequencies says how high it rises.
+        """
+        if not (np.isfinite(at) and len(self.poles)):
+            return 0.0
+        if at > 0 and at in (self.low, self.high):  # an edge was tried itself, and beyond it nothing counts
+            return self.beside(at)
+        step = max(float(np.spacing(at)), WITHIN * float(self._width(np.array([at]))[0]))
+        (below, here, above), _ = self.closely(np.array([at - step, at, at + step]))
+        left, right = (here / below) ** 2, (here / above) ** 2
+        bent, slope = left + right - 2, (right - left) / 2
+        lowest = min(1 - slope**2 / (2 * bent) if bent > 0 else 1.0, left, right)
+        return float(lowest**-0.5 - 1)
+
+    def polished(self, at: float) -> tuple[float, float]:
+        """The highest gain with twice the digits near a frequency or near any pole, and where it is [rad/s]."""
+        omega = np.concatenate([[self.low], np.abs(self.poles), np.abs(np.imag(self.poles)), [at] if np.isfinite(at) else []])
+        omega = self.within(omega)
+        gains, _ = self.closely(omega)
+        high = np.unique(omega[gains > 0.9 * gains.max()])
+        there = self._climbed(lambda near: self.closely(near)[0], high, self._width(high), CLOSE_ZOOMS)
+        best, there = float(self.closely(there)[0][0]), float(there[0])
+        return self.or_at_infinity(best, there)
+
+    def or_at_infinity(self, best: float, at: float) -> tuple[float, float]:
+        """The higher of a gain at a frequency and that at infinity, where the stretch has it."""
+        return (self.at_infinity, np.inf) if self.high == np.inf and self.at_infinity > best else (best, at)
+
+    def _climbed(self, gain: Callable[[Array], Array], omega: Array, width: Array, zooms: int = ZOOMS) -> Array:
+        """Where a gain is highest within some widths of some frequencies [rad/s], shape (1,)."""
+        steps = np.linspace(-1, 1, 21)[:, None]
+        for _ in range(zooms):
+            near = self.within(omega + width * steps)
+            there = gain(near.ravel()).reshape(near.shape)
+            omega, width = near[there.argmax(axis=0), np.arange(len(omega))], width / 10
+        return omega[[gain(omega).argmax()]]
+
+    def _width(self, omega: Array) -> Array:
+        """How far the damping of the nearest pole is from frequencies: no peak is thinner."""
+        nearest = np.abs(omega[:, None] * 1j - self.poles).argmin(axis=1)
+        return np.abs(np.real(self.poles[nearest]))
+
+    def _by_modes(self, residues: Array, omega: Array) -> Array:
+        T = (1 / (1j * omega[:, None] - self.poles)) @ residues
+        return largest_singular_values(T.reshape(len(omega), *self.Dw.shape) + self.Dw)
+
+    @cached_property
+    def _residues(self) -> Array | None:
+        """C v w' Bw of every mode, with its right and left eigenvectors v and w, shape (n, d r); None where digits are lost."""
+        if not len(self.A) or not np.linalg.cond(self.vectors) < ILL_CONDITIONED:
+            return None
+        seen, driven = (self.C @ self.vectors).T, np.linalg.solve(self.vectors, self.Bw.astype(complex))
+        residues = (seen[:, :, None] * driven[:, None, :]).reshape(len(self.A), -1)
+        probes = self.within(np.concatenate([[0.0], np.quantile(np.abs(self.poles), [0, 0.5, 1])]))
+        true = self.at(probes)
+        return residues if np.all(np.abs(self._by_modes(residues, probes) - true) <= ALIKE * true.max()) else None
+
+
+EXACT = 1e-10  # relative; a level set this much higher that is empty ends the search
+CLIMBED = 2  # of the poles' peaks, the highest: as many are climbed before the first level set
+SEEN = 1e-9  # relative; more than this rounding may not do to a norm, or it is computed with twice the digits
+CLEAR = 1.1  # times the gain at infinity: a level above it is far enough for the Hamiltonian to be formed
+
+
+@dataclass(frozen=True)
+class Norm:
+    """An H-infinity norm.
+
+    Attributes:
+        value: the larger of the two routes; infinite where the system is not stable.
+        peak_frequency: where it is reached [rad/s]; NaN where the system is not stable.
+        level_set: the first route's value.
+        sweep: the second route's value.
+        rounding: relative; how far from the true norm the value may be, to first order: by rounding, and where the peak lies
+            between the frequencies that were tried, as floats are too far apart to hold that of a damping of 1e-12.
+    """
+
+    value: float
+    peak_frequency: float
+    level_set: float
+    sweep: float
+    rounding: float = 0.0
+
+    @property
+    def gap(self) -> float:
+        """Relative distance of the two routes."""
+        return abs(self.level_set - self.sweep) / self.value if 0 < self.value < np.inf else 0.0
+
+
+@one_thread()
+def hinf_norm(system: GeneralizedPlant) -> Norm:
+    """The H-infinity norm from w to z with u = 0, by both routes.
+
+    Example:
+        >>> from synth import GeneralizedPlant, Feedback, hinf_norm
+        >>> oscillator = GeneralizedPlant(
+        ...     A=[[0, 1], [-4, -0.1]], B=[[0], [1]], Bw=[[0], [1]], C=[[1, 0], [0, 0]], D=[[0], [0.1]], Dw=[[0], [0]]
+        ... )
+        >>> loop = oscillator.closed_loop(Feedback(K=[[-2.0]], Cy=[[0, 1]]))
+        >>> f"{hinf_norm(loop).value:.4f}"
+        '0.2903'
+    """
+    unstable = Norm(np.inf, np.nan, np.inf, np.inf)
+    if system.dt is not None:
+        from synth.plant.discrete import continuous_loop
+
+        stable = stability(system.A, system.dt).stable
+        return discrete_by_both_routes(system, system.dt, Gain(continuous_loop(system))) if stable else unstable
+    gain = Gain(system)
+    return by_both_routes(gain) if gain.stable else unstable
+
+
+def by_both_routes(gain: Gain) -> Norm:
+    """The largest gain on a stretch of the axis by both routes, whether the system is stable or not; no pole lies on it."""
+    (sweep, at_sweep), (level, at_level) = by_sweep(gain), by_level_sets(gain)
+    slowest = gain.poles[np.abs(np.real(gain.poles)).argmin()] if len(gain.poles) else 0.0
+    ends = gain.within(np.array([0.0, np.abs(np.imag(slowest)), at_sweep, at_level]))
+    ends, beside = ends[np.isfinite(ends)], gain.beside
+    rounding = gain.rounding(ends)
+    if rounding > SEEN * max(sweep, level):  # a bound that is often far too large: so it is measured, and all else, too
+        rounding, beside = gain.rounded(ends), gain.between
+    if rounding > SEEN * max(sweep, level):
+        (sweep, at_sweep), (level, at_level) = gain.polished(at_sweep), gain.polished(at_level)
+        rounding = max(gain.missing(at) for at in (at_sweep, at_level))
+    value, at = (sweep, at_sweep) if sweep >= level else (level, at_level)
+    return Norm(value, at, level, sweep, rounding / value + beside(at) + gain.last if value else 0.0)
+
+
+def discrete_by_both_routes(system: GeneralizedPlant, dt: float, gain: Gain) -> Norm:
+    """The same of a discrete system: both routes on the continuous one for it, and what they find measured on the system itself.
+
+    So the map only says where to look, and what it and rounding did to the values is seen.
+    """
+    from synth.plant.discrete import response_closely, true_frequency
+
+    found = []
+    for route in (by_level_sets, by_sweep):
+        value, at = route(gain)
+        T, missing = response_closely(system, at * dt / 2)
+        true = float(np.linalg.norm(T, 2))
+        found.append((true, at, (abs(true - value) + missing) / true if true else 0.0))
+    (level, _, _), (sweep, _, _) = found
+    value, at, rounding = max(found)
+    return Norm(value, true_frequency(at, dt), level, sweep, rounding + gain.beside(at) + gain.last if value else 0.0)
+
+
+def gain_at(system: GeneralizedPlant, omega: float) -> float:
+    """The largest singular value at a frequency [rad/s], with twice the digits."""
+    if system.dt is not None:
+        from synth.plant.discrete import mapped_frequency, response_closely
+
+        return float(np.linalg.norm(response_closely(system, mapped_frequency(omega, system.dt) * system.dt / 2)[0], 2))
+    return float(Gain(system).closely(np.array([omega]))[0][0])
+
+
+def level_set_norm(system: GeneralizedPlant) -> tuple[float, float]:
+    """The largest gain of a continuous system on the imaginary axis by level sets, and the frequency [rad/s] where it is reached.
+
+    The eigenvalues only propose frequencies, whatever their real parts; the transfer function decides. So no tolerance has to
+    tell an imaginary eigenvalue from one that rounding moved off the axis.
+    """
+    return by_level_sets(Gain(system))
+
+
+def by_level_sets(gain: Gain) -> tuple[float, float]:
+    """The largest gain on a stretch of the axis as `level_set_norm` finds it, and where [rad/s]; infinite at a pole on it."""
+    if gain.on_axis is not None:
+        return np.inf, gain.on_axis
+    omega = gain.within(np.concatenate([gain.edges, np.abs(gain.poles), np.abs(np.imag(gain.poles))]))
+    width = np.concatenate([0.0 * gain.edges, *[np.abs(np.real(gain.poles))] * 2])
+    highest = np.argsort(gain.about(omega))[-CLIMBED:]
+    best, at = gain.or_at_infinity(*gain.climb(omega[highest], width[highest]))
+    if best == 0.0:
+        return 0.0, 0.0
+    for _ in range(100):  # quadratic convergence: 1 to 3 rounds
+        proposed, apart = proposals(gain, best * (1 + EXACT))
+        gains = gain.about(proposed)
+        if gain.at(proposed[[gains.argmax()]])[0] <= best * (1 + EXACT):
+            break
+        highest = gains.argsort()[-CLIMBED:]
+        best, at = gain.climb(proposed[highest], apart[highest])
+    return best, at
+
+
+def proposals(gain: Gain, level: float) -> tuple[Array, Array]:
+    """Frequencies of a stretch of which one has a gain above a level, if any has, and how far each is from the next [rad/s].
+
+    Between two crossings of the level, or a crossing and an edge, the gain lies above it everywhere, or nowhere; a single
+    (touching) crossing is tried as it is. Both of shape (k,).
+    """
+    crossings = level_crossings(gain.A, gain.Bw, gain.C, gain.Dw, level)
+    crossings = np.concatenate([gain.edges[:1], crossings[(crossings > gain.low) & (crossings < gain.high)], gain.edges[1:]])
+    proposed = np.concatenate([crossings, (crossings[:-1] + crossings[1:]) / 2])
+    return proposed, np.concatenate([np.zeros(len(crossings)), np.diff(crossings) / 2])
+
+
+def level_crossings(A: Array, Bw: Array, C: Array, Dw: Array, level: float) -> Array:
+    """Imaginary parts >= 0 of all eigenvalues of the Hamiltonian, ascending from 0 [rad/s], shape (k,), 1 <= k.
+
+    Every frequency at which a singular value of Dw + C (s - A)^-1 Bw equals the level is among them.
+    """
+    n, (d, r) = len(A), Dw.shape
+    through = bool(Dw.any())
+    if not through or level > CLEAR * np.linalg.norm(Dw, 2):
+        # [A Bw; -C' -A'] with w and z, unknowns of their own in the pencil below, put in.
+        into, out, moved = Bw / level, C, A
+        if through:
+            size = np.linalg.inv(np.eye(r) - (Dw / level).T @ (Dw / level))
+            into = into @ size
+            out, moved = C + Dw @ size @ (Dw.T @ C) / level**2, A + into @ (Dw.T @ C) / level
+        hamiltonian = np.empty((2 * n, 2 * n))
+        hamiltonian[:n, :n], hamiltonian[n:, n:] = moved, -moved.T
+        hamiltonian[:n, n:], hamiltonian[n:, :n] = into @ Bw.T, -C.T @ out / level
+        eigenvalues = np.linalg.eigvals(hamiltonian)
+    else:
+        # With w and z kept as unknowns nothing is inverted that is singular where the level is near the gain at infinity. The
+        # eigenvalues lose digits of the pencil's largest entry: so time, states and z are first counted in units that make the
+        # entries alike, of powers of two, which round nothing.
+        rate, of_z = _power_of_two(float(np.linalg.norm(A, 2))), _power_of_two(level)
+        A, Bw, C, Dw, level = A / rate, Bw / rate, C / of_z, Dw / of_z, level / of_z
+        of_states = _power_of_two(float(np.sqrt(np.linalg.norm(Bw) / (np.linalg.norm(C) or 1.0))))
+        Bw, C = Bw / of_states, C * of_states
+        pencil = np.zeros((2 * n + r + d, 2 * n + r + d))
+        pencil[:n, :n], pencil[n : 2 * n, n : 2 * n] = A, -A.T
+        pencil[:n, 2 * n : 2 * n + r], pencil[n : 2 * n, 2 * n + r :] = Bw, -C.T
+        pencil[2 * n : 2 * n + d, :n], pencil[2 * n + d :, n : 2 * n] = C, Bw.T
+        pencil[2 * n : 2 * n + d, 2 * n : 2 * n + r], pencil[2 * n + d :, 2 * n + r :] = Dw, Dw.T
+        pencil[2 * n : 2 * n + d, 2 * n + r :], pencil[2 * n + d :, 2 * n : 2 * n + r] = -level * np.eye(d), -level * np.eye(r)
+        dynamic = np.diag([1.0] * 2 * n + [0.0] * (r + d))
+        with np.errstate(divide="ignore", invalid="ignore"):  # the eigenvalues at infinity
+            eigenvalues = linalg.eigvals(pencil, dynamic)
+        eigenvalues = rate * eigenvalues[np.isfinite(eigenvalues)]
+    proposed = np.imag(eigenvalues)
+    return np.append(0.0, np.sort(proposed[proposed > 0]))  # they come in conjugate pairs
+
+
+def _power_of_two(size: float) -> float:
+    """The power of two next to a size; 1 where it is 0 or not finite."""
+    return 2.0 ** round(np.log2(size)) if 0 < size < np.inf else 1.0
+
+
+def sweep_norm(system: GeneralizedPlant) -> tuple[float, float]:
+    """The largest gain on the imaginary axis by a refined frequency sweep, and where it is reached [rad/s]."""
+    return by_sweep(Gain(system))
+
+
+def by_sweep(gain: Gain) -> tuple[float, float]:
+    """The largest gain on a stretch of the axis as `sweep_norm` finds it, and where [rad/s]; infinite at a pole on it."""
+    if gain.on_axis is not None:
+        return np.inf, gain.on_axis
+    size = np.abs(gain.poles)
+    floor = max(size.max(initial=0.0) * 1e-12, np.finfo(float).tiny)
+    low, high = (np.log10(max(edge, floor)) for edge in (size.min(initial=1.0), size.max(initial=1.0)))
+    # Around every pole, points spaced by its damping: no resonance is thinner than that.
+    widths = np.linspace(-4, 4, 33)
+    upper = gain.poles[np.imag(gain.poles) >= 0]
+    near = np.imag(upper)[:, None] + np.abs(np.real(upper))[:, None] * widths
+    coarse = np.logspace(low - 2, high + 2, int(40 * (high - low + 4)))
+    omega = np.concatenate([gain.edges, coarse, near[near > 0]])
+    omega = np.unique(omega[(omega >= gain.low) & (omega <= gain.high)])
+    gains = gain.about(omega)
+
+    start = np.array([gains.argmax()])
+    # A local maximum far below the best grid point is no peak.
+    inner = np.flatnonzero((gains[1:-1] >= gains[:-2]) & (gains[1:-1] >= gains[2:]) & (gains[1:-1] > 0.9 * gains[start])) + 1
+    tops = np.unique(np.concatenate([start, inner]))
+    padded = np.concatenate([omega[:1], omega, omega[-1:]])
+    return gain.or_at_infinity(*gain.climb(omega[tops], np.maximum(padded[tops + 2] - omega[tops], omega[tops] - padded[tops])))

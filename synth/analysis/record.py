@@ -1,0 +1,188 @@
+"""A certificate in plain data: what goes into logs and, beside its gain, into a vehicle file, and what is read from there.
+
+Only what cannot be recomputed is needed to check it: the X of (20) and the witnesses of the lower bound. The numbers that are
+claimed stand beside them, so that a check can compare.
+"""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError, listing, quoted
+from synth.analysis.certificate import Certificate, eta_of
+from synth.analysis.invariant_point import limit_at as proved_at
+from synth.analysis.lower_bound import LowerBound, Witness, prove_lower_bound
+from synth.plant.generalized import GeneralizedPlant
+
+if TYPE_CHECKING:
+    from synth.analysis.interpolation import Zeros
+
+
+SAMPLED_NORM = "sampled_norm"  # of the loop as its computer closes it, which is checked where that is known
+CLAIMS = ("norm", "peak_frequency", "bound", "lower_bound", SAMPLED_NORM)
+PROOFS = ("X", "limit_at", "zeros", "state", "observer")
+MAY_BE_ZERO = ("norm", "peak_frequency", "limit_at", SAMPLED_NORM)
+SMALLEST, LARGEST = 1e-60, 1e60  # of the numbers in a certificate, in SI units: no vehicle has others
+MOST_ZEROS = 200  # in a certificate; there are as many as states at most, and Pick's matrix has a row for each
+SAME = 1e-9  # relative: how far rounding, on another machine, may move a number
+
+
+def to_record(certificate: Certificate) -> dict[str, Any]:
+    """Claims and proofs, as JSON and TOML can hold them; what does not exist or is not finite is left out."""
+    below = certificate.below
+    record: dict[str, Any] = {
+        "norm": certificate.norm.value,
+        "peak_frequency": certificate.norm.peak_frequency,
+        "bound": certificate.bound,
+        "lower_bound": certificate.lower_bound,
+        "limit_at": below.limit_at if below is not None else None,
+        "zeros": [[[zero.real, zero.imag] for zero in kind] for kind in below.zeros]
+        if below is not None and below.zeros
+        else None,
+        "X": certificate.proof.X.tolist() if certificate.proof is not None else None,
+    }
+    for name in ("state", "observer"):
+        witness = getattr(below, name, None)
+        if witness is not None:
+            record[name] = {"X": witness.X.tolist(), "eta": float(witness.eta)}
+    return {
+        key: value for key, value in record.items() if value is not None and (not isinstance(value, float) or np.isfinite(value))
+    }
+
+
+def read_proof(
+    record: Mapping[str, Any], plant: GeneralizedPlant, Cy: Array, kept: int = 0, Dyw: Array | None = None
+) -> tuple[Array | None, float | None, LowerBound]:
+    """X and eta for (20), either None, and the lower bound that the record's witnesses prove, recomputed with numpy alone.
+
+    Args:
+        record: see `to_record`.
+        plant: n states.
+        Cy: what is measured, shape (q, n); any number of rows.
+        kept: states of the controller, which are in X too.
+        Dyw: what of w is measured with it, shape (q, r); zero where it is not given.
+
+    Raises:
+        InputError: a key is unknown or null, or not of the form that it must have.
+    """
+    for key in record:
+        if key not in CLAIMS + PROOFS:
+            raise InputError(f"unknown key {key!r} in a certificate; known: {listing(CLAIMS + PROOFS)}")
+        if record[key] is None:
+            raise InputError(f"{key} in a certificate is null; what does not exist is left out, so save it again")
+    n = len(plant.A)
+    for key in ("norm", "peak_frequency", "lower_bound", SAMPLED_NORM):
+        _number(record, key)
+    X = _matrix(record, "X", (n + kept, n + kept))
+    if X is not None:
+        if not np.all(np.diagonal(X) >= SMALLEST):
+            raise InputError(
+                f"X = {quoted(record['X'])} in a certificate is not positive definite: no entry of its diagonal may be "
+                f"below {SMALLEST:g}"
+            )
+        size = np.sqrt(np.abs(np.diagonal(X)))
+        if np.any(np.abs(X - X.T) > SAME * np.outer(size, size)):
+            raise InputError("X in a certificate is not symmetric; save it again")
+    bound = _number(record, "bound")
+    eta = eta_of(bound) if bound is not None else None
+    lower_bound = LowerBound(0.0)
+    limit_at = _number(record, "limit_at")
+    if limit_at is not None:
+        lower_bound = LowerBound(proved_at(plant, limit_at), limit_at=limit_at)
+    zeros = _zeros(record)
+    if zeros is not None:
+        from synth.analysis.interpolation import limit_at_zeros
+
+        gamma = limit_at_zeros(plant, Cy if len(Cy) else None, zeros, Dyw)
+        lower_bound = max(lower_bound, LowerBound(gamma, zeros=zeros), key=lambda each: each.gamma)
+    state, observer = _witness(record, "state"), _witness(record, "observer")
+    if state is not None:
+        try:
+            proved = prove_lower_bound(plant, state, Cy, observer, Dyw)
+        except ValueError as error:
+            raise InputError(f"the witnesses of a certificate do not fit the vehicle: {error}; save it again") from error
+        lower_bound = proved if proved.gamma > lower_bound.gamma else lower_bound
+    return X, eta, lower_bound
+
+
+def false_claims(record: Mapping[str, Any], certificate: Certificate) -> list[str]:
+    """The claims of a record that the recomputed certificate does not confirm, in words."""
+    found = to_record(certificate)
+    wrong = []
+    if certificate.proof is None and "bound" in record:
+        wrong.append(f"the bound is claimed to be {_number(record, 'bound'):.10g} without its proof: there is no X")
+    if certificate.proof is None and "X" in record:
+        wrong.append("there is an X and no bound that it proves")
+    peak = _number(record, "peak_frequency")
+    if peak is not None and not certificate.peaks_at(peak):
+        wrong.append(f"the norm is claimed to be reached at {peak:.10g} rad/s, and is not")
+    for claim in ("norm", "bound", "lower_bound"):
+        said, now = _number(record, claim), found.get(claim)
+        if said is None or (claim == "bound" and certificate.proof is None):
+            continue
+        zero = claim == "norm" and certificate.norm.value <= certificate.norm_rounding  # to rounding: no digit of it counts
+        allowed = certificate.norm_rounding if zero else SAME * said
+        if now is None or not abs(now - said) <= allowed:
+            is_now = f"{now:.10g}" if now is not None else "infinite" if claim == "norm" else "unproved"
+            wrong.append(f"the {claim.replace('_', ' ')} is claimed to be {said:.10g}, and is {is_now}")
+    return wrong
+
+
+def _number(record: Mapping[str, Any], key: str) -> float | None:
+    value = record.get(key)
+    if value is None:
+        return None
+    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    zero = key in MAY_BE_ZERO and number and value == 0
+    if not number or not (zero or SMALLEST <= value <= LARGEST):
+        raise InputError(
+            f"{key} = {quoted(value)} in a certificate is not a number from {SMALLEST:g} to {LARGEST:g}; save it again"
+        )
+    return float(value)
+
+
+def _matrix(record: Mapping[str, Any], key: str, shape: tuple[int, int] | None = None) -> Array | None:
+    value = record.get(key)
+    if value is None:
+        return None
+    try:
+        matrix = np.array(value, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        matrix = np.array(np.nan)
+    if matrix.ndim != 2 or not np.all(np.abs(matrix) <= LARGEST) or (shape is not None and matrix.shape != shape):
+        expected = f" of shape {shape}" if shape else ""
+        raise InputError(
+            f"{key} = {quoted(value)} in a certificate is not a matrix of finite numbers{expected}, none beyond {LARGEST:g}"
+        )
+    return matrix
+
+
+def _zeros(record: Mapping[str, Any]) -> "Zeros | None":
+    value = record.get("zeros")
+    if value is None:
+        return None
+    try:
+        of_z, of_y = (tuple(complex(float(real), float(imag)) for real, imag in kind) for kind in value)
+        fits = len(of_z) + len(of_y) <= MOST_ZEROS and all(np.isfinite(zero) for zero in (*of_z, *of_y))
+    except (TypeError, ValueError, OverflowError):
+        fits, of_z, of_y = False, (), ()
+    if not fits:
+        raise InputError(
+            f"zeros = {quoted(value)} in a certificate are not two lists of at most {MOST_ZEROS} pairs of finite numbers, of a "
+            "real and an imaginary part; save it again"
+        )
+    return of_z, of_y
+
+
+def _witness(record: Mapping[str, Any], key: str) -> Witness | None:
+    value = record.get(key)
+    if value is None:
+        return None
+    if not isinstance(value, Mapping):
+        value = {}
+    X, eta = _matrix(value, "X"), _number(value, "eta")
+    if X is None or eta is None or X.shape[0] != X.shape[1]:
+        raise InputError(f"{key} = {quoted(value)} in a certificate is no witness with X and eta")
+    return Witness(X, eta)

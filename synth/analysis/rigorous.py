@@ -1,0 +1,201 @@
+"""Linear algebra for proofs: over the integers, where nothing is rounded, and definiteness in floats, with rounding bounded.
+
+Matrices of integers are numpy arrays of Python's own. Elimination is fraction-free (Bareiss 1968): every entry it meets is a
+minor of the matrix, so the integers grow with the number of rows only.
+
+If the Cholesky decomposition of M - c I runs to its end in floating point, M is positive definite in exact arithmetic, provided
+that c is at least what rounding can have done (Rump 2006, Verification of positive definiteness, BIT 46, 433-452): the computed
+factor R satisfies R'R = M - c I + D with |D| <= d d', d_j^2 = gamma_j / (1 - gamma_j) M_jj, gamma_j about j unit roundoffs. The
+answer errs on one side only: what is singular to rounding is not proved.
+"""
+
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+
+from models.common.arrays import Array
+
+
+def integers(matrix: Array) -> tuple[Array, int]:
+    """Integers N and a power of two s with matrix = N / s exactly."""
+    ratios = [float(x).as_integer_ratio() for x in np.ravel(matrix)]
+    scale = max((bottom for _, bottom in ratios), default=1)
+    whole = np.empty(len(ratios), dtype=object)
+    whole[:] = [top * (scale // bottom) for top, bottom in ratios]
+    return whole.reshape(np.shape(matrix)), scale
+
+
+def floats(matrix: Array, unit: Fraction = Fraction(1)) -> Array:
+    """unit times a matrix of integers, every entry rounded once.
+
+    Raises:
+        OverflowError: an entry is too large for a float.
+    """
+    top, bottom = unit.numerator, unit.denominator
+    return np.array([x * top / bottom for x in matrix.ravel()], dtype=float).reshape(matrix.shape)
+
+
+def product(left: Array, right: Array) -> Array:
+    """left @ right for integers; zero, not nothing, where the inner dimension is zero."""
+    return left @ right if left.shape[1] else zeros(len(left), right.shape[1])
+
+
+def zeros(*shape: int) -> Array:
+    """Integers, all zero."""
+    empty = np.empty(shape, dtype=object)
+    empty[...] = 0
+    return empty
+
+
+def identity(n: int) -> Array:
+    """The identity in integers, shape (n, n)."""
+    eye = zeros(n, n)
+    eye[np.arange(n), np.arange(n)] = 1
+    return eye
+
+
+class Nullspace:
+    """All Phi with K' Phi = 0, for a K of integers of shape (N, c): some rows of Phi follow from the others.
+
+    Attributes:
+        pivots: rows that follow, as many as the rank of K.
+        free: rows that may be anything.
+        independent: columns of K, as many, that span the others.
+    """
+
+    def __init__(self, K: Array) -> None:
+        rows, self._shift = _alike(K.T.copy())
+        c, N = rows.shape
+        order, columns = list(range(c)), []
+        before = 1
+        for k in range(min(c, N)):
+            rest = np.abs(rows[k:])
+            rest[:, columns] = 0
+            at = int(rest.argmax())
+            i, j = k + at // N, at % N
+            if rows[i, j] == 0:
+                break
+            rows[[k, i]] = rows[[i, k]]
+            order[k], order[i] = order[i], order[k]
+            columns.append(j)
+            pivot = rows[k, j]
+            rows[k + 1 :] = (pivot * rows[k + 1 :] - np.outer(rows[k + 1 :, j], rows[k])) // before
+            before = pivot
+        self._rows, self._last = rows[: len(columns)], before
+        self.pivots, self.independent = columns, order[: len(columns)]
+        taken = set(columns)
+        self.free = [j for j in range(N) if j not in taken]
+
+    def complete(self, values: Array) -> Array:
+        """Phi whose free rows are these, up to one common factor: integers, shape (N, k).
+
+        Args:
+            values: integers, shape (len(free), k).
+        """
+        Phi = zeros(self._rows.shape[1], values.shape[1])
+        Phi[self.free] = self._last * values * (self._shift.max(initial=1) // self._shift[self.free])[:, None]
+        for row, j in zip(self._rows[::-1], self.pivots[::-1], strict=True):
+            Phi[j] = -product(row[None], Phi)[0] // row[j]  # without remainder, by Cramer's rule
+        return Phi * self._shift[:, None]
+
+
+def _alike(rows: Array) -> tuple[Array, Array]:
+    """Rows without common factors, columns times powers of two that make their largest entries alike, and those powers."""
+    for i, row in enumerate(rows):
+        rows[i] = row // (np.gcd.reduce(row) or 1)
+    if not rows.size:
+        return rows, zeros(rows.shape[1]) + 1
+    bits = np.array([[abs(x).bit_length() for x in row] for row in rows])
+    relative = np.where(bits, bits - bits.max(axis=1, keepdims=True), np.iinfo(int).min // 2).max(axis=0)
+    shift = np.array([1 << int(-each) if each > np.iinfo(int).min // 4 else 1 for each in relative], dtype=object)
+    return rows * shift, shift
+
+
+def without_factors(columns: Array) -> tuple[Array, int]:
+    """Columns scaled each by a positive factor, and a power of two over which all their largest entries are about one."""
+    columns = columns.copy()
+    for j in range(columns.shape[1]):
+        columns[:, j] //= np.gcd.reduce(columns[:, j]) or 1
+    bits = [max(abs(x).bit_length() for x in column) for column in columns.T]
+    most = max(bits, default=0)
+    for j, each in enumerate(bits):
+        columns[:, j] *= 1 << (most - each)
+    return columns, 1 << most
+
+
+def root_below(square: Fraction) -> float:
+    """A float that is not above the square root of a number."""
+    return float(np.nextafter(np.nextafter(float(square) ** 0.5, 0.0), 0.0)) if square > 0 else 0.0
+
+
+def root_above(square: Fraction) -> float:
+    """A float that is not below the square root of a number."""
+    return float(np.nextafter(np.nextafter(float(square) ** 0.5, np.inf), np.inf)) if square > 0 else 0.0
+
+
+UNIT = np.finfo(float).eps / 2  # unit roundoff
+SMALLEST = 1e-200  # of a diagonal entry; the largest entry is 1 / SMALLEST. Beyond, numbers may under- or overflow
+TINY = 1e-100  # more than all underflows of one proof together, where the diagonal has size one
+
+
+@dataclass(frozen=True)
+class Definiteness:
+    """What is known of a symmetric matrix, scaled to a diagonal between 1/2 and 2.
+
+    Attributes:
+        smallest: its smallest eigenvalue, as computed; NaN where a diagonal entry is not positive, or an entry is out of range.
+        rounding: by how much that must exceed 0 at least, for a proof.
+        proved: whether the matrix is positive definite beyond any rounding.
+    """
+
+    smallest: float
+    rounding: float
+    proved: bool
+
+
+def definiteness(M: Array) -> Definiteness:
+    """Whether every symmetric matrix is positive definite whose entries are those of M to the nearest float.
+
+    Args:
+        M: shape (k, k), symmetric to the last bit.
+    """
+    k = len(M)
+    diagonal = np.diagonal(M)
+    if not (np.abs(M).max(initial=0.0) <= 1 / SMALLEST and np.all(diagonal >= SMALLEST)):  # not if there is a NaN, either
+        return Definiteness(np.nan, np.nan, False)
+    scale = np.exp2(-np.round(np.log2(diagonal) / 2))  # powers of two: nothing is rounded, and no sign changes
+    M = M * scale * scale[:, None]
+    # What rounding did to the entries, and what it does in the decomposition; doubled, as libraries multiply by reciprocals where
+    # they divide, and these sums are rounded themselves.
+    entries = UNIT * float(np.abs(M).sum(axis=1).max(initial=0.0))
+    decomposition = (k + 5) * UNIT * float(np.trace(M))
+    shift = 2 * (entries + decomposition) + TINY
+    try:
+        factor = np.linalg.cholesky(M - shift * np.eye(k))
+    except np.linalg.LinAlgError:
+        factor = np.full_like(M, np.nan)
+    smallest = float(np.linalg.eigvalsh(M)[0]) if k else np.inf
+    return Definiteness(smallest, shift, bool(np.all(np.isfinite(factor))))
+
+
+def definite_beyond(M: Array, lost: Array) -> bool:
+    """Whether all matrices of a stack are positive definite whose entries are within a distance of those of M.
+
+    Args:
+        M: shape (V, k, k); their symmetric parts are meant.
+        lost: the distance of each entry, shape (V, k, k).
+    """
+    M = (M + M.swapaxes(-1, -2)) / 2
+    diagonal = np.diagonal(M, axis1=-2, axis2=-1)
+    if not (np.all(diagonal >= SMALLEST) and np.abs(M).max() <= 1 / SMALLEST):  # not if there is a NaN, either
+        return False
+    scale = np.exp2(-np.round(np.log2(diagonal) / 2))  # powers of two: nothing is rounded
+    across = scale[..., :, None] * scale[..., None, :]
+    M, lost, k = M * across, lost * across, M.shape[-1]
+    shift = 2 * (lost.sum(axis=-1).max(axis=-1) + (k + 5) * UNIT * np.trace(M, axis1=-2, axis2=-1)) + TINY
+    try:
+        factors = np.linalg.cholesky(M - shift[:, None, None] * np.eye(k))
+    except np.linalg.LinAlgError:
+        return False
+    return bool(np.all(np.isfinite(factors)))

@@ -1,0 +1,292 @@
+"""A loop that a computer closes: a plant that it reads every period, whose inputs it holds, lifted to a discrete plant.
+
+Over a period of T seconds z is a function, and so is w. For a level gamma there is a discrete plant with as many states,
+
+    x[k+1] = Ad x[k] + Bd w_d[k],    z_d[k] = Cd x[k],
+
+such that whatever loop is closed around either at the samples, the L2 gain from w to z is below gamma exactly where the l2 gain
+from w_d to z_d is below 1 (Bamieh, Pearson 1992; Kabamba, Hara 1993). With the held inputs v as states that stand still, and w in
+units of gamma,
+
+    H = [A + Bw R Dw' C, Bw R Bw'; -C' (I + Dw R Dw') C, -A' - C' Dw R Bw'],    R = (I - Dw' Dw)^-1,    S = exp(T H),
+
+    Ad = S22^-T,    Bd Bd' = S12 S22^-1,    Cd' Cd = -S22^-1 S21,
+
+where S22 is regular for all times in (0, T]. Where it is not, w gains gamma or more within one period, between two samples, where
+no force answers it.
+
+S itself grows with the period without end. So the three are computed of a short time, and doubled: of two stretches of time,
+
+    Ad = Ad2 M Ad1,    Bd Bd' = Bd2 Bd2' + Ad2 M Bd1 Bd1' Ad2',    Cd' Cd = Cd1' Cd1 + Ad1' Cd2' Cd2 M Ad1,
+
+with M = (I - Bd1 Bd1' Cd2' Cd2)^-1, and the whole is regular exactly where both parts are and Bd1 Bd1' Cd2' Cd2 has no eigenvalue
+of 1 or more: what the first part can bring about is worth less than it costs. Nothing cancels, and Ad - I is computed by itself,
+as it is small at a fast sample.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy import linalg
+
+from models.common.arrays import Array
+from synth.analysis.stability import balance
+from synth.plant.discrete import held_inputs
+from synth.plant.generalized import GeneralizedPlant
+
+SHORT = 0.5  # of H times the short time: S22 is then within 0.65 of I, and regular
+TERMS = 14  # of the series of S: the next is 0.5^15 / 15!, below 1e-16
+
+
+@dataclass(frozen=True, eq=False)
+class Lifted:
+    """The discrete plant of a level; its states are the plant's and the inputs that are held over the period.
+
+    Attributes:
+        moved: Ad - I, shape (n + k, n + k).
+        reached: Bd Bd', shape (n + k, n + k).
+        cost: Cd' Cd, shape (n + k, n + k).
+    """
+
+    moved: Array
+    reached: Array
+    cost: Array
+
+    @property
+    def Ad(self) -> Array:
+        """Shape (n + k, n + k)."""
+        return np.eye(len(self.moved)) + self.moved
+
+    @property
+    def Bd(self) -> Array:
+        """A root of Bd Bd', shape (n + k, n + k)."""
+        return _root(self.reached)
+
+    @property
+    def Cd(self) -> Array:
+        """A root of Cd' Cd, shape (n + k, n + k)."""
+        return _root(self.cost).T
+
+    def then(self, later: "Lifted") -> "Lifted | None":
+        """This stretch of time and a later one as one; None where w gains the level or more within it."""
+        product = self.reached @ later.cost
+        # No eigenvalue is larger than the norm, which costs little.
+        if not (np.linalg.norm(product) < 1 or np.abs(np.linalg.eigvals(product)).max(initial=0.0) < 1):
+            return None
+        more = np.linalg.solve(np.eye(len(product)) - product, np.hstack([product, self.reached]))  # M - I, M Bd1 Bd1'
+        between, reached = more[:, : len(product)], more[:, len(product) :]
+        first, second = self.Ad, later.Ad
+        moved = self.moved + later.moved + later.moved @ self.moved + second @ between @ first
+        cost = later.cost + later.cost @ between
+        return Lifted(
+            moved,
+            later.reached + second @ _symmetric(reached) @ second.T,
+            self.cost + first.T @ _symmetric(cost) @ first,
+        )
+
+
+def lifted(plant: GeneralizedPlant, pieces: Sequence[tuple[float, Array]], gamma: float) -> Lifted | None:
+    """The discrete plant of a level over one period; None where w gains gamma or more within it.
+
+    Args:
+        plant: n states, m inputs.
+        pieces: of the period: how long [s], and which of the k held inputs act meanwhile, shape (m, k).
+        gamma: the level.
+    """
+    if gamma <= np.linalg.norm(plant.Dw, 2):
+        return None
+    whole: Lifted | None = None
+    for duration, acting in pieces:
+        piece = _piece(plant, duration, acting, gamma)
+        if piece is None:
+            return None
+        whole = piece if whole is None else whole.then(piece)
+        if whole is None:
+            return None
+    assert whole is not None, "a period has a piece"
+    return whole
+
+
+def with_inputs(plant: GeneralizedPlant, acting: Array) -> tuple[Array, Array, Array]:
+    """A, Bw and C of a plant whose states are its own and k held inputs, of which those act that a matrix (m, k) says."""
+    n, k = len(plant.A), acting.shape[1]
+    A, Bw = np.zeros((n + k, n + k)), np.zeros((n + k, plant.Bw.shape[1]))
+    A[:n, :n], A[:n, n:], Bw[:n] = plant.A, plant.B @ acting, plant.Bw
+    return A, Bw, np.hstack([plant.C, plant.D @ acting])
+
+
+def _piece(plant: GeneralizedPlant, duration: float, acting: Array, gamma: float) -> Lifted | None:
+    """The same of one piece, by doubling a short time."""
+    A, Bw, C = with_inputs(plant, acting)
+    A, Bw, C, scale = in_own_units(A, Bw / gamma, C, len(plant.A))
+    n = len(A)
+    if np.any(plant.Dw):
+        Dw = plant.Dw / gamma
+        R = np.linalg.inv(np.eye(Dw.shape[1]) - Dw.T @ Dw)
+        A, driven, seen = A + Bw @ R @ Dw.T @ C, Bw @ R @ Bw.T, C.T @ (np.eye(len(Dw)) + Dw @ R @ Dw.T) @ C
+    else:
+        driven, seen = Bw @ Bw.T, C.T @ C
+    H = np.block([[A, driven], [-seen, -A.T]])
+    doublings = max(0, math.ceil(math.log2(max(duration * float(np.linalg.norm(H, 1)) / SHORT, 1e-300))))
+    step = duration / 2**doublings * H
+    change = step  # S - I, by its series
+    for term in range(TERMS, 1, -1):
+        change = step + step @ change / term
+    inverse = np.linalg.inv(np.eye(n) + change[n:, n:])
+    found: Lifted | None = Lifted(
+        -(inverse @ change[n:, n:]).T, _symmetric(change[:n, n:] @ inverse), _symmetric(-inverse @ change[n:, :n])
+    )
+    for _ in range(doublings):
+        assert found is not None
+        found = found.then(found)
+        if found is None:
+            return None
+    assert found is not None
+    return Lifted(
+        found.moved * scale[:, None] / scale, found.reached * np.outer(scale, scale), found.cost / np.outer(scale, scale)
+    )
+
+
+def in_own_units(A: Array, Bw: Array, C: Array, n: int) -> tuple[Array, Array, Array, Array]:
+    """The same with states, of which the first n move, in units in which H is small; and those units."""
+    scale = np.ones(len(A))
+    _, scale[:n] = balance(A[:n, :n])
+    driven, seen = np.linalg.norm(Bw[:n] / scale[:n, None]), np.linalg.norm(C[:, :n] * scale[:n])
+    if driven and seen:
+        scale[:n] *= math.sqrt(driven / seen)
+    largest = max(float(np.linalg.norm(A[:n, :n] * scale[:n] / scale[:n, None])), float(np.sqrt(driven * seen)))
+    for i in range(n, len(A)):  # a held input's unit: small enough that it does not count
+        size = max(float(np.linalg.norm(A[:n, i] / scale[:n])), float(np.linalg.norm(C[:, i])))
+        scale[i] = largest / size if size else 1.0
+    return A * scale / scale[:, None], Bw / scale[:, None], C * scale, scale
+
+
+def _symmetric(matrix: Array) -> Array:
+    return (matrix + matrix.T) / 2
+
+
+def _root(matrix: Array) -> Array:
+    """L with L L' a matrix that is symmetric and positive semidefinite, but for rounding; each row has its own unit."""
+    size = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+    unit = np.where(size > 0, size, 1.0)
+    values, vectors = np.linalg.eigh(matrix / np.outer(unit, unit))
+    return unit[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """A part of the period, over which one force is held.
+
+    Attributes:
+        duration: [s].
+        late: how many samples before this one the force that acts was computed.
+    """
+
+    duration: float
+    late: int
+
+
+@dataclass(frozen=True, eq=False)
+class SampledLoop:
+    """A plant and what a computer keeps and asks for at its samples.
+
+    With x the plant's states at a sample, s what is kept, and p = [x; s],
+
+        u = asked p,    s+ = memory p + of_force u_a,
+
+    where u_a is the force that acts at the period's end.
+
+    Attributes:
+        plant: n states, m inputs.
+        pieces: of the period, in their order, one after the other.
+        asked: the forces that are computed, shape (m, n + k).
+        memory: what is kept for the next sample, shape (k, n + k).
+        of_force: what of it is the force that acts, shape (k, m).
+    """
+
+    plant: GeneralizedPlant
+    pieces: tuple[Piece, ...]
+    asked: Array
+    memory: Array
+    of_force: Array
+
+    @property
+    def period(self) -> float:
+        """[s]."""
+        return sum(piece.duration for piece in self.pieces)
+
+    @property
+    def late(self) -> int:
+        """How many samples late the last force of all acts."""
+        return max(piece.late for piece in self.pieces)
+
+    @property
+    def states(self) -> int:
+        """N, of [x; s; forces on their way]."""
+        return self.asked.shape[1] + self.late * len(self.asked)
+
+    @cached_property
+    def acting(self) -> list[tuple[float, Array]]:
+        """Of every piece its duration, and which of the held inputs act, shape (m, m pieces): it has its own."""
+        m, count = len(self.asked), len(self.pieces)
+        return [(piece.duration, np.kron(np.eye(count)[i], np.eye(m))) for i, piece in enumerate(self.pieces)]
+
+    @cached_property
+    def moved(self) -> Array:
+        """What a period makes of [x; held inputs] where nothing disturbs, less what they were, shape (n + k, n + k)."""
+        total = np.zeros((0, 0))
+        for duration, acting in self.acting:
+            A, _, _ = with_inputs(self.plant, acting)
+            n = len(A)
+            # exp(A t) - I is the integral of exp(A s) A: a held input, and no 1 that takes its digits.
+            piece = held_inputs(A, duration, linalg.expm, A)[1]
+            total = piece if not len(total) else piece + total + piece @ total
+            assert len(total) == n
+        return total
+
+    def register(self) -> tuple[Array, Array]:
+        """The loop with the forces on their way as states of their own, the next to act first.
+
+        Returns:
+            From all N states to [x; held inputs] at the sample, shape (n + i, N), and to the next states but x, shape (N - n, N).
+        """
+        n, (m, known) = len(self.plant.A), self.asked.shape
+        on_way, late = self.late * m, self.late
+        N = known + on_way
+        asked = np.hstack([self.asked, np.zeros((m, on_way))])
+        forces = [asked if not piece.late else np.eye(m, N, known + (late - piece.late) * m) for piece in self.pieces]
+        kept = np.hstack([self.memory, np.zeros((len(self.memory), on_way))]) + self.of_force @ forces[-1]
+        shifted = np.eye(max(on_way - m, 0), N, known + m)
+        return np.vstack([np.eye(n, N), *forces]), np.vstack([kept, shifted, asked] if late else [kept])
+
+    def closed(self, moved: Array) -> tuple[Array, Array]:
+        """The loop from sample to sample less the identity, shape (N, N), and from its N states to [x; held inputs].
+
+        Args:
+            moved: what a period makes of [x; held inputs], less what they were, shape (n + i, n + i).
+        """
+        start, rest = self.register()
+        n, N = len(self.plant.A), start.shape[1]
+        return np.vstack([moved[:n] @ start, rest - np.eye(N - n, N, n)]), start
+
+    def turning(self, moved: Array, angles: Array) -> tuple[Array, Array]:
+        """The loop at zeta = exp(j angle), where a delay is a power of zeta and the forces on their way need no states.
+
+        Args:
+            moved: as above.
+            angles: [rad], shape (F,).
+
+        Returns:
+            zeta less what the loop makes of p, shape (F, n + k, n + k), and from p to [x; held inputs], shape (F, n + i, n + k).
+        """
+        n, known, turned = len(self.plant.A), self.asked.shape[1], np.exp(1j * angles)
+        forces = [self.asked * (turned**-piece.late)[:, None, None] for piece in self.pieces]
+        start = np.concatenate([np.broadcast_to(np.eye(n, known), (len(angles), n, known)), *forces], axis=1)
+        matrix = np.empty((len(angles), known, known), dtype=complex)
+        step = 2j * np.sin(angles / 2) * np.exp(0.5j * angles)  # zeta - 1, without the loss of digits of that difference
+        matrix[:, :n] = step[:, None, None] * np.eye(n, known) - moved[:n] @ start
+        matrix[:, n:] = turned[:, None, None] * np.eye(known - n, known, n) - self.memory - self.of_force @ forces[-1]
+        return matrix, start

@@ -1,0 +1,333 @@
+"""The L2 gain of a loop that a computer closes, from the continuous disturbance to the continuous z: exact, and from below.
+
+A level is above the gain where the discrete plant of that level (`sampled_loop.py`) closes to a stable loop of l2 norm below 1.
+By the bilinear image of that loop, whose gains are the same, the eigenvalues of a Hamiltonian say where on the unit circle a gain
+is 1, as they do for a continuous loop; there and between it is asked. At the angle where a level's gain is largest the level is
+moved until that gain is 1: then it is the gain of the loop for a disturbance that turns by this angle from sample to sample.
+
+The second route, from below, knows nothing of levels. Of all disturbances that turn by an angle from sample to sample, those are
+tried that are a polynomial of low degree over each of a few parts of the period. For such a one x is exact by matrix
+exponentials, and so is the energy of z: the largest gain among them is the largest singular value of one matrix. It is a true
+gain, of that very disturbance (fast lifting, Keller, Anderson 1992, but of z itself, not of its samples). As a worst disturbance
+is smooth, and the gain stationary there, it falls short by the power 2 (degree + 1) of the parts' length.
+"""
+
+import math
+
+import numpy as np
+from numpy.polynomial import legendre
+from scipy import linalg
+
+from models.common.arrays import Array
+from models.common.threads import one_thread
+from synth.analysis.norm import largest_singular_values, level_crossings
+from synth.analysis.sampled_loop import Lifted, SampledLoop, in_own_units, lifted, with_inputs
+from synth.analysis.specification import ABOVE, BELOW, SampledNorm
+from synth.analysis.stability import balance, sampled_growth
+
+DEGREE = 3
+FEWEST, MOST = 4, 64  # parts of a piece of the period to begin with
+LONGEST = 1.0  # times the fastest rate of the plant, a part
+NODES = 12  # of a quadrature: of exp(2 t), the most that is asked of it, it leaves 1e-30
+MOST_COLUMNS = 1200  # of the matrix: more take seconds
+SHORT = 1e-7  # relative: what falls short by more may be said more closely
+
+
+def reached_near(loop: SampledLoop, angle: float, norm: float) -> float:
+    """What is reached at an angle by as many parts of the period as it takes to come near a norm, or as there can be."""
+    fastest = np.abs(np.linalg.eigvals(balance(loop.plant.A)[0])).max(initial=0.0)
+    each = len(loop.pieces) * (DEGREE + 1) * loop.plant.Bw.shape[1]
+    most = max(FEWEST, MOST_COLUMNS // each)
+    parts = int(min(max(FEWEST, np.ceil(loop.period * fastest / LONGEST)), MOST, most))
+    found = 0.0
+    while True:
+        found = max(found, reached_gain(loop, angle, parts))
+        if found >= norm * (1 - SHORT) or 2 * parts > most:
+            return found
+        parts *= 2
+
+
+def reached_gain(loop: SampledLoop, angle: float, parts: int, degree: int = DEGREE) -> float:
+    """The largest gain of a disturbance that is smooth in parts, a true lower bound of the loop's gain.
+
+    Args:
+        loop: stable.
+        angle: by which the disturbance turns from sample to sample [rad]; NaN for one that lasts one period alone, and counts
+            within it.
+        parts: of every piece of the period.
+        degree: of the polynomials.
+    """
+    plant, alone = loop.plant, math.isnan(angle)
+    n = len(plant.A)
+    width = n + len(loop.acting) * len(loop.asked)
+
+    # Of [x; held inputs] now: what those at the sample make of it, and what every polynomial so far does.
+    free, forced = np.eye(width), np.zeros((width, 0))
+    seen_free, seen_forced = [], []
+    for duration, acting in loop.acting:
+        step, through, energy = _part(*with_inputs(plant, acting), plant.Dw, n, duration / parts, degree)
+        for _ in range(parts):
+            seen_free.append(energy[:, :width] @ free)
+            seen_forced.append(np.hstack([energy[:, :width] @ forced, energy[:, width:]]))
+            free, forced = step @ free, np.hstack([step @ forced, through])
+    columns = forced.shape[1]
+    padded = [np.hstack([rows, np.zeros((len(rows), columns - rows.shape[1]))]) for rows in seen_forced]
+    direct = np.vstack(padded)
+    if alone:
+        return float(np.linalg.norm(direct, 2))
+    matrix, start = loop.turning(free - np.eye(width), np.array([angle]))
+    driven = np.vstack([forced[:n], np.zeros((matrix.shape[1] - n, columns))])
+    whole = np.vstack(seen_free) @ (start[0] @ np.linalg.solve(matrix[0], driven)) + direct
+    return float(largest_singular_values(whole[None])[0])
+
+
+def _part(A: Array, Bw: Array, C: Array, Dw: Array, n: int, h: float, degree: int) -> tuple[Array, Array, Array]:
+    """A part of h seconds: what it makes of the state, and of a polynomial; and a root of the energy of z, of both.
+
+    The energy is never formed: where states have units far apart, its small parts drown in the rounding of its large ones. Its
+    root is z at the nodes of a quadrature, which an orthogonal transformation makes small again: that keeps
+    the digits of each column.
+
+    A polynomial counts by its coefficients on Legendre's, of energy one each. Of the states the first n move.
+    """
+    size, r, k = len(A), Bw.shape[1], degree + 1
+    A, Bw, C, scale = in_own_units(A, Bw, C, n)
+    # w is the first of a chain of k integrators; at the start they hold its derivatives, in units of the part's length.
+    derivatives = np.zeros((k, k))
+    for j in range(k):
+        polynomial = legendre.Legendre.basis(j, domain=[0, 1]) * math.sqrt((2 * j + 1) / h)
+        derivatives[:, j] = [polynomial.deriv(i)(0.0) if i else polynomial(0.0) for i in range(k)]
+    larger = np.zeros((size + k * r, size + k * r))
+    larger[:size, :size], larger[:size, size : size + r] = A, Bw
+    larger[size:, size:] = np.kron(np.eye(k, k=1), np.eye(r)) / h
+    seen = np.hstack([C, Dw, np.zeros((len(C), (k - 1) * r))])
+    # Of a time that is short to A z is nearly a polynomial, whose energy the quadrature has exactly; then that time is doubled.
+    doublings = max(0, math.ceil(math.log2(max(h * float(np.linalg.norm(A, 1)), 1e-300))))
+    short = h / 2**doublings
+    nodes, weights = legendre.leggauss(NODES)
+    there = linalg.expm(short * np.append((1 + nodes) / 2, 1.0)[:, None, None] * larger)
+    step = there[-1]
+    root = _small(np.vstack(np.sqrt(short * weights / 2)[:, None, None] * (seen @ there[:-1])))
+    for _ in range(doublings):
+        step, root = step @ step, _small(np.vstack([root, root @ step]))
+    into = np.asarray(linalg.block_diag(np.diag(1 / scale), np.kron(derivatives, np.eye(r))))
+    moved = scale[:, None] * step[:size] @ into
+    return moved[:, :size], moved[:, size:], root @ into
+
+
+def _small(root: Array) -> Array:
+    """One with R' R as before and no more rows than columns."""
+    return np.asarray(np.linalg.qr(root, mode="r"))
+
+
+CLOSE = 1e-11  # relative: so near to 1 a gain is it
+ROUNDS = 100  # of a search; a handful is what it takes
+ZOOMS = 4  # of a bracket about a peak, sevenfold, where level sets say more than a grid does; a maximum is flat
+FAR_ZOOMS = 9  # where they do not
+MOST_STATES = 400  # of a loop with its forces on their way, whose eigenvalues are asked for; beyond, frequencies alone
+SLOWEST = 1e-9  # rad per sample, where a grid of frequencies begins
+PER_TURN = 40  # of its points, per turn that a delay makes
+NOTHING = 1e-15  # of the first level: a gain below is none
+AT_ONCE = 4096  # frequencies; more take memory by the hundred megabytes
+TURN = 0.5  # rad between two points at most, where a phase is followed
+
+
+@one_thread()
+def sampled_norm(loop: SampledLoop, near: float = 1.0) -> SampledNorm:
+    """The L2 gain of a sampled loop, to 1e-8.
+
+    Args:
+        loop: whatever it is.
+        near: a guess of the norm, above 0.
+
+    Example:
+        >>> import numpy as np
+        >>> from synth import GeneralizedPlant, Piece, SampledLoop, sampled_norm
+        >>> oscillator = GeneralizedPlant(
+        ...     A=[[0, 1], [-4, -0.1]], B=[[0], [1]], Bw=[[0], [1]], C=[[1, 0], [0, 0]], D=[[0], [0.1]], Dw=[[0], [0]]
+        ... )
+        >>> asked, nothing = np.array([[0.0, -2.0]]), np.zeros((0, 2))
+        >>> loop = SampledLoop(oscillator, (Piece(duration=0.01, late=0),), asked, memory=nothing, of_force=np.zeros((0, 1)))
+        >>> f"{sampled_norm(loop).value:.4f}"
+        '0.2894'
+    """
+    poles = _poles(loop)
+    return SampledNorm(np.inf, np.inf, np.inf, np.nan, np.inf) if poles is None else _Search(loop, poles).run(near)
+
+
+def stable(loop: SampledLoop) -> bool:
+    """Whether all that moves in a sampled loop decays."""
+    return _poles(loop) is not None
+
+
+def _poles(loop: SampledLoop) -> Array | None:
+    """Those of a loop from sample to sample; none of a large one, and None of one that is not stable."""
+    if loop.states > MOST_STATES:
+        return np.zeros(0) if _decays(loop) else None
+    change, _ = loop.closed(loop.moved)
+    transition = np.eye(len(change)) + change
+    return np.linalg.eigvals(transition) if sampled_growth(transition) < 1 else None
+
+
+def _decays(loop: SampledLoop) -> bool:
+    """Whether a loop is stable, by how often the phase of its characteristic polynomial turns around the unit circle.
+
+    With the forces on their way taken out it has as many zeros less poles as there are other states, and all within the circle
+    where it turns as often.
+    """
+    angles, change = _grid(loop), loop.moved
+
+    def sign(at: Array) -> Array:
+        if len(at) > AT_ONCE:
+            return np.concatenate([sign(some) for some in np.array_split(at, len(at) // AT_ONCE + 1)])
+        matrix, _ = loop.turning(change, at)
+        turned, _ = np.linalg.slogdet(matrix * np.exp(-1j * at)[:, None, None])
+        return turned
+
+    signs = sign(angles)
+    for _ in range(ROUNDS):
+        steps = np.angle(signs[1:] / signs[:-1])
+        far = np.flatnonzero((np.abs(steps) > TURN) & (np.diff(angles) > 4 * np.spacing(angles[1:])))
+        if not len(far):
+            return not np.any(signs == 0) and bool(abs(steps.sum()) < 1)
+        between = (angles[far] + angles[far + 1]) / 2
+        angles, signs = np.insert(angles, far + 1, between), np.insert(signs, far + 1, sign(between))
+    return False
+
+
+def _grid(loop: SampledLoop) -> Array:
+    """Angles from 0 to pi that follow every turn of a delay, and what is slow."""
+    slow = np.geomspace(SLOWEST, np.pi, 400)
+    return np.unique(np.concatenate([[0.0], slow, np.linspace(0, np.pi, 100 + PER_TURN * loop.late)]))
+
+
+class _Level:
+    """A loop closed around the discrete plant of a level."""
+
+    def __init__(self, loop: SampledLoop, plant: Lifted) -> None:
+        self.loop, self.plant = loop, plant
+        self.Bd, self.Cd = plant.Bd[: len(loop.plant.A)], plant.Cd
+
+    def gains(self, angles: Array) -> Array:
+        """The largest singular value from w_d to z_d where they turn by some angles [rad], shape (F,) like these."""
+        if len(angles) > AT_ONCE:
+            return np.concatenate([self.gains(some) for some in np.array_split(angles, len(angles) // AT_ONCE + 1)])
+        matrix, start = self.loop.turning(self.plant.moved, angles)
+        driven = np.zeros((len(angles), matrix.shape[1], self.Bd.shape[1]), dtype=complex)
+        driven[:, : len(self.Bd)] = self.Bd
+        return largest_singular_values(self.Cd @ (start @ np.linalg.solve(matrix, driven)))
+
+    def crossings(self) -> Array:
+        """Angles [rad] among which are all at which a singular value is 1, ascending from 0."""
+        change, start = self.loop.closed(self.plant.moved)
+        T, N = self.loop.period, len(change)
+        inverse = np.linalg.inv(2 * np.eye(N) + change)
+        A, scale = balance(2 / T * change @ inverse)
+        B, C = inverse[:, : len(self.Bd)] @ self.Bd, self.Cd @ start
+        into, out = 2 / math.sqrt(T) * B / scale[:, None], 2 / math.sqrt(T) * C @ inverse * scale
+        return 2 * np.arctan(T / 2 * level_crossings(A, into, out, -C @ B, 1.0))
+
+    def climbed(self, angles: Array, widths: Array) -> tuple[float, float]:
+        """The highest gain within some widths of some angles, and where it is: all of them at once."""
+        steps = np.linspace(-1, 1, 15)[:, None]
+        for _ in range(FAR_ZOOMS if self.loop.states > MOST_STATES else ZOOMS):
+            near = np.clip(angles + widths * steps, 0.0, np.pi)
+            gains = self.gains(near.ravel()).reshape(near.shape)
+            angles, widths = near[gains.argmax(axis=0), np.arange(len(angles))], widths / 7
+        gains = self.gains(angles)
+        return float(gains.max()), float(angles[gains.argmax()])
+
+
+class _Search:
+    """For the level at which the largest gain is 1."""
+
+    def __init__(self, loop: SampledLoop, poles: Array) -> None:
+        """Of a stable loop with these poles."""
+        self.loop, self.large = loop, loop.states > MOST_STATES
+        self.poles = np.log(poles[poles != 0].astype(complex))  # as of a continuous loop, per sample
+
+    def run(self, near: float) -> SampledNorm:
+        """See `sampled_norm`."""
+        level, below, there = self._first(near)
+        _, angle = self._highest(there)
+        for _ in range(ROUNDS):
+            level, below, inside = self._gain_at(angle, level, below)
+            if not level:
+                return SampledNorm(0.0, 0.0, 0.0, np.nan, 0.0)
+            upper = level if inside else level * (1 + ABOVE)
+            there = self._at(upper)
+            assert there is not None, "a level above one that can be"
+            gain, higher = self._highest(there) if self.large else self._above(there)
+            if gain <= 1:
+                lower = self._at(level * (1 - BELOW))
+                if lower is None or lower.gains(np.array([angle]))[0] > 1:
+                    below = max(below, level * (1 - BELOW))
+                angle = np.nan if inside else angle
+                return SampledNorm(level, below, upper, angle, reached_near(self.loop, angle, level), inside, self.large)
+            angle, level, below = higher, upper, upper
+        raise ArithmeticError("the level sets of a sampled loop do not close in on its norm")
+
+    def _at(self, level: float) -> _Level | None:
+        found = lifted(self.loop.plant, self.loop.acting, level)
+        return None if found is None else _Level(self.loop, found)
+
+    def _first(self, level: float) -> tuple[float, float, _Level]:
+        """A level that can be, one that cannot, or 0, and what it is."""
+        below = 0.0
+        for _ in range(ROUNDS):
+            there = self._at(level)
+            if there is not None:
+                return level, below, there
+            below, level = level, 2 * level
+        raise ArithmeticError("no level is above what happens within a period")
+
+    def _highest(self, there: _Level) -> tuple[float, float]:
+        """The largest gain of a level on a grid that is dense about every pole, refined, and its angle."""
+        turn, damping = np.abs(np.imag(self.poles)), np.abs(np.real(self.poles))
+        about = (turn[:, None] + damping[:, None] * np.linspace(-3, 3, 13)).ravel()
+        everywhere = _grid(self.loop) if self.large else np.array([0.0, np.pi])
+        angles = np.unique(np.concatenate([everywhere, np.clip(about, 0.0, np.pi)]))
+        gains = there.gains(angles)
+        padded = np.concatenate([angles[:1], angles, angles[-1:]])
+        left, right = np.append(-np.inf, gains[:-1]), np.append(gains[1:], -np.inf)
+        tops = np.flatnonzero((gains >= left) & (gains >= right) & (gains >= 0.9 * gains.max()))
+        return there.climbed(angles[tops], np.maximum(padded[tops + 2] - angles[tops], angles[tops] - padded[tops]))
+
+    def _above(self, there: _Level) -> tuple[float, float]:
+        """Where the gain of a level is above 1, if it is anywhere: between two crossings of 1, or at one that touches."""
+        crossings = there.crossings()
+        proposed = np.concatenate([crossings, (crossings[:-1] + crossings[1:]) / 2, [np.pi]])
+        apart = np.concatenate([np.zeros(len(crossings)), np.diff(crossings) / 2, [0.0]])
+        gains = there.gains(proposed)
+        best = gains.argsort()[-2:]
+        return (float(gains.max()), 0.0) if gains.max() <= 1 else there.climbed(proposed[best], apart[best])
+
+    def _gain_at(self, angle: float, level: float, below: float) -> tuple[float, float, bool]:
+        """The gain of the loop at an angle: the level whose gain there is 1; one below it; and whether that one cannot be.
+
+        By secants in logarithms, held within a level that is too low and one that is high enough.
+
+        Args:
+            angle: [rad].
+            level: to start from.
+            below: a level that is too low.
+        """
+        above, last, first = np.inf, None, level
+        for _ in range(ROUNDS):
+            there = self._at(level)
+            gain = float(there.gains(np.array([angle]))[0]) if there is not None else np.inf
+            if abs(gain - 1) <= CLOSE:
+                return level, below, False
+            below, above = (max(below, level), above) if gain > 1 else (below, min(above, level))
+            if above <= below * (1 + BELOW):
+                return above, below, self._at(below) is None
+            if above <= NOTHING * first:
+                return 0.0, 0.0, False
+            at, height = math.log(level), math.log(gain) if 0 < gain < np.inf else math.nan
+            slope = (height - last[1]) / (at - last[0]) if last is not None and at != last[0] else -1.0
+            last = (at, height) if math.isfinite(height) else None
+            move = -height / slope if math.isfinite(height) and slope < 0 else math.nan
+            level = math.exp(min(at + move, at + 1.0)) if math.isfinite(move) else math.nan
+            if not below < level < above:
+                level = 2 * below if math.isinf(above) else math.sqrt(below * above) if below else above / 4
+        raise ArithmeticError(f"no level has the gain 1 at {angle:g} rad per sample")

@@ -1,0 +1,305 @@
+"""Whether a loop is stable, marginal or unstable: the one place that decides it, and which mode stands in the way.
+
+Rounding turns A into A + E with |E| about eps |A|, so what is computed of A is true of some A + E. A pole lies on the imaginary
+axis *to rounding* if such an E puts one exactly there, above or below the pole: if the smallest singular value of A - j omega at
+its omega is no larger than |E| (Trefethen, Embree 2005, Spectra and Pseudospectra, section 2). For a simple pole that is the
+eigenvalue's condition number times the backward error. It is right for multiple poles as well, whose condition number is
+infinite: a double pole at the origin moves by sqrt(eps) and is still marginal, one at -1 moves as far and is stable.
+
+A mode that does not decay by itself must be reached by an input and be seen in a measurement, or no controller stabilises it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from models.common.arrays import Array
+from synth.plant.generalized import GeneralizedPlant
+from synth.plant.units import own_units
+
+STABLE, MARGINAL, UNSTABLE = "stable", "marginal", "unstable"
+FAR = 1e3  # times what the first order says of rounding: a pole further from the axis than that is not on it
+
+
+@dataclass(frozen=True, eq=False)
+class Stability:
+    """The poles of a loop, and where they lie.
+
+    Attributes:
+        poles: eigenvalues of A [rad/s], complex, shape (n,), sorted; of a discrete loop, z without a unit.
+        on_axis: which of them lie on the imaginary axis to rounding, or on the unit circle, shape (n,).
+        rounding: size of E [rad/s], or without a unit.
+        vectors: right eigenvectors of the balanced A, of length one, complex, shape (n, n).
+        dt: seconds between samples of a discrete loop; None of a continuous one.
+    """
+
+    poles: Array
+    on_axis: Array
+    rounding: float
+    vectors: Array
+    dt: float | None = None
+
+    @property
+    def growth(self) -> Array:
+        """What is below zero of poles that decay, shape (n,): the real part, or by how much z exceeds one in size."""
+        return np.real(self.poles) if self.dt is None else np.abs(self.poles) - 1
+
+    @property
+    def rates(self) -> Array:
+        """How fast each pole moves its mode [rad/s], shape (n,): its size, or that of the change in a sample over dt."""
+        return np.abs(self.poles) if self.dt is None else np.abs(self.poles - 1) / self.dt
+
+    @property
+    def verdict(self) -> str:
+        """`STABLE`, `MARGINAL` (nothing grows faster than rounding, but something does not decay) or `UNSTABLE`."""
+        if np.any(self.growth[~self.on_axis] > 0):
+            return UNSTABLE
+        return MARGINAL if np.any(self.on_axis) else STABLE
+
+    @property
+    def stable(self) -> bool:
+        """Whether every pole lies left of the imaginary axis, or within the unit circle, by more than rounding."""
+        return self.verdict == STABLE
+
+    @property
+    def worst(self) -> complex:
+        """The pole that decides: which grows most, of those on the axis where none grows. -inf, or 0, where there is none."""
+        deciding, growth = self.poles, self.growth
+        if self.verdict == MARGINAL:
+            deciding, growth = deciding[self.on_axis], growth[self.on_axis]
+        if not len(deciding):
+            return complex(-np.inf) if self.dt is None else 0j
+        return complex(deciding[np.argmax(growth)])
+
+    @property
+    def words(self) -> str:
+        """The verdict and the pole that decides, on one line."""
+        if self.dt is not None:
+            where = pole_text(self.worst, self.dt)
+            if self.verdict == STABLE:
+                return f"stable, slowest pole at {where}"
+            if self.verdict == MARGINAL:
+                return f"marginal: a pole at {where} lies on the unit circle, to rounding, and does not decay"
+            return f"unstable: a pole at {where}"
+        if self.verdict == STABLE:
+            return f"stable, slowest pole {self.worst.real:.4g} 1/s"
+        if self.verdict == MARGINAL:
+            at = abs(self.worst.imag)
+            where = f"0+{at:.4g}j" if at > self.rounding else "0"
+            return f"marginal: a pole at {where} rad/s, to rounding, which does not decay"
+        return f"unstable: a pole at {pole_text(self.worst)}"
+
+
+def stability(A: Array, dt: float | None = None) -> Stability:
+    """Where the poles of x' = A x lie, or of x[k+1] = A x[k].
+
+    Args:
+        A: shape (n, n), finite.
+        dt: seconds between samples; None of a continuous loop.
+    """
+    balanced = balance(A)[0]
+    if dt is None:
+        return stability_of_balanced(balanced)
+    poles, conditions, vectors = _eigen(balanced)
+    return Stability(poles, _on_circle(balanced, poles, conditions), rounding(balanced), vectors, dt)
+
+
+def stability_of_balanced(A: Array) -> Stability:
+    """The same for a matrix that is balanced."""
+    poles, conditions, vectors = _eigen(A)
+    on_axis = _reached(A, conditions, 1j * np.imag(poles), np.abs(np.real(poles)))
+    return Stability(poles, on_axis, rounding(A), vectors)
+
+
+def sampled_growth(Phi: Array) -> float:
+    """By how much x[k+1] = Phi x[k] grows every step at most: its spectral radius, and exactly 1 where that is 1 to rounding.
+
+    Args:
+        Phi: shape (n, n), finite.
+    """
+    Phi, _ = balance(Phi)
+    poles, conditions, _ = _eigen(Phi)
+    size, on_circle = np.abs(poles), _on_circle(Phi, poles, conditions)
+    if np.any(size[~on_circle] > 1):
+        return float(size.max())
+    return 1.0 if np.any(on_circle) else float(size.max(initial=0.0))
+
+
+def is_stable(A: Array, dt: float | None = None) -> bool:
+    """Whether every eigenvalue lies left of the imaginary axis, or within the unit circle, by more than rounding."""
+    return stability(A, dt).stable
+
+
+def balance(A: Array) -> tuple[Array, Array]:
+    """A in the diagonal coordinates that make its rows and columns alike, and that diagonal S: S^-1 A S, S of shape (n,)."""
+    if not len(A):
+        return A, np.ones(0)
+    balanced, (scale, _) = linalg.matrix_balance(A, permute=False, separate=True)
+    return np.asarray(balanced), np.asarray(scale)
+
+
+def rounding(A: Array) -> float:
+    """The size of E: what rounding may have added to a balanced matrix, shape (n, n), by the time its eigenvalues are known."""
+    return 10 * np.finfo(float).eps * float(np.linalg.norm(A)) if len(A) else 0.0
+
+
+def pole_text(pole: complex, dt: float | None = None) -> str:
+    """A pole, or a pair, with four digits and its unit: a real one is a rate of growth or decay, and turns nothing.
+
+    Of a discrete loop z, with as many digits as tell it from the unit circle.
+    """
+    if dt is not None:
+        size = abs(pole)
+        digits = 4 if size == 1 else int(np.clip(2 - np.floor(np.log10(abs(size - 1))), 4, 12))
+        turning = f"{abs(pole.imag):+.{digits}g}j, |z| = {size:.{digits}g}" if pole.imag else ""
+        return f"z = {pole.real:.{digits}g}{turning}"
+    if pole.imag:
+        return f"{pole.real:.4g}{abs(pole.imag):+.4g}j rad/s"
+    return f"{pole.real:.4g} {'1/s' if pole.real else 'rad/s'}"
+
+
+def _eigen(A: Array) -> tuple[Array, Array, Array]:
+    """Eigenvalues, complex and sorted, their condition numbers, infinite for a defective one, and right eigenvectors."""
+    if not len(A):
+        return np.zeros(0, dtype=complex), np.zeros(0), np.zeros((0, 0), dtype=complex)
+    poles, left, right = (np.asarray(part) for part in linalg.eig(A, left=True, right=True))
+    with np.errstate(divide="ignore", over="ignore"):
+        conditions = 1 / np.abs(np.sum(left.conj() * right, axis=0))  # both have length one
+    order = np.lexsort((np.imag(poles), np.real(poles)))
+    return poles[order].astype(complex), conditions[order], right[:, order].astype(complex)
+
+
+def _on_circle(A: Array, poles: Array, conditions: Array) -> Array:
+    """Which eigenvalues of a balanced matrix lie on the unit circle to rounding, shape (n,)."""
+    return _reached(A, conditions, np.exp(1j * np.angle(poles)), np.abs(np.abs(poles) - 1))
+
+
+def _reached(A: Array, conditions: Array, points: Array, distances: Array) -> Array:
+    """Which eigenvalues of a balanced matrix rounding may move as far as to points at some distances, shape (n,)."""
+    allowed, found = rounding(A), dict[tuple[float, float], bool]()
+    reached = np.zeros(len(A), dtype=bool)
+    # The condition number is the first order of how far a pole moves: well beyond that nothing is to be looked at.
+    for i in np.flatnonzero(distances <= FAR * allowed * conditions):
+        pair = (points[i].real, abs(points[i].imag))  # conjugates are as near to singular
+        if pair not in found:
+            found[pair] = _nearly_singular(A - points[i] * np.eye(len(A)), allowed)
+        reached[i] = found[pair]
+    return reached
+
+
+def _nearly_singular(matrix: Array, distance: float) -> bool:
+    """Whether a singular matrix lies within a distance: its smallest singular value."""
+    try:
+        # It is at least this, at a tenth of the price.
+        if 1 / np.linalg.norm(np.linalg.inv(matrix)) > 2 * distance:
+            return False
+    except np.linalg.LinAlgError:
+        return True
+    return bool(np.linalg.svd(matrix, compute_uv=False)[-1] <= distance)
+
+
+def beside_weights(plant: GeneralizedPlant, A: Array) -> Array:
+    """What of a closed loop's A is not the weights': no control moves the poles of those, and nothing feeds back from z.
+
+    Args:
+        plant: without control, n states.
+        A: of a loop with it, whose states come first, shape (n + k, n + k).
+    """
+    n = len(plant.A)
+    own = np.r_[: n - plant.weights, n : len(A)]
+    return A[np.ix_(own, own)] if plant.weights else A
+
+
+ZERO = 1e-12  # of what the parts of a sum come to; more than rounding leaves of zero
+UNREACHED = 1e-8  # relative size of what an input does to a mode that it does not reach, up to rounding
+
+
+def unreached(A: Array, B: Array, dt: float | None = None) -> list[tuple[complex, Array]]:
+    """Modes that do not decay and that no input reaches: eigenvalue [rad/s] and left eigenvector, each conjugate pair once.
+
+    Args:
+        A: shape (n, n).
+        B: shape (n, m).
+        dt: seconds between samples of a discrete plant, whose A and B are those of its differences, and whose eigenvalues z.
+    """
+    balanced, scale = balance(A)
+    inputs = B / scale[:, None]
+    size = np.linalg.norm(inputs, axis=0)
+    inputs = inputs[:, size > 0] / size[size > 0]
+    found: list[tuple[complex, Array]] = []
+    where = stability(A if dt is None else np.eye(len(A)) + dt * A, dt)
+    for given in where.poles[(where.growth >= 0) | where.on_axis]:
+        if given.imag < 0:
+            continue
+        pole = given if dt is None else (given - 1) / dt
+        pencil = np.hstack([balanced - pole * np.eye(len(A)), inputs * (np.linalg.norm(balanced, 2) or 1.0)])
+        left, sizes, _ = np.linalg.svd(pencil)
+        known = any(abs(given - other) <= 1e-6 * max(abs(given), 1e-300) for other, _ in found)
+        if sizes[-1] <= UNREACHED * sizes[0] and not known:
+            found.append((complex(given), left[:, -1].conj() / scale))
+    return found
+
+
+def obstacles(plant: GeneralizedPlant, Cy: Array | None = None, states: Sequence[str] = ()) -> list[str]:
+    """Why no controller stabilises the plant, in words; empty where no single mode forbids it.
+
+    Args:
+        plant: n states, m inputs.
+        Cy: shape (q, n); without it every state counts as measured.
+        states: names of the states; x1, x2, ... without them.
+    """
+    names, own, dt = list(states) or [f"x{i + 1}" for i in range(len(plant.A))], own_units(plant, Cy), plant.dt
+    plant = own.into(plant.differences)
+    found = [
+        f"the plant cannot be stabilised: no input reaches the mode at {pole_text(pole, dt)}, which does not decay and shows "
+        f"most in {largest(vector, names)}; add an actuator that acts on it, or take it out of the model"
+        for pole, vector in unreached(plant.A, plant.B, dt)
+    ]
+    if Cy is not None:
+        found += [
+            f"the plant cannot be stabilised from what is measured: no measurement shows the mode at {pole_text(pole, dt)}, "
+            f"which does not decay and moves most in {largest(vector, names)}; measure a signal that it is seen in"
+            for pole, vector in unreached(plant.A.T, (Cy * own.states).T, dt)
+        ]
+    return found
+
+
+def immovable(plant: GeneralizedPlant, Cy: Array) -> list[str]:
+    """Why no static gain from what is measured stabilises the plant, though its modes are reached and seen; empty where unknown.
+
+    A gain moves the sum of the poles by tr(K C_y B), and their product by det(I - K C_y (-A)^-1 B). Of a discrete plant the same
+    is true of its differences, in which z = 1 is 0.
+
+    Args:
+        plant: n states, m inputs.
+        Cy: shape (q, n).
+    """
+    where = stability(plant.A, plant.dt)
+    if where.stable:
+        return []
+    A, B = plant.differences.A, plant.differences.B
+    diagonal, mode = np.diagonal(A), pole_text(where.worst, plant.dt)
+    stays = f"{diagonal.sum():.4g} 1/s" if plant.dt is None else f"{np.trace(plant.A):.4g}, and their number is {len(A)}"
+    if np.all(np.abs(Cy @ B) <= ZERO * (np.abs(Cy) @ np.abs(B))) and diagonal.sum() >= -ZERO * np.abs(diagonal).sum():
+        return [
+            f"no gain from what is measured stabilises the plant, whose mode at {mode} does not decay: no force acts at once on "
+            f"a measured signal (C_y B = 0), so the sum of all poles stays {stays}; measure one on which it does, as a velocity"
+        ]
+    if np.linalg.cond(balance(A)[0]) * ZERO > 1:
+        return []
+    inverse = np.linalg.inv(A)
+    inverted, above = ("A", "above zero") if plant.dt is None else ("(I - A)", "above one")
+    silent = np.all(np.abs(Cy @ inverse @ B) <= ZERO * (np.abs(Cy) @ np.abs(inverse) @ np.abs(B)))
+    if silent and np.linalg.slogdet(-A)[0] < 0:
+        return [
+            f"no gain from what is measured stabilises the plant, whose mode at {mode} does not decay: a constant force leaves "
+            f"what is measured at zero (C_y {inverted}^-1 B = 0), so one pole stays real and {above}; measure a position"
+        ]
+    return []
+
+
+def largest(vector: Array, names: Sequence[str]) -> str:
+    """The state with the largest part of an eigenvector."""
+    return names[int(np.argmax(np.abs(vector)))]

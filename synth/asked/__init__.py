@@ -1,1 +1,0 @@
-"""What `python -m synth` can be asked, and what of it goes together."""

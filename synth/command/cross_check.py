@@ -1,0 +1,137 @@
+"""A second solver as a witness: (22) and (25) by Clarabel, beside the central path that the designs come from.
+
+The optimum of either is attained on a whole face of gains (`lmi/central_path.py`): two solvers agree in gamma, and not in the
+gain. So whether our gain lies on that face is a second question: with the gain fixed, does the problem reach the same gamma?
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from synth.controller.controller import Controller
+from synth.design.two_step import measurement, posed
+from synth.lmi.output_feedback import l_matrix, nullspace, r_matrix
+from synth.lmi.sdp import solve_lmi
+from synth.plant.generalized import GeneralizedPlant
+from synth.plant.numerics import DesignError
+from synth.plant.units import own_units, reachable, size
+from synth.vehicle.designer import Designer
+
+TOLERANCE = 1e-5  # relative in gamma: Clarabel stops at 1e-8 in eta against entries of X that may be a thousand times as large
+
+
+@dataclass(frozen=True)
+class Witness:
+    """What Clarabel says of a design.
+
+    Attributes:
+        problem: "(22)" or "(25)".
+        ours: the optimal gamma by the central path.
+        optimum_gap: how far from it our gain was taken, relative.
+        theirs: the optimal gamma by Clarabel; None where it gave none.
+        attained: the same with our gain fixed; None likewise.
+        said: its own words where it did not simply solve both; else empty.
+    """
+
+    problem: str
+    ours: float
+    optimum_gap: float
+    theirs: float | None
+    attained: float | None
+    said: str
+
+    @property
+    def apart(self) -> float | None:
+        """How far their optimum lies above ours, relative."""
+        return self.theirs / self.ours - 1 if self.theirs is not None else None
+
+    @property
+    def above(self) -> float | None:
+        """How far what our gain attains lies above their optimum, relative."""
+        return self.attained / self.theirs - 1 if self.attained is not None and self.theirs is not None else None
+
+    @property
+    def failures(self) -> tuple[str, ...]:
+        """What does not agree, in words."""
+        found = []
+        if self.apart is not None and abs(self.apart) > TOLERANCE:
+            found.append(f"Clarabel's optimum of {self.problem} is {self.theirs:.9g}, ours is {self.ours:.9g}")
+        if self.above is not None and not -TOLERANCE <= self.above <= self.optimum_gap + TOLERANCE:
+            found.append(f"our gain attains {self.attained:.9g} in Clarabel's {self.problem}, whose optimum is {self.theirs:.9g}")
+        return tuple(found)
+
+    @property
+    def text(self) -> str:
+        """What it came to, in words."""
+        if self.theirs is None:
+            return f"no second witness: {self.said}"
+        assert self.apart is not None
+        text = f"Clarabel's optimum of {self.problem} is {self.theirs:.9g}, ours {self.ours:.9g}, {abs(self.apart):.0e} apart"
+        if self.above is not None:
+            text += f"; our gain attains {self.attained:.9g} there, {abs(self.above):.0e} from it"
+        return f"{text}; {self.said}" if self.said else text
+
+
+def cross_check(designer: Designer, controller: Controller, zero_l: bool = False) -> Witness | None:
+    """Clarabel's answer to the problem that a controller comes from, or None for one that comes from none.
+
+    Args:
+        designer: of the vehicle.
+        controller: as it was designed, not refined.
+        zero_l: whether with L = 0.
+    """
+    bound = controller.certificate.bound
+    shared = designer.shared(controller.hardware)
+    problem = posed(shared.plant)
+    if (
+        not controller.designed
+        or controller.instead
+        or controller.law.states
+        or shared.plant.weights  # with filters (25) has rates too far apart for Clarabel, whose answers are then off
+        or controller.sampled
+        or controller.promises
+        or (controller.name in designer.vehicle.controllers and designer.vehicle.controllers[controller.name].design)
+        or bound is None
+        or (problem.best is not None and problem.best_case in controller.case)
+    ):
+        return None
+    Cy, kept = measurement(shared.plant, designer.problem(controller.measured, controller.hardware).Cy)
+    units = own_units(shared.plant, Cy[kept])
+    rows, measured = units.rows(Cy[kept])
+    K = controller.gain[:, kept] @ measured / units.inputs[:, None]
+    if controller.name == "state":
+        which, Q, R = "(22)", np.zeros((len(rows), 0)), np.linalg.inv(rows)
+    else:
+        which, Q = "(25)", nullspace(rows)
+        path = shared.state_path
+        start = min(path, key=lambda point: abs(point.gamma / path[-1].gamma - 1 - controller.state_step_gap))
+        X = start.X / np.outer(units.states, units.states)
+        R = r_matrix(rows, Q, np.zeros((Q.shape[1], len(rows))) if zero_l else l_matrix(X, rows, Q))
+    # In the coordinates of (12) and in units in which all numbers have size one: else Clarabel gives up on a full car.
+    a, T = Q.shape[1], np.hstack([Q, R])
+    plant = units.into(problem.plant).in_coordinates(T)
+    scaling = reachable(plant, a)
+    plant, eye = plant.in_coordinates(scaling), np.eye(len(T))
+    rate, output_unit = size(plant.A), 1 / size(plant.C)
+    input_unit, disturbance_unit = rate / size(plant.B), rate / size(plant.Bw)
+    plant = GeneralizedPlant(
+        A=plant.A / rate,
+        B=plant.B * input_unit / rate,
+        Bw=plant.Bw * disturbance_unit / rate,
+        C=plant.C * output_unit,
+        D=plant.D * output_unit * input_unit,
+        Dw=plant.Dw * output_unit * disturbance_unit,
+    )
+    found: list[float | None] = [None, None]
+    said = []
+    for i, gain in enumerate((None, K @ scaling[a:, a:] / input_unit)):
+        what = "" if gain is None else " with our gain"
+        try:
+            solved = solve_lmi(plant, eye[:, :a], eye[:, a:], gain)
+        except DesignError as error:
+            said.append(f"{which}{what}: {error}")
+            continue
+        found[i] = solved.gamma / (disturbance_unit * output_unit)
+        if solved.status != "optimal":
+            said.append(f"of {which}{what} Clarabel itself says {solved.status!r}")
+    return Witness(which, bound / (1 + controller.optimum_gap), controller.optimum_gap, found[0], found[1], "; ".join(said))

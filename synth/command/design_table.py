@@ -1,0 +1,256 @@
+"""The design table of a vehicle file: every controller designed or checked, how good it is, and what no controller changes."""
+
+import json
+import math
+from argparse import Namespace
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from models.common.errors import InputError
+from models.common.interrupt import Parts, finishing
+from models.common.printed import Stages, Whole, say, table, titled
+from models.figures.outputs import check_outputs, written_lines
+from models.vehicle.vehicle import Vehicle
+from synth.analysis.invariant_point import is_pole
+from synth.analysis.lower_bound import LowerBound
+from synth.command.table import Row, detail_lines, refine_lines, row_object, table_lines, verdict_lines
+from synth.controller.controller import InterruptedDesign
+from synth.controller.problem import measurements
+from synth.controller.report import (
+    failures_as_it_runs,
+    filter_lines,
+    ideal_lines,
+    norm_if_implemented,
+    notes,
+    notes_as_it_runs,
+    sampled_lines,
+    twist_lines,
+)
+from synth.design.descent.flatness import free_moves
+from synth.plant.numerics import DesignError
+from synth.vehicle.designer import Designer
+
+FREE = "what no controller decides"  # the stage after the designs: a limit for all, and gains that may be others
+FLAT = 1e-4  # of gamma: how far the gains may move for it is printed
+
+
+def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
+    """Designs, checks, saves and prints what is asked for; returns the command's exit code.
+
+    Args:
+        vehicle: the vehicle.
+        names: of the controllers asked for; empty for `--check`, which finds its own.
+        options: of the command.
+
+    Raises:
+        InputError: options that this vehicle has nothing for, or files that cannot be written.
+    """
+    check_outputs({"picture": options.picture, "save": options.save}, vehicle.files, options.json)
+    if options.save:
+        from synth.command.save import check_save
+
+        check_save(vehicle, [name for name in names if _designs(vehicle, name, options)])
+    designer, parts = Designer(vehicle), Parts()
+    stage = Stages(*(f"controller {name}" for name in names), FREE)
+    if options.check:
+        from synth.command.check import check
+
+        rows = check(designer, options.controller)
+    else:
+        rows = []
+        with parts.part("designs"):
+            for name in names:
+                stage(f"controller {name}")
+                try:
+                    rows.append(_row(designer, name, options, stage))
+                except InterruptedDesign as stopped:
+                    rows.append(_built(vehicle, _kept(stopped)))
+                    raise
+                rows[-1] = _built(vehicle, rows[-1])
+    if parts.cut and not rows:
+        raise KeyboardInterrupt
+    if (
+        options.cross_check
+        and not parts.cut
+        and not any(row.witness for row in rows)
+        and not any(row.controller is None for row in rows)
+    ):
+        raise InputError(
+            "--cross-check has nothing to solve: no controller asked for comes from an LMI problem without filters; ask for one"
+        )
+    if options.fragility and not parts.cut:
+        from synth.command.fragility import fragile
+
+        with parts.part("fragility"):
+            for i, row in enumerate(rows):
+                rows[i] = replace(row, fragile=fragile(vehicle, row.controller))
+    stage(FREE)
+    moved = {}
+    with parts.part("what else is said"):
+        moved = {} if options.check or parts.cut else _flatness(designer, rows)
+    with finishing(work_goes_on=True):  # it takes a moment, and all of the work is in it
+        designs = [row.controller for row in rows if row.controller is not None]
+        saved = bool(options.save) and not (parts.cut and not any(each.designed and each.measured for each in designs))
+        if saved:
+            from synth.command.save import save
+
+            save(options.save, vehicle, designs)
+        drawn = bool(options.picture) and _drawn(vehicle, rows, options.picture)
+        limit = designer.beyond_control
+        stage.end()
+        if options.json:
+            result = {
+                "vehicle": vehicle.kind.name,
+                "controllers": [row_object(row) for row in rows],
+                "invariant_limit": {"norm": limit.gamma, "frequency": limit.limit_at} if limit.gamma else None,
+                "flat": {"gamma": FLAT, "gain_down_up": moved},
+                "saved": str(options.save) if saved else None,
+                **({"picture": str(options.picture) if drawn else None} if options.picture else {}),
+            }
+            print(json.dumps(result, allow_nan=False))
+        else:
+            lines = titled(vehicle.kind.name, vehicle.source)
+            for row in rows:
+                lines += ["", *detail_lines(row, vehicle)]
+            held = limit.limit_at is not None and is_pole(designer.plant, limit.limit_at)
+            lines += ["", _limit(limit, held)]
+            if moved:
+                of = "the ideal loop's gamma, which a sampled design is not for," if designer.vehicle.sampled else "gamma"
+                share = f"{100 * FLAT:g} % more of {of}"
+                lines.append(f"flat: for {share} the state feedback's largest gain on each state, by itself, may be")
+                lines += table([(state, *_range(*values)) for state, values in moved.items()])
+            lines += refine_lines(rows, options.vehicle)
+            if saved:
+                lines += ["", "saved", Whole(f"  {options.save}")]
+            if options.picture:
+                lines += written_lines({"picture": options.picture}) if drawn else ["", "no picture: no loop is stable"]
+            about = [*ideal_lines(vehicle, designs), *sampled_lines(vehicle), *filter_lines(vehicle), *twist_lines(vehicle)]
+            say([*lines, "", *table_lines(rows), *about, "", *verdict_lines(rows)])
+    if parts.cut:
+        raise KeyboardInterrupt
+    return 1 if any(row.failures for row in rows) else 0
+
+
+def _designs(vehicle: Vehicle, name: str, options: Namespace) -> bool:
+    """Whether a controller of that name is given a gain here, which can be saved."""
+    if name == "passive":
+        return False
+    return options.refine or name == "state" or vehicle.controllers[name].law is None
+
+
+def _kept(stopped: InterruptedDesign) -> Row:
+    """What there was when Ctrl-C came."""
+    controller = stopped.controller
+    notes_of = (*notes(controller), stopped.said)
+    return Row(controller.name, controller, notes_of, (*controller.certificate.failures, *controller.broken))
+
+
+def _row(designer: Designer, name: str, options: Namespace, stage: Stages) -> Row:
+    """A controller, designed as asked for, or why it could not be."""
+    if options.refine and name != "passive":
+        return _refined_row(designer, name, options.zero_l)
+    try:
+        controller = designer.design(
+            name, options.zero_l, lambda goal, within: stage(f"{goal:.5g}{'' if within else ', not within all bounds'}")
+        )
+    except DesignError as error:
+        return Row(name, None, (), (str(error),))
+    said: tuple[str, ...] = ()
+    witness = None
+    try:
+        if options.prove:
+            from synth.command.check import proved
+
+            controller, said = proved(designer, controller)
+        failures = (*controller.certificate.failures, *controller.broken)
+        if options.cross_check:
+            from synth.command.cross_check import cross_check
+
+            witness = cross_check(designer, controller, options.zero_l)
+            failures += witness.failures if witness is not None else ()
+        return Row(name, controller, (*notes(controller), *said), failures, designer.worth_refining(controller), witness)
+    except KeyboardInterrupt as error:
+        raise InterruptedDesign(controller, "interrupted: designed, and not all that was asked about it is known") from error
+
+
+def _built(vehicle: Vehicle, row: Row) -> Row:
+    """A row with the norm as implemented, where the vehicle file says how."""
+    if row.controller is None:
+        return row
+    norm, certificate = norm_if_implemented(vehicle, row.controller), row.controller.certificate
+    said = (*row.notes, *notes_as_it_runs(vehicle, certificate, norm))
+    return replace(row, sampled=norm, notes=said, failures=failures_as_it_runs(vehicle, certificate, row.failures, norm))
+
+
+def _refined_row(designer: Designer, name: str, zero_l: bool) -> Row:
+    """A controller with a lower norm, and what was traded for it; where there is none, the one that is refined."""
+    try:
+        refined = designer.refine(name, zero_l)
+    except DesignError as error:
+        try:
+            controller = designer.design(name, zero_l)
+        except DesignError:
+            return Row(name, None, (), ("the two steps find no gain", f"not refined: {error}"))
+        return Row(name, controller, (*notes(controller), f"not refined: {error}"), ())
+    said = notes(refined.start) if refined.start is not None else ("the two steps find no gain",)
+    return Row(name, refined.controller, (*said, refined.traded), refined.controller.certificate.failures)
+
+
+def _flatness(designer: Designer, rows: Sequence[Row]) -> dict[str, list[float | None]]:
+    """By state: the largest gain on it, and how far that may fall and rise by itself for FLAT of gamma; None is any distance.
+
+    Of the state feedback that is designed, which need not be the end of its path; of the one in the table where it is there.
+    """
+    shown = [row.controller for row in rows if row.name == "state" and row.controller is not None]
+    try:
+        K = (shown or [designer.design("state")])[0].gain
+    except DesignError:
+        return {}
+    states = designer.vehicle.linear_model.states
+    moves = np.stack(free_moves(designer.plant, measurements(designer.vehicle, states)[0], K, FLAT))
+    return {
+        state: [float(value) if np.isfinite(value) else None for value in values]
+        for state, values in zip(states, moves.T, strict=True)
+        if values[1:].any()  # a gain that may not move at all is not flat
+    }
+
+
+def _limit(limit: LowerBound, held: bool) -> str:
+    """What no control force changes, in words; or, where a mode is there that has to be held, none that makes the loop stable."""
+    if not limit.gamma:
+        return "limit: none; at every frequency control forces can change all of z's response to the road"
+    if held:  # beside the mode a force may change all
+        return (
+            f"limit: at {limit.limit_at:.5g} rad/s, where a mode does not decay by itself, no control force that holds it brings "
+            f"z's response to the road below {limit.gamma:.7g}"
+        )
+    return (
+        f"limit: at {limit.limit_at:.5g} rad/s no control force changes z's response to the road, {limit.gamma:.7g} "
+        "(invariant point)"
+    )
+
+
+def _range(gain: float | None, down: float | None, up: float | None) -> tuple[str, str, str]:
+    """A gain and the ends of the interval that it may move in, with digits enough to tell them apart."""
+    assert gain is not None
+    width = min((move for move in (down, up) if move), default=0.0)
+    digits = math.ceil(math.log10(abs(gain) / width)) + 2 if gain and width else 0
+    whole = math.floor(math.log10(abs(gain))) + 1 if gain else 0
+    digits = min(max(digits, 4, whole if whole <= 6 else 0), 15)  # up to a million without a power of ten
+    low = f"{gain - down:.{digits}g}" if down is not None else "any"
+    high = f"{gain + up:.{digits}g}" if up is not None else "any"
+    return f"{gain:.{digits + 1}g}", f"from {low}", f"to {high}"
+
+
+def _drawn(vehicle: Vehicle, rows: Sequence[Row], picture: Path) -> bool:
+    """Draws the responses of all loops that are stable; returns whether there is one."""
+    from models.figures.picture import write_picture
+    from synth.command.responses import responses_figure
+
+    figure = responses_figure(vehicle, rows)
+    if figure is not None:
+        write_picture(figure, picture)
+    return figure is not None

@@ -1,0 +1,47 @@
+"""`python -m synth --fragility`: how large errors of its readings and forces a controller bears, and what rounding it costs."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from models.vehicle.vehicle import Vehicle
+from synth.analysis.certificate import Certificate
+from synth.controller.controller import Controller
+from synth.design.uncertainty.fragility import Fragility, fragility, fragility_object, fragility_text, rounding, rounding_text
+from synth.design.uncertainty.problem import scaled_gain
+
+
+@dataclass(frozen=True, eq=False)
+class Fragile:
+    """What is found of a controller.
+
+    Attributes:
+        found: the errors that it bears.
+        rounding: what is true of it with its numbers as computers hold them, by format.
+        measured: its signals.
+        forces: of the vehicle.
+    """
+
+    found: Fragility
+    rounding: dict[str, Certificate]
+    measured: tuple[str, ...]
+    forces: tuple[str, ...]
+
+    @property
+    def lines(self) -> list[str]:
+        """In words."""
+        return [fragility_text(self.found, self.measured, self.forces), rounding_text(self.found.norm, self.rounding)]
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """As JSON has it."""
+        return fragility_object(self.found, self.rounding, self.measured, self.forces)
+
+
+def fragile(vehicle: Vehicle, controller: Controller | None) -> Fragile | None:
+    """How fragile a controller is; None where there is none, or none whose loop it makes and keeps stable."""
+    if controller is None or not controller.law.acts or not controller.certificate.stable:
+        return None
+    posed = controller.problem(vehicle)
+    found = fragility(scaled_gain(posed.plant, posed.Cy, controller.law.continuous(), posed.Dyw, posed.through))
+    forces = tuple(vehicle.linear_model.inputs)
+    return Fragile(found, rounding(controller.law, posed.closed, posed.plant), controller.measured, forces)

@@ -1,0 +1,98 @@
+"""The options of `python -m synth`, and which of them go together."""
+
+from argparse import Namespace
+from collections.abc import Sequence
+from pathlib import Path
+
+from models.common.command import Parser
+from models.common.errors import InputError
+
+MOST_POINTS = 1000  # that `--point` can name
+AXES_HELP = (
+    "ride (body accelerations), travel (suspension deflections), road_holding (tyre deflections), force, band=4-8 (ride within "
+    "these Hz) and tolerance=10 (the norm of [performance] with readings off by so many per cent), a colon between them; each is "
+    "the norm from road velocity, in SI; the quarter-car takes 5 to 15 s"
+)
+
+EPILOG = """
+exit code: 0 every claim holds, 1 a controller could not be designed or a claim fails, 2 bad input. That a loop is stable
+without its computer is no claim where it is stable with it; one that its computer loses claims nothing false, and is named
+
+examples:
+  python -m synth
+  python -m synth --vehicle half_car --controller I --json
+  python -m synth --controller I --refine --save my_car.toml
+  python -m synth --check my_car.toml
+  python -m synth --zero-l
+  python -m synth --controller I --fragility
+  python -m synth --vehicle quarter_car_goals --picture bands.png
+  python -m synth --vehicle full_car --cross-check
+  python -m synth --rates 1 2 5 10 20 50 100 --picture rates.png
+  python -m synth --front ride:travel --controller II --picture front.png --csv front.csv
+  python -m synth --front band=4-8:travel:force --save designs.toml --point 20 60
+"""
+
+
+def asked(arguments: Sequence[str] | None) -> Namespace:
+    """What is asked for.
+
+    Raises:
+        InputError: bad options, or some that do not go together.
+    """
+    options = _parser().parse_args(arguments)
+    if options.cross_check and (options.check or options.refine):
+        why = "--check designs nothing" if options.check else "--refine leaves their optima"
+        raise InputError(f"--cross-check solves the LMI problems of designs anew, and {why}; leave one of them out")
+    if options.check and options.given & {"zero_l", "refine", "save", "vehicle", "prove", "fragility"}:
+        raise InputError("--check reads its own file and designs nothing; it goes with --controller, --picture and --json only")
+    if options.rates and options.given & {"zero_l", "refine", "save", "check", "cross_check", "prove", "fragility"}:
+        raise InputError("--rates takes designs as they are; it goes with --controller, --vehicle, --picture and --json only")
+    if options.front is not None and options.given & {"zero_l", "refine", "check", "cross_check", "prove", "rates", "fragility"}:
+        raise InputError(
+            "--front designs a trade-off; it goes with --controller, --vehicle, --picture, --csv, --save, --point and --json only"
+        )
+    if options.front is None and options.given & {"csv", "point"}:
+        raise InputError("--csv and --point are of the designs of --front; give its axes with --front, or leave them out")
+    return options
+
+
+def _parser() -> Parser:
+    parser = Parser("synth", "Designs the controllers of a vehicle file, certifies them, and says how good they are.", EPILOG)
+    parser.add_controller_and_vehicle("default: all")
+    parser.add_argument("--zero-l", action="store_true", help="L = 0 instead of equation (14), the one-step design of remark 4")
+    parser.add_argument(
+        "--refine",
+        action="store_true",
+        help="then lower the norm itself, as long as it is worth a larger gain; says what it traded",
+    )
+    parser.add_argument(
+        "--cross-check",
+        action="store_true",
+        help="solve (22) and (25) by Clarabel, too: how far apart the optima are, and whether the gain attains both",
+    )
+    parser.add_argument(
+        "--save", type=Path, metavar="FILE", help="write the vehicle file with each designed gain added, as NAME_designed"
+    )
+    parser.add_argument(
+        "--prove", action="store_true", help="prove a bound for every law that the vehicle file gives, too, as for designed ones"
+    )
+    parser.add_argument(
+        "--fragility",
+        action="store_true",
+        help="say how far, in per cent, each reading and each of several forces may be off until the loop is unstable, or its "
+        "norm 1 or 10 %% higher: proved, and found; and what rounding its numbers to int16 or float16 does",
+    )
+    parser.add_argument("--check", type=Path, metavar="FILE", help="verify the gains of a vehicle file and their certificates")
+    parser.add_numbers("--rates", "ms", "what computers of these sample periods cost: norms of the loops as they run them")
+    parser.add_argument("--front", metavar="AXES", help=f"about 200 designs between two or three of {AXES_HELP}")
+    parser.add_argument(
+        "--picture",
+        type=Path,
+        metavar="FILE",
+        help="draw the responses over frequency, the bands of goals shaded, or what --rates or --front asks for, as .png or "
+        ".svg; needs matplotlib",
+    )
+    parser.add_argument("--csv", type=Path, metavar="FILE", help="write every design of --front")
+    parser.add_count("--point", "the designs of --front that --save writes", "all", 1, MOST_POINTS, many=True)
+    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    return parser

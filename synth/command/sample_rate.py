@@ -1,0 +1,79 @@
+"""`python -m synth --rates`: what slower computers cost controllers, as a table, a picture and one JSON object."""
+
+import json
+from argparse import Namespace
+from collections.abc import Sequence
+from dataclasses import replace
+
+from models.common.errors import InputError
+from models.common.printed import Stages, say, titled
+from models.figures.outputs import check_outputs, written, written_lines
+from models.figures.picture import write_picture
+from models.vehicle.limits_and_implementation import LONGEST_PERIOD
+from models.vehicle.vehicle import Vehicle
+from synth.plant.numerics import DesignError
+from synth.vehicle.designer import Designer
+from synth.vehicle.sample_rate.cost import SHORTEST, Cost, cost
+from synth.vehicle.sample_rate.report import about_lines, cost_lines, cost_object, drawn_periods, failures, rates_figure, sentence
+
+MOST = 1000  # rates in one table
+
+
+def periods_of(rates: Sequence[float]) -> list[float]:
+    """Sample periods [s], ascending, of as many in milliseconds.
+
+    Raises:
+        InputError: one is beyond its limits or given twice, or they are too many.
+    """
+    for rate in rates:
+        if not 1e3 * SHORTEST <= rate <= 1e3 * LONGEST_PERIOD:  # NaN is within no limits
+            raise InputError(
+                f"--rates {rate:g} ms is not allowed; give sample periods from {1e3 * SHORTEST:g} to {1e3 * LONGEST_PERIOD:g} ms"
+            )
+        if list(rates).count(rate) > 1:
+            raise InputError(f"--rates {rate:g} ms is given twice; give it once")
+    if len(rates) > MOST:
+        raise InputError(f"--rates asks for {len(rates)} sample periods; give at most {MOST}")
+    return sorted(rate / 1e3 for rate in rates)
+
+
+def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
+    """Runs the command for these controllers; returns its exit code.
+
+    Raises:
+        InputError: a rate that is not allowed, or a picture that cannot be written.
+    """
+    periods, outputs = periods_of(options.rates), {"picture": options.picture}
+    check_outputs(outputs, vehicle.files)
+    tried = drawn_periods(periods) if options.picture else periods
+    stage = Stages(*(f"controller {name}" for name in names))
+    designer, found, undesigned = Designer(vehicle), [], {}
+    for name in names:
+        done = stage.counted(f"controller {name}", len(tried), "rates")
+        try:
+            found.append(cost(vehicle, designer.design(name), tried, periods, done))
+        except DesignError as error:
+            undesigned[name] = str(error)
+    stage.end()
+    if options.picture and found:
+        write_picture(rates_figure(vehicle, found, periods), options.picture)
+    asked = [_only(one, periods) for one in found]
+    failed = [text for one in asked for text in failures(one)]
+    if options.json:
+        rows = [cost_object(one) for one in asked]
+        rows += [{"name": name, "reason": reason} for name, reason in undesigned.items()]
+        print(json.dumps({"vehicle": vehicle.kind.name, "controllers": rows, **written(outputs)}, allow_nan=False))
+    else:
+        lines = titled(vehicle.kind.name, vehicle.source)
+        for one in asked:
+            lines += ["", *cost_lines(one)]
+        for name, reason in undesigned.items():
+            lines += ["", f"controller {name}", f"  NOT DESIGNED: {reason}"]
+        lines += ["", *about_lines(asked), *written_lines(outputs), "", *(line for one in asked for line in sentence(one))]
+        say([*lines, *(f"DOES NOT HOLD: {text}" for text in failed)])
+    return 1 if failed or undesigned else 0
+
+
+def _only(one: Cost, periods: Sequence[float]) -> Cost:
+    """At those of its rates that were asked for."""
+    return replace(one, rates=tuple(at for at in one.rates if at.period in periods))

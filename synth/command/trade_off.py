@@ -1,0 +1,118 @@
+"""`python -m synth --front`: a trade-off as a table, a picture, CSV, controllers in a vehicle file, and one JSON object."""
+
+import json
+from argparse import Namespace
+from collections.abc import Sequence
+from dataclasses import replace
+
+from models.common.command import one_chosen
+from models.common.errors import InputError
+from models.common.files import together
+from models.common.interrupt import finishing
+from models.common.printed import Stages, Whole, say, titled, wrapped
+from models.figures.outputs import check_outputs, written, written_lines
+from models.figures.picture import write_picture
+from models.vehicle.vehicle import Vehicle
+from synth.command.save import check_save, save
+from synth.plant.numerics import DesignError
+from synth.vehicle.trade_off.axes import axes_of
+from synth.vehicle.trade_off.continuation import rays_of
+from synth.vehicle.trade_off.front import DESIGNS, Front, entry_of, front
+from synth.vehicle.trade_off.report import front_figure, front_lines, front_object, sentences, write_csv
+
+USUAL = "I"  # the controller whose measurements the designs have, where none is asked for
+SAVED = "point"  # in the name of a saved one: I_point_17
+
+
+def answer(vehicle: Vehicle, options: Namespace) -> int:
+    """Runs the command; returns its exit code.
+
+    Raises:
+        InputError: bad axes, a controller that no front can be designed for, a point that there is not, or a file that cannot be
+            written.
+    """
+    axes = axes_of(vehicle, options.front)
+    name = _name(vehicle, options.controller)
+    entry_of(vehicle, name)
+    outputs = {"picture": options.picture, "csv": options.csv}
+    check_outputs({**outputs, "save": options.save}, vehicle.files, options.json)
+    if options.point and not options.save:
+        raise InputError("--point says which designs --save writes; give a file with --save, or leave --point out")
+    if options.save:
+        check_save(vehicle, [f"{name}_{SAVED}_{i}" for i in options.point or (1,)])
+    stage = Stages("designs", "the picture")
+    told = stage.counted("designs", rays_of(len(axes), DESIGNS), "designs")
+    try:
+        found = front(vehicle, name, axes, others_of(vehicle), DESIGNS, told)
+        if not found.points:
+            raise DesignError(f"of {found.tried} designs there is none whose claims could all be proved; give other axes")
+    except DesignError as error:
+        stage.end()
+        if options.json:
+            print(json.dumps({"vehicle": vehicle.kind.name, "controller": name, "reason": str(error)}))
+        else:
+            say([f"controller {name}", f"  NOT DESIGNED: {error}"])
+        return 1
+    with finishing(work_goes_on=True):  # it takes a moment, and all of the work is in it
+        numbers = _numbers(found, options.point) if options.save else []
+        stage("the picture")
+        with together():
+            if options.picture:
+                write_picture(front_figure(found), options.picture)
+            if options.csv:
+                write_csv(found, options.csv)
+            if options.save:
+                save(
+                    options.save, vehicle, [replace(found.points[i - 1].controller, name=f"{name}_{SAVED}_{i}") for i in numbers]
+                )
+        stage.end()
+        saved = str(options.save) if options.save else None
+        if options.json:
+            result = {"vehicle": vehicle.kind.name, **front_object(found), **written(outputs), "saved": saved}
+            print(json.dumps(result, allow_nan=False))
+        else:
+            lines = [*titled(vehicle.kind.name, vehicle.source), "", *front_lines(found), *written_lines(outputs)]
+            lines += ["", "saved", Whole(f"  {saved}")] if saved else []
+            say([*lines, "", *(part for line in sentences(found) for part in wrapped(line, hang=4))])
+    if found.interrupted:
+        raise KeyboardInterrupt
+    return 1 if found.unproved else 0
+
+
+def others_of(vehicle: Vehicle) -> list[str]:
+    """The controllers that are shown beside a front: all linear ones but those designed for goals, which take seconds each."""
+    return [
+        name
+        for name in vehicle.linear_names
+        if name not in vehicle.controllers or vehicle.controllers[name].goals is None or vehicle.controllers[name].law is not None
+    ]
+
+
+def _name(vehicle: Vehicle, asked: Sequence[str] | None) -> str:
+    """The one controller that is asked for, or the usual one.
+
+    Raises:
+        InputError: several are asked for, or one that there is not.
+    """
+    if asked is None:
+        return usual(vehicle)
+    if len(asked) > 1:
+        raise InputError(f"--front designs for the measurements of one controller, and {len(asked)} are given; give one")
+    return one_chosen(vehicle.controller_names, asked[0])
+
+
+def usual(vehicle: Vehicle) -> str:
+    """The controller of a front where none is asked for: I, or the first that there is."""
+    return USUAL if USUAL in vehicle.controllers else next(iter(vehicle.controllers), "state")
+
+
+def _numbers(found: Front, asked: Sequence[int] | None) -> list[int]:
+    """The points that are saved.
+
+    Raises:
+        InputError: one is not there.
+    """
+    for i in asked or ():
+        if i > len(found.points):
+            raise InputError(f"--point {i}: the front has {len(found.points)} points; give one from 1 to {len(found.points)}")
+    return sorted({*asked}) if asked else list(range(1, len(found.points) + 1))

@@ -1,0 +1,264 @@
+"""A vehicle with its actuators and whatever its controller keeps: before any loop is closed, and from one sample to the next.
+
+A law with states is a static gain on a larger vehicle: its states are integrators, x_c' = v, driven by inputs v of their own.
+Then every formula of a loop that is closed by a gain holds for any law. Continuous, v = A_c x_c + B_c y. Sampled every T seconds,
+v = ((A_d - I) x_c + B_d y) / T is held meanwhile, which takes x_c to A_d x_c + B_d y exactly.
+
+A measured acceleration has the force in it. Continuous, that loop is solved. Sampled, the reading is taken before the new force
+acts: y = C x + D u, with the u that has acted until then, which is kept as a state too.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy import linalg
+
+from models.common.arrays import Array
+from models.common.errors import InputError
+from models.kinds.linear_model import LinearModel
+from models.kinds.signals import KEPT
+from models.laws.linear import LinearLaw
+from models.vehicle.limits_and_implementation import Implementation, steps_held, steps_per_sample
+from models.vehicle.vehicle import Vehicle
+from synth.analysis.stability import sampled_growth
+from synth.controller.controller import Controller
+from synth.plant.discrete import held_inputs
+
+
+@dataclass(frozen=True, eq=False)
+class Controlled:
+    """A vehicle, its actuators and its controller's states, and what is asked of its inputs.
+
+    Attributes:
+        model: its n states are the vehicle's, the lagged forces, the law's, and the forces that have acted; its inputs the m
+            forces asked for, and k rates of what is kept.
+        G: from its states to all those inputs, shape (m + k, n).
+        hold: what the forces that act add to the rates, shape (k, m).
+        reading: what a disturbance of each measurement adds to all the inputs, shape (m + k, q).
+        forces: m.
+    """
+
+    model: LinearModel
+    G: Array
+    hold: Array
+    reading: Array
+    forces: int
+
+    @property
+    def law_states(self) -> slice:
+        """Where the law's states are among those of the model."""
+        named = [i for i, name in enumerate(self.model.states) if name.startswith(KEPT)]
+        return slice(named[0], named[-1] + 1) if named else slice(0)
+
+    @property
+    def asked(self) -> Array:
+        """From the states to the forces asked for, shape (m, n)."""
+        return self.G[: self.forces]
+
+    @property
+    def kept(self) -> Array:
+        """From the states to the rates of what is kept, but for what the forces that act add, shape (k, n)."""
+        return self.G[self.forces :]
+
+    def inputs(self, acting: Array, kept: Array | None = None, last: Array | None = None) -> Array:
+        """All inputs, from the forces that act: both per the same, shape (..., m, c) to (..., m + k, c).
+
+        Args:
+            acting: the forces, shape (..., m, c).
+            kept: the rates, but for what those add, shape (..., k, c); those of the states where none are given.
+            last: the forces that act at the period's end, where those are others: they are what has acted then.
+        """
+        kept = self.kept if kept is None else kept
+        if not len(self.hold):
+            return acting
+        rates = kept + self.hold @ (acting if last is None else last)
+        return np.concatenate([acting, rates], axis=-2)
+
+
+def continuous(vehicle: Vehicle, controller: Controller) -> Controlled:
+    """In continuous time; a discrete law as its bilinear counterpart.
+
+    Raises:
+        InputError: what is measured has the force in it, and that loop has no solution.
+    """
+    model = with_lag(vehicle)
+    C, D = model.rows(controller.measured)
+    return _kept(model, controller.law.continuous().fed_back(D), C, np.zeros((len(C), 0)))
+
+
+def sampled(vehicle: Vehicle, controller: Controller, period: float) -> Controlled:
+    """Sampled every so many seconds.
+
+    Args:
+        vehicle: the vehicle.
+        controller: its controller.
+        period: [s].
+    """
+    model = with_lag(vehicle)
+    C, D = model.rows(controller.measured)
+    law = controller.law.sampled(period)
+    try:
+        rates = LinearLaw((law.A - np.eye(law.states)) / period, law.B / period, law.C, law.D)
+    except InputError as error:
+        raise InputError(
+            f"controller {controller.name!r} changes its states too fast to be run every {period:g} s: of their rates, "
+            f"(A - I) / T and B / T, {error}; scale its states, so that B is smaller and C larger"
+        ) from error
+    return _kept(model, rates, C, D if np.any(D) else np.zeros((len(C), 0)), 1 / period)
+
+
+def _kept(model: LinearModel, law: LinearLaw, C: Array, D: Array, rate: float = 0.0) -> Controlled:
+    """With the states of a law, and the forces that have acted, where a measurement has them in it.
+
+    Args:
+        model: n states, m forces.
+        law: continuous, k states.
+        C: of the measurements, shape (q, n).
+        D: what the forces that have acted do in them, shape (q, m), or (q, 0) for nothing.
+        rate: at which a force that acts becomes one that has acted [1/s].
+    """
+    (n, m), k, held = model.B.shape, law.states, D.shape[1]
+    more = k + held
+    if not more:
+        return Controlled(model, law.D @ C, np.zeros((0, m)), law.D, m)
+    readings = np.hstack([C, np.zeros((len(C), k)), D])
+    G = np.vstack(
+        [
+            law.D @ readings + np.hstack([np.zeros((m, n)), law.C, np.zeros((m, held))]),
+            law.B @ readings + np.hstack([np.zeros((k, n)), law.A, np.zeros((k, held))]),
+            np.hstack([np.zeros((held, n + k)), -rate * np.eye(held)]),
+        ]
+    )
+    hold = np.vstack([np.zeros((k, m)), rate * np.eye(held, m)])
+    reading = np.vstack([law.D, law.B, np.zeros((held, len(C)))])
+    names = [f"{KEPT}{i}" for i in range(1, k + 1)] + [f"acted_{name}" for name in model.inputs[:held]]
+    larger = replace(
+        model,
+        A=np.block([[model.A, np.zeros((n, more))], [np.zeros((more, n + more))]]),
+        B=np.block([[model.B, np.zeros((n, more))], [np.zeros((more, m)), np.eye(more)]]),
+        Bw=np.vstack([model.Bw, np.zeros((more, model.Bw.shape[1]))]),
+        Br=np.vstack([model.Br, np.zeros((more, model.Br.shape[1]))]),
+        Bl=np.vstack([model.Bl, np.zeros((more, len(model.loads)))]),
+        C=np.hstack([model.C, np.zeros((len(model.C), more))]),
+        D=np.hstack([model.D, np.zeros((len(model.D), more))]),
+        states=(*model.states, *names),
+        inputs=(*model.inputs, *(f"rate_of_{name}" for name in names)),
+    )
+    return Controlled(larger, G, hold, reading, m)
+
+
+def with_lag(vehicle: Vehicle) -> LinearModel:
+    """The linear model with its actuators' lag, if they have one: the forces that act are its last states then."""
+    return vehicle.linear_model.behind_lag(vehicle.limits.actuator_bandwidth)
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """A part of the period over which one force is held.
+
+    Attributes:
+        steps: how many timesteps it lasts.
+        inputs: all inputs of `ImplementedLoop.cut` meanwhile, from the loop's state, shape (m + k, s).
+        at_once: what they are more by what is added to those that are computed at the sample, shape (m + k, m + k).
+    """
+
+    steps: int
+    inputs: Array
+    at_once: Array
+
+
+@dataclass(frozen=True, eq=False)
+class ImplementedLoop:
+    """The loop from one sample of the controller to the next.
+
+    Its s states are those of `open_loop.sampled`, and beside them the forces on their way, the next to act first.
+
+    Attributes:
+        cut: the vehicle and what its controller keeps, before the loop is closed.
+        transition: shape (s, s).
+        added: what is added to the inputs that are computed at a sample does to the next state, shape (s, m + k).
+        parts: of the period, in their order; one, but for a delay of a fraction of a sample.
+    """
+
+    cut: Controlled
+    transition: Array
+    added: Array
+    parts: tuple[Held, ...]
+
+    @property
+    def by_step(self) -> list[Held]:
+        """What is held at every timestep of the period."""
+        return [part for part in self.parts for _ in range(part.steps)]
+
+
+@dataclass(frozen=True, eq=False)
+class LoopModel:
+    """A vehicle with its linear controller at a timestep, and the matrices of their loop, each made once, when first asked for.
+
+    They raise an InputError if the sample period or the delay is no multiple of the timestep, see `steps_per_sample`.
+
+    Attributes:
+        vehicle: the vehicle, which says how its controller is implemented.
+        controller: its controller.
+        timestep: of the run [s].
+    """
+
+    vehicle: Vehicle
+    controller: Controller
+    timestep: float
+
+    @cached_property
+    def steps(self) -> int:
+        """Timesteps from one sample of the controller to the next."""
+        return steps_per_sample(self.vehicle.implementation, self.timestep)
+
+    @property
+    def period(self) -> float:
+        """Time from one sample of the controller to the next [s]."""
+        return self.steps * self.timestep
+
+    @cached_property
+    def open_loop(self) -> Controlled:
+        """The vehicle and what its sampled controller keeps, before the loop is closed."""
+        return sampled(self.vehicle, self.controller, self.period)
+
+    @cached_property
+    def continuous(self) -> Controlled:
+        """The same in continuous time, without delay."""
+        return continuous(self.vehicle, self.controller)
+
+    @cached_property
+    def closed_loop(self) -> ImplementedLoop:
+        """The loop as it is implemented."""
+        return _implemented(self.open_loop, self.vehicle.implementation, self.timestep)
+
+    @cached_property
+    def radius(self) -> float:
+        """Growth per timestep of the closed loop: above 1 it is unstable, at exactly 1 marginal."""
+        return sampled_growth(self.closed_loop.transition) ** (1 / self.steps)
+
+
+def _implemented(cut: Controlled, how: Implementation, timestep: float) -> ImplementedLoop:
+    held = steps_held(how, timestep)
+    n, m, k = len(cut.model.A), cut.forces, len(cut.hold)
+    force, rate = np.eye(m, m + k), np.eye(m + k)[m:]
+    size, rest = n + how.waiting * m, how.waiting * m
+    asked, kept = np.hstack([cut.asked, np.zeros((m, rest))]), np.hstack([cut.kept, np.zeros((k, rest))])
+    acting = [np.eye(m, size, n + (how.waiting - late) * m) if late else asked for _, late in held]
+    now = [np.zeros_like(force) if late else force for _, late in held]
+    parts = tuple(
+        Held(steps, cut.inputs(acts, kept, acting[-1]), cut.inputs(at_once, rate, now[-1]))
+        for (steps, _), acts, at_once in zip(held, acting, now, strict=True)
+    )
+    transition, added = np.zeros((size, size)), np.zeros((size, m + k))
+    transition[:n] = np.eye(n, size)
+    for part in parts:
+        Phi, Gamma = held_inputs(cut.model.A, part.steps * timestep, linalg.expm, cut.model.B)
+        transition[:n] = Phi @ transition[:n] + Gamma @ part.inputs
+        added[:n] = Phi @ added[:n] + Gamma @ part.at_once
+    if rest:
+        transition[n : size - m, n + m :] = np.eye(rest - m)
+        transition[size - m :, :n] = cut.asked
+        added[size - m :] = force
+    return ImplementedLoop(cut, transition, added, parts)

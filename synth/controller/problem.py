@@ -1,0 +1,192 @@
+"""The door through which a vehicle's named signals come in: its plant (15), and what a controller measures of it.
+
+The plant is the linear model with the weighted signals of `[performance]` as z. A controller may ask for more than that: for the
+noise of its sensors, which then is a disturbance beside the road, as loads on the body are; and for its actuators' lag, whose
+states join the vehicle's.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.kinds.linear_model import LinearModel
+from models.laws.linear import LinearLaw
+from models.vehicle.controllers import Hardware
+from models.vehicle.vehicle import Vehicle
+from synth.plant.augmented import System, append, gain, on_larger_plant, with_weights
+from synth.plant.generalized import Feedback, GeneralizedPlant
+
+if TYPE_CHECKING:
+    from models.vehicle.filter import Filter
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What a controller of a vehicle is designed for and judged with: y = C_y x + `through` u + Dyw w.
+
+    Attributes:
+        plant: n states, m inputs, r disturbances; loads, and then the noises of what is measured, are the
+            last of these.
+        Cy: shape (q, n).
+        through: what the forces do at once to what is measured, shape (q, m).
+        Dyw: shape (q, r); None without noise, and without loads in what is measured.
+        forces: which of the measurements are forces that act at once, and so say nothing of the state; each by its input.
+    """
+
+    plant: GeneralizedPlant
+    Cy: Array
+    through: Array
+    Dyw: Array | None = None
+    forces: Mapping[int, int] = field(default_factory=dict)
+
+    @property
+    def of_state(self) -> list[int]:
+        """Which of the measurements are no such forces."""
+        return [i for i in range(len(self.Cy)) if i not in self.forces]
+
+    def rows(self, kept: Sequence[int]) -> tuple[Array, Array | None]:
+        """C_y and Dyw of some of the measurements."""
+        return self.Cy[kept], self.Dyw[kept] if self.Dyw is not None else None
+
+    def closed(self, law: LinearLaw) -> tuple[GeneralizedPlant, Feedback]:
+        """A law as a gain on the plant with its states; a discrete one as its continuous counterpart (Tustin).
+
+        Raises:
+            InputError: the loop through what is measured has no solution, or the law no counterpart.
+        """
+        return on_larger_plant(self.plant, self.Cy, law.continuous().fed_back(self.through), self.Dyw)
+
+
+def problem(vehicle: Vehicle, measured: Sequence[str], hardware: Hardware, plant: GeneralizedPlant | None = None) -> Problem:
+    """What a controller that measures these signals is designed for and judged with.
+
+    Args:
+        vehicle: the vehicle.
+        measured: the q signals.
+        hardware: what of sensors and actuators counts.
+        plant: `generalized_plant` for its actuators, if it is there already.
+
+    Raises:
+        InputError: a signal this vehicle has not.
+    """
+    plant = plant or generalized_plant(vehicle, hardware.bandwidth, loads=hardware.loads)
+    Cy, through = measurements(vehicle, measured, hardware.bandwidth)
+    inputs = vehicle.linear_model.inputs
+    at_once = hardware.bandwidth is None
+    forces = {i: inputs.index(name) for i, name in enumerate(measured) if at_once and name in inputs}
+    (q, _), (d, r) = Cy.shape, plant.Dw.shape
+    felt = _of_loads(vehicle.linear_model, hardware.loads)[1][[vehicle.linear_model.outputs.index(name) for name in measured]]
+    of_loads = np.hstack([np.zeros((q, r - felt.shape[1])), felt])
+    if not any(hardware.noise):
+        return Problem(plant, Cy, through, of_loads if np.any(felt) else None, forces)
+    noisy = [i for i, rms in enumerate(hardware.noise) if rms]
+    k = len(noisy)
+    Dyw = np.hstack([of_loads, np.diag(hardware.noise)[:, noisy]])
+    wide = replace(plant, Bw=np.hstack([plant.Bw, np.zeros((len(plant.A), k))]), Dw=np.hstack([plant.Dw, np.zeros((d, k))]))
+    return Problem(wide, Cy, through, Dyw, forces)
+
+
+def _of_loads(model: LinearModel, loads: Sequence[tuple[str, float]]) -> tuple[Array, Array]:
+    """What loads do to states and outputs, in so much as counts as 1 m/s of w, shapes (n, l) and (p, l)."""
+    some, scale = [model.loads.index(name) for name, _ in loads], np.array([value for _, value in loads])
+    return model.Bl[:, some] * scale, model.Dl[:, some] * scale
+
+
+def generalized_plant(
+    vehicle: Vehicle, bandwidth: float | None = None, acting: bool = False, loads: Sequence[tuple[str, float]] = ()
+) -> GeneralizedPlant:
+    """The plant (15) of a vehicle: its linear model, and the weighted signals of `[performance]` as z (34)-(37).
+
+    Where a weight, or the road's spectrum, depends on frequency, the states of its filters follow those of the vehicle, of which
+    the forces that act behind a lag are the last.
+
+    Args:
+        vehicle: the vehicle.
+        bandwidth: corner frequency of its actuators' lag [rad/s]; None for forces that act at once.
+        acting: behind a lag, the weight of a control force is of the force that acts, as for what is built. Else it is of the
+            force that is asked for, as that is what a controller decides.
+        loads: on the body, each with how much of it counts as 1 m/s of w; disturbances after those of the road.
+    """
+    model = vehicle.linear_model.behind_lag(bandwidth)
+    weighted = [signal for signal, weight in vehicle.performance.items() if weight > 0]
+    C, D = model.rows(weighted)
+    if bandwidth is not None and not acting:
+        asked = np.array([[signal in model.inputs] for signal in weighted])
+        C, D = np.where(asked, 0.0, C), np.where(asked, vehicle.linear_model.rows(weighted)[1], D)
+    weights = np.array([vehicle.performance[signal] for signal in weighted])[:, None]
+    Br, Cr = _twist(model, weighted)
+    Bl, Dl = _of_loads(model, loads)
+    Dl = Dl[[model.outputs.index(signal) for signal in weighted]]
+    plant = GeneralizedPlant(
+        A=model.A,
+        B=model.B,
+        Bw=np.hstack([model.Bw, Br, Bl]),
+        C=weights * C,
+        D=weights * D,
+        Dw=np.hstack([np.zeros((len(C), model.Bw.shape[1])), weights * Cr, weights * Dl]),
+    )
+    if not vehicle.filtered:
+        return plant
+    outputs = append(*(_system(vehicle.filters.get(signal)) for signal in weighted))
+    roads = [_system(vehicle.road_filter)] * (plant.Bw.shape[1] - len(loads))
+    return with_weights(plant, outputs, append(*roads, *[gain(1.0)] * len(loads)))
+
+
+def _system(one: "Filter | None") -> System:
+    return gain(1.0) if one is None else System(*one.realisation)
+
+
+def plant_states(vehicle: Vehicle, bandwidth: float | None = None) -> tuple[str, ...]:
+    """The names of the states of a vehicle's plant: the vehicle's own, and those of its filters, in their order.
+
+    Args:
+        vehicle: the vehicle.
+        bandwidth: as for `generalized_plant`.
+    """
+    model = vehicle.linear_model.behind_lag(bandwidth)
+    signals = [signal for signal, weight in vehicle.performance.items() if weight > 0 and signal in vehicle.filters]
+    counts = {f"filter_of_{signal}": len(vehicle.filters[signal].realisation.A) for signal in signals}
+    if vehicle.road_filter is not None:
+        k = len(vehicle.road_filter.realisation.A)
+        counts |= {f"filter_of_{road}": k for road in model.disturbances}
+        counts |= {f"filter_of_road_twist_{i + 1}": k for i in range(_twist(model, ())[0].shape[1])}
+    filters = [f"{name}_{i + 1}" for name, count in counts.items() for i in range(count)]
+    return (*model.states, *filters)
+
+
+def measurements(vehicle: Vehicle, signals: Sequence[str], bandwidth: float | None = None) -> tuple[Array, Array]:
+    """C_y on the states of a vehicle's plant, shape (q, n), and what the forces do at once to what is measured, shape (q, m).
+
+    No state of a filter is measured: those are of what is asked for, not of the vehicle.
+
+    Args:
+        vehicle: the vehicle.
+        signals: the q signals.
+        bandwidth: as for `generalized_plant`; behind a lag forces do nothing at once.
+
+    Raises:
+        InputError: a signal this vehicle has not.
+    """
+    Cy, through = vehicle.linear_model.behind_lag(bandwidth).rows(signals)
+    more = len(plant_states(vehicle, bandwidth)) - Cy.shape[1] if vehicle.filtered else 0
+    return (np.hstack([Cy, np.zeros((len(Cy), more))]) if more else Cy), through
+
+
+def _twist(model: LinearModel, signals: Sequence[str]) -> tuple[Array, Array]:
+    """What the road's heights do where they act as such, as disturbances of their own, shapes (n, k) and (len(signals), k).
+
+    From the road's velocity a lasting twist is an integral, which no controller bounds. As a disturbance beside the velocities it
+    is bounded, and counts at the rate of wheel hop (`LinearModel.twist_rate`): a bound that holds for both together.
+    """
+    Cr = model.Cr[[model.outputs.index(signal) for signal in signals]]
+    directions = twists(model)
+    return model.Br @ directions.T / model.twist_rate, Cr @ directions.T / model.twist_rate
+
+
+def twists(model: LinearModel) -> Array:
+    """Which combinations of the road's heights under the wheels act as such, orthonormal, shape (k, r)."""
+    _, sizes, directions = np.linalg.svd(np.vstack([model.Br, model.Cr]))
+    return directions[: int(np.sum(sizes > 1e-12 * sizes.max(initial=0.0)))] if np.any(sizes) else directions[:0]

@@ -1,0 +1,1 @@
+"""Descent on a norm over gains, which several methods stand on."""

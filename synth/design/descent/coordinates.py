@@ -1,0 +1,74 @@
+"""Coordinates of gains, and directions among them, in which all entries count alike.
+
+Where a measurement is large and another nearly equal to it, a gain may be free to grow in their difference and hardly free to
+move in their sum: of a reference that wanders slowly and a position that follows it, the difference is small. So with forces: two
+may nearly cancel in z. In the landscape's own coordinates that is a narrow valley. A change dK of the gain changes z by
+T_zu dK T_yw w; it is none in coordinates in which what is measured is uncorrelated and of one size under white noise w, and the
+answers of z to white noise of the forces are orthogonal and of one size. For a quadratic cost they are what makes the curvature
+alike (the natural gradient).
+"""
+
+import numpy as np
+from scipy import linalg
+from scipy.linalg import lapack
+
+from models.common.arrays import Array
+from synth.design.descent.landscape import Landscape
+
+# pyright: reportAttributeAccessIssue=false
+# scipy.linalg.lapack is made by f2py and carries no stubs.
+
+
+SMALLEST = 1e-12  # of the largest variance of a combination of measurements, or of forces; what is smaller counts as this
+
+
+def alike(landscape: Landscape, x: Array) -> Array:
+    """M, shape (m q, m q): with x + M t for the point, t has these coordinates.
+
+    Args:
+        landscape: of the plant.
+        x: a stable point.
+    """
+    A, C = landscape.loop(x)
+    triangle, basis = linalg.schur(A)  # pyright: ignore[reportAssignmentType]
+    ports = landscape.ports(x)
+    w, y, u, z = basis.T @ landscape.disturbed(x)[0], ports.Cy @ basis, basis.T @ ports.B, C @ basis
+    # Gramians: what w reaches, and what z sees. On the border of stability LAPACK moves the poles a little: as good a scale.
+    reached, scale, _ = lapack.dtrsyl(triangle, triangle, -w @ w.T, trana="N", tranb="T")
+    seen, other, _ = lapack.dtrsyl(triangle, triangle, -z.T @ z, trana="T", tranb="N")
+    measured = _root(y @ (reached / scale) @ y.T)
+    forced = _root(u.T @ (seen / other) @ u)
+    M = np.kron(forced, measured) / landscape.scale.ravel()[:, None]
+    return M / np.linalg.norm(M, 2)
+
+
+def _root(variance: Array) -> Array:
+    """The inverse square root of a variance; I where nothing varies, or without end."""
+    if not np.all(np.isfinite(variance)):  # of a loop on the border of stability
+        return np.eye(len(variance))
+    sizes, directions = np.linalg.eigh((variance + variance.T) / 2)
+    if not sizes[-1] > 0:
+        return np.eye(len(variance))
+    return directions / np.sqrt(np.maximum(sizes, SMALLEST * sizes[-1])) @ directions.T
+
+
+def directions(landscape: Landscape, x: Array, free: Array) -> Array:
+    """Shape (N, free).
+
+    Args:
+        landscape: whose points they are of.
+        x: the point.
+        free: which entries of a point may be other than zero, by index.
+    """
+    try:
+        M = alike(landscape, x)
+        inverse = np.linalg.inv(M)
+    except np.linalg.LinAlgError:
+        return np.eye(len(x))[:, free]
+    if len(free) == len(x):
+        return M
+    metric = (inverse.T @ inverse)[free][:, free]
+    sizes, vectors = np.linalg.eigh(metric)
+    restricted = np.zeros((len(x), len(free)))
+    restricted[free] = vectors / np.sqrt(np.maximum(sizes, 1e-12 * sizes[-1])) @ vectors.T
+    return restricted

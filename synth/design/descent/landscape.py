@@ -1,0 +1,387 @@
+"""The norm as a landscape over the gains: its height, its slope, and the planes that support it from below.
+
+A gain K is a point x of m q numbers, K_ij = x_ij scale_ij, with scales that make every entry of K count alike. Over the gains
+the H-infinity norm is continuous, but it has an edge wherever two frequencies or two singular values peak alike, and minima lie
+on edges. For all unit vectors u, v the largest singular value is at least Re u' T(j omega) v, with equality at the peak: so every
+(omega, u, v) is a smooth function that supports the norm from below, a cut (Apkarian, Noll 2006).
+
+Of a discrete plant it is the landscape of the continuous one that it is mapped to, over the same gains: frequencies are those of
+the map. What is measured there contains the force, and the gain that acts is (I - K Dyu)^-1 K.
+"""
+
+import contextlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, partial
+
+import numpy as np
+from scipy import linalg
+
+from models.common.arrays import Array
+from synth.analysis.norm import ILL_CONDITIONED, highest, largest_singular_values, level_crossings, transfer_matrix
+from synth.analysis.stability import balance
+from synth.plant.discrete import mapped
+from synth.plant.generalized import GeneralizedPlant
+
+FAR = 1e4  # times the fastest pole
+
+
+@dataclass(frozen=True, eq=False)
+class Ports:
+    """A change of K acts through B and D, on what C_y, Dyw and Dyu say of states, of w and of the change itself.
+
+    Attributes:
+        B, D, Cy, Dyw, Dyu: shapes (n, m), (d, m), (q, n), (q, r) and (q, m).
+        after: (I - K Dyu)^-1, shape (m, m).
+    """
+
+    B: Array
+    D: Array
+    Cy: Array
+    Dyw: Array
+    Dyu: Array
+    after: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """A closed loop.
+
+    Attributes:
+        A, Bw, C, Dw: A + B K C_y, Bw + B K Dyw, C + D K C_y and Dw + D K Dyw.
+        poles: shape (n,).
+        residues: C v w' Bw of every mode, with its right and left eigenvectors v and w, shape (n, d r), which make frequency
+            responses cheap; None where eigenvectors lose too many digits.
+    """
+
+    A: Array
+    Bw: Array
+    C: Array
+    Dw: Array
+    poles: Array
+    residues: Array | None
+
+    @cached_property
+    def far(self) -> Array:
+        """A frequency at which the gain is next to that at infinity, for cuts stand at finite ones [rad/s], shape (1,)."""
+        return FAR * np.abs(self.poles).max(keepdims=True)
+
+    @cached_property
+    def at_infinity(self) -> float:
+        """The gain at an infinite frequency."""
+        return float(np.linalg.norm(self.Dw, 2)) if self.Dw.any() else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Cuts:
+    """F functions Re u' T(j omega; K) v.
+
+    Attributes:
+        omega: frequencies [rad/s], shape (F,).
+        u: unit vectors, complex, shape (F, d).
+        v: unit vectors, complex, shape (F, r).
+    """
+
+    omega: Array
+    u: Array
+    v: Array
+
+    def __getitem__(self, index: Array | slice) -> "Cuts":
+        return Cuts(self.omega[index], self.u[index], self.v[index])
+
+    def __add__(self, other: "Cuts") -> "Cuts":
+        return Cuts(
+            np.concatenate([self.omega, other.omega]), np.concatenate([self.u, other.u]), np.concatenate([self.v, other.v])
+        )
+
+
+def climbed(gains: Callable[[Array], Array], left: Array, middle: Array, right: Array, height: Array) -> Array:
+    """Nearer to maxima that lie between frequencies: three points to a parabola, its top the next middle.
+
+    Args:
+        gains: of frequencies, one for each; even.
+        left, middle, right: around each maximum, shape (P,) each.
+        height: in the middle, shape (P,).
+    """
+    for _ in range(3):
+        sides = gains(np.abs(np.concatenate([left, right]))).reshape(2, -1)
+        a, b = middle - left, right - middle
+        rise, drop = (height - sides[0]) / a, (height - sides[1]) / b
+        bend = np.maximum(rise + drop, 1e-300)
+        vertex = np.clip(middle + 0.5 * (rise * b - drop * a) / bend, left, right)
+        there = gains(np.abs(vertex))
+        higher = there > height
+        middle, height = np.where(higher, vertex, middle), np.where(higher, there, height)
+        width = np.maximum(0.2 * np.minimum(a, b), 1e-7 * np.abs(middle))
+        left, right = middle - width, middle + width
+    return middle
+
+
+NEAR = 1e-9  # relative; a level set this much higher that is empty ends the search for the peak
+ALIKE = 0.02  # relative; eigenvalues closer than this count as one
+MOST_ALIKE = 3  # singular values of one frequency that are looked at
+
+
+class Landscape:
+    """The closed loops of one plant. It remembers where peaks were, which only makes the next search shorter."""
+
+    def __init__(self, plant: GeneralizedPlant, Cy: Array, Dyw: Array | None = None) -> None:
+        """Args:
+        plant: n states, m inputs, r disturbances.
+        Cy: shape (q, n).
+        Dyw: shape (q, r); zero where it is not given.
+        """
+        where = mapped(plant, Cy, Dyw)
+        plant, Cy, self.Dyw, self.Dyu, self.before = where.plant, where.Cy, where.Dyw, where.Dyu, where.before
+        self.through = bool(np.any(self.Dyu))
+        self.A, self.balancing = balance(plant.A)
+        balancing = self.balancing
+        self.B, self.Bw = plant.B / balancing[:, None], plant.Bw / balancing[:, None]
+        self.C, self.Cy = plant.C * balancing, Cy * balancing
+        self.D, self.Dw = plant.D, plant.Dw
+        self.noisy = bool(np.any(self.Dyw))
+        self.shape = (self.B.shape[1], len(self.Cy))
+        columns, rows = np.linalg.norm(self.B, axis=0), np.linalg.norm(self.Cy, axis=1)
+        rate = float(np.linalg.norm(self.A, 2)) or 1.0
+        self.scale = rate / np.outer(np.where(columns > 0, columns, 1.0), np.where(rows > 0, rows, 1.0))
+        self.peaks: list[float] = []
+        self.last: tuple[bytes, Loop] | None = None
+        self.last_ports: tuple[bytes, Ports] | None = None
+        self.straight = Ports(self.B, self.D, self.Cy, self.Dyw, self.Dyu, np.eye(self.shape[0]))
+
+    def gain(self, x: Array) -> Array:
+        """K of a point, shape (m, q)."""
+        return x.reshape(self.shape) * self.scale
+
+    def point(self, K: Array) -> Array:
+        """The point of a gain, shape (m q,)."""
+        return (K / self.scale).ravel()
+
+    def acting(self, x: Array) -> Array:
+        """K of a point, or of many, as it acts where y is without Dyu: (I - K Dyu)^-1 K, (..., m, q); NaN where it cannot."""
+        K = x.reshape(*x.shape[:-1], *self.shape) * self.scale - self.before
+        if not self.through:
+            return K
+        if x.ndim == 1:
+            return self.ports(x).after @ K
+        with contextlib.suppress(np.linalg.LinAlgError):  # a loop has no answer
+            return np.linalg.solve(np.eye(self.shape[0]) - K @ self.Dyu, K)
+        return np.full_like(K, np.nan)
+
+    def point_acting(self, K: Array) -> Array:
+        """The point of a gain that acts so, shape (m q,)."""
+        if self.through:
+            K = np.linalg.solve(np.eye(self.shape[0]) + K @ self.Dyu, K)
+        return self.point(K + self.before)
+
+    def loop(self, x: Array) -> tuple[Array, Array]:
+        """A + B K C_y and C + D K C_y."""
+        G = self.acting(x) @ self.Cy
+        return self.A + self.B @ G, self.C + self.D @ G
+
+    def disturbed(self, x: Array) -> tuple[Array, Array]:
+        """Bw + B K Dyw and Dw + D K Dyw."""
+        if not self.noisy:
+            return self.Bw, self.Dw
+        through = self.acting(x) @ self.Dyw
+        return self.Bw + self.B @ through, self.Dw + self.D @ through
+
+    def ports(self, x: Array) -> Ports:
+        """What a change of the gain at a point acts through; the last is remembered."""
+        if not self.through:
+            return self.straight
+        key = x.tobytes()
+        if self.last_ports is None or self.last_ports[0] != key:
+            K = self.gain(x) - self.before
+            after = np.full((len(K), len(K)), np.nan)
+            with contextlib.suppress(np.linalg.LinAlgError):  # the loop has no answer
+                after = np.linalg.inv(np.eye(len(K)) - K @ self.Dyu)
+            before = np.eye(K.shape[1]) + self.Dyu @ after @ K
+            ports = Ports(self.B @ after, self.D @ after, before @ self.Cy, before @ self.Dyw, self.Dyu @ after, after)
+            self.last_ports = key, ports
+        return self.last_ports[1]
+
+    def abscissa(self, x: Array) -> tuple[float, Array]:
+        """Largest real part of a pole [rad/s], and its slope, shape (m q,); infinite where the loop is not finite itself."""
+        A, _ = self.loop(x)
+        if not np.isfinite(A).all():
+            return np.inf, np.full(x.shape, np.nan)
+        poles, left, right = (np.asarray(part) for part in linalg.eig(A, left=True, right=True))
+        i = int(np.argmax(np.real(poles)))
+        left, right = left[:, i].conj(), right[:, i]
+        ports = self.ports(x)
+        slope = np.real(np.outer(left @ ports.B, ports.Cy @ right) / (left @ right))
+        return float(np.real(poles[i])), (slope * self.scale).ravel()
+
+    def _closed(self, x: Array) -> Loop:
+        """The loop of a point; the last one is remembered."""
+        key = x.tobytes()
+        if self.last is None or self.last[0] != key:
+            (A, C), (Bw, Dw) = self.loop(x), self.disturbed(x)
+            if not all(np.isfinite(part).all() for part in (A, C, Bw, Dw)):
+                return Loop(A, Bw, C, Dw, np.full(len(A), np.nan), None)
+            poles, V = np.linalg.eig(A)
+            residues = None
+            with contextlib.suppress(np.linalg.LinAlgError):
+                inverse = np.linalg.inv(V)
+                if np.linalg.norm(V) * np.linalg.norm(inverse) < ILL_CONDITIONED:
+                    seen, driven = (C @ V).T, inverse @ Bw
+                    residues = (seen[:, :, None] * driven[:, None, :]).reshape(len(poles), -1)
+            self.last = key, Loop(A, Bw, C, Dw, poles, residues)
+        return self.last[1]
+
+    def norm(self, x: Array, above: float = np.inf) -> tuple[float, float]:
+        """The norm and where it peaks [rad/s]; infinite where the loop is unstable, or not finite itself.
+
+        Args:
+            x: a point.
+            above: the search ends early, with a lower bound, once the norm is known to exceed this.
+        """
+        loop = self._closed(x)
+        poles = loop.poles
+        if not (np.real(poles) < -1e-13 * np.abs(poles).max()).all():
+            return np.inf, np.nan
+        upper = poles[np.imag(poles) >= 0]
+        omega = np.concatenate([[0.0], np.imag(upper), np.abs(upper), self.peaks, loop.far[: self.noisy]])
+        best, at = loop.at_infinity, np.inf
+        for turn in range(30):
+            gain, i = highest(self._responses(loop, omega), best * (1 + NEAR))
+            if gain > best * (1 + NEAR):
+                best, at = gain, float(omega[i])
+            elif turn or best == 0:  # a peak may stand where no pole says, above the gain at infinity
+                break
+            if best > above:
+                break
+            omega = level_crossings(loop.A, loop.Bw, loop.C, loop.Dw, best * (1 + NEAR))
+            omega = np.concatenate([omega, (omega[:-1] + omega[1:]) / 2])
+        if np.isfinite(at):
+            self.peaks = [*self.peaks[-5:], at]
+        return best, at
+
+    def slope(self, x: Array, at: float) -> Array:
+        """Slope of the largest singular value at a frequency, shape (m q,)."""
+        (A, C), (Bw, Dw), ports = self.loop(x), self.disturbed(x), self.ports(x)
+        if not np.isfinite(at):
+            U, _, Vh = np.linalg.svd(Dw, full_matrices=False)
+            return (np.outer(U[:, 0] @ ports.D, ports.Dyw @ Vh[0]) * self.scale).ravel()
+        shifted = 1j * at * np.eye(len(A)) - A
+        reached = np.linalg.solve(shifted, Bw)
+        U, _, Vh = np.linalg.svd(C @ reached + Dw, full_matrices=False)
+        adjoint, v = U[:, 0].conj(), Vh[0].conj()
+        seen = np.linalg.solve(shifted.T, adjoint @ C)
+        measured = (ports.Cy @ reached + ports.Dyw) @ v
+        return np.real(np.outer(seen @ ports.B + adjoint @ ports.D, measured) * self.scale).ravel()
+
+    def cuts(self, x: Array, omega: Array, floor: float) -> Cuts:
+        """The cuts that touch the singular values >= floor at some frequencies, and those between values that are alike.
+
+        The largest value always gives one. Where two values are alike any mixture of their vectors may lead; four are taken.
+        """
+        if not len(omega):
+            return Cuts(omega, np.zeros((0, len(self.C)), complex), np.zeros((0, self.Bw.shape[1]), complex))
+        (A, C), (Bw, Dw) = self.loop(x), self.disturbed(x)
+        U, S, Vh = np.linalg.svd(transfer_matrix(A, Bw, C, Dw, omega), full_matrices=False)
+        where, u, v = np.arange(len(omega)), [U[:, :, 0]], [Vh[:, 0].conj()]
+        for k in range(1, min(S.shape[1], MOST_ALIKE)):
+            alike = np.flatnonzero(S[:, k] >= floor)
+            if not len(alike):
+                break
+            where = np.concatenate([where, *[alike] * (1 + 4 * k)])
+            left, right = U[alike], Vh[alike].conj()
+            u.append(left[:, :, k])
+            v.append(right[:, k])
+            for other in range(k):
+                for phase in (1, -1, 1j, -1j):
+                    u.append((left[:, :, k] * phase + left[:, :, other]) / np.sqrt(2))
+                    v.append((right[:, k] * phase + right[:, other]) / np.sqrt(2))
+        return Cuts(omega[where], np.concatenate(u), np.concatenate(v))
+
+    def heights(self, x: Array, cuts: Cuts) -> tuple[Array, Array]:
+        """Values of cuts at a point, shape (F,), and slopes, shape (F, m q)."""
+        (A, C), (Bw, Dw), ports = self.loop(x), self.disturbed(x), self.ports(x)
+        n = len(A)
+        shifted = np.broadcast_to(-A, (len(cuts.omega), n, n)).astype(complex)
+        shifted[:, np.arange(n), np.arange(n)] += 1j * cuts.omega[:, None]
+        adjoint = cuts.u.conj()
+        driven = np.linalg.solve(shifted, (cuts.v @ Bw.T)[:, :, None])[:, :, 0]  # (j omega - A)^-1 Bw v
+        seen = np.linalg.solve(shifted.transpose(0, 2, 1), (adjoint @ C)[:, :, None])[:, :, 0]  # u' C (j omega - A)^-1
+        values = np.real(np.sum(adjoint * (driven @ C.T + cuts.v @ Dw.T), axis=1))
+        measured = driven @ ports.Cy.T + cuts.v @ ports.Dyw.T
+        slopes = np.real((seen @ ports.B + adjoint @ ports.D)[:, :, None] * measured[:, None, :])
+        return values, (slopes * self.scale).reshape(len(values), self.scale.size)
+
+    def curvature(self, x: Array, cuts: Cuts, weights: Array) -> Array:
+        """Weighted sum of the second derivatives of the peaks that cuts belong to, shape (m q, m q).
+
+        A peak is the largest Re u' T v over unit u, v and over frequencies near by: with q = (u, v) / sqrt 2 it is the eigenvalue
+        of J = [0 T; T' 0] that belongs to q, and perturbation theory has its second derivatives over x and omega; omega follows
+        its maximum, which takes out one rank. Eigenvalues nearly alike are not divided by: mixed cuts stand for them.
+        """
+        (A, C), (Bw, Dw), ports = self.loop(x), self.disturbed(x), self.ports(x)
+        n, size, (d, r) = len(A), x.size, self.Dw.shape
+        omega, adjoint, v = cuts.omega, cuts.u.conj()[:, None, :], cuts.v[:, :, None]
+        R = np.linalg.inv(1j * omega[:, None, None] * np.eye(n) - A)
+        left, right = C @ R, R @ Bw
+        T, Tu, Tw = left @ Bw + Dw, left @ ports.B + ports.D, ports.Cy @ right + ports.Dyw
+        Ty = ports.Cy @ R @ ports.B + ports.Dyu
+        Tu_rate, Tw_rate = -1j * (left @ R @ ports.B), -1j * (ports.Cy @ R @ right)
+        # First derivatives of T v and T' u over the entries of x, then over omega.
+        seen, driven = (adjoint @ Tu)[:, 0], (Tw @ v)[:, :, 0]
+        along = Tu[:, :, :, None] * driven[:, None, None, :] * self.scale
+        back = (seen[:, None, :, None] * Tw.swapaxes(1, 2)[:, :, None, :]).conj() * self.scale
+        slide = np.concatenate([-1j * (left @ (right @ v)), (-1j * (adjoint @ left @ right)).conj().swapaxes(1, 2)], axis=1)
+        first = np.concatenate([along.reshape(-1, d, size), back.reshape(-1, r, size)], axis=1)
+        first = np.concatenate([first, slide], axis=2) / np.sqrt(2)
+        # Second derivatives of u' T v.
+        second = np.zeros((len(omega), size + 1, size + 1))
+        twice = np.einsum("fi,fjk,fl->fijkl", seen, Ty, driven) * self.scale[:, :, None, None] * self.scale
+        twice = np.real(twice.reshape(-1, size, size))
+        second[:, :size, :size] = twice + twice.swapaxes(1, 2)
+        mixed = (adjoint @ Tu_rate)[:, 0, :, None] * driven[:, None, :] + seen[:, :, None] * (Tw_rate @ v)[:, None, :, 0]
+        second[:, :size, -1] = second[:, -1, :size] = np.real(mixed * self.scale).reshape(-1, size)
+        second[:, -1, -1] = np.real(-2 * adjoint @ left @ R @ right @ v)[:, 0, 0]
+        J = np.zeros((len(omega), d + r, d + r), complex)
+        J[:, :d, d:], J[:, d:, :d] = T, T.conj().swapaxes(1, 2)
+        values, vectors = np.linalg.eigh(J)
+        height = np.real(adjoint @ T @ v)[:, 0]
+        away = np.abs(height - values) > ALIKE * height
+        divided = np.where(away, 1 / np.where(away, height - values, 1.0), 0.0)
+        share = vectors.conj().swapaxes(1, 2) @ first
+        second += 2 * np.real(share.conj().swapaxes(1, 2) @ (share * divided[:, :, None]))
+        top = second[:, -1, -1]
+        follows = np.where((top < 0) & self.moving(omega), 1 / np.where(top < 0, top, 1.0), 0.0)
+        second -= follows[:, None, None] * second[:, -1, :, None] * second[:, -1, None, :]
+        return np.tensordot(weights, second[:, :size, :size], 1)
+
+    def summits(self, x: Array, level: float) -> Array:
+        """Frequencies [rad/s] of the local maxima of the gain that exceed a level, shape (P,), ascending."""
+        loop = self._closed(x)
+        above = loop.at_infinity * (1 + 1e-6)
+        if level <= above and not self.noisy:
+            return np.unique(np.append(self.peaks, 0.0))
+        level, beyond = max(level, above), loop.far[: self.noisy]
+        edges = level_crossings(loop.A, loop.Bw, loop.C, loop.Dw, level)
+        inside = edges[:-1, None] + np.diff(edges)[:, None] * (np.arange(5) + 0.5) / 5
+        omega = np.unique(np.concatenate([edges, inside.ravel(), self.peaks]))
+        gains = self._gains(loop, omega)
+        around = np.concatenate([[gains[min(1, len(gains) - 1)]], gains, [0.0]])  # even about zero
+        top = np.flatnonzero((gains >= level) & (gains >= around[:-2]) & (gains >= around[2:]))
+        left = np.where(top > 0, omega[top - 1], -omega[min(1, len(omega) - 1)])
+        middle, right = omega[top], omega[np.minimum(top + 1, len(omega) - 1)]
+        right = np.where(right > middle, right, middle * 1.1 + (middle == 0))
+        return np.unique(np.concatenate([np.abs(climbed(partial(self._gains, loop), left, middle, right, gains[top])), beyond]))
+
+    def moving(self, omega: Array) -> Array:
+        """Whether a peak at these frequencies moves with the gain: at zero it stays, as the gain is even."""
+        return omega > 0
+
+    def _gains(self, loop: Loop, omega: Array) -> Array:
+        """Largest singular values at frequencies, shape (F,)."""
+        return largest_singular_values(self._responses(loop, omega))
+
+    def _responses(self, loop: Loop, omega: Array) -> Array:
+        """T at frequencies, shape (F, d, r)."""
+        if loop.residues is None:
+            return transfer_matrix(loop.A, loop.Bw, loop.C, loop.Dw, omega)
+        T = (1 / (1j * omega[:, None] - loop.poles)) @ loop.residues
+        return T.reshape(len(omega), *loop.Dw.shape) + loop.Dw

@@ -1,0 +1,153 @@
+"""`--refine`: from a gain that the LMIs found down the norm itself, as far as it is worth it.
+
+Minimising the norm without bounds ruins a controller: from the paper's controller I it walks to [-72240, -82631] for a thousandth
+of gamma, because the infimum lies at infinite gain. So the gain grows by stages, at most twofold each, and a stage in which gamma
+gains less than a thousandth while the gain grows is undone.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError
+from models.common.printed import percent
+from synth.analysis.norm import hinf_norm
+from synth.design.descent.landscape import Landscape
+from synth.design.descent.minimax import along_edges
+from synth.plant.generalized import GeneralizedPlant, measured_with, real_matrix
+from synth.plant.numerics import DesignError, numerics
+
+WORTH = 1e-3  # of gamma, relative: what a growing gain must buy
+STAGES = 20  # a growth of 2^20; nothing is worth more
+ROUNDS = 60  # of descent within a stage; it usually ends sooner
+GLANCE = 5  # rounds that tell whether there is anything to gain
+SEEN = 1e-6  # relative: what a table of seven digits shows
+
+
+@dataclass(frozen=True, eq=False)
+class Refinement:
+    """What a refinement reached, and what it traded.
+
+    Attributes:
+        gain: K, shape (m, q).
+        before: the norm it started from.
+        after: the norm it ended at.
+        growth: largest entry of the gain, after over before, each in the units in which the loop counts it.
+        refused: what one more stage would have bought of gamma, relative, and its growth; None where there is nothing to buy.
+    """
+
+    gain: Array
+    before: float
+    after: float
+    growth: float
+    refused: tuple[float, float] | None
+
+    @property
+    def traded(self) -> str:
+        """What was traded, in words."""
+        text = f"gamma {self.before:.7g} -> {self.after:.7g} ({percent(1 - self.after / self.before)} less), "
+        text += f"largest gain times {self.growth:.3g}"
+        if self.refused is not None:
+            bought, growth = self.refused
+            text += f"; refused: {percent(bought)} more of gamma for {growth:.3g} times the gain"
+        return text
+
+
+@numerics()
+def refine(plant: GeneralizedPlant, Cy: Array, K: Array, Dyw: Array | None = None) -> Refinement:
+    """Lowers the norm from a stabilising gain.
+
+    Args:
+        plant: n states, m inputs.
+        Cy: shape (q, n).
+        K: shape (m, q).
+        Dyw: shape (q, r); zero where it is not given.
+
+    Raises:
+        InputError: a matrix does not fit the plant.
+        DesignError: K does not stabilise the plant.
+
+    Example:
+        >>> from synth import GeneralizedPlant, refine
+        >>> oscillator = GeneralizedPlant(
+        ...     A=[[0, 1], [-4, -0.1]], B=[[0], [1]], Bw=[[0], [1]], C=[[1, 0], [0, 0]], D=[[0], [0.1]], Dw=[[0], [0]]
+        ... )
+        >>> refinement = refine(oscillator, Cy=[[0, 1]], K=[[-1.0]])
+        >>> f"{refinement.before:.4f} to {refinement.after:.4f}"
+        '0.4808 to 0.2500'
+    """
+    Cy, Dyw = measured_with(plant, Cy, Dyw)
+    shape = (plant.B.shape[1], len(Cy))
+    K = real_matrix(K, "K", str(shape))
+    if K.shape != shape:
+        raise InputError(f"K has shape {K.shape}; expected {shape}: a row for each force, a column for each measured signal")
+    landscape = Landscape(plant, Cy, Dyw)
+    x = start = landscape.point(K)
+    before, _ = landscape.norm(x)
+    if not np.isfinite(before):
+        raise DesignError("a gain that does not stabilise the plant cannot be refined; design one first")
+    if before == 0:
+        return Refinement(K, before, before, 1.0, None)
+    size = first = float(np.abs(x).max())
+    norm, refused = before, None
+    # First without any growth, then twofold at a time.
+    for stage in range(STAGES):
+        allowed = size if stage == 0 else 2 * size
+        moved, reached = along_edges(landscape, x, np.full(len(x), allowed), ROUNDS)
+        growth = float(np.abs(moved).max()) / size if size else 1.0
+        bought = 1 - reached / norm
+        if growth > 1 + 1e-6 and bought < WORTH:
+            refused = (bought, growth) if bought > 1e-6 else None
+            break
+        x, norm, size = moved, reached, float(np.abs(moved).max())
+        if stage and growth <= 1 + 1e-6:
+            break
+    # The landscape finds the way; which end is the lower their own loops say, and how low those of a discrete plant are.
+    gain = landscape.gain(x)
+    own_before, own_after = _own(plant, Cy, K, Dyw), _own(plant, Cy, gain, Dyw)
+    first_norm, last_norm = (before, norm) if plant.dt is None else (own_before, own_after)
+    if np.array_equal(x, start) or own_after > own_before:
+        return Refinement(K, first_norm, first_norm, 1.0, refused)
+    return Refinement(gain, first_norm, last_norm, size / first if first else 1.0, refused)
+
+
+def _own(plant: GeneralizedPlant, Cy: Array, K: Array, Dyw: Array | None) -> float:
+    """The norm of a gain's own loop, by both routes."""
+    loop = plant.closed_loop(K @ Cy)
+    if Dyw is not None:
+        loop = replace(loop, Bw=plant.Bw + plant.B @ K @ Dyw, Dw=plant.Dw + plant.D @ K @ Dyw)
+    return hinf_norm(loop).value
+
+
+@numerics()
+def worth_refining(plant: GeneralizedPlant, Cy: Array, K: Array, Dyw: Array | None = None) -> float:
+    """What `refine` lowers the norm by at least, relative: as far as its first rounds go, which are quick.
+
+    Args:
+        plant: n states, m inputs.
+        Cy: shape (q, n).
+        K: a stabilising gain, shape (m, q).
+        Dyw: shape (q, r); zero where it is not given.
+    """
+    landscape = Landscape(plant, Cy, Dyw)
+    x = landscape.point(K)
+    before, _ = landscape.norm(x)
+    if not 0 < before < np.inf:
+        return 0.0
+    size = float(np.abs(x).max())
+    _, reached = along_edges(landscape, x, np.full(len(x), size), GLANCE)
+    if reached < before * (1 - SEEN):
+        return 1 - reached / before
+    # Nothing without growth: then what the first twofold growth buys, where it is worth it.
+    landscape = Landscape(plant, Cy, Dyw)
+    x, norm = along_edges(landscape, x, np.full(len(x), size), ROUNDS)
+    _, reached = along_edges(landscape, x, np.full(len(x), 2 * float(np.abs(x).max())), GLANCE)
+    return 1 - reached / before if reached < norm * (1 - WORTH) else 1 - norm / before
+
+
+def from_some(gain: Array, rows: Array, kept: Sequence[int]) -> Array:
+    """The same force from those of the measurements that the others follow from, shape (m, len(kept))."""
+    left_out = [i for i in range(len(rows)) if i not in kept]
+    return gain[:, kept] + gain[:, left_out] @ rows[left_out] @ np.linalg.pinv(rows[kept]) if left_out else gain

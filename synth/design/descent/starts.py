@@ -1,0 +1,203 @@
+"""Where a search over static gains starts: from gains of every size, from a Riccati equation, and from a gain that stabilises.
+
+Poles of small matrices cost microseconds, descents cost tenths of a second. So random gains are drawn from every decade of size
+up to the largest allowed, each with a size of its own for every input and measurement. Half of them have rank one, as gains that
+tend to infinity often have in the limit. Of each decade those that stabilise are looked at more closely.
+
+The state feedback u = G x that is best for z under white noise needs all of x. Of what is measured, K C_y comes closest to it on
+average with K = G X C_y' (C_y X C_y')^-1, where X is the covariance of the loop that G closes. Whether K stabilises is asked
+afterwards: nothing here promises it.
+
+Two descents, tried from one start after another, for neither is sure: finding such a gain is a problem for which no sure and
+quick method is known (Blondel, Gevers, Lindquist 1995).
+
+- The largest real part of a pole falls steeply, but it is not Lipschitz, and the descent ends where poles meet.
+- The norm of (s - A - B K C_y + shift)^-1 does not end there: it is finite while the shift exceeds every pole, and as it falls
+  the poles go left and the shift follows.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy import linalg
+
+from models.common.arrays import Array
+from synth.design.descent.landscape import Landscape
+from synth.design.descent.minimax import along_edges, quasi_newton
+from synth.plant.generalized import GeneralizedPlant
+from synth.plant.units import size
+
+SMALLEST = -2  # decade of the first sample, in the landscape's units
+SAMPLES = 1000  # of each decade
+WIDE = 30  # states; with more there are fewer samples, so that their poles cost the same
+FEWEST = 20  # samples
+CLOSER = 24  # stable ones of each decade whose norm is computed
+AT_ONCE = 100  # samples whose poles are computed in one call, until there are enough stable ones
+SPREAD = 1.5  # decades either way, of the size of one input or measurement
+SEED = 20261121
+
+
+def survey(landscape: Landscape, limit: Array) -> list[Array]:
+    """The best stable sample of every decade of size that has one, smallest first, each of shape (m q,).
+
+    Args:
+        landscape: of the plant.
+        limit: largest entries, shape (m q,).
+    """
+    generator, count = np.random.default_rng(SEED), _count(landscape)
+    found = []
+    for decade in range(SMALLEST, int(np.ceil(np.log10(limit.max())))):
+        points = _directions(generator, count, landscape.shape) * 10.0 ** (decade + generator.random((count, 1)))
+        best = lowest(landscape, points[np.all(np.abs(points) <= limit, axis=1)])
+        if best is not None:
+            found.append(best)
+    return found
+
+
+def around(landscape: Landscape, x: Array, limit: Array, factor: float, seed: int) -> Array | None:
+    """The best stable sample of those that differ from a point by random factors, one for every entry; None where none is stable.
+
+    Args:
+        landscape: of the plant.
+        x: the point, shape (m q,).
+        limit: largest entries, shape (m q,).
+        factor: standard deviation of the logarithms.
+        seed: of the samples.
+    """
+    factors = np.exp(factor * np.random.default_rng(seed).standard_normal((_count(landscape), len(x))))
+    return lowest(landscape, np.clip(x * factors, -limit, limit))
+
+
+def lowest(landscape: Landscape, points: Array) -> Array | None:
+    """The point with the smallest norm among the first stable ones of many, shape (m q,); None where none is stable.
+
+    Args:
+        landscape: of the plant.
+        points: shape (N, m q).
+    """
+    stable = points[:0]
+    for some in np.split(points, range(AT_ONCE, len(points), AT_ONCE)):
+        loops = landscape.A + landscape.B @ landscape.acting(some) @ landscape.Cy
+        stable = np.concatenate([stable, some[np.real(np.linalg.eigvals(loops)).max(axis=1) < 0]])
+        if len(stable) >= CLOSER:
+            break
+    best, height = None, np.inf
+    for x in stable[:CLOSER]:
+        there, _ = landscape.norm(x, height)
+        if there < height:
+            best, height = x, there
+    return best
+
+
+def _count(landscape: Landscape) -> int:
+    """How many samples there are of a kind."""
+    return max(FEWEST, int(SAMPLES * min(1.0, (WIDE / len(landscape.A)) ** 3)))
+
+
+def _directions(generator: np.random.Generator, count: int, shape: tuple[int, int]) -> Array:
+    """Gains whose largest entry is one, shape (count, m q)."""
+    m, q = shape
+    rows = 10 ** generator.uniform(-SPREAD, SPREAD, (count, m, 1))
+    columns = 10 ** generator.uniform(-SPREAD, SPREAD, (count, 1, q))
+    entries = generator.standard_normal((count, m, q))
+    entries[::2] = generator.standard_normal((len(entries[::2]), m, 1)) * generator.standard_normal((len(entries[::2]), 1, q))
+    gains = (rows * entries * columns).reshape(count, m * q)
+    return gains / np.abs(gains).max(axis=1, keepdims=True)
+
+
+COUNTS = (1e-8, 1e-4, 1e-2)  # of z's power: what every state and force counts besides, so that there is a solution
+EVERYWHERE = 1e-6  # of the disturbance's power: what disturbs states that w does not reach
+
+
+def projected_starts(landscape: Landscape) -> list[Array]:
+    """Points that come closest to the state feedback of a Riccati equation, shape (m q,) each; none where rounding leaves none.
+
+    Args:
+        landscape: of the plant.
+    """
+    A, Cy, C, D = landscape.A, landscape.Cy, landscape.C, landscape.D
+    n, m = landscape.B.shape
+    unit = size(A) / size(landscape.B)  # of the forces, with which they move the states as fast as these move
+    B, D = landscape.B * unit, D * unit
+    noise = landscape.Bw @ landscape.Bw.T
+    noise += EVERYWHERE * size(noise) * np.eye(n)
+    weight = size(np.hstack([C, D])) ** 2
+    found = []
+    for counts in COUNTS:
+        try:
+            P = linalg.solve_continuous_are(
+                A, B, C.T @ C + counts * weight * np.eye(n), D.T @ D + counts * weight * np.eye(m), s=C.T @ D
+            )
+            G = -np.linalg.solve(D.T @ D + counts * weight * np.eye(m), B.T @ P + D.T @ C)
+            X = linalg.solve_continuous_lyapunov(A + B @ G, -noise)
+            K = unit * G @ X @ Cy.T @ np.linalg.inv(Cy @ X @ Cy.T)
+        except (np.linalg.LinAlgError, ValueError):
+            continue
+        if np.all(np.isfinite(K)):
+            found.append(landscape.point_acting(K))
+    return found
+
+
+STABLE = -1e-4  # largest real part of a pole, relative to the largest pole of the plant, that is stable enough to start from
+SHIFT_BEYOND = 0.03  # how far the shift lies right of the last pole, relative likewise
+
+MOST_SHIFTS = 40
+STALLED = 0.92, 5  # of the largest real part: where so many shifts leave more of it, the descent leads nowhere
+
+
+def stabilising_starts(landscape: Landscape, limit: Array, starts: range) -> Iterator[Array]:
+    """Points where the loop is stable, one or none from each start: from u = 0, which is the first, and random points.
+
+    Args:
+        landscape: of the plant.
+        limit: largest entries, shape (m q,).
+        starts: those to try, by number.
+    """
+    generator = np.random.default_rng(20261120)
+    for start in range(starts.stop):
+        x = generator.standard_normal(len(limit)) * 10 ** generator.uniform(-1.5, 1.5) if start else np.zeros(len(limit))
+        if start not in starts:
+            continue
+        x = np.clip(x, -0.5 * limit, 0.5 * limit)
+        found = stabilise(landscape, x, limit, patient=start % 2 == 1)
+        if found is not None:
+            yield found
+
+
+def stabilise(landscape: Landscape, x: Array, limit: Array, patient: bool) -> Array | None:
+    """A stable point from one start, or None: another start may lead to one.
+
+    Args:
+        landscape: of the plant.
+        x: the start.
+        limit: largest entries, shape (m q,).
+        patient: by the second descent alone; otherwise it only takes over where the first ends.
+    """
+    rate = float(np.abs(np.linalg.eigvals(landscape.A)).max()) or 1.0
+
+    def abscissa(x: Array, _: float = np.inf) -> tuple[float, Array]:
+        value, slope = landscape.abscissa(x)
+        return value / rate, slope / rate
+
+    if not patient and abscissa(x)[0] > STABLE:
+        x, _ = quasi_newton(abscissa, x, 100, STABLE)
+    history = [abscissa(x)[0]]
+    for _ in range(MOST_SHIFTS):
+        left, shifts = STALLED
+        lost = len(history) > shifts and history[-1] > left * history[-1 - shifts]
+        if history[-1] <= 0.1 * STABLE or lost or np.any(np.abs(x) > limit):
+            break
+        x, _ = along_edges(shifted(landscape, (1.1 * history[-1] + SHIFT_BEYOND) * rate), x, limit, 10)
+        history.append(abscissa(x)[0])
+    inside = np.all(np.abs(x) <= limit) and np.isfinite(landscape.norm(x)[0])
+    return x if inside else None
+
+
+def shifted(landscape: Landscape, shift: float) -> Landscape:
+    """The landscape of (s - A - B K C_y + shift)^-1, in the same coordinates."""
+    n, m = landscape.B.shape
+    eye, nothing = np.eye(n), np.zeros((n, n))
+    plant = GeneralizedPlant(landscape.A - shift * eye, landscape.B, eye, eye, np.zeros((n, m)), nothing)
+    moved = Landscape(plant, landscape.Cy)
+    moved.scale, moved.Dyu, moved.before, moved.through = landscape.scale, landscape.Dyu, landscape.before, landscape.through
+    return moved

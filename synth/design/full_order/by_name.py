@@ -1,0 +1,66 @@
+"""The other ways to design a controller, by the names that a vehicle file has for them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.laws.linear import LinearLaw
+from synth.analysis.certificate import Certificate
+from synth.analysis.lower_bound import LowerBound
+from synth.design.full_order.full_order import full_order_design
+from synth.design.full_order.quadratic import quadratic_design
+from synth.plant.generalized import GeneralizedPlant
+
+
+@dataclass(frozen=True, eq=False)
+class NamedDesign:
+    """A controller of one of these ways.
+
+    Attributes:
+        law: on y = C_y x.
+        certificate: what is true of its loop.
+        remarks: how near it came, or what it is the best of and what had to be assumed, in words.
+    """
+
+    law: LinearLaw
+    certificate: Certificate
+    remarks: tuple[str, ...]
+
+
+def named_design(
+    name: str,
+    plant: GeneralizedPlant,
+    Cy: Array,
+    lower_bound: LowerBound,
+    states: Sequence[str],
+    noise: Sequence[float] | None = None,
+    Dyw: Array | None = None,
+) -> NamedDesign:
+    """A controller designed as one of these names says.
+
+    Args:
+        name: "full", "lqr", "lqg" or "h2".
+        plant: n states, m inputs.
+        Cy: shape (q, n); for "lqr" as many rows as states, which it is of.
+        lower_bound: what no controller from these measurements beats.
+        states: names of the states, for messages.
+        noise: of each measurement, for "lqg", see `lqg_design`; None where there is none.
+        Dyw: shape (q, r), for "full" and "h2"; None for zero.
+
+    Raises:
+        InputError, InfeasibleError, DesignError: as `full_order_design` and `quadratic_design`.
+    """
+    if name == "full":
+        full = full_order_design(plant, Cy, Dyw, lower_bound, states)
+        return NamedDesign(full.law, full.certificate, (full.remark,) if full.remark else ())
+    found = quadratic_design(name, plant, Cy, states, noise, Dyw)
+    # Noise in D_yw is part of w, in the scale in which that counts it; LQG's has its own intensity.
+    heard = {"lqg": noise, "h2": Dyw}.get(name)
+    beside = {"lqg": ", and what is measured has its noise", "h2": ", and the noise in what is measured as w counts it"}
+    best = (
+        f"the best in the mean: H2 norm {found.h2_norm:.7g}, the rms of z where road velocity is white noise of intensity one"
+        f"{beside[name] if heard is not None and np.any(heard) else ''}"
+    )
+    return NamedDesign(found.law, found.certificate, (best, *([found.remark] if found.remark else [])))

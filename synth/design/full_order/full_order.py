@@ -1,0 +1,217 @@
+"""Full-order H-infinity output feedback: as many states as the plant, and a norm next to what no controller can beat.
+
+Riccati equations lead there (`riccati.py`). Where what they lead to stays above it, or its proof is lost by rounding, descents
+are tried beside them; of all controllers the best that can be proved is taken. The central law is one of a family, and where its
+regularisation costs something another may be nearer and slower. A controller of fewer states, down to a static gain, is one of
+full order, too.
+
+A discrete plant is designed as the continuous one that it is mapped to.
+"""
+
+import contextlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError
+from models.common.printed import percent
+from models.laws.linear import LinearLaw, static_law
+from synth.analysis.bounding import certify_tightly
+from synth.analysis.certificate import FASTEST, Certificate
+from synth.analysis.lower_bound import LowerBound
+from synth.analysis.stability import is_stable, obstacles
+from synth.design.descent.refine import refine
+from synth.design.full_order.riccati import SHARES, WITHIN, Search, Traded, chosen, leading
+from synth.design.static import LARGEST_GAIN, static_output_feedback
+from synth.lmi.full_order_bound import find_lower_bound
+from synth.plant.augmented import on_larger_plant
+from synth.plant.discrete import Mapped, mapped
+from synth.plant.generalized import GeneralizedPlant, check_posed, measurement_matrices
+from synth.plant.numerics import DesignError, InfeasibleError, numerics
+
+SINGULAR = 1e-12  # relative; what is this small is zero
+
+
+def discrete_law(law: LinearLaw, where: Mapped, dt: float) -> LinearLaw:
+    """The law on what is measured of a discrete plant, whose loop is that of a law on y = C_y x + Dyw w of the mapped one.
+
+    What is measured of the mapped plant contains Dyu u, which the law takes out; then Tustin's map takes it back, and the gain
+    that was closed before is joined to it.
+
+    Args:
+        law: continuous.
+        where: the mapped plant.
+        dt: seconds between samples.
+
+    Raises:
+        DesignError: at infinity, which is z = -1, it has no finite answer.
+        LinAlgError: it has a pole at 2 / dt.
+    """
+    A, B, C, D = law.A, law.B, law.C, law.D
+    at_once = np.eye(len(D)) + D @ where.Dyu
+    if np.linalg.svd(at_once, compute_uv=False)[-1] <= SINGULAR * (1 + np.linalg.norm(D @ where.Dyu, 2)):
+        raise DesignError(
+            "the full-order law is infinite at z = -1, where the plant has a pole that is moved before it is mapped; take that "
+            "pole out of the model, or design a static gain"
+        )
+    after = np.linalg.inv(at_once)
+    taken = B @ where.Dyu @ after
+    A, B, C, D = A - taken @ C, B - taken @ D, after @ C, after @ D
+    turned = np.linalg.inv(np.eye(len(A)) - dt / 2 * A)
+    out, into = C @ turned, turned @ B
+    return LinearLaw(turned @ (np.eye(len(A)) + dt / 2 * A), dt * into, out, D + dt / 2 * C @ into + where.before, dt)
+
+
+BEYOND = 10.0  # times the gain that makes poles as fast as they may be
+SHARES_OF_GAIN = np.geomspace(1.0, 1e-3, 150)[1:]  # 5 % apart
+MOST = 100  # numbers of a law with which a descent takes seconds
+
+
+def descents(search: Search, start: Traded | None, fastest: float) -> list[Traded]:
+    """What descents find: a static gain, and a law of as many states as the start's; none of a plant that is too large.
+
+    Args:
+        search: of the plant, in whose own units it is descended.
+        start: the law to descend from; None where there is none.
+        fastest: times the plant's own speed: what a pole may be.
+    """
+    own, found = search.own, list[Traded | None]()
+    n, (q, m) = len(own.plant.A), (len(own.Cy), own.plant.B.shape[1])
+    if (n + m) * (n + q) > MOST:
+        return []
+    # In own units a gain of one makes poles of size one, of a plant without feedthrough; so do gains that a fast loop needs.
+    largest = max(LARGEST_GAIN, BEYOND * fastest * search.fastest / own.rate)
+    with contextlib.suppress(InputError, np.linalg.LinAlgError):
+        gain = static_output_feedback(own.plant, own.Cy, largest, LowerBound(search.bound), own.Dyw).gain
+        found.append(search.judged(0.0, static_law(gain)))
+        # Where that is too fast the best that is not lies before it, on the way from no control.
+        fractions = (search.judged(0.0, static_law(share * gain)) for share in SHARES_OF_GAIN)
+        slower = [each for each in fractions if each is not None and each.speed_up <= fastest]
+        found.append(min(slower, key=lambda each: each.norm, default=None))
+    if start is not None and start.own.states:
+        with contextlib.suppress(InputError, np.linalg.LinAlgError):
+            larger, G = on_larger_plant(own.plant, own.Cy, start.own)
+            noise = np.vstack([own.Dyw, np.zeros((start.own.states, own.Dyw.shape[1]))])
+            gain = refine(larger, G.Cy, G.K, noise).gain
+            law = LinearLaw(A=gain[m:, q:], B=gain[m:, :q], C=gain[:m, q:], D=gain[:m, :q])
+            found.append(search.judged(0.0, law))
+    return [each for each in found if each is not None]
+
+
+DEADBEAT = 4.0  # over dt: so fast is z = -1/3 on the map, and z = 0 half as fast; whatever sets a force in each sample can follow
+
+
+@dataclass(frozen=True, eq=False)
+class FullOrderDesign:
+    """A full-order controller, and what nearer ones would cost.
+
+    Attributes:
+        law: on y = C_y x + Dyw w; as many states as the plant, but for those that would do next to nothing.
+        certificate: what is true of its loop; its matrices are those of the plant with the law's states (`on_larger_plant`).
+        trade: the controllers that no other beats in norm and speed, the slowest first; empty where what was asked for was found.
+            Of a discrete plant they are those for the continuous one that it is mapped to.
+        remark: how near it came and why no nearer, in words; empty where it is as near as was asked for.
+        stable: whether the law is, by itself; one that is not grows while its loop is open, as when a force is at its limit.
+    """
+
+    law: LinearLaw
+    certificate: Certificate
+    trade: tuple[Traded, ...]
+    remark: str
+    stable: bool
+
+
+@numerics()
+def full_order_design(
+    plant: GeneralizedPlant,
+    Cy: Array,
+    Dyw: Array | None = None,
+    lower_bound: LowerBound | None = None,
+    states: Sequence[str] = (),
+    fastest: float = FASTEST,
+) -> FullOrderDesign:
+    """A full-order controller within 0.1 % of what no controller beats, stable and slow if may be; else the nearest not too fast.
+
+    Args:
+        plant: n states, m inputs.
+        Cy: shape (q, n).
+        Dyw: shape (q, r); zero where it is not given.
+        lower_bound: what no controller from these measurements beats, if known.
+        states: names of the states, for messages.
+        fastest: times the plant's own speed; faster loops are taken only where no slower one is stable. Of a discrete plant
+            deadbeat is never too fast.
+
+    Raises:
+        InputError: a matrix does not fit the plant, nothing disturbs it, or nothing is weighed.
+        InfeasibleError: the plant cannot be stabilised from what is measured; the message names the mode.
+        DesignError: no law was found whose loop is stable beyond rounding.
+
+    Example:
+        >>> from synth import GeneralizedPlant, full_order_design
+        >>> oscillator = GeneralizedPlant(
+        ...     A=[[0, 1], [-4, -0.1]], B=[[0], [1]], Bw=[[0], [1]], C=[[1, 0], [0, 0]], D=[[0], [0.1]], Dw=[[0], [0]]
+        ... )
+        >>> design = full_order_design(oscillator, Cy=[[0, 1]])
+        >>> design.law.states, f"{design.certificate.norm.value:.3f}", design.stable
+        (1, '0.250', True)
+    """
+    Cy, Dyw = measurement_matrices(plant, Cy, Dyw)
+    check_posed(plant)
+    if reasons := "; ".join(obstacles(plant, Cy, states)):
+        raise InfeasibleError(reasons)
+    below = find_lower_bound(plant, Cy, Dyw=Dyw) if lower_bound is None else lower_bound
+    where = mapped(plant, Cy, Dyw)
+    search = Search(where.plant, where.Cy, where.Dyw, below.gamma)
+    if plant.dt is not None:
+        fastest = max(fastest, DEADBEAT / plant.dt / search.fastest)
+
+    def proved(best: Traded, trade: Sequence[Traded]) -> FullOrderDesign:
+        reduced = search.reduced(best)
+        law = reduced.law if plant.dt is None else discrete_law(reduced.law, where, plant.dt)
+        certificate = certify_tightly(*on_larger_plant(plant, Cy, law, Dyw), below, by_itself=plant)
+        if certificate.failures:
+            raise DesignError(f"its certificate fails: {'; '.join(certificate.failures)}")
+        remark = _remark(reduced, trade, below.gamma, fastest)
+        return FullOrderDesign(law, certificate, tuple(trade), remark, is_stable(law.A, plant.dt))
+
+    lost = list[Exception]()
+    near = search.near(fastest)
+    if near is not None:
+        try:
+            return proved(near, ())
+        except (InputError, np.linalg.LinAlgError) as error:
+            lost.append(error)
+    trade = leading(search.trade(fastest))
+    best = chosen(trade, fastest)
+    if lost or best is None or best.norm > below.gamma * (1 + WITHIN):
+        trade = leading([*trade, *descents(search, best, fastest)])
+    left = trade
+    while (best := chosen(left, fastest)) is not None:
+        try:
+            return proved(best, trade)
+        except (InputError, np.linalg.LinAlgError) as error:
+            lost.append(error)
+            left = [each for each in left if each is not best]
+    if lost:
+        raise DesignError(str(lost[0])) from lost[0]
+    raise DesignError(
+        "no full-order controller was found whose loop is stable beyond rounding, with noise and cost from "
+        f"{SHARES[0]:.2g} to {SHARES[-1]:.0e} of the plant's own size; measure more signals, or give other units"
+    )
+
+
+def _remark(best: Traded, trade: Sequence[Traded], bound: float, limit: float) -> str:
+    """How near a controller came to a bound, and what a nearer one would cost; empty where it is near."""
+    if bound and best.norm <= bound * (1 + WITHIN):
+        return ""
+    above = f"{percent(best.norm / bound - 1)} above the lower bound" if bound else "no lower bound is proved"
+    least = min((each.norm for each in trade), default=best.norm) * (1 + WITHIN)
+    if best.norm <= least:
+        return f"{above}: of faster controllers that were tried none comes nearer; the bound is not sharp, or none attains it"
+    nearer = min((each for each in trade if each.norm <= least), key=lambda each: each.speed_up)
+    return (
+        f"{above}: the nearest that was found, of norm {nearer.norm:.4g}, has a pole {nearer.speed_up:.2g} times as fast as the "
+        f"plant's, and this one's fastest is {best.speed_up:.2g} times; {limit:.3g} times is much"
+    )

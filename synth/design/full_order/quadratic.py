@@ -1,0 +1,238 @@
+"""LQR, LQG and H2: the same weights with the mean square in the place of the worst case, which is what a reader compares with.
+
+w is white noise of intensity one, and z is as small as it can be in the mean: the root of its mean square is the H2 norm of the
+loop. Of the state that is a gain (LQR); of measurements with noise it is the gain on the state that a Kalman filter estimates,
+and no linear controller does better (the separation theorem; Anderson, Moore 1990, Optimal Control, chapters 2, 7 and 8).
+
+LQG and H2 are one problem: with the noise of each measurement by itself it is called the first, with z and y of a generalized
+plant the second. Where a measurement has no noise, or a force no cost, the problem is singular, and a small share of either is
+assumed, in the plant's own units, and said. White noise through Dw has no mean square; it is what no control changes, and left
+out.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import linalg
+
+from models.common.arrays import Array
+from models.common.errors import InputError
+from models.laws.linear import LinearLaw, static_law
+from synth.analysis.bounding import certify_tightly
+from synth.analysis.certificate import Certificate
+from synth.analysis.stability import balance, is_stable, obstacles
+from synth.plant.augmented import on_larger_plant
+from synth.plant.generalized import GeneralizedPlant, check_posed, measurement_matrices, real_matrix
+from synth.plant.normalised import Measured, missing
+from synth.plant.numerics import DesignError, InfeasibleError, numerics
+
+ASSUMED = 1e-2  # of the plant's own size: noise of what has none, and cost of a force that costs nothing
+
+
+@dataclass(frozen=True, eq=False)
+class QuadraticDesign:
+    """A controller that is the best in the mean.
+
+    Attributes:
+        law: static on the state for LQR; else as many states as the plant, a Kalman filter's estimate.
+        h2_norm: root of the mean square of z under white noise w, and LQG's noise, with what was given alone; Dw left out.
+        certificate: what is true of its loop in the worst case of w. LQG's noise is none of it: in the worst case it has no rms.
+        remark: what had to be assumed, in words; empty where nothing had.
+    """
+
+    law: LinearLaw
+    h2_norm: float
+    certificate: Certificate
+    remark: str
+
+
+def lqr_design(plant: GeneralizedPlant, states: Sequence[str] = ()) -> QuadraticDesign:
+    """The state feedback u = K x with the smallest mean square of z, whatever of the states is disturbed.
+
+    Args:
+        plant: n states, m inputs.
+        states: names of the states, for messages.
+
+    Raises:
+        InputError: the plant has no state or disturbance, or nothing is weighed.
+        InfeasibleError: the plant cannot be stabilised; the message names the mode.
+        DesignError: z does not see a mode that does not decay.
+
+    Example:
+        >>> from synth import GeneralizedPlant, lqr_design
+        >>> oscillator = GeneralizedPlant(
+        ...     A=[[0, 1], [-4, -0.1]], B=[[0], [1]], Bw=[[0], [1]], C=[[1, 0], [0, 0]], D=[[0], [0.1]], Dw=[[0], [0]]
+        ... )
+        >>> design = lqr_design(oscillator)
+        >>> design.law.D.round(3)
+        array([[-6.77 , -3.581]])
+    """
+    everything = np.eye(len(plant.A))
+    return _design(plant, everything, np.zeros((len(everything), plant.Bw.shape[1])), states, True)
+
+
+def lqg_design(
+    plant: GeneralizedPlant, Cy: Array, noise: Sequence[float] | None = None, states: Sequence[str] = ()
+) -> QuadraticDesign:
+    """The controller of y = C_y x + v with the smallest mean square of z, v white noise of each measurement by itself.
+
+    Args:
+        plant: n states, m inputs.
+        Cy: shape (q, n).
+        noise: of each measurement, shape (q,) [its unit times root of s]: a noise of rms sigma that is drawn every T seconds is
+            one of sigma sqrt(T). (As w has intensity one, B_w and D_w are to hold the root of its true one.) Without it a small
+            one is assumed, and said.
+        states: names of the states, for messages.
+
+    Raises:
+        InputError: C_y or the noise does not fit, or as `lqr_design`.
+        InfeasibleError: the plant cannot be stabilised from what is measured; the message names the mode.
+        DesignError: as `lqr_design`, or w does not reach a mode that does not decay.
+
+    Example:
+        >>> from synth import GeneralizedPlant, lqg_design
+        >>> oscillator = GeneralizedPlant(
+        ...     A=[[0, 1], [-4, -0.1]], B=[[0], [1]], Bw=[[0], [1]], C=[[1, 0], [0, 0]], D=[[0], [0.1]], Dw=[[0], [0]]
+        ... )
+        >>> design = lqg_design(oscillator, Cy=[[0, 1]], noise=[0.01])
+        >>> design.law.states, f"{design.h2_norm:.4f}"
+        (2, '0.1955')
+    """
+    Cy, none = measurement_matrices(plant, Cy)
+    if noise is None:
+        return h2_design(plant, Cy, none, states)
+    q, r = none.shape
+    sizes = real_matrix([list(noise)], "noise", f"(1, {q})")[0]
+    if sizes.shape != (q,) or np.any(sizes < 0):
+        raise InputError(f"noise has shape {sizes.shape}; expected {q} numbers from 0 upwards, one for each measurement")
+    return _design(plant, Cy, none, states, False, np.hstack([np.zeros((q, r)), np.diag(sizes)]))
+
+
+def h2_design(plant: GeneralizedPlant, Cy: Array, Dyw: Array | None = None, states: Sequence[str] = ()) -> QuadraticDesign:
+    """The controller of y = C_y x + Dyw w with the smallest H2 norm from w to z.
+
+    Args:
+        plant: n states, m inputs, r disturbances.
+        Cy: shape (q, n).
+        Dyw: shape (q, r); zero where it is not given.
+        states: names of the states, for messages.
+
+    Raises:
+        InputError, InfeasibleError, DesignError: as `lqg_design`.
+
+    Example:
+        >>> from synth import GeneralizedPlant, h2_design
+        >>> oscillator = GeneralizedPlant(
+        ...     A=[[0, 1], [-4, -0.1]], B=[[0], [1]], Bw=[[0], [1]], C=[[1, 0], [0, 0]], D=[[0], [0.1]], Dw=[[0], [0]]
+        ... )
+        >>> design = h2_design(oscillator, Cy=[[0, 1]])
+        >>> f"{design.h2_norm:.4f}"
+        '0.1908'
+    """
+    return _design(plant, *measurement_matrices(plant, Cy, Dyw), states, False)
+
+
+def quadratic_design(
+    name: str,
+    plant: GeneralizedPlant,
+    Cy: Array,
+    states: Sequence[str] = (),
+    noise: Sequence[float] | None = None,
+    Dyw: Array | None = None,
+) -> QuadraticDesign:
+    """One of these by its name, its law on y = C_y x.
+
+    Args:
+        name: "lqr", "lqg" or "h2".
+        plant: n states, m inputs.
+        Cy: shape (q, n); for "lqr" as many rows as states, which it is of.
+        states: names of the states, for messages.
+        noise: of each measurement, for "lqg"; None where there is none.
+        Dyw: shape (q, r), for "h2"; None for zero.
+
+    Raises:
+        DesignError: LQR is asked for where not every state is measured.
+        InputError, InfeasibleError, DesignError: as `lqr_design`, `lqg_design` and `h2_design`.
+    """
+    if name != "lqr":
+        return lqg_design(plant, Cy, noise, states) if name == "lqg" else h2_design(plant, Cy, Dyw, states)
+    if len(Cy) < len(plant.A):
+        raise DesignError(
+            "LQR feeds back every state, and those of filters in [performance] are not measured; give design = "
+            '"lqg" or "h2", or order = "full", or constant weights'
+        )
+    found = lqr_design(plant, states)
+    return replace(found, law=static_law(np.linalg.solve(Cy.T, found.law.D.T).T))
+
+
+def h2_norm(loop: GeneralizedPlant) -> float:
+    """Root of the mean square of z under white noise w, through the states of a stable loop alone."""
+    A, scale = balance(loop.A)
+    Bw, C = loop.Bw / scale[:, None], loop.C * scale
+    covariance = linalg.solve_continuous_lyapunov(A, -Bw @ Bw.T)
+    return float(np.sqrt(max(np.trace(C @ covariance @ C.T), 0.0)))
+
+
+@numerics()
+def _design(
+    plant: GeneralizedPlant, Cy: Array, Dyw: Array, states: Sequence[str], all_known: bool, noise: Array | None = None
+) -> QuadraticDesign:
+    """The best in the mean.
+
+    Args:
+        plant: n states, r disturbances.
+        Cy: shape (q, n).
+        Dyw: shape (q, r).
+        states: their names, for messages.
+        all_known: whether y is the whole state, and the law a gain.
+        noise: what y has of w and of more white noise behind it, shape (q, r + k), which counts in the mean alone.
+    """
+    check_posed(plant)
+    if reasons := "; ".join(obstacles(plant, Cy, states)):
+        raise InfeasibleError(reasons)
+    shaken = plant if noise is None else widened(plant, noise.shape[1])
+    own = Measured.of(shaken, Cy, Dyw if noise is None else noise)
+    A, B, C, D = own.plant.A, own.plant.B, own.plant.C, own.plant.D
+    cost, unheard = missing(D, ASSUMED), missing(own.Dyw.T, ASSUMED)
+    assumed = ["a cost of the forces that cost next to nothing"] if np.any(cost) else []
+    K = _regulator(A, B, C, D, cost, "z does not see a mode that neither decays nor grows; weigh a signal that it is in")
+    if all_known:
+        law = own.back(static_law(K @ np.linalg.inv(own.Cy)))
+    else:
+        unreached = "w does not reach a mode that neither decays nor grows; let w disturb it"
+        L = _regulator(A.T, own.Cy.T, own.plant.Bw.T, own.Dyw.T, unheard, unreached).T
+        law = own.back(LinearLaw(A + B @ K + L @ own.Cy, -L, K, np.zeros((len(K), len(own.Cy)))))
+        assumed += ["noise on what is measured almost without"] if np.any(unheard) else []
+    certificate = certify_tightly(*on_larger_plant(plant, Cy, law, Dyw), by_itself=plant)
+    if certificate.failures:
+        raise DesignError(f"its certificate fails: {'; '.join(certificate.failures)}")
+    remark = f"it needs {' and '.join(assumed)}: {ASSUMED:g} of the plant's own size was assumed" if assumed else ""
+    larger, G = on_larger_plant(shaken, Cy, law, Dyw if noise is None else noise)
+    return QuadraticDesign(law, h2_norm(larger.closed_loop(G)), certificate, remark)
+
+
+def widened(plant: GeneralizedPlant, r: int) -> GeneralizedPlant:
+    """The plant with so many disturbances; those that it has not got do nothing to it."""
+    more = r - plant.Bw.shape[1]
+    Bw, Dw = (np.hstack([matrix, np.zeros((len(matrix), more))]) for matrix in (plant.Bw, plant.Dw))
+    return replace(plant, Bw=Bw, Dw=Dw)
+
+
+def _regulator(A: Array, B: Array, C: Array, D: Array, more: Array, advice: str) -> Array:
+    """K of the u = K x that makes the mean square of C x + D u and of `more` u the smallest, shape (m, n).
+
+    Raises:
+        DesignError: there is none that is stable beyond rounding.
+    """
+    if not B.shape[1]:  # no force does anything
+        return np.zeros((0, len(A)))
+    weight = D.T @ D + more.T @ more
+    try:
+        X = linalg.solve_continuous_are(A, B, C.T @ C, weight, s=C.T @ D)
+        K = -np.linalg.solve(weight, B.T @ X + D.T @ C)
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise DesignError(f"a Riccati equation has no stabilising solution ({error}): {advice}") from error
+    if not is_stable(A + B @ K):
+        raise DesignError(f"a Riccati equation has no stabilising solution beyond rounding: {advice}")
+    return K

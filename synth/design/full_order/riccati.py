@@ -1,0 +1,369 @@
+"""The search for a full-order controller by Riccati equations: near what no controller beats, or on the way there.
+
+Every force costs something in z, and every measurement has noise of its own (D and Dyw have full rank); no zero from u to z or
+from w to y lies on the imaginary axis. Glover, Doyle 1988; Zhou, Doyle, Glover 1996, Robust and Optimal Control, theorem 17.1, in
+its names: D11 = Dw, D12 = D, D21 = Dyw; X and Y, F and H, and the hats.
+
+With any D11 the formulas want D12 = [0; I] and D21 = [0 I]: z and w are turned, u and y scaled, and both are taken back. The
+solvers of the equations are not believed: near the gamma below which there is none they return what solves nothing.
+
+- *Fast modes* follow their input at once: they are left at rest, and what they feed through joins D_c (residualised; Kokotovic,
+  Khalil, O'Reilly 1986, Singular Perturbation Methods in Control, section 1.3).
+- *Modes that cancel*, which the measurements hardly reach or the forces hardly show, have small Hankel singular values and are
+  cut off (balanced truncation; Moore 1981), where they decay: of those that do not, every one is kept.
+
+Neither promises anything of the loop: whoever reduces a law looks at its loop again.
+
+Without noise on the measurements, or with a force that costs nothing, the problem is singular: the best observer, or the best
+gain, is infinitely fast, and the Riccati equations have no solution. So a share of noise and of cost is added where there is
+none, in the plant's own units, in which a share means the same for all signals, and all states are disturbed and weighed a
+little. The norm that the regularised problem promises holds for the true loop, which has fewer disturbances and outputs:
+
+    norm of the true loop  <=  norm of the regularised loop  <  gamma,
+
+and the larger the share, the slower the controller. So shares fall until the gamma that is asked for is reached, and the slowest
+controller that reaches it is taken. Where none does, or none that an actuator could follow, the trade between norm and speed is
+walked: for each share the smallest gamma that its problem allows.
+
+Next to the best gamma the central law has poles that run away to the left, and what is left of it without them is as good: so of
+each law that is too fast, one without its fast poles is tried, too.
+"""
+
+import contextlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from scipy import linalg
+
+from models.common.arrays import Array
+from models.common.errors import InputError
+from models.laws.linear import LinearLaw
+from synth.analysis.certificate import FASTEST
+from synth.analysis.norm import level_set_norm
+from synth.analysis.stability import beside_weights, is_stable, stability
+from synth.plant.augmented import on_larger_plant
+from synth.plant.generalized import GeneralizedPlant
+from synth.plant.normalised import Measured, missing
+from synth.plant.numerics import InfeasibleError
+from synth.plant.units import speed
+
+RESIDUAL = 1e-6  # of its largest term: less, and a Riccati equation counts as solved
+NEGATIVE = 1e-9  # of the largest eigenvalue: what rounding leaves of one that is zero
+EDGE = 1e-9  # relative; a spectral radius this close to gamma^2 counts as one that reaches it
+
+
+def central_law(plant: GeneralizedPlant, Cy: Array, Dyw: Array, gamma: float) -> LinearLaw:
+    """A stabilising law of as many states as the plant whose closed loop has a norm below gamma.
+
+    Its states are what it takes the plant's to be, under the worst disturbance.
+
+    Args:
+        plant: n states, m inputs, r disturbances, d controlled outputs; D of rank m.
+        Cy: shape (q, n).
+        Dyw: shape (q, r), of rank q.
+        gamma: to be undercut.
+
+    Raises:
+        InfeasibleError: no law does, or rounding hides it.
+    """
+    A, n, (d, m), (q, r), square = plant.A, len(plant.A), plant.D.shape, Dyw.shape, gamma**2
+    turn_z, from_u = _last(plant.D)  # turn_z' D from_u = [0; I]
+    turn_w, from_y = _last(Dyw.T)  # turn_w' Dyw' from_y = [0; I]
+    B1, B2, C1, C2 = plant.Bw @ turn_w, plant.B @ from_u, turn_z.T @ plant.C, from_y.T @ Cy
+    D11, i, j = turn_z.T @ plant.Dw @ turn_w, d - m, r - q
+    D1111, D1112, D1121, D1122 = D11[:i, :j], D11[:i, j:], D11[i:, :j], D11[i:, j:]
+    if max(_size(D11[:i]), _size(D11[:, :j])) >= gamma:
+        raise InfeasibleError("w reaches z at once by more than gamma")
+    B, C = np.hstack([B1, B2]), np.vstack([C1, C2])
+    D1 = np.hstack([D11, np.eye(d)[:, i:]])
+    E1 = np.vstack([D11, np.eye(r)[j:]])
+    X, F = _stabilising(A, B, C1, D1, D1.T @ D1 - square * np.diag([1.0] * r + [0.0] * m))
+    Y, H = _stabilising(A.T, C.T, B1.T, E1.T, E1 @ E1.T - square * np.diag([1.0] * d + [0.0] * q))
+    if np.abs(np.linalg.eigvals(X @ Y)).max(initial=0.0) >= square * (1 - EDGE):
+        raise InfeasibleError("the spectral radius of X Y reaches gamma^2")
+    F12, F2, H12, H2 = F[j:r], F[r:], H[i:d].T, H[d:].T
+    through = -D1121 @ D1111.T @ np.linalg.solve(square * np.eye(i) - D1111 @ D1111.T, D1112) - D1122
+    B_law = np.linalg.solve(np.eye(n) - Y @ X / square, (B2 + H12) @ through - H2)
+    seen = C2 + F12
+    A_law, C_law = A + B @ F - B_law @ seen, F2 - through @ seen
+    return LinearLaw(A_law, B_law @ from_y.T, from_u @ C_law, from_u @ through @ from_y.T)
+
+
+def _last(D: Array) -> tuple[Array, Array]:
+    """An orthogonal T and an S with T' D S = [0; I], for a D of full column rank."""
+    m = D.shape[1]
+    turned, sizes, directions = np.linalg.svd(D)
+    return np.hstack([turned[:, m:], turned[:, :m]]), directions.T / sizes
+
+
+def _stabilising(A: Array, B: Array, C: Array, D: Array, R: Array) -> tuple[Array, Array]:
+    """X >= 0 of A'X + X A - (X B + C'D) R^-1 (..)' + C'C = 0 with A + B F stable, and F = -R^-1 (B'X + D'C)."""
+    try:
+        X = linalg.solve_continuous_are(A, B, C.T @ C, R, s=C.T @ D)
+        X = (X + X.T) / 2
+        F = -np.linalg.solve(R, B.T @ X + D.T @ C)
+        stable = np.linalg.eigvals(A + B @ F).real.max(initial=-1.0) < 0
+        sizes = np.linalg.eigvalsh(X)
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise InfeasibleError(f"a Riccati equation has no solution ({error})") from error
+    terms = A.T @ X, C.T @ C, (X @ B + C.T @ D) @ F
+    left = np.linalg.norm(terms[0] + terms[0].T + terms[1] + terms[2])
+    if not (stable and left <= RESIDUAL * max(map(np.linalg.norm, terms)) and sizes[0] >= -NEGATIVE * sizes[-1]):
+        raise InfeasibleError("a Riccati equation has no stabilising solution that is positive semidefinite")
+    return X, F
+
+
+def _size(matrix: Array) -> float:
+    return float(np.linalg.norm(matrix, 2)) if matrix.size else 0.0
+
+
+CANCELS = 1e-6  # of the largest Hankel singular value: a smaller one is next to nothing; half of all digits go into their roots
+
+
+def reduced_law(law: LinearLaw, fast: float) -> LinearLaw:
+    """A law without its fast modes and those that cancel; itself where it has none.
+
+    Args:
+        law: continuous, in units in which its numbers have a like size.
+        fast: magnitude [rad/s] from which on a mode that decays counts as fast.
+
+    Raises:
+        LinAlgError: rounding leaves no such parts.
+    """
+    slow, quick = _parted(law, lambda real, imag: real >= 0 or np.hypot(real, imag) < fast)
+    at_once = quick.C @ np.linalg.solve(quick.A, quick.B) if quick.states else np.zeros_like(law.D)
+    growing, decaying = _parted(slow, lambda real, imag: real >= 0)
+    kept = _truncated(decaying)
+    if growing.states + kept.states == law.states:
+        return law
+    return LinearLaw(
+        A=np.asarray(linalg.block_diag(growing.A, kept.A)),
+        B=np.vstack([growing.B, kept.B]),
+        C=np.hstack([growing.C, kept.C]),
+        D=law.D - at_once,
+    )
+
+
+def _parted(law: LinearLaw, first: object) -> tuple[LinearLaw, LinearLaw]:
+    """The modes that belong to the first part, and the others, side by side: without D, which belongs to both."""
+    none = np.zeros_like(law.D)
+    if not law.states:
+        return LinearLaw(law.A, law.B, law.C, none), LinearLaw(law.A, law.B, law.C, none)
+    triangle, basis, k = linalg.schur(law.A, sort=first)  # pyright: ignore[reportAssignmentType, reportArgumentType]
+    B, C, n = basis.T @ law.B, law.C @ basis, law.states
+    one, other = triangle[:k, :k], triangle[k:, k:]
+    X = linalg.solve_sylvester(one, -other, -triangle[:k, k:]) if 0 < k < n else np.zeros((k, n - k))
+    return LinearLaw(one, B[:k] - X @ B[k:], C[:, :k], none), LinearLaw(other, B[k:], C[:, k:] + C[:, :k] @ X, none)
+
+
+def _truncated(law: LinearLaw) -> LinearLaw:
+    """A stable law without what its Hankel singular values say is next to nothing (square-root method)."""
+    if not law.states:
+        return law
+    reached, seen = _root(law.A, law.B), _root(law.A.T, law.C.T)
+    left, sizes, right = np.linalg.svd(seen.T @ reached)
+    k = int(np.sum(sizes > CANCELS * sizes[0])) if sizes[0] > 0 else 0
+    if k == law.states:
+        return law
+    into, out = seen @ left[:, :k] / np.sqrt(sizes[:k]), reached @ right[:k].T / np.sqrt(sizes[:k])
+    return LinearLaw(into.T @ law.A @ out, into.T @ law.B, law.C @ out, law.D)
+
+
+def _root(A: Array, B: Array) -> Array:
+    """L with L L' the Gramian of A and B."""
+    gramian = linalg.solve_continuous_lyapunov(A, -B @ B.T)
+    sizes, directions = np.linalg.eigh((gramian + gramian.T) / 2)
+    return directions * np.sqrt(np.maximum(sizes, 0.0))
+
+
+WITHIN = 1e-3  # relative; so close to what no controller beats, nothing is left to gain
+SHARES = tuple(10.0 ** (-k / 2) for k in range(-1, 17))  # of noise and of cost, of what drives the states and of what z weighs
+STATES = 0.1  # of a share: by how much all states are disturbed and weighed
+AROUND = tuple(10.0 ** (k / 8) for k in range(-8, 13))  # times the first share that does, further ones that are looked at
+REACHES = (0.0, 2e-3, 1e-2, 3e-2)  # relative; how far beyond what is asked for gamma is taken: what is reached is often less
+MARGINS = (
+    1e-3,
+    1e-2,
+    1e-1,
+    1.0,
+)  # relative; how far above the smallest gamma that a problem allows laws are taken: further, slower
+SAME = 1e-6  # relative; what a norm may rise by where states are left out of a law
+CLOSE = 1e-4  # relative; how closely that gamma is found
+GRAIN = 2.0**-14  # of an exponent of two
+PARTS = (1.0, 0.1)  # of the fastest that is allowed: poles of a law beyond it are left out
+SMALLEST, LARGEST = 1e-6, 1e9  # gamma, in units in which a plant's numbers have size one
+
+
+@dataclass(frozen=True, eq=False)
+class Traded:
+    """A controller on the way to the best norm.
+
+    Attributes:
+        share: of noise and cost that it was designed with; zero where it was found by descent.
+        law: in the units given.
+        own: the same in the plant's own units.
+        norm: of its loop, by one route.
+        speed_up: of the loop's fastest pole, over the plant's speed without control.
+        stable: whether the law is, by itself.
+    """
+
+    share: float
+    law: LinearLaw
+    own: LinearLaw
+    norm: float
+    speed_up: float
+    stable: bool
+
+    @property
+    def trouble(self) -> tuple[bool, float]:
+        """What is to be small where norms are alike: a law that grows by itself is worst, for a force may be cut off."""
+        return not self.stable, self.speed_up
+
+
+def leading(found: Sequence[Traded]) -> list[Traded]:
+    """The controllers that no other beats in norm and speed, the slowest first."""
+    found = sorted(found, key=lambda each: (each.speed_up, each.norm))
+    norms = np.minimum.accumulate([np.inf, *(each.norm for each in found)])
+    return [each for each, least in zip(found, norms, strict=False) if each.norm < least]
+
+
+def chosen(trade: Sequence[Traded], fastest: float) -> Traded | None:
+    """The one with the least trouble of those next to the smallest norm, of all that are not too fast; None of none.
+
+    Where all are, the slowest stands for the plant.
+
+    Args:
+        trade: the slowest first, each of a smaller norm than the one before.
+        fastest: times the plant's own speed.
+    """
+    if not trade:
+        return None
+    slowest = trade[0].speed_up
+    limit = fastest if slowest <= fastest else fastest * slowest
+    slow = [each for each in trade if each.speed_up <= limit]
+    return min((each for each in slow if each.norm <= slow[-1].norm * (1 + WITHIN)), key=lambda each: each.trouble)
+
+
+class Search:
+    """The search for one plant."""
+
+    def __init__(self, plant: GeneralizedPlant, Cy: Array, Dyw: Array, bound: float) -> None:
+        self.given, self.own = plant, Measured.of(plant, Cy, Dyw)
+        self.bound = bound * self.own.norm
+        self.fastest, _ = speed(plant)
+
+    def near(self, fastest: float) -> Traded | None:
+        """The controller within WITHIN of the bound with the least trouble, and not too fast; None where there is none."""
+        target = _coarse(self.bound * (1 + WITHIN))
+        if target < SMALLEST:
+            return None
+        found = list[Traded]()
+        first = next((share for share in SHARES if self.reaches(target, share, target, found)), None)
+        if first is not None:
+            for reach, part in product(REACHES, AROUND):
+                self.reaches(target, first * part, target * (1 + reach), found)
+        slow = [each for each in found if each.speed_up <= fastest]
+        if not slow:
+            tried = self.slower(found, fastest)
+            slow = [each for each in tried if each.norm * self.own.norm <= target and each.speed_up <= fastest]
+        return min(slow, key=lambda each: each.trouble, default=None)
+
+    def reaches(self, target: float, share: float, gamma: float, found: list[Traded]) -> bool:
+        """Whether the controller of a share for some gamma has a norm of at most the target; then it is among what was found."""
+        each = self.traded(share, gamma)
+        if each is None or each.norm * self.own.norm > target:
+            return False
+        found.append(each)
+        return True
+
+    def trade(self, fastest: float) -> list[Traded]:
+        """Controllers of all shares and of some gamma, and without their poles beyond the fastest where they have such."""
+        found, gamma = list[Traded](), LARGEST
+        for share in SHARES:
+            gamma = self.smallest(share, gamma)
+            if gamma < LARGEST:
+                tried = [self.traded(share, gamma * (1 + margin)) for margin in MARGINS]
+                found += [each for each in tried if each is not None]
+        return found + self.slower(found, fastest)
+
+    def slower(self, found: Sequence[Traded], fastest: float) -> list[Traded]:
+        """Those that are too fast, without the poles of the law that make them so; none where the loop is lost by that."""
+        left = list[Traded]()
+        for each, part in product([each for each in found if each.speed_up > fastest], PARTS):
+            with contextlib.suppress(InputError, np.linalg.LinAlgError):
+                law = reduced_law(each.own, part * fastest * self.fastest / self.own.rate)
+                less = self.judged(each.share, law) if law.states < each.own.states else None
+                left += [less] if less is not None else []
+        return left
+
+    def smallest(self, share: float, above: float) -> float:
+        """The smallest gamma that the problem of a share allows; what one of a larger share allows, this one does, too."""
+        low = max(_coarse(self.bound), SMALLEST)
+        high, guess = above, 2 * low
+        while high > low * (1 + CLOSE):
+            middle = guess if guess < high else (low * high) ** 0.5
+            try:
+                self.law(share, middle)
+                high = middle
+            except InputError:
+                low, guess = middle, 4 * guess
+        return high
+
+    def traded(self, share: float, gamma: float) -> Traded | None:
+        """The controller of a share for some gamma, with its loop's norm; None where that is not stable, or there is none."""
+        with contextlib.suppress(InputError):  # infeasible, or an entry is too large for a law
+            return self.judged(share, self.law(share, gamma))
+        return None
+
+    def judged(self, share: float, law: LinearLaw) -> Traded | None:
+        """A law in own units with the norm of its loop; None where that is not stable.
+
+        Raises:
+            InputError: an entry is too large for a law in the units given.
+        """
+        own, back = self.own, self.own.back(law)
+        larger, G = on_larger_plant(own.plant, own.Cy, law, own.Dyw)
+        loop = larger.closed_loop(G)
+        found = stability(loop.A)
+        if not found.stable:
+            return None
+        poles = np.linalg.eigvals(beside_weights(self.given, loop.A)) if self.given.weights else found.poles
+        speed_up = own.rate * float(np.abs(poles).max()) / self.fastest
+        return Traded(share, back, law, level_set_norm(loop)[0] / own.norm, speed_up, is_stable(law.A))
+
+    def reduced(self, best: Traded) -> Traded:
+        """A controller without states that do next to nothing, if its norm stays as it is and it is no more trouble."""
+        with contextlib.suppress(InputError, np.linalg.LinAlgError):
+            law = reduced_law(best.own, FASTEST * self.fastest / self.own.rate)
+            less = self.judged(best.share, law) if law.states < best.own.states else None
+            if less is not None and less.norm <= best.norm * (1 + SAME) and less.stable >= best.stable:
+                return less
+        return best
+
+    def law(self, share: float, gamma: float) -> LinearLaw:
+        """The central law of the regularised problem, in own units.
+
+        Raises:
+            InfeasibleError: it has none for this gamma.
+        """
+        plant, Cy, Dyw = self.own.plant, self.own.Cy, self.own.Dyw
+        n, (d, r) = len(plant.A), plant.Dw.shape
+        cost, noise = missing(plant.D, share), missing(Dyw.T, share).T
+        states = STATES * share * np.eye(n)
+        m, q = len(cost), noise.shape[1]
+        regular = GeneralizedPlant(
+            A=plant.A,
+            B=plant.B,
+            Bw=np.hstack([plant.Bw, states, np.zeros((n, q))]),
+            C=np.vstack([plant.C, states, np.zeros((m, n))]),
+            D=np.vstack([plant.D, np.zeros((n, plant.B.shape[1])), cost]),
+            Dw=np.block([[plant.Dw, np.zeros((d, n + q))], [np.zeros((n + m, r + n + q))]]),
+        )
+        return central_law(regular, Cy, np.hstack([Dyw, np.zeros((len(Cy), n)), noise]), gamma)
+
+
+def _coarse(gamma: float) -> float:
+    """A number a little smaller, the same for all within GRAIN of each other: bounds differ by rounding from unit to unit."""
+    return float(np.exp2(np.floor(np.log2(gamma) / GRAIN) * GRAIN)) if gamma else 0.0

@@ -1,0 +1,190 @@
+"""One static gain for a family of plants, in the two steps of the paper with a slack variable (`lmi/sdp.py`).
+
+1. State feedback for all of them: W of the LMIs with C_y = I.
+2. L (14) with W' in the place of X, so that the W of the first step has the form that the second asks for; then the LMIs with
+   W = Q W_Q + R W_R R' and Y = Y_R R'.
+
+**The solver proposes, the certificate decides.** What is returned is proved for every plant without the solver, by an X just
+above that plant's norm; the scalar f of the LMIs is the one whose gain has the least worst norm.
+
+The problem is solved in units in which its numbers have size one: states as the inputs and disturbances of the first plant reach
+them, forces and disturbances as large as its A, and time so that f is always the same number. Plants that measure in different
+ways, as a sensor that is 10 % off does, are each put into coordinates of its own in which all measure the same: X_i is each
+plant's own, and needs no common ones.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError, quoted
+from synth.analysis.bounding import certify_tightly
+from synth.analysis.certificate import Certificate
+from synth.analysis.norm import hinf_norm
+from synth.lmi.output_feedback import independent_rows, l_matrix, nullspace, r_matrix
+from synth.lmi.sdp import first_step, second_step, together
+from synth.plant.generalized import Feedback, GeneralizedPlant, check_continuous, check_posed, measurement_matrix, real_matrix
+from synth.plant.numerics import DesignError, numerics
+from synth.plant.units import Scaled, own_units, reachable
+
+SOLVED_AT = 3.0  # what f is in the unit of time in which the problem is solved
+
+
+@dataclass(frozen=True, eq=False)
+class SlackDesign:
+    """A gain for a family, with what is proved of each loop.
+
+    Attributes:
+        gain: K, shape (m, q); exactly zero where its structure says so.
+        bound: what the solver says that the LMIs prove for all plants; no more than a claim.
+        f: of the LMIs, in units of one over the rate of the first plant (`units.own_units`).
+        certificates: of the plants, in their order.
+        redundant: rows of C_y that follow from others, by index; their gain is zero.
+    """
+
+    gain: Array
+    bound: float
+    f: float
+    certificates: tuple[Certificate, ...]
+    redundant: tuple[int, ...] = ()
+
+    @property
+    def worst(self) -> float:
+        """The largest norm."""
+        return max(each.norm.value for each in self.certificates)
+
+    @property
+    def proved(self) -> float:
+        """What no plant's norm exceeds, proved without the solver."""
+        return max(each.bound or np.inf for each in self.certificates)
+
+
+@numerics()
+def slack_design(
+    plants: Sequence[GeneralizedPlant],
+    Cys: Sequence[Array],
+    structure: Array | None = None,
+    f: Sequence[float] = (0.1, 0.3, 1.0),
+) -> SlackDesign:
+    """The gain u = K y of the two steps with a slack variable that is best for the worst of some plants.
+
+    Args:
+        plants: continuous, alike in the number of states and inputs; one is a family, too.
+        Cys: what each measures, shape (q, n) each.
+        structure: where K may be other than zero: ones and zeros, shape (m, q). None: everywhere.
+        f: values to try, each above 0, in units of one over the rate of the first plant.
+
+    Raises:
+        InputError: the plants do not fit one another, or a C_y, the structure or an f does not fit.
+        InfeasibleError: the LMIs have no solution for any f; there may be a gain nevertheless.
+        DesignError: the solver gave up, or no gain that it proposed stabilises all plants.
+
+    Example:
+        >>> import numpy as np
+        >>> from synth import GeneralizedPlant, slack_design
+        >>> C, D = [[1, 0], [0, 0]], [[0], [0.1]]
+        >>> B, Dw = [[0], [1]], [[0], [0]]
+        >>> plants = [GeneralizedPlant([[0, 1], [-k, -0.1]], B, B, C, D, Dw) for k in (3, 5)]
+        >>> design = slack_design(plants, [np.array([[0.0, 1.0]])] * 2)
+        >>> design.gain.shape, f"{design.worst:.3f}"
+        ((1, 1), '0.333')
+    """
+    Cys, allowed = _checked(plants, Cys, structure, f)
+    kept = independent_rows(plants[0], Cys[0])
+    problem = _Problem(plants, [Cy[kept] for Cy in Cys], allowed[:, kept])
+    found: list[tuple[float, float, float, Array]] = []
+    failures: list[DesignError] = []
+    for each in f:
+        try:
+            K, bound = problem.two_steps(each)
+        except DesignError as error:
+            failures.append(error)
+            continue
+        gain = np.zeros(allowed.shape)
+        gain[:, kept] = K
+        norms = [hinf_norm(plant.closed_loop(Feedback(gain, Cy))).value for plant, Cy in zip(plants, Cys, strict=True)]
+        found.append((max(norms), each, bound, gain))
+    redundant = tuple(i for i in range(len(Cys[0])) if i not in kept)
+    best: list[SlackDesign] = []
+    for worst, each, bound, gain in sorted(found, key=lambda one: one[0]):
+        if not np.isfinite(worst):
+            failures.append(DesignError(f"with f = {each:g} the gain that Clarabel proposes leaves a plant unstable"))
+            continue
+        certificates = tuple(certify_tightly(plant, Feedback(gain, Cy)) for plant, Cy in zip(plants, Cys, strict=True))
+        failed = [failure for certificate in certificates for failure in certificate.failures]
+        if failed:
+            failures.append(DesignError(f"its certificate fails: {failed[0]}"))
+            continue
+        best.append(SlackDesign(gain, bound, each, certificates, redundant))
+        if not any(certificate.beyond_actuators for certificate in certificates):
+            return best[-1]
+    if best:  # all are beyond actuators
+        return best[0]
+    raise type(failures[0])(f"{failures[0]} (f = {', '.join(f'{each:g}' for each in f)} tried)")
+
+
+def _checked(
+    plants: Sequence[GeneralizedPlant], Cys: Sequence[Array], structure: Array | None, f: Sequence[float]
+) -> tuple[list[Array], Array]:
+    """What each plant measures, and where K may be other than zero, of bools, shape (m, q)."""
+    if not plants or len(plants) != len(Cys):
+        raise InputError(f"{len(plants)} plants and {len(Cys)} matrices C_y; give at least one plant, and a C_y for each")
+    for plant in plants:
+        check_continuous(plant)
+        check_posed(plant)
+    checked = [measurement_matrix(Cy, len(plant.A)) for plant, Cy in zip(plants, Cys, strict=True)]
+    for i, (plant, Cy) in enumerate(zip(plants, checked, strict=True)):
+        if plant.B.shape != plants[0].B.shape or Cy.shape != checked[0].shape:
+            raise InputError(
+                f"plant {i} has n = {len(plant.A)}, m = {plant.B.shape[1]} and q = {len(Cy)}, the first n = {len(plants[0].A)}, "
+                f"m = {plants[0].B.shape[1]} and q = {len(checked[0])}; one gain needs plants that are alike in these"
+            )
+    (tried,) = real_matrix([f], "the row of f", "(1, k), numbers above 0 as 0.1, 0.3 and 1")
+    if not len(tried) or not np.all(tried > 0):
+        raise InputError(f"f = {quoted(f)} are no values to try; give numbers above 0, as 0.1, 0.3 and 1")
+    shape = plants[0].B.shape[1], len(checked[0])
+    pattern = np.ones(shape) if structure is None else real_matrix(structure, "the structure", str(shape))
+    if pattern.shape != shape or not np.all((pattern == 0) | (pattern == 1)):
+        raise InputError(
+            f"the structure has shape {pattern.shape}; expected {shape}, a row for each input and a column for each measurement, "
+            "of ones where the gain may be other than zero, and zeros"
+        )
+    return checked, pattern.astype(bool)
+
+
+class _Problem:
+    """A family in units in which all numbers of the first plant have size one, and all measure the same."""
+
+    def __init__(self, plants: Sequence[GeneralizedPlant], Cys: Sequence[Array], pattern: Array) -> None:
+        units = own_units(plants[0], Cys[0])
+        self.rate, self.pattern, self.input_units = units.rate, pattern, units.inputs
+        self.lengths = np.linalg.norm(Cys[0] * units.states, axis=1)
+        rows = [Cy * units.states / self.lengths[:, None] for Cy in Cys]
+        own = [units.into(plant) for plant in plants]
+        states = reachable(own[0], 0)
+        self.Cy = rows[0] @ states
+        self.plants = [plant.in_coordinates(states @ self.alike(C_i @ states)) for plant, C_i in zip(own, rows, strict=True)]
+
+    def alike(self, C_i: Array) -> Array:
+        """Coordinates in which a plant that measures C_i measures as the first, shape (n, n): C_i T = C_y."""
+        return np.eye(C_i.shape[1]) - np.linalg.pinv(C_i) @ (C_i - self.Cy)
+
+    def two_steps(self, f: float) -> tuple[Array, float]:
+        """The gain in the given units, and its bound as Clarabel has it.
+
+        Raises:
+            InfeasibleError, DesignError: as `first_step`.
+        """
+        rate, n = SOLVED_AT * self.rate / f, len(self.Cy.T)
+        blocks = together(self.pattern)
+        eye = np.eye(n)
+        scaled = Scaled(self.plants, rate, eye[:, :0], eye, np.ones((n, n)))
+        W = scaled.T @ first_step(scaled.plants, SOLVED_AT, self.Cy @ scaled.T, blocks).W @ scaled.T.T
+        Q = nullspace(self.Cy)
+        R = r_matrix(self.Cy, Q, l_matrix(W.T, self.Cy, Q))
+        scaled, a = Scaled(self.plants, rate, Q, R, blocks), Q.shape[1]
+        found = second_step(scaled.plants, SOLVED_AT, eye[:, :a], eye[:, a:], self.pattern)
+        K = np.where(self.pattern, scaled.force * found.K @ np.linalg.inv(scaled.measured), 0.0)
+        return self.input_units[:, None] * K / self.lengths, found.eta**-0.5 / scaled.gain

@@ -1,0 +1,125 @@
+"""The landscape of the norm in a band of frequencies, of a loop whose sensors and actuators may be off.
+
+As `synth.design.descent.landscape`, but of the norm only what lies in the band counts, the ends of the band with it. The loop has
+to be stable all the same: the norm in a band says nothing of that.
+"""
+
+from functools import partial
+
+import numpy as np
+from scipy import linalg
+
+from models.common.arrays import Array
+from synth.analysis.norm import highest, level_crossings
+from synth.design.descent.landscape import NEAR, Landscape, climbed
+from synth.plant.discrete import mapped_frequency
+from synth.plant.generalized import GeneralizedPlant
+
+EVERYWHERE = (0.0, np.inf)
+Band = tuple[float, float]
+
+
+class BandLandscape(Landscape):
+    """The landscape of one plant in one band.
+
+    Attributes:
+        band: from and to [rad/s], of a discrete plant those of the continuous one that it is mapped to.
+        own: how many of its states are no filter's.
+    """
+
+    def __init__(
+        self,
+        plant: GeneralizedPlant,
+        Cy: Array,
+        Dyw: Array | None = None,
+        band: Band = EVERYWHERE,
+        like: Landscape | None = None,
+    ) -> None:
+        """Args:
+        plant: n states, m inputs, r disturbances.
+        Cy: shape (q, n).
+        Dyw: shape (q, r); zero where it is not given.
+        band: from and to [rad/s].
+        like: one whose points are the same gains; None for its own scales.
+        """
+        super().__init__(plant, Cy, Dyw)
+        self.band = band if plant.dt is None else (mapped_frequency(band[0], plant.dt), mapped_frequency(band[1], plant.dt))
+        self.own = len(plant.A) - plant.weights
+        if like is not None:
+            self.scale = like.scale
+
+    @property
+    def narrow(self) -> bool:
+        """Whether the band is not the whole axis."""
+        return self.band != EVERYWHERE
+
+    def norm(self, x: Array, above: float = np.inf) -> tuple[float, float]:
+        """The largest gain in the band and where [rad/s]; infinite where the loop is unstable."""
+        if not self.narrow:
+            return super().norm(x, above)
+        loop, (low, high) = self._closed(x), self.band
+        if not np.all(np.real(loop.poles) < -1e-13 * np.abs(loop.poles).max()):
+            return np.inf, np.nan
+        upper = loop.poles[np.imag(loop.poles) >= 0]
+        omega = self._inside(np.concatenate([np.imag(upper), np.abs(upper), self.peaks]))
+        best, at = (loop.at_infinity, np.inf) if np.isinf(high) else (0.0, low)
+        for turn in range(30):
+            gain, i = highest(self._responses(loop, omega), best * (1 + NEAR))
+            if gain > best * (1 + NEAR):
+                best, at = gain, float(omega[i])
+            elif turn:
+                break
+            if best > above or best == 0:
+                break
+            omega = self._inside(level_crossings(loop.A, loop.Bw, loop.C, loop.Dw, best * (1 + NEAR)))
+            omega = np.concatenate([omega, (omega[:-1] + omega[1:]) / 2])
+        if np.isfinite(at):
+            self.peaks = [*self.peaks[-5:], at]
+        return best, at
+
+    def summits(self, x: Array, level: float) -> Array:
+        """Frequencies [rad/s] in the band of the local maxima of the gain that exceed a level, shape (P,), ascending.
+
+        An end of the band is one where the gain falls away from it into the band.
+        """
+        if not self.narrow:
+            return super().summits(x, level)
+        loop = self._closed(x)
+        if np.isinf(self.band[1]):
+            level = max(level, loop.at_infinity * (1 + 1e-6))
+        edges = self._inside(level_crossings(loop.A, loop.Bw, loop.C, loop.Dw, level))
+        between = edges[:-1, None] + np.diff(edges)[:, None] * (np.arange(5) + 0.5) / 5
+        omega = np.unique(np.concatenate([edges, between.ravel(), self._inside(np.array(self.peaks))]))
+        gains = self._gains(loop, omega)
+        around = np.concatenate([[0.0], gains, [0.0]])
+        top = np.flatnonzero((gains >= level) & (gains >= around[:-2]) & (gains >= around[2:]))
+        ends, top = omega[top[(top == 0) | (top == len(omega) - 1)]], top[(top > 0) & (top < len(omega) - 1)]
+        sides = omega[top - 1], omega[top], omega[top + 1]
+        inside = climbed(partial(self._gains, loop), *sides, gains[top]) if len(top) else omega[:0]
+        return np.unique(np.concatenate([ends, np.clip(inside, *self.band)]))
+
+    def moving(self, omega: Array) -> Array:
+        """Whether a peak at these frequencies moves with the gain: not those at the ends of the band."""
+        low, high = self.band
+        return super().moving(omega) & (omega > low * (1 + NEAR)) & (omega < high * (1 - NEAR))
+
+    def decays(self, x: Array) -> tuple[Array, Array]:
+        """The real parts of all poles that a gain moves [rad/s], one of each pair, shape (P,), and slopes, shape (P, m q).
+
+        Poles of filters, whose states are the last and drive nothing or are driven by nothing of the loop, are none of these.
+        """
+        A, ports, own = self.loop(x)[0][: self.own, : self.own], self.ports(x), slice(self.own)
+        poles, left, right = (np.asarray(part) for part in linalg.eig(A, left=True, right=True))
+        kept = np.imag(poles) >= 0
+        left, right = left[:, kept].conj().T, right[:, kept].T
+        along = np.sum(left * right, axis=1)
+        along = np.where(along == 0, np.finfo(float).tiny, along)  # where two poles meet there is no slope, but a steep one
+        driven, seen = left @ ports.B[own], right @ ports.Cy[:, own].T
+        slopes = np.real(driven[:, :, None] * seen[:, None, :] / along[:, None, None]) * self.scale
+        return np.real(poles[kept]), slopes.reshape(len(slopes), -1)
+
+    def _inside(self, omega: Array) -> Array:
+        """Those frequencies that lie in the band, and its finite ends, ascending."""
+        low, high = self.band
+        omega = omega[np.isfinite(omega) & (omega > low) & (omega < high)]
+        return np.unique(np.concatenate([[low], omega, [high] if np.isfinite(high) else []]))

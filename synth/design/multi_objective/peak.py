@@ -1,0 +1,198 @@
+"""The largest magnitude of a signal over a road: how its peaks move with the gain, what it reaches, and what it never exceeds."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from models.common.arrays import Array
+from synth.analysis.stability import balance, is_stable
+from synth.design.multi_objective.objectives import Support, Term
+from synth.design.multi_objective.road_response import BEND, BLOCK, BLOCKS, FINE, MOST_FINE, Driven, Response, free, step_for
+
+STEP = 0.1  # rad of the fastest pole without control; a cubic then misses a peak by less than 1e-6 of it
+CYCLES = 2  # of the slowest oscillation without control, after the road: how long is looked for peaks
+MOST = 20_000  # steps
+SPARE = 1 + 1e-5  # how much tighter a bound is drawn at first, for what is not known of a signal between two times
+
+
+class RoadPeak(Term):
+    """The largest magnitude of a signal over a road, by the bound on it."""
+
+    def __init__(self, driven: Driven, scale: Array, unit: float) -> None:
+        """Args:
+        driven: the plant on its road, and the signal.
+        scale: of a gain's entries, as a landscape has them, shape (m, q).
+        unit: the bound.
+        """
+        self.driven, self.scale, self.name = driven, scale, driven.name
+        self.spare = SPARE
+        self.unit = unit / self.spare
+        poles = np.linalg.eigvals(driven.A)
+        fastest = float(np.abs(poles).max()) or 1.0
+        moving = np.abs(np.imag(poles))
+        slowest = float(moving[moving > 1e-3 * fastest].min(initial=fastest))
+        step = step_for(fastest, STEP, driven.drive.end)
+        length = driven.drive.end + CYCLES * 2 * np.pi / slowest
+        self.response = Response(driven, max(step, length / MOST), length)
+        self.last: tuple[bytes, tuple[Array, Array, Array, Array]] | None = None
+
+    def value(self, x: Array, above: float = np.inf) -> float:
+        """The largest |y| over the road and some cycles after it."""
+        _, y, slopes, ends = self._signal(x)
+        if not np.all(np.isfinite(y)):
+            return np.inf
+        highest = max(float(self.response.between(sign * y, sign * slopes)[0].max()) for sign in (1, -1))
+        return max(highest, float(np.abs(ends).max(initial=0.0))) / self.unit
+
+    def support(self, x: Array, value: float, depth: float) -> Support:
+        """The signal at the times of its peaks, each with its sign."""
+        _, y, slopes, ends = self._signal(x)
+        found, floor = [], (1 - max(depth, 0.2)) * value * self.unit
+        for sign in (1, -1):
+            heights, where = self.response.between(sign * y, sign * slopes)
+            around = np.concatenate([[0.0], heights, [0.0]])
+            top = np.flatnonzero((heights >= floor) & (heights >= around[:-2]))
+            top = top[heights[top] > around[top + 2]]
+            found += [(sign, float(where[k]), float(heights[k])) for k in top]
+        if len(ends) and np.abs(ends).max() >= floor:  # the highest at a kink
+            i = int(np.abs(ends).argmax())
+            piece = self.response.pieces[i]
+            found.append((int(np.sign(ends[i])), (piece.start + piece.length) / self.response.h, abs(float(ends[i]))))
+        return self._made(x, found, touching=True)
+
+    def again(self, x: Array, support: Support) -> Support:
+        """The signal at the same times."""
+        _, y, slopes, _ = self._signal(x)
+        again = [(sign, at, sign * self.response.at(y, slopes, at)) for sign, at, _ in support.cuts]
+        return self._made(x, again, touching=False)
+
+    def _made(self, x: Array, found: Sequence[tuple[int, float, float]], touching: bool) -> Support:
+        """The functions, with their slopes: the integral of what a change of the gain does to the signal at a time."""
+        slopes = np.zeros((len(found), *self.scale.shape))
+        for row, (sign, at, _) in zip(slopes, found, strict=True):
+            k = min(int(at), len(self.response.time) - 2)
+            row += sign * ((1 - at + k) * self._moved(x, k) + (at - k) * self._moved(x, k + 1))
+        values = np.array([height for _, _, height in found]) / self.unit
+        slopes = (slopes * self.scale / self.unit).reshape(len(found), self.scale.size)
+        return Support(values, slopes, np.full(len(found), touching), list(found))
+
+    def _moved(self, x: Array, k: int) -> Array:
+        """How the signal at a time moves with the entries of K, shape (m, q)."""
+        states, _, _, _ = self._signal(x)
+        (A, c), driven, h = self.driven.loop(self._gain(x)), self.driven, self.response.h
+        measured = states[: k + 1] @ driven.Cy.T
+        seen = free(A.T, c, h, k + 1)[::-1]  # of it by a state at each time before, shape (k + 1, n)
+        weights = np.full(k + 1, h)
+        weights[[0, -1]] /= 2
+        return ((seen * weights[:, None]) @ driven.B).T @ measured + np.outer(driven.g, measured[k])
+
+    def _gain(self, x: Array) -> Array:
+        return x.reshape(self.scale.shape) * self.scale
+
+    def _signal(self, x: Array) -> tuple[Array, Array, Array, Array]:
+        """States, the signal and its slope over time, and the signal beside kinks; the last ones are remembered."""
+        key = x.tobytes()
+        if self.last is None or self.last[0] != key:
+            A, c = self.driven.loop(self._gain(x))
+            motion = self.response.motion(A)
+            states = motion[0] + self.response.z @ self.driven.Bw.T
+            self.last = key, (states, *self.response.signal(A, c, motion))
+        return self.last[1]
+
+
+@dataclass(frozen=True)
+class Peak:
+    """The largest magnitude of a signal over a road.
+
+    Attributes:
+        value: it reaches.
+        time: after the road's start [s].
+        proved: it never exceeds; infinite where that is not known.
+    """
+
+    value: float
+    time: float
+    proved: float
+
+
+def largest_over_road(driven: Driven, K: Array) -> Peak:
+    """The largest |y| from the road's start on, for ever; infinite where the loop is unstable.
+
+    Between two times a signal is within h^2 / 8 max |y''| of the line through both ends, and beside a kink of the road, where the
+    times are a millionth of a step apart, within the change from one to the next. The free motion after the road is looked at
+    until what follows is known to be less.
+
+    Args:
+        driven: the plant on its road, and the signal.
+        K: shape (m, q).
+    """
+    A, c = driven.loop(K)
+    if not is_stable(A):
+        return Peak(np.inf, np.nan, np.inf)
+    poles = np.linalg.eigvals(A)
+    step = step_for(float(np.abs(poles).max()), FINE, driven.drive.end)
+    length = driven.drive.end + min(3 / float(-np.real(poles).max()), 0.5 * step * MOST_FINE)
+    step = max(step, length / MOST_FINE)
+    response = Response(driven, step, length)
+    motion = response.motion(A)
+    y, slopes, at_ends = response.signal(A, c, motion)
+    value, time = 0.0, 0.0
+    for sign in (1, -1):
+        heights, where = response.between(sign * y, sign * slopes)
+        k = int(heights.argmax())
+        if heights[k] > value:
+            value, time = float(heights[k]), float(where[k]) * step
+    for end, piece in zip(at_ends, response.pieces, strict=True):
+        if abs(end) > value:
+            value, time = abs(float(end)), piece.start + piece.length
+    smooth = np.ones(len(y) - 1, dtype=bool)
+    smooth[[piece.step for piece in response.pieces]] = False
+    bend = np.where(smooth, np.abs(np.diff(slopes)), 0.0) / step
+    near = np.maximum(np.abs(y[:-1]), np.abs(y[1:])) + BEND * step**2 / 8 * bend
+    proved = max(value, float(near[smooth].max(initial=0.0)), _beside_kinks(response, y, at_ends))
+    later = _later(driven, A, c, motion[0][-1], step, max(value, proved))
+    if later.value > value:
+        value, time = later.value, response.time[-1] + later.time
+    return Peak(value, float(time), max(proved, later.proved, value))
+
+
+def _beside_kinks(response: Response, y: Array, at_ends: Array) -> float:
+    """What the signal does not exceed within the steps that have a kink."""
+    highest, before, into = 0.0, 0.0, -1
+    slope = 0.0
+    for end, piece in zip(at_ends, response.pieces, strict=True):
+        if piece.step != into:
+            into, before, slope = piece.step, float(y[piece.step]), np.nan
+        change = float(end) - before
+        now = change / piece.length
+        # Away from a kink the slope changes little from piece to piece; beside one the whole change is allowed for.
+        over = abs(change) if piece.beside or np.isnan(slope) else min(abs(change), BEND * abs(now - slope) * piece.length / 4)
+        highest = max(highest, max(abs(before), abs(float(end))) + over)
+        before, slope = float(end), np.nan if piece.beside else now
+    return highest
+
+
+def _later(driven: Driven, A: Array, c: Array, xi: Array, step: float, known: float) -> Peak:
+    """The free motion from the last time on: its own peak, if that is larger than what is known, and what it never exceeds."""
+    z = driven.drive.heights(np.array([driven.drive.end + 1.0]))[0]  # as it stays
+    rest = np.linalg.solve(A, -(A @ driven.Bw + driven.Br) @ z)
+    level = float(c @ rest + (c @ driven.Bw + driven.f) @ z)
+    balanced, scale = balance(A)
+    Q = linalg.solve_continuous_lyapunov(balanced.T, -np.eye(len(A))) / np.outer(scale, scale)
+    reach = float(np.sqrt(c @ np.linalg.solve(Q, c)))
+    left, value, time, proved = xi - rest, 0.0, 0.0, 0.0
+    for block in range(BLOCKS):
+        bound = abs(level) + reach * float(np.sqrt(max(left @ Q @ left, 0.0)))
+        if bound <= max(known, value):
+            return Peak(value, time, max(value, proved))
+        states = free(A, left, step, BLOCK + 1)
+        signal, slopes = level + states @ c, states @ A.T @ c
+        k = int(np.abs(signal).argmax())
+        if abs(signal[k]) > value:
+            value, time = abs(float(signal[k])), (block * BLOCK + k) * step
+        bend = float(np.abs(np.diff(slopes)).max()) / step
+        proved = max(proved, abs(float(signal[k])) + BEND * step**2 / 8 * bend)
+        left = states[-1]
+    return Peak(value, time, max(proved, abs(level) + reach * float(np.sqrt(max(left @ Q @ left, 0.0)))))

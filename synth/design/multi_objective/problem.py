@@ -1,0 +1,203 @@
+"""A problem of goals in the plant's language: plants, errors, norms, bounds and a structure; and its terms for some errors."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from models.common.arrays import Array
+from synth.design.descent.landscape import Landscape
+from synth.design.multi_objective.band_norm import EVERYWHERE, Band, BandLandscape
+from synth.design.multi_objective.objectives import Decay, EnergyPeak, Gain, Signal, Term
+from synth.design.multi_objective.peak import RoadPeak
+from synth.design.multi_objective.road_response import Driven
+from synth.plant.generalized import GeneralizedPlant
+
+
+@dataclass(frozen=True, eq=False)
+class NormGoal:
+    """A norm in a band, of at most so much.
+
+    Attributes:
+        which: of a member's `posed`, by index.
+        band: from and to [rad/s].
+        at_most: the bound; infinite for what is minimised.
+        name: in words.
+    """
+
+    which: int = 0
+    band: Band = EVERYWHERE
+    at_most: float = np.inf
+    name: str = "norm"
+
+
+@dataclass(frozen=True, eq=False)
+class Posed:
+    """A plant with one z, and what is measured of it.
+
+    Attributes:
+        plant: n states, m inputs.
+        Cy: shape (q, n).
+        Dyw: shape (q, r); None without noise.
+    """
+
+    plant: GeneralizedPlant
+    Cy: Array
+    Dyw: Array | None = None
+
+    @property
+    def unfiltered(self) -> "Posed":
+        """The loops whose stability a gain decides: without the filters, whose states are the last."""
+        plant, own = self.plant, slice(len(self.plant.A) - self.plant.weights)
+        alone = replace(plant, A=plant.A[own, own], B=plant.B[own], Bw=plant.Bw[own], C=plant.C[:, own], weights=0)
+        return Posed(alone, self.Cy[:, own], self.Dyw)
+
+
+@dataclass(frozen=True, eq=False)
+class Member:
+    """One plant of a family.
+
+    Attributes:
+        posed: the plant with the z of each norm.
+        driven: the plant on roads, each with the signal that is bounded there.
+        signals: those of the first of `posed` that are bounded for roads of given energy.
+    """
+
+    posed: tuple[Posed, ...]
+    driven: tuple[Driven, ...] = ()
+    signals: tuple[Signal, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """Relative errors of sensors and actuators: y is read as (1 + sensors) y, and (1 + forces) u acts.
+
+    Attributes:
+        sensors: shape (q,).
+        forces: shape (m,).
+    """
+
+    sensors: Array
+    forces: Array
+
+    @property
+    def key(self) -> bytes:
+        """Alike for errors that are alike."""
+        return self.sensors.tobytes() + self.forces.tobytes()
+
+    def on(self, posed: Posed) -> Posed:
+        """A plant with these errors, and what is measured."""
+        u, y, plant = 1 + self.forces, 1 + self.sensors, posed.plant
+        if np.all(u == 1) and np.all(y == 1):
+            return posed
+        plant = replace(plant, B=plant.B * u, D=plant.D * u)
+        return Posed(plant, y[:, None] * posed.Cy, None if posed.Dyw is None else y[:, None] * posed.Dyw)
+
+
+@dataclass(frozen=True, eq=False)
+class GoalProblem:
+    """The least over K of the largest norm over members and errors, within bounds.
+
+    Attributes:
+        members: of the family; one where there is none.
+        minimise: what is minimised.
+        norms: bounds on norms.
+        decay: all poles lie left of minus this [rad/s]; None for anywhere in the left half plane.
+        peaks: the largest magnitude of each member's driven signals.
+        gain: the largest entry of K; None where nothing says.
+        tolerance: the largest errors.
+        structure: which entries of K may be other than zero, shape (m, q).
+        bests: what each member has at its own best, for the largest ratio to it instead of the largest norm; None for that.
+    """
+
+    members: tuple[Member, ...]
+    minimise: NormGoal
+    tolerance: Errors
+    structure: Array
+    norms: tuple[NormGoal, ...] = ()
+    decay: float | None = None
+    peaks: tuple[float, ...] = ()
+    gain: float | None = None
+    bests: tuple[float, ...] | None = None
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Of K."""
+        return self.structure.shape
+
+    @property
+    def has_errors(self) -> bool:
+        """Whether there may be any."""
+        return bool(np.any(self.tolerance.sensors) or np.any(self.tolerance.forces))
+
+    @property
+    def none(self) -> Errors:
+        """No error at all."""
+        m, q = self.shape
+        return Errors(np.zeros(q), np.zeros(m))
+
+    def corners(self, most: int) -> list[Errors]:
+        """The vertices of the box of errors, or none of them where there are more."""
+        m, q = self.shape
+        sides = np.concatenate([self.tolerance.sensors, self.tolerance.forces])
+        free = np.flatnonzero(sides)
+        if not len(free) or 2 ** len(free) > most:
+            return []
+        found = []
+        for signs in product((-1.0, 1.0), repeat=len(free)):
+            error = np.zeros(m + q)
+            error[free] = signs * sides[free]
+            found.append(Errors(error[:q], error[q:]))
+        return found
+
+    def alone(self, i: int) -> "GoalProblem":
+        """The same for one member by itself."""
+        return replace(self, members=(self.members[i],), bests=None)
+
+    def landscape(self, i: int, which: int, band: Band, errors: Errors, like: Landscape | None) -> BandLandscape:
+        """Of a member's plant with errors."""
+        posed = errors.on(self.members[i].posed[which])
+        return BandLandscape(posed.plant, posed.Cy, posed.Dyw, band, like)
+
+    def nominal(self) -> BandLandscape:
+        """Of the first member without errors: its points are those of all."""
+        return self.landscape(0, self.minimise.which, self.minimise.band, self.none, None)
+
+
+TIGHTER = 1e-7  # relative: bounds are kept by so much, for rounding
+AND_FOR_ERRORS = 0.02  # and a decay with errors by so much: on the border itself nothing is proved of a whole box
+
+
+def terms_with(problem: GoalProblem, full: BandLandscape, errors: Sequence[Errors], rate: float) -> tuple[list[Term], list[Term]]:
+    """The goals and the bounds.
+
+    Args:
+        problem: what is asked for.
+        full: the landscape whose points are those of all terms.
+        errors: with each of which norms and decay count; peaks count without.
+        rate: the decay that is asked for [rad/s]; 0 for none.
+    """
+    goals: list[Term] = []
+    bounds: list[Term] = []
+    which, band = problem.minimise.which, problem.minimise.band
+    for i, member in enumerate(problem.members):
+        unit = problem.bests[i] if problem.bests is not None else 1.0
+        for each in errors:
+            goals.append(Gain(problem.landscape(i, which, band, each, full), unit))
+            for norm in problem.norms:
+                landscape = problem.landscape(i, norm.which, norm.band, each, full)
+                bounds.append(Gain(landscape, norm.at_most * (1 - TIGHTER), norm.name))
+            if rate:
+                bounds.append(decay(problem, problem.landscape(i, which, band, each, full), rate))
+        for signal in member.signals:
+            landscape = problem.landscape(i, which, band, problem.none, full)
+            bounds.append(EnergyPeak(landscape, signal, signal.at_most * (1 - TIGHTER)))
+        for driven, most in zip(member.driven, problem.peaks, strict=True):
+            bounds.append(RoadPeak(driven, full.scale, most))
+    return goals, bounds
+
+
+def decay(problem: GoalProblem, landscape: BandLandscape, rate: float) -> Decay:
+    """The bound on the slowest pole of a loop."""
+    return Decay(landscape, rate * (1 + (AND_FOR_ERRORS if problem.has_errors else TIGHTER)))

@@ -1,0 +1,320 @@
+"""The gain of least height within its bounds, from many starts.
+
+- Starts that make no loop unstable are ranked, and a few of the best go down some rounds; the best of these goes to its end.
+- Without a bound on the gain it grows by stages, as in `synth.design.descent.refine`, as long as that is worth it.
+- Of the errors those count that were met: all vertices of the box where they are few, else the worst ones, found as the design
+  goes on. Whether the box holds no worse ones is the certificate's to say.
+- Every start that is gone on from, and every end, is asked whether errors make it unstable. Where no decay is asked for, the
+  slowest pole keeps a tenth of what the best start's has with errors.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.printed import percent
+from synth.design.descent.coordinates import directions
+from synth.design.descent.minimax import quasi_newton
+from synth.design.descent.starts import survey
+from synth.design.multi_objective.band_norm import BandLandscape
+from synth.design.multi_objective.objectives import EnergyPeak, Gain
+from synth.design.multi_objective.peak import RoadPeak, largest_over_road
+from synth.design.multi_objective.problem import Errors, GoalProblem, decay, terms_with
+from synth.design.multi_objective.sqp import KEPT, Height, Terrain, descend
+from synth.design.multi_objective.worst_case import WorstErrors
+from synth.plant.numerics import DesignError
+
+STABLE = -1e-4  # of the fastest pole: far enough left to start from
+STABILISING_ROUNDS = 100
+
+
+def downhill_to_stability(landscapes: Sequence[BandLandscape], x: Array, free: Array) -> Array:
+    """A point further down the largest real part of a pole of any of the loops.
+
+    Args:
+        landscapes: of the plants, with the same points.
+        x: the start.
+        free: which entries of a point may move, by index.
+    """
+    rate = float(np.abs(np.linalg.eigvals(landscapes[0].A)).max()) or 1.0
+
+    def abscissa(t: Array, _: float) -> tuple[float, Array]:
+        there = x.copy()
+        there[free] = t
+        value, slope = max((landscape.abscissa(there) for landscape in landscapes), key=lambda each: each[0])
+        return value / rate, slope[free] / rate
+
+    moved = x.copy()
+    if np.isfinite(abscissa(x[free], np.inf)[0]):
+        moved[free] = quasi_newton(abscissa, x[free], STABILISING_ROUNDS, STABLE)[0]
+    return moved
+
+
+LARGEST_GAIN = 1e5  # times what counts as one, where nothing bounds the gain: to keep other bounds
+DEAREST = 32.0  # times that, or the start's gain where that is larger: to lower a goal
+MOST_VERTICES = 4  # of the box of errors, that all count from the first
+ENTERED = 5  # starts that go down some rounds
+GLANCE, ROUNDS = 15, 80  # rounds
+STAGES = 20  # twofold growths of the gain
+WORTH = 1e-3  # of the goal, relative: what a growing gain must buy
+TURNS = 12  # of descents with more errors
+MET = 1e-6  # relative: errors that make it worse by less are none
+SLOWER = 0.1  # of the decay of the best start: where none is asked for, no slower than that
+UNSTABLE = (
+    "no static gain was found that makes every loop of the goals stable; ask for less: a smaller tolerance, fewer vehicles, or "
+    "more signals and entries of the gain"
+)
+RANK = 30.0  # what a start's excess over a bound weighs
+
+Told = Callable[[float, bool], None]  # the goal now, and whether within all bounds
+
+
+class Search:
+    """The search for one problem."""
+
+    def __init__(self, problem: GoalProblem, told: Told) -> None:
+        self.problem, self.full = problem, problem.nominal()
+        self.told = told
+        self.least: tuple[Array, Height] | None = None
+        self.sure: Array | None = None  # the last point that was asked for its errors, and is stable with all that were met
+        self.worst = WorstErrors(problem)
+        self.stable_starts: list[Array] = []
+        self.rate = problem.decay or 0.0  # rad/s
+        self.free = np.flatnonzero(problem.structure.ravel())
+        self.met = problem.corners(MOST_VERTICES)
+        self.terrain = self.terrain_of([problem.none, *self.met])
+
+    def result(self, starts: Iterable[Array], otherwise: Callable[[], Iterable[Array]]) -> tuple[Array, Height, float | None]:
+        """The whole search: where it ended, and what it refused, as `GoalDesign` has it."""
+        x, height = self.best(starts, otherwise)
+        refused = None
+        for _ in range(TURNS):
+            if not height.within:
+                x, height = self.admitted(x)
+            x, height, refused = self.staged(x, height)
+            if self.least is not None and (not height.within or self.cost(*self.least) < self.cost(x, height)):
+                x, height = self.least
+            if not self.sharpened(x, height) and not self.drawn_tighter(x):
+                break
+            self.least = None  # of fewer errors
+            x, height = self.stable(x)
+        if not height.within:
+            x, height = self.admitted(x)
+        if not height.within:
+            raise DesignError(self.in_the_way(x))
+        if self.worst.unstable(self.full.gain(x)):  # new ones again, turn after turn
+            raise DesignError(UNSTABLE)
+        return x, height, refused
+
+    def interrupted(self) -> tuple[Array, Height] | None:
+        """The best so far within all bounds, of those that no errors met make unstable; None where there is none."""
+        for x in (self.least[0] if self.least is not None else None, self.sure):
+            if x is not None and (height := self.terrain.height(x)).within and not self.worst.unstable(self.full.gain(x)):
+                return x, height
+        return None
+
+    def noted(self, x: Array) -> Height:
+        """The height of a point, which is remembered if it is the best within all bounds."""
+        height = self.terrain.height(x)
+        self.remember(x, height)
+        return height
+
+    def remember(self, x: Array, height: Height) -> None:
+        """Takes a point for the least, if it is the best within all bounds."""
+        if height.within and np.isfinite(height.goal) and (self.least is None or self.cost(x, height) < self.cost(*self.least)):
+            self.least = x, height
+
+    def norms(self) -> list[Gain]:
+        """What is minimised, of every loop."""
+        return [term for term in self.terrain.goals if isinstance(term, Gain)]
+
+    def moved(self, x: Array, height: Height) -> None:
+        """Takes note of a new point."""
+        self.remember(x, height)
+        self.told(height.goal, height.within)
+
+    def limit(self, gain: float | None) -> Array:
+        """The largest entries of a point."""
+        if gain is None:
+            return np.full(self.full.scale.size, LARGEST_GAIN)
+        return self.full.point(np.full(self.full.shape, gain))
+
+    def terrain_of(self, errors: Sequence[Errors]) -> Terrain:
+        """All terms, for some errors."""
+        return Terrain(*terms_with(self.problem, self.full, errors, self.rate), self.limit(self.problem.gain))
+
+    def coordinates(self, x: Array) -> Array:
+        """Directions that the structure allows, in which all count alike, shape (N, free)."""
+        return directions(self.full, x, self.free)
+
+    def best(self, starts: Iterable[Array], otherwise: Callable[[], Iterable[Array]]) -> tuple[Array, Height]:
+        """The best of the starts, some rounds further down."""
+        points = self.points(starts)
+        points += [0.5 * x for x in points] + [np.zeros(self.full.scale.size)]
+        given = {x.tobytes() for x in points}
+        points += [np.where(self.problem.structure.ravel(), x, 0.0) for x in survey(self.full, self.terrain.limit)]
+        ranked = self.stable_with_errors(points, otherwise)
+        self.stable_starts = ranked
+        if not self.rate:
+            usual = next((x for x in ranked if x.tobytes() in given), ranked[0])  # others may be the best by being slow
+            self.rate = -SLOWER * max(self.worst.slowest(i, self.full.gain(usual))[0] for i in range(len(self.problem.members)))
+            self.terrain.bounds += [decay(self.problem, term.landscape, self.rate) for term in self.norms()]
+            self.least = None  # it may be slower
+        self.sure = ranked[0]
+        return min((self.glanced(x) for x in ranked[:ENTERED]), key=lambda each: self.cost(*each))
+
+    def stable_with_errors(self, points: Sequence[Array], otherwise: Callable[[], Iterable[Array]]) -> list[Array]:
+        """Starts whose loops are all stable, the best first, whatever errors were met."""
+        for _ in range(TURNS):
+            ranked = self.ranked(points) or self.ranked([self.stabilised(x) for x in points])
+            if not ranked:
+                points = self.points(otherwise())
+                ranked = self.ranked(points)
+            if not ranked:
+                break
+            unstable = [self.worst.unstable(self.full.gain(x)) for x in ranked[: 2 * ENTERED]]
+            if kept := [x for x, errors in zip(ranked, unstable, strict=False) if not errors]:
+                return kept + ranked[2 * ENTERED :]
+            fresh = self.fresh(unstable[0])
+            if not fresh:
+                break
+            self.count(fresh)
+            points = ranked
+        raise DesignError(UNSTABLE)
+
+    def points(self, gains: Iterable[Array]) -> list[Array]:
+        """The points of gains, as far as structure and limit allow them."""
+        limit, mask = self.terrain.limit, self.problem.structure
+        return [np.clip(self.full.point(np.where(mask, K, 0.0)), -limit, limit) for K in gains]
+
+    def glanced(self, x: Array) -> tuple[Array, Height]:
+        """Some rounds further down; without a bound on the gain, with at most twice the gain."""
+        whole = self.terrain.limit
+        if self.problem.gain is None:
+            self.terrain.limit = np.minimum(whole, 2 * float(np.abs(x).max()) or 1.0)
+        found = self.down(x, GLANCE)
+        self.terrain.limit = whole
+        return found
+
+    def cost(self, x: Array, height: Height) -> float:
+        """Lower is better: a gain twice as large has to be worth it, where nothing bounds it."""
+        growth = np.log2(max(float(np.abs(x).max()), 1e-3)) if self.problem.gain is None else 0.0
+        return float(np.log(max(self.rank(height), 1e-300)) + WORTH * growth)
+
+    def admitted(self, x: Array) -> tuple[Array, Height]:
+        """A point within all bounds, or as near to that as the search comes."""
+        terrain = self.terrain
+        terrain.limit = self.limit(self.problem.gain)
+        bounds = Terrain(terrain.bounds, [], terrain.limit)
+        others = sorted(self.stable_starts, key=lambda start: bounds.height(start).goal)
+        best, least = x, bounds.height(x)
+        for start in (x, *others[:ENTERED]):
+            for _ in range(3):
+                start, near = descend(bounds, start, self.coordinates(start), ROUNDS, enough=1.0)
+                if near.goal < least.goal:
+                    best, least = start, near
+                if near.goal <= 1:
+                    return best, terrain.height(best)
+        return best, terrain.height(best)
+
+    def stable(self, x: Array) -> tuple[Array, Height]:
+        """The point, or one further on where all loops are stable, those with errors that were met since among them."""
+        sure = [] if self.sure is None else [self.sure]
+        for move, starts in ((lambda x: x, [x]), (self.stabilised, [x]), (lambda x: x, [*sure, *self.stable_starts])):
+            for start in starts:
+                moved = move(start)
+                height = self.terrain.height(moved)
+                if np.isfinite(height.goal):
+                    return moved, height
+        raise DesignError(UNSTABLE)
+
+    def rank(self, height: Height) -> float:
+        """Lower is better."""
+        return height.goal * (1 + RANK * max(height.excess, 0.0))
+
+    def ranked(self, points: Sequence[Array]) -> list[Array]:
+        """Those where all loops are stable, the best first; of those that are alike one."""
+        heights = [(self.cost(x, self.noted(x)), i) for i, x in enumerate(points)]
+        stable = sorted((cost, i) for cost, i in heights if np.isfinite(cost))
+        kept: list[tuple[float, Array]] = []
+        for cost, i in stable:
+            if all(abs(cost - other) > 1e-9 for other, _ in kept):
+                kept.append((cost, points[i]))
+        return [x for _, x in kept]
+
+    def stabilised(self, x: Array) -> Array:
+        """A point further down the largest real part of a pole of any loop."""
+        moved = downhill_to_stability([term.landscape for term in self.norms()], x, self.free)
+        return np.clip(moved, -self.terrain.limit, self.terrain.limit)
+
+    def down(self, x: Array, rounds: int) -> tuple[Array, Height]:
+        """A descent."""
+        return descend(self.terrain, x, self.coordinates(x), rounds, self.moved)
+
+    def staged(self, x: Array, height: Height) -> tuple[Array, Height, float | None]:
+        """A descent to its end: at once where the gain is bounded, else in stages of growth, as long as each is worth it."""
+        if self.problem.gain is not None:
+            return *self.settled(x, height), None
+        size = float(np.abs(x).max()) or 1.0
+        dearest = max(size, DEAREST)
+        for stage in range(STAGES):
+            self.terrain.limit = np.full(len(x), min(size * (2 if stage else 1), dearest))
+            moved, there = self.settled(x, height)
+            growth = float(np.abs(moved).max()) / size
+            before = self.rank(height)
+            bought = 1 - self.rank(there) / before if before > 0 else 0.0
+            if stage and bought < WORTH and there.within == height.within:
+                return x, height, bought if bought > 1e-6 else None
+            x, height, size = moved, there, max(size, float(np.abs(moved).max()))
+            if stage and growth <= 1 + 1e-6:
+                break
+        return x, height, None
+
+    def settled(self, x: Array, height: Height) -> tuple[Array, Height]:
+        """Descents, each in coordinates of its own, until one gains nothing."""
+        for _ in range(4):
+            moved, there = self.down(x, ROUNDS)
+            if not self.rank(there) < self.rank(height) * (1 - 1e-6):
+                return (moved, there) if self.rank(there) < self.rank(height) else (x, height)
+            x, height = moved, there
+        return x, height
+
+    def sharpened(self, x: Array, height: Height) -> bool:
+        """Whether errors were met that make it worse, which count from now on."""
+        if not self.problem.has_errors:
+            return False
+        worst = self.worst.beyond(self.full.gain(x), height.goal, self.rate)
+        fresh = self.fresh(errors for beyond, errors in worst if beyond > 1 + MET)
+        if not self.worst.unstable(self.full.gain(x)):
+            self.sure = x
+        self.count(fresh)
+        return bool(fresh)
+
+    def fresh(self, errors: Iterable[Errors]) -> list[Errors]:
+        """Those of them that do not count yet, each once."""
+        met = {each.key for each in self.met}
+        return list({each.key: each for each in errors if each.key not in met}.values())
+
+    def count(self, errors: Sequence[Errors]) -> None:
+        """From now on they do."""
+        self.met += errors
+        goals, bounds = terms_with(self.problem, self.full, errors, self.rate)
+        self.terrain.goals += goals
+        self.terrain.bounds += [bound for bound in bounds if not isinstance(bound, (RoadPeak, EnergyPeak))]
+
+    def drawn_tighter(self, x: Array) -> bool:
+        """Whether a peak over a road, looked at closely, passes a bound that was kept; it then counts as so much smaller."""
+        tighter = False
+        for term in self.terrain.bounds:
+            if isinstance(term, RoadPeak) and term.value(x) <= 1 + KEPT:
+                passed = largest_over_road(term.driven, self.full.gain(x)).proved / (term.unit * term.spare)
+                if 1 < passed < 2:
+                    term.unit, tighter = term.unit / passed, True
+                    term.spare *= passed
+        return tighter
+
+    def in_the_way(self, x: Array) -> str:
+        """Which bounds cannot be kept, and by how much, as far as the search found."""
+        passed = " and ".join(f"{name} is passed by {percent(share)}" for name, share in self.terrain.passed(x).items())
+        return f"no gain was found that keeps all bounds; nearest to all of them, {passed}; allow more there, or measure more"

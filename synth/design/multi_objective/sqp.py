@@ -1,0 +1,301 @@
+"""The way down a terrain, and within its bounds: sequential quadratic programming for a minimax problem with an exact penalty.
+
+While bounds are passed, a share of the excess is added (an exact penalty): at a factor larger than what a bound costs, the least
+of the sum is the least of the goals within the bounds. A sum of two maxima is the maximum over pairs, so that the model of a
+step is the one of `synth.design.descent.minimax`.
+
+The way down is `synth.design.descent.minimax.along_edges`, over the terms of a problem instead of one norm: a step minimises the
+largest of the functions that support the terms, linearised, plus their curvature; what a failed step met joins the model.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.common.arrays import Array
+from synth.design.descent.minimax import convex, lowest_point
+from synth.design.multi_objective.objectives import Support, Term
+from synth.plant.numerics import up_to_rounding
+
+KEPT = 1e-9  # relative: what is passed by less is kept, as bounds are drawn tighter than that
+
+
+@dataclass(frozen=True)
+class Height:
+    """Where a point stands.
+
+    Attributes:
+        goal: the largest value of a goal; infinite where a loop is unstable.
+        excess: by how much the worst bound is passed, relative; negative within all.
+    """
+
+    goal: float
+    excess: float
+
+    @property
+    def within(self) -> bool:
+        """Whether all bounds are kept."""
+        return self.excess <= KEPT
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """Supports of all terms that may count near a point.
+
+    Attributes:
+        goals: of the goals, each with the index of its term.
+        bounds: of the bounds, likewise.
+    """
+
+    goals: tuple[tuple[int, Support], ...]
+    bounds: tuple[tuple[int, Support], ...]
+
+
+class Terrain:
+    """The terms of a problem.
+
+    Attributes:
+        goals: what is minimised is the largest of them.
+        bounds: none of them may exceed 1.
+        limit: the largest entries of a point, shape (N,).
+    """
+
+    def __init__(self, goals: Sequence[Term], bounds: Sequence[Term], limit: Array) -> None:
+        self.goals, self.bounds, self.limit = list(goals), list(bounds), limit
+        self._known: tuple[bytes, dict[tuple[int, float], float]] = b"", {}  # values at one point, by term and unit
+
+    def value(self, term: Term, x: Array, above: float = np.inf) -> float:
+        """Of a term at a point, as `Term.value` has it; those of the last point are remembered."""
+        at = x.tobytes()
+        if self._known[0] != at:
+            self._known = at, {}
+        known, key = self._known[1], (id(term), term.unit)
+        if key not in known:
+            value = term.value(x, above)
+            if not value <= above:
+                return value
+            known[key] = value
+        return known[key]
+
+    def height(self, x: Array, above: float = np.inf, penalty: float = 0.0) -> Height:
+        """Of a point.
+
+        Args:
+            x: the point.
+            above: the search ends early where goal (1 + penalty excess) is known to exceed this.
+            penalty: see above.
+        """
+        goal, excess = 0.0, -1.0
+        for term in self.goals:
+            goal = max(goal, self.value(term, x, above))
+            if goal > above:
+                return Height(goal, excess)
+        for term in self.bounds:
+            most = above / goal - 1 if goal > 0 else np.inf  # of penalty times excess
+            excess = max(excess, self.value(term, x, 1 + most / penalty if penalty > 0 else np.inf) - 1)
+            if penalty * excess > most:
+                break
+        return Height(goal, excess)
+
+    def passed(self, x: Array) -> dict[str, float]:
+        """The bounds that a point passes, by name, and by how much, relative, the worst first."""
+        excess: dict[str, float] = {}
+        for term in sorted(self.bounds, key=lambda term: -term.value(x)):
+            excess.setdefault(term.name, term.value(x) - 1)
+        return {name: share for name, share in excess.items() if share > KEPT}
+
+    def model(self, x: Array, height: Height, depth: float) -> Model:
+        """What supports the goals within a share of the largest, and the bounds that are near."""
+        goals, bounds = [], []
+        for i, term in enumerate(self.goals):
+            value = self.value(term, x)
+            if value >= height.goal * (1 - depth):
+                goals.append((i, term.support(x, value, 1 - height.goal * (1 - depth) / value if value > 0 else depth)))
+        for i, term in enumerate(self.bounds):
+            value = self.value(term, x)
+            if value >= 1 - 3 * depth:
+                bounds.append((i, term.support(x, value, depth)))
+        return Model(tuple(goals), tuple(bounds))
+
+    def again(self, x: Array, model: Model) -> Model:
+        """The same functions at another point."""
+        return Model(
+            tuple((i, self.goals[i].again(x, support)) for i, support in model.goals),
+            tuple((i, self.bounds[i].again(x, support)) for i, support in model.bounds),
+        )
+
+
+def stacked(supports: Sequence[tuple[int, Support]], count: int) -> tuple[Array, Array]:
+    """Values, shape (F,), and slopes, shape (F, N), of supports one after another."""
+    if not supports:
+        return np.zeros(0), np.zeros((0, count))
+    return np.concatenate([each.values for _, each in supports]), np.concatenate([each.slopes for _, each in supports])
+
+
+ROUNDS = 60
+FIRST, LARGEST = 4.0, 1e6  # penalties: relative rise of the goals per relative excess over a bound
+FLAT = 1e-7  # relative fall over so many rounds that is none
+OVER = 10
+MOST_PAIRS = 400
+
+
+def descend(
+    terrain: Terrain,
+    x: Array,
+    M: Array,
+    rounds: int = ROUNDS,
+    told: Callable[[Array, Height], None] = lambda x, height: None,
+    enough: float = 0.0,
+    settled: float = -np.inf,
+) -> tuple[Array, Height]:
+    """From a point where all loops are stable to one that is lower: within the bounds, if the start is or a way there is found.
+
+    Args:
+        terrain: of the problem.
+        x: the start.
+        M: coordinates in which all directions count alike, shape (N, N).
+        rounds: at most.
+        told: called with every new point.
+        enough: of the goal; it ends there.
+        settled: the relative fall that a step promises at which it ends there, too; else it looks closer first.
+    """
+    walk = _Walk(terrain, x, M, settled)
+    with up_to_rounding():  # of a loop on the border of stability
+        for _ in range(rounds):
+            if walk.height.goal <= enough or not walk.step():
+                break
+            told(walk.x, walk.height)
+    return walk.x, walk.height
+
+
+class _Walk:
+    """One descent."""
+
+    def __init__(self, terrain: Terrain, x: Array, M: Array, settled: float) -> None:
+        self.terrain, self.x, self.M, self.settled = terrain, x, M, settled
+        self.height = terrain.height(x)
+        if np.isfinite(self.height.goal) and self.height.goal > 0:  # a unit of t is of the size of a step
+            (_, s), (_, w) = self.linear(terrain.model(x, self.height, 1e-3))
+            self.M = M / (float(np.linalg.norm(np.vstack([s, w]), axis=1).max(initial=0.0)) or 1.0)
+        self.penalty, self.depth, self.damping = FIRST, 0.1, 1e-2
+        self.hessian = 0.1 * np.eye(M.shape[1])
+        self.kept: Model = Model((), ())
+        self.failures, self.recent = 0, [self.merit(self.height)]
+
+    def merit(self, height: Height) -> float:
+        """The goal with the penalty."""
+        return height.goal * (1 + self.penalty * max(height.excess, 0.0))
+
+    def lowest(self, goals: tuple[Array, Array], bounds: tuple[Array, Array]) -> tuple[Array, Array, Array, float]:
+        """The step of the model, the weights of its goals and bounds, and the fall that it promises.
+
+        Args:
+            goals: values over the goal at the point, less one, and slopes, in the walk's coordinates.
+            bounds: excesses and slopes.
+        """
+        (v, s), (c, w) = goals, bounds
+        values = np.append(0.0, self.penalty * c)  # no bound, or one of them
+        slopes = np.vstack([np.zeros((1, s.shape[1])), self.penalty * w])
+        pairs = (v[:, None] + values).ravel()
+        along = (s[:, None] + slopes).reshape(len(pairs), -1)
+        kept = np.argsort(-pairs)[:MOST_PAIRS]
+        t, some = lowest_point(pairs[kept], along[kept], self.hessian, self.M, self.x, self.terrain.limit)
+        if not some.sum() > 0:
+            raise np.linalg.LinAlgError("no function of the model counts")
+        weights = np.zeros(len(pairs))
+        weights[kept] = some / some.sum()
+        table = weights.reshape(len(v), -1)
+        now = max(float(values.max()), 0.0)
+        return t, table.sum(axis=1), self.penalty * table[:, 1:].sum(axis=0), now - float(np.max(pairs + along @ t))
+
+    def linear(self, model: Model) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+        """The model's functions in the walk's coordinates, relative."""
+        n, goal = len(self.x), self.height.goal
+        (v, s), (c, w) = stacked(model.goals, n), stacked(model.bounds, n)
+        return (v / goal - 1, s @ self.M / goal), (c - 1, w @ self.M)
+
+    def step(self) -> bool:
+        """One round; whether there may be another."""
+        terrain, x, M = self.terrain, self.x, self.M
+        if self.failures > 8 or self.height.goal <= 1e-300:
+            return False
+        if len(self.recent) > OVER and self.recent[-1 - OVER] - self.recent[-1] < FLAT * self.recent[-1]:
+            return False
+        fresh = terrain.model(x, self.height, self.depth)
+        old = terrain.again(x, self.kept)
+        model = Model(fresh.goals + old.goals, fresh.bounds + old.bounds)
+        goals, bounds = self.linear(model)
+        _, of_goals, of_bounds, _ = self.lowest(goals, bounds)
+        curvature = self.curvature(fresh, of_goals, of_bounds)
+        if np.any(curvature):
+            self.hessian = convex(M.T @ curvature @ M, self.damping)
+        t, of_goals, of_bounds, fall = self.lowest(goals, bounds)
+        while of_bounds.sum() > 0.8 * self.penalty and self.penalty < LARGEST and np.max(bounds[0] + bounds[1] @ t) > 1e-9:
+            self.penalty *= 4  # the step ends beyond a bound that another one keeps
+            t, of_goals, of_bounds, fall = self.lowest(goals, bounds)
+        if fall < self.settled:
+            return False
+        here = self.merit(self.height)
+        if not fall > 1e-10:
+            self.depth, self.failures = self.depth / 4, self.failures + 1
+            return True
+        move, length, found, corrected = M @ t, 1.0, Model((), ()), False
+        while length > 1e-3:
+            allowed = here * (1 - 1e-2 * length * fall)
+            there = self.at(x + length * move, allowed)
+            if self.merit(there) <= allowed:
+                break
+            if np.isfinite(there.goal) and not corrected:
+                # The edges are curved: where they stand beyond the step is modelled from there (a second-order correction).
+                corrected = True
+                whole = terrain.height(x + move)
+                if np.isfinite(whole.goal):
+                    beyond = terrain.model(x + move, whole, self.depth)
+                    found = beyond
+                    better = M @ self.lowest(*self.shifted(beyond, t))[0]
+                    there = self.at(x + better, allowed)
+                    if self.merit(there) <= allowed:
+                        move = better
+                        break
+            length *= 0.3
+        else:
+            self.damping, self.failures, self.hessian = 10 * self.damping, self.failures + 1, 10 * self.hessian
+            self.kept = Model((self.kept.goals + found.goals)[-6:], (self.kept.bounds + found.bounds)[-6:])
+            return True
+        while length >= 1 and np.all(np.abs(x + 3 * length * move) <= terrain.limit):  # a minimum far away, or at infinity
+            needed = self.merit(there) - 0.1 * length * fall * here
+            further = self.at(x + 3 * length * move, needed)
+            if self.merit(further) > needed:
+                break
+            length, there = 3 * length, further
+        self.failures, self.kept = (0 if length > 0.05 else self.failures), found
+        self.damping = max(self.damping / 4, 1e-8) if length >= 1 else self.damping * 2
+        self.x = np.clip(x + length * move, -terrain.limit, terrain.limit)
+        self.height = terrain.height(self.x)
+        self.recent.append(self.merit(self.height))
+        return True
+
+    def at(self, x: Array, allowed: float) -> Height:
+        """The height of a point, as far as it matters."""
+        return self.terrain.height(x, allowed, self.penalty)
+
+    def shifted(self, model: Model, t: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+        """Functions that were made at the end of a step t, seen from its start."""
+        (v, s), (c, w) = self.linear(model)
+        return (v - s @ t, s), (c - w @ t, w)
+
+    def curvature(self, fresh: Model, of_goals: Array, of_bounds: Array) -> Array:
+        """Of the functions that touch at the point, with the weights of the model."""
+        total = np.zeros((len(self.x), len(self.x)))
+        for terms, supports, weights, unit in (
+            (self.terrain.goals, fresh.goals, of_goals, self.height.goal),
+            (self.terrain.bounds, fresh.bounds, of_bounds, 1.0),
+        ):
+            start = 0
+            for i, support in supports:
+                own = weights[start : start + len(support.values)]
+                start += len(support.values)
+                if len(own) and own.max() > 1e-6:
+                    total += terms[i].curvature(self.x, support, own) / unit
+        return total

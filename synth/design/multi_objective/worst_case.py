@@ -1,0 +1,140 @@
+"""The errors that make a loop worst, looked for: of a norm from vertex to vertex of their box, of the slowest pole in all of it.
+
+A loop with errors is the loop without them under the gain that acts, (1 + forces) K (1 + sensors).
+"""
+
+from collections.abc import Iterator
+from functools import cache
+
+import numpy as np
+
+from models.common.arrays import Array
+from synth.design.multi_objective.band_norm import Band, BandLandscape
+from synth.design.multi_objective.problem import Errors, GoalProblem, NormGoal
+
+TURNS = 4  # through all errors
+NOT_STABLE = 1e6  # what a bound counts as that an unstable loop passes
+CORNERS = 8  # errors up to which the slowest pole is looked for at all vertices; of more at as many
+INSIDE = 64  # points inside
+SEED = 20261122
+
+
+class WorstErrors:
+    """Of one problem."""
+
+    def __init__(self, problem: GoalProblem) -> None:
+        self.problem = problem
+        self.sides = np.concatenate([problem.tolerance.sensors, problem.tolerance.forces])
+        self.free = np.flatnonzero(self.sides)
+        self.landscape = cache(self._landscape)
+
+    def beyond(self, K: Array, goal: float, rate: float) -> Iterator[tuple[float, Errors]]:
+        """For every member, and for what is minimised, every bound on a norm and the decay: the worst errors met.
+
+        Each with how far it is beyond: past 1 lies what is worse than the goal that is known, or than the bound.
+
+        Args:
+            K: shape (m, q).
+            goal: what is known.
+            rate: of the decay [rad/s]; 0 where there is none.
+        """
+        problem = self.problem
+        for i in range(len(problem.members)):
+            unit = problem.bests[i] if problem.bests is not None else 1.0
+            yield self.of_norm(i, problem.minimise, unit * goal, K)
+            for norm in problem.norms:
+                yield self.of_norm(i, norm, norm.at_most, K)
+            if rate:
+                yield self.of_decay(i, rate, K)
+
+    def of_norm(self, i: int, norm: NormGoal, unit: float, K: Array) -> tuple[float, Errors]:
+        """The largest norm of a member in a unit, from vertex to vertex, one error at a time."""
+        landscape = self.landscape(i, norm.which, norm.band)
+
+        def at(signs: Array) -> float:
+            return min(landscape.norm(landscape.point(self._acting(K, signs)))[0] / unit, NOT_STABLE)
+
+        best, worst = at(np.zeros_like(self.sides)), np.zeros_like(self.sides)
+        for start in (1.0, -1.0):
+            signs = np.full_like(self.sides, start)
+            value = at(signs)
+            for _ in range(TURNS):
+                changed = False
+                for k in self.free:
+                    signs[k] = -signs[k]
+                    there = at(signs)
+                    if there > value:
+                        value, changed = there, True
+                    else:
+                        signs[k] = -signs[k]
+                if not changed:
+                    break
+            if value > best:
+                best, worst = value, signs
+        return best, self._errors(worst)
+
+    def of_decay(self, i: int, rate: float, K: Array) -> tuple[float, Errors]:
+        """The slowest pole of a member as `Decay` has it."""
+        real, errors = self.slowest(i, K)
+        return min(2 + real / rate, NOT_STABLE), errors
+
+    def unstable(self, K: Array) -> list[Errors]:
+        """Errors that make a loop unstable, the worst of each member; none where none were met."""
+        if not len(self.free):
+            return []
+        found = (self.slowest(i, K) for i in range(len(self.problem.members)))
+        return [errors for real, errors in found if not real < 0]
+
+    def slowest(self, i: int, K: Array) -> tuple[float, Errors]:
+        """The largest real part of a pole of a member that a gain moves [rad/s], at vertices and inside, and the errors.
+
+        Infinite where a loop has no answer. Of a discrete plant poles are those of the continuous one that it is mapped to.
+        """
+        count, rng = len(self.free), np.random.default_rng(SEED)
+        tried = np.zeros((2**CORNERS if count > CORNERS else 2**count, len(self.sides)))
+        if count > CORNERS:
+            tried[:, self.free] = rng.choice((-1.0, 1.0), (len(tried), count))
+        else:
+            tried[:, self.free] = 2.0 * (np.arange(2**count)[:, None] >> np.arange(count) & 1) - 1
+        inside = np.zeros((INSIDE + 1, len(self.sides)))  # the first without errors
+        inside[1:, self.free] = rng.uniform(-1, 1, (INSIDE, count))
+        tried = np.concatenate([tried, inside])
+        best, worst = -np.inf, tried[0]
+        while True:
+            values = self._slowest(i, K, tried)
+            k = int(np.argmax(values))
+            if not values[k] > best:
+                return best, self._errors(worst)
+            best, worst = float(values[k]), tried[k]
+            tried = np.repeat(worst[None], 2 * count, axis=0)  # one error at its one or its other end
+            tried[np.arange(2 * count), np.tile(self.free, 2)] = np.repeat((-1.0, 1.0), count)
+            if not count:
+                return best, self._errors(worst)
+
+    def _slowest(self, i: int, K: Array, signs: Array) -> Array:
+        """Largest real parts, shape (N,), for errors in units of their box, shape (N, q + m)."""
+        landscape = self.landscape(i, self.problem.minimise.which, self.problem.minimise.band)
+        points = (self._acting(K, signs) / landscape.scale).reshape(len(signs), -1)
+        own = slice(landscape.own)
+        A = landscape.A[own, own] + landscape.B[own] @ landscape.acting(points) @ landscape.Cy[:, own]
+        sound, found = np.all(np.isfinite(A), axis=(1, 2)), np.full(len(A), np.inf)
+        found[sound] = np.linalg.eigvals(A[sound]).real.max(axis=1)
+        return found
+
+    def _acting(self, K: Array, signs: Array) -> Array:
+        """(1 + forces) K (1 + sensors) for errors in units of their box, shapes (..., m, q) and (..., q + m)."""
+        factors, q = 1 + signs * self.sides, self.problem.shape[1]
+        return factors[..., q:, None] * K * factors[..., None, :q]
+
+    def _errors(self, signs: Array) -> Errors:
+        q = self.problem.shape[1]
+        return Errors((signs * self.sides)[:q], (signs * self.sides)[q:])
+
+    def _landscape(self, i: int, which: int, band: Band) -> BandLandscape:
+        return self.problem.landscape(i, which, band, self.problem.none, None)
+
+
+def worst_of_norm(problem: GoalProblem, i: int, norm: NormGoal | None, unit: float, K: Array) -> tuple[float, Errors]:
+    """The largest value met of one member in a unit, of a norm or, for None, of the decay, and the errors; of a gain (m, q)."""
+    worst = WorstErrors(problem)
+    return worst.of_decay(i, unit, K) if norm is None else worst.of_norm(i, norm, unit, K)

@@ -1,0 +1,410 @@
+"""The two steps for the loop that a computer closes, and descent on its exact norm for what they do not reach.
+
+For every level of the loop's L2 gain there is a discrete plant (`synth/analysis/sampled_loop.py`). The level that a step reaches
+is the one for whose plant its optimum is a norm of 1: found by secants over the logarithms, in a handful of problems. State
+feedback (22) has one such level, and the X of its optimum there makes L (14); the second step, with its slack variable
+(`lmi/slack_variable.py`), has another. Every optimum is the limit of a central path, and so is the gain: it is unique, and
+depends on no solver and no unit. What it gains is then computed exactly, without any of this (`synth/analysis/sampled_norm.py`).
+
+Forces on their way are states that nothing measures, and that follow what was measured at once. An L that makes them follow the
+state feedback may leave the second step without a solution; one that makes them follow a gain as good as that looked for need
+not. Where there is none by either, or where the continuous design does better as it runs, or no control at all, descent on the
+exact norm goes on from what is known, and the result says so.
+
+That norm has several valleys over the gain where a period turns a mode of the plant by more than a fraction of a turn, and a loop
+of a good gain at a fast rate may be unstable at a slow one. So the descent starts where the norm is least along the line through
+what is known, to either side of no control at all, and from what else is known.
+"""
+
+import contextlib
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from models.common.arrays import Array
+from synth.analysis.sampled_loop import Piece, SampledLoop, lifted
+from synth.analysis.sampled_norm import sampled_norm
+from synth.analysis.stability import immovable, obstacles
+from synth.design.descent.refine import from_some, refine
+from synth.design.two_step import state_path
+from synth.lmi.central_path import CentralPoint, fits
+from synth.lmi.output_feedback import independent_rows, nullspace, output_feedback
+from synth.lmi.slack_variable import ENTERED, slack_path
+from synth.plant.generalized import GeneralizedPlant
+from synth.plant.numerics import DesignError, InfeasibleError, TooLargeError, numerics
+from synth.plant.units import own_units
+
+
+@dataclass(frozen=True, eq=False)
+class HeldProblem:
+    """A plant whose m forces are held from sample to sample and come some samples late.
+
+    The states of a level's plant are the plant's, and the forces of samples before that are still on their way, or that what is
+    measured has in it, the last first. No gain acts on those: a computer that fed back what it asked for would be a law with
+    states.
+
+    Attributes:
+        plant: continuous, n states.
+        Cy: shape (q, n).
+        through: what the force that has acted until a sample does in what is measured there, shape (q, m).
+        pieces: of the sample period: two where forces come a fraction of one late.
+    """
+
+    plant: GeneralizedPlant
+    Cy: Array
+    through: Array
+    pieces: tuple[Piece, ...]
+
+    @property
+    def period(self) -> float:
+        """[s]."""
+        return sum(piece.duration for piece in self.pieces)
+
+    @property
+    def before(self) -> int:
+        """How many samples before one the force was computed that has acted until it."""
+        return self.pieces[-1].late + 1
+
+    @cached_property
+    def remembered(self) -> int:
+        """How many samples back forces count."""
+        return max(self.pieces[0].late, self.before if np.any(self.through) else 0)
+
+    @cached_property
+    def rows(self) -> Array:
+        """C_y on all states, shape (q, n + m remembered)."""
+        (q, m), k = self.through.shape, self.remembered
+        past = np.zeros((q, k * m))
+        if np.any(self.through):
+            past[:, (self.before - 1) * m : self.before * m] = self.through
+        return np.hstack([self.Cy, past])
+
+    @property
+    def at_once(self) -> "HeldProblem":
+        """The same with forces that act at the sample, and in nothing that is measured."""
+        return replace(self, through=np.zeros_like(self.through), pieces=(Piece(self.period, 0),))
+
+    def loop(self, K: Array) -> SampledLoop:
+        """The loop of a gain, shape (m, q), as the computer closes it."""
+        m, kept = self.plant.B.shape[1], np.any(self.through)
+        asked = K @ (np.hstack([self.Cy, self.through]) if kept else self.Cy)
+        memory = np.zeros((m if kept else 0, asked.shape[1]))
+        return SampledLoop(self.plant, self.pieces, asked, memory, np.eye(len(memory), m))
+
+    def at(self, gamma: float) -> GeneralizedPlant | None:
+        """The discrete plant whose norm is below 1 where the L2 gain of the loop is below a level; None where none can be."""
+        (n, m), k = self.plant.B.shape, self.remembered
+        count = len(self.pieces)
+        held = [(piece.duration, np.eye(m, count * m, i * m)) for i, piece in enumerate(self.pieces)]
+        found = lifted(self.plant, held, gamma)
+        if found is None:
+            return None
+        start = np.zeros((n + count * m, n + (k + 1) * m))  # from states and the new force to [x; the forces that act]
+        start[:n, :n] = np.eye(n)
+        for i, piece in enumerate(self.pieces):
+            acts = n + ((piece.late or k + 1) - 1) * m  # the new force comes last
+            start[n + i * m : n + (i + 1) * m, acts : acts + m] = np.eye(m)
+        moved = np.zeros((n + k * m, n + (k + 1) * m))
+        moved[:n] = found.Ad[:n] @ start
+        if k:
+            moved[n : n + m, n + k * m :] = np.eye(m)
+            moved[n + m :, n : n + (k - 1) * m] = np.eye((k - 1) * m)
+        seen, driven = found.Cd @ start, np.zeros((n + k * m, found.Bd.shape[1]))
+        driven[:n] = found.Bd[:n]
+        states = n + k * m
+        return GeneralizedPlant(
+            A=moved[:, :states],
+            B=moved[:, states:],
+            Bw=driven,
+            C=seen[:, :states],
+            D=seen[:, states:],
+            Dw=np.zeros((len(seen), found.Bd.shape[1])),
+            dt=self.period,
+        )
+
+
+DESCENTS = 8
+WORTH = 1e-4  # relative; a descent that gains less is the last
+SHARES = 2.0 ** -np.arange(11)  # of a known gain, on either side: the least that counts here is a thousandth
+STARTS = 3  # the best of them
+MOST_STATES = 100  # of a level's plant: a descent takes ten seconds
+
+
+def norm_of(problem: HeldProblem, K: Array, near: float) -> float:
+    """The exact norm of a gain, shape (m, q); infinite where its loop is not stable."""
+    return sampled_norm(problem.loop(K), near).value
+
+
+def descended(problem: HeldProblem, known: Sequence[Array], near: float) -> tuple[Array, float]:
+    """The best gain that descent finds, and its norm, infinite where no start is stable.
+
+    Args:
+        problem: what is designed for.
+        known: gains to start from, shapes (m, q); the line through the first is searched.
+        near: a guess of the norm.
+    """
+    nothing = np.zeros((problem.plant.B.shape[1], len(problem.Cy)))
+    line = [sign * share * K for K in known[:1] for sign, shares in ((-1, SHARES), (1, SHARES[::-1])) for share in shares]
+    line.insert(len(line) // 2, nothing)
+    norms = [norm_of(problem, K, near) for K in line]
+    padded = [np.inf, *norms, np.inf]
+    starts = [(norms[i], K) for i, K in enumerate(line) if norms[i] <= min(padded[i], padded[i + 2])]
+    starts += [(norm_of(problem, K, near), K) for K in known[1:]]
+    best = sorted(starts, key=lambda start: start[0])[:STARTS]
+    return min(
+        (_down(problem, K, norm) for norm, K in best if np.isfinite(norm)), key=lambda end: end[1], default=(nothing, np.inf)
+    )
+
+
+def _down(problem: HeldProblem, K: Array, norm: float) -> tuple[Array, float]:
+    """From a stable K as `refine` goes: below a level is a norm below 1 of its plant."""
+    for _ in range(DESCENTS):
+        plant = problem.at(norm)
+        if plant is None:
+            break
+        moved = refine(plant, problem.rows, K).gain
+        reached = norm_of(problem, moved, norm)
+        if not reached < norm:
+            break
+        enough = reached > norm * (1 - WORTH)
+        K, norm = moved, reached
+        if enough:
+            break
+    return K, norm
+
+
+def check_size(problem: HeldProblem) -> None:
+    """Raises a TooLargeError for a loop whose forces on their way are too many states."""
+    (n, m), late = problem.plant.B.shape, problem.remembered
+    if n + m * late > MOST_STATES:
+        raise TooLargeError(
+            f"forces of {late} samples on their way make it {n + m * late} states, and the sampled loop is designed for with at "
+            f"most {MOST_STATES}; leave sampled = true out, for the continuous design runs at any delay, or give a longer sample "
+            "period or a shorter delay"
+        )
+
+
+CLOSE = 1e-9  # relative: so near to 1 a norm is it
+GROW = 1.05  # of a level, where there is no solution; the square of it the next time
+FAR = 1e3  # times where the search for a level starts
+ROUNDS = 60  # five or so do
+MOST = 260  # unknowns of (22) for a level, 21 states with one input: a dozen or two of such problems take half a minute
+ROUNDING = 1e-7  # relative; how far a norm may lie above a level that is reached at a limit of central paths
+
+
+@dataclass(frozen=True, eq=False)
+class HeldDesign:
+    """A gain for the loop that a computer closes.
+
+    Attributes:
+        gain: K, shape (m, q).
+        norm: the L2 gain of its loop, exact.
+        level: what the LMI says that is at most; None of a gain that was found by descent.
+        kept: which of the q measurements do not follow from others; the gain of those that do is zero.
+        instead: why the two steps did not lead to it, in words; empty where they did.
+    """
+
+    gain: Array
+    norm: float
+    level: float | None
+    kept: tuple[int, ...]
+    instead: str = ""
+
+
+@numerics()
+def held_design(problem: HeldProblem, near: float, known: Sequence[Array] = ()) -> HeldDesign:
+    """The two steps, or the first alone where all states are measured.
+
+    Args:
+        problem: what is designed for.
+        near: a level to start from, as the norm of the continuous design.
+        known: gains from the same measurements, as the continuous design's, shapes (m, q): what is designed is not worse.
+
+    Raises:
+        InfeasibleError: no gain from what is measured stabilises the loop, or none is found by the second step.
+        TooLargeError: too many forces are on their way.
+        DesignError: a path could not be followed.
+    """
+    check_size(problem)
+    slow = problem.at(FAR * near)
+    if slow is None:
+        raise InfeasibleError(f"within one period of {1e3 * problem.period:g} ms, where no force answers, w gains {FAR * near:g}")
+    kept = independent_rows(slow, problem.rows)
+    few = replace(problem, Cy=problem.Cy[kept], through=problem.through[kept])
+    of_kept = [from_some(K, np.hstack([problem.Cy, problem.through]), kept) for K in known]
+    try:
+        K, norm, level, instead = _gain(few, near, of_kept)
+    except DesignError as error:
+        reasons = obstacles(slow, few.rows) or immovable(slow, few.rows)
+        raise (InfeasibleError("; ".join(reasons)) if reasons else error) from error
+    gain = np.zeros((len(K), len(problem.Cy)))
+    gain[:, kept] = K
+    return HeldDesign(gain, norm, level, tuple(kept), instead)
+
+
+def _gain(problem: HeldProblem, near: float, known: Sequence[Array]) -> tuple[Array, float, float | None, str]:
+    """K from independent measurements, its norm, its level, and why it is not by the two steps where it is not."""
+    undelayed = failure = K = level = None
+    norm = np.inf
+    if problem.remembered:
+        with contextlib.suppress(DesignError):
+            undelayed, *_ = _gain(problem.at_once, near, known)
+    try:
+        K, level = _two_steps(problem, near, undelayed)
+        norm = norm_of(problem, K, near)
+    except DesignError as error:
+        failure = error
+    nothing = np.zeros((problem.plant.B.shape[1], len(problem.Cy)))
+    others = {"the continuous design": known, "no control": [nothing]}
+    least, which = min((norm_of(problem, other, near), name) for name, some in others.items() for other in some)
+    if K is not None and not least < norm * (1 - ROUNDING):
+        if np.isfinite(norm):
+            return K, norm, level, ""
+        failure = DesignError("the loop of the gain that was found is not stable: rounding leaves none that is")
+    moved, reached = descended(problem, [start for start in (*known, undelayed, K) if start is not None], near)
+    if not np.isfinite(reached):
+        raise failure or DesignError("no start of a descent is stable")
+    # The norm of a gain depends, in its ninth digit, on the guess that it is found from: it is to be that of `near`.
+    return (
+        moved,
+        norm_of(problem, moved, near),
+        None,
+        str(failure) if failure else f"they come to {norm:.7g}, and {which} to {least:.7g}",
+    )
+
+
+def _two_steps(problem: HeldProblem, near: float, undelayed: Array | None) -> tuple[Array, float]:
+    """K by the two steps and its level; L (14) also makes forces on their way follow a gain for forces that act at once.
+
+    Raises:
+        DesignError: there is none.
+    """
+    rows, (n, m) = problem.rows, problem.plant.B.shape
+    size = n + m * problem.remembered
+    fits(size * (size + 1) // 2 + m * size + 1, MOST, "the two steps of a sampled loop are gone")
+    level, path = _level(problem, state_path, near)
+    if len(rows) == size:
+        return np.linalg.solve(rows.T, path[-1].K.T).T, level
+    tries = _Tries(problem, level)
+    tries.add(_follows(path[-1].X, rows))
+    if undelayed is not None:
+        _, of_state = _level(problem.at_once, state_path, level)
+        both = np.vstack([_follows(of_state[-1].X, problem.Cy), *[undelayed] * problem.remembered])
+        tries.add(both @ np.linalg.inv(rows @ both))
+    for start in reversed(path[:-1]):
+        if not tries.found:
+            tries.add(_follows(start.X, rows))
+    for reached, point in sorted(tries.found, key=lambda pair: pair[0]):
+        if norm_of(problem, point.K, near) <= reached * (1 + ROUNDING):
+            return point.K, reached
+        tries.failures.insert(
+            0, DesignError(f"the loop of its gain does not keep the level {reached:.7g}: rounding ends it there")
+        )
+    raise tries.failures[0]
+
+
+class _Tries:
+    """Second steps with one R after another: what they reach, and why those that reach nothing do not."""
+
+    def __init__(self, problem: HeldProblem, level: float) -> None:
+        self.problem, self.level = problem, level
+        self.found = list[tuple[float, CentralPoint]]()
+        self.failures = list[DesignError]()
+
+    def add(self, R: Array) -> None:
+        """Without a slack variable, and on from its level with one, whose path rounding may end, as at a very fast sample.
+
+        Where the first has no solution the second has no start.
+        """
+        level = self.level
+        for slack in (False, True):
+            try:
+                level, (point,) = _level(self.problem, lambda plant, on=slack: [_second(plant, self.problem.rows, R, on)], level)
+                self.found.append((level, point))
+            except DesignError as error:
+                self.failures.append(error)
+                if isinstance(error, InfeasibleError):
+                    return
+
+
+def _follows(X: Array, rows: Array) -> Array:
+    """R (9) with the L (14) of an X: what the states are as a rule where so much is measured, shape (n, q)."""
+    return X @ rows.T @ np.linalg.inv(rows @ X @ rows.T)
+
+
+def _second(plant: GeneralizedPlant, rows: Array, R: Array, slack: bool) -> CentralPoint:
+    """The second step with an R, of which rows R = I: (25), or on from the first of its path with a slack variable."""
+    units = own_units(plant, rows)
+    own, (basis, measured) = units.into(plant), units.rows(rows)
+    Q = nullspace(basis)
+    L = np.linalg.pinv(Q) @ (R @ measured / units.states[:, None])
+    path = slack_path(own, basis, output_feedback(own, basis, L, Q, ENTERED)[-1]) if slack else output_feedback(own, basis, L, Q)
+    return path[-1].in_units(units.states, units.inputs, measured)
+
+
+def _level(
+    problem: HeldProblem, path: Callable[[GeneralizedPlant], list[CentralPoint]], start: float
+) -> tuple[float, list[CentralPoint]]:
+    """The level for whose plant a path ends at a norm of 1, and that path.
+
+    Where it ends below 1 at every level above what happens within one period, that is the level. What has no solution at a level
+    far above has none below.
+
+    Raises:
+        DesignError: it ends at no level.
+    """
+    below, above, level, grow = 0.0, math.inf, start, GROW
+    seen = list[tuple[float, float]]()
+    best: tuple[float, list[CentralPoint]] | None = None
+    for _ in range(ROUNDS):
+        plant, failure, found = problem.at(level), None, list[CentralPoint]()
+        if plant is not None:
+            try:
+                found = path(plant)
+            except DesignError as error:
+                failure = error
+        if not found:
+            if isinstance(failure, InfeasibleError) and not below and (loosest := problem.at(FAR * start)) is not None:
+                try:
+                    path(loosest)
+                except InfeasibleError:
+                    raise
+                except DesignError:  # rounding, which says nothing of the levels between
+                    pass
+            below = max(below, level)
+            if level > FAR * start:
+                raise failure or DesignError("the L2 gain of the loop has no level")
+            level, grow = (level * grow, grow**2) if math.isinf(above) else (math.sqrt(level * above), grow)
+        else:
+            norm = found[-1].gamma
+            if abs(math.log(norm)) <= CLOSE:
+                return level * norm, found
+            if norm < 1:
+                above, best = level, (level, found)
+            else:
+                below = max(below, level)
+            seen = [*seen[-2:], (math.log(norm), math.log(level))]
+            guesses = (_crossing(seen[-count:]) for count in (3, 2, 1))
+            level = next((guess for guess in guesses if below < guess < above), math.nan)
+            if not below < level < above:
+                level = math.sqrt(below * above) if below and not math.isinf(above) else 2 * below if below else above / 2
+        if best is not None and above <= below * (1 + CLOSE):
+            return best
+    raise DesignError(f"the level of the sampled loop was not found in {ROUNDS} rounds, between {below:.7g} and {above:.7g}")
+
+
+def _crossing(seen: Sequence[tuple[float, float]]) -> float:
+    """The level where the norm is 1: that of the polynomial in log norm which is log level where it was seen; NaN of no slope.
+
+    Of one pair the norm falls as the level rises.
+    """
+    at, level = (np.array(each) for each in zip(*seen, strict=True))
+    if len(seen) == 1:
+        return math.exp(at[0] + level[0])
+    apart = at[:, None] - at + np.eye(len(at))
+    with np.errstate(all="ignore"):
+        weights = np.prod(np.where(np.eye(len(at)) > 0, 1.0, -at / apart), axis=1)
+        return float(np.exp(weights @ level))

@@ -1,0 +1,300 @@
+"""Static output feedback for any plant: the smallest norm that a fixed amount of search finds, at most a largest gain.
+
+No quick method finds the best static gain for sure. Three things make a poor one, and each has its remedy:
+
+- *Where a descent starts.* Samples of every size (`descent/starts.py`), stabilising gains where samples are too few
+  (`descent/starts.py`), and the paper's two steps, refined. Of many starts few are followed long: heats of short descents,
+  after each of which those that are behind and hardly fall any more, and those that ended where another did, are left.
+- *Narrow valleys.* Descents begin in the landscape's coordinates and go on in those where all directions of the gain count alike
+  (`descent/coordinates.py`), and one kind (`descent/minimax.py`) knows edges and curvature.
+- *The bound on the gain.* It counts at the smallest of all gains that make the same loop (`descent/symmetry.py`).
+
+The winner is followed as long as it falls, and from its surroundings further descents start. Nothing found is ever given up for
+something worse, so the result is not worse than the two steps refined. The same plant gives the same gain: all samples have fixed
+seeds.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError
+from models.laws.linear import static_law
+from synth.analysis.bounding import certify_tightly
+from synth.analysis.certificate import Certificate
+from synth.analysis.lower_bound import LowerBound
+from synth.design.descent.coordinates import alike
+from synth.design.descent.landscape import Landscape
+from synth.design.descent.minimax import along_edges, quasi_newton
+from synth.design.descent.refine import refine
+from synth.design.descent.starts import around, projected_starts, stabilising_starts, survey
+from synth.design.descent.symmetry import Symmetry
+from synth.design.two_step import Design, two_step_design
+from synth.plant.augmented import on_larger_plant
+from synth.plant.generalized import GeneralizedPlant, check_states, measured_with
+from synth.plant.numerics import DesignError, numerics, up_to_rounding
+from synth.plant.units import size
+
+LARGEST_GAIN = 1e5
+ENOUGH_SAMPLES = 4  # decades of size with a stable sample; then a few stabilising starts will do
+FEW, MANY, MOST = 2, 6, 18  # stabilising starts: with enough samples, with fewer, and where nothing else is found
+LARGE = 30  # states; with more a stabilising start takes minutes, and is for where a Riccati equation leads to none
+ENTERED = 8  # candidates whose descents begin at so many states; with more there are fewer, so that all cost the same
+SAME = 1e-4  # relative; two descents that end this close have found the same minimum
+REACHED = 1e-4  # relative; this close to what no controller beats, the search ends
+ZERO = 1e-9  # of the size of the plant's matrices; a norm this small is zero
+MOVING = 0.5  # of its norm; what falls below it in a heat is still on its way, and stays in the race whatever its rank
+CLOSE = 1e-2  # relative; this close to what no controller beats, little is left to look for
+WORTH = 3e-4  # relative; what a turn of further descents must gain for another
+LONGEST = 20  # turns of descents from one candidate; of a large plant, whose turns take many seconds, fewer
+IDLE = 6  # descents from the winner's surroundings in a row that find nothing better: enough; one where the winner is close
+SURROUNDINGS = (0.03, 0.1, 0.3, 1.0) * 4  # how far from the winner they start, in logarithms
+
+
+@dataclass(frozen=True, eq=False)
+class StaticDesign:
+    """A static output-feedback gain for a plant, and where it comes from.
+
+    Attributes:
+        gain: K, shape (m, q).
+        certificate: what is true of it, with the gap to what no controller beats if that is known.
+        two_steps: the paper's two steps; None where they find no gain.
+        without: why they find none; empty where they find one.
+        origin: the start that led to the gain, in words.
+        starts: how many stable starts there were.
+    """
+
+    gain: Array
+    certificate: Certificate
+    two_steps: Design | None
+    without: str
+    origin: str
+    starts: int
+
+
+class Candidate(NamedTuple):
+    """A stable point, its norm, and the start that led to it."""
+
+    x: Array
+    norm: float
+    origin: str
+
+
+Descent = Callable[[Array, int], Array]
+
+
+@numerics()
+def static_output_feedback(
+    plant: GeneralizedPlant,
+    Cy: Array,
+    largest_gain: float = LARGEST_GAIN,
+    lower_bound: LowerBound | None = None,
+    Dyw: Array | None = None,
+) -> StaticDesign:
+    """The best static gain that the search finds, no entry larger than `largest_gain`.
+
+    Args:
+        plant: n states, m inputs.
+        Cy: shape (q, n), full row rank.
+        largest_gain: bound on |K_ij|, in the units given: another unit is another problem. Where the infimum lies at infinity,
+            this is what keeps the gain finite. (The search itself is made in balanced coordinates, and of two that differ by
+            units one may end in another valley; what is proved of either is true.)
+        lower_bound: what no controller of this kind can beat, if known: it ends the search early, and goes into the certificate.
+        Dyw: shape (q, r), for y = C_y x + Dyw w; zero where it is not given. The two steps know no noise, and are where one
+            descent starts.
+
+    Raises:
+        InputError: the plant has no state, or a matrix does not fit it.
+        DesignError: no stabilising gain was found.
+
+    Example:
+        >>> from synth import GeneralizedPlant, static_output_feedback
+        >>> oscillator = GeneralizedPlant(
+        ...     A=[[0, 1], [-4, -0.1]], B=[[0], [1]], Bw=[[0], [1]], C=[[1, 0], [0, 0]], D=[[0], [0.1]], Dw=[[0], [0]]
+        ... )
+        >>> design = static_output_feedback(oscillator, Cy=[[0, 1]])
+        >>> design.gain.shape, f"{design.certificate.norm.value:.4f}"
+        ((1, 1), '0.2500')
+    """
+    check_states(len(plant.A))
+    Cy, Dyw = measured_with(plant, Cy, Dyw)
+    try:
+        two_steps = two_step_design(plant, Cy)
+    except InputError as error:
+        two_steps = str(error)
+    return descended(plant, Cy, two_steps, largest_gain, lower_bound, Dyw)
+
+
+@numerics()
+def descended(
+    plant: GeneralizedPlant,
+    Cy: Array,
+    two_steps: Design | str,
+    largest_gain: float = LARGEST_GAIN,
+    lower_bound: LowerBound | None = None,
+    Dyw: Array | None = None,
+) -> StaticDesign:
+    """The same where the two steps are gone already: their design, or why there is none."""
+    search = _Search(plant, Cy, largest_gain, lower_bound.gamma if lower_bound is not None else 0.0, Dyw)
+    candidates = search.starts()
+    starts = len(candidates)
+    if isinstance(two_steps, Design):
+        candidates += search.refined(two_steps)
+    if not candidates:
+        raise DesignError(
+            f"no stabilising static gain was found from {MOST} starts; measure more signals, or allow a larger gain "
+            f"than {largest_gain:g}"
+        )
+    best = search.best(candidates)
+    K = search.landscape.gain(best.x)
+    found, without = (two_steps, "") if isinstance(two_steps, Design) else (None, two_steps)
+    certificate = certify_tightly(*on_larger_plant(plant, Cy, static_law(K), Dyw), lower_bound, by_itself=plant)
+    return StaticDesign(K, certificate, found, without, best.origin, starts)
+
+
+class _Search:
+    """The search for one plant."""
+
+    def __init__(
+        self, plant: GeneralizedPlant, Cy: Array, largest_gain: float, beaten_by_none: float, Dyw: Array | None = None
+    ) -> None:
+        self.plant, self.Cy, self.Dyw, self.beaten_by_none = plant, Cy, Dyw, beaten_by_none
+        self.landscape = Landscape(plant, Cy, Dyw)
+        self.limit = self.landscape.point(np.full(self.landscape.shape, largest_gain))
+        self.symmetry = Symmetry(self.landscape)
+        self.nothing = ZERO * (
+            float(np.linalg.norm(self.landscape.Dw, 2))
+            + size(self.landscape.C) * size(self.landscape.Bw) / size(self.landscape.A)
+        )
+
+    def refined(self, two_steps: Design) -> list[Candidate]:
+        """The two steps, refined."""
+        try:
+            gain = refine(self.plant, self.Cy, two_steps.gain, self.Dyw).gain
+        except DesignError:  # stable by its proof, but for the landscape's rounding not
+            return []
+        return self.admitted(self.landscape.point(gain), "the two steps, refined")
+
+    def starts(self) -> list[Candidate]:
+        """Stable points of many sizes."""
+        sampled = survey(self.landscape, self.limit)
+        found = [
+            each for x in sampled for each in self.admitted(x, f"a sample of size {10 ** np.floor(np.log10(abs(x).max())):.0e}")
+        ]
+        numbers = range(FEW if len(found) >= ENOUGH_SAMPLES else MANY)
+        if len(self.plant.A) > LARGE:
+            for x in projected_starts(self.landscape):
+                found += self.admitted(x, "a projected state feedback")
+            numbers = range(0 if found else MANY)
+        while True:
+            for x in stabilising_starts(self.landscape, self.limit, numbers):
+                found += self.admitted(x, "a stabilising start")
+            if found or numbers.stop >= MOST:
+                return found
+            numbers = range(numbers.stop, MOST)
+
+    def admitted(self, x: Array, origin: str) -> list[Candidate]:
+        """A candidate, if the point is stable within the limit."""
+        x = np.clip(self.symmetry.smallest(x), -self.limit, self.limit)
+        norm, _ = self.landscape.norm(x)
+        return [Candidate(x, norm, origin)] if np.isfinite(norm) else []
+
+    def best(self, candidates: list[Candidate]) -> Candidate:
+        """The winner of all heats, and of the descents from its surroundings."""
+        n = len(self.plant.A)
+        large = n > LARGE
+        if large:
+            candidates = sorted(candidates, key=lambda each: each.norm)[: max(1, int(ENTERED * (LARGE / n) ** 3))]
+        heats = ((self.plain, 30, 8), (self.whitened, 40, 5), (self.edges, 30, 3), (self.whitened, 60, 2), (self.edges, 60, 1))
+        for descent, rounds, keep in heats:
+            candidates = self.heat(candidates, descent, rounds, keep)
+            if self.reached(candidates[0]):
+                return candidates[0]
+        best, idle = self.followed(candidates[0]), 0
+        if large:
+            return best
+        enough = 1 if self.reached(best, CLOSE) else IDLE
+        for number, factor in enumerate(SURROUNDINGS):
+            near = around(self.landscape, best.x, self.limit, factor, number)
+            if near is None:
+                continue
+            start = Candidate(near, self.landscape.norm(near)[0], best.origin)
+            found = self.step(start, self.plain if number % 2 else self.whitened, 60)
+            if found.norm < best.norm * (1 + 10 * SAME):
+                found = self.step(found, self.edges, 60)
+            idle += 1
+            if found.norm < best.norm * (1 - SAME):
+                found, idle = self.followed(found), 0
+            best = min(best, found, key=lambda each: each.norm)
+            if self.reached(best) or idle == enough:
+                break
+        return self.step(best, self.edges, 150)
+
+    def followed(self, candidate: Candidate) -> Candidate:
+        """A candidate after descents of both kinds by turns, as many as gain something: some valleys are long."""
+        quick = True
+        for _ in range(max(1, int(LONGEST * min(1.0, (LARGE / len(self.plant.A)) ** 2)))):
+            before = candidate.norm
+            if quick:
+                candidate = self.step(candidate, self.whitened, 100)
+                quick = candidate.norm < before * (1 - WORTH)  # it stalls on an edge, and on each that follows
+            candidate = self.step(candidate, self.edges, 60)
+            if self.reached(candidate) or candidate.norm > before * (1 - WORTH):
+                break
+        return candidate
+
+    def heat(self, candidates: Sequence[Candidate], descent: Descent, rounds: int, keep: int) -> list[Candidate]:
+        """The best of the candidates after a descent each, and those still on their way; no two at the same minimum."""
+        after: list[tuple[Candidate, bool]] = []
+        for each in sorted(candidates, key=lambda each: each.norm):
+            moved = self.step(each, descent, rounds)
+            if self.reached(moved):
+                return [moved]
+            after.append((moved, moved.norm < MOVING * each.norm))
+        left: list[Candidate] = []
+        for each, moving in sorted(after, key=lambda pair: pair[0].norm):
+            apart = not left or each.norm > left[-1].norm * (1 + SAME)
+            if apart and (moving or len(left) < keep):
+                left.append(each)
+        return left
+
+    def step(self, candidate: Candidate, descent: Descent, rounds: int) -> Candidate:
+        """A candidate after a descent; as it was where that led no lower."""
+        if self.reached(candidate):
+            return candidate
+        moved: list[Candidate] = []
+        with up_to_rounding():  # of a loop on the border of stability
+            moved = self.admitted(descent(candidate.x, rounds), candidate.origin)
+        return min([candidate, *moved], key=lambda each: each.norm)
+
+    def reached(self, candidate: Candidate, to: float = REACHED) -> bool:
+        """Whether a candidate is this close to what no controller beats, or zero."""
+        return candidate.norm <= max(self.beaten_by_none * (1 + to), self.nothing)
+
+    def edges(self, x: Array, rounds: int) -> Array:
+        """A descent that knows edges and curvature."""
+        return along_edges(self.landscape, x, self.limit, rounds)[0]
+
+    def plain(self, x: Array, rounds: int) -> Array:
+        """A quick descent in the landscape's coordinates."""
+        return self._quick(x, rounds, np.eye(len(x)))
+
+    def whitened(self, x: Array, rounds: int) -> Array:
+        """A quick descent in coordinates where all directions count alike."""
+        return self._quick(x, rounds, alike(self.landscape, x))
+
+    def _quick(self, start: Array, rounds: int, M: Array) -> Array:
+        """A descent of log norm over t, from start + M t."""
+
+        def log_norm(t: Array, above: float) -> tuple[float, Array | None]:
+            x = start + M @ t
+            if np.any(np.abs(x) > self.limit):
+                return np.inf, None
+            norm, at = self.landscape.norm(x, float(np.exp(min(above, 700.0))))
+            value = float(np.log(max(norm, 1e-300)))
+            return value, M.T @ self.landscape.slope(x, at) / norm if value <= above and norm > 0 else None
+
+        return start + M @ quasi_newton(log_norm, np.zeros(len(start)), rounds)[0]

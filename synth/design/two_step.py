@@ -1,0 +1,407 @@
+"""A design with its certificate, for any plant: state feedback, and the two steps from where on the path they lead to a gain.
+
+Some plants leave problem (22) without an optimum, or every gain one; beside each stands a problem that has one:
+
+- **w does not reach z**, or some gain keeps it out: a norm of 0 is reached, and eta has no bound. Then every state that z sees is
+  disturbed by itself, too.
+- **No control force reaches z**: the norm is the same for all gains. Then every state and every force counts, too.
+
+The gain is certified for the plant as it is: an X that proves a bound with more disturbances and outputs proves it with fewer.
+"""
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from models.common.arrays import Array
+from synth.analysis.certificate import FASTEST, Certificate, certify
+from synth.analysis.lower_bound import LowerBound
+from synth.analysis.stability import balance, is_stable, pole_text
+from synth.lmi.central_path import CentralPoint, fits, unknowns
+from synth.lmi.output_feedback import independent_rows, l_matrix, nullspace, output_feedback, state_feedback
+from synth.lmi.unobservable import RANK, hidden, nulling, unseen
+from synth.plant.generalized import Feedback, GeneralizedPlant, check_states, measurement_matrix
+from synth.plant.numerics import DesignError, InfeasibleError, numerics
+from synth.plant.units import own_units, size
+
+INSTEAD = "designed against a disturbance of every state that z sees"
+
+
+@dataclass(frozen=True, eq=False)
+class Posed:
+    """A problem that has an optimum.
+
+    Attributes:
+        plant: to be designed for; the given one, but in the two cases above.
+        case: what is the case of a gain designed for it, in words; empty where neither is.
+        best: a state gain that nothing beats, shape (m, n), where one is known.
+        best_case: what is the case of that gain.
+    """
+
+    plant: GeneralizedPlant
+    case: str = ""
+    best: Array | None = None
+    best_case: str = ""
+
+    def __post_init__(self) -> None:
+        if self.best is not None:
+            self.best.flags.writeable = False
+
+
+@functools.lru_cache(maxsize=2)  # both steps of a design ask for it, and plants do not change
+def posed(plant: GeneralizedPlant) -> Posed:
+    """The problem (22) of a plant, or one beside it; what is the case, and what is beside it, does not depend on units.
+
+    Raises:
+        InputError: the plant has no state.
+    """
+    check_states(len(plant.A))
+    if not (np.any(plant.Bw) or np.any(plant.Dw)) or not (np.any(plant.C) or np.any(plant.D)):
+        return Posed(plant)  # bad input, and the central path says so
+    scale, forces = own_units(plant).exact
+    step, form = plant.dt or 0.0, plant.differences
+    own, nothing = form.in_coordinates(np.diag(scale)).with_inputs(np.diag(forces)), np.zeros_like(plant.B.T)
+    blind = hidden(own, nothing)[1]  # what z does not see without control
+    alone = nothing if is_stable(plant.A, plant.dt) else None
+    strength = size(own.Bw) * (plant.dt or 1.0)
+    everything = _counting(_disturbed(plant, strength * np.diag(scale)), own, scale, forces)
+
+    if not np.any(plant.D) and not _leaves(own.B, blind):
+        said = "no control force reaches z: its norm is the same for every gain"
+        return Posed(everything, f"{said} that stabilises the plant", alone, f"{said}; none is applied")
+
+    kept, rest, F = _seen(own, step)
+    direct = bool(np.any(plant.Dw))
+    if len(rest.A) and (direct or _leaves(own.Bw, blind, kept @ rest.Bw)):
+        return Posed(plant)
+    beside = _disturbed(plant, strength * scale[:, None] * kept) if len(rest.A) else everything
+    how = "only through Dw" if direct else "in no way"
+    if not _leaves(own.Bw, blind):
+        said = f"without control w reaches z {how}"
+        return Posed(beside, f"{said}, but the plant is not stable; {INSTEAD}", alone, f"{said}; none is applied")
+    best = forces[:, None] * F / scale
+    stable = is_stable(plant.closed_loop(best).A, plant.dt)
+    said = f"with the right state feedback w reaches z {how}; {INSTEAD}"
+    return Posed(beside, said, best if stable else None, f"with this gain w reaches z {how}")
+
+
+def free_force(plant: GeneralizedPlant) -> list[str]:
+    """Why (22) has no optimum where a control force costs nothing, in words; empty where each does."""
+    step, plant = plant.dt or 0.0, own_units(plant).into(plant.differences)
+    _, rest, _ = _seen(plant.in_coordinates(np.diag(balance(plant.A)[1])), step)
+    W = rest.independent_inputs()
+    rank = int(np.linalg.matrix_rank(rest.D @ W, RANK * size(rest.D))) if W.shape[1] else 0
+    if rank < W.shape[1]:
+        return [
+            f"some control force costs nothing: z weighs {rank} of {W.shape[1]} independent ones, so that nothing bounds the "
+            "gain of the optimum; give every control force a weight"
+        ]
+    return []
+
+
+def standing(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[str]:
+    """Why (22) has no optimum where z does not see a mode that neither decays nor grows, in words; empty where it sees all.
+
+    Args:
+        plant: n states, m inputs.
+        states: names of the states; x1, x2, ... without them.
+    """
+    dt, plant = plant.dt, own_units(plant).into(plant.differences)
+    scale = balance(plant.A)[1]
+    balanced, names = plant.in_coordinates(np.diag(scale)), list(states) or [f"x{i + 1}" for i in range(len(plant.A))]
+    for F in nulling(balanced):
+        V, A = hidden(balanced, F)[1], balanced.closed_loop(F).A
+        poles, vectors = np.linalg.eig(V.T @ A @ V) if V.shape[1] else (np.zeros(0), V)
+        rounding = RANK * size(A)
+        if dt is None:
+            still = [
+                (abs(pole.imag) if abs(pole.imag) > rounding else 0.0, vector)
+                for pole, vector in zip(poles, vectors.T, strict=True)
+                if abs(pole.real) <= rounding
+            ]
+        else:  # |1 + dt pole| = 1
+            still = [
+                (pole if abs(pole) > rounding else 0.0, vector)
+                for pole, vector in zip(poles, vectors.T, strict=True)
+                if abs(pole.real + dt * abs(pole) ** 2 / 2) <= rounding
+            ]
+        if still:  # the slowest of them: which comes first is rounding's choice
+            at, vector = min(still, key=lambda pair: abs(pair[0]))
+            from synth.analysis.stability import largest
+
+            where = complex(0.0, at.real) if dt is None else complex(1 + dt * at)
+            return [
+                f"z does not see the mode at {pole_text(where, dt)}, which does not decay and moves most in "
+                f"{largest(scale * (V @ vector), names)}: the optimum would let it be, and is not stable; weigh a signal that it "
+                "is seen in, or take it out of the model"
+            ]
+    return []
+
+
+def _seen(plant: GeneralizedPlant, step: float) -> tuple[Array, GeneralizedPlant, Array]:
+    """What `unseen` leaves of a plant for (22): its coordinates, shape (n, k), its plant; and the gain that hides the rest."""
+    kept, parts = np.eye(len(plant.A)), []
+    while (part := unseen(plant, np.zeros((len(plant.A), 0)), np.eye(len(plant.A)), step)) is not None:
+        kept, plant, parts = kept @ part.Z[:, : len(part.rest.A)], part.rest, [*parts, part]
+    F = np.zeros_like(plant.B.T)
+    for part in reversed(parts):
+        F = part.gain(F)
+    return kept, plant, F
+
+
+def _leaves(inputs: Array, inside: Array, what: Array | None = None) -> bool:
+    """Whether inputs drive anything outside a set of states; or `what` of them does, where that is given."""
+    outside = inputs - inside @ (inside.T @ inputs) if what is None else what
+    return bool(np.any(np.linalg.norm(outside, axis=0) > RANK * np.linalg.norm(inputs, axis=0)))
+
+
+def _disturbed(plant: GeneralizedPlant, where: Array) -> GeneralizedPlant:
+    """With disturbances that act on the states as the columns of `where` say."""
+    Bw, Dw = np.hstack([plant.Bw, where]), np.hstack([plant.Dw, np.zeros((len(plant.C), where.shape[1]))])
+    return replace(plant, Bw=Bw, Dw=Dw)
+
+
+def _counting(plant: GeneralizedPlant, own: GeneralizedPlant, scale: Array, forces: Array) -> GeneralizedPlant:
+    """With every state and every input in z, each in its own size, where the plant itself is `own`."""
+    n, m = plant.B.shape
+    weight = size(own.C)
+    states, inputs = weight * np.diag(1 / scale), weight * size(own.B) / size(own.A) * np.diag(1 / forces)
+    C = np.vstack([plant.C, states, np.zeros((m, n))])
+    D = np.vstack([plant.D, np.zeros((n, m)), inputs])
+    return replace(plant, C=C, D=D, Dw=np.vstack([plant.Dw, np.zeros((n + m, plant.Dw.shape[1]))]))
+
+
+MOST = 1100  # unknowns of (22), 45 states with one input: the second problem is solved from several X, in a minute or less
+SAME = 1e-9  # relative: how far rounding takes a gain from one that is made of measurements
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """A certified gain u = K y.
+
+    Attributes:
+        gain: K, shape (m, q).
+        certificate: what is true of it.
+        state_step_gap: how far from the optimum of (22), relative in gamma, the X was taken that L (14) comes from: 0 at the
+            limit of the central path, more where the second problem is infeasible from there.
+        optimum_gap: how far from the optimum of its own problem, relative in gamma, the gain was taken: 0 at the limit, more
+            where the optimum is reached only by gains beyond any actuator.
+        redundant: rows of C_y that follow from others, by index; their gain is zero.
+        case: what is the case where (22) has no optimum, or every gain is one, in words; else empty.
+        instead: how else the gain was found, and why the two steps did not lead to one, in words; empty where they did.
+        moved: how far the gain still moved from the point of its path before, relative to its largest entry: about a hundred
+            times what is left to the limit. It is at most 4e-5 for the cars that ship, and as much for the two steps of a chain
+            of 40 states; but the state feedback of chains of 26 and 40 still grows a hundredfold as mu falls as much. Of such a
+            gain the norm is proved, and no digit is that of the optimum.
+    """
+
+    gain: Array
+    certificate: Certificate
+    state_step_gap: float = 0.0
+    optimum_gap: float = 0.0
+    moved: float = 0.0
+    redundant: tuple[int, ...] = ()
+    case: str = ""
+    instead: str = ""
+
+
+@numerics()
+def state_path(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[CentralPoint]:
+    """The central path of (22), or of the problem beside it where that has no optimum (`two_step.py`), in the plant's own
+    units.
+
+    Args:
+        plant: n states, m inputs.
+        states: names of the states, for messages.
+
+    Raises:
+        InfeasibleError: the plant cannot be stabilised; the message names the mode.
+        DesignError: there is no path, as where z does not see an integrator or a force costs nothing, and the message says why,
+            or it could not be followed.
+    """
+    problem, own = posed(plant).plant, own_units(plant)
+    modes = standing(problem, states)
+    if modes:  # a path without an end may be followed for a while
+        from synth.analysis.stability import obstacles
+
+        if reached_by_none := "; ".join(obstacles(plant, None, states)):
+            raise InfeasibleError(reached_by_none)
+        raise DesignError(modes[0])
+    try:
+        return [point.in_units(own.states, own.inputs, own.states) for point in state_feedback(own.into(problem))]
+    except InfeasibleError as error:
+        from synth.analysis.stability import obstacles
+
+        raise InfeasibleError("; ".join(obstacles(plant, None, states)) or str(error)) from error
+    except DesignError as error:
+        raise type(error)("; ".join(free_force(plant)) or str(error)) from error
+
+
+@numerics()
+def state_design(
+    plant: GeneralizedPlant, path: Sequence[CentralPoint] = (), lower_bound: LowerBound | None = None, states: Sequence[str] = ()
+) -> Design:
+    """State feedback, the optimum of (22).
+
+    Args:
+        plant: n states, m inputs.
+        path: of `state_path`, if it is there already.
+        lower_bound: what no controller of this kind can beat, for the certificate.
+        states: names of the states, for messages.
+
+    Raises:
+        InfeasibleError, DesignError: as `state_path`, or no certificate holds.
+    """
+    problem, everything = posed(plant), np.eye(len(plant.A))
+    if problem.best is not None:
+        from synth.analysis.bounding import certify_tightly
+
+        return Design(problem.best, certify_tightly(plant, problem.best, lower_bound), case=problem.best_case)
+    return replace(furthest(plant, everything, path or state_path(plant, states), lower_bound), case=problem.case)
+
+
+def furthest(plant: GeneralizedPlant, Cy: Array, path: Sequence[CentralPoint], lower_bound: LowerBound | None = None) -> Design:
+    """The gain furthest along a central path whose certificate holds, short of those beyond any actuator.
+
+    Where every proof is of a gain beyond them, as with a plant that hardly moves by itself, the slowest stands for the plant.
+
+    Raises:
+        DesignError: no certificate holds.
+    """
+    first: Certificate | None = None
+    beyond: list[Design] = []
+    for i in reversed(range(len(path))):
+        point = path[i]
+        X = point.X if point.proof is None else point.proof
+        certificate = certify(plant, Feedback(point.K, Cy), X, point.eta, lower_bound)
+        if not certificate.failures:
+            before = path[max(i - 1, 0)].K
+            moved = float(np.abs(point.K - before).max(initial=0.0) / (np.abs(point.K).max(initial=0.0) or 1.0))
+            design = Design(point.K, certificate, optimum_gap=point.gamma / path[-1].gamma - 1, moved=moved)
+            if not certificate.beyond_actuators:
+                return design
+            beyond.append(design)
+        first = first or certificate
+    if beyond:
+        slowest = min(design.certificate.speed_up for design in beyond)
+        return next(design for design in beyond if design.certificate.speed_up <= FASTEST * slowest)
+    if first is None:
+        raise DesignError("its certificate fails: the path has no point")
+    from synth.analysis.bounding import certify_tightly
+
+    # The path's own X may lie too near the edge of what can be proved in floating point, as at 40 states; another one need not.
+    another = certify_tightly(plant, Feedback(path[-1].K, Cy), lower_bound)
+    if another.bound is not None and not another.failures:
+        return Design(path[-1].K, another)
+    raise DesignError(f"its certificate fails: {'; '.join(first.failures)}")
+
+
+@numerics()
+def two_step_design(
+    plant: GeneralizedPlant,
+    Cy: Array,
+    path: Sequence[CentralPoint] = (),
+    lower_bound: LowerBound | None = None,
+    states: Sequence[str] = (),
+) -> Design:
+    """The paper's two steps: L (14) from the X of (22), then (25).
+
+    From the optimal X the second problem can be infeasible where from a point a little short of it it is not: then X comes from
+    there. All is done in the plant's own units, so that rounding is the same in whatever units it is given.
+
+    Args:
+        plant: n states, m inputs.
+        Cy: shape (q, n). Rows that follow from others are left out, and said in the result.
+        path: of (22), if it is there already.
+        lower_bound: what no controller of this kind can beat, for the certificate.
+        states: names of the states, for messages.
+
+    Raises:
+        InputError: C_y does not fit the plant, or is empty.
+        InfeasibleError: the plant cannot be stabilised from y, or (25) is infeasible from every X tried; the message says which.
+        TooLargeError: (22) has more than MOST unknowns.
+        DesignError: from some X a path broke off, or no certificate holds.
+
+    Example:
+        >>> from synth import GeneralizedPlant, two_step_design
+        >>> oscillator = GeneralizedPlant(
+        ...     A=[[0, 1], [-4, -0.1]], B=[[0], [1]], Bw=[[0], [1]], C=[[1, 0], [0, 0]], D=[[0], [0.1]], Dw=[[0], [0]]
+        ... )
+        >>> design = two_step_design(oscillator, Cy=[[0, 1]])
+        >>> design.gain.shape, f"{design.certificate.norm.value:.4f}", design.certificate.failures
+        ((1, 1), '0.2500', ())
+    """
+    Cy, kept = measurement(plant, Cy)
+    problem = posed(plant)
+    units = own_units(plant, Cy)
+    rows, measured = units.rows(Cy[kept])
+    if problem.best is not None:
+        G = problem.best * units.states
+        on_rows = G @ rows.T
+        if np.linalg.norm(on_rows @ rows - G) <= SAME * np.linalg.norm(G):
+            from synth.analysis.bounding import certify_tightly
+
+            K = np.linalg.solve(measured.T, on_rows.T).T
+            best = Design(K, certify_tightly(plant, Feedback(K, Cy[kept]), lower_bound), case=problem.best_case)
+            return widened(best, kept, len(Cy), 0.0)
+    fits(unknowns(problem.plant), MOST, "the two steps are gone")
+    path = path or state_path(plant, states)
+    own, Q = units.into(problem.plant), nullspace(rows)
+    failures: list[DesignError] = []
+    beyond: list[Design] = []
+    for start in reversed(path):
+        try:
+            L = l_matrix(start.X / np.outer(units.states, units.states), rows, Q)
+            points = [point.in_units(units.states, units.inputs, measured) for point in output_feedback(own, rows, L, Q)]
+            found = furthest(plant, Cy[kept], points, lower_bound)
+        except DesignError as error:
+            failures.append(error)
+            continue
+        found = widened(replace(found, case=problem.case), kept, len(Cy), start.gamma / path[-1].gamma - 1)
+        if not found.certificate.beyond_actuators:
+            return found
+        beyond.append(found)
+    if beyond:
+        return min(beyond, key=lambda design: design.certificate.speed_up)
+    from synth.analysis.stability import immovable, obstacles
+
+    if reasons := "; ".join(obstacles(plant, Cy, states) or immovable(plant, Cy)):
+        raise InfeasibleError(reasons)
+    broken = [error for error in failures if not isinstance(error, InfeasibleError)]
+    first, *_ = [*broken, *failures]  # only where all are infeasible it is proved that there is none
+    raise type(first)(f"{first} (from {len(failures)} points of the central path)")
+
+
+@numerics()
+def zero_l_design(plant: GeneralizedPlant, Cy: Array, lower_bound: LowerBound | None = None) -> Design:
+    """Remark 4: (25) with L = 0, in one step.
+
+    Raises:
+        InputError, InfeasibleError, DesignError: as `two_step_design`.
+    """
+    Cy, kept = measurement(plant, Cy)
+    problem, units = posed(plant), own_units(plant, Cy)
+    rows, measured = units.rows(Cy[kept])
+    Q = nullspace(rows)
+    points = output_feedback(units.into(problem.plant), rows, np.zeros((Q.shape[1], len(kept))), Q)
+    path = [point.in_units(units.states, units.inputs, measured) for point in points]
+    return widened(replace(furthest(plant, Cy[kept], path, lower_bound), case=problem.case), kept, len(Cy), 0.0)
+
+
+def measurement(plant: GeneralizedPlant, Cy: Array) -> tuple[Array, list[int]]:
+    """C_y, checked, and which of its rows do not follow from those before them.
+
+    Raises:
+        InputError: see `measurement_matrix`.
+    """
+    Cy = measurement_matrix(Cy, len(plant.A))
+    return Cy, independent_rows(plant, Cy)
+
+
+def widened(design: Design, kept: Sequence[int], q: int, state_step_gap: float) -> Design:
+    """A design from some of q measurements as one from all of them, with a gain of zero for the others."""
+    gain = np.zeros((len(design.gain), q))
+    gain[:, kept] = design.gain
+    return replace(design, gain=gain, state_step_gap=state_step_gap, redundant=tuple(i for i in range(q) if i not in kept))

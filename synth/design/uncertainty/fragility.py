@@ -1,0 +1,288 @@
+"""How fragile a law is: how far its readings, forces and numbers may be off, and what that costs; in words and as JSON has it.
+
+Each amount stands between two: a box of errors in which it is proved that all is well, and errors that were met, at which it is
+not. A gain of one force is off in its entries: an error of that force is one of all readings at once. Of several forces each may
+be off, too.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.printed import finite, percent
+from models.laws.linear import LinearLaw
+from synth.analysis.bounding import certify_tightly
+from synth.analysis.certificate import Certificate
+from synth.analysis.uncertainty_box import MOST, Box, ScaledGain
+from synth.design.uncertainty.problem import box_of, errors_of
+from synth.design.uncertainty.worst_case import Heights, by_flips, climb, proof_below
+from synth.plant.generalized import Feedback, GeneralizedPlant
+from synth.plant.numerics import numerics
+
+INT16 = 2**15 - 1  # the largest number
+FLOAT16 = 2.0**15  # a matrix is held over the power of two that brings its largest entry below this, where it is beyond
+FORMATS = ("int16", "float16")
+
+
+def rounding(
+    law: LinearLaw, closed: Callable[[LinearLaw], tuple[GeneralizedPlant, Feedback]], plant: GeneralizedPlant
+) -> dict[str, Certificate]:
+    """What is true of a law in each of `FORMATS`.
+
+    Args:
+        law: the law.
+        closed: what a law is a gain of.
+        plant: without the law's states.
+    """
+    return {to: certify_tightly(*closed(rounded(law, to)), by_itself=plant) for to in FORMATS}
+
+
+def rounded(law: LinearLaw, to: str) -> LinearLaw:
+    """A law with its matrices in another format.
+
+    Args:
+        law: the law.
+        to: "int16", each matrix over its largest entry; or "float16", each as it is, or over a power of two where it is beyond.
+    """
+    number = {"int16": _int16, "float16": _float16}[to]
+    return LinearLaw(number(law.A), number(law.B), number(law.C), number(law.D), law.sample_period)
+
+
+def _int16(matrix: Array) -> Array:
+    largest = np.abs(matrix).max(initial=0.0)
+    return np.round(matrix / largest * INT16) * (largest / INT16) if largest else matrix
+
+
+def _float16(matrix: Array) -> Array:
+    largest = np.abs(matrix).max(initial=0.0)
+    scale = 2.0 ** max(0, np.ceil(np.log2(largest / FLOAT16))) if largest else 1.0
+    return (matrix / scale).astype(np.float16).astype(float) * scale
+
+
+SHARES = (0.01, 0.1)  # of the norm: what errors may cost of it
+AMOUNTS = tuple(0.75**k for k in reversed(range(20)))  # looked at along a ray; at the last, 1, a reading may be missing
+EACH = 3  # factors up to which a ray leads to every corner; of more, to those that flips lead to in boxes of these sizes
+SIZES = (0.05, 0.25, 1.0)
+EXACT = 1e-10  # relative; how closely an amount is found along a ray
+WITHIN = 1e-3  # relative; in a box so much smaller it is looked for errors inside that do as much
+TURNS = 4  # times, at most
+CLOSE = (1e-3, 1e-2, 0.05, 0.15, 0.3, 0.5, 0.75, 0.9)  # relative; how much smaller boxes are in which stability is tried to prove
+CLOSE_TO_LEVEL = (1e-2, 0.05, 0.15, 0.3, 0.5, 0.75, 0.9)  # likewise a norm
+LOOSELY = 4.0  # times the largest norm met in a box: a bound on it is tried there to prove stability
+
+
+@dataclass(frozen=True, eq=False)
+class Borne:
+    """How large errors may be, relative.
+
+    Attributes:
+        proved: errors up to this, in whatever combination, do no more than they may; 0 where nothing is proved.
+        bound: what no norm exceeds up to there; infinite where nothing is proved.
+        found: the smallest errors met that do more; infinite where none up to 1 do.
+        readings, forces: those errors, relative, shapes (q,) and (m,); 1 and -1 where none do, along the worst way.
+    """
+
+    proved: float
+    bound: float
+    found: float
+    readings: Array
+    forces: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Fragility:
+    """How large errors of readings and forces a loop bears.
+
+    Attributes:
+        norm: without errors.
+        stable: until it is unstable.
+        within: by share of the norm, until it costs that.
+    """
+
+    norm: float
+    stable: Borne
+    within: dict[float, Borne]
+
+
+@numerics()
+def fragility(gain: ScaledGain) -> Fragility:
+    """How large errors a loop bears that is stable without any.
+
+    Raises:
+        ValueError: it is not.
+    """
+    heights = Heights(gain)
+    norm = heights.norm(_at(gain, 0.0))
+    if not np.isfinite(norm):
+        raise ValueError("the loop is unstable as it is")
+    rays = _rays(heights)
+    within = {share: _borne(heights, rays, norm * (1 + share)) for share in SHARES}
+    return Fragility(norm, _borne(heights, rays, np.inf), within)
+
+
+def box_of_all(gain: ScaledGain, amount: float) -> Box:
+    """The factors of all readings, and of several forces, that are off by up to an amount, relative."""
+    return box_of(gain, amount, amount if gain.forces > 1 else 0.0)
+
+
+def worst_met(gain: ScaledGain, amount: float) -> float:
+    """The largest norm met with errors of all readings, and of several forces, up to an amount; infinite where unstable."""
+    heights = Heights(gain)
+    climb(heights, box_of_all(gain, amount))
+    return heights.highest
+
+
+def _at(gain: ScaledGain, errors: Array | float) -> Array:
+    return np.ones(sum(gain.K.shape)) + errors
+
+
+def _rays(heights: Heights) -> Array:
+    """The ways to corners of boxes that are looked along, of 1, -1 and 0, shape (k, q + m)."""
+    whole = box_of_all(heights.gain, 1.0)
+    if len(whole.free) <= EACH:
+        corners = whole.corners
+    else:
+        corners = np.concatenate([by_flips(heights, box_of_all(heights.gain, size)) for size in SIZES])
+    return np.unique(np.sign(corners - 1), axis=0)
+
+
+def _borne(heights: Heights, rays: Array, level: float) -> Borne:
+    """How large errors may be until a norm exceeds a level; of an infinite one, until the loop is unstable."""
+    gain = heights.gain
+    amount, errors = _along_rays(heights, rays, level)
+    for _ in range(TURNS):
+        inside = Heights(gain)
+        climb(inside, box_of_all(gain, min(amount, 1.0) * (1 - WITHIN)))
+        if not inside.highest > level * (1 + EXACT) and not np.isinf(inside.highest):
+            break
+        far = float(np.abs(inside.at - 1).max())
+        ray = (inside.at - 1) / far
+        amount = _edge(heights, ray, 0.0, far, level)
+        errors = amount * ray
+    found = errors_of(gain, _at(gain, errors))
+    if len(box_of_all(gain, 1.0).free) > MOST:
+        return Borne(0.0, np.inf, amount, *found)
+    tried = CLOSE if np.isinf(level) else CLOSE_TO_LEVEL
+    for smaller in tried if np.isfinite(amount) else (0.0, *tried):
+        proved = min(amount, 1.0) * (1 - smaller)
+        box, within = box_of_all(gain, proved), Heights(gain)
+        if np.isinf(level):
+            climb(within, box)
+        bound = LOOSELY * within.highest if np.isinf(level) else level
+        if np.isfinite(bound) and proof_below(within, box, bound) is not None:
+            return Borne(proved, bound, amount, *found)
+    return Borne(0.0, np.inf, amount, *found)
+
+
+def _along_rays(heights: Heights, rays: Array, level: float) -> tuple[float, Array]:
+    """The smallest amount along rays that exceeds a level, and the errors there; infinite, with the errors of the highest end."""
+    best, at = np.inf, None
+    for ray in rays:
+        low = 0.0
+        for high in AMOUNTS:
+            if low >= best:
+                break
+            norm = heights.norm(_at(heights.gain, high * ray))
+            if norm > level or np.isinf(norm):
+                edge = _edge(heights, ray, low, high, level)
+                if edge < best:
+                    best, at = edge, edge * ray
+                break
+            low = high
+    if at is None:
+        at = max(rays, key=lambda ray: heights.norm(_at(heights.gain, ray)))
+    return float(best), at
+
+
+def _edge(heights: Heights, ray: Array, low: float, high: float, level: float) -> float:
+    """Where between two amounts along a ray a level is exceeded, which is not at the first and is at the second."""
+    while high - low > EXACT * high:
+        middle = (low + high) / 2
+        over = heights.exceeds(_at(heights.gain, middle * ray), level)
+        low, high = (low, middle) if over else (middle, high)
+    return high
+
+
+NOTHING = 1e-12  # of an error that is none
+SAME = 1e-9  # relative, of two norms: two ways to one are as far apart
+
+
+def fragility_object(
+    found: Fragility, rounding: Mapping[str, Certificate], measured: Sequence[str], forces: Sequence[str]
+) -> dict[str, Any]:
+    """Fragility as JSON has it: errors relative, None for what is infinite.
+
+    Args:
+        found: of a law.
+        rounding: of the same.
+        measured: its q signals.
+        forces: m of them.
+    """
+
+    def borne(one: Borne) -> dict[str, Any]:
+        return {
+            "proved": one.proved,
+            "bound": finite(one.bound),
+            "found": finite(one.found),
+            "readings": dict(zip(measured, one.readings.tolist(), strict=True)),
+            "forces": dict(zip(forces, one.forces.tolist(), strict=True)),
+        }
+
+    return {
+        "norm": found.norm,
+        "stable": borne(found.stable),
+        "within": [{"share": share, **borne(one)} for share, one in found.within.items()],
+        "rounding": {name: {"norm": finite(one.norm.value), "bound": one.bound} for name, one in rounding.items()},
+    }
+
+
+def whose(found: Fragility) -> str:
+    """What is off."""
+    return "readings and forces" if len(found.stable.forces) > 1 else "readings"
+
+
+def errors_text(one: Borne, measured: Sequence[str], forces: Sequence[str]) -> str:
+    """The errors that do more than they may, in percent."""
+    named = zip((*measured, *forces), (*one.readings, *one.forces), strict=True)
+    return ", ".join(f"{name} {100 * error:+.4g} %" for name, error in named if abs(error) > NOTHING) or "none"
+
+
+def fragility_text(found: Fragility, measured: Sequence[str], forces: Sequence[str]) -> str:
+    """How fragile a law is, in a sentence."""
+    stable, text = found.stable, "fragile: "
+    if math.isfinite(stable.found):
+        text += f"unstable with {whose(found)} off by {100 * stable.found:.4g} % ({errors_text(stable, measured, forces)}); "
+    else:
+        text += f"no errors of {whose(found)} up to 100 % were found that make it unstable; "
+    return text + proved_text(found)
+
+
+def proved_text(found: Fragility) -> str:
+    """What is proved of errors, and what they are not."""
+    stable = found.stable
+    text = "that it is stable with errors is not proved"
+    if stable.proved:
+        text = f"stable with each off by up to {100 * stable.proved:.4g} %, which is proved"
+    for share, one in found.within.items():
+        beyond = f", and not at {100 * one.found:.4g} %" if math.isfinite(one.found) else ""
+        text += f"; the norm within {100 * share:g} % "
+        text += f"up to {100 * one.proved:.4g} %{beyond}" if one.proved else f"of errors is not proved{beyond}"
+    return text
+
+
+def rounding_text(norm: float, rounding: Mapping[str, Certificate]) -> str:
+    """What rounding a law's numbers does to its norm, in a sentence."""
+    said = []
+    for name, one in rounding.items():
+        if not one.stable:
+            said.append(f"{name} UNSTABLE")
+            continue
+        bound = f", proved below {one.bound:.7g}" if one.bound is not None else ""
+        share = one.norm.value / norm - 1
+        change = f"{percent(abs(share))} {'higher' if share > 0 else 'lower'}" if abs(share) > SAME else "unchanged"
+        said.append(f"{name} {one.norm.value:.7g} ({change}{bound})")
+    return f"norm with the law's numbers as {'; as '.join(said)}"

@@ -1,0 +1,85 @@
+"""A law on a plant whose readings and forces are off, as a gain between factors; and its box of errors."""
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError
+from models.laws.linear import LinearLaw, static_law
+from synth.analysis.uncertainty_box import Box, ScaledGain
+from synth.plant.augmented import on_larger_plant
+from synth.plant.discrete import mapped
+from synth.plant.generalized import GeneralizedPlant, measurement_matrices, real_matrix
+
+
+def scaled_gain(
+    plant: GeneralizedPlant, Cy: Array, law: Array | LinearLaw, Dyw: Array | None = None, through: Array | None = None
+) -> ScaledGain:
+    """The loops of a law whose readings and forces are multiplied by factors; a law's own states are known as they are.
+
+    Args:
+        plant: n states, m inputs; continuous or discrete, as the law.
+        Cy: shape (q, n).
+        law: u = K y, shape (m, q), or one with k states.
+        Dyw: shape (q, r); zero where it is not given.
+        through: what the forces do to the measurements at once, of a continuous plant, shape (q, m); zero where it is not given.
+
+    Raises:
+        InputError: a matrix has the wrong shape, or is none of real finite numbers.
+    """
+    Cy, noise = measurement_matrices(plant, Cy, Dyw)
+    (q, _), m = Cy.shape, plant.B.shape[1]
+    law = law if isinstance(law, LinearLaw) else static_law(real_matrix(law, "K", f"({m}, {q})"))
+    if law.D.shape != (m, q):
+        raise InputError(f"K has shape {law.D.shape}; expected {(m, q)}: a row per input, a column per measured signal")
+    larger, feedback = on_larger_plant(plant, Cy, law)
+    k = law.states
+    there = mapped(larger, feedback.Cy, np.vstack([noise, np.zeros((k, noise.shape[1]))]))
+    Dyu = there.Dyu
+    if through is not None and np.any(through):
+        Dyu = Dyu + np.pad(through, ((0, k), (0, k)))
+    return ScaledGain(there.plant, feedback.K, there.Cy, there.Dyw, Dyu, there.before, q, m)
+
+
+def box_of(gain: ScaledGain, d: Array | float, e: Array | float) -> Box:
+    """The factors of readings that are off by +-d and forces by +-e, relative and each by itself; those that nothing uses are 1.
+
+    Args:
+        gain: q readings, m forces, beside the states of a law.
+        d: one for all readings, or one for each, shape (q,).
+        e: one for all forces, or one for each, shape (m,).
+
+    Raises:
+        InputError: there are more, or one is no number from 0 to 1.
+    """
+    (rows, columns), q, m = gain.K.shape, gain.readings, gain.forces
+    width = np.zeros(columns + rows)
+    width[:q] = _tolerance(d, q, "readings") * np.any(gain.K[:, :q], axis=0)
+    width[columns : columns + m] = _tolerance(e, m, "forces") * np.any(gain.K[:m], axis=1)
+    return Box(1 - width, 1 + width)
+
+
+def errors_of(gain: ScaledGain, factors: Array) -> tuple[Array, Array]:
+    """By how much readings and forces are off under factors, relative, shapes (q,) and (m,)."""
+    start = gain.K.shape[1]
+    return factors[: gain.readings] - 1, factors[start : start + gain.forces] - 1
+
+
+def vertices(d: Array, e: Array) -> list[tuple[Array, Array]]:
+    """The corners of a box of errors: what readings and what forces are multiplied by, shapes (q,) and (m,).
+
+    Args:
+        d: by how much each reading may be off, relative, shape (q,).
+        e: likewise each force, shape (m,).
+    """
+    width = np.concatenate([d, e])
+    return [(factors[: len(d)], factors[len(d) :]) for factors in Box(1 - width, 1 + width).corners]
+
+
+def _tolerance(value: Array | float, count: int, of: str) -> Array:
+    try:
+        width = np.array(np.broadcast_to(np.asarray(value, dtype=float), count))
+    except (TypeError, ValueError):
+        raise InputError(f"the tolerance of {of} is {np.shape(value)} numbers; give one for all, or {count}") from None
+    if not np.all((width >= 0) & (width <= 1)):
+        raise InputError(f"a tolerance of {of} is {value}; give numbers from 0 to 1, relative: 0.1 is 10 % off at most")
+    return width

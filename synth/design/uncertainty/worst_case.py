@@ -1,0 +1,428 @@
+"""The worst norm of a law whose readings and forces are off: the largest that is met, and a bound that holds on the whole box.
+
+The X of the bound is found by Newton's method on a barrier:
+
+    minimise t   so that   (20) of every loop  <=  t I,   X > 0,
+
+in coordinates in which a first X is I; once t is below zero, X will do. Few corners decide: those at which an X fails join the
+ones that it is found for, and others need not.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import optimize
+
+from models.common.arrays import Array
+from models.laws.linear import LinearLaw
+from synth.analysis.bounding import bounding_x
+from synth.analysis.certificate import eta_of
+from synth.analysis.norm import hinf_norm
+from synth.analysis.uncertainty_box import MOST, Box, BoxProof, Loops, ScaledGain, lmi, proves
+from synth.design.descent.landscape import Landscape
+from synth.design.uncertainty.problem import box_of, errors_of, scaled_gain
+from synth.lmi.barrier import boundary, newton
+from synth.lmi.stacked_barrier import StackedBarrier
+from synth.plant.generalized import GeneralizedPlant
+from synth.plant.numerics import numerics
+
+ALL = 8  # free factors up to which every corner is looked at; of more, those that flips lead to
+BEGIN = 4  # corners at which flips begin beside the one that slopes lead to
+CLIMBED = 2  # of the highest points met, those from which the search inside begins
+TURNS = 30  # of one such search
+SEED = 20261122
+
+
+class Heights:
+    """The norm over the factors of a gain; it remembers the highest that it met.
+
+    Attributes:
+        highest: the largest norm so far; infinite once a loop was unstable.
+        at: its factors.
+    """
+
+    def __init__(self, gain: ScaledGain) -> None:
+        self.gain = gain
+        self.landscape = Landscape(gain.plant, gain.Cy, gain.Dyw)
+        self.highest, self.at = 0.0, np.ones(sum(gain.K.shape))
+        self._known: dict[bytes, tuple[float, float]] = {}
+
+    def exceeds(self, factors: Array, level: float) -> bool:
+        """Whether the norm under factors is above a level, or of an infinite one the loop unstable; it is not remembered."""
+        try:
+            point = self.landscape.point(self.gain.acting(factors))
+        except np.linalg.LinAlgError:
+            return True
+        if np.isinf(level):
+            return not self.landscape.abscissa(point)[0] < 0
+        return self.landscape.norm(point, level)[0] > level
+
+    def norm(self, factors: Array) -> float:
+        """The norm under factors, shape (q + m,); infinite where the loop is unstable, or has no answer."""
+        return self._peak(factors)[0]
+
+    def _peak(self, factors: Array) -> tuple[float, float]:
+        key = factors.tobytes()
+        if key not in self._known:
+            try:
+                self._known[key] = self.landscape.norm(self.landscape.point(self.gain.acting(factors)))
+            except np.linalg.LinAlgError:
+                self._known[key] = np.inf, np.nan
+            if not self._known[key][0] <= self.highest:
+                self.highest, self.at = self._known[key][0], factors.copy()
+        return self._known[key]
+
+    def slope(self, factors: Array) -> Array:
+        """Of the norm over the factors where it is finite, shape (q + m,)."""
+        gain, landscape = self.gain, self.landscape
+        K, q = gain.acting(factors), gain.K.shape[1]
+        by_acting = landscape.slope(landscape.point(K), self._peak(factors)[1]).reshape(K.shape) / landscape.scale
+        after = np.linalg.inv(gain.back(gain.scaled(factors)))
+        by_scaled = after.T @ by_acting @ (np.eye(q) + gain.Dyu @ K).T * gain.K
+        return np.concatenate([factors[q:] @ by_scaled, by_scaled @ factors[:q]])
+
+
+def climb(heights: Heights, box: Box) -> None:
+    """Looks for the largest norm in a box; `heights` remembers it. It ends where a loop is unstable."""
+    free = box.free
+    points = box.corners if len(free) <= ALL else by_flips(heights, box)
+    points = np.concatenate([points, box.middle[None]])
+    values = [heights.norm(point) for point in points]
+    if not (len(free) and np.isfinite(heights.highest)):
+        return
+    generator = np.random.default_rng(SEED)
+    inside = box.low + (box.high - box.low) * generator.random((2 * CLIMBED, len(box.low)))
+    values += [heights.norm(point) for point in inside]
+    points = np.concatenate([points, inside])
+    for i in np.argsort(values)[-CLIMBED:][::-1]:
+        _inside(heights, box, points[i])
+
+
+def by_flips(heights: Heights, box: Box) -> Array:
+    """Corners that no flip of one factor makes higher, or the middle of the box where its loop is unstable, shape (k, q + m)."""
+    free, middle = box.free, box.middle
+    if not np.isfinite(heights.norm(middle)):
+        return middle[None]
+    uphill = np.where(heights.slope(middle) >= 0, box.high, box.low)
+    corners = [uphill, *np.where(np.random.default_rng(SEED).random((BEGIN, len(middle))) < 0.5, box.low, box.high)]
+    for corner in corners:
+        best, moved = heights.norm(corner), True
+        while moved and np.isfinite(best):
+            moved = False
+            for axis in free:
+                other = corner.copy()
+                other[axis] = box.low[axis] if corner[axis] == box.high[axis] else box.high[axis]
+                if heights.norm(other) > best:
+                    best, moved = heights.norm(other), True
+                    corner[axis] = other[axis]
+    return np.array(corners)
+
+
+def _inside(heights: Heights, box: Box, start: Array) -> None:
+    """Up from a point as far as the box reaches."""
+    free = box.free
+    middle, half = box.middle, (box.high - box.low)[free] / 2
+
+    def point(t: Array) -> Array:
+        factors = middle.copy()
+        factors[free] = np.clip(middle[free] + half * t, box.low[free], box.high[free])
+        return factors
+
+    def down(t: Array) -> tuple[float, Array]:
+        factors = point(t)
+        value = heights.norm(factors)
+        if not np.isfinite(value):
+            raise StopIteration  # nothing is higher
+        return -np.log(value), -heights.slope(factors)[free] * half / value
+
+    t = (start - middle)[free] / half
+    slope = down(t)[1]
+    if np.all(np.where(t >= 1, slope <= 0, True) & np.where(t <= -1, slope >= 0, True) & (np.abs(t) >= 1)):
+        return  # a corner, and all ways into the box lead down
+    try:
+        optimize.minimize(down, t, jac=True, method="L-BFGS-B", bounds=[(-1, 1)] * len(free), options={"maxiter": TURNS})
+    except StopIteration:
+        return
+
+
+def norm_at(gain: ScaledGain, factors: Array) -> float:
+    """The norm under factors by two routes, infinite where the loop is unstable or has no answer."""
+    try:
+        A, Bw, C, Dw = gain.loops(factors)
+    except np.linalg.LinAlgError:
+        return np.inf
+    return hinf_norm(GeneralizedPlant(A, np.zeros((len(A), 0)), Bw, C, np.zeros((len(C), 0)), Dw)).value
+
+
+FASTER = 8.0  # how much weight t gains from one centre to the next
+CENTRES = 12  # of the path; then t is known to eight digits
+NEAR = 1e-2  # of the Newton decrement at a centre
+INSIDE = 0.95  # of the way to the boundary, where a step along the path would leave
+SURE = 1.1  # times as far as the least t can be from a centre's
+JOIN = 4  # corners that join in a round
+
+
+def common_x(gain: ScaledGain, box: Box, start: Array, eta: float) -> Array | None:
+    """An X that satisfies (20) at all corners of a box, shape (n, n); None where there is none, or next to none.
+
+    Args:
+        gain: its loops.
+        box: of no more than `certificate.box.MOST` free factors.
+        start: X > 0 to start from, as near as is known, shape (n, n).
+        eta: gamma^-2.
+
+    Raises:
+        LinAlgError: rounding leaves no answer.
+    """
+    everywhere, X = gain.loops(box.corners), start
+    among = np.zeros(0, dtype=int)
+    while True:
+        highest = _highest(everywhere, X, eta)
+        # The first X is on the verge wherever it does: rounding would leave no proof.
+        failing = np.setdiff1d(np.flatnonzero(highest >= 0), among) if len(among) else np.arange(len(highest))
+        if not len(failing):
+            return X if highest.max() < 0 else None
+        among = np.concatenate([among, failing[np.argsort(-highest[failing], kind="stable")[:JOIN]]])
+        found = _for_all(Loops(*(part[among] for part in everywhere)), X, eta)
+        if found is None:
+            return None
+        X = found
+
+
+def _highest(loops: Loops, X: Array, eta: float) -> Array:
+    """The largest eigenvalue of (20) of each loop, in coordinates in which X is I, shape (V,)."""
+    n, k = len(X), len(X) + loops.C.shape[-2]
+    inverse = np.eye(k)
+    inverse[:n, :n] = np.linalg.inv(np.linalg.cholesky(X))
+    return np.linalg.eigvalsh(inverse @ lmi(loops, X, eta) @ inverse.T)[:, -1]
+
+
+def _for_all(loops: Loops, start: Array, eta: float) -> Array | None:
+    """An X that satisfies (20) of every loop; None where there is none."""
+    T = np.linalg.cholesky(start)
+    inverse = np.linalg.inv(T)
+    own = Loops(inverse @ loops.A @ T, inverse @ loops.Bw, loops.C @ T, loops.Dw)
+    n, k = len(T), len(T) + own.C.shape[-2]
+    barrier = StackedBarrier(lmi(own, np.zeros((n, n)), eta), np.concatenate([own.A, own.C], axis=-2))
+    p = np.append(barrier.unknowns(np.eye(n)), 0.0)
+    least = float(np.linalg.eigvalsh(lmi(own, np.eye(n), eta)).max())
+    p[-1] = 1.5 * max(least, 1e-3)
+    count = n + len(own.A) * k
+    c, along, weight, here = np.zeros(len(p)), np.zeros(len(p)), count / p[-1], None
+    along[-1] = 1.0
+    for _ in range(CENTRES):
+        c[-1] = weight
+        p, _, here = newton(barrier, p, c, NEAR, lambda p: p[-1] < 0, here)
+        if 0 <= p[-1] <= SURE * count / weight:
+            # Along the tangent of the path, but inside.
+            step = -(1 - 1 / FASTER) * weight * here.solve(here.half(along))
+            p, here = p + min(1.0, INSIDE * boundary(here, step)) * step, None
+            weight *= FASTER
+        if p[-1] < 0:
+            X = T @ barrier.matrix(p) @ T.T
+            return (X + X.T) / 2
+        if here is not None:  # a centre's t is no further than that from the least
+            return None
+    return None
+
+
+CLOSEST = 1e-4  # relative; how far above the largest norm met a bound is tried, and no closer
+CLOSER = (0.1, 1e-2, 1e-3, CLOSEST)  # likewise in turn, where the box has to fall into parts for it
+LOOSE = (1.0, 10.0)  # where the first of these fails
+TRIALS = 600  # over the square of the number of states: how often an X is looked for at most
+FEWEST = 4  # of them at least
+PATIENT = 4  # times the trials, for a bound that is asked about
+CHEAPLY = 3  # times fewer trials where a bound is one of many
+SPARE = 1e-2  # of how far a bound is above a norm: what of it the first X leaves unused
+EVERYWHERE = 1e-4  # of the disturbance's power: what disturbs states for the first X that w does not reach
+
+Parts = list[tuple[Box, Array | None]]  # of a box, each with an X of (20) if one is known
+
+
+def _trials(heights: Heights) -> int:
+    """How often an X is looked for at most, for one bound."""
+    return max(FEWEST, TRIALS // len(heights.gain.plant.A) ** 2)
+
+
+def proof_near(heights: Heights, box: Box) -> BoxProof | None:
+    """A bound on a box just above the largest norm met, if one can be proved; what is met on the way is remembered, too."""
+
+    def level(above: float) -> Callable[[], float]:
+        return lambda: heights.highest * (1 + above)
+
+    whole: Parts = [(box, None)]
+    if (parts := _filled(heights, whole, level(CLOSEST), 1)[0]) is not None:
+        return _proof(parts, level(CLOSEST))
+    tried, left, best = whole, _trials(heights), None
+    for above in CLOSER:
+        parts, left = _filled(heights, tried, level(above), left)
+        if parts is None:
+            break
+        tried, best = parts, _proof(parts, level(above))
+    for above in LOOSE if best is None else ():
+        parts, _ = _filled(heights, whole, level(above), _trials(heights))
+        if parts is not None:
+            return _proof(parts, level(above))
+    return best if np.isfinite(heights.highest) else None
+
+
+def proof_below(heights: Heights, box: Box, bound: float) -> BoxProof | None:
+    """The proof of a bound on a box, if one is found at little cost; what is met on the way is remembered."""
+    parts, _ = _filled(heights, [(box, None)], lambda: bound, _trials(heights) // CHEAPLY)
+    return _proof(parts, lambda: bound) if parts is not None else None
+
+
+def proof_at(heights: Heights, box: Box, bound: float) -> BoxProof | None:
+    """The proof of a bound that is asked about, looked for patiently."""
+    parts, _ = _filled(heights, [(box, None)], lambda: bound, PATIENT * _trials(heights))
+    return _proof(parts, lambda: bound) if parts is not None else None
+
+
+def _proof(parts: Parts, bound: Callable[[], float]) -> BoxProof:
+    return BoxProof(eta_of(bound()), [(part, X) for part, X in parts if X is not None])
+
+
+def _filled(heights: Heights, parts: Parts, bound: Callable[[], float], left: int) -> tuple[Parts | None, int]:
+    """Parts with an X each that proves a bound; None where there is none, or that took too many trials.
+
+    Args:
+        heights: they know the largest norm met.
+        parts: that fill the box, some with an X.
+        bound: what it is now; it may grow with what is met.
+        left: how often an X may be looked for.
+
+    Returns:
+        The parts, and how often an X may still be looked for.
+    """
+    todo, done = list(parts), Parts()
+    if any(len(part.free) > MOST for part, _ in parts):
+        return None, 0
+    while todo:
+        part, X = todo.pop()
+        if not heights.highest < bound():
+            return None, left
+        eta = eta_of(bound())
+        if X is None or not proves(heights.gain, part, X, eta):
+            if not left:
+                return None, 0
+            left, X = left - 1, _x_for(heights, part, eta)
+        if X is not None:
+            done.append((part, X))
+        elif left and len(part.free):
+            todo += [(half, None) for half in part.halves(_axis(heights, part))]
+        else:
+            return None, 0
+    return done, left
+
+
+def _x_for(heights: Heights, box: Box, eta: float) -> Array | None:
+    """An X that proves a bound on a box; None where none is found."""
+    gain, level = heights.gain, eta**-0.5
+    norm = heights.norm(box.middle)
+    if not norm < level or not gain.posed(box):
+        return None
+    A, Bw, C, Dw = gain.loops(box.middle)
+    loop = GeneralizedPlant(A, np.zeros((len(A), 0)), Bw, C, np.zeros((len(C), 0)), Dw)
+    try:
+        start = bounding_x(loop, level, SPARE * min(level / norm - 1, 1.0), EVERYWHERE)
+        X = common_x(gain, box, start, eta)
+    except (np.linalg.LinAlgError, ValueError):  # too close to the norm for floats
+        return None
+    return X if X is not None and proves(gain, box, X, eta) else None
+
+
+def _axis(heights: Heights, box: Box) -> int:
+    """The factor along which the norm changes most from the middle of a box to its faces."""
+    middle = heights.norm(box.middle)
+    changes = []
+    for axis in box.free:
+        ends = []
+        for end in (box.low, box.high):
+            point = box.middle
+            point[axis] = end[axis]
+            ends.append(heights.norm(point))
+        changes.append(max(abs(np.log(value / middle)) if np.isfinite(value) else np.inf for value in ends))
+    return int(box.free[np.argmax(changes)])
+
+
+@dataclass(frozen=True, eq=False)
+class WorstNorm:
+    """The worst norm over a box of errors.
+
+    Attributes:
+        found: the largest norm met; infinite where a loop in the box is unstable.
+        readings: the errors there, relative, shape (q,).
+        forces: likewise, shape (m,).
+        proved: what no norm in the box exceeds, stability included; infinite where that is not proved.
+        proof: of that; None where there is none.
+    """
+
+    found: float
+    readings: Array
+    forces: Array
+    proved: float
+    proof: BoxProof | None
+
+    @property
+    def gap(self) -> float:
+        """How far what is proved lies above what is found, relative; infinite where nothing is proved."""
+        return self.proved / self.found - 1 if np.isfinite(self.proved) and self.found else np.inf
+
+    @property
+    def unstable(self) -> bool:
+        """Whether a loop in the box is unstable: with the errors that are named here."""
+        return bool(np.isinf(self.found))
+
+
+@numerics()
+def worst_norm(
+    plant: GeneralizedPlant,
+    Cy: Array,
+    K: Array | LinearLaw,
+    d: Array | float,
+    e: Array | float = 0.0,
+    Dyw: Array | None = None,
+    through: Array | None = None,
+    enough: float | None = None,
+) -> WorstNorm:
+    """The worst norm where each reading is off by up to +-d and each force by up to +-e, relative and each by itself.
+
+    K_ij becomes K_ij (1 + a_j) (1 + b_i) with |a_j| <= d_j, |b_i| <= e_i.
+
+    Args:
+        plant: n states, m inputs; continuous or discrete.
+        Cy: shape (q, n).
+        K: the gain, shape (m, q); or a law with states, which then stands between two diagonal scalings.
+        d: one for all readings, or one for each, shape (q,).
+        e: one for all forces, or one for each, shape (m,).
+        Dyw: shape (q, r); zero where it is not given.
+        through: what the forces do to what is measured at once, shape (q, m); zero where it is not given.
+        enough: a bound that is asked about, which is tried by itself where no closer one is proved below it.
+
+    Raises:
+        InputError: a matrix has the wrong shape, or is none of real finite numbers, or a tolerance is none from 0 to 1.
+        DesignError: rounding leaves no answer.
+
+    Example:
+        >>> from synth import GeneralizedPlant, worst_norm
+        >>> oscillator = GeneralizedPlant(
+        ...     A=[[0, 1], [-4, -0.1]], B=[[0], [1]], Bw=[[0], [1]], C=[[1, 0], [0, 0]], D=[[0], [0.1]], Dw=[[0], [0]]
+        ... )
+        >>> worst = worst_norm(oscillator, Cy=[[0, 1]], K=[[-2.0]], d=0.1)
+        >>> f"{worst.found:.4f} is met, at most {worst.proved:.4f}"
+        '0.3099 is met, at most 0.3099'
+    """
+    gain = scaled_gain(plant, Cy, K, Dyw, through)
+    return worst_in(gain, box_of(gain, d, e), enough)
+
+
+def worst_in(gain: ScaledGain, box: Box, enough: float | None = None) -> WorstNorm:
+    """The worst norm over a box of factors; arguments as for `worst_norm`."""
+    heights = Heights(gain)
+    climb(heights, box)
+    proof = proof_near(heights, box)
+    if enough is not None and heights.highest < enough and (proof is None or proof.bound > enough):
+        proof = proof_at(heights, box, enough) or proof
+    found = norm_at(gain, heights.at)
+    return WorstNorm(found, *errors_of(gain, heights.at), proof.bound if proof is not None else np.inf, proof)

@@ -1,1 +1,0 @@
-"""What the designs of one vehicle file share, and what is made of one that is there."""

@@ -1,1 +1,0 @@
-"""Hard limits from energy: how far a signal goes for a disturbance of given energy, and designs that keep it within."""

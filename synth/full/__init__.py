@@ -1,1 +1,0 @@
-"""Full-order design: by Riccati equations, and by descent where they end far from what no controller beats; ways by name."""

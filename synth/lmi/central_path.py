@@ -1,0 +1,407 @@
+"""The central path of the design problem, followed to its limit: the one optimal solution that is unique.
+
+The optimum of (22) or (25) is attained on a whole face of pairs (X, Y): gamma is well defined, the gain is not, and an
+interior-point solver returns whichever point of the face its scaling and tolerance lead to. The limit of
+
+    maximise   eta / mu + log det X_Q + log det X_R + log det(-F(X_Q, X_R, Y_R, eta)),     mu -> 0,
+
+is unique, and depends on no solver and no choice of state coordinates, input units or time unit: changing them only adds
+constants to the logarithms. It is what the paper printed.
+
+It is followed by Newton's method (Boyd, Vandenberghe, Convex Optimization, chapter 11) with a predictor along its tangent in
+mu. Two changes of coordinates keep every number of order one. In the state coordinates T = [Q R], equation (12) reads
+X = diag(X_Q, X_R) and Y = [0 Y_R]; state feedback is the case of an empty Q and R = I. And at every stage the coordinates are
+moved to the current point, where X = I and, with the current gain absorbed in the plant, Y = 0.
+
+Of a discrete plant log det of the bordered matrix of `certificate.py` takes the place of the last two logarithms, for it holds X
+already: log det(-F) of the continuous limit, and log det X. So as the step falls this path becomes that of the continuous plant.
+"""
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy import linalg
+from scipy.linalg import lapack
+
+from models.common.arrays import Array
+from models.common.errors import InputError
+from models.common.threads import one_thread
+from synth.analysis.certificate import bounded_real_matrix
+from synth.lmi.barrier import Barrier, Derivatives, Factored, Raised, boundary, newton
+from synth.lmi.structured_barrier import Basis, Constraint, StructuredBarrier, direction, path_constraints, start_constraints
+from synth.lmi.unobservable import Unseen, unseen
+from synth.plant.generalized import GeneralizedPlant, check_posed, fed_back
+from synth.plant.numerics import DesignError, InfeasibleError, TooLargeError
+from synth.plant.units import reachable, size
+
+LIMIT = 1e-9
+"""Distance mu / eta at which the path counts as having arrived: gains are within 3e-6 of the limit for the paper's problem."""
+
+
+CENTRED = 1e-6  # Newton decrement at the points of the path: close enough for the duals that prove lower bounds
+RESTS = (1e-7, 1e-5, *(10.0**exponent for exponent in range(-3, 20)))  # mu over eta
+FIRST = 1.0  # the rest where the path is entered, far from any optimum
+FAR = 1e5  # condition of X from which the coordinates, in which it was I, no longer fit
+MOST_MOVES = 12  # to other coordinates off the path; a larger X grows without end, and there is no centre
+DENSE = 200  # unknowns; up to so many a dense basis is quicker, for it takes fewer calls
+MOST = 2000  # unknowns, 62 states with one input: half a minute for a path; time grows with the cube, memory with the square
+MOST_BORDERED = 600  # likewise of a discrete plant, whose matrices are larger and have no structure that is made use of
+LARGEST_Y = 10.0  # in the search for a feasible point
+INSIDE = 0.95  # of the way to the boundary, where a step along the path would leave
+BREAKS_OFF = (
+    "rounding ends it there, as it does where the optimum is reached only by an infinite gain; weigh the control force more, or "
+    "give other units"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class CentralPoint:
+    """A strictly feasible point on the central path.
+
+    Attributes:
+        X: shape (n, n), by (12).
+        K: gain Y_R X_R^-1, shape (m, q), by (13). It acts on the q coordinates that R spans.
+        eta: gamma^-2 of the point; the optimum lies above it, by at most (2 n + d) mu.
+        mu: the parameter of the path, relative to eta.
+        proof: an X that proves the bound where X itself does not, for what z does not see only follows the rest in it; else None.
+    """
+
+    X: Array
+    K: Array
+    eta: float
+    mu: float
+    proof: Array | None = None
+
+    @property
+    def gamma(self) -> float:
+        """The bound eta^-1/2 that this point proves, (23) and (26)."""
+        return self.eta**-0.5
+
+    def in_units(self, states: Array, inputs: Array, measured: Array) -> "CentralPoint":
+        """The point of the same plant in other units.
+
+        Args:
+            states: what this plant's unit of each state counts in the other, shape (n,).
+            inputs: likewise, shape (m,).
+            measured: likewise of what K acts on, shape (q,); or S, where that is S times what K acts on here, shape (q, q).
+        """
+        square = np.outer(states, states)
+        proof = None if self.proof is None else square * self.proof
+        K = inputs[:, None] * self.K
+        K = K / measured if measured.ndim == 1 else np.linalg.solve(measured.T, K.T).T
+        return replace(self, X=square * self.X, K=K, proof=proof)
+
+
+def central_path(plant: GeneralizedPlant, Q: Array, R: Array, mu: float = LIMIT) -> list[CentralPoint]:
+    """Points along the central path of (25), or of (22) with an empty Q and R = I. The last, at mu, is the design.
+
+    Args:
+        plant: n states, m inputs; continuous or discrete.
+        Q: shape (n, n - q).
+        R: shape (n, q); [Q R] is regular.
+        mu: where the path ends, relative to eta. The default is its limit; a larger one stays short of the optimum.
+
+    Returns:
+        Points with eta > 0, in the order of falling mu, each a tenth to a hundredth of the one before.
+
+    Raises:
+        InputError: nothing disturbs the plant, or nothing is weighed.
+        InfeasibleError: there is no feasible point with eta > 0.
+        TooLargeError: the problem has more than MOST unknowns.
+        DesignError: Newton's method broke down short of mu.
+    """
+    return list(along_path(plant, Q, R, mu))
+
+
+def along_path(plant: GeneralizedPlant, Q: Array, R: Array, mu: float = LIMIT) -> Iterator[CentralPoint]:
+    """The same points one by one, for those who can use the first where the last cannot be reached."""
+    if plant.dt is None:
+        yield from _in_differences(plant, Q, R, mu, 0.0)
+    else:
+        for point in _in_differences(plant.differences, Q, R, mu, plant.dt):
+            yield replace(point, X=plant.dt * point.X, proof=None if point.proof is None else plant.dt * point.proof)
+
+
+def _in_differences(plant: GeneralizedPlant, Q: Array, R: Array, mu: float, step: float) -> Iterator[CentralPoint]:
+    """The same of a plant in differences over a step; over a step of 0 of a continuous one."""
+    check_posed(plant)
+    if not len(plant.A):
+        raise DesignError("z sees no state that a gain does not keep out of it: every such gain is an optimum")
+    part = unseen(plant, Q, R, step)
+    if part is not None:  # X may grow there without bound: the path is that of the rest
+        for point in _in_differences(part.rest, part.Q, part.R, mu, step):
+            yield _put_back(part, point)
+        return
+    fits(unknowns(plant, Q.shape[1]), MOST_BORDERED if step else MOST, "the central path is followed")
+    with one_thread():
+        try:
+            path = _Path(plant, Q, R, step)
+            path.find_feasible_point()
+        except np.linalg.LinAlgError as error:
+            raise InfeasibleError(
+                f"the LMI problem has no feasible point that is one beyond rounding ({error}): at best a mode stays on the "
+                f"{_border(step)}; measure more signals, or give other units"
+            ) from error
+        try:
+            yield from path.follow(mu)
+        except np.linalg.LinAlgError as error:
+            raise DesignError(f"the central path could not be followed ({error}): {BREAKS_OFF}") from error
+
+
+def _border(step: float) -> str:
+    """Where modes lie that neither decay nor grow."""
+    return "unit circle" if step else "imaginary axis"
+
+
+def _put_back(part: Unseen, point: CentralPoint) -> CentralPoint:
+    """A point of the path of what z sees as one of the whole plant.
+
+    Raises:
+        DesignError: rounding leaves no X of the whole.
+    """
+    try:
+        proof = part.proof(point.K, point.X if point.proof is None else point.proof, point.eta)
+        return CentralPoint(part.followed(point.K, point.X, point.eta), part.gain(point.K), point.eta, point.mu, proof)
+    except (np.linalg.LinAlgError, ValueError) as error:  # scipy's word for what is not finite
+        raise DesignError(f"rounding leaves no X of the states that z does not see ({error}); give other units") from error
+
+
+def unknowns(plant: GeneralizedPlant, free: int = 0) -> int:
+    """How many entries X, Y and eta of (12) have: of (22), or of (25) with as many columns of Q."""
+    n, m = len(plant.A), plant.independent_inputs().shape[1]
+    q = n - free
+    return free * (free + 1) // 2 + q * (q + 1) // 2 + m * q + 1
+
+
+def fits(count: int, most: int, what: str) -> None:
+    """Raises a TooLargeError for more unknowns than `what` is done with."""
+    if count > most:
+        raise TooLargeError(f"the LMI problem has {count} unknowns, and {what} with at most {most}; take states out of the model")
+
+
+class _Path:
+    """A point that walks along the path. The only mutable thing in this package; it lives inside `central_path`."""
+
+    def __init__(self, plant: GeneralizedPlant, Q: Array, R: Array, step: float) -> None:
+        self.free = Q.shape[1]  # a = n - q
+        T = np.hstack([Q, R])
+        # Inputs that do nothing are left at zero, and those that do the same share it.
+        self.inputs = plant.independent_inputs()
+        plant = plant.with_inputs(self.inputs).in_coordinates(T)
+        # Only numerics from here on: states scaled by what the inputs can reach, and units in which A, B, Bw, C have size one.
+        scaling = reachable(plant, self.free)
+        plant = plant.in_coordinates(scaling)
+        # Without dynamics of its own a plant has the rate at which motion and force weigh alike in z.
+        self.rate = size(plant.A) if plant.A.any() else size(plant.B) * size(plant.C) / size(plant.D)
+        self.step = step * self.rate
+        self.input_unit = self.rate / size(plant.B)
+        self.disturbance_unit = self.rate / size(plant.Bw)
+        self.output_unit = 1 / size(plant.C)
+        (n, m), system = plant.B.shape, plant.system_matrix
+        system[:n] /= self.rate
+        system[n:] *= self.output_unit
+        system[:, n : n + m] *= self.input_unit
+        system[:, n + m :] *= self.disturbance_unit
+        self.basis = Basis(system, n, m, self.free, self.step)  # of the plant in the current coordinates
+        self.start = T @ scaling  # from the scaled coordinates of the beginning to the user's
+        self.block_start = scaling[self.free :, self.free :]
+        self.V = np.eye(len(T))  # from the current coordinates to those of the beginning
+        self.K = np.zeros((plant.B.shape[1], R.shape[1]))  # the gain absorbed so far, in those of the beginning
+        self.eta = 0.0
+
+    @property
+    def plant(self) -> GeneralizedPlant:
+        """The plant in the current coordinates."""
+        return self.basis.plant
+
+    def find_feasible_point(self) -> None:
+        """A strictly feasible point, or the proof that there is none.
+
+        Feasible points exist if and only if He(A X + B Y) < 0 has a solution of the structure (12): scaled down far enough, any
+        such pair satisfies (24) with some eta > 0. So: minimise s over He(A X + B Y) < s I, 0 < X < I, |Y| < LARGEST_Y, until
+        s < 0.
+        """
+        basis, n, m = self.basis, self.basis.n, self.basis.m
+        p = basis.pack(np.eye(n) / 2, np.zeros((m, n)), 0.0)
+        A = basis.system[:n, :n]
+        s = np.linalg.eigvalsh((A + A.T) / 2 + self.step / 2 * A @ A.T if self.step else (A + A.T) / 2)[-1]
+        mu = max(abs(s), 1e-3)
+        p[-1] = s + mu
+        barrier, here = self._start_barrier(), None
+        while True:
+            p, _, here = newton(barrier, p, direction(basis.size, 1 / mu), tolerance=0.3, here=here)
+            if p[-1] < 0:
+                break
+            mu /= 10
+            if mu < 1e-10:
+                # On the path s exceeds its infimum by no more than (number of rows) mu, so the infimum is 0 to rounding.
+                raise InfeasibleError(
+                    f"the LMI problem is infeasible: no X > 0 of the required structure makes A X + B Y + (A X + B Y)' negative "
+                    f"definite (smallest largest eigenvalue found: {p[-1]:.0e}, in units of |A||X|)"
+                    + (
+                        ". The measured signals may not suffice, or L does not fit the problem; measure more signals"
+                        if self.free
+                        else f": no gain from what is measured moves every mode off the {_border(self.step)} by more than "
+                        "rounding"
+                    )
+                )
+
+        p[-1] = 0.0
+        X, Y, _ = basis.unpack(p)
+        X, Y, largest = self._scaled(X, Y)
+        self.eta = 0.5 * largest
+        self._move_to(X, Y)
+
+    def _scaled(self, X: Array, Y: Array) -> tuple[Array, Array, float]:
+        """A pair with He(A X + B Y) < 0, scaled to fit (24), and the largest eta that it then allows."""
+        plant, n, k = self.plant, self.basis.n, len(self.basis.system)
+
+        def inner() -> Array:
+            """(24) without the border of a step, which is taken out by its Schur complement."""
+            F = bounded_real_matrix(plant, X, Y, 0.0, self.step)
+            return F[:k, :k] - F[:k, k:] @ np.linalg.solve(F[k:, k:], F[k:, :k]) if self.step else F
+
+        F = inner()
+        low = F[n:, :n]
+        if self.step:
+            needed = np.linalg.eigvalsh(F[n:, n:] + np.eye(k - n) - low @ np.linalg.solve(F[:n, :n], low.T))[-1]
+        else:
+            needed = linalg.eigh(low.T @ low, -F[:n, :n], eigvals_only=True)[-1]
+        shrink = 0.5 / max(needed, 1e-12)
+        X, Y = shrink * X, shrink * Y
+        F = inner()
+        disturbance = self.basis.system[:, n + self.basis.m :]
+        return X, Y, 1 / linalg.eigh(disturbance @ disturbance.T, -F, eigvals_only=True)[-1]
+
+    def follow(self, mu_end: float) -> Iterator[CentralPoint]:
+        """Walks along the path from the first rest to mu = mu_end eta; yields the points it rests at.
+
+        At a rest mu / eta is given, not mu: the point maximises log(eta) eta / mu in the place of eta / mu. So points are the
+        same in whatever units and from wherever the path is entered; some of them are designs, or where L (14) comes from.
+        """
+        rest, moves = max(FIRST, mu_end), 0
+        barrier, start, here = self._entered(rest)
+        if here is None:  # to rounding, in coordinates that were left far away
+            raise DesignError(f"the central path could not be entered: {BREAKS_OFF}")
+        while True:
+            p, decrement, here = newton(barrier, start, np.zeros(len(start)), CENTRED, self._far, here)
+            if decrement > 0.5 and moves < MOST_MOVES and self._far(p) and (moved := self._moved(p, rest)):
+                moves += 1
+                barrier, start, here = moved
+                continue  # from there, in its own coordinates
+            if decrement > 0.5:
+                raise DesignError(
+                    f"the central path could not be followed below mu = {rest:.1e} (Newton decrement {decrement:.1e}): "
+                    f"{BREAKS_OFF}"
+                )
+            X, Y, self.eta = self.basis.unpack(p)
+            yield self.point(X, Y, rest)
+            if rest <= mu_end:
+                return
+            following = float(next_rest(rest, mu_end))
+            # Along the tangent of the path in mu, but inside.
+            step = here.solve(here.half(direction(len(p), 1 / (rest * self.eta))))
+            step = min(1 - following / rest, INSIDE * boundary(here, step)) * step
+            moved = next(filter(None, (self._moved(p + part * step, following) for part in (1.0, 0.5, 0.1, 0.0))), None)
+            if moved is None:
+                raise DesignError(f"the central path could not be followed below mu = {rest:.1e}: {BREAKS_OFF}")
+            rest, (barrier, start, here) = following, moved
+
+    def _entered(self, rest: float) -> tuple[Raised, Array, Factored | None]:
+        """What is minimised for a rest, in the current coordinates; the current point, and the derivatives there if inside."""
+        barrier, n, m = Raised(self._barrier(), 1 / rest), self.basis.n, self.basis.m
+        start = self.basis.pack(np.eye(n), np.zeros((m, n)), self.eta)
+        return barrier, start, barrier.at(start)
+
+    def _moved(self, p: Array, rest: float) -> tuple[Raised, Array, Factored] | None:
+        """The same after a move to a point; none is made where rounding puts that outside the feasible set in its coordinates."""
+        before = self.V, self.K, self.basis, self.eta
+        X, Y, self.eta = self.basis.unpack(p)
+        with contextlib.suppress(np.linalg.LinAlgError, InputError):  # or where numbers leave all range
+            self._move_to(X, Y)
+            barrier, start, here = self._entered(rest)
+            if here is not None:
+                return barrier, start, here
+        self.V, self.K, self.basis, self.eta = before
+        return None
+
+    def _far(self, p: Array) -> bool:
+        """Whether X has become so different from I that other coordinates are needed."""
+        sizes = lapack.dsyevd(self.basis.unpack(p)[0], compute_v=0)[0]  # pyright: ignore[reportAttributeAccessIssue]
+        return bool(sizes[-1] > FAR * sizes[0])
+
+    def _barrier(self) -> Derivatives:
+        """The barrier of (24) and X > 0."""
+        basis, n = self.basis, self.basis.n
+        if self.step:
+            return Barrier([(-basis.F0, -basis.F)])
+        if basis.size > DENSE:
+            return self._structured(path_constraints(self.plant))
+        return Barrier([(-basis.F0, -basis.F), (np.zeros((n, n)), basis.X)])
+
+    def _start_barrier(self) -> Derivatives:
+        """The barrier of the search for a feasible point, in which the last unknown is s."""
+        basis, n, m = self.basis, self.basis.n, self.basis.m
+        if basis.size > DENSE and not self.step:
+            return self._structured(start_constraints(self.plant, LARGEST_Y))
+        inside = np.r_[:n, len(basis.system) : len(basis.F0)]  # all but z
+        lyapunov = np.ascontiguousarray(basis.F[:, inside[:, None], inside])
+        lyapunov[-1] = 0.0
+        lyapunov[-1, :n, :n] = -np.eye(n)
+        box = np.zeros((basis.size, m + n, m + n))
+        box[:, :m, m:], box[:, m:, :m] = basis.Y, basis.Y.transpose(0, 2, 1)
+        return Barrier(
+            [
+                (np.zeros((len(inside), len(inside))), -lyapunov),
+                (np.zeros((n, n)), basis.X),
+                (np.eye(n), -basis.X),
+                (LARGEST_Y * np.eye(m + n), box),
+            ]
+        )
+
+    def _structured(self, constraints: list[Constraint]) -> StructuredBarrier:
+        return StructuredBarrier(constraints, self.basis.n, self.basis.m, self.free)
+
+    def point(self, X: Array, Y: Array, rest: float) -> CentralPoint:
+        """A pair of the current coordinates, at a rest, as a point in the user's coordinates and units."""
+        T = self.start @ self.V
+        return CentralPoint(
+            X=T @ X @ T.T * (self.rate * self.output_unit**2),  # the units follow from (21)
+            K=self.inputs @ self._gain(X, Y) @ np.linalg.inv(self.block_start) * self.input_unit,
+            eta=self.eta * (self.disturbance_unit * self.output_unit) ** 2,
+            mu=rest,
+        )
+
+    def _move_to(self, X: Array, Y: Array) -> None:
+        """Changes the coordinates so that X becomes I and Y becomes 0."""
+        a, n, m = self.free, self.basis.n, self.basis.m
+        S = np.zeros_like(X)
+        S[:a, :a], S[a:, a:] = np.linalg.cholesky(X[:a, :a]), np.linalg.cholesky(X[a:, a:])
+        # A gain that cancels much of A would leave what rounding did.
+        system = self.basis.system.copy()
+        system[:, :n] = fed_back(system[:, :n], system[:, n : n + m], Y @ np.linalg.inv(X))[0] @ S
+        system[:n] = lapack.dtrtri(S, lower=1)[0] @ system[:n]  # pyright: ignore[reportAttributeAccessIssue]
+        if not np.isfinite(system).all():
+            raise np.linalg.LinAlgError("numbers leave all range")
+        self.K, self.V = self._gain(X, Y), self.V @ S
+        self.basis = Basis(system, n, m, a, self.step)
+
+    def _gain(self, X: Array, Y: Array) -> Array:
+        """Y_R X_R^-1 with all the gain absorbed before, in the coordinates of the beginning."""
+        a = self.free
+        return self.K + Y[:, a:] @ np.linalg.inv(X[a:, a:]) @ np.linalg.inv(self.V[a:, a:])
+
+
+def next_rest(mu: Any, mu_end: float) -> Any:
+    """Where the path rests next, mu over eta: hundredfold steps where it is nearly straight, the same rests for every plant.
+
+    Args:
+        mu: relative to eta; one, or an array of them.
+        mu_end: where the path ends, likewise.
+    """
+    rests = np.array([mu_end, *(rest for rest in RESTS if rest > mu_end)])
+    below = np.maximum(np.searchsorted(rests, 0.5 * mu) - 1, 0)
+    return np.minimum(rests[below], 0.5 * mu)

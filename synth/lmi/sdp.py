@@ -1,0 +1,356 @@
+"""LMI problems as they read, solved by Clarabel through cvxpy: the paper's, with hard limits, in a band, and for several plants.
+
+An independent route to every bound: the designs come from the central path (`central_path.py`), which needs no solver.
+
+What it proposes in a band is proved by `synth/analysis/band_norm.py`, or is no witness. The lemma is exact for a loop that is
+given: a bound just above the norm has one. (For a design the same LMI with a slack variable is far too loose: it has 5.4 where
+1.9 is attained.)
+
+For several plants i, with one W and one Y for all and an X_i of its own,
+
+    [ -f He(W)     X_i - W + f (A_i W + B_i Y)'            f (C_i W + D_i Y)'                      ]
+    [ *            He(A_i W + B_i Y) + eta Bw_i Bw_i'      (C_i W + D_i Y)' + eta Bw_i Dw_i'       ]
+    [ *            *                                       -I + eta Dw_i Dw_i'                     ]  < 0,      X_i > 0.
+
+Multiplied from the left by [A_i + B_i G, I, 0; C_i + D_i G, 0, I], G = Y W^-1, and from the right by its transpose, it is (20)
+with X_i: so each X_i proves the bound eta^-1/2 of its own loop. The gain is Y W^-1, and no X is in it: a common X would have to
+fit all plants, and here only W has to.
+
+W = Q W_Q + R W_R R' with any W_Q and any regular W_R, and Y = Y_R R', take the place of (12): C_y Q = 0 and C_y R = I give
+C_y W = W_R R', hence Y W^-1 = K C_y with K = Y_R W_R^-1 (13). With W_R block-diagonal and Y_R zero in places K is zero in them.
+
+With hard limits no peak of some signals goes beyond a bound for a disturbance of given energy. The X of (21) satisfies
+He(A X + B Y) + eta Bw Bw' < 0, so that X / eta lies above the P of `synth/analysis/energy_to_peak.py`, and a signal
+s = (C_s + D_s G) x, in units of its limit, is within 1 for every w of energy 1 if (C_s + D_s G) X (C_s + D_s G)' <= eta: that is
+
+    [ eta     C_s X + D_s Y ]
+    [ *       X             ]  >= 0,
+
+affine in X, Y and eta (Scherer, Gahinet, Chilali 1997). So (12) and both steps are the paper's own. X is one for norm and peaks,
+which is a price: a gain attains less in peaks than its X says.
+"""
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy import linalg
+
+from models.common.arrays import Array
+from synth.analysis.band_norm import BandProof, norm_in_band, prove_in_band
+from synth.analysis.stability import balance, is_stable
+from synth.plant.generalized import Feedback, GeneralizedPlant, check_continuous
+from synth.plant.numerics import DesignError, InfeasibleError, numerics
+from synth.plant.units import reachable, size
+
+
+@dataclass(frozen=True, eq=False)
+class LmiSolution:
+    """What the solver returned: one point of the optimal face, up to its tolerance.
+
+    Attributes:
+        X: shape (n, n).
+        Y: shape (m, n).
+        eta: gamma^-2.
+        status: the solver's own word, "optimal" or "optimal_inaccurate".
+    """
+
+    X: Array
+    Y: Array
+    eta: float
+    status: str
+
+    @property
+    def gamma(self) -> float:
+        """The bound eta^-1/2, (23)."""
+        return self.eta**-0.5
+
+
+def solve_lmi(plant: GeneralizedPlant, Q: Array, R: Array, gain: Array | None = None) -> LmiSolution:
+    """Solves (25): maximise eta subject to (24) with X = Q X_Q Q' + R X_R R', Y = Y_R R' (12), X_Q > 0, X_R > 0.
+
+    With an empty Q and R = I it is (22); if the plant is a closed loop whose B is zero, it is (27). Of a discrete plant it is the
+    bordered matrix of `certificate.py` that is to be negative.
+
+    Args:
+        plant: n states, m inputs.
+        Q: shape (n, n - q).
+        R: shape (n, q).
+        gain: K, shape (m, q): then Y_R = K X_R, and the optimum is the best bound that (25) has for that gain.
+
+    Raises:
+        InfeasibleError: the solver says so, or answers "optimal" with an eta that is zero to its tolerance.
+        DesignError: the solver gave up.
+    """
+    import cvxpy as cp  # 0.9 s, and only this function needs it
+
+    step, plant = plant.dt, plant.differences
+    m = plant.B.shape[1]
+    d = len(plant.C)
+    X_R = cp.Variable((R.shape[1], R.shape[1]), symmetric=True)
+    Y_R = cp.Variable((m, R.shape[1])) if gain is None else gain @ X_R
+    eta = cp.Variable()
+    X, positive = R @ X_R @ R.T, [X_R >> 0]
+    if Q.shape[1]:
+        X_Q = cp.Variable((Q.shape[1], Q.shape[1]), symmetric=True)
+        X, positive = X + Q @ X_Q @ Q.T, [*positive, X_Q >> 0]
+    Y = Y_R @ R.T
+
+    top = plant.A @ X + plant.B @ Y
+    low = plant.C @ X + plant.D @ Y
+    disturbance = np.vstack([plant.Bw, plant.Dw])
+    F = cp.bmat([[top + top.T, low.T], [low, -np.eye(d)]]) + eta * (disturbance @ disturbance.T)
+    if step is not None:
+        border = step**0.5 * cp.vstack([top, low])
+        F = cp.bmat([[F, border], [border.T, -X]])
+    problem = cp.Problem(cp.Maximize(eta), [F << 0, *positive])
+    answered(problem)
+    X_value, Y_value, eta_value = np.asarray(X.value), np.asarray(Y.value), float(eta.value)  # pyright: ignore[reportArgumentType]
+    # Against the X that comes with it, what Clarabel's tolerance of 1e-8 cannot tell from zero is zero.
+    if eta_value <= 1e-8 * np.linalg.norm(X_value, 2):
+        raise InfeasibleError(
+            f"the LMI problem has no solution with eta > 0: Clarabel reports {problem.status!r} with eta = {eta_value:.1e}"
+        )
+    per_step = 1.0 if step is None else step  # (21) in differences has X over it
+    return LmiSolution(per_step * X_value, per_step * Y_value, eta_value, problem.status)
+
+
+def answered(problem: Any, **settings: float) -> None:
+    """Has Clarabel solve a `cvxpy.Problem`; its unknowns have values then, and what they are worth the caller finds out.
+
+    Args:
+        problem: with an objective.
+        settings: Clarabel's own, where its usual ones do not do.
+
+    Raises:
+        InfeasibleError: the solver says so.
+        DesignError: the solver gave up.
+    """
+    import cvxpy as cp
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # "may be inaccurate": the status says so too, and callers look at the values
+            problem.solve(solver=cp.CLARABEL, **settings)
+    except cp.SolverError as error:
+        raise DesignError(f"Clarabel gave up on the LMI problem: {error}; rescale the plant or use the central path") from error
+    if problem.status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE):
+        raise InfeasibleError(f"the LMI problem has no solution with eta > 0: Clarabel reports {problem.status!r}")
+
+
+EVERYWHERE = 1e-9  # of the disturbance's power: what is taken to disturb states that w does not reach
+MARGINS = (1e-5, 1e-4, 1e-3, 1e-2, 0.1)  # how far above the norm the bound lies, the first that the solver's P and Q prove
+
+
+@numerics()
+def band_witness(plant: GeneralizedPlant, G: Array | Feedback, low: float, high: float) -> BandProof:
+    """P and Q that prove a bound just above the norm of the loop A + B G, C + D G within a band. They say nothing of stability.
+
+    Args:
+        plant: continuous, n states, m inputs.
+        G: shape (m, n), or a gain from measurements.
+        low: w1, from 0 [rad/s].
+        high: w2, above low [rad/s]; may be infinite.
+
+    Raises:
+        InputError: the plant is discrete, or the band is none.
+        DesignError: a pole lies on the band's stretch of the axis, or nothing that the solver proposed proves a bound.
+    """
+    check_continuous(plant)
+    loop = plant.closed_loop(G)
+    norm = norm_in_band(loop, low, high)
+    if not 0 < norm.value < np.inf:
+        raise DesignError(f"there is no bound to prove: the norm within the band is {norm.value:g}; choose another band")
+    said = ""
+    for margin in MARGINS:
+        try:
+            P, Q = _proposed(loop, norm.value * (1 + margin), low, high)
+        except DesignError as error:
+            said = said or str(error)
+            continue
+        proof = prove_in_band(plant, G, P, Q, norm.value * (1 + margin), low, high)
+        if proof.holds:
+            return proof
+        said = f"its P and Q miss by rounding: {proof.negative.smallest:.1e} and {proof.positive.smallest:.1e} are too small"
+    raise DesignError(f"no bound up to {1 + MARGINS[-1]:g} times the norm {norm.value:.7g} within the band has a witness: {said}")
+
+
+def _proposed(loop: GeneralizedPlant, gamma: float, low: float, high: float) -> tuple[Array, Array]:
+    """P and Q with as much to spare as there is, in coordinates and units in which all numbers have size one."""
+    import cvxpy as cp  # 0.9 s, and only this function needs it
+
+    (n, r), rate = loop.Bw.shape, high if np.isfinite(high) else max(low, size(loop.A))
+    T = _coordinates(loop)
+    own = loop.in_coordinates(T)
+    into = rate / size(own.Bw)
+    w1, w2 = low / rate, high / rate
+
+    P, Q, spare = cp.Variable((n, n), hermitian=True), cp.Variable((n, n), hermitian=True), cp.Variable()
+    if np.isfinite(high):
+        multiplier = cp.bmat([[-Q, P + 0.5j * (w1 + w2) * Q], [P - 0.5j * (w1 + w2) * Q, -w1 * w2 * Q]])
+    else:
+        multiplier = cp.bmat([[Q, P], [P, -(w1**2) * Q]])
+    F = np.block([[own.A / rate, own.Bw * into / rate], [np.eye(n), np.zeros((n, r))]])
+    z = np.hstack([own.C / (gamma * into), own.Dw / gamma])
+    M = F.T @ multiplier @ F + z.T @ z - np.diag([0.0] * n + [1.0] * r)
+    answered(cp.Problem(cp.Maximize(spare), [M << -spare * np.eye(n + r), Q >> spare * np.eye(n), spare <= 1]))
+    back, unit = np.linalg.inv(T), (gamma * into) ** 2
+    P, Q = (back.T @ np.asarray(matrix.value) @ back for matrix in (P, Q))
+    return unit / rate * P, unit / rate**2 * Q
+
+
+def _coordinates(loop: GeneralizedPlant) -> Array:
+    """Coordinates in which w disturbs all states alike, shape (n, n): white noise, or of an unstable loop what decays faster."""
+    if not is_stable(loop.A):
+        return reachable(replace(loop, B=loop.Bw, D=loop.Dw), 0)
+    A, scale = balance(loop.A)
+    Bw = loop.Bw / scale[:, None]
+    noise = Bw @ Bw.T + EVERYWHERE * float(np.sum(Bw**2)) * np.eye(len(A))
+    covariance = linalg.solve_continuous_lyapunov(A, -noise)
+    return scale[:, None] * np.linalg.cholesky((covariance + covariance.T) / 2)
+
+
+REGULARIZED = 1e-6  # of Clarabel's linear systems; its own 1e-8 is too little for a full car, and where limits are hardly met
+NOTHING = 1e-8  # of the size of X: an eta below that is zero to Clarabel's tolerance
+
+
+@dataclass(frozen=True, eq=False)
+class SlackSolution:
+    """What the solver returned.
+
+    Attributes:
+        W: the slack variable, shape (n, n), regular.
+        K: Y_R W_R^-1, shape (m, q).
+        eta: gamma^-2.
+    """
+
+    W: Array
+    K: Array
+    eta: float
+
+
+def first_step(plants: Sequence[GeneralizedPlant], f: float, Cy: Array, blocks: Array) -> SlackSolution:
+    """State feedback: maximises eta subject to the LMIs of all plants, W and Y free. Its K is one from all states, shape (m, n).
+
+    With blocks in W_R the second step can have this W only if C_y W C_y', which W_R then is, has them: this is asked for here.
+
+    Args:
+        plants: continuous, alike in states and inputs.
+        f: above 0 [s].
+        Cy: what the second step measures, shape (q, n).
+        blocks: which measurements a block of W_R joins, see `together`, shape (q, q).
+
+    Raises:
+        InfeasibleError: the solver says so, or its eta is zero to its tolerance.
+        DesignError: the solver gave up.
+    """
+    import cvxpy as cp  # 0.9 s, and only this function and the next need it
+
+    n, m = plants[0].B.shape
+    W, Y = cp.Variable((n, n)), cp.Variable((m, n))
+    apart = np.nonzero(blocks == 0)
+    eta = _solved(plants, f, W, Y, [(Cy @ W @ Cy.T)[apart] == 0] if len(apart[0]) else [])
+    return SlackSolution(np.asarray(W.value), _ratio(Y, W), eta)
+
+
+def second_step(plants: Sequence[GeneralizedPlant], f: float, Q: Array, R: Array, pattern: Array) -> SlackSolution:
+    """Output feedback: the same with W = Q W_Q + R W_R R' and Y = Y_R R'.
+
+    Args:
+        plants: continuous, alike in states and inputs.
+        f: above 0 [s].
+        Q: shape (n, n - q).
+        R: shape (n, q); [Q R] is regular.
+        pattern: where K may be other than zero, of bools, shape (m, q).
+
+    Raises:
+        InfeasibleError, DesignError: as `first_step`.
+    """
+    import cvxpy as cp
+
+    (n, m), q = plants[0].B.shape, R.shape[1]
+    blocks, used = together(pattern), pattern.astype(float)
+    W_R, Y_R = cp.multiply(blocks, cp.Variable((q, q))), cp.multiply(used, cp.Variable((m, q)))
+    W, Y = R @ W_R @ R.T, Y_R @ R.T
+    if Q.shape[1]:
+        W = W + Q @ cp.Variable((Q.shape[1], n))
+    eta = _solved(plants, f, W, Y, [])
+    return SlackSolution(np.asarray(W.value), used * _ratio(Y_R, W_R), eta)
+
+
+def _ratio(Y: Any, W: Any) -> Array:
+    """Y W^-1 of cvxpy's expressions."""
+    return np.linalg.solve(np.asarray(W.value).T, np.asarray(Y.value).T).T
+
+
+def together(pattern: Array) -> Array:
+    """Which measurements one block of W_R may join: those that the same inputs use. Ones and zeros, shape (q, q)."""
+    return np.all(pattern[:, :, None] == pattern[:, None, :], axis=0).astype(float)
+
+
+def _solved(plants: Sequence[GeneralizedPlant], f: float, W: Any, Y: Any, constraints: list[Any]) -> float:
+    """The largest eta for which all LMIs hold, of cvxpy's expressions W and Y."""
+    import cvxpy as cp
+
+    eta, X = cp.Variable(), [cp.Variable(W.shape, symmetric=True) for _ in plants]
+    for plant, X_i in zip(plants, X, strict=True):
+        top = plant.A @ W + plant.B @ Y
+        low = plant.C @ W + plant.D @ Y
+        disturbance = np.vstack([np.zeros_like(plant.Bw), plant.Bw, plant.Dw])
+        F = cp.bmat(
+            [
+                [-f * (W + W.T), X_i - W + f * top.T, f * low.T],
+                [X_i - W.T + f * top, top + top.T, low.T],
+                [f * low, low, -np.eye(len(plant.C))],
+            ]
+        )
+        constraints += [F + eta * (disturbance @ disturbance.T) << 0, X_i >> 0]
+    answered(cp.Problem(cp.Maximize(eta), constraints), static_regularization_constant=REGULARIZED)
+    size = max(float(np.linalg.norm(X_i.value, 2)) for X_i in X)  # pyright: ignore[reportArgumentType, reportCallIssue]
+    found = float(eta.value)  # pyright: ignore[reportArgumentType]
+    if found <= NOTHING * size:
+        raise InfeasibleError(f"the LMI problem with a slack variable has no solution with eta > 0: Clarabel's is {found:.1e}")
+    return found
+
+
+def solve_limited(plant: GeneralizedPlant, Q: Array, R: Array, Cs: Array, Ds: Array) -> LmiSolution:
+    """Maximises eta subject to (24) with (12), and to the limits; with an empty Q and R = I it is (22).
+
+    Args:
+        plant: continuous, n states, m inputs.
+        Q: shape (n, n - q).
+        R: shape (n, q).
+        Cs: signals in units of their limits, shape (p, n).
+        Ds: what the inputs do at once to them, shape (p, m).
+
+    Raises:
+        InfeasibleError: the solver says so, or its eta is zero to its tolerance.
+        DesignError: the solver gave up.
+    """
+    import cvxpy as cp  # 0.9 s, and only this function needs it
+
+    m, d = plant.B.shape[1], len(plant.C)
+    X_R, Y_R, eta = cp.Variable((R.shape[1], R.shape[1]), symmetric=True), cp.Variable((m, R.shape[1])), cp.Variable()
+    X, constraints = R @ X_R @ R.T, list[Any]([X_R >> 0])
+    if Q.shape[1]:
+        X_Q = cp.Variable((Q.shape[1], Q.shape[1]), symmetric=True)
+        X = X + Q @ X_Q @ Q.T
+        constraints.append(X_Q >> 0)
+    Y = Y_R @ R.T
+
+    top = plant.A @ X + plant.B @ Y
+    low = plant.C @ X + plant.D @ Y
+    disturbance = np.vstack([plant.Bw, plant.Dw])
+    F = cp.bmat([[top + top.T, low.T], [low, -np.eye(d)]]) + eta * (disturbance @ disturbance.T)
+    constraints.append(F << 0)
+    for c, through in zip(Cs, Ds, strict=True):
+        row = c[None] @ X + through[None] @ Y
+        constraints.append(cp.bmat([[cp.reshape(eta, (1, 1), order="C"), row], [row.T, X]]) >> 0)
+    problem = cp.Problem(cp.Maximize(eta), constraints)
+    answered(problem, static_regularization_constant=REGULARIZED)
+    X_value, Y_value, found = np.asarray(X.value), np.asarray(Y.value), float(eta.value)  # pyright: ignore[reportArgumentType]
+    if found <= NOTHING * np.linalg.norm(X_value, 2):
+        raise InfeasibleError(f"the LMI problem with limits has no solution with eta > 0: Clarabel's is {found:.1e}")
+    return LmiSolution(X_value, Y_value, found, problem.status)

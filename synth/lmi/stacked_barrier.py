@@ -1,0 +1,110 @@
+"""The barrier of `barrier.py` where one X is to satisfy (20) of many loops, all of one shape.
+
+    S_v = -((20) of loop v) + t I > 0,    X > 0
+
+with the unknowns X (symmetric) and t. With L = -[A; C], R = [I; 0] and P = S^-1 the second derivative of -log det S along unit
+matrices e_p e_q' and e_s e_t' in the place of X is 2 (g[t, p] g[q, s] + r[t, p] a[q, s]), where g = R' P L, r = L' P L and
+a = R' P R, as in `structured_barrier.py`. Summed over the loops that is one product of matrices, n^4 operations for each of them.
+"""
+
+# pyright: reportAttributeAccessIssue=false
+# scipy.linalg.lapack is made by f2py and carries no stubs.
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import lapack
+
+from models.common.arrays import Array
+from synth.lmi.barrier import Factored
+from synth.lmi.structured_barrier import SHIFTS
+
+
+class StackedBarrier:
+    """The constraints on X and t.
+
+    Args:
+        constant: (20) of V loops with X = 0, shape (V, n + d, n + d).
+        system: [A; C] of each, shape (V, n + d, n).
+    """
+
+    def __init__(self, constant: Array, system: Array) -> None:
+        n = system.shape[2]
+        self.shape = system.shape
+        self.constant, self.system = constant, system
+        self.rows, self.columns = np.triu_indices(n)
+        self.weight = np.where(self.rows == self.columns, 0.5, 1.0)  # those on the diagonal would count twice
+        self.upper = self.rows * n + self.columns
+
+    def matrix(self, p: Array) -> Array:
+        """X of the unknowns, shape (n, n)."""
+        n = self.shape[2]
+        X = np.zeros((n, n))
+        X[self.rows, self.columns] = X[self.columns, self.rows] = p[:-1]
+        return X
+
+    def unknowns(self, X: Array) -> Array:
+        """The unknowns of X, in their order."""
+        return X[self.rows, self.columns]
+
+    def change(self, X: Array, t: float) -> Array:
+        """What X and t add to S of every loop, shape (V, n + d, n + d)."""
+        V, k, n = self.shape
+        S, left = np.tile(t * np.eye(k), (V, 1, 1)), self.system @ X
+        S[:, :, :n] -= left
+        S[:, :n, :] -= left.swapaxes(1, 2)
+        return S
+
+    def at(self, p: Array) -> "StackedLocal | None":
+        """The derivatives at a point, or None outside the feasible set."""
+        n, X = self.shape[2], self.matrix(p)
+        try:
+            inverse = np.linalg.inv(np.linalg.cholesky(self.change(X, p[-1]) - self.constant))
+            alone = np.linalg.inv(np.linalg.cholesky(X))
+        except np.linalg.LinAlgError:
+            return None
+        P, of_x = inverse.swapaxes(1, 2) @ inverse, alone.T @ alone
+        PL = -P @ self.system
+        g, r, a = PL[:, :n], -self.system.swapaxes(1, 2) @ PL, P[:, :n, :n]
+        trace = np.append(self._both(2 * g.sum(axis=0) + of_x), np.einsum("vii->", P))
+        # X > 0 is a loop with L = R = I / 2^(1/2), but for t.
+        one, two = (np.concatenate([*pair, of_x[None] / 2**0.5]).reshape(-1, n * n) for pair in ((g, r), (g, a)))
+        hessian = np.empty((len(p), len(p)))
+        hessian[:-1, :-1] = self._folded((one.T @ two).reshape(n, n, n, n))
+        hessian[:-1, -1] = hessian[-1, :-1] = self._both(2 * (P[:, :n] @ PL).sum(axis=0))
+        hessian[-1, -1] = np.vdot(P, P)
+        scale = 1 / np.sqrt(np.diagonal(hessian))
+        hessian *= scale[:, None] * scale
+        for shift in (0.0, *SHIFTS):
+            np.fill_diagonal(hessian, 1 + shift)
+            triangle, failed = lapack.dpotrf(hessian, lower=0, clean=0)
+            if not failed:
+                return StackedLocal(trace, scale, triangle, self, inverse, alone)
+        return None
+
+    def _both(self, Z: Array) -> Array:
+        """<Z, X> of every unknown of X."""
+        return self.weight * (Z[self.rows, self.columns] + Z[self.columns, self.rows])
+
+    def _folded(self, M: Array) -> Array:
+        """The second derivatives along the unknowns of X, from half of those along e_p e_q' and e_s e_t', by t, p, q and s."""
+        n = len(M)
+        both = M + M.swapaxes(1, 2)  # p and q
+        both += both.transpose(3, 1, 2, 0)  # s and t
+        along = both.transpose(1, 2, 3, 0).reshape(n * n, n * n)
+        return 2 * self.weight[:, None] * self.weight * along[np.ix_(self.upper, self.upper)]
+
+
+@dataclass(frozen=True, eq=False)
+class StackedLocal(Factored):
+    """Derivatives at a point; the inverse Cholesky factors of every S, shape (V, n + d, n + d), and of X, shape (n, n)."""
+
+    barrier: StackedBarrier
+    inverse: Array
+    alone: Array
+
+    def rates(self, step: Array) -> Array:
+        """As `Factored.rates`."""
+        X = self.barrier.matrix(step)
+        of_loops = np.linalg.eigvalsh(self.inverse @ self.barrier.change(X, step[-1]) @ self.inverse.swapaxes(1, 2))
+        return np.concatenate([of_loops.ravel(), np.linalg.eigvalsh(self.alone @ X @ self.alone.T)])

@@ -1,0 +1,384 @@
+"""The barrier of `barrier.py` where the unknowns are entries of matrices: n^4 operations where a dense basis takes n^6.
+
+Every constraint of the central path has the form
+
+    S = S0 + L [X; Y] R' + R [X; Y]' L' + p_N W > 0
+
+with the unknowns X (symmetric, block diagonal), Y and p_N. With P = S^-1 the second derivative of -log det S along unit matrices
+e_p e_q' and e_s e_t' in the place of [X; Y] is 2 (g[t, p] g[q, s] + r[p, s] a[q, t]), where g = R' P L, r = L' P L, a = R' P R:
+products of entries of three small matrices.
+
+Where S is nearly singular these sums would lose what its other directions add to them. So the part of P that belongs to the
+smallest eigenvalues of S is left out of the sums, and joins their Cholesky factor as rows, by Householder's reflections: no digit
+is lost that the QR of all rows in `barrier.py` would keep.
+"""
+
+import functools
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.linalg import lapack
+
+from models.common.arrays import Array
+from synth.lmi.barrier import Factored
+from synth.plant.generalized import GeneralizedPlant
+
+
+class Basis:
+    """The N unknowns p = (X_Q, X_R, Y_R, eta), and the matrices they multiply, in coordinates where (12) is block diagonal.
+
+    Of one plant, or of many of the same shape side by side along leading axes (...).
+
+    Args:
+        system: [A B Bw; C D Dw], shape (..., k, n + m + r).
+        n, m, free: number of states, of inputs, and of columns of Q.
+        step: of a plant in differences; 0 of a continuous one.
+
+    Attributes:
+        places: where the unknowns but the last stand in [X; Y], those of X above its diagonal: rows and columns, shapes (N - 1,).
+        size: N.
+    """
+
+    def __init__(self, system: Array, n: int, m: int, free: int, step: float = 0.0) -> None:
+        self.system, self.n, self.m, self.free, self.step = system, n, m, free, step
+        self.places = places(n, m, free)
+        self.size = len(self.places[0]) + 1
+        k = system.shape[-2]
+        bordered = k + n if step else k
+        self.F0 = np.zeros((bordered, bordered))
+        self.F0[n:k, n:k] = -np.eye(k - n)
+
+    @classmethod
+    def of(cls, plant: GeneralizedPlant, free: int, step: float = 0.0) -> "Basis":
+        """The unknowns of one plant."""
+        n, m = plant.B.shape
+        return cls(plant.system_matrix, n, m, free, step)
+
+    @property
+    def plant(self) -> GeneralizedPlant:
+        """The plant, of one."""
+        n, m = self.n, self.n + self.m
+        top, low = self.system[:n], self.system[n:]
+        return GeneralizedPlant(top[:, :n], top[:, n:m], top[:, m:], low[:, :n], low[:, n:m], low[:, m:])
+
+    @property
+    def X(self) -> Array:
+        """What each unknown multiplies in X, shape (N, n, n)."""
+        return _units(self.n, self.m, self.free)[0]
+
+    @property
+    def Y(self) -> Array:
+        """What each unknown multiplies in Y, shape (N, m, n)."""
+        return _units(self.n, self.m, self.free)[1]
+
+    @functools.cached_property
+    def F(self) -> Array:
+        """The matrix (24) is F0 + sum_i p_i F_i, with F0 of shape (k, k) and F of (..., N, k, k); k + n with a step, see (21)."""
+        n, m, k = self.n, self.m, self.system.shape[-2]
+        # [A B; C D] [X; Y] for every unknown: the left columns of (24), and its upper rows.
+        left = self.system[..., None, :, : n + m] @ np.concatenate([self.X, self.Y], axis=1)
+        F = np.zeros((*self.system.shape[:-2], self.size, *self.F0.shape))
+        F[..., :k, :n] = left
+        F[..., :n, :k] += left.swapaxes(-1, -2)
+        disturbance = self.system[..., n + m :]
+        F[..., -1, :k, :k] = disturbance @ disturbance.swapaxes(-1, -2)
+        if self.step:
+            F[..., :k, k:] = self.step**0.5 * left
+            F[..., k:, :k] = self.step**0.5 * left.swapaxes(-1, -2)
+            F[..., k:, k:] = -self.X
+        return F
+
+    def pack(self, X: Array, Y: Array, last: float) -> Array:
+        """The unknowns of X, Y and the last."""
+        return np.append(np.concatenate([X, Y])[self.places], last)
+
+    def unpack(self, p: Array) -> tuple[Array, Array, Any]:
+        """X, Y and the last of the unknowns, of p of shape (..., N)."""
+        rows, columns = self.places
+        unknown = np.zeros((*p.shape[:-1], self.n + self.m, self.n))
+        unknown[..., rows, columns] = p[..., :-1]
+        of_x = rows < self.n
+        unknown[..., columns[of_x], rows[of_x]] = p[..., :-1][..., of_x]
+        return unknown[..., : self.n, :], unknown[..., self.n :, :], p.T[-1]
+
+
+@functools.cache
+def places(n: int, m: int, free: int) -> tuple[Array, Array]:
+    """Where the unknowns but the last stand in [X; Y]: those of X_Q and X_R above the diagonal, then those of Y_R, by rows."""
+    rows, columns = np.triu_indices(n)
+    inside = (rows >= free) | (columns < free)  # no unknown couples the two blocks
+    index, q = np.arange(m * (n - free)), max(n - free, 1)
+    places = np.concatenate([rows[inside], n + index // q]), np.concatenate([columns[inside], free + index % q])
+    for each in places:
+        each.flags.writeable = False  # all paths of this size share them
+    return places
+
+
+@functools.cache
+def _units(n: int, m: int, free: int) -> tuple[Array, Array]:
+    """What each unknown multiplies in X and in Y."""
+    rows, columns = places(n, m, free)
+    units, index = np.zeros((len(rows) + 1, n + m, n)), np.arange(len(rows))
+    units[index, rows, columns] = 1
+    of_x = rows < n
+    units[index[of_x], columns[of_x], rows[of_x]] = 1
+    X, Y = np.ascontiguousarray(units[:, :n]), np.ascontiguousarray(units[:, n:])
+    for each in (X, Y):
+        each.flags.writeable = False  # all paths of this size share them
+    return X, Y
+
+
+def direction(size: int, value: float) -> Array:
+    """Of so many unknowns the last one, eta, times a value, shape (size,)."""
+    c = np.zeros(size)
+    c[-1] = value
+    return c
+
+
+# pyright: reportAttributeAccessIssue=false
+# scipy.linalg.lapack is made by f2py and carries no stubs.
+
+
+NEARLY_SINGULAR = 1e-7  # eigenvalues of S, relative to its largest: smaller ones square to what Cholesky's method would lose
+SHIFTS = (1e-14, 1e-12, 1e-10, 1e-8, 1e-6)  # of the diagonal, relative: the first with which the sums have a Cholesky factor
+PANEL = 32  # columns that are reflected together
+
+
+@dataclass(frozen=True, eq=False)
+class Constraint:
+    """S = S0 + L [X; Y] R' + R [X; Y]' L' + p_N W > 0.
+
+    Attributes:
+        S0: shape (k, k).
+        left: L, shape (k, n + m).
+        right: R, shape (k, n).
+        last: W, shape (k, k).
+        plain: whether it is X > 0 or X < I: then S is X, or its distance from I.
+    """
+
+    S0: Array
+    left: Array
+    right: Array
+    last: Array
+    plain: bool = False
+
+
+def path_constraints(plant: GeneralizedPlant) -> list[Constraint]:
+    """-F(X, Y, eta) > 0 (24) and X > 0; p_N is eta."""
+    n, m = plant.B.shape
+    d = len(plant.C)
+    disturbance = np.vstack([plant.Bw, plant.Dw])
+    bound = Constraint(
+        S0=np.diag([0.0] * n + [1.0] * d),
+        left=-plant.system_matrix[:, : n + m],
+        right=np.eye(n + d, n),
+        last=-disturbance @ disturbance.T,
+    )
+    return [bound, _definite(n, m, 1.0)]
+
+
+def start_constraints(plant: GeneralizedPlant, largest: float) -> list[Constraint]:
+    """A X + B Y + (..)' < p_N I, 0 < X < I and |Y| < largest."""
+    n, m = plant.B.shape
+    lyapunov = Constraint(np.zeros((n, n)), -plant.system_matrix[:n, : n + m], np.eye(n), np.eye(n))
+    box = Constraint(largest * np.eye(m + n), np.eye(m + n, n + m, k=n), np.eye(m + n, n, k=-m), np.zeros((m + n, m + n)))
+    return [lyapunov, _definite(n, m, 1.0), _definite(n, m, -1.0), box]
+
+
+def _definite(n: int, m: int, sign: float) -> Constraint:
+    """X > 0, or X < I."""
+    S0 = np.zeros((n, n)) if sign > 0 else np.eye(n)
+    return Constraint(S0, 0.5 * sign * np.eye(n, n + m), np.eye(n), np.zeros((n, n)), plain=True)
+
+
+@dataclass(frozen=True, eq=False)
+class _Run:
+    """Unknowns in the same row of [X; Y].
+
+    Attributes:
+        row: which one.
+        others: in which columns they stand.
+        begin, end: which of the unknowns they are.
+        upper, lower: where the unknowns of X from the first of these on stand, and where their mirror images do, in a flat square
+            matrix of rows and columns `row` to n.
+    """
+
+    row: int
+    others: slice
+    begin: int
+    end: int
+    upper: Array
+    lower: Array
+
+
+@functools.cache
+def _runs(n: int, m: int, free: int) -> list[_Run]:
+    """Unknowns that stand in the same row of [X; Y], run by run, in the order in which they are counted."""
+    rows, columns = places(n, m, free)
+    of_x = int(np.sum(rows < n))
+    first = np.flatnonzero(np.diff(rows, prepend=-1)).tolist()
+    runs = []
+    for begin, end in itertools.pairwise([*first, len(rows)]):
+        row, left = int(rows[begin]), n - int(rows[begin])
+        s, t = rows[begin:of_x] - row, columns[begin:of_x] - row
+        others = slice(int(columns[begin]), int(columns[end - 1]) + 1)
+        runs.append(_Run(row, others, begin, end, s * left + t, t * left + s))
+    return runs
+
+
+class StructuredBarrier:
+    """Constraints on the unknowns of (22) or (25).
+
+    Args:
+        constraints: all of the same n and m.
+        n, m, free: number of states, of inputs, and of columns of Q.
+    """
+
+    def __init__(self, constraints: Sequence[Constraint], n: int, m: int, free: int) -> None:
+        self.constraints, self.shape, self.free = constraints, (n + m, n), free
+        self.rows, self.columns = rows, columns = places(n, m, free)
+        self.twice = rows < n  # of X: they stand below the diagonal, too
+        self.mirrored = np.where(self.twice, rows, 0), np.where(self.twice, columns, 0)
+        self.weight = np.where(rows == columns, 0.5, 1.0)  # those on the diagonal would count twice
+        self.runs = _runs(n, m, free)
+
+    def at(self, p: Array) -> "StructuredLocal | None":
+        """The derivatives at a point, or None outside the feasible set."""
+        N = len(p)
+        unknown = self.matrix(p)
+        trace = np.zeros(N)
+        heavy, bases, light = [], [], []
+        for part in self.constraints:
+            half = part.left @ unknown @ part.right.T
+            factor, outside = lapack.dpotrf(part.S0 + half + half.T + p[-1] * part.last, lower=1, clean=1)
+            if outside:
+                return None
+            inverse, singular = lapack.dtrtri(factor, lower=1)
+            if singular:
+                return None
+            # S^-1 = U U', the columns of U in order of falling size: from the factor the large ones keep their digits.
+            _, sizes, directions = np.linalg.svd(inverse)
+            U = directions.T * sizes
+            bases.append(U)
+            trace[:-1] += self._both(2 * ((U.T @ part.left).T @ (U.T @ part.right)))
+            trace[-1] += np.sum(U * (part.last @ U))
+            count = int(np.sum(sizes**-2 < NEARLY_SINGULAR * sizes[-1] ** -2))
+            if count:
+                heavy.append(self._rows(part, U, count))
+            light.append(U[:, count:] @ U[:, count:].T)
+        hessian = self._hessian(light)
+        diagonal = np.diagonal(hessian).copy()
+        scale = 1 / np.sqrt(np.maximum(diagonal, 1e-16 * (diagonal + sum(np.einsum("ij,ij->j", rows, rows) for rows in heavy))))
+        hessian *= scale
+        hessian *= scale[:, None]
+        for shift in SHIFTS:
+            hessian[np.arange(N), np.arange(N)] = diagonal * scale**2 + shift
+            # LAPACK counts by columns, and takes the upper triangle by rows as a lower one: nothing is laid out anew.
+            lower, failed = lapack.dpotrf(hessian.T, lower=1, clean=0)
+            if not failed:
+                break
+        else:
+            return None
+        triangle = lower.T
+        for rows in heavy:
+            triangle = lapack.dtpqrt(0, min(PANEL, N), triangle, np.asfortranarray(rows * scale), overwrite_a=1, overwrite_b=1)[0]
+        return StructuredLocal(trace, scale, triangle, self, bases)
+
+    def matrix(self, p: Array) -> Array:
+        """[X; Y] of the unknowns, shape (n + m, n)."""
+        unknown = np.zeros(self.shape)
+        unknown[self.rows, self.columns] = p[:-1]
+        unknown[self.columns[self.twice], self.rows[self.twice]] = p[:-1][self.twice]
+        return unknown
+
+    def _both(self, Z: Array) -> Array:
+        """<Z, [X; Y]> of every unknown but the last."""
+        rows, columns = self.mirrored
+        return self.weight * (Z[self.rows, self.columns] + self.twice * Z[columns, rows])
+
+    def _rows(self, part: Constraint, U: Array, count: int) -> Array:
+        """The rows of `barrier.Barrier.at` that belong to the first columns of U, and any other, shape (.., N)."""
+        seen, moved = U.T @ part.left, U.T @ part.right
+        rows, columns = self.mirrored
+        left, right = seen[:, self.rows] * self.weight, moved[:, self.columns]
+        left_mirrored, right_mirrored = seen[:, columns] * (self.weight * self.twice), moved[:, rows]
+        last = U[:, :count].T @ part.last @ U
+        found = []
+        for i in range(count):
+            each = np.empty((len(U) - i, len(self.rows) + 1))
+            each[:, :-1] = left[i] * right[i:] + right[i] * left[i:]
+            each[:, :-1] += left_mirrored[i] * right_mirrored[i:] + right_mirrored[i] * left_mirrored[i:]
+            each[:, -1] = last[i, i:]
+            each[1:] *= np.sqrt(2.0)
+            found.append(each)
+        return np.concatenate(found)
+
+    def _hessian(self, light: Sequence[Array]) -> Array:
+        """The second derivatives that belong to these parts P of every S^-1, upper triangle, shape (N, N).
+
+        With Y' beside X, and nothing in R for it, S is the same function of one symmetric matrix. Its second derivative along
+        e_p e_q' + e_q e_p' and e_s e_t' + e_t e_s' is the module's formula summed over both places of both, and is an entry of a
+        product of thin matrices, 2 (U V' + V U')[s, t], where U depends on q alone and V on p: four columns of each for every
+        constraint, and one for X > 0 and X < I, for which the four are alike.
+        """
+        (rows, n), N, of_x = self.shape, len(self.rows) + 1, int(self.twice.sum())
+        hessian = np.zeros((N, N))
+        within_x: list[tuple[Array, Array]] = []  # factors U and V by q or p, s or t, and column
+        with_y: list[tuple[Array, Array]] = []
+        for part, P in zip(self.constraints, light, strict=True):
+            PL, PR = P @ part.left, P @ part.right
+            if np.any(part.last):
+                PW = P @ part.last
+                hessian[:-1, -1] += self._both(2 * (part.left.T @ PW @ PR))
+                hessian[-1, -1] += np.sum(PW * PW.T)
+            if part.plain:
+                within_x.append((P[..., None], P[..., None]))
+                continue
+            g, a, r = np.zeros((rows, rows)), np.zeros((rows, rows)), part.left.T @ PL
+            g[:n], a[:n, :n] = part.right.T @ PL, part.right.T @ PR
+            U, V = np.stack([g, a, g.T, r], axis=-1), np.stack([g.T, r, g, a], axis=-1)
+            with_y.append((U, V))
+            if np.any(part.left[:, :n]):
+                within_x.append((U[:n, :n], V[:n, :n]))
+
+        U, V = (np.concatenate(factors, axis=-1) for factors in zip(*within_x, strict=True))
+        Uy, Vy = (np.concatenate(factors, axis=-1) for factors in zip(*with_y, strict=True))
+        x = slice(self.free, n)  # what Y multiplies
+        for run in self.runs:
+            p, q, block = run.row, run.others, hessian[run.begin : run.end]
+            if p < n:
+                product = _products(U[q, p:], V[p, p:]).reshape(len(block), -1)
+                np.add(product.take(run.upper, axis=1), product.take(run.lower, axis=1), out=block[:, run.begin : of_x])
+            y = slice(max(p, n), rows)
+            product = _products(Uy[q, y], Vy[p, x]) + _products(Uy[q, x], Vy[p, y]).swapaxes(1, 2)
+            block[:, max(run.begin, of_x) : -1] = product.reshape(len(block), -1)
+        inner, once = hessian[:-1, :-1], np.flatnonzero(self.weight < 1)
+        inner *= 2
+        inner[once] *= 0.5
+        inner[:, once] *= 0.5
+        return hessian
+
+
+def _products(U: Array, V: Array) -> Array:
+    """U V' for every q, shape (q, s, t), of U by q, s and column, and V by t and column."""
+    return (U.reshape(-1, U.shape[-1]) @ V.T).reshape(*U.shape[:2], len(V))
+
+
+@dataclass(frozen=True, eq=False)
+class StructuredLocal(Factored):
+    """Derivatives at a point; S^-1 = U U' of every constraint, shapes (k, k)."""
+
+    barrier: StructuredBarrier
+    bases: list[Array]
+
+    def rates(self, step: Array) -> Array:
+        """As `Factored.rates`."""
+        unknown = self.barrier.matrix(step)
+        changes = []
+        for part, U in zip(self.barrier.constraints, self.bases, strict=True):
+            half = (U.T @ part.left) @ unknown @ (part.right.T @ U)
+            changes.append(half + half.T + step[-1] * (U.T @ part.last @ U))
+        return np.concatenate([np.linalg.eigvalsh(change) for change in changes])

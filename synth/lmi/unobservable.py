@@ -1,0 +1,204 @@
+"""States that z does not see, and that decay by themselves: they are left out of the LMI problems, and put back afterwards.
+
+Where some gain F keeps a set of states out of z, (C + D F) x = 0 from there on, and they decay meanwhile, X of (22) and (25) may
+grow without bound in them at no price: the problem has no central path, and gains on them mean nothing. So they are left out. The
+problem of the other states is the same as that of a plant which never had them: it has the same optimum, its gain is the gain,
+and the states left out get F, which is zero where z weighs the force by itself.
+
+In (25) X and Y are bound to (12), and those sets count that are, in the coordinates of [Q R], made of a part in Q, on which F is
+zero, and a part in R.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from models.common.arrays import Array
+from synth.analysis.certificate import bounded_real_matrix
+from synth.analysis.stability import balance
+from synth.plant.generalized import GeneralizedPlant
+from synth.plant.units import own_units
+
+RANK = 1e-9  # relative; a direction that is smaller counts as none
+ROUNDING = 1e-15  # relative; what a few turns leave of zero
+UNDRIVEN = 1e-6  # of the other states' spread: what a state that nothing drives is given
+
+
+@dataclass(frozen=True, eq=False)
+class Unseen:
+    """A plant without the states that z does not see, and the way back.
+
+    Attributes:
+        rest: the plant of the k states that are kept.
+        Q: of the rest, shape (k, a').
+        R: likewise, shape (k, q').
+        Z: coordinates of the whole plant, the kept states first, shape (n, n).
+        whole: the plant in them, with F in the loop.
+        narrow: from the coordinates that R spans to those that the rest's R does, shape (q', q).
+        F: the gain on the former, shape (m, q).
+        step: of a plant in differences; 0 of a continuous one.
+    """
+
+    rest: GeneralizedPlant
+    Q: Array
+    R: Array
+    Z: Array
+    whole: GeneralizedPlant
+    narrow: Array
+    F: Array
+    step: float = 0.0
+
+    def gain(self, K: Array) -> Array:
+        """The gain of the whole plant from one of the rest, shape (m, q)."""
+        return K @ self.narrow + self.F
+
+    def followed(self, K: Array, X: Array, eta: float) -> Array:
+        """An X of the rest as one of the whole plant, shape (n, n): what is left out follows what is kept.
+
+        It is the covariance of the closed loop under white noise that gives the kept states X, and drives the others as w does.
+        """
+        loop, k = self._loop(K), len(X)
+        A, follows, A2 = loop.A[:k, :k], loop.A[k:, :k], loop.A[k:, k:]
+        Bw, Bw2 = loop.Bw[:k], loop.Bw[k:]
+        X12 = linalg.solve_sylvester(A, A2.T, -(X @ follows.T + eta * Bw @ Bw2.T)) if k else np.zeros((0, len(A2)))
+        X22 = linalg.solve_continuous_lyapunov(A2, -(follows @ X12 + X12.T @ follows.T + eta * Bw2 @ Bw2.T))
+        decay = linalg.solve_continuous_lyapunov(A2, -np.eye(len(A2)))
+        spread = float(np.trace(X) + np.trace(X22)) / len(loop.A) or 1.0
+        X22 += UNDRIVEN * spread * len(A2) / np.trace(decay) * decay
+        return self.Z @ np.block([[X, X12], [X12.T, (X22 + X22.T) / 2]]) @ self.Z.T
+
+    def proof(self, K: Array, X: Array, eta: float) -> Array:
+        """An X of the whole plant that proves the same bound, from one of the rest: large enough in what is left out."""
+        loop, k = self._loop(K), len(X)
+        inside = np.linalg.inv(self.Z)
+        whole = inside @ self.followed(K, X, eta) @ inside.T
+        M = bounded_real_matrix(loop, whole, np.zeros_like(loop.B.T), eta)
+        n = len(loop.A)
+        kept = np.r_[0:k, n : len(M)]
+        missing = M[k:n, k:n] - M[k:n][:, kept] @ np.linalg.solve(M[np.ix_(kept, kept)], M[kept][:, k:n])
+        needed = max(float(np.linalg.eigvalsh((missing + missing.T) / 2)[-1]), 0.0) + np.trace(whole[k:, k:]) * RANK
+        whole[k:, k:] += 2 * needed * linalg.solve_continuous_lyapunov(loop.A[k:, k:], -np.eye(n - k))
+        return self.Z @ whole @ self.Z.T
+
+    def _loop(self, K: Array) -> GeneralizedPlant:
+        """The closed loop in the coordinates of Z; a continuous one, of which X says the same."""
+        from synth.plant.discrete import from_differences
+
+        gain = np.hstack([K @ self.R.T, np.zeros((len(K), len(self.whole.A) - len(self.rest.A)))])
+        return from_differences(self.whole.closed_loop(gain), self.step)
+
+
+def unseen(plant: GeneralizedPlant, Q: Array, R: Array, step: float = 0.0) -> Unseen | None:
+    """What z need not see of a plant, without changing (12); None where it is nothing.
+
+    Args:
+        plant: n states, m inputs.
+        Q: shape (n, n - q).
+        R: shape (n, q); [Q R] is regular.
+        step: of a plant in differences; 0 of a continuous one.
+    """
+    a = Q.shape[1]
+    T = np.hstack([Q, R])
+    lengths = np.linalg.norm(T / balance(plant.A)[1][:, None], axis=0)  # ranks are decided in balanced coordinates
+    moved = plant.in_coordinates(T / lengths)
+    for F in nulling(moved):
+        V = hidden(moved, F, step)[0]
+        in_q, in_r = _structured(moved, F, V, a)
+        out_q, out_r = _complement(in_q[:a]), _complement(in_r[a:])
+        k, left = out_q.shape[1], in_q.shape[1] + in_r.shape[1]
+        if not left:
+            continue
+        # What is kept is orthogonal to the rest where no unit is left, so that what follows it is the same in any.
+        own = T / lengths / own_units(plant).exact[0][:, None]
+        kept_q, kept_r = _turned(out_q, own[:, :a]), _turned(out_r, own[:, a:])
+        Z = np.hstack([np.asarray(linalg.block_diag(kept_q, kept_r)), in_q, in_r])
+        F_r = F @ in_r @ in_r.T
+        whole = moved.closed_loop(F_r).in_coordinates(Z)
+        n = len(whole.A) - left
+        # What is left of an A that turning has made zero would pass for a rate of the plant.
+        turned = np.linalg.norm(moved.A) + np.linalg.norm(moved.B) * np.linalg.norm(F_r)
+        A = np.where(np.abs(whole.A[:n, :n]) > ROUNDING * turned, whole.A[:n, :n], 0.0)
+        rest = GeneralizedPlant(A, whole.B[:n], whole.Bw[:n], whole.C[:, :n], whole.D, whole.Dw)
+        kept = np.eye(n)
+        narrow, F_k = out_r.T * lengths[a:], F_r[:, a:] * lengths[a:]
+        return Unseen(rest, kept[:, :k], kept[:, k:], T / lengths @ Z, whole, narrow, F_k, step)
+    return None
+
+
+def nulling(plant: GeneralizedPlant) -> Iterator[Array]:
+    """Gains that may keep states out of z: none, and the only other one where every force is weighed, -D^+ C."""
+    yield np.zeros_like(plant.B.T)
+    W = plant.independent_inputs()
+    D = plant.D @ W
+    if D.shape[1] and np.any(D) and np.linalg.matrix_rank(D, RANK * np.linalg.norm(D)) == D.shape[1]:
+        F = -W @ np.linalg.pinv(D) @ plant.C
+        if np.linalg.norm(plant.D @ F) > RANK * np.linalg.norm(plant.C):
+            yield F
+
+
+def hidden(plant: GeneralizedPlant, F: Array, step: float = 0.0) -> tuple[Array, Array]:
+    """Bases of the states that (C + D F) never shows under u = F x: of those that decay, and of all, each orthonormal, (n, k)."""
+    n = len(plant.A)
+    loop = plant.closed_loop(F) if F.any() else plant
+    terms = np.linalg.norm(plant.C, axis=1) + np.linalg.norm(plant.D, axis=1) * np.linalg.norm(F)
+    lengths = np.linalg.norm(loop.C, axis=1)
+    counts = lengths > RANK * terms
+    rows, size = loop.C[counts] / lengths[counts, None], float(np.linalg.norm(loop.A))
+    seen = np.zeros((0, n))
+    while len(rows) and len(seen) < n:
+        _, sizes, directions = np.linalg.svd(np.vstack([seen, rows]))
+        seen = directions[: int(np.sum(sizes > RANK))]
+        rows = seen @ loop.A
+        rows = rows - rows @ seen.T @ seen
+        lengths = np.linalg.norm(rows, axis=1)
+        rows = rows[lengths > RANK * size] / size
+    V = _complement(seen.T)
+    if not V.shape[1]:
+        return V, V
+    slow = RANK * size  # to rounding such a mode does not decay
+
+    def decays(real: float, imaginary: float) -> bool:  # |1 + step s| < 1
+        return real + step * (real**2 + imaginary**2) / 2 < -slow
+
+    _, vectors, count = linalg.schur(V.T @ loop.A @ V, sort=decays)  # pyright: ignore[reportAssignmentType]
+    return V @ vectors[:, :count], V
+
+
+def _structured(plant: GeneralizedPlant, F: Array, V: Array, a: int) -> tuple[Array, Array]:
+    """The largest part of V that A + B F keeps, a sum of one in the first `a` coordinates, where F is 0, and another."""
+    loop, size = plant.closed_loop(F) if F.any() else plant, float(np.linalg.norm(plant.A)) or 1.0
+    in_q, in_r = V @ _null(V[a:]), V @ _null(V[:a])
+    in_q = in_q @ _null(F @ in_q / (np.linalg.norm(F) or 1.0))
+    while True:
+        both = np.hstack([in_q, in_r])
+        less_q, less_r = (part @ _null((loop.A @ part - both @ (both.T @ loop.A @ part)) / size) for part in (in_q, in_r))
+        if less_q.shape == in_q.shape and less_r.shape == in_r.shape:
+            return in_q, in_r
+        in_q, in_r = less_q, less_r
+
+
+def _null(M: Array) -> Array:
+    """An orthonormal basis of what M takes to less than RANK, shape (columns, k)."""
+    _, sizes, directions = np.linalg.svd(M)
+    return directions[int(np.sum(sizes > RANK)) :].T
+
+
+def _turned(out: Array, own: Array) -> Array:
+    """What is orthogonal, in coordinates T x, to all that `out` is orthogonal to; a dual basis of `out`, shape (n, k).
+
+    Args:
+        out: orthonormal, shape (n, k).
+        own: T, shape (N, n).
+    """
+    if not out.shape[1]:
+        return out
+    _, low = np.linalg.qr(own)
+    across = np.linalg.solve(low, np.linalg.solve(low.T, out))
+    return across @ np.linalg.inv(out.T @ across)
+
+
+def _complement(V: Array) -> Array:
+    """An orthonormal basis of what is orthogonal to the orthonormal columns of V, shape (n, n - k)."""
+    return np.linalg.svd(V.T)[2][V.shape[1] :].T

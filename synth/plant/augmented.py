@@ -1,0 +1,220 @@
+"""What becomes part of a plant: filters of what is asked for, of what disturbs and of actuators, and the states of a law.
+
+The law's states x_c become integrators with inputs of their own (El Ghaoui, Oustry, AitRami 1997): x_c' = v, and
+
+    [u; v] = [D_c, C_c; B_c, A_c] [C_y x; x_c].
+
+Of a discrete plant the law is discrete, too, x_c[k+1] = v[k], and all else is the same.
+
+What of the disturbance is measured goes through the law at once, and is part of how w enters the larger plant.
+
+A design knows weights as numbers only. A weight that depends on frequency is a filter whose states join the plant's: in series
+with an output it weighs that, in series with a disturbance it shapes its spectrum, in series with an input it is the actuator.
+
+    System            x' = A x + B v, e = C x + D v, whatever v and e are
+    transfer_function one of a ratio of polynomials in s
+    series, append    one after the other, one beside the other
+    generalized       a system from [w; u] to [z; y] as a plant and what it measures
+    with_weights      a plant between the filter of its w and that of its z
+
+(Zhou, Doyle, Glover 1996, Robust and Optimal Control, section 3.6.)
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError
+from models.laws.linear import LinearLaw
+from synth.plant.generalized import Feedback, GeneralizedPlant, real_matrix
+
+
+def on_larger_plant(
+    plant: GeneralizedPlant, Cy: Array, law: LinearLaw, Dyw: Array | None = None
+) -> tuple[GeneralizedPlant, Feedback]:
+    """The plant with a law's states, and the law as a static gain on it: both are as they were for a static law without noise.
+
+    Args:
+        plant: n states, m inputs, r disturbances.
+        Cy: shape (q, n).
+        law: continuous as the plant, or discrete, k states, on y = C_y x + Dyw w.
+        Dyw: shape (q, r); zero where it is not given.
+
+    Returns:
+        The plant, of n + k states and m + k inputs, and the gain, from q + k measurements.
+    """
+    k, (n, m) = law.states, plant.B.shape
+    noisy = Dyw is not None and np.any(Dyw)
+    if not k and not noisy:
+        return plant, Feedback(law.D, Cy)
+    if Dyw is not None and noisy:
+        Bw, kept, Dw = plant.Bw + plant.B @ law.D @ Dyw, law.B @ Dyw, plant.Dw + plant.D @ law.D @ Dyw
+    else:
+        Bw, kept, Dw = plant.Bw, np.zeros((k, plant.Bw.shape[1])), plant.Dw
+    larger = GeneralizedPlant(
+        A=np.block([[plant.A, np.zeros((n, k))], [np.zeros((k, n + k))]]),
+        B=np.block([[plant.B, np.zeros((n, k))], [np.zeros((k, m)), np.eye(k)]]),
+        Bw=np.vstack([Bw, kept]),
+        C=np.hstack([plant.C, np.zeros((len(plant.C), k))]),
+        D=np.hstack([plant.D, np.zeros((len(plant.D), k))]),
+        Dw=Dw,
+        dt=plant.dt,
+    )
+    rows = np.block([[Cy, np.zeros((len(Cy), k))], [np.zeros((k, n)), np.eye(k)]])
+    return larger, Feedback(np.block([[law.D, law.C], [law.B, law.A]]), rows)
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """A linear system x' = A x + B v, e = C x + D v.
+
+    Attributes:
+        A: shape (n, n); n may be 0.
+        B: shape (n, k).
+        C: shape (p, n).
+        D: shape (p, k).
+
+    Raises:
+        InputError: a matrix is not one of real finite numbers, or does not fit the others.
+    """
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+
+    def __post_init__(self) -> None:
+        for name in ("A", "B", "C", "D"):
+            object.__setattr__(self, name, real_matrix(getattr(self, name), name, "of a system"))
+        (n, (p, k)) = len(self.A), self.D.shape
+        for name, expected in (("A", (n, n)), ("B", (n, k)), ("C", (p, n))):
+            found = getattr(self, name).shape
+            if found != expected:
+                raise InputError(f"{name} has shape {found}; expected {expected}, as A has {n} rows and D is {p} by {k}")
+
+    def __getitem__(self, part: tuple[Sequence[int] | slice, Sequence[int] | slice]) -> "System":
+        """The system from some inputs to some outputs: system[outputs, inputs], by index."""
+        rows, columns = part
+        return System(self.A, self.B[:, columns], self.C[rows], self.D[rows][:, columns])
+
+
+def gain(D: object) -> System:
+    """A system without states, e = D v.
+
+    Args:
+        D: shape (p, k); a number counts as one by one.
+    """
+    matrix = np.atleast_2d(np.asarray(D, dtype=float))
+    return System(np.zeros((0, 0)), np.zeros((0, matrix.shape[1])), np.zeros((len(matrix), 0)), matrix)
+
+
+def transfer_function(numerator: Sequence[float], denominator: Sequence[float]) -> System:
+    """A filter of one signal, of a ratio of polynomials in s.
+
+    Args:
+        numerator: coefficients, of the highest power of s first.
+        denominator: likewise; of at least the numerator's degree.
+
+    Raises:
+        InputError: they are no numbers, the denominator is zero, or its degree is too low.
+    """
+    above, below = (
+        np.trim_zeros(real_matrix([list(part)], "a polynomial", "(1, k)")[0], "f") for part in (numerator, denominator)
+    )
+    if not len(below):
+        raise InputError("the denominator of a filter is zero; give its coefficients, of the highest power of s first")
+    if len(above) > len(below):
+        raise InputError(
+            f"a filter's numerator has degree {len(above) - 1} and its denominator {len(below) - 1}: it would differentiate; "
+            "give it a denominator of no lower degree"
+        )
+    if len(below) == 1:
+        return gain(above[0] / below[0] if len(above) else 0.0)
+    from scipy.signal import tf2ss  # half a second
+
+    return System(*(np.asarray(part) for part in tf2ss(above if len(above) else [0.0], below)))
+
+
+def series(first: System, second: System) -> System:
+    """The second system fed by the first: e = second(first(v)).
+
+    Raises:
+        InputError: the first has not as many outputs as the second has inputs.
+    """
+    if len(first.D) != second.D.shape[1]:
+        raise InputError(f"a system of {len(first.D)} outputs feeds one of {second.D.shape[1]} inputs; give as many")
+    n, k = len(first.A), len(second.A)
+    return System(
+        A=np.block([[first.A, np.zeros((n, k))], [second.B @ first.C, second.A]]),
+        B=np.vstack([first.B, second.B @ first.D]),
+        C=np.hstack([second.D @ first.C, second.C]),
+        D=second.D @ first.D,
+    )
+
+
+def append(*systems: System) -> System:
+    """Systems beside each other: the inputs of all, and the outputs of all, in their order."""
+    A, B, C, D = ([getattr(system, name) for system in systems] for name in "ABCD")
+    return System(*(_diagonal(parts) for parts in (A, B, C, D)))
+
+
+def generalized(system: System, disturbances: int, controlled: int) -> tuple[GeneralizedPlant, Array, Array]:
+    """A system from [w; u] to [z; y] as a plant with C_y (q, n) and Dyw (q, r): y = C_y x + Dyw w.
+
+    Args:
+        system: n states.
+        disturbances: r, how many of its inputs are w; they come first.
+        controlled: d, how many of its outputs are z; they come first.
+
+    Raises:
+        InputError: u goes straight through to y.
+    """
+    r, d = disturbances, controlled
+    if np.any(system.D[d:, r:]):
+        raise InputError(
+            "u goes straight through to y; give the actuator a lag, or measure what the force does not change at once"
+        )
+    plant = GeneralizedPlant(system.A, system.B[:, r:], system.B[:, :r], system.C[:d], system.D[:d, r:], system.D[:d, :r])
+    return plant, system.C[d:], system.D[d:, :r]
+
+
+def with_weights(plant: GeneralizedPlant, outputs: System, disturbances: System) -> GeneralizedPlant:
+    """The plant whose z goes through one system, and whose w comes out of another.
+
+    Its states come first, then those of z, then those of w: what it measures the whole measures with columns of zeros.
+
+    Args:
+        plant: n states, r disturbances, d outputs.
+        outputs: of d inputs.
+        disturbances: of r outputs.
+    """
+    z, w = outputs, disturbances
+    n, k, j = len(plant.A), len(z.A), len(w.A)
+    through = plant.Dw @ w.C
+    return GeneralizedPlant(
+        A=np.block(
+            [
+                [plant.A, np.zeros((n, k)), plant.Bw @ w.C],
+                [z.B @ plant.C, z.A, z.B @ through],
+                [np.zeros((j, n + k)), w.A],
+            ]
+        ),
+        B=np.vstack([plant.B, z.B @ plant.D, np.zeros((j, plant.B.shape[1]))]),
+        Bw=np.vstack([plant.Bw @ w.D, z.B @ plant.Dw @ w.D, w.B]),
+        C=np.hstack([z.D @ plant.C, z.C, z.D @ through]),
+        D=z.D @ plant.D,
+        Dw=z.D @ plant.Dw @ w.D,
+        weights=k + j,
+    )
+
+
+def _diagonal(parts: Sequence[Array]) -> Array:
+    """Blocks on the diagonal; blocks without rows or columns count with the others they have."""
+    whole = np.zeros((sum(len(part) for part in parts), sum(part.shape[1] for part in parts)))
+    i = j = 0
+    for part in parts:
+        whole[i : i + len(part), j : j + part.shape[1]] = part
+        i, j = i + len(part), j + part.shape[1]
+    return whole

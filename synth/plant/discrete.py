@@ -1,0 +1,214 @@
+"""Discrete plants: one whose inputs are held, one as a continuous plant with the same norms, and what one answers at a frequency.
+
+Tustin's map s = (2 / dt) (z - 1) / (z + 1) takes the unit circle to the imaginary axis and its inside to the left half plane. So
+a loop is stable, and its norm is some gamma, where that of the mapped plant is; and the X of the bounded-real LMI (20) is that of
+the discrete one, but for a factor dt. What is measured then contains what is done and what disturbs, y = C_y x + Dyw w + Dyu u:
+the gain is the same gain, of a loop that is solved for at once.
+
+A pole at z = -1 has no place on the imaginary axis. Where the plant has one, a gain that moves it is closed first, and what is
+mapped is the plant under that gain: every gain K of the plant is K - K0 of the other.
+
+A discrete loop's answer Dw + C (z - A)^-1 Bw is computed with twice the digits. The point is given by t = tan(omega dt / 2), a
+float: z = (1 + j t) / (1 - j t) lies on the circle exactly, and no digit of a sine is in the answer. With both sides times 1 - j
+t it is ((I - A) + j t (I + A)) x = (1 - j t) Bw; beyond t = 1 by j t instead.
+"""
+
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import linalg
+
+from models.common.arrays import Array
+from models.common.errors import InputError
+from synth.plant.double_double import added, multiplied, product
+from synth.plant.generalized import GeneralizedPlant
+
+
+def held_inputs(A: Array, h: float, exponential: Callable[[Array], Array], *inputs: Array) -> list[Array]:
+    """Phi and one Gamma per input matrix: the step of x' = A x + sum B_i u_i with every u_i held."""
+    n = len(A)
+    columns = np.cumsum([n, *(B.shape[1] for B in inputs)])
+    augmented = np.zeros((columns[-1], columns[-1]))
+    augmented[:n] = np.hstack([A, *inputs])
+    step = exponential(augmented * h)
+    return [step[:n, :n], *(step[:n, a:b] for a, b in itertools.pairwise(columns))]
+
+
+LOST = 1e-6  # relative; how near to singular A + I, balanced, may be: as many digits are lost at most
+MOVES = 20  # gains that are tried where A has a pole next to -1
+SEED = 20261122
+
+
+@dataclass(frozen=True, eq=False)
+class Mapped:
+    """A continuous plant for a discrete one.
+
+    Attributes:
+        plant: n states, m inputs, r disturbances.
+        Cy: shape (q, n).
+        Dyw: shape (q, r).
+        Dyu: shape (q, m), of y = C_y x + Dyw w + Dyu u.
+        before: K0, shape (m, q): the gain K of the discrete plant is K - K0 here.
+    """
+
+    plant: GeneralizedPlant
+    Cy: Array
+    Dyw: Array
+    Dyu: Array
+    before: Array
+
+
+def mapped(plant: GeneralizedPlant, Cy: Array, Dyw: Array | None = None) -> Mapped:
+    """The continuous plant for a discrete one and what it measures; a continuous one is its own.
+
+    Args:
+        plant: n states, m inputs, r disturbances.
+        Cy: shape (q, n).
+        Dyw: shape (q, r); zero where it is not given.
+
+    Raises:
+        InputError: the plant has a pole at z = -1, and no gain from what is measured moves it.
+    """
+    m, r = plant.B.shape[1], plant.Bw.shape[1]
+    noise = np.zeros((len(Cy), r)) if Dyw is None else Dyw
+    if plant.dt is None:
+        return Mapped(plant, Cy, noise, np.zeros((len(Cy), m)), np.zeros((m, len(Cy))))
+    K0 = _away_from_minus_one(plant, Cy)
+    loop = plant.closed_loop(K0 @ Cy)
+    through = K0 @ noise
+    inputs = np.hstack([plant.Bw + plant.B @ through, plant.B])
+    direct = np.block([[plant.Dw + plant.D @ through, plant.D], [noise, np.zeros((len(Cy), m))]])
+    A, B, C, D = _tustin((loop.A - np.eye(len(loop.A))) / plant.dt, inputs / plant.dt, np.vstack([loop.C, Cy]), direct, plant.dt)
+    d = len(plant.C)
+    continuous = GeneralizedPlant(A, B[:, r:], B[:, :r], C[:d], D[:d, r:], D[:d, :r])
+    return Mapped(continuous, C[d:], D[d:, :r], D[d:, r:], K0)
+
+
+def continuous_loop(loop: GeneralizedPlant, turned: bool = False) -> GeneralizedPlant:
+    """The continuous loop, from w to z, for a discrete one without a pole at z = -1; a continuous one is its own.
+
+    Args:
+        loop: continuous or discrete.
+        turned: whether a discrete one is turned by half a circle first, z for -z: then z = -1 is mapped to 0, not to infinity. It
+            has the same norm, and the same X.
+    """
+    if loop.dt is None:
+        return loop
+    return from_differences((replace(loop, A=-loop.A, Bw=-loop.Bw) if turned else loop).differences, loop.dt)
+
+
+def from_differences(loop: GeneralizedPlant, step: float) -> GeneralizedPlant:
+    """The same for a loop in differences (`GeneralizedPlant.differences`) over a step [s].
+
+    X of (20) is the same in both. A loop of step 0 is its own.
+    """
+    if not step:
+        return loop
+    A, Bw, C, Dw = _tustin(loop.A, loop.Bw, loop.C, loop.Dw, step)
+    return GeneralizedPlant(A, np.zeros((len(A), 0)), Bw, C, np.zeros((len(C), 0)), Dw)
+
+
+def true_frequency(omega: float, dt: float | None) -> float:
+    """The frequency [rad/s] at which a discrete plant does what the mapped one does at `omega`, infinity included."""
+    return omega if dt is None else float(2 / dt * np.arctan(omega * dt / 2))
+
+
+def mapped_frequency(omega: float, dt: float | None) -> float:
+    """The way back: where the mapped plant does what the discrete one does at `omega` [rad/s]."""
+    if dt is None:
+        return omega
+    return float(2 / dt * np.tan(omega * dt / 2)) if omega * dt < np.pi else np.inf
+
+
+def _tustin(A: Array, B: Array, C: Array, D: Array, step: float) -> tuple[Array, Array, Array, Array]:
+    """The map of what stands in differences over a step."""
+    beside = np.linalg.inv(2 * np.eye(len(A)) + step * A)
+    inputs = beside @ B
+    return 2 * A @ beside, 2 * inputs, 2 * C @ beside, D - step * C @ inputs
+
+
+def _away_from_minus_one(plant: GeneralizedPlant, Cy: Array) -> Array:
+    """K0 after which no pole lies next to z = -1, shape (m, q); zero where none does.
+
+    In other units of states, inputs or measurements it is the same, but for a pole at the very distance LOST, where the powers of
+    two decide that balancing leaves; in coordinates that mix the states it need not be.
+    """
+
+    def lost(K: Array) -> float:
+        balanced = linalg.matrix_balance(plant.A + plant.B @ K @ Cy, permute=False)[0] if len(plant.A) else plant.A
+        sizes = np.linalg.svd(balanced + np.eye(len(plant.A)), compute_uv=False)
+        return float(sizes[-1] / max(1.0, sizes[0])) if len(sizes) else 1.0
+
+    nothing = np.zeros((plant.B.shape[1], len(Cy)))
+    if lost(nothing) > LOST:
+        return nothing
+    generator = np.random.default_rng(SEED)
+    scale = 0.5 / _reach(plant, Cy).T
+    best = max((scale * generator.standard_normal(nothing.shape) for _ in range(MOVES)), key=lost)
+    if lost(best) <= LOST:
+        raise InputError(
+            "the plant has a pole at z = -1 that no gain from what is measured moves; take it out of the model, or add an "
+            "actuator that acts on it or a measurement that it shows in"
+        )
+    return best
+
+
+def _reach(plant: GeneralizedPlant, Cy: Array) -> Array:
+    """The size in which an input first shows in a measurement, all signs alike, shape (q, m); 1 where it never does.
+
+    It is |C_y| |A|^k |B|, entry by entry, of the first k where that is not 0: no unit of a state is in it.
+    """
+    spread, reach = np.abs(plant.B), np.zeros((len(Cy), plant.B.shape[1]))
+    for _ in range(len(plant.A)):
+        reach = np.where(reach > 0, reach, np.abs(Cy) @ spread)
+        spread = np.abs(plant.A) @ spread
+    return np.where(reach > 0, reach, 1.0)
+
+
+LEFT = 1e-14  # relative; what moves by less has come to rest
+MOST_TURNS = 12
+
+
+def response_closely(system: GeneralizedPlant, t: float) -> tuple[Array, float]:
+    """T at a point of the unit circle, complex, shape (d, r), and by how much its entries still moved in the last turn, at most.
+
+    Args:
+        system: discrete; `beyond` is part of what it is.
+        t: tan(omega dt / 2), from 0 to infinity.
+
+    Raises:
+        LinAlgError: the system has a pole there, to rounding.
+    """
+    n, r = system.Bw.shape
+    beyond = np.zeros((n + len(system.C), n)) if system.beyond is None else system.beyond
+    A, eye = system.A, np.eye(n)
+    minus, plus = added(eye, -A), added(eye, A)
+    minus, plus = (minus[0], minus[1] - beyond[:n]), (plus[0], plus[1] + beyond[:n])
+    if t <= 1:
+        across = multiplied(np.full((n, n), t), plus[0])
+        real, turned = minus, (across[0], across[1] + t * plus[1])
+        right = np.vstack([system.Bw, -t * system.Bw])
+    else:
+        across = multiplied(np.full((n, n), 1 / t), minus[0])
+        real, turned = plus, (-across[0], -across[1] - minus[1] / t)
+        right = np.vstack([-system.Bw, -system.Bw / t])
+    high, low = (np.block([[a, -b], [b, a]]) for a, b in zip(real, turned, strict=True))
+    solution, rest = np.zeros((2, 2 * n, r))
+    T, moved = np.zeros((len(system.C), r), complex), np.inf
+    for _ in range(MOST_TURNS):
+        into, lost = product(high, solution)
+        change, off = added(right, -into)
+        step = np.linalg.solve(high, change + (off - lost - high @ rest - low @ solution))
+        solution, off = added(solution, step)
+        solution, rest = added(solution, rest + off)
+        parts = []
+        for x, least in zip(np.split(solution, 2), np.split(rest, 2), strict=True):
+            out, lost = product(system.C, x)
+            parts.append(out + (lost + system.C @ least + beyond[n:] @ x))
+        before, T = T, parts[0] + 1j * parts[1] + system.Dw
+        moved = float(np.abs(T - before).max(initial=0.0))
+        if moved <= LEFT * np.abs(T).max(initial=0.0):
+            break
+    return T, moved

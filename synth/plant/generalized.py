@@ -1,0 +1,298 @@
+"""The generalized plant (15): x' = A x + B u + Bw w, z = C x + D u + Dw w; or x[k+1] = A x[k] + ..., every dt seconds."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from models.common import arrays
+from models.common.arrays import Array
+from models.common.errors import InputError, quoted
+from synth.plant.double_double import added, product
+
+SMALLEST, LARGEST = 1e-50, 1e50  # of a matrix: beyond, squares of its entries under- or overflow where they meet
+
+SHAPES = {"A": ("n", "n"), "B": ("n", "m"), "Bw": ("n", "r"), "C": ("d", "n"), "D": ("d", "m"), "Dw": ("d", "r")}
+
+
+@dataclass(frozen=True, eq=False)
+class Feedback:
+    """A static gain u = K y from y = C_y x, as the floats of both say: no product of them is rounded on the way to a claim.
+
+    Of signals that nearly follow from one another a gain may weigh the difference a million times, and the nearest floats to
+    K C_y are then the gain of another controller.
+
+    Attributes:
+        K: shape (m, q).
+        Cy: shape (q, n).
+
+    Raises:
+        InputError: one of them is not one of real finite numbers.
+    """
+
+    K: Array
+    Cy: Array
+
+    def __post_init__(self) -> None:
+        for name, value, shape in (("K", self.K, "(m, q)"), ("Cy", self.Cy, "(q, n)")):
+            if not isinstance(value, np.ndarray):
+                object.__setattr__(self, name, real_matrix(value, name, shape))
+
+
+@dataclass(frozen=True, eq=False)
+class GeneralizedPlant:
+    """A linear plant with a disturbance and a controlled output.
+
+    Attributes:
+        A: shape (n, n).
+        B: shape (n, m).
+        Bw: shape (n, r).
+        C: shape (d, n).
+        D: shape (d, m).
+        Dw: shape (d, r). Zero in the paper.
+        beyond: of a closed loop, by how much its A and C are larger than the floats they are rounded to, shape (n + d, n); None
+            of a plant that is what its floats say.
+        weights: how many of its states, the last ones, are those of weights: no control moves their poles, so that they say
+            nothing of how fast the plant is.
+        dt: of a discrete plant, the seconds from x[k] to x[k + 1]; None of a continuous one.
+
+    Raises:
+        InputError: a matrix is not one of real finite numbers, has the wrong shape, more rows or columns than are worked with, or
+            entries beyond `SMALLEST` or `LARGEST`; or dt is no such number. The message names it.
+    """
+
+    A: Array
+    B: Array
+    Bw: Array
+    C: Array
+    D: Array
+    Dw: Array
+    beyond: Array | None = None
+    weights: int = 0
+    dt: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.dt is not None:
+            object.__setattr__(self, "dt", _sample_period(self.dt))
+        for name in SHAPES:
+            matrix, size = arrays.real_matrix(getattr(self, name), name, LARGEST, str(SHAPES[name]))
+            if 0 < size < SMALLEST:
+                raise InputError(
+                    f"{name} has no entry above {SMALLEST:g} (the largest is {size:g}); give it in other units, or 0"
+                )
+            matrix.flags.writeable = False
+            object.__setattr__(self, name, matrix)
+        size = {"n": len(self.A), "m": self.B.shape[1], "r": self.Bw.shape[1], "d": len(self.C)}
+        for name, (rows, columns) in SHAPES.items():
+            matrix, shape = getattr(self, name), (size[rows], size[columns])
+            if matrix.shape != shape:
+                raise InputError(
+                    f"{name} has shape {matrix.shape}; expected {shape}, as A says n = {size['n']}, B says m = {size['m']}, Bw "
+                    f"says r = {size['r']} and C says d = {size['d']}"
+                )
+
+    @property
+    def system_matrix(self) -> Array:
+        """[A B Bw; C D Dw], shape (n + d, n + m + r)."""
+        return np.vstack([np.hstack([self.A, self.B, self.Bw]), np.hstack([self.C, self.D, self.Dw])])
+
+    @cached_property
+    def differences(self) -> "GeneralizedPlant":
+        """(x[k+1] - x[k]) / dt in the place of x': the same loop in numbers that tend to the continuous ones as dt falls.
+
+        It is held as a continuous plant, and is one only as far as what asks for it says; a continuous plant is its own.
+        """
+        if self.dt is None:
+            return self
+        A = (self.A - np.eye(len(self.A))) / self.dt
+        return GeneralizedPlant(A, self.B / self.dt, self.Bw / self.dt, self.C, self.D, self.Dw, weights=self.weights)
+
+    def closed_loop(self, G: Array | Feedback) -> "GeneralizedPlant":
+        """The plant under u = G x + (a new u), equations (16)-(17): A + B G and C + D G, rounded once, and what that took.
+
+        Of a huge gain, or one that cancels much of A, rounding takes what decides the norm.
+
+        Args:
+            G: state gain, shape (m, n), or a gain from measurements.
+        """
+        high, beyond = fed_back(np.vstack([self.A, self.C]), np.vstack([self.B, self.D]), G, self.beyond)
+        n = len(self.A)
+        return GeneralizedPlant(high[:n], self.B, self.Bw, high[n:], self.D, self.Dw, beyond, dt=self.dt)
+
+    def in_coordinates(self, T: Array) -> "GeneralizedPlant":
+        """The same plant with state T^-1 x.
+
+        Args:
+            T: shape (n, n), regular.
+        """
+        inverse = np.linalg.inv(T)
+        A, B, Bw = inverse @ self.A @ T, inverse @ self.B, inverse @ self.Bw
+        return GeneralizedPlant(A, B, Bw, self.C @ T, self.D, self.Dw, dt=self.dt)
+
+    def with_inputs(self, W: Array) -> "GeneralizedPlant":
+        """The plant whose inputs v act as u = W v.
+
+        Args:
+            W: shape (m, k).
+        """
+        return GeneralizedPlant(self.A, self.B @ W, self.Bw, self.C, self.D @ W, self.Dw, dt=self.dt)
+
+    def independent_inputs(self) -> Array:
+        """W, shape (m, k), whose orthonormal columns are the combinations of inputs that do something; I where all inputs do."""
+        m = self.B.shape[1]
+        sizes = [float(np.linalg.norm(part, 2)) or 1.0 for part in (self.B, self.D)]
+        together = np.vstack([self.B / sizes[0], self.D / sizes[1]])
+        columns = np.linalg.norm(together, axis=0)
+        columns[columns <= np.finfo(float).eps] = np.inf
+        _, strengths, directions = np.linalg.svd(together / columns)
+        k = int(np.sum(strengths > 1e-10))
+        if k == m:
+            return np.eye(m)
+        return np.linalg.qr((directions[:k] / columns).T)[0]
+
+    def frequency_response(self, omega: Array) -> Array:
+        """T(j omega) from w to z without control, complex, shape (F, d, r), by (19); of a discrete plant T(e^(j omega dt)).
+
+        Args:
+            omega: angular frequencies [rad/s], shape (F,).
+        """
+        s = 1j * np.asarray(omega, dtype=float)[:, None, None]
+        s = s if self.dt is None else np.exp(s * self.dt)
+        resolvent = np.linalg.solve(s * np.eye(len(self.A)) - self.A, self.Bw.astype(complex)[None])
+        return self.C @ resolvent + self.Dw
+
+
+def fed_back(open_loop: Array, inputs: Array, G: Array | Feedback, beyond: Array | None = None) -> tuple[Array, Array]:
+    """[A; C] + [B; D] G, rounded once, and what that took.
+
+    Args:
+        open_loop: [A; C], shape (n + d, n).
+        inputs: [B; D], shape (n + d, m).
+        G: state gain, shape (m, n), or a gain from measurements.
+        beyond: by how much A and C are larger, shape (n + d, n); None where they are as they stand.
+    """
+    gain, rest = product(G.K, G.Cy) if isinstance(G, Feedback) else (G, np.zeros_like(G))
+    moved, low = product(inputs, gain)
+    low = low + inputs @ rest
+    high, off = added(open_loop, moved)
+    return added(high, off + low if beyond is None else off + (low + beyond))
+
+
+def _sample_period(dt: object) -> float:
+    """The seconds between samples, checked: a number above zero, in range."""
+    allowed = f"give the seconds between samples, from {SMALLEST:g} to {LARGEST:g}, or None for a continuous plant"
+    try:
+        if isinstance(dt, bool | np.bool_):
+            raise TypeError
+        period = float(dt)  # pyright: ignore[reportArgumentType]
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"dt = {quoted(dt)} is no number; {allowed}") from None
+    if not SMALLEST <= period <= LARGEST:
+        raise InputError(f"dt = {period:g} is no sample period; {allowed}")
+    return period
+
+
+def real_matrix(value: object, name: str, expected: str) -> Array:
+    """A copy of a matrix that is one of real numbers, none beyond `LARGEST`, and of a size that can be worked with.
+
+    Args:
+        value: the matrix, or nested lists.
+        name: of the matrix, for messages.
+        expected: its shape, for messages.
+
+    Raises:
+        InputError: it is none; the message names it.
+    """
+    return arrays.real_matrix(value, name, LARGEST, expected)[0]
+
+
+def check_states(n: int) -> None:
+    """Whether a plant has a state; parts that are split off one need not.
+
+    Raises:
+        InputError: it has none.
+    """
+    if not n:
+        raise InputError("A has shape (0, 0), a plant without a state, where gains have nothing to act on; give it one")
+
+
+def check_continuous(plant: GeneralizedPlant) -> None:
+    """Raises an InputError for a discrete plant, where a formula is that of continuous ones."""
+    if plant.dt is not None:
+        raise InputError(
+            f"the plant is discrete (dt = {plant.dt:g}), and this is done for continuous ones alone; give such a one"
+        )
+
+
+def check_posed(plant: GeneralizedPlant) -> None:
+    """Whether there is something to design against, and for.
+
+    Raises:
+        InputError: nothing disturbs the plant, or nothing is weighed.
+    """
+    if not (np.any(plant.Bw) or np.any(plant.Dw)):
+        raise InputError("the plant has no disturbance: Bw and Dw are zero; name one, or there is nothing to design against")
+    if not (np.any(plant.C) or np.any(plant.D)):
+        raise InputError("the controlled output is zero: C and D are; give at least one signal a weight above zero")
+
+
+def measurement_matrix(Cy: object, n: int) -> Array:
+    """C_y, checked, shape (q, n).
+
+    Raises:
+        InputError: the plant has no state; or it is not one of real finite numbers with n columns, or has no row, or one that is
+            next to zero.
+    """
+    matrix = _measured(Cy, n)
+    _refuse_silent(matrix, "Cy", "of the state")
+    return matrix
+
+
+def measured_with(plant: GeneralizedPlant, Cy: object, Dyw: object | None) -> tuple[Array, Array | None]:
+    """The same, with a Dyw that is None where none is given."""
+    states, noise = measurement_matrices(plant, Cy, Dyw)
+    return states, None if Dyw is None else noise
+
+
+def measurement_matrices(plant: GeneralizedPlant, Cy: object, Dyw: object = None) -> tuple[Array, Array]:
+    """C_y and Dyw of y = C_y x + Dyw w, checked, shapes (q, n) and (q, r).
+
+    Args:
+        plant: n states, r disturbances.
+        Cy: a row for each measured signal.
+        Dyw: likewise; zero where it is not given.
+
+    Raises:
+        InputError: one of them is not one of real finite numbers of its shape, or no signal is measured, or one that is next to
+            zero in both.
+    """
+    if Dyw is None:
+        states = measurement_matrix(Cy, len(plant.A))
+        return states, np.zeros((len(states), plant.Bw.shape[1]))
+    states = _measured(Cy, len(plant.A))
+    shape = len(states), plant.Bw.shape[1]
+    noise = real_matrix(Dyw, "Dyw", str(shape))
+    if noise.shape != shape:
+        raise InputError(
+            f"Dyw has shape {noise.shape}; expected {shape}: a row for each measured signal, a column for each disturbance"
+        )
+    _refuse_silent(np.hstack([states, noise]), "[Cy Dyw]", "of state or disturbance")
+    return states, noise
+
+
+def _measured(Cy: object, n: int) -> Array:
+    check_states(n)
+    matrix = real_matrix(Cy, "Cy", f"(q, {n})")
+    if matrix.shape[1] != n:
+        raise InputError(f"Cy has shape {matrix.shape}; expected (q, {n}), a row for each measured signal")
+    if not len(matrix):
+        raise InputError("Cy has no rows: nothing is measured; give at least one signal")
+    return matrix
+
+
+def _refuse_silent(rows: Array, name: str, of: str) -> None:
+    sizes = np.abs(rows).max(axis=1)
+    silent = np.flatnonzero(sizes < SMALLEST)
+    if len(silent):
+        what = "zero" if sizes[silent[0]] == 0 else f"below {SMALLEST:g}"
+        raise InputError(f"row {silent[0]} of {name} is {what}: that signal says nothing {of}; leave it out")

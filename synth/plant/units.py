@@ -1,0 +1,269 @@
+"""Coordinates and units in which the numbers of a plant, or of several, have size one."""
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import linalg
+
+from models.common.arrays import Array
+from synth.plant.generalized import GeneralizedPlant
+
+NILPOTENT = 1e-14  # of |A|^n; an A^n this small is 0 but for rounding, and so are all poles: those of integrators
+CANCELLED = 1e-9  # relative; a sum of this much less than its terms may be one of zeros
+TOGETHER = 1e-4  # of one equation: how much it counts that a norm has one unit of all of w, and one of all of z
+OPEN = 1e-11  # of the largest eigenvalue of the normal equations: units that nothing decides; of those decided none is below 1e-8
+FINEST = 2.0**-20  # of an exponent of two: what rounding leaves of one is less, so that in powers of two the same is the same
+UPWARDS = 0.53  # so that a unit half-way between two powers of two, as are those of entries that are such powers, is no tie
+DEPENDENT = 1e-10  # smallest singular value of rows of length one
+
+
+def reachable(plant: GeneralizedPlant, free: int) -> Array:
+    """Coordinates of (12)'s block structure in which the inputs and the disturbance reach all states alike.
+
+    The square root of a controllability Gramian, block by block. A is shifted until it decays, by rates that do not depend on the
+    coordinates, so that the result does not either.
+    """
+    n = len(plant.A)
+    _, (diagonal, _) = linalg.matrix_balance(plant.A, permute=False, separate=True)
+    balanced = plant.in_coordinates(np.diag(diagonal))
+    A = balanced.A / size(balanced.A)  # so that no root of a unit of time is taken
+    poles = np.linalg.eigvals(A)
+    shift = 1.0 if are_integrators(A) else poles.real.max() + np.abs(poles).max()
+    inputs = np.hstack([balanced.B / size(balanced.B), balanced.Bw / size(balanced.Bw)])
+    gramian = linalg.solve_continuous_lyapunov(A - shift * np.eye(n), -inputs @ inputs.T)
+    gramian += 1e-5 * np.trace(gramian) * np.eye(n)  # a state that nothing much reaches keeps a scale
+    blocks = [np.linalg.cholesky(block) for block in (gramian[:free, :free], gramian[free:, free:])]
+    return diagonal[:, None] * np.asarray(linalg.block_diag(*blocks))
+
+
+@dataclass(frozen=True, eq=False)
+class OwnUnits:
+    """Units in which the entries of a plant and of C_y have size one: whatever units it is given in, it is the same in these.
+
+    They are powers of two, so that nothing is rounded on the way there and back.
+
+    Attributes:
+        states: what one of each state counts in the given unit, shape (n,).
+        inputs: likewise, shape (m,).
+        exact: both before they were rounded to powers of two: in these nothing is left of the given ones, whatever they were;
+            shapes (n,) and (m,).
+        rate: of the plant [rad/s]; time keeps its unit.
+    """
+
+    states: Array
+    inputs: Array
+    exact: tuple[Array, Array]
+    rate: float
+
+    def into(self, plant: GeneralizedPlant) -> GeneralizedPlant:
+        """A plant of the given units in these."""
+        return _in_units(plant, self.states, self.inputs)
+
+    def back(self, plant: GeneralizedPlant) -> GeneralizedPlant:
+        """A plant of these units in the given ones."""
+        return _in_units(plant, 1 / self.states, 1 / self.inputs)
+
+    def rows(self, Cy: Array) -> tuple[Array, Array]:
+        """C_y of independent rows, in these units of the states, as S V with orthonormal rows V.
+
+        A design depends on what the rows span, and on nothing else of them. Rows that nearly follow from others span it, too, but
+        digits are lost on every way through them: so all ways go through V, and S is undone once, at the end.
+
+        Args:
+            Cy: shape (q, n).
+
+        Returns:
+            V, shape (q, n), and S, shape (q, q), lower triangular: y = S V x.
+        """
+        return orthonormal_rows(Cy * self.states)
+
+
+def orthonormal_rows(rows: Array) -> tuple[Array, Array]:
+    """Independent rows as S V with orthonormal rows V, and S, lower triangular; whatever the unit of each, V is the same.
+
+    Args:
+        rows: shape (q, n).
+    """
+    lengths = _powers(np.log2(np.linalg.norm(rows, axis=1)))  # exact, so that no unit is in what is rounded
+    basis, triangle = np.linalg.qr((rows / lengths[:, None]).T)
+    signs = np.where(np.diagonal(triangle) < 0, -1.0, 1.0)  # alike for rows that are alike
+    return (basis * signs).T, lengths[:, None] * (signs[:, None] * triangle).T
+
+
+def independent(rows: Array) -> list[int]:
+    """Which rows do not follow from those before them, ascending, whatever the unit of each; none may be zero."""
+    rows, _ = unit_rows(rows)
+    kept: list[int] = []
+    for i in range(len(rows)):
+        if np.linalg.svd(rows[[*kept, i]], compute_uv=False)[-1] > DEPENDENT and len(kept) < rows.shape[1]:
+            kept.append(i)
+    return kept
+
+
+def unit_rows(Cy: Array) -> tuple[Array, Array]:
+    """Rows of length one, so that no unit of a measurement makes another vanish, and the lengths, shape (q,)."""
+    lengths = np.linalg.norm(Cy, axis=1)
+    return Cy / lengths[:, None], lengths
+
+
+def own_units(plant: GeneralizedPlant, Cy: Array | None = None) -> OwnUnits:
+    """The plant's own units: of states, of inputs, and its rate.
+
+    Least squares over the logarithms of all entries that are not zero, in which the units of disturbances, outputs and
+    measurements are free, too. (`balance` is blind to a state that does not both drive others and is driven by them.) A norm has
+    one unit of all of w and one of all of z, and what these weigh counts where nothing else says how fast a plant is: integrators
+    have the rate at which the motion and the force that drives it have the same weight in z.
+
+    Which units are left open depends on where entries are zero, and of them some are kept as they are given. So the same plant in
+    other units, each a power of two, is the same in its own to the last bit.
+
+    Args:
+        plant: n states; a discrete one has those of its differences.
+        Cy: shape (q, n); of no rows where it is not given.
+    """
+    return _alone(plant) if Cy is None else _measured(plant.differences, Cy)
+
+
+@functools.lru_cache(maxsize=2)
+def _alone(plant: GeneralizedPlant) -> OwnUnits:
+    """Of a plant without measurements: a design asks for them at every door, and plants do not change."""
+    return _measured(plant.differences, np.zeros((0, len(plant.A))))
+
+
+def _measured(plant: GeneralizedPlant, Cy: Array) -> OwnUnits:
+    n, (m, r, d, q) = len(plant.A), (plant.B.shape[1], plant.Bw.shape[1], len(plant.C), len(Cy))
+    # From x, u, w to the change of x, z, y.
+    whole = np.block([[plant.A, plant.B, plant.Bw], [plant.C, plant.D, plant.Dw], [Cy, np.zeros((q, m + r))]])
+    i, j = np.nonzero(whole)
+    columns, unknowns = n + m + r, n + m + r + d + q + 1
+    changes = i < n
+    # An entry is multiplied by the unit of its column; a row of x is divided by its own and by the rate. So every equation has
+    # three coefficients, which the normal equations take in pairs.
+    where = np.stack([j, np.where(changes, i, columns + i - n), np.full(len(i), unknowns - 1)], axis=1)
+    own = np.where(i == j, 0.0, 1.0)  # of a state's effect on itself no unit is left but the rate's
+    what = np.stack([np.where(changes, own, 1.0), np.where(changes, -own, 1.0), np.where(changes, -1.0, 0.0)], axis=1)
+    pairs, products = where[:, :, None] * unknowns + where[:, None], what[:, :, None] * what[:, None]
+    normal = np.bincount(pairs.ravel(), products.ravel(), unknowns**2).reshape(unknowns, unknowns)
+    normal = normal.astype(float)  # of a plant of zeros alone nothing is counted, in integers
+    right = -np.bincount(where.ravel(), (what * np.log2(np.abs(whole[i, j]))[:, None]).ravel(), unknowns)
+    for first, count in ((n + m, r), (columns, d)):
+        alike = slice(first, first + count)
+        normal[alike, alike] += TOGETHER * (np.eye(count) - 1 / max(count, 1))
+    found = _with_pivots(normal, right)
+    units = _powers(found[: n + m])
+    exact = np.exp2(np.round(found[: n + m] / FINEST) * FINEST)
+    return OwnUnits(units[:n], units[n:], (exact[:n], exact[n:]), float(np.exp2(found[-1])))
+
+
+def _powers(exponents: Any) -> Any:
+    """The powers of two that are nearest to those with these exponents."""
+    return np.exp2(np.floor(exponents + UPWARDS))
+
+
+def _with_pivots(normal: Array, right: Array) -> Array:
+    """Least squares, with 0 for as many unknowns as are left open."""
+    sizes, directions = np.linalg.eigh(normal)
+    fixed = sizes > OPEN * sizes[-1]
+    found = directions[:, fixed] @ ((directions[:, fixed].T @ right) / sizes[fixed])
+    left = directions[:, ~fixed]
+    if not left.shape[1]:
+        return found
+    _, order = linalg.qr(left.T, mode="r", pivoting=True)  # pyright: ignore[reportAssignmentType]
+    pivots = order[: left.shape[1]]
+    return found - left @ np.linalg.solve(left[pivots], found[pivots])
+
+
+def speed(plant: GeneralizedPlant) -> tuple[float, bool]:
+    """How fast a plant is by itself [rad/s]: its fastest pole, and True; the rate of its own and False where all lie at 0.
+
+    Poles of weights do not count. How fast a mode of a discrete plant is, says its change in a sample over dt.
+    """
+    plant = plant.differences
+    n = len(plant.A) - plant.weights
+    if plant.weights:
+        return _speed(GeneralizedPlant(plant.A[:n, :n], plant.B[:n], plant.Bw[:n], plant.C[:, :n], plant.D, plant.Dw))
+    return _speed(plant)
+
+
+def _speed(plant: GeneralizedPlant) -> tuple[float, bool]:
+    A = plant.A
+    # The sum of all squared poles, beside what it is a sum of: no unit changes either.
+    if abs(np.sum(A * A.T)) <= CANCELLED * np.sum(np.abs(A * A.T)):
+        own = own_units(plant)
+        if are_integrators(own.into(plant).A):
+            return own.rate, False
+    return float(np.abs(np.linalg.eigvals(A)).max()), True
+
+
+def are_integrators(A: Array) -> bool:
+    """Whether all poles lie at 0, but for rounding; in coordinates in which the numbers of A have a like size."""
+    n = len(A)
+    return bool(np.linalg.norm(np.linalg.matrix_power(A / size(A), n), 2) <= NILPOTENT)
+
+
+def _in_units(plant: GeneralizedPlant, states: Array, inputs: Array) -> GeneralizedPlant:
+    each = states[:, None]
+    return GeneralizedPlant(
+        plant.A * states / each,
+        plant.B * inputs / each,
+        plant.Bw / each,
+        plant.C * states,
+        plant.D * inputs,
+        plant.Dw,
+        dt=plant.dt,
+    )
+
+
+def nearest_power(size: float) -> float:
+    """The power of two next to a size."""
+    return float(np.exp2(np.round(np.log2(size))))
+
+
+def size(matrix: Array) -> float:
+    """The 2-norm of a matrix, or 1 where it is zero."""
+    return float(np.linalg.svd(matrix, compute_uv=False).max(initial=0.0)) or 1.0
+
+
+class Scaled:
+    """Plants in the coordinates of [Q R], in units in which all numbers of the first have size one, and time in 1 / rate.
+
+    Args:
+        plants: continuous, alike in states and inputs.
+        rate: the unit of time is one over it [rad/s].
+        Q: shape (n, n - q).
+        R: shape (n, q); [Q R] is regular.
+        blocks: which columns of R no unit may mix, those where it is 0; of ones and zeros, shape (q, q).
+
+    Attributes:
+        plants: the same in these units.
+        T: its states in the given ones, shape (n, n).
+        measured: the unit of what R's columns answer to, y = C_y x, shape (q, q).
+        rate: as given.
+        force: what one of all inputs counts.
+        disturbance: likewise of w.
+        gain: of z over w, what one of these counts is one over it.
+    """
+
+    def __init__(self, plants: Sequence[GeneralizedPlant], rate: float, Q: Array, R: Array, blocks: Array) -> None:
+        a, T = Q.shape[1], np.hstack([Q, R])
+        scale = reachable(plants[0].in_coordinates(T), a)
+        self.measured = scale[a:, a:] = np.linalg.cholesky(scale[a:, a:] @ scale[a:, a:].T * blocks)
+        self.T, self.rate = T @ scale, rate
+        turned = [plant.in_coordinates(self.T) for plant in plants]
+        output = 1 / size(turned[0].C)
+        self.force, self.disturbance = rate / size(turned[0].B), rate / size(turned[0].Bw)
+        self.gain = self.disturbance * output
+        self.plants = [
+            GeneralizedPlant(
+                A=plant.A / rate,
+                B=plant.B * self.force / rate,
+                Bw=plant.Bw * self.disturbance / rate,
+                C=plant.C * output,
+                D=plant.D * output * self.force,
+                Dw=plant.Dw * self.gain,
+            )
+            for plant in turned
+        ]

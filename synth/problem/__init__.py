@@ -1,1 +1,0 @@
-"""What a vehicle file asks of a controller, as a plant with its measurements."""

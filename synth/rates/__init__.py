@@ -1,1 +1,0 @@
-"""What a slower computer costs a controller: its norm over the sample period, and where its loop is lost."""

@@ -1,1 +1,0 @@
-"""Descent on the norm itself, where the two steps end."""

@@ -1,0 +1,441 @@
+"""The designs of a vehicle file: from a controller's name to a certified gain, and what those of one vehicle share."""
+
+import unicodedata
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from models.common.errors import InputError
+from models.laws.linear import LinearLaw, static_law
+from models.vehicle.controllers import IDEAL, ControllerEntry, Hardware, Method
+from models.vehicle.vehicle import Vehicle
+from synth.analysis.certificate import Certificate
+from synth.analysis.lower_bound import LowerBound
+from synth.controller.controller import Controller, alike, certified, checked, on_readings
+from synth.controller.problem import Problem, generalized_plant, measurements, plant_states, problem
+from synth.controller.report import false_norm, norm_if_implemented, still_false
+from synth.design.fallback import two_steps_or_descent
+from synth.design.two_step import Design, state_design, state_path, zero_l_design
+from synth.lmi.central_path import CentralPoint
+from synth.lmi.full_order_bound import bound_beyond_control, find_lower_bound
+from synth.plant.generalized import GeneralizedPlant
+from synth.plant.numerics import BatchError, DesignError
+
+if TYPE_CHECKING:
+    from synth.design.multi_objective.search import Told
+    from synth.vehicle.refined import Refined
+
+
+STATE_ALONE = (
+    "filters have states that nothing measures: this is a static gain on the vehicle's own, designed as any other "
+    "output feedback is"
+)
+
+
+def designed(vehicle: Vehicle, entry: ControllerEntry, design: Design) -> Controller:
+    """The controller of a gain on C_y x; a force that is in what is measured is taken out of it."""
+    through = measurements(vehicle, entry.measured, entry.hardware.bandwidth)[1]
+    beside = STATE_ALONE if entry.name == "state" and vehicle.filtered else ""
+    redundant = tuple(entry.measured[i] for i in design.redundant)
+    return Controller(
+        entry.name,
+        entry.measured,
+        static_law(design.gain).fed_back(-through),
+        designed=True,
+        certificate=design.certificate,
+        state_step_gap=design.state_step_gap,
+        optimum_gap=design.optimum_gap,
+        moved=design.moved,
+        redundant=redundant,
+        case="; ".join(said for said in (design.case, beside) if said),
+        instead=design.instead,
+        hardware=entry.hardware,
+    )
+
+
+def one_by_one(name: str, designs: Sequence[Callable[[], Controller]]) -> list[Controller]:
+    """What each of many designs of one controller comes to.
+
+    Args:
+        name: of the controller.
+        designs: each makes one, for a vehicle of its own.
+
+    Raises:
+        BatchError: some come to none; as `synth.vehicle.designer.Designer.redesign` says.
+    """
+    found: dict[int, Controller] = {}
+    failures: dict[int, InputError] = {}
+    for i, make in enumerate(designs):
+        try:
+            found[i] = make()
+        except DesignError as error:
+            failures[i] = error
+    if failures:
+        whose, first = ", ".join(map(str, failures)), next(iter(failures.values()))
+        raise BatchError(f"controller {name!r}: no design for vehicle(s) {whose}: {first}", found, failures)
+    return [found[i] for i in range(len(designs))]
+
+
+# What goes with each method of design: L = 0 in its second step (remark 4), descent from its gain on the norm of the ideal loop,
+# many vehicles side by side, fronts of static gains, and a design of its own for another sample period.
+SUPPORTED: Mapping[Method, tuple[str, ...]] = {
+    Method.TWO_STEPS: ("zero_l", "refine", "redesign", "front", "rates"),
+    Method.NOISE: ("refine", "front"),
+    Method.GAIN: ("refine", "front"),
+    Method.GOALS: ("front", "rates"),
+    Method.SAMPLED: ("rates",),
+}
+WITHOUT = {
+    "zero_l": "so that there is no L; design it as it is",
+    "refine": "and it is static gains of the least norm of the ideal loop that are refined; take it as it is",
+    "redesign": "and it is two steps alone that many vehicles are redesigned by; design it for each vehicle by itself",
+    "front": "and a front is of static gains that are designed; give another with --controller",
+}
+
+
+def supports(entry: ControllerEntry, what: str) -> bool:
+    """Returns whether something goes with a controller's method: "zero_l", "refine", "redesign", "front" or "rates"."""
+    if what == "redesign" and entry.hardware != IDEAL:
+        return False
+    if what == "refine" and entry.goals is not None:  # also of a gain that is given, and held against goals
+        return False
+    return what in SUPPORTED.get(entry.method, ())
+
+
+def check_supported(entry: ControllerEntry, what: str, error: type[InputError] = InputError) -> None:
+    """Refuses what does not go with a controller's method.
+
+    Raises:
+        InputError: it names the controller, its method, and what to do; or the `error` that is given.
+    """
+    if not supports(entry, what):
+        how = "has goals" if entry.goals is not None else entry.method.value
+        how = "is designed for sensors, actuators or loads of its own" if entry.method is Method.TWO_STEPS else how
+        raise error(f"controller {entry.name!r} {how}, {WITHOUT[what]}")
+
+
+class Shared:
+    """Of one vehicle with one kind of actuators; all of it is done when first needed.
+
+    Attributes:
+        plant: the plant, without noise.
+        states: names of its states.
+    """
+
+    def __init__(self, vehicle: Vehicle, hardware: Hardware = IDEAL) -> None:
+        """Args:
+        vehicle: the vehicle.
+        hardware: its actuators' lag, and its loads.
+        """
+        self.vehicle, self.hardware, bandwidth = vehicle, hardware, hardware.bandwidth
+        self.plant, self.states = generalized_plant(vehicle, bandwidth, loads=hardware.loads), plant_states(vehicle, bandwidth)
+        self._bounds: dict[tuple[tuple[str, ...], tuple[float, ...]], LowerBound] = {}
+
+    @cached_property
+    def state_path(self) -> list[CentralPoint]:
+        """The central path of (22). Noise on what is measured is nothing to one who knows the state."""
+        return state_path(self.plant, self.states)
+
+    @cached_property
+    def beyond_control(self) -> LowerBound:
+        """What no control force changes, whatever is measured, and however well."""
+        return bound_beyond_control(self.plant)
+
+    def problem(self, measured: Sequence[str], noise: tuple[float, ...] = ()) -> Problem:
+        """What a controller that measures these signals with that noise is designed for.
+
+        Raises:
+            InputError: a signal this vehicle has not.
+        """
+        return problem(self.vehicle, measured, replace(self.hardware, noise=noise), self.plant)
+
+    def lower_bound(self, measured: Sequence[str], noise: tuple[float, ...] = ()) -> LowerBound:
+        """What no controller that measures these signals with that noise beats, of whatever order; of none, state feedback."""
+        key = tuple(measured), noise
+        if key not in self._bounds:
+            posed = self.problem(*key)
+            Cy, Dyw = posed.rows(posed.of_state)
+            everything = not len(Cy) or (key[0] == self.states and Dyw is None)
+            try:
+                path = self.state_path
+            except DesignError:  # what cannot be designed may be checked
+                path = []
+            self._bounds[key] = find_lower_bound(posed.plant, None if everything else Cy, path, self.beyond_control, Dyw)
+        return self._bounds[key]
+
+
+class Designer:
+    """Designs the controllers of one vehicle. The state-feedback step (22) is shared by them all, and done when first needed.
+
+    With `search` gains that are given are held against each vehicle's own best, too, which takes designs (`promises_of`).
+    """
+
+    def __init__(self, vehicle: Vehicle, search: bool = True) -> None:
+        self.vehicle, self.search = vehicle, search
+        self._shared: dict[Hardware, Shared] = {IDEAL: Shared(vehicle)}
+
+    def shared(self, hardware: Hardware = IDEAL) -> Shared:
+        """What designs for such actuators, under such loads, share."""
+        key = replace(hardware, noise=())
+        if key not in self._shared:
+            self._shared[key] = Shared(self.vehicle, key)
+        return self._shared[key]
+
+    @property
+    def plant(self) -> GeneralizedPlant:
+        """The plant of forces that act at once, without noise."""
+        return self.shared().plant
+
+    @property
+    def state_path(self) -> list[CentralPoint]:
+        """The central path of (22)."""
+        return self.shared().state_path
+
+    @property
+    def state_feedback(self) -> CentralPoint:
+        """The optimum of (22)."""
+        return self.state_path[-1]
+
+    @property
+    def beyond_control(self) -> LowerBound:
+        """What no control force changes, whatever is measured."""
+        return self.shared().beyond_control
+
+    def problem(self, measured: Sequence[str], hardware: Hardware = IDEAL) -> Problem:
+        """What a controller that measures these signals is designed for and judged with."""
+        return self.shared(hardware).problem(measured, hardware.noise)
+
+    def lower_bound(self, measured: Sequence[str], hardware: Hardware = IDEAL) -> LowerBound:
+        """What no controller that measures these signals beats, of whatever order; for none of them, full state feedback."""
+        return self.shared(hardware).lower_bound(measured, hardware.noise)
+
+    def design(self, name: str, zero_l: bool = False, told: "Told" = lambda goal, within: None) -> Controller:
+        """The controller of that name: `passive`, `state`, or one of the vehicle file, designed unless the file gives its gain.
+
+        Args:
+            name: of the controller.
+            zero_l: L = 0 instead of (14), as in remark 4; for a controller that is designed from measurements.
+            told: called with what a design for goals has reached, as it goes on.
+
+        Raises:
+            InputError: no controller has that name.
+            DesignError: it could not be designed, or its certificate fails. A gain from the file is reported as it is. Where the
+                two steps cannot be gone to their end, descent on the norm goes on instead, and the result says so.
+        """
+        entry = self._entry(name)
+        if entry.law is not None:
+            return self._given(entry, entry.law)
+        hardware = entry.hardware
+        if zero_l:
+            check_supported(entry, "zero_l")
+        posed = self.problem(entry.measured, hardware)
+        try:
+            lower_bound = self.lower_bound(entry.measured, hardware)
+            if entry.design:
+                return self._named(entry, posed, lower_bound)
+            if entry.goals is not None:
+                from synth.vehicle.multi_objective import goals_design
+
+                return goals_design(self.vehicle, entry, entry.goals, posed, lower_bound, told)
+            if entry.sampled:
+                from synth.vehicle.sampled_data import sampled_design
+
+                return sampled_design(
+                    self.vehicle, entry, posed, lower_bound, lambda: self._in_two_steps(entry, posed, lower_bound)
+                )
+            return self._in_two_steps(entry, posed, lower_bound, zero_l)
+        except DesignError as error:
+            raise type(error)(f"controller {name!r}: {error}") from error
+
+    def _in_two_steps(self, entry: ControllerEntry, posed: Problem, lower_bound: LowerBound, zero_l: bool = False) -> Controller:
+        """A static gain for the ideal loop, or the DesignError that says why there is none."""
+        shared = self.shared(entry.hardware)
+        if entry.name == "state" and not self.vehicle.filtered:
+            found = state_design(self.plant, self.state_path, lower_bound)
+        elif zero_l:
+            found = zero_l_design(posed.plant, posed.Cy, lower_bound)
+        else:
+            always = entry.name == "state" or posed.Dyw is not None
+            found = two_steps_or_descent(
+                posed.plant, posed.Cy, lambda: shared.state_path, lower_bound, shared.states, always, posed.Dyw
+            )
+        return designed(self.vehicle, entry, found)
+
+    def given(self, name: str, measured: Sequence[str], law: LinearLaw, hardware: Hardware = IDEAL) -> Controller:
+        """Certifies a known law, from what is measured to the forces, under any name, as it is.
+
+        Raises:
+            InputError: it has another number of signals or forces, or no loop.
+        """
+        expected = len(self.vehicle.linear_model.inputs), len(measured)
+        if law.D.shape != expected:
+            raise InputError(f"controller {name!r} has a D of shape {law.D.shape}; expected {expected}: forces, measured signals")
+        return self._given(ControllerEntry(name, tuple(measured), law, hardware=hardware), law)
+
+    def _given(self, entry: ControllerEntry, law: LinearLaw) -> Controller:
+        posed, hardware = self.problem(entry.measured, entry.hardware), entry.hardware
+        try:
+            certificate, wrong = certified(posed, entry, self.lower_bound(entry.measured, hardware))
+        except InputError as error:
+            raise self.vehicle.found_wrong(error) from error
+        found = Controller(entry.name, entry.measured, law, False, certificate, hardware=hardware)
+        if entry.goals is not None:
+            from synth.vehicle.multi_objective import promises_of
+
+            found = replace(found, promises=promises_of(self.vehicle, entry, entry.goals, law, self.search))
+        wrong += false_norm(entry.certificate, self.vehicle, lambda: norm_if_implemented(self.vehicle, found))
+        return replace(found, false_claims=still_false(self.vehicle, found, wrong))
+
+    def _named(self, entry: ControllerEntry, posed: Problem, lower_bound: LowerBound) -> Controller:
+        """A controller that is designed in another way than by two steps."""
+        from synth.design.full_order.by_name import named_design
+        from synth.vehicle.quadratic import white_noise
+
+        hardware, (Cy, Dyw) = entry.hardware, posed.rows(posed.of_state)
+        states, noise = self.shared(hardware).states, white_noise(self.vehicle, entry, posed)
+        found = named_design(entry.design, posed.plant, Cy, lower_bound, states, noise, Dyw)
+        law = on_readings(found.law, posed)
+        certificate = replace(found.certificate, below=lower_bound)
+        return Controller(entry.name, entry.measured, law, True, certificate, remarks=found.remarks, hardware=hardware)
+
+    def refine(self, name: str, zero_l: bool = False) -> "Refined":
+        """The controller of that name with a lower norm, as far as it is worth a larger gain (`synth.design.descent.refine`).
+
+        Where the two steps find no gain, it is the best that any start leads to.
+
+        Args:
+            name: of the controller.
+            zero_l: as for `design`.
+
+        Raises:
+            InputError: no controller has that name, or it has no gain to change, as `passive`.
+            DesignError: it does not stabilise the vehicle, or no start leads to a gain.
+        """
+        from synth.vehicle.refined import refined
+
+        entry = self._entry(name)
+        measured = entry.measured
+        if not measured:
+            raise InputError(f"controller {name!r} measures nothing, so that it has no gain to refine; give one that does")
+        check_supported(entry, "refine", DesignError)
+        try:
+            start = self.design(name, zero_l)
+        except DesignError:
+            start = None
+        posed, lower_bound = self.problem(measured, entry.hardware), self.lower_bound(measured, entry.hardware)
+        return refined(self.vehicle, entry, posed, start, lower_bound)
+
+    def worth_refining(self, controller: Controller) -> float:
+        """By how much `refine` lowers a designed controller's norm at least, relative; 0 where not by what seven digits show."""
+        if (
+            not controller.designed
+            or not controller.measured
+            or not supports(self._entry(controller.name), "refine")
+            or not controller.certificate.stable
+        ):
+            return 0.0
+        from synth.vehicle.refined import worth
+
+        return worth(self.vehicle, controller, self.problem(controller.measured, controller.hardware))
+
+    def redesign(self, vehicles: Sequence[Vehicle], name: str) -> list[Controller]:
+        """A controller of this vehicle for many others like it: `design` for each, side by side, which is several times as fast.
+
+        The others lend their parameters and weights; what is measured says this one. The gains are those of `design` up to
+        where the central path is stopped: 3e-6 of the largest entry on the paper's car. Each certificate is true of its own gain,
+        but the X of a proof comes from there, too: where rounding leaves it little room, as near a marginal loop, the bound
+        may be looser or tighter than that of `design`, by up to a tenth. They come without a lower bound:
+        `Designer(vehicle).lower_bound(measured)` has it.
+
+        Args:
+            vehicles: of this vehicle's kind.
+            name: `state`, or a controller of this vehicle that its file gives no gain for.
+
+        Returns:
+            A controller for each vehicle, in their order.
+
+        Raises:
+            InputError: no controller has that name, its gain is given, or a vehicle is none, of another kind, or has a parameter
+                or a weight that is missing, unknown or not allowed.
+            BatchError: some vehicles have no such controller; the message names them by index, and the error carries the
+                controllers of the others, `designs`, and why these have none, `failures`, each by index.
+        """
+        entry = self._entry(name)
+        check_supported(entry, "redesign")
+        sound = alike(self.vehicle, vehicles)
+        if any(vehicle.filtered for vehicle in (self.vehicle, *sound)):  # there the two steps are not the end of a design
+            named = [replace(vehicle, controllers=self.vehicle.controllers) for vehicle in sound]
+            return one_by_one(name, [lambda each=each: Designer(each).design(name) for each in named])
+        from synth.design.batch import state_designs, two_step_designs
+
+        plants = [generalized_plant(vehicle) for vehicle in sound]
+        states = plant_states(self.vehicle)
+        try:
+            if name == "state":
+                designs = state_designs(self.plant, self.state_path, plants, states)
+            else:
+                Cy, *Cys = (measurements(each, entry.measured)[0] for each in (self.vehicle, *sound))
+                designs = two_step_designs(self.plant, self.state_path, Cy, plants, Cys, states)
+        except BatchError as error:
+            controllers = {i: designed(sound[i], entry, design) for i, design in error.designs.items()}
+            raise BatchError(f"controller {name!r}: {error}", controllers, error.failures) from error
+        except DesignError as error:
+            raise type(error)(f"controller {name!r}: {error}") from error
+        return [designed(vehicle, entry, design) for vehicle, design in zip(sound, designs, strict=True)]
+
+    def checked(self, entry: ControllerEntry) -> tuple[Certificate, tuple[str, ...]]:
+        """What is true of a law of the file by the proofs that its certificate brings, and what of that does not hold, in words.
+
+        Raises:
+            InputError: the certificate is malformed.
+        """
+        try:
+            return checked(self.problem(entry.measured, entry.hardware), entry)
+        except InputError as error:
+            raise self.vehicle.found_wrong(error) from error
+
+    def _entry(self, name: str) -> ControllerEntry:
+        """What is to be designed or certified under a name."""
+        name, model = unicodedata.normalize("NFC", str(name)), self.vehicle.linear_model
+        if name == "passive":
+            return ControllerEntry(name, (), static_law(np.zeros((len(model.inputs), 0))))
+        if name == "state":
+            return ControllerEntry(name, model.states, sampled=self.vehicle.sampled)
+        return self.vehicle.linear_entry(name)
+
+
+def given(vehicle: Vehicle, name: str, measured: Sequence[str], law: LinearLaw, hardware: Hardware = IDEAL) -> Controller:
+    """Certifies a known law; `Designer.given` shares work between several."""
+    return Designer(vehicle).given(name, measured, law, hardware)
+
+
+def design(vehicle: Vehicle, name: str) -> Controller:
+    """One controller of a vehicle; `Designer` shares work between several."""
+    return Designer(vehicle).design(name)
+
+
+def design_controllers(vehicle: Vehicle, names: Sequence[str]) -> list[Controller]:
+    """Returns controllers of a vehicle by name, each with its certificate. They share the state-feedback step (22).
+
+    Args:
+        vehicle: whose file asks for them.
+        names: of the file's controllers, `passive` or `state`.
+
+    Raises:
+        InputError: a name is unknown.
+        DesignError: there is no such controller, or none could be proved; the message says why.
+
+    Example:
+        >>> from models import read_vehicle
+        >>> from synth import design_controllers
+        >>> passive, controller = design_controllers(read_vehicle("quarter_car"), ["passive", "I"])
+        >>> controller.measured, controller.gain.shape
+        (('suspension_deflection', 'sprung_velocity'), (1, 2))
+        >>> f"norm {controller.certificate.norm.value:.6f}, proved to be at most {controller.certificate.bound:.3f}"
+        'norm 7.843188, proved to be at most 7.871'
+    """
+    designer = Designer(vehicle)
+    return [designer.design(name) for name in names]

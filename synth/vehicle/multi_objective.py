@@ -1,0 +1,360 @@
+"""A controller that is designed for the goals of its section: the problem that they are, and what it keeps of them, certified."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError
+from models.common.printed import percent
+from models.laws.linear import LinearLaw, static_law
+from models.roads.road import Road, delays, under_wheels
+from models.vehicle.controllers import ControllerEntry
+from models.vehicle.goals import FORCE, REGRET, DecayBound, EnergyBound, GainBound, Goals, NormBound, NormOf, PeakBound
+from models.vehicle.vehicle import Vehicle
+from synth.analysis.bounding import certify_tightly
+from synth.analysis.certificate import Certificate
+from synth.analysis.lower_bound import LowerBound
+from synth.analysis.specification import Promise
+from synth.controller.controller import Controller, InterruptedDesign
+from synth.controller.problem import Problem, measurements, problem
+from synth.design.multi_model import slack_design
+from synth.design.multi_objective.design import GoalDesign, Interrupted, design_for_goals
+from synth.design.multi_objective.objectives import Signal
+from synth.design.multi_objective.problem import Errors, GoalProblem, Member, NormGoal, Posed
+from synth.design.multi_objective.road_response import Drive, Driven
+from synth.design.multi_objective.search import Told
+from synth.design.two_step import two_step_design
+from synth.plant.numerics import DesignError
+from synth.vehicle.verification import Judged
+
+USUAL_SPEED = 12.5  # m/s, the paper's (62)
+
+
+def family_of(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> list[Vehicle]:
+    """The vehicles that a design is for.
+
+    Raises:
+        InputError: one cannot be.
+    """
+    found = []
+    for i, member in enumerate(goals.family or ({},)):
+        parameters = {name: value * member.get(name, 1.0) for name, value in vehicle.parameters.items()}
+        try:
+            found.append(replace(vehicle, parameters=parameters).checked())
+        except InputError as error:
+            raise InputError(f"[controllers.{entry.name}] family[{i}]: {error}") from error
+    return found
+
+
+def goal_problem(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> GoalProblem:
+    """What a section with goals asks for, its members' own bests left open.
+
+    Raises:
+        InputError: a road that is none or has no end, or a member or a measurement that cannot be. The message names the vehicle
+            file, and the bound.
+    """
+    try:
+        return _goal_problem(vehicle, entry, goals)
+    except InputError as error:
+        raise vehicle.found_wrong(error) from error
+
+
+def _goal_problem(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> GoalProblem:
+    through = measurements(vehicle, entry.measured, entry.hardware.bandwidth)[1]
+    if np.any(through):
+        i = int(np.argmax(np.any(through, axis=1)))
+        raise InputError(
+            f"[controllers.{entry.name}] measures {entry.measured[i]!r}, in which forces act at once, and has goals, whose "
+            "errors and structure are of a gain on the state alone; measure something else, or give lag = true"
+        )
+    vehicles = family_of(vehicle, entry, goals)
+    norms = [goals.minimise, *(bound.norm for bound in goals.bounds if isinstance(bound, NormBound))]
+    bounded = [(f"[controllers.{entry.name}] bounds[{i}]", bound) for i, bound in enumerate(goals.bounds)]
+    peaks = [(bound, _road(where, vehicle, bound)) for where, bound in bounded if isinstance(bound, PeakBound)]
+    energies = [(where, bound) for where, bound in bounded if isinstance(bound, EnergyBound)]
+    members = tuple(
+        Member(
+            tuple(_posed(each, entry, norm) for norm in norms),
+            tuple(_driven(each, entry, bound, road) for bound, road in peaks),
+            tuple(_signal(where, weighing(each, goals.minimise), entry, bound) for where, bound in energies),
+        )
+        for each in vehicles
+    )
+    bounds = [
+        NormGoal(i + 1, bound.norm.rates, bound.at_most, f"{bound.norm.text} <= {bound.at_most:g}")
+        for i, bound in enumerate(each for each in goals.bounds if isinstance(each, NormBound))
+    ]
+    m, q = through.shape[1], len(entry.measured)
+    inputs, tolerance = vehicle.linear_model.inputs, goals.tolerance
+    errors = Errors(
+        np.array([tolerance.get(signal, 0.0) for signal in entry.measured]),
+        np.array([tolerance.get(force, tolerance.get(FORCE, 0.0)) for force in inputs]),
+    )
+    structure = np.ones((m, q), dtype=bool) if goals.structure is None else np.array(goals.structure)
+    return GoalProblem(
+        members,
+        NormGoal(0, goals.minimise.rates),
+        errors,
+        structure,
+        norms=tuple(bounds),
+        decay=_strictest([bound.rate for bound in goals.bounds if isinstance(bound, DecayBound)], max),
+        peaks=tuple(bound.at_most for bound, _ in peaks),
+        gain=_strictest([bound.at_most for bound in goals.bounds if isinstance(bound, GainBound)], min),
+    )
+
+
+def weighing(vehicle: Vehicle, norm: NormOf) -> Vehicle:
+    """The vehicle whose z is that of a norm."""
+    return vehicle if norm.signals is None else replace(vehicle, performance=dict(norm.signals), filters={})
+
+
+def _posed(vehicle: Vehicle, entry: ControllerEntry, norm: NormOf) -> Posed:
+    """A vehicle with the z of a norm."""
+    posed = problem(weighing(vehicle, norm), entry.measured, entry.hardware)
+    return Posed(posed.plant, posed.Cy, posed.Dyw)
+
+
+def _driven(vehicle: Vehicle, entry: ControllerEntry, bound: PeakBound, road: Road) -> Driven:
+    """A vehicle on the road of a bound."""
+    bandwidth = entry.hardware.bandwidth
+    model = vehicle.linear_model if bandwidth is None else vehicle.linear_model.behind_lag(bandwidth)
+    (C, D), (Cy, _) = model.rows([bound.signal]), model.rows(entry.measured)
+    of_height = model.Cr[model.outputs.index(bound.signal)]
+
+    @cache
+    def heights(times: bytes) -> Array:
+        return under_wheels(road.displacement, road, vehicle, np.frombuffer(times))
+
+    later = delays(road, vehicle)
+    kinks = np.unique([kink + delay for kink in road.kinks for delay in later])
+    drive = Drive(
+        lambda t: heights(np.ascontiguousarray(t).tobytes()),
+        lambda t: under_wheels(road.velocity, road, vehicle, t),
+        kinks,
+        road.duration + max(later),
+    )
+    name = f"{bound.signal} over {bound.road} <= {bound.at_most:g}"
+    return Driven(model.A, model.B, Cy, model.Bw, model.Br, C[0], D[0], of_height, drive, name)
+
+
+def _signal(where: str, vehicle: Vehicle, entry: ControllerEntry, bound: EnergyBound) -> Signal:
+    """The signal of a bound for roads of given energy, on the states of what is minimised.
+
+    Args:
+        where: the bound, for messages.
+        vehicle, entry, bound: what it is of.
+
+    Raises:
+        InputError: the road's height, which has no energy, or noise reaches it at once.
+    """
+    model, bandwidth = vehicle.linear_model, entry.hardware.bandwidth
+    if np.any(model.Cr[model.outputs.index(bound.signal)]):
+        raise InputError(
+            f"{where}: {bound.signal!r} has the road's height in it, which no energy of its velocity bounds; give another "
+            "signal, or its peak over a road"
+        )
+    if any(entry.hardware.noise):
+        raise InputError(
+            f"{where} is an energy_peak, which is of the road alone, and [controllers.{entry.name}] has noise = true; leave "
+            "one out"
+        )
+    c, g = measurements(vehicle, [bound.signal], bandwidth)
+    name = f"{bound.signal} for roads of {bound.energy:g} m2/s <= {bound.at_most:g}"
+    return Signal(c[0], g[0], bound.at_most, bound.energy**0.5, name)
+
+
+def _road(where: str, vehicle: Vehicle, bound: PeakBound) -> Road:
+    """The road of a bound.
+
+    Args:
+        where: the bound, for messages.
+        vehicle, bound: what it is of.
+
+    Raises:
+        InputError: it is none, or has no end.
+    """
+    from models.roads.choice import choose_road  # it knows every kind of road and load, and their files
+
+    where = f"{where} road = {bound.road!r}"
+    try:
+        choice = choose_road(bound.road)
+        road = choice.build(vehicle, bound.speed or USUAL_SPEED, 0, 0.0)
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from error
+    if choice.loads:
+        raise InputError(f"{where} has loads, and a bound on a peak is over the road alone; leave them out")
+    if not np.isfinite(road.duration):
+        raise InputError(f"{where} has no end, and so no largest value; give a bump, a step, a hump or a pothole")
+    return road
+
+
+def _strictest(values: Sequence[float], of: Callable[[Sequence[float]], float]) -> float | None:
+    return of(values) if values else None
+
+
+def goals_design(
+    vehicle: Vehicle,
+    entry: ControllerEntry,
+    goals: Goals,
+    posed: Problem,
+    lower_bound: LowerBound,
+    told: Told = lambda goal, within: None,
+) -> Controller:
+    """The controller of a section with goals.
+
+    Args:
+        vehicle: the vehicle.
+        entry: its section.
+        goals: its goals.
+        posed: what its certificate is of: z of `[performance]` at all frequencies.
+        lower_bound: of that.
+        told: called with what is reached, as it is.
+
+    Raises:
+        InputError: see `goal_problem`.
+        DesignError: there is none.
+        InterruptedDesign: by Ctrl-C, with what was finished until then.
+    """
+    asked = goal_problem(vehicle, entry, goals)
+    bests = with_bests(asked) if goals.family else asked  # said of every family, minimised where that is asked for
+    stopped = ""
+    try:
+        found = searched(bests if goals.over == REGRET else asked, told)
+    except Interrupted as error:
+        found, stopped = error.best, "interrupted: the best within all bounds until then"
+    try:
+        made = _controller(vehicle, entry, goals, posed, lower_bound, bests, found)
+    except KeyboardInterrupt as error:
+        made = _controller(vehicle, entry, goals, posed, lower_bound, bests, found, judged=False)
+        raise InterruptedDesign(made, "interrupted: of its promises none is proved") from error
+    if stopped:
+        raise InterruptedDesign(made, stopped)
+    try:
+        return made if goals.structure is None else replace(made, remarks=(*made.remarks, *price(asked, found)))
+    except KeyboardInterrupt as error:
+        raise InterruptedDesign(made, "interrupted: what its structure costs is not known") from error
+
+
+def _controller(
+    vehicle: Vehicle,
+    entry: ControllerEntry,
+    goals: Goals,
+    posed: Problem,
+    lower_bound: LowerBound,
+    asked: GoalProblem,
+    found: GoalDesign,
+    judged: bool = True,
+) -> Controller:
+    """The controller of a gain, certified, with what it keeps where that is judged."""
+    law = static_law(found.gain)
+    certificate = certify_tightly(*posed.closed(law), lower_bound, by_itself=posed.plant)
+    return Controller(
+        entry.name,
+        entry.measured,
+        law,
+        designed=True,
+        certificate=certificate,
+        remarks=(*remarks(found), *_beside(goals, certificate)),
+        hardware=entry.hardware,
+        promises=Judged(vehicle, entry, goals, asked, found.gain).promises() if judged else (),
+    )
+
+
+def _beside(goals: Goals, certificate: Certificate) -> tuple[str, ...]:
+    """What is the case beside a band, where nothing bounds that."""
+    if not goals.minimise.narrow or any(isinstance(bound, NormBound) and not bound.norm.narrow for bound in goals.bounds):
+        return ()
+    return (
+        f"nothing bounds what lies beside its band, where the norm is {certificate.norm.value:.7g}; "
+        "give bounds = [{ norm = ... }]",
+    )
+
+
+def promises_of(
+    vehicle: Vehicle, entry: ControllerEntry, goals: Goals, law: LinearLaw, search: bool = True
+) -> tuple[Promise, ...]:
+    """What a given gain keeps of the goals of its section.
+
+    Args:
+        vehicle: the vehicle.
+        entry: the section.
+        goals: its goals.
+        law: the gain.
+        search: whether the ratio to what each vehicle of a family has at its own best, which takes designs, is asked for.
+
+    Raises:
+        InputError: see `goal_problem`.
+        DesignError: a vehicle of the family has nothing within the bounds by itself, where the ratio to that is asked for.
+    """
+    asked = goal_problem(vehicle, entry, goals)
+    if search and goals.over == REGRET:
+        asked = with_bests(asked)
+    return Judged(vehicle, entry, goals, asked, law.D).promises()
+
+
+def price(asked: GoalProblem, found: GoalDesign) -> tuple[str, ...]:
+    """What a structure costs, against the gain that has every entry, designed likewise; nothing where that is the same gain.
+
+    Args:
+        asked: the problem, with the structure.
+        found: its design, from which that of the whole gain starts, too.
+    """
+    whole = replace(asked, structure=np.ones_like(asked.structure))
+    if np.all(asked.structure):
+        return ()
+    goal = min(design_for_goals(whole, [found.gain, *_two_steps(whole)]).goal, found.goal)
+    return (f"its structure costs {percent(found.goal / goal - 1)}: a gain with every entry comes to {goal:.7g}",)
+
+
+def with_bests(asked: GoalProblem) -> GoalProblem:
+    """The same, of the largest ratio to what each member has by itself, within the same bounds.
+
+    Raises:
+        DesignError: one has nothing within the bounds.
+    """
+    bests = []
+    for i in range(len(asked.members)):
+        try:
+            bests.append(searched(asked.alone(i)).goal)
+        except DesignError as error:
+            raise DesignError(f"family[{i}] by itself: {error}") from error
+    return replace(asked, bests=tuple(bests))
+
+
+def searched(asked: GoalProblem, told: Told = lambda goal, within: None) -> GoalDesign:
+    """What the engine finds, from the two steps of some members, and what it finds itself."""
+    return design_for_goals(asked, _two_steps(asked), told, lambda: _slack(asked))
+
+
+def _slack(asked: GoalProblem) -> list[Array]:
+    """The gain of the two steps with a slack variable, for all members at once."""
+    plants = [member.posed[0] for member in asked.members]
+    try:
+        return [slack_design([each.plant for each in plants], [each.Cy for each in plants], asked.structure).gain]
+    except InputError:
+        return []
+
+
+def _two_steps(asked: GoalProblem) -> list[Array]:
+    """The gains of the two steps, of the first, middle and last member."""
+    count, found = len(asked.members), []
+    for i in sorted({0, count // 2, count - 1}):
+        posed = asked.members[i].posed[0]
+        try:
+            found.append(two_step_design(posed.plant, posed.Cy).gain)
+        except InputError:
+            continue
+    return found
+
+
+def remarks(found: GoalDesign) -> tuple[str, ...]:
+    """What there is to say of a search."""
+    if found.refused is None:
+        return ("designed for its goals, by descent from the two steps and other starts",)
+    return (
+        f"designed for its goals, by descent from the two steps and other starts; refused: {percent(found.refused)} less for "
+        "up to twice the gain",
+    )

@@ -1,0 +1,230 @@
+"""What the paper prints of its designs, (40)-(60), and its remarks 4 and 5 say of other ways to a gain; ours beside it.
+
+Remark 4: with the states (30) problem (25) has no solution for L = 0. With z_s, z_u and their velocities, as in [33], it has one
+for controller I and none for II. There the road's height is w, for its velocity would need a state more; z is the same.
+
+Remark 5: in [19] controller I was found by a genetic algorithm. Its kind of search stands here as `differential_evolution`: it
+asks for nothing but the norm of a gain, within a box that has to be given, and what it finds depends on box and seed.
+"""
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import differential_evolution
+
+from models.common.arrays import Array
+from models.vehicle.vehicle import Vehicle, read_vehicle
+from synth.analysis.certificate import certify
+from synth.analysis.norm import hinf_norm
+from synth.analysis.stability import stability
+from synth.design.two_step import state_path, two_step_design, zero_l_design
+from synth.lmi.output_feedback import l_matrix, output_feedback, r_matrix
+from synth.plant.generalized import Feedback, GeneralizedPlant
+from synth.plant.numerics import InfeasibleError, numerics
+from synth.vehicle.designer import Designer
+
+# The bases (47) and (57) that the paper chose; L depends on them, K does not.
+CY = {"I": np.eye(4)[[0, 2]], "II": np.eye(4)[[2]]}  # (46), (55)
+Q = {"I": np.eye(4)[:, [1, 3]], "II": np.eye(4)[:, [1, 0, 3]]}  # (47), (57)
+
+SHORT = "the paper's solver stopped a little short of the limit of the central path, 2e-4 away in X"
+EXACT = ""
+
+
+@dataclass(frozen=True)
+class Printed:
+    """A number of the paper.
+
+    Attributes:
+        equation: where it stands.
+        quantity: its symbol.
+        entry: row and column from 0; None for a scalar.
+        value: as printed.
+        digit: unit of its last printed digit.
+        reason: why ours differs in that digit; empty where it does not.
+    """
+
+    equation: str
+    quantity: str
+    entry: tuple[int, int] | None
+    value: float
+    digit: float
+    reason: str
+
+
+PRINTED = (
+    Printed("(40)", "G_s", (0, 0), 1.1810e4, 1e0, EXACT),
+    Printed("(40)", "G_s", (0, 1), 0.2333e4, 1e0, EXACT),
+    Printed("(40)", "G_s", (0, 2), -0.1096e4, 1e0, SHORT),
+    Printed("(40)", "G_s", (0, 3), 0.0109e4, 1e0, EXACT),
+    Printed("(41)", "gamma_Gs", None, 7.8365, 1e-4, EXACT),
+    Printed("(42)", "X_s", (0, 0), 0.5965, 1e-4, SHORT),
+    Printed("(42)", "X_s", (0, 1), -0.0020, 1e-4, EXACT),
+    Printed("(42)", "X_s", (0, 2), -0.5075, 1e-4, SHORT),
+    Printed("(42)", "X_s", (0, 3), -0.0085, 1e-4, EXACT),
+    Printed("(42)", "X_s", (1, 1), 0.0020, 1e-4, EXACT),
+    Printed("(42)", "X_s", (1, 2), 0.0020, 1e-4, EXACT),
+    Printed("(42)", "X_s", (1, 3), -0.0081, 1e-4, EXACT),
+    Printed("(42)", "X_s", (2, 2), 0.7659, 1e-4, SHORT),
+    Printed("(42)", "X_s", (2, 3), -0.0015, 1e-4, EXACT),
+    Printed("(42)", "X_s", (3, 3), 8.0713, 1e-4, SHORT),
+    Printed("(48)", "L_I", (0, 0), -0.0025, 1e-4, EXACT),
+    Printed("(48)", "L_I", (0, 1), 0.0009, 1e-4, EXACT),
+    Printed("(48)", "L_I", (1, 0), -0.0364, 1e-4, EXACT),
+    Printed("(48)", "L_I", (1, 1), -0.0261, 1e-4, SHORT),
+    Printed("(49)", "R_I", (0, 0), 1.0, 1e-4, EXACT),
+    Printed("(49)", "R_I", (0, 1), 0.0, 1e-4, EXACT),
+    Printed("(49)", "R_I", (1, 0), -0.0025, 1e-4, EXACT),
+    Printed("(49)", "R_I", (1, 1), 0.0009, 1e-4, EXACT),
+    Printed("(49)", "R_I", (2, 0), 0.0, 1e-4, EXACT),
+    Printed("(49)", "R_I", (2, 1), 1.0, 1e-4, EXACT),
+    Printed("(49)", "R_I", (3, 0), -0.0364, 1e-4, EXACT),
+    Printed("(49)", "R_I", (3, 1), -0.0261, 1e-4, SHORT),
+    Printed("(50)", "K_I", (0, 0), 1.0824e4, 1e0, SHORT),
+    Printed("(50)", "K_I", (0, 1), -0.2071e4, 1e0, SHORT),
+    Printed("(51)", "G_I", (0, 0), 1.0824e4, 1e0, SHORT),
+    Printed("(51)", "G_I", (0, 1), 0.0, 1e0, EXACT),
+    Printed("(51)", "G_I", (0, 2), -0.2071e4, 1e0, SHORT),
+    Printed("(51)", "G_I", (0, 3), 0.0, 1e0, EXACT),
+    Printed("(52)", "gamma_GI", None, 7.8432, 1e-4, EXACT),
+    Printed("(56)", "L_II", (0, 0), 0.0026, 1e-4, EXACT),
+    Printed("(56)", "L_II", (1, 0), -0.6627, 1e-4, SHORT),
+    Printed("(56)", "L_II", (2, 0), -0.0019, 1e-4, EXACT),
+    Printed("(57)", "R_II", (0, 0), -0.6627, 1e-4, SHORT),
+    Printed("(57)", "R_II", (1, 0), 0.0026, 1e-4, EXACT),
+    Printed("(57)", "R_II", (2, 0), 1.0, 1e-4, EXACT),
+    Printed("(57)", "R_II", (3, 0), -0.0019, 1e-4, EXACT),
+    Printed("(58)", "K_II", (0, 0), -8.9703e3, 1e-1, SHORT),
+    Printed("(59)", "G_II", (0, 2), -8.9703e3, 1e-1, SHORT),
+    Printed("(60)", "gamma_GII", None, 7.9068, 1e-4, EXACT),
+)
+
+
+def is_the_papers(vehicle: Vehicle) -> bool:
+    """Whether a vehicle has the parameters (33) and weights (38)."""
+    paper = read_vehicle("quarter_car")
+    return not vehicle.filtered and vehicle.parameters == paper.parameters and vehicle.performance == paper.performance
+
+
+def ours(designer: Designer) -> dict[str, Array | float]:
+    """The same quantities of the paper's vehicle, computed here, by symbol."""
+    step = designer.state_feedback
+    found: dict[str, Array | float] = {"G_s": step.K, "X_s": step.X, "gamma_Gs": step.gamma}
+    for name in ("I", "II"):
+        L = l_matrix(step.X, CY[name], Q[name])
+        point = output_feedback(designer.plant, CY[name], L, Q[name])[-1]
+        found |= {f"L_{name}": L, f"R_{name}": r_matrix(CY[name], Q[name], L), f"K_{name}": point.K}
+        found[f"G_{name}"] = point.K @ CY[name]
+        found[f"gamma_G{name}"] = certify(designer.plant, point.K @ CY[name]).norm.value
+    return found
+
+
+def entry_of(quantity: Array | float, entry: tuple[int, int] | None) -> float:
+    """One number of a quantity."""
+    return float(np.asarray(quantity)[entry] if entry is not None else quantity)
+
+
+TO_RELATIVE = np.array([[1.0, -1.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+ROAD = np.array([[0.0], [-1.0], [0.0], [0.0]])  # (30) is TO_RELATIVE [z_s z_u z_s' z_u']' + ROAD z_r
+BOX = 2e4  # of every entry of the gain, in its unit: about twice the paper's largest
+SEED = 1
+TOLERANCE = 1e-6  # of the population's norms, relative, at which the search ends
+UNSTABLE = 1e6  # what an unstable loop counts: far more than a stable one, and the more the faster it grows
+
+
+@dataclass(frozen=True, eq=False)
+class WithoutL:
+    """Remark 4 of one controller.
+
+    Attributes:
+        controller: I or II.
+        states: "(30)" or "[33]".
+        gain: K, shape (1, q); None where (25) has no solution for L = 0.
+        bound: gamma of (25); None likewise.
+        best: gamma of (22) for the same plant, what no gain beats.
+    """
+
+    controller: str
+    states: str
+    gain: Array | None
+    bound: float | None
+    best: float
+
+
+@dataclass(frozen=True, eq=False)
+class Way:
+    """Remark 5: one way to a gain.
+
+    Attributes:
+        controller: I or II.
+        how: in words.
+        gain: K, shape (1, q).
+        norm: that it reaches.
+        work: in words: problems solved, or norms computed.
+        seconds: of processor time.
+    """
+
+    controller: str
+    how: str
+    gain: Array
+    norm: float
+    work: str
+    seconds: float
+
+
+def absolute_states(plant: GeneralizedPlant) -> GeneralizedPlant:
+    """The paper's plant with the states of [33], z_s, z_u, z_s' and z_u', and w = z_r."""
+    A = np.vstack([np.eye(4)[2:], plant.A[2:] @ TO_RELATIVE])
+    B, Bw = (np.vstack([np.zeros((2, 1)), rows]) for rows in (plant.B[2:], plant.A[2:] @ ROAD))
+    return GeneralizedPlant(A=A, B=B, Bw=Bw, C=plant.C @ TO_RELATIVE, D=plant.D, Dw=plant.C @ ROAD)
+
+
+def remark_4(designer: Designer) -> list[WithoutL]:
+    """L = 0 for both controllers, with both choices of states.
+
+    Args:
+        designer: of the paper's vehicle.
+    """
+    found = []
+    for states, plant, turned in (
+        ("(30)", designer.plant, np.eye(4)),
+        ("[33]", absolute_states(designer.plant), TO_RELATIVE),
+    ):
+        best = state_path(plant)[-1].gamma
+        for name, Cy in CY.items():
+            try:
+                design = zero_l_design(plant, Cy @ turned)
+            except InfeasibleError:
+                found.append(WithoutL(name, states, None, None, best))
+            else:
+                found.append(WithoutL(name, states, design.gain, design.certificate.bound, best))
+    return found
+
+
+@numerics()
+def remark_5(designer: Designer) -> list[Way]:
+    """The two steps beside a genetic algorithm, for both controllers.
+
+    Args:
+        designer: of the paper's vehicle.
+    """
+    found, plant = [], designer.plant
+    for name, Cy in CY.items():
+        begin = time.process_time()
+        design = two_step_design(plant, Cy)
+        seconds = time.process_time() - begin
+        found.append(Way(name, "two steps", design.gain, design.certificate.norm.value, "2 LMI problems", seconds))
+
+        def norm(K: Array, Cy: Array = Cy) -> float:
+            loop = plant.closed_loop(Feedback(K[None], Cy))
+            poles = stability(loop.A)
+            return hinf_norm(loop).value if poles.stable else UNSTABLE + float(poles.worst.real)
+
+        begin = time.process_time()
+        search = differential_evolution(
+            norm, [(-BOX, BOX)] * len(Cy), rng=np.random.default_rng(SEED), tol=TOLERANCE, polish=False
+        )
+        seconds = time.process_time() - begin
+        found.append(Way(name, "genetic", search.x[None], float(search.fun), f"{search.nfev} norms", seconds))
+    return found

@@ -1,0 +1,56 @@
+"""A controller of a vehicle file that is the best in the mean: LQR, LQG or H2, from Riccati equations, without an LMI."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from models.laws.linear import LinearLaw
+from models.vehicle.controllers import ControllerEntry
+from models.vehicle.vehicle import Vehicle
+from synth.controller.controller import on_readings
+from synth.controller.problem import Problem, plant_states, problem
+from synth.design.full_order.quadratic import QuadraticDesign, h2_norm, quadratic_design, widened
+
+
+def white_noise(vehicle: Vehicle, entry: ControllerEntry, posed: Problem) -> list[float] | None:
+    """The noise of each measurement that says something of the state, for LQG; None where there is none.
+
+    Drawn every T seconds, noise of rms sigma is white noise of sigma sqrt(T).
+    """
+    how = vehicle.implementation
+    found = [how.noise.get(entry.measured[i], 0.0) * (how.sample_period or 0.0) ** 0.5 for i in posed.of_state]
+    return found if any(found) else None
+
+
+def best_in_the_mean(vehicle: Vehicle, entry: ControllerEntry) -> QuadraticDesign:
+    """What a section's `design` comes to, its law on what the sensors read.
+
+    Args:
+        vehicle: its weights, and the noise of its sensors.
+        entry: its `design` is "lqr", "lqg" or "h2".
+
+    Raises:
+        InputError, DesignError: as `quadratic_design` and `on_readings`.
+    """
+    posed = problem(vehicle, entry.measured, entry.hardware)
+    Cy, Dyw = posed.rows(posed.of_state)
+    states, noise = plant_states(vehicle, entry.hardware.bandwidth), white_noise(vehicle, entry, posed)
+    found = quadratic_design(entry.design, posed.plant, Cy, states, noise, Dyw)
+    return replace(found, law=on_readings(found.law, posed))
+
+
+def mean_of(vehicle: Vehicle, entry: ControllerEntry, law: LinearLaw) -> float:
+    """The H2 norm that `best_in_the_mean` makes the smallest, of any law on what the sensors read whose loop is stable.
+
+    Raises:
+        InputError: its loop has no solution.
+    """
+    posed = problem(vehicle, entry.measured, entry.hardware)
+    noise = white_noise(vehicle, entry, posed)
+    if entry.design == "lqg" and noise is not None:
+        q, r = len(posed.Cy), posed.plant.Bw.shape[1]
+        Dyw = np.zeros((q, r + len(noise)))
+        Dyw[posed.of_state, r:] = np.diag(noise)
+        posed = replace(posed, plant=widened(posed.plant, r + len(noise)), Dyw=Dyw)
+    plant, G = posed.closed(law)
+    return h2_norm(plant.closed_loop(G))

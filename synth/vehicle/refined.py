@@ -1,0 +1,90 @@
+"""A controller after `--refine`, and what that took; and whether that is worth it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.laws.linear import static_law
+from models.vehicle.controllers import ControllerEntry
+from models.vehicle.vehicle import Vehicle
+from synth.analysis.bounding import certify_tightly
+from synth.analysis.lower_bound import LowerBound
+from synth.controller.controller import Controller
+from synth.controller.problem import Problem
+from synth.design.descent.refine import SEEN, Refinement, from_some, refine, worth_refining
+from synth.lmi.output_feedback import independent_rows
+from synth.plant.augmented import on_larger_plant
+
+
+@dataclass(frozen=True, eq=False)
+class Refined:
+    """A controller whose norm was lowered, and what that took.
+
+    Attributes:
+        controller: the refined one, with its certificate.
+        start: what it was refined from; None where the two steps find no gain.
+        origin: where the descent began instead, in words; empty where at `start`.
+        refinement: the norms before and after, the growth of the gain, and what was refused.
+    """
+
+    controller: Controller
+    start: Controller | None
+    origin: str
+    refinement: Refinement
+
+    @property
+    def traded(self) -> str:
+        """What was traded, in words."""
+        return f"refined: {f'from {self.origin}; ' if self.origin else ''}{self.refinement.traded}"
+
+
+def refined(
+    vehicle: Vehicle, entry: ControllerEntry, posed: Problem, start: Controller | None, lower_bound: LowerBound
+) -> Refined:
+    """The controller of an entry with a lower norm.
+
+    Args:
+        vehicle: the vehicle.
+        entry: its section.
+        posed: what it is judged with.
+        start: what is refined; None where the two steps find no gain: then it is the best that any start leads to.
+        lower_bound: of that problem.
+
+    Raises:
+        DesignError: the start does not stabilise the vehicle, or no start leads to a gain.
+    """
+    kept = independent_rows(posed.plant, posed.Cy)
+    (Cy, Dyw), origin = posed.rows(kept), ""
+    if start is None:
+        from synth.design.static import static_output_feedback
+
+        found = static_output_feedback(posed.plant, Cy, lower_bound=lower_bound, Dyw=Dyw)
+        K, origin = found.gain, found.origin
+    else:
+        K = _gain(vehicle, start, posed, kept)
+    refinement = refine(posed.plant, Cy, K, Dyw)
+    gain = np.zeros((len(K), len(entry.measured)))
+    gain[:, kept] = refinement.gain
+    certificate = certify_tightly(
+        *on_larger_plant(posed.plant, Cy, static_law(refinement.gain), Dyw), lower_bound, by_itself=posed.plant
+    )
+    law = static_law(gain).fed_back(-posed.through)
+    controller = Controller(entry.name, entry.measured, law, True, certificate, hardware=entry.hardware)
+    return Refined(controller, start, origin, refinement)
+
+
+def worth(vehicle: Vehicle, controller: Controller, posed: Problem) -> float:
+    """By how much refining lowers a stable controller's norm at least, relative; 0 where not by what seven digits show."""
+    gap = controller.certificate.gap
+    if gap is not None and gap <= SEEN:
+        return 0.0
+    kept = independent_rows(posed.plant, posed.Cy)
+    Cy, Dyw = posed.rows(kept)
+    share = worth_refining(posed.plant, Cy, _gain(vehicle, controller, posed, kept), Dyw)
+    return share if share > SEEN else 0.0
+
+
+def _gain(vehicle: Vehicle, controller: Controller, posed: Problem, kept: list[int]) -> Array:
+    """Its gain on those of the measurements that the others follow from, shape (m, len(kept))."""
+    return from_some(controller.law_on_states(vehicle).D, posed.Cy, kept)

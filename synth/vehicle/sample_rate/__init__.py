@@ -1,0 +1,1 @@
+"""What slower computers cost a controller: its norm over the sample period, and where the loop is lost."""

@@ -1,0 +1,185 @@
+"""What slower computers cost a controller: the exact norm of its loop over the sample period, at once and late; and its end.
+
+The end is where, from the fastest computer on, the sampled loop is lost. Stability is that of the sampled loop itself. From one
+period that is tried to the next no mode of the vehicle or of the law turns by more than a tenth of a radian, as long as anything
+is left of it. Between the last that is stable and the first that is not the interval is halved until it is nothing.
+"""
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.laws.linear import static_law
+from models.vehicle.controllers import IDEAL, ControllerEntry
+from models.vehicle.limits_and_implementation import LONGEST_PERIOD, Implementation
+from models.vehicle.vehicle import Vehicle
+from synth.analysis.sampled_norm import sampled_norm, stable
+from synth.analysis.specification import SampledNorm
+from synth.controller.controller import Controller
+from synth.controller.implementation_norm import norm_in_continuous_time, sampled_loop
+from synth.controller.open_loop import sampled
+from synth.design.sampled_data import held_design
+from synth.plant.numerics import DesignError
+from synth.vehicle.designer import Shared, supports
+from synth.vehicle.sampled_data import held_problem
+
+SHORTEST = 1e-5  # s; a computer of 100 kHz is the fastest that is asked about
+TURN = 0.1  # rad that a mode turns by from one period that is tried to the next
+GONE = 25.0  # time constants, after which e^-25 is left of a mode
+CLOSE = 1e-12  # relative, of two periods
+
+
+def lost_from(vehicle: Vehicle, controller: Controller, delay: float) -> float:
+    """The shortest sample period at which a loop is not stable [s]; infinite where there is none up to `LONGEST_PERIOD`.
+
+    Args:
+        vehicle: the vehicle; what its `[implementation]` says of sampling and delay does not count.
+        controller: its controller.
+        delay: from a measurement to the force computed from it, in samples.
+
+    Returns:
+        0 where not even the fastest computer keeps it.
+    """
+
+    def kept(period: float) -> bool:
+        return stable(sampled_loop(replace(vehicle, implementation=Implementation(period, delay)), controller))
+
+    if not kept(SHORTEST):
+        return 0.0
+    modes, before = _modes(vehicle, controller), SHORTEST
+    while before < LONGEST_PERIOD:
+        alive = modes[-np.real(modes) * before < GONE]
+        fastest = float(np.abs(alive).max(initial=1 / LONGEST_PERIOD))
+        after = min(before + TURN / fastest / (1 + delay), LONGEST_PERIOD)
+        if not kept(after):
+            return _between(kept, before, after)
+        before = after
+    return np.inf
+
+
+def _between(kept: Callable[[float], bool], before: float, after: float) -> float:
+    """Where a loop is lost between a period at which it is kept and one at which it is not."""
+    while after - before > CLOSE * after:
+        middle = (before + after) / 2
+        before, after = (middle, after) if kept(middle) else (before, middle)
+    return after
+
+
+def _modes(vehicle: Vehicle, controller: Controller) -> Array:
+    """Poles of the vehicle, its actuators and the law, by themselves [rad/s]."""
+    law = controller.law.continuous()
+    of_car = np.linalg.eigvals(sampled(vehicle, controller, SHORTEST).model.A)
+    return np.concatenate([of_car, np.linalg.eigvals(law.A)])
+
+
+@dataclass(frozen=True)
+class AtRate:
+    """A controller on one computer.
+
+    Attributes:
+        period: of its samples [s].
+        prompt: the norm of the loop whose forces act at the sample.
+        late: of the one whose forces act `Cost.delay` samples late.
+        designed: of the one that is designed for this rate instead, at once; None where none is.
+        undesigned: why none is, where one was asked for; empty otherwise.
+    """
+
+    period: float
+    prompt: SampledNorm
+    late: SampledNorm
+    designed: SampledNorm | None = None
+    undesigned: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Cost:
+    """A controller on computers of several rates.
+
+    Attributes:
+        controller: the controller.
+        ideal: the norm of its continuous loop, with its actuators' lag and without noise; infinite where that is not stable.
+        lower_bound: a norm that no controller with these measurements beats, whatever its rate; None where none is known. It is
+            proved for time-invariant controllers, and no time-varying one does better (Khargonekar, Poolla 1986).
+        delay: in samples, of the forces that are late.
+        rates: ascending by period.
+        lost: the shortest sample period at which the loop is not stable [s], see `lost_from`.
+        lost_late: the same where forces are late.
+    """
+
+    controller: Controller
+    ideal: float
+    lower_bound: float | None
+    delay: float
+    rates: tuple[AtRate, ...]
+    lost: float
+    lost_late: float
+
+    def loss(self, norm: SampledNorm) -> float:
+        """By how much a norm is above the continuous loop's, relative; below 0 where it is less, infinite where it is lost."""
+        return norm.value / self.ideal - 1 if 0 < self.ideal < np.inf else np.nan if norm.stable else np.inf
+
+
+def cost(
+    vehicle: Vehicle,
+    controller: Controller,
+    periods: Sequence[float],
+    designs: Collection[float] = (),
+    done: Callable[[int], None] = lambda count: None,
+) -> Cost:
+    """What these sample periods cost a controller.
+
+    Args:
+        vehicle: its `[implementation]` says how many samples forces are late, one if it says nothing of that, and no more.
+        controller: its controller.
+        periods: ascending [s].
+        designs: those of them for which the same is also designed anew, where it was designed in two steps.
+        done: told how many periods are done.
+    """
+    delay, ideal = vehicle.implementation.delay or 1, norm_in_continuous_time(vehicle, controller)
+    near, found = [ideal if 0 < ideal < np.inf else 1.0] * 2, []
+    for i, period in enumerate(periods):
+        both = []
+        for k, samples in enumerate((0, delay)):
+            norm = norm_at(vehicle, controller, period, samples, near[k])
+            near[k] = norm.value if norm.stable and norm.value else near[k]  # the next is not far
+            both.append(norm)
+        prompt, late = both
+        again = period in designs and _in_two_steps(vehicle, controller)
+        designed, why = _designed(vehicle, controller, period, near[0]) if again else (None, "")
+        found.append(AtRate(period, prompt, late, designed, why))
+        done(i + 1)
+    lost, lost_late = (lost_from(vehicle, controller, samples) for samples in (0, delay))
+    return Cost(controller, ideal, _lower_bound(vehicle, controller), delay, tuple(found), lost, lost_late)
+
+
+def norm_at(vehicle: Vehicle, controller: Controller, period: float, delay: float, near: float) -> SampledNorm:
+    """The norm of a loop at another sample period [s] and delay [samples] than the vehicle file says; it is near a guess."""
+    built = replace(vehicle, implementation=Implementation(period, delay))
+    return sampled_norm(sampled_loop(built, controller), near)
+
+
+def _in_two_steps(vehicle: Vehicle, controller: Controller) -> bool:
+    """Whether there is such a design for a sampled loop, too: of static gains without noise."""
+    entry = vehicle.controllers.get(controller.name)
+    own = entry is None or supports(entry, "rates")
+    return own and controller.law.acts and not any(controller.hardware.noise)
+
+
+def _designed(vehicle: Vehicle, controller: Controller, period: float, near: float) -> tuple[SampledNorm | None, str]:
+    """The norm of a gain on the same measurements that is designed for a rate; where none is found None, and why."""
+    built = replace(vehicle, implementation=Implementation(period))
+    entry = ControllerEntry(controller.name, controller.measured)
+    try:
+        gain = held_design(held_problem(built, entry), near, [controller.law.D]).gain
+    except DesignError as error:
+        return None, str(error)
+    return norm_at(vehicle, replace(controller, law=static_law(gain)), period, 0, near), ""
+
+
+def _lower_bound(vehicle: Vehicle, controller: Controller) -> float | None:
+    """What no controller beats that acts at once on what is: of those one that is late, or lags, is one."""
+    if controller.hardware == IDEAL:
+        return controller.certificate.lower_bound
+    return Shared(vehicle).lower_bound(controller.measured).gamma or None

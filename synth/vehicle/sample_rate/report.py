@@ -1,0 +1,247 @@
+"""What slower computers cost, in words, as `--json` has it, and drawn."""
+
+import math
+import re
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import some
+from models.common.printed import finite, percent, table, wrapped
+from models.figures.figure import Curve, Dash, Figure, Panel
+from models.vehicle.limits_and_implementation import LONGEST_PERIOD, samples_late
+from models.vehicle.vehicle import Vehicle
+from synth.analysis.specification import SampledNorm
+from synth.controller.report import norm_failures, proof_object
+from synth.vehicle.sample_rate.cost import SHORTEST, AtRate, Cost
+
+LITTLE = 1e-2  # relative: the slowest rate that costs no more is spoken of
+SAME = 5e-9  # relative: what is nearer to the continuous norm is it
+
+
+def cost_lines(one: Cost) -> list[str]:
+    """A controller at all rates, a line each."""
+    ideal = f"norm {one.ideal:.7g}" if math.isfinite(one.ideal) else "UNSTABLE"
+    bound = f", lower bound {one.lower_bound:.7g}" if one.lower_bound is not None else ""
+    designs = _has_designs(one)
+    rows: list[tuple[str, ...]] = [("sample", "rate", "at once", "loses", "late", "loses", *("designed", "loses")[: 2 * designs])]
+    for at in one.rates:
+        norms = [at.prompt, at.late, *[at.designed][: int(designs)]]
+        cells = [text for norm in norms for text in (_cells(one, norm) if norm is not None else ("-", ""))]
+        rows.append((f"{1e3 * at.period:g} ms", f"{1 / at.period:.4g} Hz", *cells))
+    return [f"controller {one.controller.name}: in continuous time {ideal}{bound}", *table(rows), *_undesigned_lines(one)]
+
+
+def _has_designs(one: Cost) -> bool:
+    """Whether it was designed anew for any rate, or that was tried."""
+    return any(at.designed is not None or at.undesigned for at in one.rates)
+
+
+def _undesigned_lines(one: Cost) -> list[str]:
+    """Why a design is missing, a line for each reason: what happened, without what causes it and what to do."""
+    missing: dict[str, list[AtRate]] = {}
+    for at in one.rates:
+        if at.undesigned:
+            missing.setdefault(re.split("[:;]", at.undesigned)[0], []).append(at)
+    return [line for why, rates in missing.items() for line in wrapped(f"  not designed for {_named(rates)}: {why}")]
+
+
+def about_lines(costs: Sequence[Cost]) -> list[str]:
+    """What the columns are."""
+    designs = any(_has_designs(one) for one in costs)
+    more = "; designed: anew, for the loop of that rate" if designs else ""
+    loses = "loses: by how much the norm lies above that in continuous time"
+    return [line for one in costs[:1] for line in wrapped(f"late: the forces act {late(one)}{more}; {loses}", hang=2)]
+
+
+def late(one: Cost) -> str:
+    """How late forces are that are late, in words."""
+    return samples_late(one.delay)
+
+
+def sentence(one: Cost) -> list[str]:
+    """What it comes to, in a sentence that goes over some lines."""
+    name = one.controller.name
+    if not math.isfinite(one.ideal):
+        held = any(norm is not None and norm.stable for at in one.rates for norm in (at.prompt, at.late, at.designed))
+        said = f"controller {name} is unstable {'' if held else 'even '}in continuous time"
+        return wrapped(f"{said}; {_ends(one)}" if held else said, hang=4)
+    if not one.controller.law.acts:
+        return wrapped(f"controller {name} asks for no force, so that no rate changes anything", hang=4)
+    at = _spoken(one)
+    said = f"at {1 / at.period:.4g} Hz controller {name} {_costs(one, at.prompt)}, {late(one)} {_costs(one, at.late)}"
+    if at.designed is not None:
+        said += f"; designed for it {_costs(one, at.designed)}"
+    return wrapped(f"{said}; {_ends(one)}", hang=4)
+
+
+def failures(one: Cost) -> list[str]:
+    """What does not hold of the norms, in words."""
+    name = one.controller.name
+    return [
+        f"controller {name} at {1e3 * at.period:g} ms, {how}: {text}"
+        for at in one.rates
+        for norm, how in ((at.prompt, "at once"), (at.late, late(one)), (at.designed, "designed for it"))
+        for text in norm_failures(norm)
+    ]
+
+
+def cost_object(one: Cost) -> dict[str, Any]:
+    """A controller at all rates as JSON has it: SI units, None for what is infinite or does not exist."""
+    return {
+        "name": one.controller.name,
+        "norm": finite(one.ideal),
+        "lower_bound": one.lower_bound,
+        "delay": one.delay,
+        "rates": [
+            {
+                "sample_period": at.period,
+                "sampled_norm": _object(one, at.prompt),
+                "late_norm": _object(one, at.late),
+                "designed_norm": _object(one, at.designed) if at.designed is not None else None,
+                "not_designed": at.undesigned or None,
+            }
+            for at in one.rates
+        ],
+        "unstable_from": finite(one.lost),
+        "late_unstable_from": finite(one.lost_late),
+    }
+
+
+def _object(one: Cost, norm: SampledNorm) -> dict[str, Any] | None:
+    """A norm, what proves it, and what it loses; None where the loop is not stable."""
+    if not norm.stable:
+        return None
+    return {
+        "value": norm.value,
+        "loss": finite(one.loss(norm)),
+        **proof_object(norm),
+    }
+
+
+def _cells(one: Cost, norm: SampledNorm) -> tuple[str, str]:
+    """A norm, and by how much it is above the continuous one."""
+    if not norm.stable:
+        return "UNSTABLE", ""
+    loss = one.loss(norm)
+    if not math.isfinite(loss):
+        return f"{norm.value:.7g}", ""
+    return f"{norm.value:.7g}", f"{'-' if loss < -SAME else '+'}{percent(abs(loss))}" if abs(loss) > SAME else "0 %"
+
+
+def _spoken(one: Cost) -> AtRate:
+    """The slowest rate that costs little, or else the fastest."""
+    cheap = [at for at in one.rates if at.prompt.stable and one.loss(at.prompt) <= LITTLE]
+    return cheap[-1] if cheap else one.rates[0]
+
+
+def _costs(one: Cost, norm: SampledNorm) -> str:
+    if not norm.stable:
+        return "is unstable"
+    loss = one.loss(norm)
+    return f"{'loses' if loss >= 0 else 'gains'} {percent(abs(loss) if abs(loss) > SAME else 0.0)}"
+
+
+def _ends(one: Cost) -> str:
+    """Where the loop is lost, at once and late."""
+    if math.isinf(one.lost) and math.isinf(one.lost_late):
+        return f"late or not it is stable at every rate down to {1 / LONGEST_PERIOD:g} Hz"
+    slower_prompt = [at for at in one.rates if at.period > one.lost and at.prompt.stable]
+    slower_late = [at for at in one.rates if at.period > one.lost_late and at.late.stable]
+    return f"at once it {_lost(one.lost, slower_prompt)}, {late(one)} it {_lost(one.lost_late, slower_late)}"
+
+
+def _lost(period: float, again: Sequence[AtRate]) -> str:
+    """Where a loop is lost on the way from fast computers to slow ones, and which slower ones of the table keep it."""
+    if math.isinf(period):
+        return f"is stable at every rate down to {1 / LONGEST_PERIOD:g} Hz"
+    said = f"loses stability at {1 / period:.3g} Hz" if period else f"is unstable even at {1e-3 / SHORTEST:g} kHz"
+    if not again:
+        return said
+    return f"{said} ({_named(again)} {'is' if len(again) == 1 else 'are'} stable again)"
+
+
+def _named(rates: Sequence[AtRate]) -> str:
+    """Some rates by their sample periods, the first of many."""
+    return some([f"{1e3 * at.period:g} ms" for at in rates])
+
+
+POINTS = 60  # of a curve
+HIGHEST = 1.5  # times the continuous norm: a loop that is nearly lost has no other end
+MOST_TICKS = 9
+PROMPT, LATE, DESIGNED, BEYOND = "#d62728", "#1f77b4", "#2ca02c", "#000000"
+
+
+def drawn_periods(periods: Sequence[float]) -> list[float]:
+    """Sample periods that a curve is drawn through: those asked for [s], ascending, and others between them."""
+    between = np.geomspace(periods[0], periods[-1], POINTS) if len(periods) > 1 else []
+    return sorted({*periods, *np.clip(between, periods[0], periods[-1]).tolist()})
+
+
+def rates_figure(vehicle: Vehicle, costs: Sequence[Cost], periods: Sequence[float]) -> Figure:
+    """The figure.
+
+    Args:
+        vehicle: the vehicle.
+        costs: one per controller, at `drawn_periods`.
+        periods: those that were asked for [s], which are marked.
+    """
+    title = (
+        f"{vehicle.kind.name.replace('_', ' ')}: norm of the loop as a computer closes it, over its sample period; a curve "
+        "ends where the loop is unstable"
+    )
+    panels = tuple(_panel(one, periods) for one in costs)
+    return Figure("rates", title, panels) if len(panels) > 1 else Figure("rates", title, panels, 1, (6.5, 4.0))
+
+
+def _panel(one: Cost, periods: Sequence[float]) -> Panel:
+    asked = [at for at in one.rates if at.period in periods]
+    ends = np.array([1e3 * one.rates[0].period, 1e3 * one.rates[-1].period])
+    curves = []
+    kinds: list[tuple[str, str, Dash, float]] = [("at once", PROMPT, "solid", one.lost), (late(one), LATE, "dash", one.lost_late)]
+    for k, (name, color, dash, lost) in enumerate(kinds):
+        curves.append(Curve(*_norms(one.rates, k), name, color, dash))
+        curves.append(Curve(*_norms(asked, k), "", color, "none", "o", name=f"{name}, asked for"))
+        if ends[0] <= 1e3 * lost <= ends[1]:
+            curves.append(Curve(np.full(2, 1e3 * lost), np.array([0.0, 1e6]), "", color, "dot", width=0.8))
+    designs = np.array([(1e3 * at.period, at.designed.value) for at in asked if at.designed is not None and at.designed.stable])
+    if len(designs):
+        curves.append(Curve(designs[:, 0], designs[:, 1], "designed for the rate", DESIGNED, "none", "+"))
+    if math.isfinite(one.ideal):
+        curves.append(Curve(ends, np.full(2, one.ideal), "in continuous time", "#808080", "dashdot", width=1.0))
+    if one.lower_bound is not None:
+        curves.append(Curve(ends, np.full(2, one.lower_bound), "lower bound of any controller", BEYOND, "dot", width=1.0))
+    low, high = _shown(one)
+    ticks = tuple(1e3 * period for period in periods) if len(periods) <= MOST_TICKS else ()
+    room = 0.04 * (high - low) or 0.01 * high
+    return Panel(
+        f"controller {one.controller.name}",
+        "sample period [ms]",
+        "norm of the sampled loop",
+        tuple(curves),
+        xlog=True,
+        xticks=ticks,
+        ylim=(low - room, high + room),
+    )
+
+
+def _norms(rates: Sequence[AtRate], kind: int) -> tuple[Array, Array]:
+    """Sample periods [ms], and norms, NaN where there are none."""
+    norms = [_both(at)[kind].value for at in rates]
+    return np.array([1e3 * at.period for at in rates]), np.where(np.isfinite(norms), norms, np.nan)
+
+
+def _shown(one: Cost) -> tuple[float, float]:
+    """The range that is shown."""
+    norms = [norm.value for at in one.rates for norm in _both(at) if norm.stable]
+    known = [value for value in (one.ideal, one.lower_bound) if value is not None and math.isfinite(value)]
+    if not norms:
+        return (0.0, max(known, default=1.0))
+    highest = max(norms)
+    return min([*norms, *known]), min(highest, HIGHEST * one.ideal) if known else highest
+
+
+def _both(at: AtRate) -> tuple[SampledNorm, SampledNorm]:
+    return at.prompt, at.late

@@ -1,0 +1,267 @@
+"""Plants and controllers from a `control.StateSpace` with named signals, and back; any object with its attributes will do."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError, listing, quoted
+from models.laws.linear import LinearLaw
+from models.vehicle.controllers import IDEAL, read_controllers
+from models.vehicle.vehicle import Vehicle
+from synth.controller.controller import Controller
+from synth.controller.problem import plant_states
+from synth.plant.generalized import GeneralizedPlant
+from synth.vehicle.designer import given
+
+if TYPE_CHECKING:
+    import control
+
+NUMBERED = re.compile(r"[uy]\[\d+\]")  # what python-control calls a signal that nobody named
+
+
+def from_state_space(
+    system: Any, disturbances: Sequence[str], performance: Mapping[str, float], measured: Sequence[str]
+) -> tuple[GeneralizedPlant, Array]:
+    """The plant (15) and C_y of a system whose signals have names, continuous or discrete as it is.
+
+    Args:
+        system: `control.StateSpace`: A, B, C, D, input_labels, output_labels, and dt if it is sampled: seconds.
+        disturbances: the inputs that are w; all others are u.
+        performance: weights of the outputs that make z, by name.
+        measured: the outputs that make y. None of them may contain u or w.
+
+    Returns:
+        The plant, and C_y of shape (q, n).
+
+    Raises:
+        InputError: an unknown signal, no disturbance, no weight above zero, nothing measured, a system that is sampled and does
+            not say how often, or a measurement that contains u or w.
+
+    Example:
+        >>> import control
+        >>> from synth import from_state_space
+        >>> A, B, C = [[0, 1], [-4, -0.1]], [[0, 0], [1, 1]], [[1, 0], [0, 1]]
+        >>> system = control.ss(A, B, C, 0, inputs=["w", "u"], outputs=["x", "v"])
+        >>> plant, Cy = from_state_space(system, disturbances=["w"], performance={"x": 1.0}, measured=["v"])
+        >>> plant.C, Cy
+        (array([[1., 0.]]), array([[0., 1.]]))
+    """
+    dt = _sample_period(system)
+    inputs, outputs = list(system.input_labels), list(system.output_labels)
+    for what, asked, there in (
+        ("disturbance", disturbances, inputs),
+        ("performance signal", performance, outputs),
+        ("measured signal", measured, outputs),
+    ):
+        for name in asked:
+            if name not in there:
+                raise InputError(f"unknown {what} {name!r}; the system has {listing(there)}")
+    if not disturbances:
+        raise InputError(f"no disturbance is named; give at least one of the inputs {listing(inputs)}")
+    weights = {name: float(weight) for name, weight in performance.items() if weight != 0}
+    if not weights:
+        raise InputError(f"the weights are all zero; give at least one weight to the outputs {listing(outputs)}")
+    if not measured:
+        raise InputError(f"nothing is measured; give at least one of the outputs {listing(outputs)}")
+    w = [inputs.index(name) for name in disturbances]
+    u = [i for i in range(len(inputs)) if i not in w]
+    z, y = [outputs.index(name) for name in weights], [outputs.index(name) for name in measured]
+    A, B, C, D = (np.array(getattr(system, name), dtype=float) for name in "ABCD")
+    for name, row in zip(measured, D[y], strict=True):
+        if np.any(row):
+            raise InputError(f"measured signal {name!r} contains an input directly; a static controller measures states only")
+    weight = np.array(list(weights.values()))[:, None]
+    direct = weight * D[z]
+    return GeneralizedPlant(A, B[:, u], B[:, w], weight * C[z], direct[:, u], direct[:, w], dt=dt), C[y]
+
+
+def _sample_period(system: Any) -> float | None:
+    """The seconds between samples of a system; None of a continuous one.
+
+    Raises:
+        InputError: it is sampled, and does not say how often.
+    """
+    period = getattr(system, "dt", None)
+    if period is True:
+        raise InputError("the system is sampled, and does not say how often (dt = True); give dt in seconds")
+    return period or None
+
+
+def controller_from(vehicle: Vehicle, name: str, measured: Sequence[str], system: Any) -> Controller:
+    """A controller that is a system from what is measured to the forces, certified as it is.
+
+    Args:
+        vehicle: whose controller it is to be.
+        name: what to call it.
+        measured: the signals that are its inputs. Where the system names its inputs or outputs, by whatever order it has them, it
+            is the names that count, of signals here and of the vehicle's forces there.
+        system: `control.StateSpace`, or anything that has A, B, C, D, and dt if it is sampled: seconds.
+
+    Raises:
+        InputError: it is no controller of this vehicle: a signal, a shape, an entry or the sample period does not fit.
+
+    Example:
+        >>> import control
+        >>> from models import read_vehicle
+        >>> from synth import controller_from
+        >>> leaky = control.ss([[-0.5]], [[0, 1]], [[-2000]], [[11000, 0]])
+        >>> measured = ["suspension_deflection", "sprung_acceleration"]
+        >>> controller = controller_from(read_vehicle("quarter_car"), "leaky", measured, leaky)
+        >>> controller.law.states, f"{controller.certificate.norm.value:.3f}"
+        (1, '7.845')
+    """
+    try:
+        A, B, C, D = (np.asarray(getattr(system, matrix)) for matrix in "ABCD")
+    except AttributeError as error:
+        raise InputError(f"{quoted(system)} has no A, B, C and D; give a state-space system") from error
+    law = LinearLaw(A, B, C, D, _sample_period(system))  # shapes that do not fit together are its to name
+    columns = _order(system, "input_labels", measured)
+    rows = _order(system, "output_labels", vehicle.linear_model.inputs)
+    if law.D.shape == (len(rows), len(columns)):
+        law = LinearLaw(law.A, law.B[:, columns], law.C[rows], law.D[np.ix_(rows, columns)], law.sample_period)
+    section = {name: {"measured": list(measured), **law.record}}
+    entry = read_controllers(section, vehicle.linear_model, vehicle.limits, vehicle.implementation, vehicle.kind)[name]
+    vehicle.check_entry(entry)
+    return given(vehicle, entry.name, entry.measured, law)
+
+
+def law_system(vehicle: Vehicle, controller: Controller) -> "control.StateSpace":
+    """A controller as a system from what it measures to the forces, all by name: continuous, or sampled as its law is.
+
+    Args:
+        vehicle: the vehicle.
+        controller: its controller.
+
+    Raises:
+        ValueError: it measures nothing.
+
+    Example:
+        >>> from models import read_vehicle
+        >>> from synth import design_controllers
+        >>> vehicle = read_vehicle("quarter_car")
+        >>> [controller] = design_controllers(vehicle, ["I"])
+        >>> from synth import law_system
+        >>> law_system(vehicle, controller).input_labels
+        ['suspension_deflection', 'sprung_velocity']
+    """
+    from control import StateSpace, ss
+
+    law = controller.law
+    if not controller.measured:
+        raise ValueError(f"controller {controller.name!r} measures nothing, and is no system")
+    system = ss(
+        law.A,
+        law.B,
+        law.C,
+        law.D,
+        law.sample_period or 0,
+        name=controller.name,
+        states=[f"controller_{k}" for k in range(1, law.states + 1)],
+        inputs=list(controller.measured),
+        outputs=list(vehicle.linear_model.inputs),
+        remove_useless_states=False,
+    )
+    assert isinstance(system, StateSpace)
+    return system
+
+
+def _order(system: Any, labels: str, names: Sequence[str]) -> list[int]:
+    """The places of names among a system's inputs or outputs; as they come, where it has no names for them."""
+    found = list(getattr(system, labels, None) or names)
+    if all(NUMBERED.fullmatch(label) for label in found):
+        return list(range(len(names)))
+    if sorted(found) != sorted(names):
+        raise InputError(
+            f"the system has the {labels.replace('_', ' ')} {listing(found)}; expected {listing(names)}, in any order"
+        )
+    return [found.index(name) for name in names]
+
+
+def vehicle_system(vehicle: Vehicle) -> "control.StateSpace":
+    """The vehicle (29), continuous: from road velocities and control forces to all its outputs, all by name.
+
+    Where the road's height acts as such (a full car's twist) there is no such system without another state; see `closed_loop`.
+
+    Raises:
+        ValueError: the road's height acts as such.
+    """
+    from control import StateSpace, ss
+
+    model = vehicle.linear_model
+    if np.any(model.Br) or np.any(model.Cr):
+        raise ValueError(f"in a {vehicle.kind.name} the road's height acts beside its velocity; use closed_loop")
+    roads = [wheel.road_velocity for wheel in vehicle.kind.wheels]
+    system = ss(
+        model.A,
+        np.hstack([model.Bw, model.B]),
+        model.C,
+        np.hstack([np.zeros((len(model.C), len(roads))), model.D]),
+        name=vehicle.kind.name,
+        states=list(model.states),
+        inputs=[*roads, *model.inputs],
+        outputs=list(model.outputs),
+    )
+    assert isinstance(system, StateSpace)
+    return system
+
+
+def closed_loop(vehicle: Vehicle, controller: Controller) -> "control.StateSpace":
+    """The closed loop (16), continuous, from the roads to every output of the vehicle, each by its name and in its unit.
+
+    Sensors are without noise and actuators without lag. The first inputs are the road velocities [m/s]. Where the road's height
+    acts as such, as in a full car, its twists follow, each as a velocity: its height times the model's `twist_rate`.
+
+    Args:
+        vehicle: the vehicle.
+        controller: its controller.
+
+    Example:
+        >>> from models import read_vehicle
+        >>> from synth import design_controllers
+        >>> vehicle = read_vehicle("quarter_car")
+        >>> [controller] = design_controllers(vehicle, ["I"])
+        >>> from synth import closed_loop
+        >>> closed_loop(vehicle, controller).nstates
+        4
+    """
+    outputs = vehicle.linear_model.outputs
+    plain = replace(vehicle, performance=dict.fromkeys(outputs, 1.0), filters={}, road_filter=None)
+    return _loop(plain, replace(controller, hardware=IDEAL), outputs)
+
+
+def weighted_loop(vehicle: Vehicle, controller: Controller) -> "control.StateSpace":
+    """The same to the weighted output z (34) alone: its norm is the certificate's.
+
+    Each output is a signal times its weight in `[performance]`, behind its filter if it has one, and is called `z[signal]`. Where
+    the road has a filter, each input is what comes into it, and is called `w[road]`. The noise of a sensor that the controller is
+    judged with is an input, too, of its rms, and is called `noise[signal]`; so is a load, of what counts as 1 m/s, `load[name]`.
+    """
+    return _loop(vehicle, controller, [f"z[{signal}]" for signal, weight in vehicle.performance.items() if weight > 0])
+
+
+def _loop(vehicle: Vehicle, controller: Controller, outputs: Sequence[str]) -> "control.StateSpace":
+    """The closed loop to a vehicle's z, whose entries are called so."""
+    from control import StateSpace, ss
+
+    loop, hardware = controller.loop(vehicle), controller.hardware
+    roads = [wheel.road_velocity for wheel in vehicle.kind.wheels]
+    noise = [f"noise[{name}]" for name, rms in zip(controller.measured, hardware.noise, strict=bool(hardware.noise)) if rms]
+    loads = [f"load[{name}]" for name, _ in hardware.loads]
+    more = [f"road_twist_{k}" for k in range(1, loop.Bw.shape[1] - len(roads) - len(loads) - len(noise) + 1)]
+    inputs = [*roads, *more]
+    system = ss(
+        loop.A,
+        loop.Bw,
+        loop.C,
+        loop.Dw,
+        name=f"{vehicle.kind.name}_{controller.name}",
+        states=[*plant_states(vehicle, hardware.bandwidth), *(f"controller_{k}" for k in range(1, controller.law.states + 1))],
+        inputs=[*(inputs if vehicle.road_filter is None else [f"w[{name}]" for name in inputs]), *loads, *noise],
+        outputs=list(outputs),
+    )
+    assert isinstance(system, StateSpace)
+    return system

@@ -1,0 +1,1 @@
+"""Trade-offs: designs along a front, what bounds them, and their picture."""

@@ -1,0 +1,236 @@
+"""What a trade-off is between: axes, each a norm that is better the smaller it is, and proved; and their landscapes."""
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError, listing, quoted
+from models.laws.linear import LinearLaw
+from models.vehicle.controllers import ControllerEntry
+from models.vehicle.goals import NormOf
+from models.vehicle.vehicle import Vehicle
+from synth.analysis.band_norm import norm_in_band
+from synth.controller.problem import Problem, problem
+from synth.design.descent.landscape import Landscape
+from synth.design.multi_objective.band_norm import BandLandscape
+from synth.design.multi_objective.problem import Errors, Posed
+from synth.design.uncertainty.worst_case import worst_norm
+from synth.plant.numerics import numerics
+from synth.vehicle.multi_objective import weighing
+
+BAND = (4.0, 8.0)  # Hz, where people feel it
+OFF = 0.1  # of a reading
+LOWEST, HIGHEST = 1e-3, 1e3  # Hz, of a band
+FEWEST, MOST = 2, 3
+ACCELERATIONS = ("m/s2", "rad/s2")
+NUMBER = r"\d+(?:\.\d*)?"
+
+
+@dataclass(frozen=True, eq=False)
+class Axis:
+    """One demand.
+
+    Attributes:
+        name: ride, travel, road_holding, force, band or tolerance.
+        norm: of what it is the norm, and in which band.
+        off: how far each reading may be off, relative; the axis is the worst norm then.
+        meaning: on one line.
+        unit: of the norm: that of what is moved, per m/s of road velocity.
+    """
+
+    name: str
+    norm: NormOf
+    off: float
+    meaning: str
+    unit: str
+
+    @property
+    def label(self) -> str:
+        """At an axis of a picture."""
+        return f"{self.name.replace('_', ' ')} [{self.unit}]" if self.unit else self.name.replace("_", " ")
+
+
+def axes_of(vehicle: Vehicle, asked: str) -> tuple[Axis, ...]:
+    """The axes of a text like `ride:travel` or `band=4-8:travel:force`.
+
+    Raises:
+        InputError: it names none, one or too many, one twice, one that is none, or one that this vehicle has nothing for.
+    """
+    parts = [part.strip() for part in asked.split(":")]
+    if not FEWEST <= len(parts) <= MOST:
+        raise InputError(
+            f"--front {quoted(asked)} names {len(parts)} {'axis' if len(parts) == 1 else 'axes'}; give two or three of "
+            f"{listing(AXES)}, a colon between them, e.g. ride:travel"
+        )
+    found: list[Axis] = []
+    for part in parts:
+        name, equals, given = part.partition("=")
+        if name not in AXES:
+            raise InputError(f"--front: there is no axis {quoted(name)}; give two or three of {listing(AXES)}")
+        if any(axis.name == name for axis in found):
+            raise InputError(f"--front names {name} twice; give each axis once")
+        if equals and name not in ("band", "tolerance"):
+            raise InputError(f"--front {part}: {name} takes nothing behind it; only band=LOW-HIGH [Hz] and tolerance=PERCENT do")
+        found.append(AXES[name](vehicle, given if equals else None))
+    return tuple(found)
+
+
+def _ride(vehicle: Vehicle, _: str | None) -> Axis:
+    signals = _accelerations(vehicle, "ride")
+    return Axis("ride", NormOf(signals), 0.0, f"norm from the road's velocity to {_weighed(signals)}", _unit(vehicle, signals))
+
+
+def _band(vehicle: Vehicle, given: str | None) -> Axis:
+    low, high = BAND if given is None else _edges(given)
+    signals = _accelerations(vehicle, "band")
+    text = f"norm from the road's velocity to {_weighed(signals)} from {low:g} to {high:g} Hz"
+    return Axis("band", NormOf(signals, (low, high)), 0.0, text, _unit(vehicle, signals))
+
+
+def _travel(vehicle: Vehicle, _: str | None) -> Axis:
+    signals = _called(vehicle, "travel", "suspension_deflection")
+    return Axis("travel", NormOf(signals), 0.0, "norm from the road's velocity to suspension deflection", "m per m/s")
+
+
+def _road_holding(vehicle: Vehicle, _: str | None) -> Axis:
+    signals = _called(vehicle, "road_holding", "tyre_deflection")
+    return Axis("road_holding", NormOf(signals), 0.0, "norm from the road's velocity to tyre deflection", "m per m/s")
+
+
+def _force(vehicle: Vehicle, _: str | None) -> Axis:
+    signals = dict.fromkeys(vehicle.linear_model.inputs, 1.0)
+    return Axis("force", NormOf(signals), 0.0, "norm from the road's velocity to control force", "N per m/s")
+
+
+def _tolerance(vehicle: Vehicle, given: str | None) -> Axis:
+    off = OFF
+    if given is not None:
+        if not re.fullmatch(NUMBER, given) or not 0 < float(given) <= 90:
+            raise InputError(
+                f"--front tolerance={given}: not a share; give one above 0, up to 90, in per cent, e.g. tolerance=10"
+            )
+        off = float(given) / 100
+    if vehicle.filtered:
+        raise InputError(
+            "--front tolerance: weights of [performance] that are filters are not looked at with errors; leave tolerance out"
+        )
+    text = f"worst norm of [performance]'s z where each reading is off by up to {100 * off:g} %"
+    return Axis("tolerance", NormOf(), off, text, "")
+
+
+AXES: Mapping[str, Callable[[Vehicle, str | None], Axis]] = {
+    "ride": _ride,
+    "travel": _travel,
+    "road_holding": _road_holding,
+    "force": _force,
+    "band": _band,
+    "tolerance": _tolerance,
+}
+
+
+def _edges(given: str) -> tuple[float, float]:
+    """A band [Hz] of a text like 4-8."""
+    found = re.fullmatch(f"({NUMBER})-({NUMBER})", given)
+    low, high = (float(part) for part in found.groups()) if found else (0.0, 0.0)
+    if not LOWEST <= low < high <= HIGHEST:
+        raise InputError(
+            f"--front band={given}: not a band; give where it begins and ends, from {LOWEST:g} to {HIGHEST:g} Hz, e.g. band=4-8"
+        )
+    return low, high
+
+
+def _accelerations(vehicle: Vehicle, axis: str) -> dict[str, float]:
+    """Those of the body that `[performance]` weighs, with their weights."""
+    found = {
+        name: weight
+        for name, weight in vehicle.performance.items()
+        if weight > 0 and name in vehicle.linear_model.outputs and vehicle.kind.signal(name).unit in ACCELERATIONS
+    }
+    if not found:
+        raise InputError(
+            f"--front {axis} is of accelerations, and [performance] weighs none; weigh one there, or leave {axis} out"
+        )
+    return found
+
+
+def _called(vehicle: Vehicle, axis: str, stem: str) -> dict[str, float]:
+    """The signals whose names begin so, all of weight 1."""
+    found = {name: 1.0 for name in vehicle.linear_model.outputs if name == stem or name.startswith(f"{stem}_")}
+    if not found:
+        raise InputError(f"--front {axis} is of signals called {stem}, and this vehicle has none; leave {axis} out")
+    return found
+
+
+def _weighed(signals: Mapping[str, float]) -> str:
+    names = {name: name.replace("_", " ") for name in signals}
+    return ", ".join(names[name] if weight == 1 else f"{weight:g} x {names[name]}" for name, weight in signals.items())
+
+
+def _unit(vehicle: Vehicle, signals: Mapping[str, float]) -> str:
+    """Of a norm of accelerations: weights of 1 leave it; others, or several units, leave none."""
+    units = {vehicle.kind.signal(name).unit.replace("s2", "s²") for name in signals}
+    return f"{units.pop()} per m/s" if len(units) == 1 and set(signals.values()) == {1.0} else "weighed, per m/s"
+
+
+MOST_READINGS = 4  # with errors: all their corners count
+
+
+@dataclass(frozen=True)
+class Norm:
+    """A law on one axis.
+
+    Attributes:
+        value: the norm.
+        proved: what it is proved to lie below.
+        at: where it is reached [rad/s]; NaN of one with errors.
+    """
+
+    value: float
+    proved: float
+    at: float
+
+
+@numerics()
+def norm_on(vehicle: Vehicle, axis: Axis, entry: ControllerEntry, law: LinearLaw) -> Norm:
+    """A law on an axis; infinite where its loop, or one with errors, is unstable."""
+    posed = _posed(vehicle, axis, entry)
+    if axis.off and len(entry.measured):
+        found = worst_norm(posed.plant, posed.Cy, law, axis.off, 0.0, posed.Dyw, posed.through)
+        return Norm(found.found, found.proved, float("nan"))
+    plant, G = posed.closed(law)
+    band = norm_in_band(plant.closed_loop(G), *axis.norm.rates)
+    if not band.stability.stable:
+        return Norm(np.inf, np.inf, float("nan"))
+    return Norm(band.value, band.level if band.value else 0.0, band.peak_frequency)
+
+
+def _posed(vehicle: Vehicle, axis: Axis, entry: ControllerEntry) -> Problem:
+    return problem(weighing(vehicle, axis.norm), entry.measured, entry.hardware)
+
+
+def landscapes(vehicle: Vehicle, axis: Axis, entry: ControllerEntry, like: Landscape) -> list[BandLandscape]:
+    """Those whose largest norm an axis is: one for every corner of its errors, whose points are those of another one.
+
+    Raises:
+        InputError: there are too many.
+    """
+    own = _posed(vehicle, axis, entry)
+    plain, (m, _) = Posed(own.plant, own.Cy, own.Dyw), like.shape
+    off = (Errors(errors, np.zeros(m)).on(plain) for errors in _corners(axis, len(own.Cy)))
+    return [BandLandscape(each.plant, each.Cy, each.Dyw, axis.norm.rates, like) for each in off]
+
+
+def _corners(axis: Axis, readings: int) -> list[Array]:
+    """The errors of readings that an axis is judged with, none first."""
+    if not axis.off:
+        return [np.zeros(readings)]
+    if readings > MOST_READINGS:
+        raise InputError(
+            f"--front {axis.name} takes a controller of at most {MOST_READINGS} readings, and this one has {readings}; leave "
+            f"{axis.name} out, or give another with --controller"
+        )
+    return [np.zeros(readings), *(axis.off * np.array(signs) for signs in product((-1.0, 1.0), repeat=readings))]

@@ -1,0 +1,179 @@
+"""Designs along a front: from its ends, over rays between them, each from the nearest that is known (continuation).
+
+A ray belongs to a point u of the plane through the ends: on it lies what minimises the largest of v_k / u_k, v the norms of the
+axes (Chebyshev's scalarisation). Convex or not, every point of the front lies on one. The descent is that of goals; it begins at
+the point, of all that were met, that is best for the ray, so that it is short.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.common.arrays import Array
+from synth.design.descent.starts import survey
+from synth.design.multi_objective.band_norm import BandLandscape
+from synth.design.multi_objective.objectives import Gain
+from synth.design.multi_objective.search import RANK, UNSTABLE, Search
+from synth.design.multi_objective.sqp import KEPT, Terrain, descend
+from synth.plant.numerics import DesignError
+
+GROWTH = 5.0  # times the largest entry of the first start: how far gains go where no bound of theirs says
+NEARLY = 1e-3  # relative: how far beyond the least of an axis its end lies, for what that buys on the others
+TIGHTER = 1e-7  # and how much closer that is drawn, for rounding
+SETTLED = 1e-7  # relative: a step that promises less ends a descent
+ROUNDS = 60
+TIMES = 6  # descents to an end, each from where the last one ended
+NOTHING = 1e-9  # of an axis' norm elsewhere: what is less is zero
+
+
+@dataclass(frozen=True, eq=False)
+class Met:
+    """A point that was met.
+
+    Attributes:
+        x: of the landscape.
+        values: of the axes, shape (K,).
+        excess: over the worst bound, relative; see `Height`.
+    """
+
+    x: Array
+    values: Array
+    excess: float
+
+
+class Trace:
+    """Of one problem.
+
+    Attributes:
+        met: every point that a descent began or ended at, stable and finite.
+    """
+
+    def __init__(self, search: Search, axes: Sequence[Sequence[BandLandscape]], starts: Sequence[Array]) -> None:
+        """Args:
+        search: its bounds, its structure and its starts count; its goal does not.
+        axes: of each the landscapes whose largest norm it is.
+        starts: gains, shape (m, q) each.
+
+        Raises:
+            DesignError: no start makes the loop stable, or keeps the bounds.
+        """
+        self.search, self.axes, self.met = search, axes, list[Met]()
+        points = search.points(starts)
+        size = float(max((np.abs(x).max(initial=0.0) for x in points[:1]), default=0.0)) or 1.0
+        if search.problem.gain is None:
+            search.terrain.limit = np.full(search.full.scale.size, GROWTH * size)
+        limit, mask = search.terrain.limit, search.problem.structure.ravel()
+        points += [0.5 * x for x in points] + [np.zeros(len(limit))]
+        points += [np.where(mask, x, 0.0) for x in survey(search.full, limit)]
+        for x in points:
+            self.look(np.clip(x, -limit, limit))
+        if not self.met:
+            for x in points:
+                self.look(search.stabilised(x))
+        if not self.met:
+            raise DesignError(UNSTABLE)
+        if min(each.excess for each in self.met) > KEPT:
+            x, _ = search.admitted(min(self.met, key=lambda each: each.excess).x)
+            self.look(x)
+            if self.met[-1].excess > KEPT:
+                raise DesignError(search.in_the_way(x))
+
+    def look(self, x: Array) -> Met | None:
+        """Takes note of a point; None where its loop is unstable."""
+        values = np.array([max(landscape.norm(x)[0] for landscape in of) for of in self.axes])
+        if not np.all(np.isfinite(values)):
+            return None
+        excess = max((term.value(x) - 1 for term in self.search.terrain.bounds), default=-1.0)
+        self.met.append(Met(x, values, excess))
+        return self.met[-1]
+
+    def gain(self, met: Met) -> Array:
+        """K, shape (m, q)."""
+        return self.search.full.gain(met.x)
+
+    def ends(self) -> Array:
+        """The norms at the end of every axis, shape (K, K): a row an end, where its axis is within a thousandth of its least."""
+        return np.array([self._end(k).values for k in range(len(self.axes))])
+
+    def towards(self, unit: Array) -> Met:
+        """The best on a ray.
+
+        Args:
+            unit: the ray's point, shape (K,); none below zero.
+        """
+        unit = np.maximum(unit, NOTHING * np.max([each.values for each in self.met], axis=0))
+        start = min(self.met, key=lambda each: float(np.max(each.values / unit)) * (1 + RANK * max(each.excess, 0.0)))
+        return self._down(start, {k: float(unit[k]) for k in range(len(unit))}, {})
+
+    def _end(self, k: int) -> Met:
+        """Of an axis."""
+        start = min((each for each in self.met if each.excess <= KEPT), key=lambda each: float(each.values[k]))
+        for _ in range(TIMES):
+            if start.values[k] <= NOTHING * max(each.values[k] for each in self.met):
+                return start
+            found = self._down(start, {k: 1.0}, {})
+            done = found.values[k] > start.values[k] * (1 - 1e-5)
+            start = min(start, found, key=lambda each: (each.excess > KEPT, float(each.values[k])))
+            if done:
+                break
+        most = float(start.values[k]) * (1 + NEARLY)
+        inside = [each for each in self.met if each.excess <= KEPT and each.values[k] <= most]
+        others = {j: float(start.values[j]) for j in range(len(self.axes)) if j != k}
+        start = min(inside, key=lambda each: max(each.values[j] / unit for j, unit in others.items()))
+        for _ in range(TIMES):
+            found = self._down(start, {j: float(start.values[j]) or 1.0 for j in others}, {k: most})
+            if found.values[k] > most or found.excess > KEPT:
+                break
+            done = all(found.values[j] > start.values[j] * (1 - 1e-5) for j in others)
+            start = found
+            if done:
+                break
+        return start
+
+    def _down(self, start: Met, goals: dict[int, float], bounds: dict[int, float]) -> Met:
+        """A descent on the largest of some axes in units of their own, others bounded; where it ends, or the start."""
+        terms = {k: [Gain(landscape, unit) for landscape in self.axes[k]] for k, unit in goals.items()}
+        held = [Gain(landscape, most * (1 - TIGHTER)) for k, most in bounds.items() for landscape in self.axes[k]]
+        terrain = self.search.terrain
+        ground = Terrain([each for some in terms.values() for each in some], [*terrain.bounds, *held], terrain.limit)
+        x, _ = descend(ground, start.x, self.search.coordinates(start.x), ROUNDS, settled=SETTLED)
+        return self.look(x) or start
+
+
+def rays(ends: Array, count: int) -> Iterator[Array]:
+    """Points of the plane through the ends, about so many, neighbours one after another.
+
+    Args:
+        ends: shape (K, K), K two or three.
+        count: of them; of three ends the number of points of a lattice that is next to it.
+    """
+    if len(ends) == 2:
+        for share in np.linspace(0, 1, count):
+            yield (1 - share) * ends[0] + share * ends[1]
+        return
+    sides = _sides(count)
+    for i in range(sides + 1):
+        row = range(sides - i + 1)
+        for j in row if i % 2 == 0 else reversed(row):
+            yield np.array([sides - i - j, j, i]) / sides @ ends
+
+
+def rays_of(axes: int, count: int) -> int:
+    """How many rays there are between so many axes where about so many are asked for."""
+    return count if axes == 2 else (_sides(count) + 1) * (_sides(count) + 2) // 2
+
+
+def _sides(count: int) -> int:
+    """Of a triangular lattice of about so many points."""
+    return max(1, round((np.sqrt(8 * count + 1) - 3) / 2))
+
+
+def undominated(values: Array) -> Array:
+    """Which rows, of shape (N, K), no other one is at least as good as in all; of those that are alike the first, shape (N,)."""
+    if not len(values):
+        return np.zeros(0, dtype=bool)
+    no_worse = np.all(values[:, None] <= values[None], axis=-1)  # i than j
+    alike = no_worse & no_worse.T
+    better = (no_worse & ~alike) | (alike & (np.arange(len(values))[:, None] < np.arange(len(values))))
+    return ~np.any(better, axis=0)

@@ -1,0 +1,259 @@
+"""The trade-off of a vehicle between some axes: designs on its front, each certified, what bounds them, and others beside."""
+
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError
+from models.common.interrupt import Parts, finishing
+from models.laws.linear import static_law
+from models.vehicle.controllers import ControllerEntry
+from models.vehicle.goals import Goals, PeakBound
+from models.vehicle.vehicle import Vehicle
+from synth.analysis.bounding import certify_tightly
+from synth.analysis.stability import stability
+from synth.controller.controller import Controller
+from synth.controller.problem import generalized_plant, problem
+from synth.design.multi_objective.band_norm import EVERYWHERE
+from synth.design.multi_objective.peak import largest_over_road
+from synth.design.multi_objective.search import Search
+from synth.design.two_step import two_step_design
+from synth.plant.generalized import GeneralizedPlant
+from synth.plant.numerics import DesignError, numerics
+from synth.vehicle.designer import Designer, check_supported
+from synth.vehicle.multi_objective import goal_problem, weighing
+from synth.vehicle.trade_off.axes import Axis, Norm, landscapes, norm_on
+from synth.vehicle.trade_off.continuation import Met, Trace, rays, undominated
+from synth.vehicle.trade_off.lower_bound import Limit, limits, nothing
+from synth.vehicle.verification import Judged
+
+DESIGNS = 200
+SLOWER = 0.1  # of the decay of the first start: what a design's slowest pole keeps, where no bound says
+MARKED = 9  # points that stand for all
+DESIGNING, CERTIFYING, BESIDE = "the designs", "their certificates", "what is shown beside them"  # parts of the work
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """A design on the front, or another controller beside it.
+
+    Attributes:
+        controller: with its certificate, which is of `[performance]`.
+        norms: one to an axis.
+        travel: the largest suspension deflection over the paper's bump [m]; None where nobody asked, or there is none.
+    """
+
+    controller: Controller
+    norms: tuple[Norm, ...]
+    travel: float | None = None
+
+    @property
+    def values(self) -> list[float]:
+        """Of the norms."""
+        return [norm.value for norm in self.norms]
+
+
+@dataclass(frozen=True, eq=False)
+class Front:
+    """A trade-off.
+
+    Attributes:
+        vehicle: the vehicle.
+        name: of the controller whose measurements, bounds and structure the designs have.
+        axes: what it is between.
+        points: none of which is better than another in all, ascending on the first axis.
+        others: other controllers of the vehicle file.
+        missing: those that are not there, and why.
+        limits: of every two axes.
+        tried: designs.
+        unproved: those of them that were left out because a claim fails.
+        interrupted: what Ctrl-C cut short; empty for nothing.
+    """
+
+    vehicle: Vehicle
+    name: str
+    axes: tuple[Axis, ...]
+    points: tuple[Point, ...]
+    others: tuple[Point, ...]
+    missing: dict[str, str]
+    limits: tuple[Limit, ...]
+    tried: int
+    unproved: int
+    interrupted: str
+
+    @property
+    def values(self) -> Array:
+        """Of the points, shape (N, K)."""
+        return np.array([point.values for point in self.points]).reshape(-1, len(self.axes))
+
+    @property
+    def marked(self) -> list[int]:
+        """The points that stand for all, by index."""
+        return marked(len(self.points))
+
+
+@numerics()
+def front(
+    vehicle: Vehicle,
+    name: str,
+    axes: Sequence[Axis],
+    others: Sequence[str],
+    count: int = DESIGNS,
+    told: Callable[[int], None] = lambda done: None,
+) -> Front:
+    """The front of a controller's static gains.
+
+    Args:
+        vehicle: the vehicle.
+        name: of a controller that measures what the designs measure; bounds and structure of its goals are kept.
+        axes: two or three.
+        others: names of controllers that are shown beside it.
+        count: designs, about.
+        told: how many are done.
+
+    Raises:
+        InputError: the controller cannot be one, see `entry_of`; or it measures too much for an axis with errors.
+        DesignError: none of its gains keeps its bounds.
+        KeyboardInterrupt: by Ctrl-C before a first design is certified; what is done by then is returned later on.
+    """
+    entry, designer = entry_of(vehicle, name), Designer(vehicle)
+    trace = _trace(vehicle, entry, axes)
+    judged, posed = _judged(vehicle, entry), problem(vehicle, entry.measured, entry.hardware)
+    below = designer.lower_bound(entry.measured, entry.hardware)
+    met: list[Met] = []
+    parts = Parts()
+    with parts.part(DESIGNING):
+        for i, unit in enumerate(rays(trace.ends(), count)):
+            met.append(trace.towards(unit))
+            told(i + 1)
+    if not met:
+        raise KeyboardInterrupt
+    kept = [each for each in met if each.excess <= 1e-9]
+    kept = [each for each, best in zip(kept, undominated(np.array([each.values for each in kept])), strict=True) if best]
+    points: list[Point] = []
+    unproved = 0
+    with parts.part(CERTIFYING), finishing(work_goes_on=True):  # a first Ctrl-C comes too late to keep less than an earlier one
+        for each in kept:
+            law = static_law(trace.gain(each))
+            certificate = certify_tightly(*posed.closed(law), below, by_itself=posed.plant)
+            norms = tuple(norm_on(vehicle, axis, entry, law) for axis in axes)
+            promises = judged(law.D)
+            controller = Controller(
+                entry.name, entry.measured, law, True, certificate, hardware=entry.hardware, promises=promises
+            )
+            claims = certificate.bound is not None and not (certificate.failures or controller.broken)
+            if claims and all(np.isfinite(norm.proved) for norm in norms):
+                points.append(Point(controller, norms))
+            else:
+                unproved += 1
+        parts.done(CERTIFYING)
+    if parts.cut and not points:
+        raise KeyboardInterrupt
+    best = undominated(np.array([point.values for point in points]))
+    first = sorted((point for point, one in zip(points, best, strict=True) if one), key=lambda point: point.values)
+    shown: list[Point] = []
+    missing: dict[str, str] = {}
+    with parts.part(BESIDE):
+        for each_name, other in _others(designer, axes, others, entry.hardware.loads):
+            if isinstance(other, Point):
+                shown.append(other)
+            else:
+                missing[each_name] = other
+    bounds = [nothing(pair) for pair in combinations(range(len(axes)), 2)]
+    with parts.part(BESIDE):
+        for i, limit in enumerate(_limits(vehicle, axes, np.array([point.values for point in first]), entry.hardware.loads)):
+            bounds[i] = limit
+    with parts.part(BESIDE):
+        for i, travel in _over_the_bump(vehicle, entry, first):
+            first[i] = replace(first[i], travel=travel)
+    return Front(vehicle, name, tuple(axes), tuple(first), tuple(shown), missing, tuple(bounds), len(met), unproved, parts.cut)
+
+
+def entry_of(vehicle: Vehicle, name: str) -> ControllerEntry:
+    """The section of a controller that designs of a front can be like.
+
+    Raises:
+        InputError: they cannot.
+    """
+    if name == "state":
+        return ControllerEntry(name, vehicle.linear_model.states)
+    entry = vehicle.controllers.get(name)
+    why = ""
+    if entry is None:
+        why = "it measures nothing" if name == "passive" else "this vehicle has none of that name"
+    elif entry.goals is not None and (entry.goals.family or entry.goals.tolerance):
+        why = "its goals have a family or a tolerance of their own, and a front is of one vehicle without errors"
+    if why or entry is None:
+        raise InputError(f"--front designs static gains, and not {name!r}: {why}; give another with --controller")
+    check_supported(entry, "front")
+    return entry
+
+
+def _over_the_bump(vehicle: Vehicle, entry: ControllerEntry, points: Sequence[Point]) -> Iterator[tuple[int, float]]:
+    """The marked points' travel over the paper's bump, by index."""
+    signals = [name for name in vehicle.linear_model.outputs if name.startswith("suspension_deflection")]
+    if not signals:
+        return
+    bounds = tuple(PeakBound(signal, "bump", None, np.inf) for signal in signals)
+    driven = goal_problem(vehicle, entry, Goals(bounds=bounds)).members[0].driven
+    for i in marked(len(points)):
+        yield i, max(largest_over_road(one, points[i].controller.gain).value for one in driven)
+
+
+def marked(count: int) -> list[int]:
+    """Those of so many points that stand for all, by index: evenly from the first to the last."""
+    return sorted({round(i) for i in np.linspace(0, count - 1, MARKED)}) if count else []
+
+
+def _trace(vehicle: Vehicle, entry: ControllerEntry, axes: Sequence[Axis]) -> Trace:
+    """Where the designs are looked for."""
+    asked = goal_problem(vehicle, entry, entry.goals or Goals())
+    posed, starts = asked.members[0].posed[0], []
+    if entry.law is not None:
+        starts.append(entry.law.D)
+    with contextlib.suppress(InputError):  # a DesignError is one
+        starts.append(two_step_design(posed.plant, posed.Cy).gain)
+    if asked.decay is None and starts:
+        decay = -float(np.real(stability(posed.plant.A + posed.plant.B @ starts[-1] @ posed.Cy).poles).max())
+        asked = replace(asked, decay=SLOWER * decay if decay > 0 else None)
+    search = Search(asked, lambda goal, within: None)
+    return Trace(search, [landscapes(vehicle, axis, entry, search.full) for axis in axes], starts)
+
+
+def _judged(vehicle: Vehicle, entry: ControllerEntry):
+    """What tells of a gain what it keeps of its section's bounds."""
+    if entry.goals is None:
+        return lambda K: ()
+    goals = entry.goals
+    asked = goal_problem(vehicle, entry, goals)
+    return lambda K: Judged(vehicle, entry, goals, asked, K).promises()
+
+
+def _others(
+    designer: Designer, axes: Sequence[Axis], names: Sequence[str], loads: Sequence[tuple[str, float]]
+) -> Iterator[tuple[str, Point | str]]:
+    """Other controllers on the axes, under the loads of the designs, by name, or why they are not there."""
+    for name in names:
+        try:
+            controller = designer.design(name)
+        except DesignError as error:
+            yield name, str(error)
+            continue
+        entry = ControllerEntry(name, controller.measured, hardware=replace(controller.hardware, loads=loads))
+        norms = tuple(norm_on(designer.vehicle, axis, entry, controller.law) for axis in axes)
+        if all(np.isfinite(norm.value) for norm in norms):
+            yield name, Point(controller, norms)
+        else:
+            yield name, "its loop is unstable" if not controller.certificate.stable else "it is unstable with errors"
+
+
+def _limits(vehicle: Vehicle, axes: Sequence[Axis], values: Array, loads: Sequence[tuple[str, float]]) -> Iterator[Limit]:
+    """What bounds every two axes."""
+    plants: list[GeneralizedPlant] = [generalized_plant(weighing(vehicle, axis.norm), loads=loads) for axis in axes]
+    bands = [axis.norm.rates if axis.norm.narrow else EVERYWHERE for axis in axes]
+    units = np.median(values, axis=0) if len(values) else np.ones(len(axes))
+    return limits(plants, bands, np.where(units > 0, units, 1.0))

@@ -1,0 +1,105 @@
+"""The line that nobody crosses: lower bounds on two norms at once, proved for controllers that know the whole state and the road.
+
+Of any controller the norm of the stacked outputs [a z_i; b z_j] is at most (a^2 v_i^2 + b^2 v_j^2)^1/2, v_i and v_j the norms of
+its parts. So a lower bound g on the stacked one, for some weights, keeps every controller out of the ellipse
+
+    a^2 v_i^2 + b^2 v_j^2 < g^2,
+
+and many weights draw a line. What no control force changes at one frequency of a band holds for a norm in that band, too. Powers
+of two as weights leave the numbers of the plant as they are, so that the proofs, which are exact, are of them.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from models.common.arrays import Array
+from synth.analysis.invariant_point import limit_at
+from synth.design.multi_objective.band_norm import EVERYWHERE, Band
+from synth.lmi.full_order_bound import bound_beyond_control, find_lower_bound
+from synth.plant.generalized import GeneralizedPlant
+from synth.plant.numerics import DesignError, numerics
+
+RATIOS = range(-9, 10)  # powers of two: of one axis' weight to the other's, in units of their own
+IN_BAND = 24  # frequencies
+DOWN = 1 - 1e-12  # of a norm that a line is drawn through: for the rounding of the line itself
+
+
+@dataclass(frozen=True, eq=False)
+class Limit:
+    """What bounds two axes.
+
+    Attributes:
+        axes: their indices.
+        weights: of both, shape (M, 2).
+        norms: what no controller's norm of the stack so weighed lies below, shape (M,).
+    """
+
+    axes: tuple[int, int]
+    weights: Array
+    norms: Array
+
+    def least(self, first: Array) -> Array:
+        """What the second axis cannot be below where the first is so much, shape (N,); NaN where the first cannot be that."""
+        with np.errstate(all="ignore"):
+            left = (self.norms**2)[:, None] - (self.weights[:, :1] * first) ** 2
+            of = np.where(self.weights[:, 1:] > 0, np.sqrt(np.maximum(left, 0.0)) / self.weights[:, 1:], 0.0)
+        never = np.any((self.weights[:, 1:] == 0) & (left > 0), axis=0)
+        return np.where(never, np.nan, of.max(axis=0, initial=0.0) * DOWN)
+
+    def share(self, values: Array) -> Array:
+        """How far points, of shape (N, 2), lie outside all ellipses, shape (N,): 1 on the line, more beyond it."""
+        reached = np.sqrt((np.asarray(values) ** 2) @ (self.weights**2).T)
+        with np.errstate(all="ignore"):
+            return np.min(np.where(self.norms > 0, reached / self.norms, np.inf), axis=1, initial=np.inf)
+
+
+def nothing(pair: tuple[int, int]) -> Limit:
+    """Of two axes of which nothing is known."""
+    return Limit(pair, np.zeros((0, 2)), np.zeros(0))
+
+
+def limits(plants: list[GeneralizedPlant], bands: list[Band], units: Array) -> Iterator[Limit]:
+    """Of every two axes, one after another.
+
+    Args:
+        plants: of each axis, alike but for z.
+        bands: of each axis [rad/s].
+        units: of each, of the size of its norms, shape (K,).
+    """
+    return (_limit(plants, bands, units, pair) for pair in combinations(range(len(plants)), 2))
+
+
+def _limit(plants: list[GeneralizedPlant], bands: list[Band], units: Array, pair: tuple[int, int]) -> Limit:
+    one, other = (2.0 ** round(np.log2(1 / units[k])) for k in pair)
+    weights = np.array([(one, 0.0), (0.0, other), *((one * 2.0 ** max(r, 0), other * 2.0 ** max(-r, 0)) for r in RATIOS)])
+    narrow = [bands[k] for k in pair if bands[k] != EVERYWHERE]
+    norms = []
+    for weight in weights:
+        kept = [(plants[k], own) for k, own in zip(pair, weight, strict=True) if own > 0]
+        stack = replace(
+            kept[0][0],
+            C=np.vstack([own * plant.C for plant, own in kept]),
+            D=np.vstack([own * plant.D for plant, own in kept]),
+            Dw=np.vstack([own * plant.Dw for plant, own in kept]),
+        )
+        of_band = narrow and any(own > 0 and bands[k] != EVERYWHERE for k, own in zip(pair, weight, strict=True))
+        norms.append(_at_some(stack, narrow[0]) if of_band else _anywhere(stack))
+    return Limit(pair, weights, np.array(norms))
+
+
+@numerics()
+def _anywhere(plant: GeneralizedPlant) -> float:
+    """What no controller beats at all frequencies together."""
+    try:
+        return find_lower_bound(plant, beyond_control=bound_beyond_control(plant)).gamma
+    except DesignError:
+        return 0.0
+
+
+@numerics()
+def _at_some(plant: GeneralizedPlant, band: Band) -> float:
+    """What no control force changes somewhere in a band."""
+    return max(limit_at(plant, float(omega)) for omega in np.linspace(*band, IN_BAND))

@@ -1,0 +1,250 @@
+"""A trade-off in words, as `--json` has it, as CSV, and drawn."""
+
+import csv
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.files import whole_file
+from models.common.interrupt import LATE
+from models.common.printed import finite, table, wrapped
+from models.figures.figure import Curve, Figure, Panel, styles
+from synth.controller.report import judged_lines
+from synth.vehicle.trade_off.front import DESIGNING, Front, Norm, Point
+from synth.vehicle.trade_off.lower_bound import Limit
+
+
+def front_lines(found: Front) -> list[str]:
+    """The axes, the marked points, the other controllers, and what bounds them."""
+    lines = []
+    for axis in found.axes:
+        lines += wrapped(f"{axis.name}: {axis.meaning}{f' [{axis.unit}]' if axis.unit else ''}", hang=2)
+    for text in judged_lines(found.points[0].controller):
+        lines += wrapped(text, hang=2)
+    names = [axis.name for axis in found.axes]
+    signals = found.points[0].controller.measured
+    with_travel = any(point.travel is not None for point in found.points)
+    rows: list[tuple[str, ...]] = [("point", *names, *(["bump travel"] * with_travel), "gain")]
+    for i in found.marked:
+        point = found.points[i]
+        travel = ["-" if point.travel is None else f"{1e3 * point.travel:.4g} mm"] * with_travel
+        rows.append((str(i + 1), *(f"{value:.6g}" for value in point.values), *travel, _gain(point)))
+    lines += ["", f"controller {found.name}: static gains on {', '.join(signals)}", *table(rows)]
+    if found.others:
+        rows = [("beside them", *names), *((o.controller.name, *(f"{v:.6g}" for v in o.values)) for o in found.others)]
+        lines += ["", *table(rows)]
+    for name, why in found.missing.items():
+        lines += wrapped(f"controller {name} is not shown: {why}", hang=2)
+    return [*lines, "", *(line for text in _limit_texts(found) for line in wrapped(text, hang=2))]
+
+
+def sentences(found: Front) -> list[str]:
+    """What it comes to, a sentence each."""
+    ends = ", ".join(
+        f"{axis.name} from {min(values):.5g} to {max(values):.5g}"
+        for axis, values in zip(found.axes, found.values.T.tolist(), strict=True)
+        if values
+    )
+    lines = [f"{len(found.points)} certified designs, none of which another beats in all: {ends}"]
+    if found.interrupted not in ("", LATE):
+        whole = f"after {found.tried} designs: the front" if found.interrupted == DESIGNING else f"at {found.interrupted}: that"
+        lines.append(f"interrupted {whole} is not whole")
+    if found.unproved:
+        lines.append(f"left out: {found.unproved} designs of which a claim could not be proved")
+    for one in found.others:
+        beaten = [i for i, point in enumerate(found.points) if _beats(point.values, one.values)]
+        if beaten:
+            lines.append(
+                f"{one.controller.name} is beaten in all by {len(beaten)} of them, e.g. point {beaten[len(beaten) // 2] + 1}"
+            )
+    return lines
+
+
+def front_object(found: Front) -> dict[str, Any]:
+    """The front as JSON has it: SI units."""
+    return {
+        "controller": found.name,
+        "axes": [
+            {
+                "name": axis.name,
+                "meaning": axis.meaning,
+                "unit": axis.unit,
+                "signals": dict(axis.norm.signals) if axis.norm.signals is not None else None,
+                "band": [finite(edge) for edge in axis.norm.band] if axis.norm.narrow else None,
+                "off": axis.off or None,
+            }
+            for axis in found.axes
+        ],
+        "points": [{"point": i + 1, **_object(found, point)} for i, point in enumerate(found.points)],
+        "others": [{"name": one.controller.name, **_object(found, one)} for one in found.others],
+        "missing": found.missing,
+        "limits": [_limit_object(found, limit) for limit in found.limits],
+        "loads": dict(found.points[0].controller.hardware.loads) if found.points else {},
+        "designs": found.tried,
+        "unproved": found.unproved,
+        "interrupted": bool(found.interrupted),
+    }
+
+
+def write_csv(found: Front, path: Path) -> None:
+    """A row to a point and to every other controller, SI units; what is not known is left empty."""
+    names = [axis.name for axis in found.axes]
+    entries = [f"gain_{i + 1}_{j + 1}" for i, j in _indices(found)]
+    with whole_file(path, "csv") as beside, beside.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(["point", *names, *(f"{name}_proved" for name in names), "norm", "bound", "bump_travel", *entries])
+        for i, point in enumerate(found.points):
+            gain = point.controller.gain
+            writer.writerow([i + 1, *_cells(point), *(gain[k] for k in _indices(found))])
+        for one in found.others:
+            writer.writerow([one.controller.name, *_cells(one), *("" for _ in entries)])
+
+
+def _cells(point: Point) -> list[float | str]:
+    own = point.controller.certificate
+    numbers = [*point.values, *(norm.proved for norm in point.norms), own.norm.value, own.bound, point.travel]
+    return ["" if value is None or not math.isfinite(value) else value for value in numbers]
+
+
+def _object(found: Front, point: Point) -> dict[str, Any]:
+    own, controller = point.controller.certificate, point.controller
+    return {
+        "values": {axis.name: _norm(norm) for axis, norm in zip(found.axes, point.norms, strict=True)},
+        "measured": list(controller.measured),
+        "gain": controller.gain.tolist(),
+        "norm": finite(own.norm.value),
+        "bound": finite(own.bound),
+        "bump_travel": point.travel,
+    }
+
+
+def _norm(norm: Norm) -> dict[str, float | None]:
+    return {"value": finite(norm.value), "proved": finite(norm.proved), "frequency": finite(norm.at)}
+
+
+def _limit_object(found: Front, limit: Limit) -> dict[str, Any]:
+    return {
+        "axes": [found.axes[k].name for k in limit.axes],
+        "weights": limit.weights.tolist(),
+        "norms": limit.norms.tolist(),
+    }
+
+
+def _limit_texts(found: Front) -> list[str]:
+    """How near the front comes to the line, a sentence for every two axes."""
+    texts = []
+    for limit in found.limits:
+        first, second = (found.axes[k].name for k in limit.axes)
+        shares = limit.share(found.values[:, list(limit.axes)])
+        i = int(shares.argmin())
+        if math.isfinite(shares[i]):
+            texts.append(
+                f"limit: no controller, whatever it measures, comes below the line of {first} and {second}; point {i + 1} is "
+                f"nearest to it, at {shares[i]:.5g} times its distance from the origin"
+            )
+        else:
+            texts.append(f"limit: nothing is proved of {first} and {second} together")
+    return texts
+
+
+def _gain(point: Point) -> str:
+    """All entries where they fit on a line."""
+    entries = point.controller.gain.ravel()
+    return " ".join(f"{entry:.6g}" for entry in entries) if len(entries) <= 4 else f"{len(entries)} entries"
+
+
+def _indices(found: Front) -> list[tuple[int, int]]:
+    """Of the entries of the gain."""
+    m, q = found.points[0].controller.gain.shape
+    return [(i, j) for i in range(m) for j in range(q)]
+
+
+def _beats(one: Sequence[float], other: Sequence[float]) -> bool:
+    return all(a < b for a, b in zip(one, other, strict=True))
+
+
+WIDER = 0.06  # of what is shown, around it
+BESIDE = 1.5  # times the front's own range: other controllers further off are named, not shown
+SAME = 0.005  # of what is shown: what is nearer to one another has one mark
+FINE = 400  # points of the line, each way
+DESIGNS, LINE, MEASURED = "#1f77b4", "#000000", "#d62728"
+
+
+def front_figure(found: Front, measured: Array | None = None) -> Figure:
+    """The figure.
+
+    Args:
+        found: the front.
+        measured: its marked points in MuJoCo, shape (M, K), NaN where they were not; None where nobody drove them.
+    """
+    panels = tuple(_panel(found, limit, measured) for limit in found.limits)
+    kind = found.vehicle.kind.name.replace("_", " ")
+    title = f"{kind}, controller {found.name}: {len(found.points)} certified designs, none of which another beats in all"
+    if len(panels) > 1:
+        return Figure("front", title, panels, 3)
+    return Figure("front", title, panels, 1, (6.5, 4.6))
+
+
+def line(limit: Limit, x: tuple[float, float], y: tuple[float, float]) -> tuple[Array, Array]:
+    """What nobody crosses, within a range of both axes: from the upper left to the lower right."""
+    first, second = np.linspace(*x, FINE), np.linspace(*y, FINE)
+    turned = Limit((limit.axes[1], limit.axes[0]), limit.weights[:, ::-1], limit.norms)
+    a, b = np.append(first, turned.least(second)), np.append(limit.least(first), second)
+    kept = np.isfinite(a) & np.isfinite(b) & (a > 0)
+    order = np.lexsort((-b[kept], a[kept]))
+    return a[kept][order], b[kept][order]
+
+
+def _panel(found: Front, limit: Limit, measured: Array | None) -> Panel:
+    i, j = limit.axes
+    values = found.values[:, [i, j]]
+    others = {one.controller.name: (one.values[i], one.values[j]) for one in found.others}
+    ranges, beyond = _shown(values, np.array(list(others.values())).reshape(-1, 2))
+    dots = Curve(values[:, 0], values[:, 1], "designs on the front", DESIGNS, "none", "+", name="design")
+    if len(found.axes) == 2:
+        dots = Curve(values[:, 0], values[:, 1], "designs on the front", DESIGNS, "solid", "", 2.2)
+    curves = [dots, Curve(*line(limit, *ranges), "no controller comes below this line", LINE, "dot", width=1.2)]
+    look = styles(tuple(others))
+    for names in _together(others, beyond, ranges):
+        (x, y), text = others[names[0]], ", ".join(names)
+        curves.append(Curve(np.array([x]), np.array([y]), text, look[names[0]][0], "none", "o", name=f"controller {text}"))
+    if measured is not None and np.any(np.isfinite(measured[:, [i, j]]).all(axis=1)):
+        curves.append(Curve(measured[:, i], measured[:, j], "MuJoCo", MEASURED, "none", "x", name="MuJoCo"))
+    away = [f"{name} ({x:.4g}, {y:.4g})" for (name, (x, y)), far in zip(others.items(), beyond, strict=True) if far]
+    title = f"{found.axes[i].name} and {found.axes[j].name}".replace("_", " ")
+    if away:
+        title += f"; beyond: {', '.join(away)}"
+    return Panel(title, found.axes[i].label, found.axes[j].label, tuple(curves), xlim=ranges[0], ylim=ranges[1])
+
+
+def _together(
+    others: dict[str, tuple[float, float]], beyond: Array, ranges: tuple[tuple[float, float], tuple[float, float]]
+) -> list[list[str]]:
+    """The names of those that are shown, such that lie in one place together."""
+    size, found = np.array([high - low for low, high in ranges]), list[list[str]]()
+    for (name, place), far in zip(others.items(), beyond, strict=True):
+        if far:
+            continue
+        for names in found:
+            if np.all(np.abs(np.subtract(place, others[names[0]])) < SAME * size):
+                names.append(name)
+                break
+        else:
+            found.append([name])
+    return found
+
+
+def _shown(values: Array, others: Array) -> tuple[tuple[tuple[float, float], tuple[float, float]], Array]:
+    """The range of both axes, and which of the other controllers lie beyond it, shape (N,)."""
+    low, high = values.min(axis=0), values.max(axis=0)
+    size = np.where(high > low, high - low, np.where(high > 0, high, 1.0))
+    beyond = np.any((others > high + BESIDE * size) | (others < low - BESIDE * size), axis=1)
+    seen = np.vstack([values, others[~beyond]])
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    room = WIDER * np.where(high > low, high - low, size)
+    low, high = np.maximum(low - 2 * room, 0.0), high + room
+    return ((float(low[0]), float(high[0])), (float(low[1]), float(high[1]))), beyond

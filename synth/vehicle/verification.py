@@ -1,0 +1,260 @@
+"""What a gain keeps of its goals, each proved without what found it: norms in bands, decay, peaks, errors, families."""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.laws.linear import static_law
+from models.vehicle.controllers import ControllerEntry
+from models.vehicle.goals import DecayBound, EnergyBound, GainBound, Goals, NormBound, NormOf, PeakBound
+from models.vehicle.vehicle import Vehicle
+from synth.analysis.band_norm import norm_in_band
+from synth.analysis.energy_to_peak import energy_peaks
+from synth.analysis.specification import Promise
+from synth.analysis.stability import stability
+from synth.analysis.uncertainty_box import Box, ScaledGain
+from synth.design.multi_objective.band_filter import in_band
+from synth.design.multi_objective.band_norm import EVERYWHERE, Band
+from synth.design.multi_objective.peak import largest_over_road
+from synth.design.multi_objective.problem import Errors, GoalProblem, NormGoal, Posed
+from synth.design.multi_objective.worst_case import worst_of_norm
+from synth.design.uncertainty.parameter_dependent_kyp import proof_in_band
+from synth.design.uncertainty.parameter_dependent_lyapunov import bound_throughout, stable_throughout, stable_with_errors
+from synth.design.uncertainty.problem import box_of, scaled_gain
+from synth.design.uncertainty.worst_case import WorstNorm, worst_norm
+from synth.plant.augmented import on_larger_plant
+from synth.plant.generalized import GeneralizedPlant
+from synth.plant.numerics import DesignError
+
+FAR = 1e4  # times a norm: of loops that are only known to be stable
+NEAR = 1.01  # times what is met: a bound that is so close needs no other
+
+
+@dataclass(frozen=True, eq=False)
+class Worst:
+    """A norm with the worst errors.
+
+    Attributes:
+        found: the largest met.
+        proved: what none exceeds; infinite where that is not known.
+        errors: at which it was met.
+    """
+
+    found: float
+    proved: float
+    errors: Errors
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """A gain, and what it is judged by.
+
+    Attributes:
+        vehicle, entry, goals: what was asked for.
+        asked: the same in the plant's language.
+        K: shape (m, q).
+        known: worst norms that were computed already.
+    """
+
+    vehicle: Vehicle
+    entry: ControllerEntry
+    goals: Goals
+    asked: GoalProblem
+    K: Array
+    known: dict[NormGoal, list[Worst]] = field(default_factory=dict)
+
+    @property
+    def names(self) -> list[str]:
+        """Of the members of the family, in words; one empty text where there is none."""
+        return [member_text(i, member) for i, member in enumerate(self.goals.family)] or [""]
+
+    def promises(self) -> tuple[Promise, ...]:
+        """All of them, what is minimised first."""
+        asked, goals = self.asked, self.goals
+        found = [*self.largest(goals.minimise, asked.minimise)]
+        if asked.bests is not None:
+            found.append(self.regret(asked.bests))
+        norms, signals, peak = iter(asked.norms), itertools.count(), 0
+        for bound in goals.bounds:
+            if isinstance(bound, NormBound):
+                found += self.largest(bound.norm, next(norms), bound.at_most)
+            elif isinstance(bound, DecayBound):
+                found += self.decay(bound.rate)
+            elif isinstance(bound, GainBound):
+                found.append(Promise("largest entry of the gain", float(np.abs(self.K).max()), at_most=bound.at_most))
+            elif isinstance(bound, EnergyBound):
+                found.append(self.energy_peak(bound, next(signals)))
+            else:
+                found.append(self.peak(bound, peak))
+                peak += 1
+        if goals.structure is not None:
+            outside = np.abs(self.K[~asked.structure])
+            found.append(Promise("entries of the gain outside its structure", float(outside.max(initial=0.0)), at_most=0.0))
+        return tuple(found)
+
+    def largest(self, norm: NormOf, asked: NormGoal, at_most: float | None = None) -> list[Promise]:
+        """A norm over the family without errors, and with the worst ones."""
+        of = [_norm(member.posed[asked.which], self.K, asked) for member in self.asked.members]
+        i = int(np.argmax([value for value, _, _ in of]))
+        value, proved, at = of[i]
+        what = norm.text if len(of) == 1 else f"largest {norm.text} of {len(of)} vehicles"
+        where = ", ".join(text for text in (self.names[i], f"at {at:.5g} rad/s" if np.isfinite(at) else "") if text)
+        found = [Promise(what, value, max(each for _, each, _ in of), None if self.asked.has_errors else at_most, where=where)]
+        if not self.asked.has_errors:
+            return found
+        wholes = self.worst(asked)
+        i = int(np.argmax([whole.found for whole in wholes]))
+        names = (*self.entry.measured, *self.vehicle.linear_model.inputs)
+        off = zip(names, (*wholes[i].errors.sensors, *wholes[i].errors.forces), strict=True)
+        where = ", ".join(text for text in (self.names[i], *(f"{name} {100 * e:+.3g} %" for name, e in off if e)) if text)
+        proved = max(whole.proved for whole in wholes)
+        return [*found, Promise(f"{what}, with errors", wholes[i].found, proved, at_most, where=where)]
+
+    def regret(self, bests: Sequence[float]) -> Promise:
+        """The largest ratio to what each member has at its own best."""
+        asked = self.asked
+        if asked.has_errors:
+            of = [(each.found, each.proved) for each in self.worst(asked.minimise)]
+        else:
+            of = [_norm(member.posed[0], self.K, asked.minimise)[:2] for member in asked.members]
+        ratios = [value / best for (value, _), best in zip(of, bests, strict=True)]
+        i = int(np.argmax(ratios))
+        upper = max(proved / best for (_, proved), best in zip(of, bests, strict=True))
+        with_errors = ", with errors" if asked.has_errors else ""
+        return Promise(f"largest ratio to a vehicle's own best{with_errors}", ratios[i], upper, where=self.names[i])
+
+    def worst(self, asked: NormGoal) -> list[Worst]:
+        """The norm of every member with the worst errors."""
+        if asked not in self.known:
+            whole = asked.band == EVERYWHERE
+            self.known[asked] = [self.worst_whole(i, asked) if whole else self.worst_in_band(i, asked) for i in range(self.count)]
+        return self.known[asked]
+
+    @property
+    def count(self) -> int:
+        """Of the members of the family."""
+        return len(self.asked.members)
+
+    def worst_whole(self, i: int, asked: NormGoal) -> Worst:
+        """The norm of a member at all frequencies with the worst errors."""
+        posed, tolerance = self.asked.members[i].posed[asked.which], self.asked.tolerance
+        found = self.worst_of(posed, asked.at_most if np.isfinite(asked.at_most) else None)
+        proved, enough = found.proved, max(NEAR * found.found, asked.at_most if np.isfinite(asked.at_most) else 0.0)
+        if not proved <= enough and posed.plant.dt is None and not found.unstable:
+            gain = scaled_gain(posed.plant, posed.Cy, self.K, posed.Dyw)
+            proved = min(proved, _proved(gain, box_of(gain, tolerance.sensors, tolerance.forces), EVERYWHERE, found.found))
+        return Worst(found.found, proved, Errors(found.readings, found.forces))
+
+    def worst_in_band(self, i: int, asked: NormGoal) -> Worst:
+        """The norm of a member in a band with the worst errors: met, and proved by what moves with them, or through a filter."""
+        posed, tolerance = self.asked.members[i].posed[asked.which], self.asked.tolerance
+        best = self.asked.bests[i] if asked is self.asked.minimise and self.asked.bests is not None else 1.0
+        tried = [worst_of_norm(self.asked, i, asked, best, self.K)[1], self.asked.none]
+        unit = max(_norm(each.on(posed), self.K, asked)[0] for each in tried)
+        gain = scaled_gain(posed.plant, posed.Cy, self.K, posed.Dyw)
+        box = box_of(gain, tolerance.sensors, tolerance.forces)
+        proved = np.inf if posed.plant.dt is not None else _proved(gain, box, asked.band, unit)
+        if not proved <= NEAR * unit:  # the norm behind the filter is at least that in the band
+            behind = self.worst_of(in_band(posed, asked.band), asked.at_most if np.isfinite(asked.at_most) else None)
+            tried, proved = [Errors(behind.readings, behind.forces), *tried], min(proved, behind.proved)
+        values = [_norm(each.on(posed), self.K, asked)[0] for each in tried]
+        return Worst(max(values), proved, tried[int(np.argmax(values))])
+
+    def worst_of(self, posed: Posed, enough: float | None = None) -> WorstNorm:
+        """The norm of one plant with the worst errors; a bound that would be enough is tried by itself."""
+        tolerance = self.asked.tolerance
+        return worst_norm(posed.plant, posed.Cy, self.K, tolerance.sensors, tolerance.forces, posed.Dyw, enough=enough)
+
+    def decay(self, rate: float) -> list[Promise]:
+        """The slowest pole of the family without errors, and with the worst ones: the norm of loops moved right by the rate."""
+        slowest = [_slowest(member.posed[0], self.K) for member in self.asked.members]
+        i = int(np.argmax(slowest))
+        found = [Promise("slowest pole", slowest[i], at_most=-rate, unit="rad/s", where=self.names[i])]
+        if not self.asked.has_errors:
+            return found
+        met, proved = [], -np.inf
+        for i, member in enumerate(self.asked.members):
+            beyond, errors = worst_of_norm(self.asked, i, None, rate, self.K)
+            met.append(max(_slowest(errors.on(member.posed[0]), self.K), slowest[i]))
+            moved = _moved(member.posed[0], rate)
+            norm = _norm(errors.on(moved), self.K, NormGoal())[0] if beyond < 1 else np.inf
+            proved = max(proved, -rate if np.isfinite(norm) and self.stable(moved, FAR * norm) else np.inf)
+        i = int(np.argmax(met))
+        return [*found, Promise("slowest pole, with errors", met[i], proved, -rate, "rad/s", self.names[i])]
+
+    def stable(self, posed: Posed, enough: float) -> bool:
+        """Whether one plant is proved to be stable with all errors: by itself, or by a bound on its norm."""
+        tolerance = self.asked.tolerance
+        if stable_with_errors(posed.plant, posed.Cy, self.K, tolerance.sensors, tolerance.forces):
+            return True
+        return bool(np.isfinite(self.worst_of(posed, enough).proved))
+
+    def energy_peak(self, bound: EnergyBound, which: int) -> Promise:
+        """The largest magnitude of a signal for all roads of given energy."""
+        of = []
+        for member in self.asked.members:
+            posed, signal = member.posed[self.asked.minimise.which], member.signals[which]
+            try:
+                peaks = energy_peaks(posed.plant, self.K @ posed.Cy, signal.c[None], signal.g[None])
+                of.append((signal.root * float(peaks.peaks[0]), signal.root * float(peaks.bounds[0])))
+            except DesignError:  # unstable
+                of.append((np.inf, np.inf))
+        i = int(np.argmax([value for value, _ in of]))
+        unit = self.vehicle.kind.signal(bound.signal).unit
+        what = f"largest {bound.signal} for roads of {bound.energy:g} m2/s"
+        return Promise(what, of[i][0], max(proved for _, proved in of), bound.at_most, unit, self.names[i])
+
+    def peak(self, bound: PeakBound, which: int) -> Promise:
+        """The largest magnitude of a signal over a road."""
+        of = [largest_over_road(member.driven[which], self.K) for member in self.asked.members]
+        i = int(np.argmax([peak.value for peak in of]))
+        what = f"largest {bound.signal} over {bound.road}"
+        where = ", ".join(text for text in (self.names[i], f"{of[i].time:.4g} s after its start") if text)
+        return Promise(
+            what, of[i].value, max(peak.proved for peak in of), bound.at_most, self.vehicle.kind.signal(bound.signal).unit, where
+        )
+
+
+def member_text(i: int, member) -> str:
+    """A member of a family in words."""
+    factors = " and ".join(f"{name} x {factor:g}" for name, factor in member.items())
+    return f"vehicle {i}, {factors or 'as it is'}"
+
+
+def _proved(gain: ScaledGain, box: Box, band: Band, unit: float) -> float:
+    """What the norm in a band is proved to be at most, by what moves with the errors; infinite where that proves nothing."""
+    if band == EVERYWHERE:
+        return bound_throughout(gain, box, unit)
+    proof = proof_in_band(gain, box, *band, unit) if stable_throughout(gain, box) is not None else None
+    return proof.gamma if proof is not None else np.inf
+
+
+def _norm(posed: Posed, K: Array, asked: NormGoal) -> tuple[float, float, float]:
+    """The norm in the band, what it proves to be below, and where it is reached; infinite where the loop is unstable."""
+    found = norm_in_band(_loop(posed, K), *asked.band)
+    if not found.stability.stable:
+        return np.inf, np.inf, np.nan
+    return found.value, found.level, found.peak_frequency
+
+
+def _moved(posed: Posed, rate: float) -> Posed:
+    """A plant whose loops are stable where those of this one decay faster than a rate, without its filters."""
+    plant, own = posed.plant, len(posed.plant.A) - posed.plant.weights
+    alone = GeneralizedPlant(
+        plant.A[:own, :own] + rate * np.eye(own), plant.B[:own], plant.Bw[:own], plant.C[:, :own], plant.D, plant.Dw
+    )
+    return Posed(alone, posed.Cy[:, :own], posed.Dyw)
+
+
+def _slowest(posed: Posed, K: Array) -> float:
+    """The largest real part of a pole of a loop; filters' own do not count."""
+    own = len(posed.plant.A) - posed.plant.weights
+    return max(float(np.real(pole)) for pole in stability(_loop(posed, K).A[:own, :own]).poles)
+
+
+def _loop(posed: Posed, K: Array) -> GeneralizedPlant:
+    plant, G = on_larger_plant(posed.plant, posed.Cy, static_law(K), posed.Dyw)
+    return plant.closed_loop(G)

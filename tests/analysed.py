@@ -1,0 +1,101 @@
+"""The linear analysis and MuJoCo of a vehicle, its controller, a road and sample times, as tests have these in hand.
+
+Each function here takes these one by one, makes the objects of the product from them, and calls its function of the same name.
+"""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from scipy import linalg
+
+from models.common.arrays import Array
+from models.laws.python_law import Programmed
+from models.laws.semi_active import SemiActive
+from models.roads.road import Road, RoadInput
+from models.vehicle.vehicle import Vehicle
+from sim.linear import measurement_noise as noise
+from sim.linear import sampled_response as linear
+from sim.linear.switched_response import Decisions, Switched
+from sim.linear.switched_response import switched as _switched
+from sim.physics import energy as balance
+from sim.physics import simulate as physics_of
+from sim.physics.drivers import RunDriver
+from sim.physics.simulate import PhysicsRuns
+from sim.response.response import Response
+from sim.runs import prediction
+from sim.runs.prediction import Prediction
+from synth.controller.controller import Controller
+from synth.controller.open_loop import ImplementedLoop, LoopModel
+
+Exponential = Callable[[Array], Array]
+AnyController = Controller | Programmed | SemiActive
+
+
+def loop(vehicle: Vehicle, controller: Controller, time: Array) -> LoopModel:
+    """Returns the loop at the timestep of some sample times."""
+    return LoopModel(vehicle, controller, float(time[1] - time[0]))
+
+
+def sampled_radius(vehicle: Vehicle, controller: Controller, timestep: float) -> float:
+    return LoopModel(vehicle, controller, timestep).radius
+
+
+def implemented_loop(vehicle: Vehicle, controller: Controller, timestep: float) -> ImplementedLoop:
+    return LoopModel(vehicle, controller, timestep).closed_loop
+
+
+def noise_rms(vehicle: Vehicle, controller: Controller, timestep: float, samples: int) -> Array:
+    return noise.noise_rms(LoopModel(vehicle, controller, timestep), samples)
+
+
+def most_quantised(vehicle: Vehicle, controller: Controller, timestep: float, samples: int) -> Array:
+    return noise.most_quantised(LoopModel(vehicle, controller, timestep), samples)
+
+
+def sampled_response(
+    vehicle: Vehicle, controller: Controller, road: Road, time: Array, exponential: Exponential = linalg.expm
+) -> Response:
+    return linear.sampled_response(loop(vehicle, controller, time), RoadInput(vehicle, road, time), exponential)
+
+
+def sampled_responses(vehicle: Vehicle, controller: Controller, roads: Sequence[Road], time: Array) -> Response:
+    return linear.sampled_responses(loop(vehicle, controller, time), [RoadInput(vehicle, road, time) for road in roads])
+
+
+def continuous_response(vehicle: Vehicle, controller: Controller, road: Road, time: Array) -> Response:
+    return linear.continuous_response(loop(vehicle, controller, time), RoadInput(vehicle, road, time))
+
+
+def switched(vehicle: Vehicle, road: Road, time: Array, decisions: Decisions | None, made: Array) -> Switched:
+    return _switched(RoadInput(vehicle, road, time), decisions, made)
+
+
+def simulate(
+    vehicles: Sequence[Vehicle], controllers: Sequence[RunDriver], roads: Sequence[Road], time: Array, threads: int = 1
+) -> PhysicsRuns:
+    met = [RoadInput(vehicle, road, time) for vehicle, road in zip(vehicles, roads, strict=True)]
+    return physics_of.simulate(controllers, met, threads)
+
+
+def energy(vehicle: Vehicle, runs: PhysicsRuns, index: int, road: Road, until: float = np.inf) -> balance.Energy:
+    return balance.energy(runs, index, RoadInput(vehicle, road, runs.response.time), until)
+
+
+def predict(vehicle: Vehicle, controller: Controller, road: Road, time: Array, most_states: float = np.inf) -> Prediction:
+    return prediction.predict(loop(vehicle, controller, time), RoadInput(vehicle, road, time), most_states)
+
+
+def predict_made(
+    vehicle: Vehicle, controller: AnyController, road: Road, time: Array, physics: Response, asked: Array
+) -> Prediction:
+    return prediction.predict_made(controller, RoadInput(vehicle, road, time), physics, asked)
+
+
+def predict_switched(
+    vehicle: Vehicle, controller: AnyController, road: Road, time: Array, physics: Response, near: float
+) -> Prediction:
+    return prediction.predict_switched(controller, RoadInput(vehicle, road, time), physics, near)
+
+
+def predict_forced(vehicle: Vehicle, controller: Programmed, road: Road, time: Array, asked: Array) -> Prediction:
+    return prediction.predict_forced(controller, RoadInput(vehicle, road, time), asked)

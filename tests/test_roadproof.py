@@ -1,0 +1,50 @@
+"""`roadproof VERB` is `python -m` of that command."""
+
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from sim.__main__ import COMMANDS, VERBS, roadproof
+
+ROOT = Path(__file__).parent.parent
+CODE = "from sim.__main__ import roadproof; roadproof()"
+
+
+def run(*command: str) -> tuple[int, str, str]:
+    done = subprocess.run([sys.executable, *command], cwd=ROOT, capture_output=True, text=True)
+    return done.returncode, done.stdout, done.stderr
+
+
+def test_it_is_installed():
+    """The package's one entry point is this function, and each command has a verb of its own."""
+    scripts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["scripts"]
+    assert scripts == {"roadproof": f"{roadproof.__module__}:{roadproof.__name__}"}
+    assert len(VERBS) == len(COMMANDS)
+
+
+def test_a_verb_is_its_command():
+    """A command says the same either way, bad input included, and its process has one thread of BLAS."""
+    arguments = ("--controller", "nonsense")
+    assert run("-c", CODE, "synth", *arguments) == run("-m", "synth", *arguments)
+    assert run("-c", CODE, "synth", *arguments)[0] == 2
+    code = f"import os, sys; sys.argv = ['roadproof', 'nonsense']; os.environ.pop('OPENBLAS_NUM_THREADS', None)\ntry:\n {CODE}\n"
+    code += "except SystemExit as end: print(end.code, os.environ['OPENBLAS_NUM_THREADS'])"
+    assert run("-c", code)[1] == "2 1\n"
+
+
+@pytest.mark.parametrize(("verb", "code"), [("nonsense", 2), ("--help", 0), ("", 0)])
+def test_other_words(verb, code, monkeypatch, capsys):
+    """Without a verb there is the table of commands; an unknown one is refused in a line that names them all."""
+    monkeypatch.setattr("models.common.interrupt.quiet_start", lambda: None)
+    monkeypatch.setattr("models.common.interrupt.raise_from_now_on", lambda: None)
+    monkeypatch.setattr("models.common.interrupt.ignore_from_now_on", lambda: None)
+    monkeypatch.setattr(sys, "argv", ["roadproof", *verb.split()])
+    with pytest.raises(SystemExit) as ended:
+        roadproof()
+    assert ended.value.code == code
+    printed = capsys.readouterr()
+    assert all(each in (printed.out or printed.err) for each in VERBS)
+    assert len(printed.err.splitlines()) == (code == 2)
