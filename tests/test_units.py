@@ -290,6 +290,14 @@ def test_own_units_are_no_units():
         # Each unit is a power of two: what is left of ten orders of magnitude is a factor of two each way.
         ratio = np.abs(own.into(moved).A / own_units(plant, Cy).into(plant).A)
         assert ratio.max() / ratio.min() < 4.01**2
+    # Where all units are open, that of the disturbance stays: an input of an extreme unit moves no other, on any machine.
+    for weak in 10.0 ** np.arange(-300, 50, 49):
+        plant = GeneralizedPlant(
+            [[-1, 0], [0, -2]], [[1, 0], [0, weak]], np.eye(2), np.eye(2), np.zeros((2, 2)), np.zeros((2, 2))
+        )
+        own = own_units(plant)
+        np.testing.assert_array_equal(own.states, [1, 1])
+        assert own.inputs[1] * weak == pytest.approx(1, rel=0.5)
 
 
 def test_no_unit_is_a_tie():

@@ -24,7 +24,7 @@ from synth.analysis.synthesis_inequality import Side, meeting, transposed
 from synth.lmi.barrier import Barrier, Block, boundary, newton
 from synth.lmi.central_path import CENTRED, INSIDE, CentralPoint, along_path
 from synth.plant.generalized import GeneralizedPlant, measurement_matrices
-from synth.plant.numerics import DesignError, numerics, up_to_rounding
+from synth.plant.numerics import numerics, up_to_rounding
 from synth.plant.units import nearest_power, own_units, size
 
 STATE_END = 1e-5  # mu over eta; the bound for state feedback is then within (2 n + d) mu / 2 of the best
@@ -113,7 +113,7 @@ def _for_state_feedback(plant: GeneralizedPlant, one: Side, path: Sequence[Centr
 def _along_the_walk(plant: GeneralizedPlant, dual: GeneralizedPlant | None, one: Side, other: Side | None) -> LowerBound:
     """The best bound of `_walk`; 0 where the problem has no solution, or none at a finite gain."""
     points = []
-    with contextlib.suppress(DesignError), up_to_rounding(), np.errstate(all="ignore"):
+    with contextlib.suppress(InputError), up_to_rounding(), np.errstate(all="ignore"):
         for point in _walk(plant, dual, one, other):
             points.append(point)
     return _sharpest(one, other, points)

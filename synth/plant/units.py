@@ -16,6 +16,7 @@ CANCELLED = 1e-9  # relative; a sum of this much less than its terms may be one 
 TOGETHER = 1e-4  # of one equation: how much it counts that a norm has one unit of all of w, and one of all of z
 OPEN = 1e-11  # of the largest eigenvalue of the normal equations: units that nothing decides; of those decided none is below 1e-8
 FINEST = 2.0**-20  # of an exponent of two: what rounding leaves of one is less, so that in powers of two the same is the same
+ALIKE = 1e-6  # relative; units that are open to this alike are open alike
 UPWARDS = 0.53  # so that a unit half-way between two powers of two, as are those of entries that are such powers, is no tie
 DEPENDENT = 1e-10  # smallest singular value of rows of length one
 
@@ -117,8 +118,8 @@ def own_units(plant: GeneralizedPlant, Cy: Array | None = None) -> OwnUnits:
     one unit of all of w and one of all of z, and what these weigh counts where nothing else says how fast a plant is: integrators
     have the rate at which the motion and the force that drives it have the same weight in z.
 
-    Which units are left open depends on where entries are zero, and of them some are kept as they are given. So the same plant in
-    other units, each a power of two, is the same in its own to the last bit.
+    Which units are left open depends on where entries are zero, and of them some are kept as they are given: those of the
+    disturbance before others. So the same plant in other units, each a power of two, is the same in its own to the last bit.
 
     Args:
         plant: n states; a discrete one has those of its differences.
@@ -152,7 +153,8 @@ def _measured(plant: GeneralizedPlant, Cy: Array) -> OwnUnits:
     for first, count in ((n + m, r), (columns, d)):
         alike = slice(first, first + count)
         normal[alike, alike] += TOGETHER * (np.eye(count) - 1 / max(count, 1))
-    found = _with_pivots(normal, right)
+    w = np.arange(n + m, columns)
+    found = _with_pivots(normal, right, np.append(w, np.delete(np.arange(unknowns), w)))
     units = _powers(found[: n + m])
     exact = np.exp2(np.round(found[: n + m] / FINEST) * FINEST)
     return OwnUnits(units[:n], units[n:], (exact[:n], exact[n:]), float(np.exp2(found[-1])))
@@ -163,16 +165,26 @@ def _powers(exponents: Any) -> Any:
     return np.exp2(np.floor(exponents + UPWARDS))
 
 
-def _with_pivots(normal: Array, right: Array) -> Array:
-    """Least squares, with 0 for as many unknowns as are left open."""
+def _with_pivots(normal: Array, right: Array, first: Array) -> Array:
+    """Least squares, with 0 for as many unknowns as are left open: of those that are open alike the one that stands first.
+
+    Of a plant of one piece all units are open alike, but the rate. Rounding must not choose between them: it differs from one
+    machine to the next, and what has an extreme unit of its own may then decide all others.
+
+    Args:
+        normal: the normal equations, shape (N, N).
+        right: their right side, shape (N,).
+        first: all unknowns, in the order in which they are kept, shape (N,).
+    """
     sizes, directions = np.linalg.eigh(normal)
     fixed = sizes > OPEN * sizes[-1]
     found = directions[:, fixed] @ ((directions[:, fixed].T @ right) / sizes[fixed])
     left = directions[:, ~fixed]
-    if not left.shape[1]:
-        return found
-    _, order = linalg.qr(left.T, mode="r", pivoting=True)  # pyright: ignore[reportAssignmentType]
-    pivots = order[: left.shape[1]]
+    rest, pivots = left @ left.T, np.zeros(left.shape[1], dtype=int)
+    for k in range(len(pivots)):
+        open_alike = np.diagonal(rest)[first]
+        pivots[k] = pivot = first[np.argmax(open_alike >= (1 - ALIKE) * open_alike.max())]
+        rest = rest - np.outer(rest[:, pivot], rest[pivot]) / rest[pivot, pivot]
     return found - left @ np.linalg.solve(left[pivots], found[pivots])
 
 
