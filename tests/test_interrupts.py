@@ -20,6 +20,14 @@ AT_ONCE = 20.0  # s to end after Ctrl-C on a busy machine; a second on an idle o
 ENDINGS = [("SIGINT", 130, "interrupted"), ("SIGTERM", 143, "terminated"), ("SIGHUP", 129, "hung up")]
 
 
+@pytest.fixture(autouse=True, scope="module")
+def heard():
+    """Lets children hear SIGHUP, also if the suite runs under `nohup`, which has it ignored."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
 @pytest.mark.parametrize(("name", "code", "word"), ENDINGS[1:2])
 def test_an_interrupted_map_is_kept(tmp_path, name, code, word):
     """A signal in the middle of a map ends it at once, with its exit code; what is done is printed and written."""
