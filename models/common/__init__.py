@@ -1,1 +1,1 @@
-"""What every floor stands on: arrays, errors, options, files, Ctrl-C, cores; it knows no vehicle."""
+"""Foundations of all packages: arrays, errors, options, files, Ctrl-C, threads; no vehicle."""

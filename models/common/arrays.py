@@ -1,4 +1,4 @@
-"""The array type of every signature, and what makes one of numbers that somebody gave.
+"""The array type of all signatures, and the check of matrices given by users.
 
 Shapes and units are in the docstrings; entries are float64 unless those say complex.
 """
@@ -12,19 +12,19 @@ MOST = 2000  # rows or columns; more needs methods for large sparse systems
 
 
 def real_matrix(value: object, name: str, largest: float, expected: str = "") -> tuple[Array, float]:
-    """A copy of a matrix that is one of real numbers, of a size that can be worked with.
+    """Returns a copy of a real matrix, and the size of its largest entry.
 
     Args:
-        value: the matrix, or nested lists. One of complex numbers that are all real is real.
+        value: the matrix, or nested lists; complex numbers without imaginary part are allowed.
         name: of the matrix, for messages.
-        largest: of an entry, in size; infinite where all finite ones will do.
-        expected: its shape, for messages; empty where any will do.
+        largest: allowed size of an entry; infinite for no limit.
+        expected: its shape, for messages; empty if any is allowed.
 
     Returns:
-        The matrix, and the size of its largest entry: a design makes scores of plants, and a call of numpy is what they cost.
+        The matrix, and the size of its largest entry, which callers need as well: a second pass would cost as much as the check.
 
     Raises:
-        InputError: it is none; the message names it.
+        InputError: it is no such matrix; the message names it.
     """
     try:
         given = np.asarray(value)

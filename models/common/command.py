@@ -1,4 +1,4 @@
-"""What all commands share: one line per mistake, exit codes, a clean Ctrl-C, and the versions that numbers depend on."""
+"""Shared parts of all commands: one line per mistake, exit codes, a clean Ctrl-C, and the versions that numbers depend on."""
 
 import argparse
 import io
@@ -22,17 +22,17 @@ PACKAGES = ("roadproof", "mujoco", "numpy", "scipy", "mcap", "protobuf", "foxglo
 
 
 def versions() -> dict[str, str]:
-    """Version of everything that the numbers depend on."""
+    """Returns the versions of Python and of all packages that the numbers depend on."""
     import platform
     from importlib import metadata
 
-    found = {"python": platform.python_version()}
+    versions_by_name = {"python": platform.python_version()}
     for package in PACKAGES:
         try:
-            found[package] = metadata.version(package)
+            versions_by_name[package] = metadata.version(package)
         except metadata.PackageNotFoundError:  # run from a checkout that was never installed
-            found[package] = "not installed"
-    return found
+            versions_by_name[package] = "not installed"
+    return versions_by_name
 
 
 BAD_INPUT = 2
@@ -41,7 +41,7 @@ _kept: list[TextIO] = []  # stdout, once it is kept for the command
 
 
 class Parser(argparse.ArgumentParser):
-    """The one door for options: errors are one line, no option is empty, and none is given twice unless it says so."""
+    """Command-line parser: errors are one line, no option is empty, and none is given twice unless it says so."""
 
     def __init__(self, prog: str, description: str, epilog: str = "") -> None:
         page = f"{prog.partition('.')[0]}/README.md"
@@ -61,7 +61,7 @@ class Parser(argparse.ArgumentParser):
         self.register("action", "store_true", _Flag)
 
     def parse_args(self, args=None, namespace=None):  # pyright: ignore[reportIncompatibleMethodOverride] - its overloads
-        """The options; `given` of them names those that were given, and `command_line` is what asks for the same again."""
+        """Returns the options, with the names of those given (`given`) and the command that repeats the call (`command_line`)."""
         args = sys.argv[1:] if args is None else args
         for argument in args:
             if re.fullmatch(
@@ -74,11 +74,11 @@ class Parser(argparse.ArgumentParser):
         return super().parse_args(args, start)
 
     def error(self, message: str) -> NoReturn:
-        """Bad options: one line, exit code 2."""
+        """Raises bad options as one line; exit code 2."""
         raise InputError(f"{message}; see {self.prog} --help")
 
     def add_controller_and_vehicle(self, default: str) -> None:
-        """The options `--controller`, which may be repeated, and `--vehicle`."""
+        """Adds the options `--controller`, which may be repeated, and `--vehicle`."""
         self.add_argument(
             "--controller",
             action="append",
@@ -89,7 +89,7 @@ class Parser(argparse.ArgumentParser):
         self._add_vehicle()
 
     def add_one(self, which: str) -> None:
-        """The options `--controller`, which is needed and given once, and `--vehicle`."""
+        """Adds the options `--controller`, which is required and given once, and `--vehicle`."""
         self.add_argument("--controller", type=_name, metavar="NAME", help=f"{which}. Required")
         self._add_vehicle()
 
@@ -99,17 +99,17 @@ class Parser(argparse.ArgumentParser):
         )
 
     def add_number(self, option: str, default: float, unit: str, meaning: str) -> None:
-        """An option that takes a finite number."""
+        """Adds an option that takes a finite number."""
         self.add_argument(option, type=_number, default=default, metavar=unit, help=f"{meaning} [{unit}] (default: {default:g})")
 
     def add_numbers(self, option: str, unit: str, meaning: str) -> None:
-        """An option that takes one finite number or more, in any order."""
+        """Adds an option that takes one finite number or more, in any order."""
         self.add_argument(option, type=_number, nargs="+", metavar=unit, help=f"{meaning} [{unit}]")
 
     def add_count(
         self, option: str, meaning: str, default: str, low: int, high: int, unset: int | None = None, many: bool = False
     ) -> None:
-        """An option that takes a whole number from `low` to `high`, or many; `unset` is what it is where it is not given."""
+        """Adds an option that takes a whole number from `low` to `high`, or many; `unset` is its value if it is not given."""
 
         def count(text: str) -> int:
             try:
@@ -124,20 +124,20 @@ class Parser(argparse.ArgumentParser):
         self.add_argument(option, type=count, nargs=nargs, default=unset, metavar="N", help=f"{meaning} (default: {default})")
 
     def add_logs(self, what: str) -> None:
-        """--logs, for a command that records only when asked to."""
+        """Adds --logs, for a command that records only on request."""
         self.add_argument("--logs", type=Path, metavar="DIR", help=f"record {what} in this folder (default: record nothing)")
 
 
 def chosen(names: Sequence[str], asked: Sequence[str] | None, usual: Sequence[str] = ()) -> list[str]:
-    """The controllers that `--controller`, given any number of times, asks for, in that order.
+    """Returns the controllers that the options `--controller` name, in that order.
 
     Args:
-        names: of all that the vehicle has.
-        asked: as it was given.
-        usual: what is meant where it was not.
+        names: all controllers of the vehicle.
+        asked: values of `--controller`.
+        usual: controllers if `--controller` was not given.
 
     Raises:
-        InputError: none is asked for, one is unknown or asked for twice, or `all` and another.
+        InputError: no name is given, one is unknown or given twice, or `all` and another.
     """
     for name in asked or ():
         if name not in (ALL, *names):
@@ -154,14 +154,14 @@ def chosen(names: Sequence[str], asked: Sequence[str] | None, usual: Sequence[st
 
 
 def one_chosen(names: Sequence[str], asked: str | None) -> str:
-    """The controller that a `--controller` asks for which is given once.
+    """Returns the controller that a single `--controller` names.
 
     Args:
-        names: of all that can be asked for.
-        asked: as it was given.
+        names: all that are allowed.
+        asked: value of `--controller`.
 
     Raises:
-        InputError: none is asked for, or an unknown one.
+        InputError: no name is given, or an unknown one.
     """
     allowed = f"give --controller with one of: {', '.join(names)}"
     if asked is None:
@@ -174,7 +174,7 @@ def one_chosen(names: Sequence[str], asked: str | None) -> str:
 
 
 class _Once(argparse.Action):
-    """An option that is given once; twice, nobody knows which was meant."""
+    """Option that may be given once: given twice, it would be ambiguous."""
 
     def __call__(self, parser, namespace, values, option_string=None) -> None:
         if option_string and self.dest in namespace.given:
@@ -184,7 +184,7 @@ class _Once(argparse.Action):
 
 
 class _Flag(argparse.Action):
-    """An option without a value."""
+    """Option without a value."""
 
     def __init__(self, option_strings, dest, help=None) -> None:
         super().__init__(option_strings, dest, nargs=0, default=False, help=help)
@@ -195,7 +195,7 @@ class _Flag(argparse.Action):
 
 
 def run_command(main: Callable[[], int]) -> NoReturn:
-    """Runs a command and exits as every command does: its own code, 2 on bad input, that of the signal that told it to end."""
+    """Runs a command and exits with its own code, with 2 on bad input, or with the code of the signal that ended it."""
     interrupt.raise_from_now_on()
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # a vehicle file's name may have what the terminal has not
@@ -212,13 +212,13 @@ def run_command(main: Callable[[], int]) -> NoReturn:
             _flushed(stream)
     if _kept:
         sys.stdout = sys.stderr  # for what is still to come, at Python's exit, of code that is not ours
-    if any(not one.daemon for one in threading.enumerate() if one is not threading.main_thread()):
+    if any(not thread.daemon for thread in threading.enumerate() if thread is not threading.main_thread()):
         os._exit(code)  # threads of a user's own code: ours have ended, and Python would wait for those, for ever
     sys.exit(code)
 
 
 def _ended_by(error: BaseException) -> int:
-    """The exit code of a command that ended so, which is said; what nobody foresaw is raised again."""
+    """Prints why a command ended and returns its exit code. Raises unforeseen errors again."""
     if interrupt.caused(error):
         complain(interrupt.word())
         return interrupt.code()
@@ -237,7 +237,7 @@ def _ended_by(error: BaseException) -> int:
 
 
 def keep_stdout() -> None:
-    """Keeps stdout for the command: what any other code writes there, Python or not, goes to stderr from now on.
+    """Keeps stdout for the command: from now on all other output there, Python or not, goes to stderr.
 
     For a command whose stdout is a file or a pipe of its own; within a library nothing happens.
     """
@@ -252,7 +252,7 @@ def keep_stdout() -> None:
 
 
 def complain(message: str) -> None:
-    """One line on stderr that a terminal can show, whatever names and values the message quotes."""
+    """Prints a message to stderr on one line that a terminal can show, whatever names and values it quotes."""
     if sys.stderr:  # closed, as in `2>&-`, it is None
         with suppress(OSError):  # its terminal has ended
             show("")  # how far the work was
@@ -267,12 +267,12 @@ def _flushed(stream: TextIO) -> None:
 
 
 def _forget(stream: TextIO) -> None:
-    """Lets Python's own flush at exit succeed."""
+    """Redirects a broken stream to the null device, so that Python's own flush at exit succeeds."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def _check_encoding(arguments: Sequence[str]) -> None:
-    """Logs hold the command line, and they are UTF-8."""
+    """Refuses arguments that are not UTF-8: logs hold the command line."""
     for argument in arguments:
         try:
             argument.encode()
@@ -281,7 +281,7 @@ def _check_encoding(arguments: Sequence[str]) -> None:
 
 
 def _page(text: str) -> str:
-    """A text of `--help`, its lines as `wrapped` has them, but those of examples, which are to be copied."""
+    """Returns a text of `--help` with its lines wrapped, except indented examples, which are to be copied."""
     lines = [[line] if line.startswith("  ") else wrapped(line, hang=0) for line in text.splitlines()]
     return "\n".join(part for line in lines for part in line)
 
@@ -293,7 +293,7 @@ def _text(text: str) -> str:
 
 
 def _name(text: str) -> str:
-    """A name in the spelling that names of a vehicle file are read in."""
+    """Returns a name in the Unicode form in which vehicle files are read."""
     return unicodedata.normalize("NFC", _text(text))
 
 

@@ -1,11 +1,11 @@
-"""The one error that is the user's to mend: every command turns it into one line and exit code 2."""
+"""The error for everything that a user can mend: every command turns it into one line and exit code 2."""
 
 import re
 import reprlib
 from collections.abc import Sequence
 from typing import Any
 
-LONGEST = 1000  # characters of a message; the longest list of names that it may have to offer is of 700
+LONGEST = 1000  # characters of a message; the longest list of allowed names has 700
 LONGEST_WORD = 160  # characters without a space, or between quotes; a path may be as long
 LONGEST_VALUE = 60  # characters of a value
 QUOTED = re.compile(rf"""(?<![^\s=(\[{{,:])(["'])(?:(?!\1).){{{LONGEST_WORD - 1},}}\1(?![^\s,;:)\]}}.])""")
@@ -16,9 +16,9 @@ _shortly.maxlevel, _shortly.maxstring, _shortly.maxlong, _shortly.maxother = 3, 
 
 
 class InputError(ValueError):
-    """Something given from outside is wrong. The message says what was found, what is allowed, and what to do.
+    """Wrong input. The message says what was found, what is allowed, and what to do.
 
-    It is one line of a sensible length, whatever names, paths and values it quotes: see `one_line`.
+    The message is one line of limited length, whatever names, paths and values it quotes: see `one_line`.
     """
 
     def __init__(self, message: object = "") -> None:
@@ -26,21 +26,21 @@ class InputError(ValueError):
 
 
 def one_line(message: str) -> str:
-    """A message as one line that a terminal can show: long quotations, and the whole, are cut in the middle."""
+    """Returns a message as one line that a terminal can show. Cuts long quotations, and the whole, in the middle."""
     line = " ".join(part.strip() for part in message.splitlines())
     line = "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in line)
     for pattern in (QUOTED, WORD):
-        line = pattern.sub(lambda found: middle_cut(found[0], LONGEST_WORD), line)
+        line = pattern.sub(lambda match: middle_cut(match[0], LONGEST_WORD), line)
     return middle_cut(line, LONGEST)  # what was found comes first, what to do last
 
 
 def quoted(value: Any) -> str:
-    """A value of any type and size, as a message quotes it: its `repr`, cut in the middle."""
+    """Returns the `repr` of a value of any type and size, cut in the middle, for a message."""
     return middle_cut(_shortly.repr(getattr(value, "tolist", lambda: value)()), LONGEST_VALUE)
 
 
 def middle_cut(text: str, most: int) -> str:
-    """A text, or its begin and end where it is longer than so many characters."""
+    """Returns the text, or its beginning and end if it has more than `most` characters."""
     if len(text) <= most:
         return text
     kept = most - len(" ... ")
@@ -48,10 +48,10 @@ def middle_cut(text: str, most: int) -> str:
 
 
 def listing(names) -> str:
-    """The names that are allowed, as a list for a message."""
+    """Returns the allowed names as a list for a message."""
     return ", ".join(sorted(names)) or "none"
 
 
 def some(names: Sequence[str], most: int = 3) -> str:
-    """The first of many names, and how many more there are."""
+    """Returns the first of many names, and the number of the others."""
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")

@@ -1,9 +1,8 @@
-"""The one door for files. What is written is whole or not there; what is read is plain, and no larger than stated; so is TOML.
+"""Reading and writing of files. Files appear whole or not at all; only plain files of limited size are read; likewise TOML.
 
-A file is written beside its place under a hidden name, flushed to the disk, and renamed. A link keeps being one: what it points
-to is written. Of a file with several names (hard links) the one that is written gets the new content, the others keep the old:
-written in place, all would hold half of it when a disk is full. A file that was there keeps its permissions, and its owner and
-group as far as the system lets us.
+A file is written beside its place under a hidden name, flushed to the disk, and renamed. A link stays a link: its target is
+written. If a file has several names (hard links), only the written one gets the new content: written in place, all would hold
+half of it when a disk is full. A replaced file passes on its permissions, and its owner and group if the system allows it.
 """
 
 import errno
@@ -27,7 +26,7 @@ from models.common import interrupt
 from models.common.errors import InputError
 
 MOST_DOTS = 8  # within one key; tomllib takes their square in time and memory, 4 MiB of such keys seconds; ours have two
-# What may hold dots and is no key. What is not closed ends with its line, or the text: every text is read through once.
+# Comments and strings, whose dots are no key's. An unclosed one ends with its line, or the text: one pass over every text.
 _NO_KEY = re.compile(
     r"""\#[^\n]*
     | \"{3} (?: [^"\\] | \\. | \"{1,2}(?!\") )*+ \"{0,5}
@@ -39,7 +38,7 @@ _NO_KEY = re.compile(
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """The tables of a TOML text.
+    """Returns the tables of a TOML text.
 
     Raises:
         InputError: it is not TOML, or a key has more than `MOST_DOTS` dots.
@@ -55,20 +54,20 @@ def parse_toml(text: str) -> dict[str, Any]:
 
 
 STDOUT = Path("/dev/stdout")  # the one name that is no file and may be written: the command's own output
-Waiting = tuple[Path, Path, os.stat_result | None]  # a whole file, the name that it is to get, and what has that name now
-# Those that wait for their names, in `together`; None outside it.
+Waiting = tuple[Path, Path, os.stat_result | None]  # a whole file, its future name, and the status of the file that has it now
+# Files that wait for their names in `together`; None outside it.
 _waiting: ContextVar[list[Waiting] | None] = ContextVar("_waiting", default=None)
 WRITABLE = stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH
 
 
 @contextmanager
 def whole_file(path: Path, what: str, instead: str = "give another") -> Iterator[Path]:
-    """A place to write to, of the suffix of the name that is given, whatever that leads to; it gets its name when it is whole.
+    """Yields a temporary path with the suffix of `path`, and renames it to `path` once it is whole.
 
     Args:
         path: the file, a link to it, or `/dev/stdout`.
-        what: it is, for the message.
-        instead: what to do where it cannot be written, for the message.
+        what: kind of file, for the message.
+        instead: advice if it cannot be written, for the message.
 
     Raises:
         InputError: it cannot be written.
@@ -103,7 +102,7 @@ def whole_file(path: Path, what: str, instead: str = "give another") -> Iterator
 
 @contextmanager
 def together() -> Iterator[None]:
-    """Files that are written in here get their names at its end, one right after the other, or none does.
+    """Gives all files that are written in this block their names at its end, or none of them.
 
     Raises:
         InputError: they cannot get their names.
@@ -123,7 +122,7 @@ def together() -> Iterator[None]:
 
 
 def _name_all(waiting: Sequence[Waiting]) -> None:
-    """Gives whole files their names; where one cannot get its own, those before it give way to what was there."""
+    """Gives whole files their names. If one fails, restores what was there before the others."""
     named: list[tuple[Path, Path | None]] = []
     try:
         for beside, target, before in waiting:
@@ -145,7 +144,7 @@ def _name_all(waiting: Sequence[Waiting]) -> None:
 
 
 def _kept(target: Path) -> Path:
-    """A second, hidden name of a file, or where the system has no such, a copy."""
+    """Returns a second, hidden name of a file; a copy if the system has no hard links."""
     kept = target.with_name(f".{secrets.token_hex(8)}.part")
     try:
         kept.hardlink_to(target)
@@ -155,7 +154,7 @@ def _kept(target: Path) -> Path:
 
 
 def _name(beside: Path, target: Path, before: os.stat_result | None) -> None:
-    """Gives a whole file its name; what was there is replaced."""
+    """Gives a whole file its name and replaces the previous file."""
     if before is not None:
         _make_like(beside, before)
     beside.replace(target)
@@ -168,7 +167,7 @@ def _removed(beside: Path) -> None:
 
 
 def check_file(path: Path, what: str, instead: str = "give another") -> None:
-    """Proves that a file can be written: ask before a long run, not after it.
+    """Proves that a file can be written, before a long run.
 
     Raises:
         InputError: it cannot.
@@ -187,7 +186,7 @@ def check_file(path: Path, what: str, instead: str = "give another") -> None:
 
 
 def check_folder(path: Path, what: str, instead: str = "give another folder") -> None:
-    """Proves that files can be written in a folder, or that it can be made; nothing is left of the proof.
+    """Proves that a folder exists or can be made, and that files can be written in it. Leaves nothing behind.
 
     Raises:
         InputError: it cannot be made, or not written.
@@ -217,13 +216,13 @@ def check_folder(path: Path, what: str, instead: str = "give another folder") ->
 
 @contextmanager
 def made_folder(path: Path, what: str, instead: str = "give another folder") -> Iterator[None]:
-    """A folder, made with those above it where it is not there yet; where the block fails, what was made and is empty goes again.
+    """Makes a folder and its missing parents. If the block fails, removes those of them that are empty.
 
     Raises:
         InputError: it cannot be made, or not written.
     """
     check_folder(path, what, instead)
-    missing = [each for each in (path, *path.parents) if not each.exists()]
+    missing = [folder for folder in (path, *path.parents) if not folder.exists()]
     try:
         try:
             path.mkdir(parents=True, exist_ok=True)
@@ -232,16 +231,16 @@ def made_folder(path: Path, what: str, instead: str = "give another folder") -> 
         yield
     except BaseException:
         with interrupt.finishing(), suppress(OSError):  # one that holds something stays
-            for each in missing:
-                each.rmdir()
+            for folder in missing:
+                folder.rmdir()
         raise
 
 
 def _target(path: Path, what: str, instead: str) -> tuple[Path, os.stat_result | None]:
-    """Where a path leads to through links, and what is there now; None where there is nothing.
+    """Returns the file that a path leads to through links, and its status, or None if there is no file yet.
 
     Raises:
-        InputError: it leads to something that may not be written.
+        InputError: the file may not be written.
     """
     if path == STDOUT:
         return STDOUT, None
@@ -250,27 +249,27 @@ def _target(path: Path, what: str, instead: str) -> tuple[Path, os.stat_result |
         if not target.parent.is_dir():
             raise _refused(path, what, f"there is no folder {target.parent}", f"make it or {instead}")
         try:
-            found = target.stat()
+            status = target.stat()
         except FileNotFoundError:
             return target, None
     except OSError as error:
         reason = "a loop of links" if error.errno == errno.ELOOP else error.strerror or str(error)
         raise _refused(path, what, f"cannot be written ({reason})", instead) from error
-    if stat.S_ISDIR(found.st_mode):
+    if stat.S_ISDIR(status.st_mode):
         raise _refused(path, what, "is a folder", "give the name of a file")
-    if not stat.S_ISREG(found.st_mode):
-        raise _refused(path, what, f"is {kind_of(found.st_mode)}, not a plain file", instead)
-    if not found.st_mode & WRITABLE or not os.access(target, os.W_OK):
+    if not stat.S_ISREG(status.st_mode):
+        raise _refused(path, what, f"is {kind_of(status.st_mode)}, not a plain file", instead)
+    if not status.st_mode & WRITABLE or not os.access(target, os.W_OK):
         raise _refused(path, what, "is read-only", f"make it writable or {instead}")
     folder = target.parent.stat()
     who = getattr(os, "geteuid", int)()  # 0 on Windows, where files have other owners, and folders no such bit
-    if folder.st_mode & stat.S_ISVTX and who not in (0, found.st_uid, folder.st_uid):
+    if folder.st_mode & stat.S_ISVTX and who not in (0, status.st_uid, folder.st_uid):
         raise _refused(path, what, "is another user's, and only they may replace it in this folder", instead)
-    return target, found
+    return target, status
 
 
 def kind_of(mode: int) -> str:
-    """What a file is that is no plain file, in words."""
+    """Names the kind of a file that is no plain file."""
     if stat.S_ISDIR(mode):
         return "a folder"
     if stat.S_ISFIFO(mode):
@@ -281,7 +280,7 @@ def kind_of(mode: int) -> str:
 
 
 def _make_like(beside: Path, before: os.stat_result) -> None:
-    """Gives a new file the permissions of the one that it replaces, and its owner and group where the system lets us."""
+    """Gives a new file the permissions of the one that it replaces, and its owner and group if the system allows it."""
     mode = stat.S_IMODE(before.st_mode)
     with_owner = getattr(os, "chown", None)  # not on Windows
     if with_owner is not None:
@@ -294,16 +293,16 @@ def _make_like(beside: Path, before: os.stat_result) -> None:
 
 
 def identity(path: Path) -> tuple[int, int] | str:
-    """What two paths share that are one file, or one folder, by whatever names: links, hard links, another case."""
+    """Returns the same value for all paths of one file or folder: links, hard links, another case."""
     try:
-        found = path.stat()
+        status = path.stat()
     except (OSError, ValueError):
         return os.path.realpath(path)
-    return found.st_dev, found.st_ino
+    return status.st_dev, status.st_ino
 
 
 def _settle(folder: Path) -> None:
-    """A new name is on the disk when its folder is; only some systems can be told so."""
+    """Flushes a folder, and so the new name in it, to the disk, on systems that can."""
     with suppress(OSError):
         handle = os.open(folder, os.O_RDONLY)
         try:
@@ -324,16 +323,16 @@ Content = TypeVar("Content")
 
 
 def read_bytes(path: Path, what: str, most: int, give: str) -> bytes:
-    """The content of a plain file.
+    """Returns the content of a plain file.
 
     Args:
         path: the file, or a link to it.
-        what: it is, for the message.
-        most: bytes.
+        what: kind of file, for the message.
+        most: allowed size [bytes].
         give: what to give instead, for the message.
 
     Raises:
-        InputError: there is none, it is no plain file, too large, or cannot be read.
+        InputError: there is no such file, it is no plain file, too large, or cannot be read.
     """
     try:
         with open_plain(path, what, give) as stream:
@@ -342,19 +341,19 @@ def read_bytes(path: Path, what: str, most: int, give: str) -> bytes:
     except OSError as error:
         raise InputError(f"{what} {path}: cannot be read ({error.strerror or error}); {give}") from error
     if max(size, len(content)) > most:
-        found = f"{size / MIB:.0f} MiB" if size > most else "and does not end"
-        raise InputError(f"{what} {path}: is too large, {found}; at most {most / MIB:g} MiB is read: {give}")
+        excess = f"{size / MIB:.0f} MiB" if size > most else "and does not end"
+        raise InputError(f"{what} {path}: is too large, {excess}; at most {most / MIB:g} MiB is read: {give}")
     return content
 
 
 def open_plain(path: Path, what: str, give: str) -> BufferedReader:
-    """A plain file, open to be read.
+    """Opens a plain file for reading.
 
     Args:
         path, what, give: see `read_bytes`.
 
     Raises:
-        InputError: there is none, it is no plain file, or cannot be opened.
+        InputError: there is no such file, it is no plain file, or cannot be opened.
     """
     try:
         # A pipe would be waited for, for ever; without waiting it can be opened, and seen for what it is.
@@ -374,7 +373,7 @@ def open_plain(path: Path, what: str, give: str) -> BufferedReader:
 
 
 def read_text(path: Path, what: str, most: int, give: str) -> str:
-    """The text of a plain file in UTF-8; some editors begin one with a byte order mark.
+    """Returns the text of a plain file in UTF-8, with or without a byte order mark.
 
     Args:
         path, what, most, give: see `read_bytes`.
@@ -386,36 +385,36 @@ def read_text(path: Path, what: str, most: int, give: str) -> str:
         content = read_bytes(path, what, most, give)
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        found = f"{error.reason} at byte {error.start}"
-        raise InputError(f"{what} {path}: not a text file in UTF-8 ({found}); save it as UTF-8, or {give}") from error
+        reason = f"{error.reason} at byte {error.start}"
+        raise InputError(f"{what} {path}: not a text file in UTF-8 ({reason}); save it as UTF-8, or {give}") from error
     if "\0" in text:
-        found = f"a NUL character at byte {content.index(0)}, as in UTF-16"
-        raise InputError(f"{what} {path}: not a text file in UTF-8 ({found}); save it as UTF-8, or {give}")
+        reason = f"a NUL character at byte {content.index(0)}, as in UTF-16"
+        raise InputError(f"{what} {path}: not a text file in UTF-8 ({reason}); save it as UTF-8, or {give}")
     return text.replace("\r\n", "\n")
 
 
 def read_content(path: Path, what: str, give: str, of: Callable[[str], Content]) -> tuple[Content, str]:
-    """What a text file holds that goes into a vehicle file in place of its name, and the file's size and checksum in words.
+    """Returns the content of a text file that a vehicle file includes, and the file's size and checksum as text.
 
     Args:
         path, what, give: see `read_bytes`.
-        of: its text -> what it holds; raises InputError where that is none.
+        of: converts the text; raises InputError if it is wrong.
 
     Raises:
-        InputError: see `read_bytes`; or it is no text, or holds nothing of the kind. The message names the file.
+        InputError: see `read_bytes`; or the text is wrong. The message names the file.
     """
     content = read_bytes(path, what, TEXT, give)
     try:
-        found = of(content.decode("utf-8-sig"))
+        converted = of(content.decode("utf-8-sig"))
     except UnicodeDecodeError as error:
         raise InputError(f"{what} {path}: is no text in UTF-8; {give}") from error
     except InputError as error:
         raise InputError(f"{what} {path}: {error}") from error
-    return found, f"{len(content)} bytes, SHA-256 {hashlib.sha256(content).hexdigest()}"
+    return converted, f"{len(content)} bytes, SHA-256 {hashlib.sha256(content).hexdigest()}"
 
 
 def _reason(path: Path, error: OSError) -> str:
-    """Why a file cannot be read, in words."""
+    """Says why a file cannot be read."""
     if error.errno == errno.ENOENT:
         return "is a link to nothing" if path.is_symlink() else "there is no such file"
     if error.errno == errno.ELOOP:

@@ -1,7 +1,7 @@
-"""How a process begins and ends: in UTF-8, whatever the locale says, and told to end from the first import to the last line.
+"""Begin and end of a process: UTF-8 in any locale, and a clean end on a signal from the first import to the last line.
 
-Ctrl-C, SIGTERM and the end of the terminal end a command alike: what was begun is cleaned up, and there are one word and the
-exit code that a shell has for it, but no traceback. Wherever the code says Ctrl-C it means all of them.
+Ctrl-C, SIGTERM and the end of the terminal end a command alike: it cleans up, prints one word, and exits with the code that a
+shell has for the signal, without a traceback. "Ctrl-C" in the code means all of them.
 """
 
 import _thread
@@ -16,11 +16,11 @@ from typing import Any
 
 
 def speak_utf8() -> None:
-    """Starts this Python again in its UTF-8 mode (PEP 540), if it is not in it and what it was given is UTF-8.
+    """Starts this Python again in its UTF-8 mode (PEP 540), if it is not in it and its arguments are UTF-8.
 
-    In a locale of another encoding, such as C without coercion or ISO 8859-1, Python would take the bytes of a name for other
-    letters, or for none, and could not name a file as a vehicle file does. What it was given in that encoding stays as it
-    is. Where nothing but ASCII was given, output stays in the terminal's encoding: what that lacks is escaped.
+    In a locale of another encoding, such as C without coercion or ISO 8859-1, Python would misread the bytes of a name. It could
+    then not find a file that a vehicle file names. Arguments in that encoding stay as they are. If all are ASCII, output stays in
+    the terminal's encoding, and letters that it lacks are escaped.
 
     To be called before anything has begun.
     """
@@ -37,44 +37,47 @@ def speak_utf8() -> None:
     os.execve(sys.executable, [sys.executable, *sys.orig_argv[1:]], environment)
 
 
-WORDS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "hung up"}  # what they are to a user; not all are everywhere
+WORDS = {
+    "SIGINT": "interrupted",
+    "SIGTERM": "terminated",
+    "SIGHUP": "hung up",
+}  # the word that is printed; not every system has all
 SIGNALS = {int(number): word for name, word in WORDS.items() if (number := getattr(signal, name, None)) is not None}
-_heard = [int(signal.SIGINT)]  # the last one that came, Ctrl-C before
-_raised: list[int] = []  # those that have been raised as a KeyboardInterrupt
+_heard = [int(signal.SIGINT)]  # the last signal; Ctrl-C before any
+_raised: list[int] = []  # signals that were raised as a KeyboardInterrupt
 
 
 def code() -> int:
-    """The exit code of a command that was told to end: 130 by Ctrl-C, 143 by SIGTERM, 129 by the end of its terminal."""
+    """Returns the exit code of an interrupted command: 130 for Ctrl-C, 143 for SIGTERM, 129 for the end of its terminal."""
     return 128 + _heard[0]
 
 
 def word() -> str:
-    """What has happened to it, in a word."""
+    """Returns the word for the last signal."""
     return SIGNALS[_heard[0]]
 
 
 def came() -> int | None:
-    """How often it has been told to end: a KeyboardInterrupt without that is some code's own. None where nobody counts."""
+    """Counts the interrupts raised so far: without one, a KeyboardInterrupt is some code's own. None if they are not counted."""
     return len(_raised) if signal.getsignal(signal.SIGINT) is _raise else None
 
 
 def raised() -> int:
-    """How often it has been told to end so that a KeyboardInterrupt was raised; at once, where `came` takes microseconds."""
+    """Counts the interrupts raised so far without the check of `came`, which takes microseconds."""
     return len(_raised)
 
 
 def quiet_start() -> None:
-    """While `python -m` is still importing a command nothing has begun, so the process may simply end.
+    """Lets the process end silently on a signal while `python -m` is still importing a command.
 
-    An exception would not do: compiled packages turn it into errors of their own, or drop it. For a library that is imported by
-    anything else this does nothing.
+    An exception would not do: compiled packages turn it into errors of their own, or drop it. Does nothing if the package is
+    imported as a library.
     """
     # Only until it knows where the module lies, `python -m` says "-m" there.
     if sys.argv[:1] == ["-m"] and threading.current_thread() is threading.main_thread():
         speak_utf8()
         _handle_all(_leave)
-        # No command draws by MuJoCo, whatever is installed for that. Else it starts a second Python to look for GLFW, with
-        # tracebacks of its own.
+        # No command draws by MuJoCo. Without this, MuJoCo starts a second Python to look for GLFW, with tracebacks of its own.
         os.environ["MUJOCO_GL"] = "disable"
         # A second thread of BLAS waits for the next product without sleeping: more work for the processor than the product's own.
         for library in ("OPENBLAS", "MKL"):
@@ -82,21 +85,21 @@ def quiet_start() -> None:
 
 
 def raise_from_now_on() -> None:
-    """From here on Ctrl-C is a KeyboardInterrupt, so that what was begun is cleaned up."""
+    """Turns Ctrl-C into a KeyboardInterrupt from now on, so that a command can clean up."""
     if threading.current_thread() is threading.main_thread():
         _handle_all(_raise)
         sys.unraisablehook = _unraisable
 
 
 def caused(error: BaseException | None) -> bool:
-    """Whether an error is Ctrl-C, or what a library made of it: a compiled module that is being imported says ImportError."""
+    """Returns True if an error is or stems from Ctrl-C: a compiled module turns it into ImportError during its import."""
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
     return error is not None
 
 
 class _Late:
-    """A handler that notes the first Ctrl-C, and heeds the second."""
+    """Signal handler that notes the first Ctrl-C and obeys the second."""
 
     def __init__(self) -> None:
         self.came = 0
@@ -109,10 +112,10 @@ class _Late:
 
 @contextmanager
 def finishing(work_goes_on: bool = False) -> Iterator[None]:
-    """What is done here takes a moment, and half of it would be worse than all: a Ctrl-C comes too late; a second is heeded.
+    """Defers a Ctrl-C during a short block that must not be left half done; a second one is obeyed.
 
     Args:
-        work_goes_on: after it, so that a Ctrl-C is only late: it is heard when this is done, whatever this finishes within.
+        work_goes_on: after the block; the deferred Ctrl-C is then raised at its end.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -127,29 +130,29 @@ def finishing(work_goes_on: bool = False) -> Iterator[None]:
         for number, handler in before.items():
             signal.signal(number, handler)
     if late.came and (work_goes_on or isinstance(before[late.came], _Late)):
-        before[late.came](late.came, None)  # an outer one of these, or what raises KeyboardInterrupt
+        before[late.came](late.came, None)  # an outer block of this kind, or the handler that raises KeyboardInterrupt
 
 
 LATE = "the end"  # instead of a part that was whole
 
 
 class Parts:
-    """Work in parts, of which a Ctrl-C cuts one short: what that has done so far, and the others, are kept.
+    """Work in parts, of which a Ctrl-C cuts one short and keeps the others and the results so far.
 
     Attributes:
-        cut: the first that was cut short; empty where none was.
+        cut: name of the first part that was cut short, or empty.
     """
 
     def __init__(self) -> None:
         self.cut, self._done = "", ""
 
     def done(self, name: str) -> None:
-        """A part is whole: what is heard from now on, while it ends, came too late to cut it short."""
+        """Marks a part as whole: a Ctrl-C from now on comes too late to cut it short."""
         self._done = name
 
     @contextmanager
     def part(self, name: str) -> Iterator[None]:
-        """One of them, in words."""
+        """Runs one part; `name` says what it does."""
         try:
             yield
         except KeyboardInterrupt:
@@ -157,7 +160,7 @@ class Parts:
 
 
 def ignore_from_now_on() -> None:
-    """The work is done; what is left takes a moment and is not worth a traceback."""
+    """Ignores Ctrl-C from now on: the work is done, and the rest takes a moment."""
     # An interrupt inside an `exec` of text, as `dataclass` and `namedtuple` do, makes Python remember that it is to end by the
     # signal, even if the exception was caught; the next such `exec` forgets that (run_eval_code_obj in CPython's pythonrun.c).
     exec("")
@@ -166,7 +169,7 @@ def ignore_from_now_on() -> None:
 
 
 def _handle_all(handler: Any) -> None:
-    """Handles every signal but those that whoever has started this wants ignored, as `nohup` does the end of the terminal."""
+    """Sets the handler of all signals except those that the parent process ignores, as `nohup` does for SIGHUP."""
     for number in SIGNALS:
         if number == signal.SIGINT or signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, handler)
@@ -186,10 +189,10 @@ def _leave(number: int, frame: FrameType | None) -> None:
 
 
 def _unraisable(unraisable: Any) -> None:
-    """What Python can raise nowhere, as in a finaliser.
+    """Handles exceptions that Python cannot raise, as in a finaliser.
 
-    An interrupt comes again a moment later. After one, an object that it cut short while it was being made may complain when it
-    goes (pyparsing's do): that says nothing to a user.
+    An interrupt is raised again a moment later. After one, half-made objects may complain when they are deleted (pyparsing's do):
+    such complaints are dropped.
     """
     if issubclass(unraisable.exc_type, KeyboardInterrupt):
         threading.Timer(0.005, _thread.interrupt_main, (_heard[0],)).start()

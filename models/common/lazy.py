@@ -11,7 +11,7 @@ def attach(package: str, modules: Mapping[str, str]) -> tuple[Callable[[str], An
 
     Args:
         package: its name.
-        modules: the public names that each module holds, by the module's full name; of a module that is public itself, "".
+        modules: full name of each module -> its public names; "" for a module that is public itself.
     """
     where = {name: module for module, names in modules.items() for name in names.split() or [module.rpartition(".")[2]]}
 

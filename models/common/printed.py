@@ -1,7 +1,7 @@
-"""What commands print: lines of at most 80 columns, numbers, commands to be pasted into a shell, and how far work has come.
+"""Printed output: lines of at most 80 columns, numbers, commands to be pasted into a shell, and progress.
 
-The width is fixed, so that what is printed does not depend on where. A longer sentence goes on in the next line, further in; a
-table gives a name that is too long a line of its own. Only what must not be cut may be longer: a path, and a line to be copied.
+The width is fixed, so that output does not depend on the terminal. A longer sentence goes on in the next line, indented; a table
+gives a name that is too long a line of its own. Only paths and lines to be copied may be longer: they must not be cut.
 """
 
 import math
@@ -18,46 +18,46 @@ from models.common.errors import InputError, listing
 
 
 def finite(value: Any) -> float | None:
-    """A number as JSON has it: None for what is infinite or does not exist."""
+    """Returns a number as JSON has it: None for one that is infinite or does not exist."""
     return float(value) if value is not None and math.isfinite(value) else None
 
 
 def finite_pairs(values: Iterable[complex]) -> list[list[float | None]]:
-    """Complex numbers as JSON has them: [real, imaginary]."""
+    """Returns complex numbers as JSON has them: [real, imaginary]."""
     return [[finite(value.real), finite(value.imag)] for value in values]
 
 
 def cell(value: float | None, form: str, unit: str = "") -> str:
-    """A number as a table has it, "-" for one that is infinite or does not exist."""
+    """Returns a number as a table has it, "-" for one that is infinite or does not exist."""
     return f"{value:{form}}{unit}" if value is not None and math.isfinite(value) else "-"
 
 
 def percent(share: float) -> str:
-    """A share in percent; what rounding leaves is 0."""
+    """Returns a share in percent; rounding errors are 0."""
     if share <= 1e-9:
         return "0 %"
     return f"{100 * share:.2g} %" if share < 0.995 else f"{100 * share:.0f} %"
 
 
 def settings(text: str, allowed: Iterable[str]) -> dict[str, str]:
-    """`:NAME=VALUE:NAME=VALUE`, each name once.
+    """Parses `:NAME=VALUE:NAME=VALUE`, each name once.
 
     Raises:
-        InputError: it is not that.
+        InputError: the text has another form.
     """
-    found: dict[str, str] = {}
+    values: dict[str, str] = {}
     for setting in text.split(":")[1:]:
         name, equals, value = setting.partition("=")
         if not equals or name not in allowed:
             raise InputError(f"{setting!r} is not NAME=VALUE with a NAME out of {listing(allowed)}")
-        if name in found:
-            raise InputError(f"{name} is given twice, {found[name]!r} and {value!r}; give it once")
-        found[name] = value
-    return found
+        if name in values:
+            raise InputError(f"{name} is given twice, {values[name]!r} and {value!r}; give it once")
+        values[name] = value
+    return values
 
 
 def size(rows: list[Any]) -> str:
-    """How many rows of numbers there are, and how long they are."""
+    """Returns the number of rows and their length as text."""
     lengths = " or ".join(str(length) for length in sorted({len(row) for row in rows})) or "no"
     return f"{len(rows)} row(s) of {lengths} number(s)"
 
@@ -66,17 +66,17 @@ ESCAPES = {"\\": r"\\", "'": r"\'", "\n": r"\n", "\r": r"\r", "\t": r"\t"}
 
 
 def pasted(words: Sequence[str]) -> str:
-    """A command of these words, on one line."""
+    """Returns a command of these words, quoted for a shell, on one line."""
     return " ".join(map(_word, words))
 
 
 def option(name: str, value: str) -> str:
-    """An option with its value, as one word where the value would be taken for an option itself."""
+    """Returns an option with its value, as one word if the value begins with "-"."""
     return pasted([f"{name}={value}"] if value.startswith("-") else [name, value])
 
 
 def pasted_path(path: Path) -> str:
-    """A path as an argument; one that begins as an option does is named from the folder that it is in."""
+    """Returns a path as a quoted argument; if it begins as an option does, with its folder."""
     return pasted([f"./{path}" if str(path).startswith("-") else str(path)])
 
 
@@ -96,31 +96,31 @@ WIDEST = 79  # a longer line would go on in the next one, and stay there
 
 
 def show(message: str) -> None:
-    """One line that the next one overwrites; an empty one clears it."""
+    """Prints one line to stderr that the next one overwrites; an empty one clears it."""
     if sys.stderr and sys.stderr.isatty():
         print(f"\r{message[:WIDEST]:{WIDEST}}\r", end="", file=sys.stderr, flush=True)
 
 
 class Stages:
-    """What a command does one after another, counted: `[2/6] margins: 31 runs of 12 s to go`."""
+    """Counted stages of a command: `[2/6] margins: 31 runs of 12 s to go`."""
 
     def __init__(self, *names: str) -> None:
-        """Names of the stages, in their order."""
+        """Takes the names of the stages, in their order."""
         self._names, self._now = names, ""
 
     def __call__(self, text: str) -> None:
-        """Begins the stage of that name; any other text is how far the present one is, and an empty one that nothing is known."""
+        """Begins the stage of that name. Any other text is the progress of the present one, an empty one clears the progress."""
         if text in self._names:
             self._now, text = f"[{self._names.index(text) + 1}/{len(self._names)}] {text}", ""
         show(f"{self._now}: {text}" if text else self._now)
 
     def counted(self, name: str, total: int, what: str) -> Callable[[int], None]:
-        """Begins a stage that is told how many of so many are done."""
+        """Begins a stage. Returns a function that shows how many of `total` are done."""
         self(name)
         return lambda done: self(f"{done} of {total} {what}")
 
     def end(self) -> None:
-        """Clears the line: what is printed next is the result."""
+        """Clears the line before the result is printed."""
         show("")
 
 
@@ -130,30 +130,30 @@ GLUE = "\N{NO-BREAK SPACE}"
 
 
 class Whole(str):
-    """A line that is to be copied as it stands, and so is never broken."""
+    """Line that is to be copied unchanged and is never broken."""
 
 
 def say(lines: Iterable[str]) -> None:
-    """Prints lines, each as `fitted` has it."""
+    """Prints lines, wrapped by `fitted`."""
     print("\n".join(fitted(lines)), flush=True)
 
 
 def fitted(lines: Iterable[str]) -> list[str]:
-    """Lines that fit: what is too long goes on in the next line, by two columns further in than it began."""
+    """Returns lines that fit: a line that is too long goes on in the next one, indented by two more columns."""
     return [part for line in lines for part in (wrapped(line) if len(line) > WIDTH else [line])]
 
 
 def titled(title: str, source: str) -> list[str]:
-    """What is looked at, and below it the file that it comes from."""
+    """Returns a title, and below it the file that it comes from."""
     return [title, Whole(f"{GAP}{source}")]
 
 
 def wrapped(text: str, start: str = "", hang: int | None = None) -> list[str]:
-    """A text in lines that fit. A number stays with what follows it, which is its unit, and no word is cut.
+    """Returns a text in lines that fit. Never separates a number from its unit, and never cuts a word.
 
     Args:
-        text: the text; the spaces that it begins with stay.
-        start: what stands before it in the first line.
+        text: the text; its leading spaces stay.
+        start: prefix of the first line.
         hang: spaces before the other lines; by default two more than before the first.
     """
     if isinstance(text, Whole):
@@ -175,7 +175,7 @@ def wrapped(text: str, start: str = "", hang: int | None = None) -> list[str]:
 
 
 def matrix(text: str, rows: Sequence[Sequence[str]]) -> list[str]:
-    """A matrix after some text, each of its rows on a line of its own."""
+    """Returns a matrix after some text, each of its rows on a line of its own."""
     lines: list[str] = []
     for i, row in enumerate(rows):
         open_, close = "[[" if i == 0 else " [", "]]" if i == len(rows) - 1 else "],"
@@ -185,18 +185,18 @@ def matrix(text: str, rows: Sequence[Sequence[str]]) -> list[str]:
 
 
 def table(rows: Iterable[Sequence[str] | str], indent: str = GAP) -> list[str]:
-    """Rows in aligned columns: names to the left, numbers to the right. A name that leaves them no room has a line of its own.
+    """Returns rows in aligned columns: names to the left, numbers to the right. A name that leaves them no room has its own line.
 
     Args:
-        rows: of as many cells each, the first of them the name; a row that is a text alone goes over all columns.
-        indent: what every line begins with.
+        rows: all of the same number of cells, the first of them the name; a row that is a text goes over all columns.
+        indent: prefix of every line.
     """
-    every = list(rows)
-    cells = [row for row in every if not isinstance(row, str)]
+    all_rows = list(rows)
+    cells = [row for row in all_rows if not isinstance(row, str)]
     widths = [max(len(cell) for cell in column) for column in list(zip(*cells, strict=True))[1:]]
     room = WIDTH - len(indent) - sum(len(GAP) + width for width in widths)
     name = max((len(row[0]) for row in cells if len(row[0]) <= room), default=0)
-    return [line for row in every for line in _row(row, name, widths, indent)]
+    return [line for row in all_rows for line in _row(row, name, widths, indent)]
 
 
 def _row(row: Sequence[str] | str, name: int, widths: Sequence[int], indent: str) -> Iterator[str]:
@@ -211,7 +211,7 @@ def _row(row: Sequence[str] | str, name: int, widths: Sequence[int], indent: str
 
 
 def command(words: Sequence[str], indent: str = GAP) -> list[str]:
-    """A command to be copied, an option and its value a word here: where it is too long, a backslash goes on in the next line."""
+    """Returns a command to be copied, wrapped by backslashes; each of `words` is an option with its value."""
     lines, line = [], indent + words[0]
     for word in words[1:]:
         if len(f"{line} {word} \\") > WIDTH:
@@ -223,11 +223,11 @@ def command(words: Sequence[str], indent: str = GAP) -> list[str]:
 
 
 class Shown:
-    """What says in a few lines what it is: as text at a prompt, as a table in a notebook. A dataclass leaves its own out."""
+    """Object with a short description: text at a prompt, a table in a notebook. A dataclass needs `repr=False` for it."""
 
     @property
     def shown(self) -> tuple[str, dict[str, str]]:
-        """A title, and texts by what they are of."""
+        """A title, and the rows below it by their names."""
         raise NotImplementedError
 
     def __repr__(self) -> str:

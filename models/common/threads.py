@@ -1,7 +1,7 @@
-"""Threads: work shared out among them, and one alone for BLAS.
+"""Work on several threads, and BLAS on a single one.
 
 The matrices here are small, and threads of BLAS that wait for each other cost a hundredfold on a busy machine. Nor must
-the rounding of a design depend on how many threads there are.
+the rounding of a design depend on the number of threads.
 """
 
 import contextvars
@@ -23,7 +23,7 @@ def _libraries() -> ThreadpoolController:
 
 
 class _Limit:
-    """The one limit of the process: BLAS has one number of threads for all who are within, whichever was first or is last."""
+    """The one limit of the process: all blocks within it share one BLAS thread, whichever is entered first or left last."""
 
     def __init__(self) -> None:
         self._lock, self._within = threading.Lock(), 0
@@ -46,7 +46,7 @@ _limit = _Limit()
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Within it, or in a function that it decorates, BLAS has one thread. Within another it costs next to nothing."""
+    """Limits BLAS to one thread in a block or a decorated function. A nested limit costs next to nothing."""
     _limit.enter()
     try:
         yield
@@ -61,20 +61,20 @@ Piece = Callable[[Callable[[], bool]], Result]  # given a function that says whe
 
 
 def cores() -> int:
-    """How many processors this process may use, at least 1: a container or a scheduler may allow fewer than the machine has."""
+    """Returns the number of processors this process may use, at least 1; a container or a scheduler may restrict them."""
     allowed = getattr(os, "sched_getaffinity", None)
     return len(allowed(0)) if allowed is not None else os.cpu_count() or 1
 
 
 def side_by_side(pieces: Iterable[Piece[Result]], threads: int) -> Generator[tuple[int, Result]]:
-    """The number and the result of every piece of work, in the order in which they are done.
+    """Yields the number and the result of every piece of work, in the order of completion.
 
-    Pieces are taken from what they come from as threads become free, and run in the context of whoever asks for the first result.
-    Whoever asks for no more, as after Ctrl-C, has to close the iterator: that waits for those at work, which are told to give up.
+    Pieces are taken from their iterable as threads become free, and run in the context of the first `next`. A caller that stops
+    early, as after Ctrl-C, has to close the iterator: this tells the running pieces to give up and waits for them.
 
     Args:
         pieces: of work; long ones first, or one thread ends alone.
-        threads: how many.
+        threads: number of threads.
     """
     stop, coming = threading.Event(), enumerate(pieces)
     with ThreadPoolExecutor(threads) as pool:
