@@ -1,4 +1,4 @@
-"""Axes: what each shows of the numbers, where these lie along it, where it is labelled, and where on a panel it is."""
+"""Axes of figures: range, ticks, and place on a panel."""
 
 import math
 from collections.abc import Sequence
@@ -19,11 +19,11 @@ SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 @dataclass(frozen=True)
 class Axis:
-    """A range of numbers.
+    """Range of numbers.
 
     Attributes:
         low, high: its ends, of which the second is larger; both positive on a logarithmic axis.
-        log: whether it is logarithmic.
+        log: True for a logarithmic axis.
     """
 
     low: float
@@ -31,7 +31,7 @@ class Axis:
     log: bool = False
 
     def place(self, values: Array) -> Array:
-        """How far along the axis numbers lie, 0 at its low end and 1 at its high end; NaN where they are not on any such axis."""
+        """Maps numbers to the axis, 0 at its low end and 1 at its high end; NaN for numbers that the axis cannot show."""
         values = np.asarray(values, dtype=float)
         if not self.log:
             return (np.where(np.isfinite(values), values, np.nan) - self.low) / (self.high - self.low)
@@ -40,11 +40,11 @@ class Axis:
         return (np.log(np.where(known, values, np.nan)) - low) / (high - low)
 
     def ticks(self, most: int) -> list[tuple[float, str]]:
-        """Where it is labelled, at no more places than that or a few, and with what."""
+        """Returns positions and labels, at most about `most` of them."""
         if self.log:
-            found = self._decades(most)
-            if len(found) > 1:
-                return found
+            decades = self._decades(most)
+            if len(decades) > 1:
+                return decades
         step = nice_step(self.high - self.low, most)
         first, last = math.ceil(self.low / step - 1e-9), math.floor(self.high / step + 1e-9)
         digits = len(f"{step:.8f}".rstrip("0").partition(".")[2])
@@ -54,7 +54,7 @@ class Axis:
 
     def _decades(self, most: int) -> list[tuple[float, str]]:
         low, high = math.log10(self.low), math.log10(self.high)
-        found: list[tuple[float, str]] = []
+        labels: list[tuple[float, str]] = []
         for parts in PARTS:
             powers = range(math.floor(low), math.ceil(high) + 1)
             every = max(1, -(-len(powers) // most))
@@ -64,24 +64,24 @@ class Axis:
                 for part, power in ticks
                 if low - 1e-9 <= math.log10(part) + power <= high + 1e-9
             ]
-            if found and len(inside) > most:
+            if labels and len(inside) > most:
                 break
-            found = [(tick, _power(part, power)) for tick, part, power in inside]
-        return found
+            labels = [(tick, _power(part, power)) for tick, part, power in inside]
+        return labels
 
 
 def nice_step(span: float, most: int) -> float:
-    """A round step of which no more than so many are in a span."""
+    """Returns a round step that fits at most `most` times into a span."""
     rough = span / most
     power = 10.0 ** math.floor(math.log10(rough))
     return next(factor * power for factor in NICE if factor * power >= rough * (1 - 1e-9))
 
 
 def axis_of(values: Sequence[Array], limits: tuple[float, float] | None, log: bool) -> Axis:
-    """An axis with these limits, or else one on which all these numbers lie, with some room."""
+    """Returns an axis with these limits, or else one that holds all numbers, with some room."""
     if limits is not None:
         return Axis(float(limits[0]), float(limits[1]), log)
-    joined = np.concatenate([np.ravel(np.asarray(one, dtype=float)) for one in values] or [np.zeros(0)])
+    joined = np.concatenate([np.ravel(np.asarray(array, dtype=float)) for array in values] or [np.zeros(0)])
     joined = joined[np.isfinite(joined) & ((joined > 0) | (not log))]
     if not len(joined):
         return Axis(1.0, 10.0, True) if log else Axis(0.0, 1.0)
@@ -110,7 +110,7 @@ FINE = 100  # parts of a unit that coordinates are written in
 
 @dataclass(frozen=True)
 class Area:
-    """Where on a panel the axes are, and which [panel's units, from its upper left corner]."""
+    """Rectangle of the axes on a panel, and the axes [panel's units, from its upper left corner]."""
 
     left: float
     top: float
@@ -120,16 +120,16 @@ class Area:
     y: Axis
 
     def across(self, values: Array) -> Array:
-        """Where numbers lie along the horizontal axis."""
+        """Returns the horizontal place of numbers."""
         return self.left + self.width * self.x.place(values)
 
     def down(self, values: Array) -> Array:
-        """Where numbers lie along the vertical axis."""
+        """Returns the vertical place of numbers."""
         return self.top + self.height * (1 - self.y.place(values))
 
 
 def area_of(panel: Panel, width: float, height: float) -> Area:
-    """The axes of a panel of this size, all labels beside them."""
+    """Returns the axes of a panel of this size, with room for all labels."""
     ground, curves = panel.ground, panel.curves
     across, down = [curve.x for curve in curves], [curve.y for curve in curves]
     xlim, ylim = panel.xlim, panel.ylim
@@ -150,7 +150,7 @@ def area_of(panel: Panel, width: float, height: float) -> Area:
 
 
 def line_path(x: Array, y: Array) -> str:
-    """A line through points [panel's units] in hundredths, each but the first from the one before; NaN interrupts it."""
+    """Returns the SVG path through points [panel's units], in hundredths and relative steps; NaN interrupts the line."""
     known = np.isfinite(x) & np.isfinite(y)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]])))
     pieces = []

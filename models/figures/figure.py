@@ -1,4 +1,4 @@
-"""Figures as data: what is drawn, said once, for a picture file and for a page in a browser alike."""
+"""Figures as data: the same for a picture file and for a page in a browser."""
 
 import itertools
 from collections.abc import Sequence
@@ -24,10 +24,10 @@ DASHES: tuple[Dash, ...] = ("longdash", "solid", "dot", "dashdot", "dash")  # on
 
 
 def styles(names: tuple[str, ...]) -> dict[str, tuple[str, Dash]]:
-    """Colour and line style of every controller: the paper's for the paper's, for others the first that is free.
+    """Returns colour and line style of every controller: the paper's for its own, for others the first that is free.
 
     Args:
-        names: all controllers that are spoken of, in their order: where one is left out, others look different.
+        names: all controllers, in their order: if one is left out, others change their style.
     """
     rest = [name for name in names if name not in STYLES]
     free: list[tuple[str, Dash]] = [(color, dash) for dash in DASHES for color in OTHERS]
@@ -35,12 +35,12 @@ def styles(names: tuple[str, ...]) -> dict[str, tuple[str, Dash]]:
 
 
 def rgb(color: str) -> tuple[int, int, int]:
-    """A colour `#rrggbb` as three numbers from 0 to 255."""
+    """Returns a colour `#rrggbb` as three numbers from 0 to 255."""
     return int(color[1:3], 16), int(color[3:5], 16), int(color[5:7], 16)
 
 
 def tint(color: str, share: float) -> str:
-    """A colour mixed with a share of white, from 0 to 1."""
+    """Returns a colour mixed with a share of white, from 0 to 1."""
     return "#" + "".join(f"{round(part + share * (255 - part)):02x}" for part in rgb(color))
 
 
@@ -51,7 +51,7 @@ class Curve:
     Attributes:
         x, y: shape (N,); NaN interrupts the line.
         label: in the legend, where curves of one label have one entry; empty for none.
-        name: what it is, where the legend does not say so; a page names it under the pointer.
+        name: its name if the legend has none; a page shows it under the pointer.
         color: as `#rrggbb`.
         dash: of the line.
         marker: at every point.
@@ -87,7 +87,7 @@ class Classes:
 
     @property
     def legend(self) -> list[tuple[str, str]]:
-        """Name and colour of those that occur and have a name."""
+        """Name and colour of the kinds that occur and have a name."""
         pairs = zip(self.names, self.colors, strict=True)
         return [pair for i, pair in enumerate(pairs) if pair[0] and np.any(self.kind == i)]
 
@@ -98,7 +98,7 @@ class Shades:
 
     Attributes:
         x, y: shapes (N,) and (M,).
-        z: shape (M, N); NaN where it does not exist.
+        z: shape (M, N); NaN for no value.
         label: what it is, with its unit.
     """
 
@@ -110,12 +110,12 @@ class Shades:
 
 @dataclass(frozen=True, eq=False)
 class Bars:
-    """Horizontal bars from zero, one to a name, the first on top: the k-th lies at y = k, where points of a curve may mark it.
+    """Horizontal bars from zero, the first on top. Bar k lies at y = k, so that points of a curve may mark it.
 
     Attributes:
         names: of the bars.
-        values: their lengths, shape (N,), none negative; NaN where there is none.
-        words: what is written at each.
+        values: their lengths, shape (N,), not negative; NaN for no bar.
+        words: text at each bar.
         colors: of the bars.
     """
 
@@ -142,7 +142,7 @@ class Spans:
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """One pair of axes.
+    """Pair of axes.
 
     Attributes:
         title: above it; may have two lines.
@@ -150,8 +150,8 @@ class Panel:
         curves: drawn in order.
         ground: below the curves.
         xlog, ylog: whether an axis is logarithmic.
-        xticks: where the horizontal axis is labelled; empty for as usual.
-        xnames: what stands there instead of the numbers.
+        xticks: labelled places of the horizontal axis; empty for the usual ones.
+        xnames: labels there instead of the numbers.
         xlim, ylim: shown range; None for all.
     """
 
@@ -188,12 +188,12 @@ class Figure:
 
     @property
     def rows(self) -> int:
-        """Of panels."""
+        """Number of rows of panels."""
         return -(-len(self.panels) // self.columns)
 
 
 def thinned(y: Array, every: int) -> Array:
-    """Indices of the points of a line to draw: one in every so many, and the largest and the least, which words tell, too.
+    """Returns the indices of the points of a line to draw: every so many, and the largest and the least, which texts name.
 
     Args:
         y: shape (N,), finite somewhere.
@@ -203,7 +203,7 @@ def thinned(y: Array, every: int) -> Array:
 
 
 def level(x: Array, y: Array, z: Array, height: float) -> tuple[Array, Array]:
-    """Where z, shape (M, N), over the grid y, x has a height, as x and y of a curve. NaN is no ground."""
+    """Returns the level line z = `height` of z, shape (M, N), over the grid y, x, as a curve's x and y. NaN bounds the area."""
     from contourpy import contour_generator
 
     pieces = contour_generator(x, y, np.ma.masked_invalid(z)).lines(height)
@@ -213,12 +213,12 @@ def level(x: Array, y: Array, z: Array, height: float) -> tuple[Array, Array]:
 
 
 def bands(ground: Shades, levels: Sequence[float]) -> list[list[Array]]:
-    """Between every two levels, where the quantity lies there: outlines of shape (N, 2), holes included."""
+    """Returns the outlines of the area between every two levels, shape (N, 2), holes included."""
     from contourpy import contour_generator
 
     contours = contour_generator(ground.x, ground.y, np.ma.masked_invalid(ground.z), fill_type="OuterOffset")
-    found = []
+    outlines = []
     for low, high in itertools.pairwise(levels):
         pieces: Any = contours.filled(low, high)
-        found.append([ring for points, cuts in zip(*pieces, strict=True) for ring in np.split(points, cuts[1:-1])])
-    return found
+        outlines.append([ring for points, cuts in zip(*pieces, strict=True) for ring in np.split(points, cuts[1:-1])])
+    return outlines

@@ -1,4 +1,4 @@
-"""The files and folders that a command's options name: proved before the work, and named when they are written."""
+"""Output files and folders of a command: checked before the work, and listed when they are written."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -8,9 +8,9 @@ from models.common.files import STDOUT, check_file, check_folder, identity
 from models.common.printed import Whole
 
 SUFFIXES = (".png", ".svg")  # of pictures
-OPTIONS = {"report": "out"}  # where an option is not called as what it writes
+OPTIONS = {"report": "out"}  # options whose name differs from the output's
 FOLDERS = ("logs", "figures")
-ENDINGS = {  # of names, and what is written there
+ENDINGS = {  # allowed suffixes, and the reason
     "picture": (SUFFIXES, "not a kind of picture that is drawn"),
     "report": ((".html", ".htm"), "a report is HTML"),
     "csv": ((".csv",), "a table is written as CSV"),
@@ -21,16 +21,15 @@ OF_FIGURES = (*SUFFIXES, ".csv")
 
 
 def check_outputs(outputs: Mapping[str, Path | None], read: Sequence[Path | str] = (), json: bool = False) -> None:
-    """Proves that everything can be written, each in a place of its own; nothing is left of the proof.
+    """Proves that everything can be written, each output in a place of its own. Leaves nothing behind.
 
     Args:
-        outputs: path by what it is, None for what is not wanted: csv, picture, report, save, logs or figures.
-        read: files that the command reads, by whatever names they are read.
-        json: whether standard output is for one JSON object.
+        outputs: paths of csv, picture, report, save, logs or figures; None for an output that is not wanted.
+        read: files that the command reads, by any names.
+        json: True if standard output is for one JSON object.
 
     Raises:
-        InputError: something cannot be written, has a name that says that it is something else, two are one file, or one is a
-            file that is read.
+        InputError: an output cannot be written, has a suffix of another format, is the same file as another one, or is read.
     """
     read_files = {identity(Path(path)) for path in read}
     taken: dict[object, str] = dict.fromkeys(read_files, "is what is read")
@@ -57,16 +56,16 @@ def check_outputs(outputs: Mapping[str, Path | None], read: Sequence[Path | str]
 
             check_drawing()
         elif what == "figures" and path.is_dir():
-            for each in path.iterdir():  # their names are known only when they are drawn
-                if each.suffix.lower() in OF_FIGURES and identity(each) in read_files:
-                    raise InputError(f"--figures {path} holds {each.name}, which is read; give another folder")
+            for file in path.iterdir():  # the figures' names are known only when they are drawn
+                if file.suffix.lower() in OF_FIGURES and identity(file) in read_files:
+                    raise InputError(f"--figures {path} holds {file.name}, which is read; give another folder")
 
 
 def _check_ending(path: Path, what: str) -> None:
-    """Whether a name says what is written there: a name decides, not what a link of that name leads to.
+    """Refuses a suffix that does not match the output. The name decides, not the target of a link.
 
     Raises:
-        InputError: it ends otherwise.
+        InputError: the suffix is another one.
     """
     endings, why = ENDINGS[what]
     if path.suffix.lower() not in endings and not (path == STDOUT and what in TEXTS):
@@ -74,11 +73,11 @@ def _check_ending(path: Path, what: str) -> None:
 
 
 def written(outputs: Mapping[str, Path | None]) -> dict[str, str | None]:
-    """What was written, as JSON has it."""
+    """Returns the paths of the outputs as JSON has them."""
     return {name: str(path) if path is not None else None for name, path in outputs.items()}
 
 
 def written_lines(outputs: Mapping[str, Path | None]) -> list[str]:
-    """What was written, in lines for the terminal; none where nothing was."""
+    """Returns the paths of the outputs as lines for the terminal; empty if nothing was written."""
     lines = [line for name, path in outputs.items() if path is not None for line in (name, Whole(f"  {path}"))]
     return ["", *lines] if lines else []

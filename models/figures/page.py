@@ -1,4 +1,4 @@
-"""Sections, tables and figures as one HTML file: nothing in it comes from a network, and it opens from disk.
+"""Sections, tables and figures as one HTML file that needs no network and opens from disk.
 
 Every figure is SVG that stands in the page, so that it is there in print, in a mail and without JavaScript; `page.js` only names
 what is under the pointer. Jinja2 fills `page.html.jinja`.
@@ -23,23 +23,23 @@ STEPS = 50
 
 
 def luminance(color: str) -> float:
-    """Relative luminance of `#rrggbb`, from 0 for black to 1 for white."""
+    """Returns the relative luminance of `#rrggbb`, from 0 for black to 1 for white."""
     parts = [part / 255 for part in rgb(color)]
     linear = [part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts]
     return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
 
 
-def contrast(one: str, other: str) -> float:
-    """Between two colours, from 1 for the same to 21 for black and white."""
-    low, high = sorted((luminance(one), luminance(other)))
+def contrast(color: str, other: str) -> float:
+    """Returns the contrast between two colours, from 1 for the same to 21 for black and white."""
+    low, high = sorted((luminance(color), luminance(other)))
     return (high + 0.05) / (low + 0.05)
 
 
 def readable(color: str, background: str, least: float = GRAPHICS) -> str:
-    """The colour itself where it has that contrast; else mixed with as little white, or black, as gives it."""
+    """Returns the colour mixed with as little white, or black, as gives the least contrast; the colour itself if it has it."""
     toward = max(("#000000", "#ffffff"), key=lambda end: contrast(end, background))
     mixed = (_mixed(color, toward, step / STEPS) for step in range(STEPS + 1))
-    return next((one for one in mixed if contrast(one, background) >= least), toward)
+    return next((shade for shade in mixed if contrast(shade, background) >= least), toward)
 
 
 def _mixed(color: str, other: str, share: float) -> str:
@@ -82,11 +82,11 @@ class Table:
 
 @dataclass(frozen=True, eq=False)
 class Section:
-    """What belongs together on the page.
+    """Part of the page: a title, text, tables and figures.
 
     Attributes:
-        title: above it, as a question that anybody has.
-        term: what the field calls it.
+        title: above it, as a reader's question.
+        term: the field's name for it.
         text: sentences, a paragraph each.
         tables, figures: after the text.
     """
@@ -100,15 +100,14 @@ class Section:
 
 @dataclass(frozen=True, eq=False)
 class Page:
-    """A whole report.
+    """Whole report.
 
     Attributes:
         title: above all.
-        answer: what the reader came for, a sentence each.
-        summary: what comes first of all: a figure, a table. It has no title.
+        answer: the result, one entry per sentence.
+        summary: the first section, a figure or a table, without a title.
         sections: in order.
-        state: what the answer amounts to, and the colour of its heading: green where all holds, amber where something ended
-            before its time, red where something fails.
+        state: verdict, and colour of its heading: green if all holds, amber if something ended early, red if something fails.
     """
 
     title: str
@@ -124,7 +123,7 @@ class Page:
 
 
 def check_page() -> None:
-    """Whether pages can be made here; raises InputError where not."""
+    """Checks that pages can be made here; raises InputError if a package is missing."""
     try:
         import contourpy  # noqa: F401
         import jinja2  # noqa: F401
@@ -133,7 +132,7 @@ def check_page() -> None:
 
 
 def render(page: Page) -> str:
-    """The page as one HTML document."""
+    """Returns the page as one HTML document."""
     import jinja2
 
     environment = jinja2.Environment(
@@ -154,7 +153,7 @@ def render(page: Page) -> str:
 
 
 def _said(value: Any) -> Any:
-    """What stands in the page for a value: names in a text keep to themselves; what is markup already stays."""
+    """Returns a value as it stands in the page: names in a text are isolated, markup stays."""
     from markupsafe import Markup
 
     return Markup(page_text(value)) if isinstance(value, str) and not isinstance(value, Markup) else value
@@ -175,7 +174,7 @@ def _resource(name: str) -> str:
 
 
 def _digest(text: str) -> str:
-    """What a Content-Security-Policy calls a script or a style by."""
+    """Returns the name of a script or a style in a Content-Security-Policy."""
     return f"sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}"
 
 
@@ -186,13 +185,13 @@ class _Numbers:
         self._counts: Counter[str] = Counter()
 
     def next(self, kind: str) -> int:
-        """The next number of its kind."""
+        """Returns the next number of a kind."""
         self._counts[kind] += 1
         return self._counts[kind]
 
 
 def _colors(page: Page) -> str:
-    """Rules for every colour of a figure: lines, points and bars can be told from the ground, by day and by night."""
+    """Returns CSS rules for all colours of figures: lines, points and bars stand out from the ground, by day and by night."""
     strokes, bars, fills = set[str](), set[str](), set[str]()
     for panel in (panel for part in page.parts for figure in part.figures for panel in figure.panels):
         strokes |= {curve.color for curve in panel.curves}
@@ -214,13 +213,13 @@ def _colors(page: Page) -> str:
 
 
 def by_night(color: str) -> str:
-    """A colour that stands out from the dark as much as this one does from white: black becomes white."""
+    """Returns a colour with the contrast to the dark that the given one has to white: black becomes white."""
     return readable(color, DARK, max(GRAPHICS, contrast(color, LIGHT)))
 
 
 @dataclass(frozen=True)
 class _Entry:
-    """One entry of a legend: a line, a marker, both, or else a patch of colour."""
+    """Entry of a legend: a line, a marker, both, or else a patch of colour."""
 
     label: str
     color: str
@@ -231,7 +230,7 @@ class _Entry:
 
 
 def _legend(figure: Figure) -> list[_Entry]:
-    """One entry per label, in the order of their first curves, grounds before."""
+    """Returns one entry per label, in the order of the first curves, grounds before."""
     entries: dict[str, _Entry] = {}
     for entry in (entry for panel in figure.panels for entry in _of_panel(panel)):
         entries.setdefault(entry.label, entry)
@@ -249,12 +248,12 @@ def _of_panel(panel: Panel) -> Iterator[_Entry]:
 
 
 def _on_paper(figure: Figure) -> bool:
-    """Whether all of it lies on ground that is as light by night as by day."""
+    """Returns True if all panels lie on ground that is as light by night as by day."""
     return all(on_paper(panel) for panel in figure.panels)
 
 
 def _layout(figure: Figure) -> str:
-    """How its panels share the width: one has it all, bars are narrow, others stand two by two."""
+    """Returns the CSS class of a figure: one panel takes the full width, bars are narrow, others stand two by two."""
     if all(isinstance(panel.ground, Bars) for panel in figure.panels):
         return "bars"
     return "wide" if figure.columns == 1 else ""

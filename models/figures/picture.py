@@ -1,4 +1,4 @@
-"""Figures as picture files, by matplotlib: asked for before the work, drawn without a screen, never half-written."""
+"""Figures as picture files, by matplotlib: drawn without a screen, never half-written."""
 
 import warnings
 from pathlib import Path
@@ -11,8 +11,8 @@ from models.common.files import whole_file
 from models.figures.figure import Bars, Classes, Figure, Panel, Shades, Spans
 
 LONGEST = 24  # letters of a name in a legend
-FAR = 1e6  # of an axis: a stretch without end goes on to there
-SHOWN = " "  # before a label in a legend: matplotlib leaves out those that begin with _
+FAR = 1e6  # end on the axis of a span without end
+SHOWN = " "  # before a label in a legend: matplotlib leaves out labels that begin with _
 ROW = 0.4  # of bars [inches]; above each its name
 TITLE, HEAD, WORDS = 11, 10, 9  # sizes of letters [points]
 DASHES: dict[str, Any] = {
@@ -26,7 +26,7 @@ DASHES: dict[str, Any] = {
 
 
 def check_drawing() -> None:
-    """Whether pictures can be drawn at all.
+    """Checks that pictures can be drawn.
 
     Raises:
         InputError: matplotlib is not installed.
@@ -59,7 +59,7 @@ def write_picture(figure: Figure, *paths: Path) -> None:
 
 
 def _drawn(figure: Figure) -> Any:
-    """A figure as matplotlib has it, high enough for its bars and its legend."""
+    """Returns a figure as matplotlib has it, high enough for its bars and its legend."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure as Canvas
 
@@ -94,7 +94,7 @@ def _drawn(figure: Figure) -> Any:
 
 
 def _width(text: str, size: float) -> float:
-    """How wide a line of text is at a size of letters in points [inches]."""
+    """Returns the width of a line of text at a size of letters in points [inches]."""
     from matplotlib.font_manager import FontProperties
     from matplotlib.textpath import TextToPath
 
@@ -102,7 +102,7 @@ def _width(text: str, size: float) -> float:
 
 
 def _broken(text: str, room: float, size: float) -> str:
-    """A text whose lines have no more than this width [inches], where their words let them."""
+    """Returns a text broken at spaces into lines of at most this width [inches]."""
     lines: list[str] = []
     for line in text.split("\n"):
         lines.append("")
@@ -116,7 +116,7 @@ def _broken(text: str, room: float, size: float) -> str:
 
 
 def _cut(name: str, room: float, size: float) -> str:
-    """A name, or as much of its beginning as there is room for [inches]."""
+    """Returns a name, or as much of its beginning as there is room for [inches]."""
     if _width(name, size) <= room:
         return name
     while name and _width(f"{name}…", size) > room:

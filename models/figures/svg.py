@@ -1,10 +1,10 @@
-"""One panel as SVG, to stand in a page, and in words, for whoever does not see it. Text is text, colours are classes.
+"""Panels as SVG for a page, and as text for readers who do not see it. Text stays text, colours are classes.
 
-A page's own words are English and short, so any other word in it is a name, of a controller or of a file. Beside one from right
-to left the Unicode Bidirectional Algorithm, UAX #9, would order numbers and commas so, too; an isolate keeps that to itself.
+A page's own words are English and short, so any other word is a name, of a controller or of a file. A name written from right to
+left would reverse the numbers and commas beside it (Unicode Bidirectional Algorithm, UAX #9); an isolate prevents that.
 
-A curve is one path in hundredths, lines `M x y l dx dy ...`, markers one `M` each at their middle; with the axes' ends, which its
-`svg` says, that is all that `page.js` needs to name what is under the pointer.
+A curve is one path in hundredths: lines `M x y l dx dy ...`, markers one `M` each at their middle. `page.js` needs only this and
+the axes' ends, which the `svg` holds, to name the point under the pointer.
 """
 
 import itertools
@@ -27,17 +27,17 @@ NAME = re.compile(r"[^\s!-,./:-@\[-^`{-~]+")
 
 
 def drawn_text(text: str) -> str:
-    """A text as SVG and attributes have it, where no element can isolate a name: characters do."""
-    return escape(NAME.sub(lambda found: f"{OPEN}{found[0]}{CLOSE}" if _leftward(found[0]) else found[0], text))
+    """Returns a text for SVG and attributes. Characters isolate its names, as no element can there."""
+    return escape(NAME.sub(lambda name: f"{OPEN}{name[0]}{CLOSE}" if _leftward(name[0]) else name[0], text))
 
 
 def page_text(text: str) -> str:
-    """A text as HTML, in which names from right to left, and long ones, are `bdi` elements, which the style sheet breaks."""
+    """Returns a text as HTML. Names from right to left, and long ones, are `bdi` elements, which the style sheet breaks."""
     pieces, at = [], 0
-    for found in NAME.finditer(text):
-        if _leftward(found[0]) or len(found[0]) > LONG:
-            pieces += [escape(text[at : found.start()]), f"<bdi>{escape(found[0])}</bdi>"]
-            at = found.end()
+    for name in NAME.finditer(text):
+        if _leftward(name[0]) or len(name[0]) > LONG:
+            pieces += [escape(text[at : name.start()]), f"<bdi>{escape(name[0])}</bdi>"]
+            at = name.end()
     return "".join([*pieces, escape(text[at:])])
 
 
@@ -46,13 +46,13 @@ def _leftward(name: str) -> bool:
 
 
 def quantity(label: str) -> tuple[str, str]:
-    """An axis' name and its unit, from `name [unit]`; either may be empty."""
+    """Returns an axis' name and its unit, from `name [unit]`; either may be empty."""
     name, _, unit = label.partition("[")
     return name.strip(), unit.removesuffix("]").strip()
 
 
 def about(panel: Panel) -> tuple[str, str]:
-    """A panel's title on one line, and what it shows."""
+    """Returns a panel's title on one line, and a description of what it shows."""
     across, down = (" ".join(filter(None, quantity(label))) for label in (panel.xlabel, panel.ylabel))
     title = panel.title.replace("\n", "; ") or f"{down} over {across}"
     return title, " ".join([*_ground(panel), *_curves(panel)])
@@ -76,7 +76,7 @@ def _ground(panel: Panel) -> list[str]:
 
 
 def _curves(panel: Panel) -> list[str]:
-    """Every line by its ends and its extremes, every set of points by how many there are."""
+    """Describes each line by its ends and its extremes, each set of points by their number."""
     (_, unit), (_, per) = quantity(panel.ylabel), quantity(panel.xlabel)
     said = []
 
@@ -104,7 +104,7 @@ NARROW, BROAD, FULL = 8.0, 12.5, 13.0
 
 
 def shade_colors(count: int) -> list[str]:
-    """So many colours from light to dark."""
+    """Returns `count` colours from light to dark."""
     parts = np.array([[int(color[i : i + 2], 16) for i in (1, 3, 5)] for color in SEQUENCE])
     at = np.linspace(0, len(SEQUENCE) - 1, count)
     mixed = np.stack([np.interp(at, np.arange(len(SEQUENCE)), parts[:, i]) for i in range(3)], axis=1)
@@ -112,7 +112,7 @@ def shade_colors(count: int) -> list[str]:
 
 
 def levels(ground: Shades) -> list[float]:
-    """Round levels that all of it lies between."""
+    """Returns round levels that enclose the whole quantity."""
     low, high = (float(end) for end in (np.nanmin(ground.z), np.nanmax(ground.z)))
     if high - low <= 1e-9 * max(abs(low), abs(high)):
         room = 0.1 * max(abs(low), abs(high)) or 1.0
@@ -122,7 +122,7 @@ def levels(ground: Shades) -> list[float]:
 
 
 def ground_parts(panel: Panel, area: Area) -> Iterator[str]:
-    """The ground of a panel, in pieces of SVG."""
+    """Yields the ground of a panel, in pieces of SVG."""
     if isinstance(panel.ground, Bars):
         yield from _bars(panel.ground, area)
     elif isinstance(panel.ground, Classes):
@@ -151,17 +151,17 @@ def _bars(bars: Bars, area: Area) -> Iterator[str]:
 
 
 def text_width(text: str) -> float:
-    """About how wide a text is beside a bar, at most [panel's units]."""
-    full = sum(unicodedata.east_asian_width(one) in "WF" for one in text)
-    broad = sum(one in "mw%@&" or one.isupper() for one in text)
+    """Returns an upper estimate of the width of a text beside a bar [panel's units]."""
+    full = sum(unicodedata.east_asian_width(letter) in "WF" for letter in text)
+    broad = sum(letter in "mw%@&" or letter.isupper() for letter in text)
     return FULL * full + BROAD * broad + NARROW * (len(text) - full - broad)
 
 
 def shortened(name: str, room: float) -> str:
-    """A name, or as much of its beginning as there is room for."""
+    """Returns a name, or as much of its beginning as there is room for."""
     if text_width(name) <= room:
         return name
-    widths = np.cumsum([text_width(one) for one in name])
+    widths = np.cumsum([text_width(letter) for letter in name])
     return f"{name[: int(np.searchsorted(widths, room - BROAD))]}…"
 
 
@@ -183,7 +183,7 @@ def _classes(ground: Classes, area: Area) -> Iterator[str]:
 
 
 def _cells(there: Array, area: Area, width: float, height: float) -> Iterator[str]:
-    """Every row's runs of cells."""
+    """Yields one path for each run of cells in a row."""
     for row, cells in enumerate(there):
         edges = np.flatnonzero(np.diff(np.concatenate([[False], cells, [False]])))
         top = area.top + area.height - (row + 1) * height
@@ -227,7 +227,7 @@ MARKERS = {
 
 
 def svg(panel: Panel, name: str, wide: bool = False) -> str:
-    """A panel as an `svg` element, whose identifier is `plot-` and this name."""
+    """Returns a panel as an `svg` element with the identifier `plot-` and this name."""
     shape = "wide" if wide else ""
     width, height = WIDE if wide else (WIDTH, HEIGHT)
     if isinstance(panel.ground, Bars):
@@ -261,18 +261,18 @@ def svg(panel: Panel, name: str, wide: bool = False) -> str:
 
 
 def _ends(label: str, axis: Axis, names: Sequence[str] = ()) -> dict[str, object]:
-    """What an axis is of, as `page.js` has it."""
+    """Returns name, unit, range and labels of an axis for `page.js`."""
     name, unit = quantity(label)
     return {"name": name, "unit": unit, "low": axis.low, "high": axis.high, "log": axis.log, "names": list(names)}
 
 
 def on_paper(panel: Panel) -> bool:
-    """Whether its colours lie on ground that is as light by night as by day."""
+    """Returns True if the panel's colours lie on ground that is as light by night as by day."""
     return isinstance(panel.ground, Classes | Shades)
 
 
 def _axes(panel: Panel, area: Area, height: float) -> Iterator[str]:
-    """Grid, labels and names of the axes."""
+    """Yields grid, labels and names of the axes."""
     left, top, right, bottom = area.left, area.top, area.left + area.width, area.top + area.height
     if not panel.ylabel:
         yield f'<text class="name" x="{left:.5g}" y="{height - 12:.5g}">{drawn_text(panel.xlabel)}</text>'
