@@ -1,1 +1,1 @@
-"""What a kind of vehicle is: its equations, parameters and signals; those that ship, and those of the user's own."""
+"""Kinds of vehicles: equations, parameters and signals; the shipped ones, and the user's own."""

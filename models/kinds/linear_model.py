@@ -1,10 +1,10 @@
-"""A vehicle as a linear system with names.
+"""Linear vehicle model with named states, inputs and outputs.
 
     x' = A x + B u + Bw w + Br z_r + Bl f,     signals = C x + D u + Cr z_r + Dl f,
 
 with the road's heights z_r under the wheels, their velocities w = z_r', and loads f on the body (`models/roads/load.py`). In the
-paper, and wherever the wheels' motions are all motions of the body too, Br and Cr are zero: only the road's velocity acts. Under
-four wheels its twist acts as a displacement.
+paper, and if the body can follow every motion of the wheels, Br and Cr are zero: only the road's velocity acts. Under four wheels
+the road's twist acts as a displacement.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -30,12 +30,12 @@ class LinearModel:
         inputs: names of the inputs, m of them [N].
         disturbances: names of the disturbances, r of them [m/s].
         outputs: names of the output signals, p of them.
-        Br: what the road's heights add to x', shape (n, r).
-        Cr: what they add to the output signals, shape (p, r).
-        twist_rate: as what velocity [m/s] a metre of Br and Cr counts in a design [rad/s].
+        Br: from the road's heights to x', shape (n, r).
+        Cr: from the road's heights to the output signals, shape (p, r).
+        twist_rate: velocity [m/s] that counts as much as a metre of road twist in a design [rad/s].
         loads: names of the loads on the body, l of them [N, N m].
-        Bl: what they add to x', shape (n, l); where it is not given, nothing.
-        Dl: what they add to the output signals, shape (p, l); likewise.
+        Bl: from the loads to x', shape (n, l); zero by default.
+        Dl: from the loads to the output signals, shape (p, l); zero by default.
 
     Raises:
         ValueError: a matrix does not fit the names or is not finite, or the names are no tuples of different texts.
@@ -91,25 +91,27 @@ class LinearModel:
 
     @property
     def measurable(self) -> tuple[str, ...]:
-        """The output signals that a controller can measure: all but those with the road's height in them.
+        """Output signals that a controller can measure: all but those that contain the road's height.
 
-        A control force is one of them: a controller that is told which force acts can take it out of an acceleration.
+        Control forces are measurable: a controller that knows them can subtract them from an acceleration.
         """
         return tuple(name for name, of_road in zip(self.outputs, np.any(self.Cr, axis=1), strict=True) if not of_road)
 
     def without(self, outputs: Collection[str]) -> "LinearModel":
-        """The same model without some of its output signals."""
+        """Returns the model without some of its output signals."""
         kept = [i for i, name in enumerate(self.outputs) if name not in outputs]
         names = tuple(self.outputs[i] for i in kept)
         return replace(self, C=self.C[kept], D=self.D[kept], Cr=self.Cr[kept], Dl=self.Dl[kept], outputs=names)
 
     def has_rate(self, output: str) -> bool:
-        """Whether how fast an output signal changes is one, too: not of one that follows the road or a force at once."""
+        """Returns True if the time derivative of an output signal is an output: the road and the forces must not act on it at
+        once.
+        """
         i = self.outputs.index(output)
         return not (np.any(self.D[i]) or np.any(self.C[i] @ self.Bw + self.Cr[i]))
 
     def with_rates(self, rates: Mapping[str, str]) -> "LinearModel":
-        """With more output signals, each how fast another one changes: names of those others, which have rates, by their own."""
+        """Returns the model with time derivatives of output signals, {name of the derivative: signal}, as further outputs."""
         index = [self.outputs.index(name) for name in rates.values()]
         rows = {
             "C": self.C[index] @ self.A,
@@ -117,16 +119,16 @@ class LinearModel:
             "Cr": self.C[index] @ self.Br,
             "Dl": self.C[index] @ self.Bl,
         }
-        more = {name: np.vstack([getattr(self, name), found]) for name, found in rows.items()}
+        more = {name: np.vstack([getattr(self, name), more_rows]) for name, more_rows in rows.items()}
         return replace(self, outputs=(*self.outputs, *rates), **more) if rates else self
 
     def behind_lag(self, bandwidth: float | None) -> "LinearModel":
-        """The model with actuators that lag: its inputs are the forces asked for, and those that act are states.
+        """Returns the model with lagging actuators: its inputs are the requested forces, the acting ones are states.
 
-        Each follows f' = bandwidth (u - f), and what the control forces did in every signal, f does.
+        Each follows f' = bandwidth (u - f), and f replaces the control force u in all signals.
 
         Args:
-            bandwidth: corner frequency of every actuator [rad/s]; None for forces that act at once, of which this is the model.
+            bandwidth: corner frequency of every actuator [rad/s]; None for forces without lag, as in this model.
         """
         if bandwidth is None:
             return self
@@ -144,10 +146,10 @@ class LinearModel:
         )
 
     def rows(self, signals: Sequence[str]) -> tuple[Array, Array]:
-        """The rows of C and D of some output signals, shapes (k, n) and (k, m).
+        """Returns the rows of C and D of some output signals, shapes (k, n) and (k, m).
 
         Raises:
-            InputError: a signal this vehicle has not.
+            InputError: this vehicle has no such signal.
         """
         for signal in signals:
             if signal not in self.outputs:

@@ -1,4 +1,4 @@
-"""A rigid body on several corners: what a half-car and a full car have in common.
+"""Rigid body on several corners, the common part of a half-car and a full car.
 
 Axes are those of ISO 8855: x forward, y to the left, z up; pitch is positive nose down, roll is positive right side down. With
 heave z, pitch theta and roll phi of the body, small, its height above corner i is s_i = z - x_i theta + y_i phi, or s = S q. In
@@ -13,9 +13,9 @@ An anti-roll bar is a torsion spring between body and axle: it turns by the angl
 rolls over its axle, and its moment k a is a pair of forces at the two wheels. So K_s, which is diagonal without bars, has
 k (e_l - e_r)(e_l - e_r)' / track^2 in it.
 
-Four wheels on a rigid body are one too many for this. Where n is the twist that no rigid body follows (n' S = 0),
-n' (d + t + z_r) = 0 for ever: the twist of the road is a displacement, not a velocity that the suspension forgets. So the states
-take the tyre deflections only as the modes P t that a rigid body can follow, and the twist of the road enters beside them:
+Four wheels on a rigid body are one too many for this. Let n be the twist that no rigid body follows (n' S = 0). Then
+n' (d + t + z_r) = 0 for ever: the twist of the road acts as a displacement, not only as a velocity. So the states hold the tyre
+deflections only as the modes P t that a rigid body can follow, and the twist of the road enters beside them:
 
     t = P+ (P t) - N (d + z_r),     N = n n' / n'n.
 
@@ -43,7 +43,7 @@ from models.kinds.signals import (
     Signal,
 )
 
-# What pushes the body from outside, along its own joints: they are the modes q, in their order.
+# External loads on the body, along the joints of its modes q, in their order.
 LOADS = tuple(BodyLoad(load.name, joint) for load, joint in ((HEAVE_LOAD, "heave"), (PITCH_LOAD, "pitch"), (ROLL_LOAD, "roll")))
 CENTRE_HEIGHT = Parameter(
     "centre_height", "m", "h, of the body's centre of mass over the ground: brakes and curves push with m_s a h", usual=0.55
@@ -52,11 +52,11 @@ CENTRE_HEIGHT = Parameter(
 
 @dataclass(frozen=True)
 class Corner:
-    """A wheel with its suspension.
+    """Wheel with its suspension.
 
     Attributes:
         name: suffix of its signals and of its elements in the MJCF.
-        x, y: where it stands, from the centre of mass [m].
+        x, y: position from the centre of mass [m].
         unsprung_mass: [kg].    suspension_stiffness, tyre_stiffness: [N/m].    suspension_damping: [N s/m].
     """
 
@@ -71,7 +71,7 @@ class Corner:
 
 @dataclass(frozen=True)
 class Bar:
-    """An anti-roll bar of one axle.
+    """Anti-roll bar of one axle.
 
     Attributes:
         name: suffix of its tendon in the MJCF.
@@ -87,15 +87,15 @@ class Bar:
 
 @dataclass(frozen=True, eq=False)
 class RigidBody:
-    """A body on corners.
+    """Body on corners.
 
     Attributes:
         corners: c of them.
         mass: sprung mass [kg].
         pitch_inertia: about the lateral axis through the centre of mass [kg m2].
-        roll_inertia: about the longitudinal one [kg m2]; None for a body that does not roll.
+        roll_inertia: about the longitudinal axis [kg m2]; None for a body that does not roll.
         tyre_modes: P, the modes of the tyre deflections among the states, shape (p, c).
-        twist: n, shape (c,); zero where every motion of the wheels is one of the body too.
+        twist: n, shape (c,); zero if the body can follow every motion of the wheels.
         bars: its anti-roll bars.
     """
 
@@ -108,7 +108,7 @@ class RigidBody:
     bars: tuple[Bar, ...] = ()
 
     def arms(self, bar: Bar) -> Array:
-        """The angle by which a bar turns, per deflection of every suspension [rad/m], shape (c,)."""
+        """Returns the angle of a bar per deflection of every suspension [rad/m], shape (c,)."""
         arms = np.zeros(len(self.corners))
         arms[[bar.left, bar.right]] = np.array([1.0, -1.0]) / (self.corners[bar.left].y - self.corners[bar.right].y)
         return arms
@@ -132,13 +132,13 @@ class RigidBody:
         return np.diag([self.mass, self.pitch_inertia] + ([] if self.roll_inertia is None else [self.roll_inertia]))
 
     def static_loads(self) -> Array:
-        """What each suspension carries at rest [N], shape (c,): the loads of least squares that balance the weight."""
+        """Returns the load of each suspension at rest [N], shape (c,): the least-squares loads that balance the weight."""
         weight = np.zeros(len(self.inertia))
         weight[0] = self.mass * GRAVITY
         return np.linalg.pinv(self.shape.T) @ weight
 
     def static_tyre_deflection(self) -> dict[str, float]:
-        """How far each tyre is squeezed at rest [m], by its signal."""
+        """Returns the compression of each tyre at rest [m], by its signal."""
         loads = zip(self.corners, self.static_loads(), strict=True)
         return {
             f"tyre_deflection_{corner.name}": float(load + corner.unsprung_mass * GRAVITY) / corner.tyre_stiffness
@@ -153,14 +153,14 @@ def linear_model(
     disturbances: Sequence[Signal],
     outputs: Sequence[Signal],
 ) -> LinearModel:
-    """The linear model of a body on corners.
+    """Returns the linear model of a body on corners.
 
     Args:
         body: c corners, k body modes, p tyre modes.
         states: (d, P t, q', z_u'), c + p + k + c of them.
         inputs: the control forces, c of them.
         disturbances: the road velocities, c of them.
-        outputs: in this order: the states, the tyre deflections where they are no states, q'', the body's velocity and
+        outputs: in this order: the states, the tyre deflections if they are no states, q'', the body's velocity and
             acceleration above each corner, the control forces, the wheels' accelerations.
     """
     S, M, P = body.shape, body.inertia, body.tyre_modes
@@ -219,7 +219,7 @@ def linear_model(
 
 
 def angles(body: RigidBody) -> dict[str, dict[str, float]]:
-    """The body's angles [rad] as sums of signals: q = S+ (d + t + z_r), from its heights over the corners."""
+    """Returns the body's angles [rad] as sums of signals: q = S+ (d + t + z_r), from its heights over the corners."""
     q, names = np.linalg.pinv(body.shape), [corner.name for corner in body.corners]
     parts = [signal.name for signal in (SUSPENSION_DEFLECTION, TYRE_DEFLECTION, ROAD_DISPLACEMENT)]
     return {
@@ -229,7 +229,7 @@ def angles(body: RigidBody) -> dict[str, dict[str, float]]:
 
 
 def wheelbase(p: Parameters) -> float:
-    """From the front axle to the rear one [m]."""
+    """Returns the distance from the front axle to the rear one [m]."""
     return p["axle_distance_front"] + p["axle_distance_rear"]
 
 
@@ -252,8 +252,7 @@ def write_mjcf(spec: Any, body: RigidBody) -> None:
 
     Elements are named by corner: bodies `road_NAME` and `unsprung_NAME`, sites `suspension_NAME_bottom` and `_top`, tendons
     `suspension_NAME` and `tyre_NAME`. At qpos = 0 the preloads carry the weight, so that it is the static equilibrium. An
-    anti-roll bar, where there is one, is a fixed tendon `anti_roll_bar_NAME`: its length is the angle of the joint `roll` to its
-    axle.
+    anti-roll bar is a fixed tendon `anti_roll_bar_NAME`: its length is the angle of the joint `roll` to its axle.
     """
     sprung = spec.body("sprung")
     sprung.mass = body.mass

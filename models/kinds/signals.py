@@ -1,4 +1,4 @@
-"""The one table of names. A signal is called the same in the linear model, the MJCF, a vehicle file, a log and a plot."""
+"""Table of signal names, which the linear model, the MJCF, vehicle files, logs and plots share."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 
 @dataclass(frozen=True)
 class Signal:
-    """A named quantity, measured from static equilibrium.
+    """Named quantity, measured from static equilibrium.
 
     Attributes:
-        name: the name that joins everything.
-        symbol: what the paper, or the field, writes for it.
+        name: the name in all models, files and plots.
+        symbol: symbol in the paper, or in the field.
         unit: SI unit.
         meaning: one line, with the sign convention.
     """
@@ -21,7 +21,7 @@ class Signal:
     meaning: str
 
     def at(self, corner: str) -> "Signal":
-        """The same signal at one corner of a vehicle that has several, e.g. `tyre_deflection_front`."""
+        """Returns the signal at one corner of a vehicle that has several, e.g. `tyre_deflection_front`."""
         return replace(
             self,
             name=f"{self.name}_{corner}",
@@ -54,26 +54,26 @@ HEAVE_LOAD = Signal("heave_load", "F", "N", "force from outside on the body at i
 PITCH_LOAD = Signal("pitch_load", "M_theta", "N m", "moment from outside on the body, nose down")
 ROLL_LOAD = Signal("roll_load", "M_phi", "N m", "moment from outside on the body, right side down")
 
-OWN = "own"  # unit of a controller's state: whatever its law takes it for
-KEPT = "controller_"  # begins the name of one, and of no signal of a vehicle
+OWN = "own"  # unit of a controller's state, whose meaning only its law knows
+KEPT = "controller_"  # prefix of a controller's states, and of no signal of a vehicle
 
 
 def of_dampers(endings: Iterable[str]) -> tuple["Signal", ...]:
-    """What adjustable dampers have of signals, from the endings of the names at their suspensions; empty where there is one."""
+    """Returns the signals of adjustable dampers, from the suffixes of the names at their suspensions."""
     corners = [ending.removeprefix("_") for ending in endings]
     return tuple(signal.at(corner) if corner else signal for signal in (DAMPING, MISSING_FORCE) for corner in corners)
 
 
 def kept_signals(names: Iterable[int | str]) -> tuple["Signal", ...]:
-    """What a controller keeps from one sample to the next, one signal for each of its states.
+    """Returns one signal for each state of a controller.
 
     Args:
-        names: of its states, in its own words or as numbers from 1.
+        names: of its states, its own names or numbers from 1.
     """
     about = "state of the controller, in its own coordinates, as it was at its last sample"
     return tuple(Signal(f"{KEPT}{name}", f"x_c {name}", OWN, about) for name in names)
 
 
 def is_kept(signal: Signal) -> bool:
-    """Whether a signal is a controller's state, and none of the vehicle's."""
+    """Returns True if a signal is a controller's state."""
     return signal.name.startswith(KEPT)

@@ -1,6 +1,6 @@
-"""A kind of vehicle of the user's own: its Python is run, and whatever is wrong with what it gives is one line.
+"""Kinds of vehicles in the user's own Python: the code is run, and every mistake in its results becomes one line.
 
-Every check returns what is wrong, in words, or nothing: who asks says whose it is.
+Every check returns the mistake as text, or an empty text. The caller names the file.
 """
 
 import math
@@ -20,14 +20,14 @@ from models.kinds.linear_model import LinearModel
 from models.kinds.signals import HEAVE_LOAD, KEPT, PITCH_LOAD, ROLL_LOAD, Signal
 from models.laws.user_code import compiled, run_own
 
-LARGEST = 1e30  # SI; of any entry. A parameter over a parameter is at most 1e18, and its square is no longer a vehicle's
+LARGEST = 1e30  # SI; of any entry. A ratio of two parameters is at most 1e18; a vehicle has no square of that
 LONGEST = 60  # characters of a name
 SIDES = ("", "left", "right")
 LOADS = (HEAVE_LOAD.name, PITCH_LOAD.name, ROLL_LOAD.name)
 
 
 def wrong_parts(kind: VehicleKind) -> str:
-    """What is wrong with the parts of a kind that are no functions: parameters, signals, wheels, sums of sensors."""
+    """Checks the parts of a kind that are no functions: parameters, signals, wheels, sums of sensors."""
     for what, of in {"parameters": Parameter, "signals": Signal, "on_demand": Signal, "wheels": Wheel}.items():
         parts = getattr(kind, what)
         if not isinstance(parts, (tuple, list)) or not all(isinstance(part, of) for part in parts):
@@ -75,7 +75,7 @@ def _wrong_wheels(kind: VehicleKind) -> str:
 
 
 def _wrong_loads(kind: VehicleKind) -> str:
-    if not isinstance(kind.loads, (tuple, list)) or not all(isinstance(one, BodyLoad) for one in kind.loads):
+    if not isinstance(kind.loads, (tuple, list)) or not all(isinstance(load, BodyLoad) for load in kind.loads):
         return f"its loads are {quoted(kind.loads)}; give a tuple of BodyLoads, or leave it out"
     for load in kind.loads:
         if load.name not in LOADS or not isinstance(load.joint, str):
@@ -101,43 +101,43 @@ def _wrong_sums(kind: VehicleKind) -> str:
 def _wrong_suspensions(kind: VehicleKind) -> str:
     if kind.suspended is None:
         return ""
-    if not isinstance(kind.suspended, (tuple, list)) or not all(isinstance(one, Suspension) for one in kind.suspended):
+    if not isinstance(kind.suspended, (tuple, list)) or not all(isinstance(part, Suspension) for part in kind.suspended):
         return f"its suspended is {quoted(kind.suspended)}; give a tuple of Suspensions, or leave it out"
-    forces = [one.force for one in kind.suspended if one.force != ""]
+    forces = [suspension.force for suspension in kind.suspended if suspension.force != ""]
     for what, names in {
-        "deflection": [one.deflection for one in kind.suspended],
-        "tendon": [one.tendon for one in kind.suspended],
+        "deflection": [suspension.deflection for suspension in kind.suspended],
+        "tendon": [suspension.tendon for suspension in kind.suspended],
         "force": forces,
     }.items():
         if wrong := _wrong_names(f"{what} of a suspension", names):
             return wrong
     signals, parameters = {signal.name for signal in kind.signals}, {parameter.name for parameter in kind.parameters}
-    for one in kind.suspended:
-        for what, name in {"stiffness": one.stiffness, "damping": one.damping}.items():
+    for suspension in kind.suspended:
+        for what, name in {"stiffness": suspension.stiffness, "damping": suspension.damping}.items():
             if name != "" and name not in parameters:
                 return f"a suspension's {what} {quoted(name)} is none of its parameters; add it to them, or leave it out"
-        if one.deflection not in signals:
-            return f"a suspension's deflection {one.deflection!r} is none of its signals; add it to them"
+        if suspension.deflection not in signals:
+            return f"a suspension's deflection {suspension.deflection!r} is none of its signals; add it to them"
     return ""
 
 
 def _wrong_invariants(kind: VehicleKind) -> str:
-    if not isinstance(kind.invariants, (tuple, list)) or not all(isinstance(one, Invariant) for one in kind.invariants):
+    if not isinstance(kind.invariants, (tuple, list)) or not all(isinstance(part, Invariant) for part in kind.invariants):
         return f"its invariants are {quoted(kind.invariants)}; give a tuple of Invariants"
     names = {signal.name for signal in kind.signals}
-    for one in kind.invariants:
-        if not isinstance(one.name, str) or not one.name.isprintable() or not 0 < len(one.name) <= LONGEST:
-            return f"an invariant is called {quoted(one.name)}; give a text on one line, at most {LONGEST} characters"
-        if not isinstance(one.signals, (tuple, list)) or not one.signals or not all(name in names for name in one.signals):
-            return f"invariant {one.name!r} is of {quoted(one.signals)}; give a tuple of the kind's signals"
+    for part in kind.invariants:
+        if not isinstance(part.name, str) or not part.name.isprintable() or not 0 < len(part.name) <= LONGEST:
+            return f"an invariant is called {quoted(part.name)}; give a text on one line, at most {LONGEST} characters"
+        if not isinstance(part.signals, (tuple, list)) or not part.signals or not all(name in names for name in part.signals):
+            return f"invariant {part.name!r} is of {quoted(part.signals)}; give a tuple of the kind's signals"
         for what in ("omega", "magnitude"):
-            if not callable(getattr(one, what)):
-                return f"invariant {one.name!r} has the {what} {quoted(getattr(one, what))}; give a function of the parameters"
+            if not callable(getattr(part, what)):
+                return f"invariant {part.name!r} has the {what} {quoted(getattr(part, what))}; give a function of the parameters"
     return ""
 
 
 def wrong_linear_model(model: Any, kind: VehicleKind) -> str:
-    """What is wrong with a linear model as one of this kind."""
+    """Checks a linear model against its kind."""
     if not isinstance(model, LinearModel):
         return _of_type(model, "a LinearModel")
     for what in ("states", "inputs", "disturbances", "outputs"):
@@ -187,7 +187,7 @@ def wrong_linear_model(model: Any, kind: VehicleKind) -> str:
 
 
 def wrong_angles(angles: Any, kind: VehicleKind) -> str:
-    """What is wrong with the sums of signals that are the body's angles."""
+    """Checks the sums of signals that are the body's angles."""
     names = {signal.name for signal in kind.signals}
     for angle, parts in angles.items() if isinstance(angles, Mapping) else [("", None)]:
         sound = isinstance(parts, Mapping) and all(name in names and _is_number(share) for name, share in parts.items())
@@ -197,7 +197,7 @@ def wrong_angles(angles: Any, kind: VehicleKind) -> str:
 
 
 def wrong_rest(squeezes: Any, kind: VehicleKind) -> str:
-    """What is wrong with how far the tyres of this kind are squeezed at rest."""
+    """Checks the compressions of the tyres at rest."""
     if not isinstance(squeezes, Mapping):
         return _of_type(squeezes, "a mapping from each tyre's signal to metres")
     tyres = [wheel.tyre_deflection for wheel in kind.wheels]
@@ -216,17 +216,17 @@ def wrong_rest(squeezes: Any, kind: VehicleKind) -> str:
 
 
 def wrong_place(place: Any) -> str:
-    """What is wrong with how far a wheel is behind the first, or to the left."""
+    """Checks the distance of a wheel behind the first, or to the left."""
     return "" if _is_number(place) and abs(place) <= LARGEST else f"{quoted(place)}; give a finite number of metres"
 
 
 def wrong_size(size: Any) -> str:
-    """What is wrong with an invariant's frequency, or magnitude."""
+    """Checks an invariant's frequency, or magnitude."""
     return "" if _is_number(size) and 0 < size <= LARGEST else f"{quoted(size)}; give a finite number above 0"
 
 
 def wrong_distance(distance: Any) -> str:
-    """What is wrong with how far a wheel runs behind the first."""
+    """Checks the distance of a wheel behind the first."""
     return wrong_place(distance) or (
         "" if distance >= 0 else f"{distance:g} m; the first wheel meets the road first, so give 0 or more"
     )
@@ -244,23 +244,23 @@ def _wrong_names(what: str, names: Iterable[Any]) -> str:
 
 
 def _is_number(value: Any) -> bool:
-    """Whether it is one real and finite number; numpy's count."""
+    """Returns True for one real and finite number, of numpy or not."""
     return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool) and math.isfinite(value)
 
 
-def _of_type(found: Any, allowed: str) -> str:
-    return f"a {type(found).__name__}, not {allowed}"
+def _of_type(value: Any, allowed: str) -> str:
+    return f"a {type(value).__name__}, not {allowed}"
 
 
 GIVE = "give the equations of the kind, as models/README.md shows them"
 
 
 def read_kind(folder: Path, name: str) -> VehicleKind:
-    """Runs `NAME.py` of a folder and takes its `KIND`.
+    """Runs `NAME.py` of a folder and returns its `KIND`.
 
     Raises:
-        InputError: it cannot be read, is no Python, fails, or has no such `KIND`; and so do the kind's functions where they fail,
-            or give something else than they should.
+        InputError: the file cannot be read, is no Python, fails, or has no such `KIND`. The kind's functions raise it, too, if
+            they fail or their result is wrong.
     """
     path = folder / f"{name}.py"
     what, module = f"kind of vehicle {path}", ModuleType(f"roadproof_{name}")
@@ -268,19 +268,19 @@ def read_kind(folder: Path, name: str) -> VehicleKind:
     text = read_text(path, "kind of vehicle", TEXT, GIVE)
     code = compiled(what, path, text)
     _run(path, "the file", lambda: exec(code, vars(module)))
-    found = vars(module).get("KIND")
-    if not isinstance(found, VehicleKind):
-        has = f"its KIND is a {type(found).__name__}" if "KIND" in vars(module) else "it has no KIND"
+    kind = vars(module).get("KIND")
+    if not isinstance(kind, VehicleKind):
+        has = f"its KIND is a {type(kind).__name__}" if "KIND" in vars(module) else "it has no KIND"
         raise InputError(f"{what}: {has}; end it with KIND = VehicleKind(...), as models/README.md shows")
-    if found.name != name:
-        raise InputError(f"{what}: its KIND is called {found.name!r}; call it {name!r}, as its files are")
-    if wrong := _run(path, "its KIND", lambda: wrong_parts(found)):
+    if kind.name != name:
+        raise InputError(f"{what}: its KIND is called {kind.name!r}; call it {name!r}, as its files are")
+    if wrong := _run(path, "its KIND", lambda: wrong_parts(kind)):
         raise InputError(f"{what}: {wrong}")
-    return _guarded_kind(path, replace(found, folder=folder))
+    return _guarded_kind(path, replace(kind, folder=folder))
 
 
 def _guarded_kind(path: Path, kind: VehicleKind) -> VehicleKind:
-    """The same kind, whose functions give what they should or raise InputError."""
+    """Returns the kind with functions that give correct results or raise InputError."""
     for name in ("linear_model", "static_tyre_deflection", "write_mjcf", "check_together", "angles"):
         if not callable(getattr(kind, name)):
             raise InputError(f"kind of vehicle {path}: its {name} is no function; give one of the parameters")
@@ -305,21 +305,21 @@ def _guarded_kind(path: Path, kind: VehicleKind) -> VehicleKind:
 
 
 def _guarded_part(path: Path, what: str, part: Any, **wrong: Callable[[Any], str]) -> Any:
-    """A part of a kind, whose functions, by name with what is wrong with their results, are guarded."""
+    """Returns a part of a kind with guarded functions; `wrong` has a check of the result for each, by name."""
     return replace(part, **{name: _guarded(path, f"{name} of {what}", getattr(part, name), said) for name, said in wrong.items()})
 
 
 def _guarded(
     path: Path, name: str, function: Callable[..., Any], wrong: Callable[[Any], str], refuses: bool = False
 ) -> Callable[..., Any]:
-    """A function of the user's, whose failures are ours to tell.
+    """Returns a function of the user's whose failures are reported as one line.
 
     Args:
         path: its file.
         name: what a message calls it.
-        function: the function; its last argument are the parameters, and it gets a copy of its own.
-        wrong: result -> what is wrong with it, or nothing.
-        refuses: whether an InputError of its own is what it is there for: it speaks of the parameters.
+        function: the function; its last argument is a copy of the parameters.
+        wrong: checks a result.
+        refuses: True if the function's purpose is an InputError about the parameters.
     """
 
     @wraps(function)
