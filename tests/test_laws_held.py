@@ -89,7 +89,7 @@ def check_verdict(run: Run) -> None:
     if told is not None:
         assert int(told[1]) == len(otherwise)
         assert float(told[2]) == pytest.approx(otherwise[0].time, rel=1e-3)
-        assert max(one.near for one in otherwise) < 1e-3  # of a peak; what physics is off
+        assert max(mismatch.margin for mismatch in otherwise) < 1e-3  # of a peak; what physics is off
 
 
 def check(kind: str, road: Road, duration: float = DURATION) -> None:

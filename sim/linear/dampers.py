@@ -1,4 +1,4 @@
-"""What adjustable dampers have of signals in a linear response, and what was asked of them in one of physics."""
+"""Signals and commands of adjustable dampers: in a linear response, and read back from a run of physics."""
 
 import numpy as np
 
@@ -10,7 +10,8 @@ from synth.controller.controller import Controller
 
 
 def stretching(vehicle: Vehicle) -> Array:
-    """V: how fast the suspension of every force is stretched, from the state, shape (m, n); 0 of an actuator that pushes.
+    """Returns V, which maps the state to the stretching rate of each force's suspension, shape (m, n); zero rows for force
+    actuators.
 
     Raises:
         ValueError: a suspension's deflection is no state of the linear model, or jumps with the road.
@@ -28,33 +29,38 @@ def stretching(vehicle: Vehicle) -> Array:
 
 
 def is_linear(vehicle: Vehicle, controller: Controller) -> bool:
-    """Whether a run of them is linear until something ends that: not where adjustable dampers are asked for forces."""
+    """Returns True if a run is linear until a limit is reached: the vehicle has no adjustable dampers, or its controller is
+    passive.
+    """
     return not vehicle.dampers or not controller.law.acts
 
 
 def bent_velocities(vehicle: Vehicle, velocities: Array) -> Array:
-    """What coefficients of adjustable dampers are times, to be forces, from the velocities of the suspensions, shape (..., m)."""
+    """Returns the velocities that damper coefficients are multiplied by, from the velocities of the suspensions, shape (...,
+    m).
+    """
     of = range_of([vehicle.adjustable], vehicle.linear_model.inputs)
     return velocities if of.bent is None else -of.felt(-velocities[..., None, :])[..., 0, :]
 
 
 def damper_signals(vehicle: Vehicle, beyond: Array, missing: Array) -> dict[str, Array]:
-    """The signals of the adjustable dampers, by name.
+    """Returns the signals of the adjustable dampers, by name.
 
     Args:
         vehicle: the vehicle.
-        beyond: coefficients that act beyond the nominal ones [N s/m], shape (T, m).
-        missing: forces that are asked for and not given [N], shape (T, m).
+        beyond: coefficients beyond the nominal ones [N s/m], shape (T, m).
+        missing: requested minus actual forces [N], shape (T, m).
     """
-    found, forces = {}, vehicle.linear_model.inputs
-    for one in vehicle.adjustable:
-        j = forces.index(one.force)
-        found |= {one.coefficient: one.nominal + beyond[:, j], one.missing: missing[:, j]}
-    return found
+    signals, forces = {}, vehicle.linear_model.inputs
+    for damper in vehicle.adjustable:
+        j = forces.index(damper.force)
+        signals |= {damper.coefficient: damper.nominal + beyond[:, j], damper.missing: missing[:, j]}
+    return signals
 
 
 def linear_signals(vehicle: Vehicle, states: Array, inputs: Array) -> dict[str, Array]:
-    """The same of a linear response, whose forces are all given: what dampers would be for them, and what they would leave out.
+    """Returns the damper signals of a linear response, whose forces all act: the coefficients for them, and the forces dampers
+    would omit.
 
     Args:
         vehicle: the vehicle.
@@ -69,43 +75,46 @@ def linear_signals(vehicle: Vehicle, states: Array, inputs: Array) -> dict[str, 
 
 
 def commands_of(vehicle: Vehicle, physics: Response) -> Array:
-    """What was asked of the actuators in physics, from its signals, shape (T, 2 m), see `Range.commands`; 0 where it diverged.
+    """Returns the commands of the actuators in a run of physics, shape (T, 2 m), see `Range.commands`; 0 where the run diverged.
 
-    RK4 takes a coefficient that lags to what is asked by its own share, from which that follows.
+    In a step RK4 moves a lagging coefficient by a known share towards its command: the command follows from that.
     """
     forces, h = vehicle.linear_model.inputs, float(physics.time[1] - physics.time[0])
     m = len(forces)
     commands = np.zeros((len(physics.time), 2 * m))
     for j, force in enumerate(forces):
         commands[:, j] = physics[force]
-    for one in vehicle.adjustable:
-        j = forces.index(one.force)
-        acting = physics[one.coefficient] - one.nominal
-        commands[:, j], commands[:, m + j] = acting, physics[one.missing]
-        if one.damper.bandwidth is not None:
-            z = one.damper.bandwidth * h
+    for adjustable in vehicle.adjustable:
+        j = forces.index(adjustable.force)
+        acting = physics[adjustable.coefficient] - adjustable.nominal
+        commands[:, j], commands[:, m + j] = acting, physics[adjustable.missing]
+        if adjustable.damper.bandwidth is not None:
+            z = adjustable.damper.bandwidth * h
             share = z * (1 - z / 2 * (1 - z / 3 * (1 - z / 4)))
             commands[:-1, j] = acting[:-1] + np.diff(acting) / share
     return np.nan_to_num(commands, nan=0.0, posinf=0.0, neginf=0.0)
 
 
 def command_names(vehicle: Vehicle) -> tuple[str, ...]:
-    """What a law in Python can ask for of a vehicle, by name: forces, and with adjustable dampers `Range.commands`."""
-    forces, coefficients = vehicle.linear_model.inputs, {one.force: one.coefficient for one in vehicle.adjustable}
+    """Returns the names of the commands of a law in Python: forces, or `Range.commands` if there are adjustable dampers."""
+    forces, coefficients = (
+        vehicle.linear_model.inputs,
+        {adjustable.force: adjustable.coefficient for adjustable in vehicle.adjustable},
+    )
     if not coefficients:
         return forces
     beyond = (f"{coefficients[force]}_beyond_nominal" if force in coefficients else force for force in forces)
     return (*beyond, *(f"missing_{force}" for force in forces))
 
 
-def scaled_commands(vehicle: Vehicle, asked: Array, share: float) -> Array:
-    """What was asked for over a road, where road and forces are only a share of it: coefficients are the same.
+def scaled_commands(vehicle: Vehicle, commands: Array, factor: float) -> Array:
+    """Returns the commands for a scaled road: forces scale with the road, damper coefficients stay.
 
     Args:
         vehicle: the vehicle.
-        asked: forces, shape (T, m), or with adjustable dampers commands, shape (T, 2 m).
-        share: of the road.
+        commands: forces, shape (T, m), or with adjustable dampers commands, shape (T, 2 m).
+        factor: of the road.
     """
     forces = vehicle.linear_model.inputs
-    factors = [1.0 if i < len(forces) and forces[i] in vehicle.dampers else share for i in range(asked.shape[1])]
-    return asked * np.array(factors)
+    factors = [1.0 if i < len(forces) and forces[i] in vehicle.dampers else factor for i in range(commands.shape[1])]
+    return commands * np.array(factors)

@@ -1,4 +1,4 @@
-"""The exact linear response to forces that are known: of a vehicle whose controller no linear analysis speaks of.
+"""The exact linear response to known forces: for controllers without a linear analysis.
 
 As in `sim.linear.sampled_response`, but the forces u[k], held from one sample to the next, are given, and no loop is closed:
 
@@ -20,10 +20,10 @@ from synth.plant.discrete import held_inputs
 
 
 def forced_response(forces: Array, road: RoadInput, exponential: Callable[[Array], Array] = linalg.expm) -> Response:
-    """The response to forces, and to the road as MuJoCo holds it, from rest.
+    """Returns the response to forces, and to the road as MuJoCo holds it, from rest.
 
     Args:
-        forces: asked for at every sample [N], shape (T, m).
+        forces: requested at every sample [N], shape (T, m).
         road: what the vehicle meets.
         exponential: the matrix exponential; `taylor4` to predict an RK4 integrator to rounding.
     """
@@ -49,7 +49,7 @@ def forced_response(forces: Array, road: RoadInput, exponential: Callable[[Array
 
 
 def forced_continuous_response(forces: Array, road: RoadInput) -> Response:
-    """The response to forces that are held, and to the road as it is, from rest. Arguments as for `forced_response`."""
+    """Returns the response to held forces, and to the continuous road, from rest. Arguments as for `forced_response`."""
     model = with_lag(road.vehicle)
     Phi, Gamma = held_inputs(model.A, road.timestep, linalg.expm, model.B)
     forcing, loads = road_forcing(model.A, model, road) + forces @ Gamma.T, None

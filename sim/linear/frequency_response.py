@@ -32,11 +32,12 @@ from synth.controller.controller import Controller
 from synth.controller.open_loop import Controlled, continuous, sampled
 from synth.plant.discrete import held_inputs
 
-LOWEST, GRID = 1e-2, 3000  # rad/s, points: a peak is looked for from here to the Nyquist frequency
+LOWEST, GRID = 1e-2, 3000  # rad/s, points: grid of the peak search, which ends at the Nyquist frequency
 
 
 def continuous_frequency_response(vehicle: Vehicle, controller: Controller, omega: Array) -> Array:
-    """From the road velocity under each wheel to each output signal, in the continuous loop, complex, shape (F, p, r).
+    """Returns the frequency response of the continuous loop from each wheel's road velocity to each output, complex, shape (F, p,
+    r).
 
     Args:
         vehicle: p outputs, r wheels.
@@ -58,7 +59,7 @@ def sampled_frequency_response(
     exponential: Callable[[Array], Array] = linalg.expm,
     pulls: Elements | None = None,
 ) -> Array:
-    """The same in the sampled loop as it is implemented (held, delayed, lagged), complex, shape (F, p, r).
+    """Returns the same for the sampled loop as it is implemented (held, delayed, lagged), complex, shape (F, p, r).
 
     Args:
         vehicle: p outputs, r wheels.
@@ -74,7 +75,8 @@ def sampled_frequency_response(
 
 
 def sampled_states(vehicle: Vehicle, controller: Controller, omega: Array, timestep: float) -> Array:
-    """From the road velocity under each wheel to the states of a `LoopModel` at the controller's samples, shape (F, s, r).
+    """Returns the response from each wheel's road velocity to the states of a `LoopModel` at the controller's samples, shape (F,
+    s, r).
 
     Arguments as for `sampled_frequency_response`.
     """
@@ -89,10 +91,10 @@ def sampled_states(vehicle: Vehicle, controller: Controller, omega: Array, times
 def stepwise_frequency_response(
     vehicle: Vehicle, controller: Controller, omega: Array, timestep: float, pulls: Elements | None = None
 ) -> Array:
-    """From the road velocity under each wheel to the output signals at every timestep of a period of the controller.
+    """Returns the response from each wheel's road velocity to the outputs at every timestep of a controller period.
 
-    What a signal is at step i of a period, exactly, for a road that is exp(j omega t) with t from the period's start on: between
-    its samples a held force makes other frequencies, too, and `sampled_frequency_response` has only the share at omega.
+    The values at step i are exact for a road exp(j omega t) with t from the period's start. Between samples a held force adds
+    other frequencies, of which `sampled_frequency_response` has only the share at omega.
 
     Arguments as for `sampled_frequency_response`.
 
@@ -104,21 +106,26 @@ def stepwise_frequency_response(
     cut, x, _, _ = _harmonic(vehicle, controller, omega, timestep, linalg.expm, pulls)
     model, steps, outside = cut.model, steps_per_sample(how, h), _outside(cut, controller, pulls)
     Phi, Gamma, Gamma_r = held_inputs(model.A, h, linalg.expm, model.B, outside.rates)
-    by_step, xi, found, per = _inputs_by_step(cut, how, s, h, x, outside.felt), x - outside.jump, [], outside.per(omega)
+    by_step, xi, responses, per = (
+        _inputs_by_step(cut, how, s, h, x, outside.through_readings),
+        x - outside.jump,
+        [],
+        outside.per(omega),
+    )
     for i in range(steps + 1):
         road = np.exp(s * h * i)
         inputs = by_step[i] if i < steps else by_step[0] * road
-        found.append((model.C @ (xi + outside.jump * road) + model.D @ inputs + outside.outputs * road) / per)
+        responses.append((model.C @ (xi + outside.jump * road) + model.D @ inputs + outside.outputs * road) / per)
         xi = Phi @ xi + Gamma @ inputs + Gamma_r * np.exp(s * h * (i + 0.5))
-    return np.stack(found)
+    return np.stack(responses)
 
 
 def leaps_by_step(
     vehicle: Vehicle, controller: Controller, omega: Array, timestep: float, pulls: Elements | None = None
 ) -> Array:
-    """What the output signals leap by at every timestep of a period of the controller, where a force is replaced by the next.
+    """Returns the jumps of the outputs at every timestep of a controller period, where the next held force begins.
 
-    Of a road, and of forces, as for `stepwise_frequency_response`; behind a lag nothing leaps.
+    Inputs as for `stepwise_frequency_response`. Behind a lag nothing jumps.
 
     Returns:
         Shape (steps, F, p, r + e), complex.
@@ -127,38 +134,38 @@ def leaps_by_step(
     how, h = vehicle.implementation, timestep
     cut, x, _, _ = _harmonic(vehicle, controller, omega, timestep, linalg.expm, pulls)
     outside, turn = _outside(cut, controller, pulls), np.exp(-s * h * steps_per_sample(how, h))
-    by_step, per = _inputs_by_step(cut, how, s, h, x, outside.felt), outside.per(omega)
+    by_step, per = _inputs_by_step(cut, how, s, h, x, outside.through_readings), outside.per(omega)
     before = [by_step[-1] * turn, *by_step[:-1]]
     return np.stack([cut.model.D @ (now - last) / per for now, last in zip(by_step, before, strict=True)])
 
 
 @dataclass(frozen=True, eq=False)
 class _Outside:
-    """What acts from outside, c of it: the roads under r wheels, then forces, each exp(j omega t).
+    """Disturbances exp(j omega t), c in number: the roads under r wheels, then suspension forces.
 
     Attributes:
-        jump: of the states, with it, shape (n, c).
-        rates: what it adds to the rates of what does not jump, shape (n, c).
-        outputs: and to the output signals, shape (p, c).
-        felt: and, by way of measured accelerations, to all inputs, shape (m + k, c); None for nothing.
+        jump: direct effect on the states, shape (n, c).
+        rates: effect on the rates of the continuous states xi, shape (n, c).
+        outputs: direct effect on the output signals, shape (p, c).
+        through_readings: effect on all inputs by measured accelerations, shape (m + k, c), or None if there is no effect.
         wheels: r.
     """
 
     jump: Array
     rates: Array
     outputs: Array
-    felt: Array | None
+    through_readings: Array | None
     wheels: int
 
     def per(self, omega: Array) -> Array:
-        """What responses are per unit of: of a road its velocity, shape (F, 1, c), or (F, 1, 1) for all of them."""
+        """Returns the unit of each response: road velocity or newton, shape (F, 1, c), or (F, 1, 1) if there are only roads."""
         s = 1j * np.asarray(omega, dtype=float)[:, None, None]
         forces = self.jump.shape[1] - self.wheels
         return np.concatenate([*([s] * self.wheels), *([np.ones_like(s)] * forces)], axis=-1) if forces else s
 
 
 def _outside(cut: Controlled, controller: Controller, pulls: Elements | None) -> _Outside:
-    """The roads under the wheels, and forces in suspensions."""
+    """Returns the disturbances by the roads under the wheels and by suspension forces."""
     model = cut.model
     rates, wheels = model.A @ model.Bw + model.Br, model.Bw.shape[1]
     if pulls is None:
@@ -166,20 +173,22 @@ def _outside(cut: Controlled, controller: Controller, pulls: Elements | None) ->
     count = pulls.outputs.shape[1]
     push = np.vstack([pulls.push, np.zeros((len(model.A) - len(pulls.push), count))])
     measured = cut.reading @ pulls.outputs[[model.outputs.index(name) for name in controller.measured]]
-    felt = np.hstack([np.zeros((len(measured), wheels)), measured]) if np.any(measured) else None
+    through_readings = np.hstack([np.zeros((len(measured), wheels)), measured]) if np.any(measured) else None
     jump = np.hstack([model.Bw, np.zeros((len(model.A), count))])
-    return _Outside(jump, np.hstack([rates, push]), np.hstack([model.Cr, pulls.outputs]), felt, wheels)
+    return _Outside(jump, np.hstack([rates, push]), np.hstack([model.Cr, pulls.outputs]), through_readings, wheels)
 
 
-def _inputs_by_step(cut: Controlled, how: Implementation, s: Array, h: float, x: Array, felt: Array | None = None) -> list[Array]:
-    """All inputs at every timestep of a period that begins with a state, per unit of Z."""
-    held, steps = steps_held(how, h), steps_per_sample(how, h)
-    asked, kept = cut.asked @ x, cut.kept @ x
-    if felt is not None:
-        asked, kept = asked + felt[: cut.forces], kept + felt[cut.forces :]
-    forces = [np.exp(-s * h * steps * late) * asked for _, late in held]
-    of_parts = [cut.inputs(one, kept, forces[-1]) for one in forces]
-    return [one for (count, _), one in zip(held, of_parts, strict=True) for _ in range(count)]
+def _inputs_by_step(
+    cut: Controlled, how: Implementation, s: Array, h: float, x: Array, through_readings: Array | None = None
+) -> list[Array]:
+    """Returns all inputs at every timestep of a period that begins with state x, per unit of Z."""
+    intervals, steps = steps_held(how, h), steps_per_sample(how, h)
+    requested, state_rates = cut.asked @ x, cut.kept @ x
+    if through_readings is not None:
+        requested, state_rates = requested + through_readings[: cut.forces], state_rates + through_readings[cut.forces :]
+    forces = [np.exp(-s * h * steps * late) * requested for _, late in intervals]
+    parts = [cut.inputs(force, state_rates, forces[-1]) for force in forces]
+    return [part for (count, _), part in zip(intervals, parts, strict=True) for _ in range(count)]
 
 
 def _harmonic(
@@ -190,7 +199,7 @@ def _harmonic(
     exponential: Callable[[Array], Array],
     pulls: Elements | None = None,
 ) -> tuple[Controlled, Array, Array, Array]:
-    """What oscillates with omega per unit of Z: of what, state at the controller's samples, state and inputs over a period."""
+    """Returns the open loop, and per unit of Z the state at its samples and the components at omega of state and inputs."""
     how, h = vehicle.implementation, timestep
     s = 1j * np.asarray(omega, dtype=float)[:, None, None]
     steps = steps_per_sample(how, h)
@@ -200,30 +209,33 @@ def _harmonic(
     Phi, Gamma, Gamma_r = held_inputs(model.A, h, exponential, model.B, outside.rates)
 
     # From xi at a sample of the controller and Z to xi after i steps, P xi + Q Z, under the inputs F (xi + Bw Z) + E Z.
-    held = steps_held(how, h)
-    turns = [np.exp(-s * h * steps * late) for _, late in held]
+    intervals = steps_held(how, h)
+    turns = [np.exp(-s * h * steps * late) for _, late in intervals]
     forces = [turn * cut.asked for turn in turns]
-    of_parts: list[Array] = [cut.inputs(one, last=forces[-1]) for one in forces]
-    of_felt: list[Array | float] = [0.0 for _ in held]
-    if outside.felt is not None:
-        asked, kept = outside.felt[: cut.forces], outside.felt[cut.forces :]
-        of_felt = [cut.inputs(turn * asked, np.broadcast_to(kept, (len(s), *kept.shape)), turns[-1] * asked) for turn in turns]
+    of_parts: list[Array] = [cut.inputs(force, last=forces[-1]) for force in forces]
+    from_readings: list[Array | float] = [0.0 for _ in intervals]
+    if outside.through_readings is not None:
+        requested, state_rates = outside.through_readings[: cut.forces], outside.through_readings[cut.forces :]
+        from_readings = [
+            cut.inputs(turn * requested, np.broadcast_to(state_rates, (len(s), *state_rates.shape)), turns[-1] * requested)
+            for turn in turns
+        ]
     P, Q = np.broadcast_to(np.eye(len(model.A)), (len(s), *model.A.shape)), np.zeros((len(s), *jump.shape))
-    # What of them, and of held forces, oscillates with omega itself.
-    mean_P, mean_Q, mean_held = 0.0, 0.0, [np.zeros_like(s) for _ in held]
-    for i, part in enumerate(part for part, (count, _) in enumerate(held) for _ in range(count)):
+    # Components at omega of P, Q and the held forces.
+    mean_P, mean_Q, mean_held = 0.0, 0.0, [np.zeros_like(s) for _ in intervals]
+    for i, part in enumerate(part for part, (count, _) in enumerate(intervals) for _ in range(count)):
         turn, F = np.exp(-s * h * i) / steps, of_parts[part]
         mean_P, mean_Q, mean_held[part] = mean_P + turn * P, mean_Q + turn * Q, mean_held[part] + turn
-        pushed = Gamma @ F @ jump if outside.felt is None else Gamma @ (F @ jump + of_felt[part])
+        pushed = Gamma @ F @ jump if outside.through_readings is None else Gamma @ (F @ jump + from_readings[part])
         P, Q = Phi @ P + Gamma @ F, Phi @ Q + pushed + Gamma_r * np.exp(s * h * (i + 0.5))
     xi = np.linalg.solve(np.exp(s * h * steps) * np.eye(len(model.A)) - P, Q)
-    parts = zip(mean_held, of_parts, of_felt, strict=True)
-    mean_inputs = sum(mean * (F @ (xi + jump) + felt) for mean, F, felt in parts)
+    parts = zip(mean_held, of_parts, from_readings, strict=True)
+    mean_inputs = sum(mean * (F @ (xi + jump) + reading) for mean, F, reading in parts)
     return cut, xi + jump, mean_P @ xi + mean_Q + jump, np.asarray(mean_inputs)
 
 
 def as_met(vehicle: Vehicle, omega: Array, speed: float) -> Array:
-    """What every wheel meets of a road exp(j omega t) under the first one, shape (F, r): it comes later.
+    """Returns the road under every wheel for a road exp(j omega t) under the first wheel, shape (F, r).
 
     Args:
         vehicle: r wheels.
@@ -235,11 +247,11 @@ def as_met(vehicle: Vehicle, omega: Array, speed: float) -> Array:
 
 
 @dataclass(frozen=True)
-class Worst:
-    """The road that moves the weighted output z most, per its own size, or that of w where the road has a filter (both in L2).
+class WorstSinusoid:
+    """Sinusoidal road of the largest gain from its height, or from w if it has a filter, to the weighted output z, both in L2.
 
     Attributes:
-        gain: ||z|| / ||w||. With one wheel, the H-infinity norm; with more, no more than it, as one road is under them all.
+        gain: ||z|| / ||w||. The H-infinity norm with one wheel, a lower bound on it with more: all wheels follow one road.
         omega: its frequency [rad/s].
     """
 
@@ -247,10 +259,10 @@ class Worst:
     omega: float
 
 
-def worst_sinusoid(vehicle: Vehicle, response: Callable[[Array], Array], highest: float, speed: float) -> Worst:
-    """The largest gain of a frequency response from the road as the wheels meet it to z, and where it is.
+def worst_sinusoid(vehicle: Vehicle, response: Callable[[Array], Array], highest: float, speed: float) -> WorstSinusoid:
+    """Returns the largest gain from the road under the wheels to z, and its frequency.
 
-    By Parseval it is the largest L2 gain of any road below `highest`: the H-infinity norm, where there is one wheel.
+    By Parseval it is the largest L2 gain of any road below `highest`: the H-infinity norm if there is one wheel.
 
     Args:
         vehicle: the vehicle.
@@ -260,14 +272,14 @@ def worst_sinusoid(vehicle: Vehicle, response: Callable[[Array], Array], highest
     """
 
     def gain(omega: Array) -> Array:
-        met = as_met(vehicle, omega, speed)
-        z = vehicle.weights(omega) * np.einsum("fpr,fr->fp", response(omega), vehicle.road_shape(omega)[:, None] * met)
-        return np.linalg.norm(z, axis=1) / np.linalg.norm(met, axis=1)
+        wheel_roads = as_met(vehicle, omega, speed)
+        z = vehicle.weights(omega) * np.einsum("fpr,fr->fp", response(omega), vehicle.road_shape(omega)[:, None] * wheel_roads)
+        return np.linalg.norm(z, axis=1) / np.linalg.norm(wheel_roads, axis=1)
 
     # Lightly damped poles make narrow peaks; those of a vehicle are wider than the grid's 0.4 %, and each is refined.
     omega = np.geomspace(LOWEST, 0.99 * highest, GRID)
     gains = gain(omega)
-    best = Worst(float(gains.max()), float(omega[gains.argmax()]))
+    best = WorstSinusoid(float(gains.max()), float(omega[gains.argmax()]))
     peaks = 1 + np.flatnonzero((gains[1:-1] >= gains[:-2]) & (gains[1:-1] >= gains[2:]) & (gains[1:-1] > 0.9 * best.gain))
     from scipy import optimize  # half a second
 
@@ -279,5 +291,5 @@ def worst_sinusoid(vehicle: Vehicle, response: Callable[[Array], Array], highest
             options={"xatol": 1e-10},
         )
         if -refined.fun > best.gain:
-            best = Worst(float(-refined.fun), float(np.exp(refined.x)))
+            best = WorstSinusoid(float(-refined.fun), float(np.exp(refined.x)))
     return best

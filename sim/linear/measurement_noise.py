@@ -1,10 +1,10 @@
-"""How far noise and quantisation of the measurements move the signals of the sampled loop, in a run from rest.
+"""Effect of measurement noise and quantisation on the signals of the sampled loop, in a run from rest.
 
-From one sample to the next the loop is time-invariant, and between them its state follows from that at the sample and what is
-held. So what a disturbance of the measurements at one sample does to an output is a response h of the time since. White noise
-adds in squares: at any moment an output has the variance sum |h|^2 sigma^2. What rounding to a resolution q makes is not white,
-but never more than q / 2: it moves an output by at most sum |h| q / 2, whatever it is. Sums are over the samples so far: of a
-stable loop they come to an end, of an unstable one they grow with it.
+The loop is time-invariant from sample to sample, and between samples its state follows from the sampled state and the held
+inputs. A disturbance of the measurements at one sample therefore has a response h that depends only on the time since. White
+noise of standard deviation sigma gives an output the variance sum |h|^2 sigma^2. Rounding to a resolution q is not white, but
+never more than q / 2: it moves an output by at most sum |h| q / 2. Sums are over the samples so far: they converge in a stable
+loop and grow in an unstable one.
 """
 
 import math
@@ -17,12 +17,12 @@ from synth.analysis.stability import sampled_growth
 from synth.controller.open_loop import ImplementedLoop, LoopModel
 from synth.plant.discrete import held_inputs
 
-DECAYED = 1e-12  # of a response to one sample's disturbance: nothing comes after it
-BEYOND = 1e100  # of such a response: its squares overflow soon, and there is no vehicle any more
+DECAYED = 1e-12  # of a response to one sample's disturbance: the rest is neglected
+BEYOND = 1e100  # of such a response: above it squares would overflow, and the sums are set to infinity
 
 
 def noise_rms(loop: LoopModel, samples: int) -> Array:
-    """Standard deviation of every output signal under the noise of the measurements, at every timestep, shape (T, p).
+    """Returns the standard deviation of every output signal under the measurement noise, at every timestep, shape (T, p).
 
     Args:
         loop: of the vehicle and its controller.
@@ -34,7 +34,7 @@ def noise_rms(loop: LoopModel, samples: int) -> Array:
 
 
 def most_quantised(loop: LoopModel, samples: int) -> Array:
-    """How far quantisation of the measurements moves every output signal at most. Arguments and shape as for `noise_rms`."""
+    """Returns a bound on every output signal's error by quantised measurements. Arguments and shape as for `noise_rms`."""
     resolution = loop.vehicle.implementation.quantisation
     half = np.array([resolution.get(name, 0.0) / 2 for name in loop.controller.measured])
     return _summed(loop, half, 1, samples)
@@ -42,44 +42,44 @@ def most_quantised(loop: LoopModel, samples: int) -> Array:
 
 @np.errstate(over="ignore", invalid="ignore")  # an unstable loop overflows
 def _summed(model: LoopModel, size: Array, power: int, samples: int) -> Array:
-    """Sums of |response|^power to disturbances of the measurements of these sizes, by timestep, shape (T, p)."""
+    """Returns sums of |response|^power to measurement disturbances of these sizes, by timestep, shape (T, p)."""
     loop, steps, p = model.closed_loop, model.steps, len(model.open_loop.model.outputs)
-    found = np.zeros((-(-samples // steps), steps, p))
+    sums = np.zeros((-(-samples // steps), steps, p))
     if not size.any():
-        return found.reshape(-1, p)[:samples]
+        return sums.reshape(-1, p)[:samples]
     read = loop.cut.reading * size
     rows, direct = _between(loop, read, model.timestep)
     response, total, at_once = loop.added @ read, np.zeros(steps * p), _sum(direct, power)
     lasts = _lasts(loop.transition)
-    for k in range(len(found)):
-        found[k] = (total + at_once).reshape(steps, p)
+    for k in range(len(sums)):
+        sums[k] = (total + at_once).reshape(steps, p)
         if k >= lasts:
-            found[k:] = found[k]
+            sums[k:] = sums[k]
             break
         if not np.all(np.abs(response) < BEYOND):
-            found[k:] = np.inf
+            sums[k:] = np.inf
             break
         total = total + _sum(rows @ response, power)
         response = loop.transition @ response
-    return found.reshape(-1, p)[:samples]
+    return sums.reshape(-1, p)[:samples]
 
 
 def _between(loop: ImplementedLoop, read: Array, timestep: float) -> tuple[Array, Array]:
-    """The outputs at every timestep up to the next sample, shape (steps p, ...), from the loop's state, and from what is read."""
+    """Maps the loop's state, and the readings, to the outputs at every timestep up to the next sample, shape (steps p, ...)."""
     model = loop.cut.model
     Phi, Gamma = held_inputs(model.A, timestep, linalg.expm, model.B)
-    of_state, of_held = np.eye(len(model.A), len(loop.transition)), np.zeros((len(model.A), read.shape[1]))
+    of_state, from_readings = np.eye(len(model.A), len(loop.transition)), np.zeros((len(model.A), read.shape[1]))
     rows, direct = [], []
     for part in loop.by_step:
-        held = part.at_once @ read
+        inputs = part.at_once @ read
         rows.append(model.C @ of_state + model.D @ part.inputs)
-        direct.append(model.C @ of_held + model.D @ held)
-        of_state, of_held = Phi @ of_state + Gamma @ part.inputs, Phi @ of_held + Gamma @ held
+        direct.append(model.C @ from_readings + model.D @ inputs)
+        of_state, from_readings = Phi @ of_state + Gamma @ part.inputs, Phi @ from_readings + Gamma @ inputs
     return np.concatenate(rows), np.concatenate(direct)
 
 
 def _lasts(transition: Array) -> float:
-    """For how many samples a response goes on; infinite of a loop that does not decay."""
+    """Returns the number of samples after which a response has decayed; infinite if the loop does not decay."""
     growth = sampled_growth(transition)
     if growth >= 1:
         return math.inf
@@ -87,5 +87,5 @@ def _lasts(transition: Array) -> float:
 
 
 def _sum(responses: Array, power: int) -> Array:
-    """Over disturbances: the sum of |response|^power, shape (c,) from (c, q)."""
+    """Returns the sum of |response|^power over disturbances, shape (c,) from (c, q)."""
     return np.sum(np.abs(responses) ** power, axis=1)

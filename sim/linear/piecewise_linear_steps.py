@@ -1,19 +1,19 @@
-"""Steps of the linear vehicle with the curves of its dampers and springs, against which physics is held where these bend.
+"""Steps of the linear vehicle with the curves of its dampers and springs: the reference of physics where these bend.
 
-With xi as in `sim.linear.sampled_response`, y what the forces of `sim.linear.nonlinear_elements` are over, and E what they do to
-the states,
+With xi as in `sim.linear.sampled_response`, y the arguments of the forces of `sim.linear.nonlinear_elements`, and E their effect
+on the states,
 
     xi' = A xi + B u + (A Bw + Br) z_r + E f(y),    y = Y x,    x = xi + Bw z_r.
 
 Over a step u and z_r are held.
 
 Exact. Between two knots of its curves this is linear, and a Taylor series ends below rounding. Where a y passes a knot the step
-is cut there, at the root of its polynomial. What would turn round beyond a knot between two of `LOOKS` looks at a step is passed
-over: that moves a wheel's velocity by 1e-8 of itself. The weight of an adjustable damper whose valve lags is a power series, too,
-and its force the product of two.
+is cut there, at the root of its polynomial. A y that passes a knot and returns between two of `LOOKS` looks at a step is missed:
+that moves a wheel's velocity by 1e-8 of itself. The weight of an adjustable damper whose valve lags is a power series, too, and
+its force the product of two.
 
-As RK4 makes it. Stage by stage, so that it is MuJoCo's own arithmetic, to rounding, of a vehicle that has no geometry; weights
-that lag are states like others.
+RK4. Stage by stage: MuJoCo's own arithmetic, to rounding, for a vehicle without geometry. Weights that lag are further
+states.
 """
 
 import math
@@ -28,18 +28,18 @@ from models.suspension.damper_range import range_of
 from models.vehicle.vehicle import Vehicle
 from sim.linear.nonlinear_elements import Elements, adjustable_inputs, elements, with_dampers
 
-LOOKS = 8  # at a step, for knots that are passed
-MOST_CUTS = 64  # of a step; where a run has gone wild, its knots no longer matter
-SERIES = 1.0  # of a step times the vehicle's rates: where it is more, the step is done in parts
+LOOKS = 8  # per step, evenly spaced, at which passed knots are noticed
+MOST_CUTS = 64  # per step; only diverging runs need more, and their knots no longer matter
+SERIES = 1.0  # step times the vehicle's fastest rate: longer steps are done in parts
 
 
 @dataclass(frozen=True, eq=False)
 class Weights:
-    """Coefficients of k adjustable dampers beyond their nominal ones, of N runs over a step.
+    """Coefficients of k adjustable dampers beyond their nominal ones, for N runs over a step.
 
     Attributes:
-        now: that act at its start [N s/m], shape (N, k).
-        set_to: that are set [N s/m], shape (N, k), the same where no valve lags.
+        now: actual, at the step's start [N s/m], shape (N, k).
+        set_to: commanded [N s/m], shape (N, k), the same if no valve lags.
     """
 
     now: Array
@@ -50,43 +50,43 @@ class CurvedSteps:
     """Steps of N runs of a vehicle with curves, over which forces and the road are held."""
 
     def __init__(self, vehicle: Vehicle, model: LinearModel, timestep: float, exact: bool, dampers: bool = False) -> None:
-        """For a linear model whose first states are the vehicle's; exactly, or as RK4 makes them.
+        """Prepares the steps for a linear model whose first states are the vehicle's.
 
         Args:
             vehicle: the vehicle.
             model: n states, m inputs.
             timestep: [s].
-            exact: whether exactly.
-            dampers: whether its adjustable dampers have weights, in the order of the vehicle's; then on its own model alone.
+            exact: True for exact steps, False for those of RK4.
+            dampers: True if the vehicle's adjustable dampers have weights, in its order; the model must then be its own.
         """
-        one = elements(vehicle, model)
-        self.elements = one = with_dampers(one, vehicle) if dampers else one
+        nonlinear = elements(vehicle, model)
+        self.elements = nonlinear = with_dampers(nonlinear, vehicle) if dampers else nonlinear
         self.exact, self.timestep = exact, timestep
         adjusted = vehicle.adjustable if dampers else ()
-        self.fixed = len(one.curves) - len(adjusted)
-        self.rates = np.array([each.damper.bandwidth or 0.0 for each in adjusted])
-        self.stacked = np.ascontiguousarray(np.vstack([model.A, one.rows]).T)
-        self.n, self.push = len(model.A), np.ascontiguousarray(one.push.T)
+        self.fixed = len(nonlinear.curves) - len(adjusted)
+        self.rates = np.array([adjustable.damper.bandwidth or 0.0 for adjustable in adjusted])
+        self.stacked = np.ascontiguousarray(np.vstack([model.A, nonlinear.rows]).T)
+        self.n, self.push = len(model.A), np.ascontiguousarray(nonlinear.push.T)
         self.of_inputs, self.of_road = model.B.T, (model.A @ model.Bw + model.Br).T
         self.jump = model.Bw.T
-        self._tabulate(one)
+        self._tabulate(nonlinear)
         steepest = np.abs(self.slopes).max(axis=1, initial=0.0)
         if dampers:
             of, some = range_of([adjusted], model.inputs), adjustable_inputs(vehicle)
             steepest[self.fixed :] *= np.maximum(-of.low[0, some], of.high[0, some])
-        self.parts, self.order = _series(model.A, one, steepest, float(self.rates.max(initial=0.0)), timestep)
+        self.parts, self.order = _series(model.A, nonlinear, steepest, float(self.rates.max(initial=0.0)), timestep)
         looks = np.arange(1, LOOKS + 1) / LOOKS
         self.looks = looks, looks[:, None] ** np.arange(self.order + 1)
 
-    def _tabulate(self, one: Elements) -> None:
-        """Knots and slopes of every element, shapes (e, K) and (e, K + 1), and the pieces, all of one width."""
-        count, curves = len(one.curves), [curve for curve in one.curves if curve is not None]
+    def _tabulate(self, nonlinear: Elements) -> None:
+        """Stores knots and slopes of every element, shapes (e, K) and (e, K + 1), and the pieces, padded to one width."""
+        count, curves = len(nonlinear.curves), [curve for curve in nonlinear.curves if curve is not None]
         width = max((len(curve.x) for curve in curves), default=0)
         self.knots = np.full((count, width), np.inf)
         self.low, self.high = np.full((count, width + 1), -np.inf), np.full((count, width + 1), np.inf)
-        self.slopes, self.offsets = np.tile(one.lines[:, None], width + 1), np.zeros((count, width + 1))
+        self.slopes, self.offsets = np.tile(nonlinear.lines[:, None], width + 1), np.zeros((count, width + 1))
         self.pieces = np.zeros((4, count, max((len(curve.pieces.slope) for curve in curves), default=0)))
-        for i, curve in enumerate(one.curves):
+        for i, curve in enumerate(nonlinear.curves):
             if curve is None:
                 continue
             x, slope, force, pieces = curve.x, curve.slopes - curve.slope, curve.pieces.force(curve.x), curve.pieces
@@ -99,7 +99,7 @@ class CurvedSteps:
             self.pieces[:, i, : len(pieces.slope)] = pieces.slope, pieces.start, pieces.low, pieces.high
 
     def beyond(self, states: Array, heights: Array) -> Array:
-        """What the curves add to the output signals, shape (..., p).
+        """Returns the curves' contribution to the output signals, shape (..., p).
 
         Args:
             states: x, shape (..., n).
@@ -108,9 +108,9 @@ class CurvedSteps:
         return self._force(self.over(states, heights)) @ self.elements.outputs.T
 
     def over(self, states: Array, heights: Array) -> Array:
-        """What the forces are over, shape (..., e), from the same."""
-        one = self.elements
-        return (states - heights @ self.jump) @ one.rows.T + heights @ one.of_road.T
+        """Returns the arguments y of the forces, shape (..., e). Arguments as for `beyond`."""
+        nonlinear = self.elements
+        return (states - heights @ self.jump) @ nonlinear.rows.T + heights @ nonlinear.of_road.T
 
     def _force(self, y: Array) -> Array:
         slope, start, low, high = self.pieces
@@ -119,14 +119,14 @@ class CurvedSteps:
     def __call__(
         self, xi: Array, inputs: Array, heights: Array, pushed: Array | None = None, weights: Weights | None = None
     ) -> Array:
-        """xi after a step, shape (N, n).
+        """Returns xi after a step, shape (N, n).
 
         Args:
             xi: before it, shape (N, n).
             inputs: held, shape (N, m).
             heights: of the road, held [m], shape (N, r).
-            pushed: what loads, held, add to xi', shape (N, n); None for nothing.
-            weights: of the adjustable dampers, where they have some.
+            pushed: contribution of held loads to xi', shape (N, n), or None.
+            weights: of the adjustable dampers, if they have weights.
         """
         constant, offset = inputs @ self.of_inputs + heights @ self.of_road, heights @ self.elements.of_road.T
         if pushed is not None:
@@ -138,21 +138,21 @@ class CurvedSteps:
         return self._rk4(xi, constant, offset, weights)
 
     def after(self, weights: Weights) -> Array:
-        """The weights at the end of a step, shape (N, k)."""
+        """Returns the weights at the end of a step, shape (N, k)."""
         if self.exact:
             return weights.set_to + (weights.now - weights.set_to) * np.exp(-self.rates * self.timestep)
         z = self.rates * self.timestep
         return weights.now + z * (1 - z / 2 * (1 - z / 3 * (1 - z / 4))) * (weights.set_to - weights.now)
 
     def _stages(self, weights: Weights | None) -> list[Array | None]:
-        """The weights of every element in the four stages of RK4, shapes (N, e); None where all are 1."""
+        """Returns the weights of every element in the four stages of RK4, shapes (N, e), or None for weights of 1."""
         if weights is None:
             return [None] * 4
-        h, now, found = self.timestep, weights.now, []
+        h, now, stages = self.timestep, weights.now, []
         for share in (0.5, 0.5, 1.0, 0.0):
-            found.append(np.concatenate([np.ones((len(now), self.fixed)), now], axis=1))
+            stages.append(np.concatenate([np.ones((len(now), self.fixed)), now], axis=1))
             now = weights.now + share * h * self.rates * (weights.set_to - now)
-        return found
+        return stages
 
     def _rk4(self, xi: Array, constant: Array, offset: Array, weights: Weights | None) -> Array:
         def rate(at: Array, weight: Array | None) -> Array:
@@ -169,7 +169,7 @@ class CurvedSteps:
         return xi + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
     def _exactly(self, xi: Array, constant: Array, offset: Array, weights: Weights | None, start: float) -> Array:
-        """Over the part of a step that starts there [s]."""
+        """Returns xi after the part of a step that begins at `start` [s]."""
         y = xi @ self.stacked[:, self.n :] + offset
         where = (y[..., None] > self.knots).sum(axis=-1)
         every, length = np.arange(where.shape[1]), self.timestep / self.parts
@@ -197,27 +197,29 @@ class CurvedSteps:
         return result
 
     def _moving(self, weights: Weights, some: Array, since: Array, length: Array) -> Array:
-        """Weights of every element as power series in shares of these lengths of time, shape (order + 1 or 1, N, e).
+        """Returns the weights of every element as power series in shares of these lengths of time, shape (order + 1 or 1, N, e).
 
         Args:
             weights: over the step.
-            some: which runs, N of them.
-            since: how long after the step's start their series begin [s], shape (N,).
+            some: indices of the N runs.
+            since: start of their series after the step's start [s], shape (N,).
             length: [s], shape (N,).
         """
         far = (weights.now - weights.set_to)[some] * np.exp(-self.rates * since[:, None])
         count = self.order + 1 if self.rates.any() else 1
-        found = np.zeros((count, len(some), len(self.elements.curves)))
-        found[0, :, : self.fixed], found[0, :, self.fixed :] = 1.0, weights.set_to[some] + far
+        series = np.zeros((count, len(some), len(self.elements.curves)))
+        series[0, :, : self.fixed], series[0, :, self.fixed :] = 1.0, weights.set_to[some] + far
         for j in range(1, count):
             far = far * (-self.rates * length[:, None] / j)
-            found[j, :, self.fixed :] = far
-        return found
+            series[j, :, self.fixed :] = far
+        return series
 
     def _expand(
         self, xi: Array, constant: Array, offset: Array, where: Array, length: Array, weights: Array | None
     ) -> tuple[Array, Array]:
-        """Taylor series in shares of these lengths of time [s], (order + 1, N, n) of xi and (order + 1, N, e) of y."""
+        """Returns Taylor series in shares of these lengths of time [s]: xi, shape (order + 1, N, n), and y, shape (order + 1, N,
+        e).
+        """
         every = np.arange(where.shape[1])
         slopes, offsets = self.slopes[every, where], self.offsets[every, where]
         series, values = np.empty((self.order + 1, *xi.shape)), np.empty((self.order + 1, *where.shape))
@@ -241,17 +243,17 @@ class CurvedSteps:
         return series, values
 
 
-def _series(A: Array, one: Elements, steepest: Array, rate: float, timestep: float) -> tuple[int, int]:
-    """In how many parts a step is done, and after how many terms its series ends below rounding.
+def _series(A: Array, nonlinear: Elements, steepest: Array, rate: float, timestep: float) -> tuple[int, int]:
+    """Returns the number of parts of a step, and the order at which the series of a part ends below rounding.
 
     Args:
         A: of the linear model.
-        one: what has curves.
-        steepest: how much of its argument the force of each can be, shape (e,).
+        nonlinear: the elements.
+        steepest: largest ratio of force to argument of each, shape (e,).
         rate: of the fastest valve [rad/s].
         timestep: [s].
     """
-    worst = np.abs(A) + np.abs(one.push) @ (steepest[:, None] * np.abs(one.rows))
+    worst = np.abs(A) + np.abs(nonlinear.push) @ (steepest[:, None] * np.abs(nonlinear.rows))
     balanced = np.asarray(linalg.matrix_balance(worst, permute=False)[0])
     size = (float(np.linalg.norm(balanced, 2)) + rate) * timestep
     parts = max(1, math.ceil(size / SERIES))
@@ -260,21 +262,23 @@ def _series(A: Array, one: Elements, steepest: Array, rate: float, timestep: flo
 
 
 def _first_leave(values: Array, out: Array, looks: Array, low: Array, high: Array) -> tuple[float, int, int]:
-    """When, as a share of the time, an element first leaves its segment, which it is, and on which side."""
+    """Returns the first departure of an element from its segment: the share of the time, the element and the side."""
     first = int(out.any(axis=1).argmax())
-    found = (2.0, 0, 0)
+    first_departure = (2.0, 0, 0)
     for element in np.flatnonzero(out[first]).tolist():
         line = values[::-1, element]
         end = float(looks[first])
         side = 1 if np.polyval(line, end) > high[element] else -1
         bound = high[element] if side > 0 else low[element]
         share = _root(line, float(looks[first - 1]) if first else 0.0, end, float(bound), side)
-        found = min(found, (share, element, side))
-    return found
+        first_departure = min(first_departure, (share, element, side))
+    return first_departure
 
 
 def _root(line: Array, start: float, end: float, bound: float, side: int) -> float:
-    """Where a polynomial, its highest power first, passes a bound between two places, at the first of which it may be on it."""
+    """Returns the point at which a polynomial, highest power first, passes a bound between two points; it may begin on the
+    bound.
+    """
 
     def past(at: float) -> float:
         return side * (float(np.polyval(line, at)) - bound)

@@ -6,9 +6,9 @@ everything on the right but xi is constant:
 
     xi[k+1] = Phi xi[k] + Gamma [u[k]; z_r(t_k + h/2)],    x[k] = xi[k] + Bw z_r(t_k),    u[k] = K C_y x[k].
 
-Where a damper or a spring has a curve, every step is as in `sim.linear.nonlinear_elements`, and the rest stays.
+If a damper or a spring has a curve, every step is as in `sim.linear.nonlinear_elements`, and the rest stays.
 
-Loads f on the body (`models/roads/load.py`) are held over a step as the road is, at what they are midway through it, and enter as
+Loads f on the body (`models/roads/load.py`) are held over a step at their midpoint values, as the road is, and enter as
 u does, with Bl in the place of B. A law with states, and a measured acceleration, make the vehicle larger
 (`synth/controller/open_loop.py`), and the formulas stay as they are.
 
@@ -19,9 +19,9 @@ Continuous. x' = A_G x + Bw z_r'(t) + Br z_r(t) with A_G = A + B K C_y. Over a s
 by Gauss-Legendre quadrature with 8 nodes: exact to rounding for a smooth road. A step that holds a kink of the road is cut there.
 
 Rounding moves signals whatever the road. MuJoCo holds a vehicle up by lengths of about a metre, rounded to 1e-16 of it, and
-forces of its whole weight that balance. What that makes of a signal is the same over a bump of a decimetre and over one of a
-micrometre. It is as if every length among the states were shaken by a few roundings: then velocities are by that times the
-vehicle's fastest rate, and what is read out of both follows from the linear model.
+by balanced forces of its whole weight. The error of a signal is the same over a bump of a decimetre and of a micrometre. The
+model of it: every length among the states moves by a few roundings, every velocity by that times the vehicle's fastest rate.
+The outputs follow from the linear model.
 """
 
 import itertools
@@ -46,24 +46,24 @@ from synth.plant.discrete import held_inputs
 
 LENGTH = 16 * float(np.finfo(float).eps)  # m or rad; measured over roads of 1e-9 m: up to 5e-16 m, in 20000 steps
 LENGTHS = ("m", "rad")
-RATES = 400  # at which a law is asked what it makes of a measurement
+RATES = 400  # number of frequencies at which a law's gain is evaluated
 
 
 def roundings(vehicle: Vehicle, controller: Controller | None) -> dict[str, float]:
-    """How far rounding moves every output signal [the signal's unit], at most; without a controller, under given forces."""
+    """Bounds the effect of rounding on every output signal [the signal's unit]; without a controller, under given forces."""
     model = vehicle.linear_model
     rate, shaken = _shaken(vehicle)
     if controller is None:
         return dict(zip(model.outputs, (np.abs(model.C) @ shaken).tolist(), strict=True))
     gain = _most_asked(controller.law_on_states(vehicle), rate) @ np.abs(model.rows(controller.measured)[0])
-    if controller.law.states:  # it may ask for far more than a static gain would, and what it asks for moves the states
+    if controller.law.states:  # its forces may far exceed those of a static gain, and move the states
         shaken = shaken + np.abs(model.B) @ (gain @ shaken) / rate
     moved = np.abs(model.C) @ shaken + np.abs(model.D) @ (gain @ shaken)
     return dict(zip(model.outputs, moved.tolist(), strict=True))
 
 
 def grown(rounding: Mapping[str, float], model: LoopModel, samples: int) -> dict[str, float]:
-    """The same in a run of an unstable loop: rounding grows there, in each signal as far as the loop carries it.
+    """Returns the roundings in a run of an unstable loop, where they grow in each signal as the loop propagates them.
 
     Args:
         rounding: see `roundings`.
@@ -83,33 +83,33 @@ def grown(rounding: Mapping[str, float], model: LoopModel, samples: int) -> dict
 
 
 def _shaken(vehicle: Vehicle) -> tuple[float, Array]:
-    """The fastest rate [rad/s], and how far rounding shakes every state, shape (n,)."""
+    """Returns the fastest rate [rad/s], and the effect of rounding on every state, shape (n,)."""
     model, kind = vehicle.linear_model, vehicle.kind
     rate = float(np.abs(np.linalg.eigvals(model.A)).max())
     return rate, np.array([LENGTH if kind.signal(name).unit in LENGTHS else rate * LENGTH for name in model.states])
 
 
 def _most_asked(law: LinearLaw, fastest: float) -> Array:
-    """The most that a law makes of each measurement, at whatever rate up to twice that of the vehicle [rad/s], shape (m, q)."""
+    """Returns a law's largest gain on each measurement, at any rate up to twice that of the vehicle [rad/s], shape (m, q)."""
     if not law.states:
         return np.abs(law.D)
     s = 1j * np.concatenate([[0.0], np.geomspace(1e-4, 2.0, RATES) * fastest])[:, None, None]
-    steady = np.linalg.lstsq(-law.A, law.B)[0][None]  # an integrator asks for what it has come to
+    steady = np.linalg.lstsq(-law.A, law.B)[0][None]  # an integrator has an output at rest
     moving = np.linalg.solve(s[1:] * np.eye(law.states) - law.A, np.broadcast_to(law.B.astype(complex), (RATES, *law.B.shape)))
     return np.abs(law.C @ np.concatenate([steady, moving]) + law.D).max(axis=0)
 
 
-SLOWEST_RATE = 1e-12  # rad/s; a mode that is slower does not move within any run, and a step for it would be beyond numbers
+SLOWEST_RATE = 1e-12  # rad/s; a slower mode does not move within any run, and the step for it would overflow
 
 
 def taylor4(M: Array) -> Array:
-    """What RK4 makes of the matrix exponential: its Taylor polynomial of degree 4. For a linear system RK4 is exactly that."""
+    """Returns RK4's matrix exponential: the Taylor polynomial of degree 4. For a linear system RK4 is exactly that."""
     identity = np.eye(len(M))
     return identity + M @ (identity + M / 2 @ (identity + M / 3 @ (identity + M / 4)))
 
 
 def sampled_response(loop: LoopModel, road: RoadInput, exponential: Callable[[Array], Array] = linalg.expm) -> Response:
-    """The response of the sampled loop, from rest.
+    """Returns the response of the sampled loop, from rest.
 
     Args:
         loop: at the timestep of the road's samples.
@@ -122,56 +122,60 @@ def sampled_response(loop: LoopModel, road: RoadInput, exponential: Callable[[Ar
 def sampled_responses(
     loop: LoopModel, roads: Sequence[RoadInput], exponential: Callable[[Array], Array] = linalg.expm
 ) -> Response:
-    """The responses to N roads side by side, values of shape (N, T, S). Arguments as for `sampled_response`.
+    """Returns the responses to N roads side by side, values of shape (N, T, S). Arguments as for `sampled_response`.
 
     Signals are the vehicle's and, after them, the states of the law, each as it was at the law's last sample.
     """
     vehicle, controller, h, period, cut = loop.vehicle, loop.controller, loop.timestep, loop.steps, loop.open_loop
     how, model, time = vehicle.implementation, cut.model, roads[0].time
-    loads = np.stack([each.held_loads for each in roads]) if any(each.loaded for each in roads) else None
+    loads = np.stack([road.held_loads for road in roads]) if any(road.loaded for road in roads) else None
     outside = [] if loads is None else [model.Bl]
     Phi, Gamma, Gamma_r, *Gamma_l = held_inputs(model.A, h, exponential, model.B, model.A @ model.Bw + model.Br, *outside)
-    now, midway = np.stack([each.heights for each in roads]), np.stack([each.midway for each in roads])
+    now, midway = np.stack([road.heights for road in roads]), np.stack([road.midway for road in roads])
 
     measured = [model.outputs.index(name) for name in controller.measured]
-    jump, push = now @ model.Bw.T, midway @ Gamma_r.T  # x - xi, and what the road does to xi
+    jump, push = now @ model.Bw.T, midway @ Gamma_r.T  # x - xi, and the road's effect on xi
     steps = None
     if is_curved(vehicle):
         from sim.linear.piecewise_linear_steps import CurvedSteps
 
         steps = CurvedSteps(vehicle, model, h, exact=exponential is not taylor4)
-    felt = None  # of loads, by way of accelerations: what they add to the forces asked for and to the rates of what is kept
+    through_readings = (
+        None  # effect of loads, by measured accelerations, on requested forces and on the rates of the law's states
+    )
     if loads is not None:
         push += loads @ Gamma_l[0].T
         # A reading is taken before a new load acts, as before a new force does.
-        felt = np.concatenate([np.zeros_like(loads[:, :1]), loads[:, :-1]], axis=1) @ readings_of_loads(cut, controller).T
+        through_readings = (
+            np.concatenate([np.zeros_like(loads[:, :1]), loads[:, :-1]], axis=1) @ readings_of_loads(cut, controller).T
+        )
     if how.prompt and steps is None:
         G = cut.inputs(cut.asked)
-        if felt is not None:
-            felt = np.swapaxes(cut.inputs(*np.split(np.swapaxes(felt, 1, 2), [cut.forces], axis=1)), 1, 2)
-            push += felt @ Gamma.T
+        if through_readings is not None:
+            through_readings = np.swapaxes(cut.inputs(*np.split(np.swapaxes(through_readings, 1, 2), [cut.forces], axis=1)), 1, 2)
+            push += through_readings @ Gamma.T
         states = recursion(Phi + Gamma @ G, push + jump @ (Gamma @ G).T) + jump
         inputs = states @ G.T
-        if felt is not None:
-            inputs += felt
+        if through_readings is not None:
+            inputs += through_readings
     else:
         states, inputs = np.zeros_like(jump), np.zeros((*jump.shape[:2], model.B.shape[1]))
-        # By the sample at which they are computed, after as many as were on their way before the first.
+        # Indexed by the sample that computes them, behind those that were pending before the first sample.
         computed = np.zeros((len(time) // period + 1 + how.waiting, len(roads), cut.forces))
-        xi, acting, held = np.zeros((len(roads), len(model.A))), [], steps_held(how, h)
+        xi, acting, intervals = np.zeros((len(roads), len(model.A))), [], steps_held(how, h)
         for k in range(len(time)):
             states[:, k] = xi + jump[:, k]
             if k % period == 0:
                 newest = k // period + how.waiting
                 computed[newest], kept = states[:, k] @ cut.asked.T, cut.kept @ states[:, k].T
-                more = [] if felt is None else [felt[:, k]]
+                more = [] if through_readings is None else [through_readings[:, k]]
                 if steps is not None:  # accelerations that are measured have the curves' forces in them
                     more.append(steps.beyond(states[:, k], now[:, k])[:, measured] @ cut.reading.T)
-                for one in more:
-                    computed[newest], kept = computed[newest] + one[:, : cut.forces], kept + one[:, cut.forces :].T
-                forces = [computed[newest - late].T for _, late in held]
-                of_parts = [cut.inputs(one, kept, forces[-1]).T for one in forces]
-                acting = [one for (steps, _), one in zip(held, of_parts, strict=True) for _ in range(steps)]
+                for term in more:
+                    computed[newest], kept = computed[newest] + term[:, : cut.forces], kept + term[:, cut.forces :].T
+                forces = [computed[newest - late].T for _, late in intervals]
+                of_parts = [cut.inputs(force, kept, forces[-1]).T for force in forces]
+                acting = [part for (count, _), part in zip(intervals, of_parts, strict=True) for _ in range(count)]
             inputs[:, k] = acting[k % period]
             if steps is None:
                 xi = xi @ Phi.T + inputs[:, k] @ Gamma.T + push[:, k]
@@ -188,36 +192,38 @@ def sampled_responses(
 
 
 def continuous_response(loop: LoopModel, road: RoadInput) -> Response:
-    """The response of the continuous closed loop (16), from rest. Arguments as for `sampled_response`."""
+    """Returns the response of the continuous closed loop (16), from rest. Arguments as for `sampled_response`."""
     controller, cut = loop.controller, loop.continuous
     model, G = cut.model, cut.G
     A = model.A + model.B @ G
 
-    forcing, felt, loads = road_forcing(A, model, road), None, None
+    forcing, through_readings, loads = road_forcing(A, model, road), None, None
     if road.loaded:
-        felt, loads = readings_of_loads(cut, controller), road.loads
-        forcing += load_forcing(A, model.Bl + model.B @ felt, road)
+        through_readings, loads = readings_of_loads(cut, controller), road.loads
+        forcing += load_forcing(A, model.Bl + model.B @ through_readings, road)
     states = recursion(linalg.expm(A * loop.timestep), forcing)
     inputs = states @ G.T
-    if loads is not None and felt is not None:
-        inputs += loads @ felt.T
+    if loads is not None and through_readings is not None:
+        inputs += loads @ through_readings.T
     response = response_of(model, road, states, inputs, 0.0 if loads is None else loads @ model.Dl.T)
     return _with_kept(response, controller.law.of_state(None) * states[:, cut.law_states])
 
 
 def _with_kept(response: Response, kept: Array) -> Response:
-    """A response with the states of a law after the vehicle's signals, shape (..., T, k)."""
+    """Returns a response with the states of a law after the vehicle's signals, shape (..., T, k)."""
     return response.beside(kept_signals(range(1, kept.shape[-1] + 1)), kept)
 
 
 def readings_of_loads(cut: Controlled, controller: Controller) -> Array:
-    """What loads add to all inputs by way of measured accelerations, before what acts adds to rates, shape (m + k, l)."""
+    """Returns the effect of loads on all inputs by measured accelerations, shape (m + k, l), before forces add to the laws'
+    rates.
+    """
     rows = [cut.model.outputs.index(name) for name in controller.measured]
     return cut.reading @ cut.model.Dl[rows]
 
 
 def road_forcing(A: Array, model: LinearModel, met: RoadInput) -> Array:
-    """What a road adds to the states of x' = A x + ... over the step from each of its samples, shape (T, n)."""
+    """Returns the contribution of a road to the states of x' = A x + ... over the step from each of its samples, shape (T, n)."""
     road, vehicle = met.road, met.vehicle
 
     def push(t: Array) -> Array:
@@ -228,12 +234,14 @@ def road_forcing(A: Array, model: LinearModel, met: RoadInput) -> Array:
 
 
 def load_forcing(A: Array, Bl: Array, met: RoadInput) -> Array:
-    """What the loads of a road add likewise, by way of Bl, shape (n, l)."""
+    """Returns the contribution of a road's loads over the same steps, through Bl, shape (n, l)."""
     return _forcing(A, lambda t: met.road.loads(met.vehicle, t) @ Bl.T, np.array(met.road.load_kinks), met.time)
 
 
 def _forcing(A: Array, push: Callable[[Array], Array], kinks: Array, time: Array) -> Array:
-    """What x' = A x + push(t) gains over the step from each of these times [s], shape (T, n); cut at kinks [s]."""
+    """Returns the integral of push(t) in x' = A x + push(t) over the step from each of these times [s], shape (T, n); cut at
+    kinks [s].
+    """
     h = float(time[1] - time[0])
     forcing = _convolution(A, push, time, h)
     for k in np.unique(np.floor((kinks - time[0]) / h).astype(int)):
@@ -248,7 +256,7 @@ def _forcing(A: Array, push: Callable[[Array], Array], kinks: Array, time: Array
 
 
 def _convolution(A: Array, push: Callable[[Array], Array], start: Array, h: float) -> Array:
-    """Integral of exp(A (h - s)) push(start + s) ds over 0..h, shape (T, n), for start times of shape (T,)."""
+    """Returns the integral of exp(A (h - s)) push(start + s) ds over 0..h, shape (T, n), for start times of shape (T,)."""
     nodes, weights = np.polynomial.legendre.leggauss(8)
     total = np.zeros((len(start), len(A)))
     for s, weight in zip(h * (nodes + 1) / 2, h * weights / 2, strict=True):
@@ -257,7 +265,7 @@ def _convolution(A: Array, push: Callable[[Array], Array], start: Array, h: floa
 
 
 def recursion(Phi: Array, forcing: Array) -> Array:
-    """x[k+1] = Phi x[k] + forcing[k] from x[0] = 0, shape (..., T, n) like the forcing."""
+    """Returns x[k+1] = Phi x[k] + forcing[k] from x[0] = 0, shape (..., T, n) like the forcing."""
     states = np.zeros_like(forcing)
     x, transposed = states[..., 0, :], np.ascontiguousarray(Phi.T)
     with np.errstate(over="ignore", invalid="ignore"):  # an unstable loop may overflow; the run says so
@@ -274,14 +282,14 @@ def response_of(
     beyond: Array | float = 0.0,
     beside: Mapping[str, Array] | None = None,
 ) -> Response:
-    """Every signal of the vehicle from the states and inputs of a model of it over time, shapes (T, n) and (T, m).
+    """Returns all signals of the vehicle from the states and inputs of its model over time, shapes (T, n) and (T, m).
 
     Args:
         model: the vehicle's own, or a larger one that has its states and inputs first.
         road: what the vehicle meets.
         states, inputs: over time.
-        beyond: what curves and loads add to the outputs, shape (T, p), or 0.
-        beside: signals that are no outputs of the model, of shape (T,); None for what its dampers would be for these inputs.
+        beyond: contribution of curves and loads to the outputs, shape (T, p), or 0.
+        beside: signals that are no outputs of the model, of shape (T,), or None for the damper signals of these inputs.
     """
     vehicle, z_r, w = road.vehicle, road.heights, road.velocities
     if beside is None and vehicle.dampers:
@@ -299,9 +307,9 @@ def response_of(
 
 
 def largest_timestep(vehicle: Vehicle) -> float:
-    """The step [s] above which RK4 itself is unstable on the vehicle without control, to 1 %; infinite where nothing moves.
+    """Returns the step [s] above which RK4 is unstable on the vehicle without control, to 1 %; infinite if nothing moves.
 
-    Of adjustable dampers, with the softest and the hardest, and with the lag of their valves.
+    Adjustable dampers count at their softest and hardest, and with the lag of their valves.
     """
     A, forces = vehicle.linear_model.A, vehicle.linear_model.inputs
     systems = [A]
@@ -310,15 +318,15 @@ def largest_timestep(vehicle: Vehicle) -> float:
         from sim.linear.dampers import stretching
 
         of, V = range_of([vehicle.adjustable], forces), stretching(vehicle)
-        steepest = {one.force: one.steepest - one.nominal for one in vehicle.adjustable}
+        steepest = {adjustable.force: adjustable.steepest - adjustable.nominal for adjustable in vehicle.adjustable}
         firm = np.array([steepest.get(force, 0.0) for force in forces])
-        systems += [A - (vehicle.linear_model.B * one) @ V for one in (np.where(of.adjustable, of.low[0], 0.0), firm)]
-        systems += [np.array([[-one.bandwidth]]) for one in vehicle.dampers.values() if one.bandwidth is not None]
+        systems += [A - (vehicle.linear_model.B * d) @ V for d in (np.where(of.adjustable, of.low[0], 0.0), firm)]
+        systems += [np.array([[-damper.bandwidth]]) for damper in vehicle.dampers.values() if damper.bandwidth is not None]
     return min(_largest_timestep(system) for system in systems)
 
 
 def _largest_timestep(A: Array) -> float:
-    """The same of x' = A x."""
+    """Returns the largest stable step of RK4 on x' = A x [s]."""
     rate = float(np.abs(np.linalg.eigvals(A)).max())
     if rate <= SLOWEST_RATE:
         return math.inf

@@ -5,12 +5,12 @@ velocities of the suspensions, u = -d V x (-d h(V x) with two curves), so that o
 
     xi' = (A - B diag(d) V) xi + (A Bw + Br) z_r,    x = xi + Bw z_r,
 
-with the road held midway, and loads on the body as in `sim.linear.sampled_response`: a matrix exponential. At every sample of the
-controller it decides d anew, from this response alone. Where a valve lags, d(t) goes to what was decided exponentially, and xi is
+with the road held midway, and loads on the body as in `sim.linear.sampled_response`: a matrix exponential. At every sample the
+controller decides d anew, from this response alone. If a valve lags, d(t) approaches the decision exponentially, and xi is
 a power series in time, taken to rounding. With curves of dampers and springs a step is as in `sim.linear.piecewise_linear_steps`.
 
-A decision that is a switch can differ between physics and this response by rounding. Then that of physics is played, here, if a
-change of what it was decided on as small as the two may differ by makes the controller decide so; and this is said.
+A decision that is a switch can differ between physics and this response by rounding. The response then follows physics, if a
+change of the compared signals within that rounding makes the controller decide so. Such samples are listed.
 """
 
 from collections.abc import Callable
@@ -36,61 +36,61 @@ from sim.response.response import Response
 from synth.controller.controller import Controller
 from synth.plant.discrete import held_inputs
 
-OTHERWISE = 1e-4  # of a damper's range: two coefficients that are further apart were decided otherwise
-VELOCITY = "velocity"  # of the suspensions, which are no signal
-NEAREST = 1e-13  # of what is decided on; double precision has no nearer
+OTHERWISE = 1e-4  # of a damper's range: coefficients that differ by more are different decisions
+VELOCITY = "velocity"  # key of the suspensions' velocities, which are no signal
+NEAREST = 1e-13  # relative to the compared signals: the resolution of double precision
 
 
 @dataclass(frozen=True)
-class Otherwise:
-    """A sample at which physics and its reference decided otherwise, as rounding had it.
+class DecisionMismatch:
+    """Sample at which physics and the reference decide differently, by rounding.
 
     Attributes:
         time: of the sample [s].
-        force: which damper's.
-        near: how much of their peaks at most the numbers on which it was decided would have to be others, for the other decision.
+        force: force of the damper.
+        margin: smallest change of the compared signals, relative to their peaks, that reverses the decision.
     """
 
     time: float
     force: str
-    near: float
+    margin: float
 
 
 class Decisions:
-    """What the controller of one run decides, sample by sample.
+    """Decisions of the controller of one run, sample by sample.
 
     Attributes:
-        of: what the dampers can be.
+        of: range of the dampers.
         kept: the states of the controller at its last sample, shape (k,).
     """
 
     def __init__(
         self, vehicle: Vehicle, controller: Controller | SemiActive, period: float, near: float, peaks: Callable[[str], float]
     ) -> None:
-        """For a controller that samples every so many seconds.
+        """Prepares a controller that samples with this period.
 
         Args:
             vehicle: the vehicle.
             controller: its controller.
             period: [s].
-            near: how near a decision has to be to another one for rounding to make it that, see `Otherwise`.
+            near: largest margin that is attributed to rounding, see `DecisionMismatch.margin`.
             peaks: the peak of a signal, or of "velocity", that of the suspensions.
         """
         self.forces, self._near = vehicle.linear_model.inputs, near
         self.of = range_of([vehicle.adjustable], self.forces)
         self._law = controller.law.sampled(period) if isinstance(controller, Controller) else controller.law
         states = self._law.states if isinstance(self._law, LinearLaw) else 0
-        self._nominal = np.array([one.nominal for one in vehicle.adjustable])
+        self._nominal = np.array([adjustable.nominal for adjustable in vehicle.adjustable])
         self._numbers = numbers_of(self._law, [vehicle]) if isinstance(self._law, SemiActiveLaw) else None
         self.kept, self._next = np.zeros(states), np.zeros(states)
         self._scales = np.array([peaks(name) for name in controller.measured] + [peaks(VELOCITY)] * len(self.forces))
         self._largest = np.zeros(states)
 
     def __call__(self, y: Array, velocity: Array) -> Array:
-        """The commands (see `Range.commands`) at the next sample, shape (2 m,).
+        """Returns the commands (see `Range.commands`) at the next sample, shape (2 m,).
 
         Args:
-            y: what is measured, shape (q,).
+            y: measurements, shape (q,).
             velocity: of the suspensions [m/s], shape (m,).
         """
         self.kept = self._next
@@ -100,55 +100,56 @@ class Decisions:
         return self._decided(np.concatenate([y, velocity])[None], self.kept[None])[0]
 
     def nearness(self, y: Array, velocity: Array, other: Array) -> Array:
-        """How near each decision just made was to others, see `Otherwise.near`; infinite beyond what is allowed, shape (m,).
+        """Returns the margin of the last decision to another one, see `DecisionMismatch.margin`; infinite beyond the allowed one, shape
+        (m,).
 
         Args:
-            y, velocity: on which it was made.
+            y, velocity: measurements and velocities of that decision.
             other: coefficients beyond the nominal ones, shape (m,).
         """
         seen, m = np.concatenate([y, velocity, self.kept]), len(self.forces)
         moves = np.concatenate([self._scales, self._largest])
         rows = np.concatenate([np.diag(moves), -np.diag(moves)])
-        found, epsilon = np.full(m, np.inf), NEAREST
+        margins, epsilon = np.full(m, np.inf), NEAREST
         while epsilon <= self._near * (1 + 1e-9):
             tried = seen + epsilon * rows
             split = len(y) + m
             decided = self._decided(tried[:, :split], tried[:, split:])[:, :m]
             slack = OTHERWISE * np.where(self.of.adjustable, self.of.high[0] - self.of.low[0], 0.0)
             within = (decided.min(axis=0) - slack <= other) & (other <= decided.max(axis=0) + slack)
-            found = np.where(within & np.isinf(found), epsilon, found)
+            margins = np.where(within & np.isinf(margins), epsilon, margins)
             epsilon *= 10
-        return found
+        return margins
 
     def _decided(self, seen: Array, kept: Array) -> Array:
-        """Commands from what is measured and the velocities, shape (P, q + m), and the states, shape (P, k)."""
+        """Returns the commands from measurements and velocities, shape (P, q + m), and states, shape (P, k)."""
         m, which = len(self.forces), np.zeros(len(seen), dtype=int)
         closing = np.where(self.of.adjustable, -seen[:, -m:], 0.0) + self.of.at_rest
         if not isinstance(self._law, LinearLaw):
             assert self._numbers is not None, "of a semi-active law"
             numbers = numbers_at(self._numbers.some(which), self.of, closing, which)
-            asked = self._law.coefficients(seen[:, :-m], numbers) - self._nominal
-            return self.of.set_to(asked, closing, which)
-        asked = seen[:, :-m] @ self._law.D.T + kept @ self._law.C.T
-        return self.of.commands(np.concatenate([asked, closing], axis=-1), which)
+            requested = self._law.coefficients(seen[:, :-m], numbers) - self._nominal
+            return self.of.set_to(requested, closing, which)
+        requested = seen[:, :-m] @ self._law.D.T + kept @ self._law.C.T
+        return self.of.commands(np.concatenate([requested, closing], axis=-1), which)
 
 
-MOST_KEPT = 256  # steps of as many coefficients are kept; a law that switches has few
+MOST_KEPT = 256  # cached matrices of steps, one per set of coefficients; a law that switches has few
 MOST_TERMS = 60  # of a power series over a step, whose terms fall from the tenth on
 
 
 @dataclass(frozen=True, eq=False)
 class Switched:
-    """A response of a vehicle with adjustable dampers.
+    """Response of a vehicle with adjustable dampers.
 
     Attributes:
         states: of the vehicle, shape (T, n).
-        inputs: what acts on it beyond the nominal dampers [N], shape (T, m).
-        beyond: coefficients that act, beyond the nominal ones [N s/m], 0 of actuators that push, shape (T, m).
-        missing: forces that were asked for and are not given [N], shape (T, m).
-        outside: what curves and loads add to the output signals, shape (T, p).
+        inputs: forces beyond those of the nominal dampers [N], shape (T, m).
+        beyond: actual coefficients beyond the nominal ones [N s/m], 0 for force actuators, shape (T, m).
+        missing: requested minus actual forces [N], shape (T, m).
+        outside: contribution of curves and loads to the output signals, shape (T, p).
         kept: states of the controller at its last sample, shape (T, k).
-        otherwise: where physics decided otherwise, as rounding had it, and was followed.
+        otherwise: samples at which the response follows a different decision of physics.
     """
 
     states: Array
@@ -157,24 +158,24 @@ class Switched:
     missing: Array
     outside: Array
     kept: Array
-    otherwise: tuple[Otherwise, ...]
+    otherwise: tuple[DecisionMismatch, ...]
 
 
 def switched(
     road: RoadInput,
     decisions: Decisions | None,
-    made: Array,
+    commands: Array,
     measured: tuple[str, ...] = (),
     as_rk4: bool = False,
 ) -> Switched:
-    """The response from rest.
+    """Returns the response from rest.
 
     Args:
         road: what the vehicle meets.
-        decisions: what its controller decides; None where the commands are known.
-        made: those commands, shape (T, 2 m), see `Range.commands`; with decisions, those that physics was given.
+        decisions: those of its controller, or None if the commands are known.
+        commands: known commands, shape (T, 2 m), see `Range.commands`; with decisions, those of physics.
         measured: by the controller.
-        as_rk4: whether it is that of RK4's own arithmetic.
+        as_rk4: True for RK4's own arithmetic.
     """
     vehicle, time, h = road.vehicle, road.time, road.timestep
     model, how = vehicle.linear_model, vehicle.implementation
@@ -184,8 +185,8 @@ def switched(
     V, jump = stretching(vehicle), road.heights @ model.Bw.T
     midway, loads = road.midway, road.held_loads
     index = [model.outputs.index(name) for name in measured]
-    felt = np.concatenate([np.zeros_like(loads[:1]), loads[:-1]]) @ model.Dl[index].T
-    bent = any(one.pair is not None for one in vehicle.dampers.values())
+    load_outputs = np.concatenate([np.zeros_like(loads[:1]), loads[:-1]]) @ model.Dl[index].T
+    bent = any(damper.pair is not None for damper in vehicle.dampers.values())
     step: _Steps = (_CurvedStep if bent or is_curved(vehicle) else _Step)(
         vehicle, h, as_rk4, midway, loads if road.loaded else None
     )
@@ -193,22 +194,24 @@ def switched(
     kept = np.zeros((len(time), len(decisions.kept) if decisions is not None else 0))
     dampers = np.array([force in vehicle.dampers for force in model.inputs])
     waiting: list[tuple[int, Array]] = []
-    otherwise: list[Otherwise] = []
+    otherwise: list[DecisionMismatch] = []
     xi, acting, command = np.zeros(len(model.A)), np.zeros(m), np.zeros(2 * m)
     for k in range(len(time)):
         x = xi + jump[k]
         v = V @ x
         moved = bent_velocities(vehicle, v) if bent else v
         if decisions is None:
-            command = made[k]
+            command = commands[k]
         else:
             if k % period == 0:
-                y = C @ x + D @ np.where(dampers, -acting * moved, command[:m])  # a reading has in it what has acted until then
-                y = y + felt[k] if road.loaded else y
+                y = C @ x + D @ np.where(
+                    dampers, -acting * moved, command[:m]
+                )  # a reading contains the forces that acted until then
+                y = y + load_outputs[k] if road.loaded else y
                 y = y if step.curves is None else y + step.curves.beyond(x, road.heights[k])[index]
                 decided = decisions(y, v)
                 if k + late < len(time):
-                    decided = _followed(decisions, decided, y, v, moved, made[k + late, :m], float(time[k]), otherwise)
+                    decided = _followed(decisions, decided, y, v, moved, commands[k + late, :m], float(time[k]), otherwise)
                 waiting.append((k + late, decided))
             while waiting and waiting[0][0] <= k:
                 command = waiting.pop(0)[1]
@@ -222,9 +225,9 @@ def switched(
 
 
 def switched_response(controller: Controller | SemiActive, road: RoadInput) -> Response:
-    """The response of a vehicle with adjustable dampers on its own: no physics is there to be followed.
+    """Returns the response of a vehicle with adjustable dampers on its own, without physics to follow.
 
-    It is proportional to the road, as a coefficient is decided by a force over a velocity, unless there are curves or loads.
+    Unless there are curves or loads it is proportional to the road, as a force over a velocity decides a coefficient.
 
     Args:
         controller: its controller.
@@ -234,9 +237,9 @@ def switched_response(controller: Controller | SemiActive, road: RoadInput) -> R
     vehicle, period = road.vehicle, steps_per_sample(road.vehicle.implementation, road.timestep) * road.timestep
     decisions = Decisions(vehicle, controller, period, near=0.0, peaks=lambda name: 0.0)
     unknown = np.full((len(road.time), 2 * len(vehicle.linear_model.inputs)), np.nan)
-    found = switched(road, decisions, unknown, controller.measured)
-    beside = damper_signals(vehicle, found.beyond, found.missing)
-    return response_of(vehicle.linear_model, road, found.states, found.inputs, found.outside, beside)
+    response = switched(road, decisions, unknown, controller.measured)
+    beside = damper_signals(vehicle, response.beyond, response.missing)
+    return response_of(vehicle.linear_model, road, response.states, response.inputs, response.outside, beside)
 
 
 def _followed(
@@ -247,60 +250,61 @@ def _followed(
     moved: Array,
     other: Array,
     time: float,
-    otherwise: list[Otherwise],
+    otherwise: list[DecisionMismatch],
 ) -> Array:
-    """What was decided, or what physics has decided where the two were near one another, which is then noted.
+    """Returns the decision, or that of physics if both are within rounding of each other; such a sample is appended to
+    `otherwise`.
 
     Args:
-        decisions: which have just been made.
+        decisions: those just made.
         decided: the commands, shape (2 m,).
-        y, v: on which.
-        moved: what coefficients are times, to be forces, shape (m,).
-        other: those of physics, shape (m,).
+        y, v: measurements and velocities of the decision.
+        moved: factors from coefficients to forces, shape (m,).
+        other: coefficients in physics, shape (m,).
         time: of the sample [s].
-        otherwise: takes where physics is followed.
+        otherwise: list of the samples at which physics is followed.
     """
     of, m = decisions.of, len(other)
     apart = of.adjustable & ~(np.abs(decided[:m] - other) <= OTHERWISE * np.where(of.adjustable, of.high[0] - of.low[0], 1.0))
     if not apart.any() or not np.all(np.isfinite(other)):
         return decided
-    near = decisions.nearness(y, v, other)
+    margins = decisions.nearness(y, v, other)
     followed = decided.copy()
-    for j in np.flatnonzero(apart & np.isfinite(near)):
-        otherwise.append(Otherwise(time, decisions.forces[j], float(near[j])))
+    for j in np.flatnonzero(apart & np.isfinite(margins)):
+        otherwise.append(DecisionMismatch(time, decisions.forces[j], float(margins[j])))
         followed[j] = other[j]
         followed[m + j] += (other[j] - decided[j]) * moved[j]
     return followed
 
 
 class _Steps(Protocol):
-    """Steps of a vehicle with adjustable dampers, from what is set at their starts.
+    """Steps of a vehicle with adjustable dampers, from the commands at their starts.
 
     Attributes:
-        lags: whether what is set of each actuator is what acts only in time, shape (m,).
-        curves: what makes them where there are some.
+        lags: True for each actuator whose valve lags behind its command, shape (m,).
+        curves: steps of the vehicle's curves, or None if it has no curves.
     """
 
     lags: Array
     curves: CurvedSteps | None
 
     def __call__(self, xi: Array, acting: Array, set_to: Array, k: int) -> tuple[Array, Array]:
-        """The state after one, and what acts then; beyond what is set only where there is a lag.
+        """Returns the state after a step, and the coefficients then: the commands, except of dampers that lag.
 
         Args:
             xi: the state, shape (n,).
-            acting: coefficients that act at its start, shape (m,).
-            set_to: what is set: coefficients, or forces of actuators that push, shape (m,).
-            k: which step.
+            acting: actual coefficients at its start, shape (m,).
+            set_to: commands: coefficients, or forces of force actuators, shape (m,).
+            k: index of the step.
         """
         ...
 
 
 class _CurvedStep:
-    """Those of a vehicle with curves."""
+    """Steps of a vehicle with curves."""
 
     def __init__(self, vehicle: Vehicle, h: float, as_rk4: bool, midway: Array, loads: Array | None) -> None:
-        """Of h seconds, T of them over the road's heights, shape (T, r), under loads, shape (T, l)."""
+        """Prepares T steps of h seconds over the road's heights, shape (T, r), under loads, shape (T, l)."""
         model = vehicle.linear_model
         self.curves: CurvedSteps | None = CurvedSteps(vehicle, model, h, exact=not as_rk4, dampers=True)
         self.midway, self.pushed = midway, None if loads is None else loads @ model.Bl.T
@@ -319,16 +323,16 @@ class _CurvedStep:
 
 
 def lagging(vehicle: Vehicle) -> Array:
-    """Of every input whether it is an adjustable damper whose valve lags, shape (m,)."""
+    """Returns True for every input that is an adjustable damper whose valve lags, shape (m,)."""
     slow = {force for force, damper in vehicle.dampers.items() if damper.bandwidth is not None}
     return np.array([force in slow for force in vehicle.linear_model.inputs])
 
 
 class _Step:
-    """Those of a vehicle without curves."""
+    """Steps of a vehicle without curves."""
 
     def __init__(self, vehicle: Vehicle, h: float, as_rk4: bool, midway: Array, loads: Array | None) -> None:
-        """Of h seconds, T of them over the road's heights, shape (T, r), under loads, shape (T, l)."""
+        """Prepares T steps of h seconds over the road's heights, shape (T, r), under loads, shape (T, l)."""
         model = vehicle.linear_model
         self.curves: CurvedSteps | None = None
         self.h, self.as_rk4, self.A, self.B, self.V = h, as_rk4, model.A, model.B, stretching(vehicle)
@@ -362,18 +366,18 @@ class _Step:
         return self.A @ xi - self.B @ (np.where(self.dampers, acting, 0.0) * (self.V @ xi)) + push
 
     def _stages(self, xi: Array, acting: Array, set_to: Array, push: Array) -> tuple[Array, Array]:
-        """By RK4, of state and coefficients together, as MuJoCo does."""
+        """Steps state and coefficients together by RK4, as MuJoCo does."""
         h, moves, changes = self.h, [], []
         at, now = xi, acting
         for share in (0.5, 0.5, 1.0, 0.0):
             moves.append(self._rate(at, now, push))
             changes.append(self.rates * (set_to - now))
             at, now = xi + share * h * moves[-1], acting + share * h * changes[-1]
-        mean = [(one[0] + 2 * one[1] + 2 * one[2] + one[3]) / 6 for one in (moves, changes)]
+        mean = [(k[0] + 2 * k[1] + 2 * k[2] + k[3]) / 6 for k in (moves, changes)]
         return xi + h * mean[0], np.where(self.lags, acting + h * mean[1], set_to)
 
     def _series(self, xi: Array, acting: Array, set_to: Array, push: Array) -> tuple[Array, Array]:
-        """By the power series of state and coefficients, to rounding."""
+        """Steps state and coefficients by their power series, to rounding."""
         h, total, terms = self.h, xi.copy(), [xi]
         far = np.where(self.lags, acting - set_to, 0.0)
         coefficients = [np.where(self.dampers, set_to + far, 0.0)]

@@ -80,7 +80,7 @@ def damper_lines(prediction: Prediction, physics: Response, until: float) -> lis
     if otherwise:
         first, count = otherwise[0], len(otherwise)
         how = "1 decision differs" if count == 1 else f"{count} decisions differ"
-        most = max(one.near for one in otherwise)
+        most = max(mismatch.margin for mismatch in otherwise)
         lines.append(
             f"{how} from those of the exact response, first of {names[first.force]} at {first.time:.4g} s, and physics is "
             f"followed there: a change of what is decided on by {most:.0e} of its peak makes the other decision"

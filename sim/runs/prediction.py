@@ -28,7 +28,7 @@ from synth.controller.controller import Controller, Driver
 from synth.controller.open_loop import LoopModel
 
 if TYPE_CHECKING:
-    from sim.linear.switched_response import Otherwise, Switched
+    from sim.linear.switched_response import DecisionMismatch, Switched
 
 
 SIGMAS = 6.0  # of noise: thousands of samples stay within it
@@ -66,7 +66,7 @@ class Prediction:
     spread: Mapping[str, Array]
     radius: float
     asked: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    otherwise: "tuple[Otherwise, ...]" = ()
+    otherwise: "tuple[DecisionMismatch, ...]" = ()
     played: bool = False
     loop: LoopModel | None = None
 

@@ -27,7 +27,7 @@ from models.roads.sinusoids import Multisine, random_road, sinusoid
 from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.linear.frequency_response import (
-    Worst,
+    WorstSinusoid,
     leaps_by_step,
     sampled_frequency_response,
     stepwise_frequency_response,
@@ -179,7 +179,7 @@ class Extremes:
             is without the harmonics that it makes, and bounds no gain.
     """
 
-    worst: Worst
+    worst: WorstSinusoid
     integrated: float
     tried: float
     gains: Mapping[str, float]
@@ -250,7 +250,12 @@ def _responses(
 
 
 def _drive_worst(
-    vehicle: Vehicle, controllers: Sequence[Controller], worst: Sequence[Worst], amplitude: float, timestep: float, speed: float
+    vehicle: Vehicle,
+    controllers: Sequence[Controller],
+    worst: Sequence[WorstSinusoid],
+    amplitude: float,
+    timestep: float,
+    speed: float,
 ) -> tuple[list[Response], list[float]]:
     """The worst sinusoid of every controller, its last whole periods once it has settled, and the frequencies [rad/s]."""
     samples = [whole_periods(one.omega, timestep) for one in worst]
