@@ -100,8 +100,7 @@ class Decisions:
         return self._decided(np.concatenate([y, velocity])[None], self.kept[None])[0]
 
     def nearness(self, y: Array, velocity: Array, other: Array) -> Array:
-        """Returns the margin of the last decision to another one, see `DecisionMismatch.margin`; infinite beyond the allowed one, shape
-        (m,).
+        """Returns each margin of the last decision, see `DecisionMismatch.margin`, shape (m,); infinite beyond the allowed one.
 
         Args:
             y, velocity: measurements and velocities of that decision.

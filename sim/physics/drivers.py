@@ -1,4 +1,4 @@
-"""What drives a run beside a linear law: laws in Python, forces that are known, and adjustable dampers, sample by sample."""
+"""Drivers of runs other than linear laws: laws in Python, known forces, and adjustable dampers, sample by sample."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -20,16 +20,16 @@ if TYPE_CHECKING:
     from models.suspension.damper_range import Range
 
 
-WILD = 1e8  # beyond it in any measurement, in SI units, there is no vehicle any more, and its law is asked no more
+WILD = 1e8  # of any measurement, in SI units: beyond it the run has diverged, and its law is called no more
 
 
 @dataclass(frozen=True, eq=False)
 class Played:
-    """Forces that are known beforehand, whatever is measured.
+    """Forces that are known beforehand, whatever the measurements.
 
     Attributes:
-        measured: what was measured for them, so that everything is read in the same order, to the last bit.
-        forces: asked for at every step [N], shape (T, m).
+        measured: measurements of the original controller, so that everything is read in the same order, to the last bit.
+        forces: requested at every step [N], shape (T, m).
     """
 
     measured: tuple[str, ...]
@@ -37,7 +37,7 @@ class Played:
 
 
 class Again:
-    """The forces of N runs that are known beforehand, shape (T, N, m)."""
+    """Law that repeats the known forces of N runs, shape (T, N, m)."""
 
     def __init__(self, forces: Array) -> None:
         self.forces, self.used = forces, np.zeros((forces.shape[1], 0))
@@ -49,11 +49,11 @@ class Again:
 
 @dataclass(frozen=True)
 class Failure:
-    """Why the law of a run failed.
+    """Failure of the law of a run.
 
     Attributes:
-        why: in one line.
-        together: whether it was called for other runs as well, and the fault may be of one of those.
+        why: reason, in one line.
+        together: True if the law was called for several runs at once, so that another of them may be at fault.
     """
 
     why: str
@@ -64,21 +64,23 @@ RunDriver = Driver | Played
 
 
 def preview_samples(controller: RunDriver, period: float) -> int:
-    """How many heights of a road a controller is told under each wheel, the one now among them; 0 for none."""
+    """Returns the number of road heights that a controller receives under each wheel, the present one included; 0 without
+    preview.
+    """
     if not isinstance(controller, Programmed) or controller.law.preview is None:
         return 0
     return int(controller.law.preview / period * (1 + 1e-9)) + 1
 
 
 def steps_ahead(vehicles: Sequence[Vehicle], controllers: Sequence[RunDriver], timestep: float) -> int:
-    """How many timesteps [s] beyond a run's end a law is told of its road, at most."""
+    """Returns the largest number of timesteps [s] by which a law previews its road beyond a run's end."""
     periods = [steps_per_sample(vehicle.implementation, timestep) for vehicle in vehicles]
     pairs = zip(controllers, periods, strict=True)
-    return max((max(preview_samples(one, steps * timestep) - 1, 0) * steps for one, steps in pairs), default=0)
+    return max((max(preview_samples(driver, steps * timestep) - 1, 0) * steps for driver, steps in pairs), default=0)
 
 
 class PythonLaws:
-    """N laws in Python, each with a state of its own; a vectorised one is one of all its runs."""
+    """N laws in Python, each with its own state; a vectorised law serves all its runs at once."""
 
     def __init__(
         self,
@@ -90,49 +92,52 @@ class PythonLaws:
         failures: dict[int, Failure] | None,
         numbers: Sequence[int],
     ) -> None:
-        """Executes their files.
+        """Executes the files of the laws.
 
         Args:
             controllers: N laws.
-            vehicles: theirs.
-            signals: what there is to measure.
+            vehicles: one for each controller.
+            signals: names of the signals that can be measured.
             timestep: [s].
             heights: of the roads from the start to `steps_ahead` of the end [m], shape (.., N, r).
-            failures: takes those that fail, whose runs get no forces from then on; None where they are raised.
-            numbers: of the runs in it.
+            failures: receives failures, whose runs go on without forces, or None to raise them.
+            numbers: keys of the runs in `failures`.
 
         Raises:
-            InputError: one fails.
+            InputError: a law fails, and `failures` is None.
         """
         self.forces, self._timestep, self._heights = len(vehicles[0].linear_model.inputs), timestep, heights
         self.used = np.zeros((len(vehicles), 0))
         self._failures, self._numbers = failures, numbers
         self._count, self._gone = len(controllers), np.zeros(len(controllers), dtype=bool)
-        self._measured = np.array([[name in one.measured for name in signals] for one in controllers])
+        self._measured = np.array([[name in controller.measured for name in signals] for controller in controllers])
         from models.laws.python_runtime import OwnLaw
 
         members: list[tuple[OwnLaw, Programmed, int, list[int]]] = []
         together: dict[tuple[int, int], tuple[OwnLaw, list[int]]] = {}
-        for i, (one, vehicle) in enumerate(zip(controllers, vehicles, strict=True)):
+        for i, (controller, vehicle) in enumerate(zip(controllers, vehicles, strict=True)):
             steps = steps_per_sample(vehicle.implementation, timestep)
-            if (id(one), steps) in together:
-                together[id(one), steps][1].append(i)
+            if (id(controller), steps) in together:
+                together[id(controller), steps][1].append(i)
                 continue
             try:
-                law = OwnLaw(one, self.forces)
+                law = OwnLaw(controller, self.forces)
             except InputError as error:
                 self._failed(error, np.array([i]))
                 continue
-            members.append((law, one, steps, [i]))
+            members.append((law, controller, steps, [i]))
             if law.vectorised:
-                together[id(one), steps] = law, members[-1][3]
+                together[id(controller), steps] = law, members[-1][3]
         self._groups = []
-        for law, one, steps, runs in members:
-            seen, ahead = np.array([signals.index(name) for name in one.measured]), preview_samples(one, steps * timestep)
+        for law, controller, steps, runs in members:
+            seen, ahead = (
+                np.array([signals.index(name) for name in controller.measured]),
+                preview_samples(controller, steps * timestep),
+            )
             self._groups.append(_Group(law, seen, steps, ahead, np.array(runs), _parameters(law, [vehicles[i] for i in runs])))
 
     def __call__(self, due: Array | slice, which: Array, k: int, seen: Array) -> Array:
-        """The forces that those that are due ask for at step k, shape (len(which), m), from the signals (len(which), S)."""
+        """Returns the forces of the due laws at step k, shape (len(which), m), from the signals (len(which), S)."""
         forces, everybody = np.zeros((len(which), self.forces)), len(which) == self._count
         self._gone[which] |= np.any(self._measured[which] & ~(np.abs(seen) <= WILD), axis=1)
         for group in self._groups:
@@ -143,7 +148,7 @@ class PythonLaws:
         return forces
 
     def _asked(self, group: "_Group", k: int, y: Array) -> Array:
-        """What the runs of a group ask for, shape (n, m), from what they measure, shape (n, q)."""
+        """Returns the requested forces of a group's runs, shape (n, m), from their measurements, shape (n, q)."""
         preview, many, runs = None, group.law.vectorised, group.runs
         if group.ahead:
             heights = self._heights[k : k + (group.ahead - 1) * group.steps + 1 : group.steps][:, runs]
@@ -159,7 +164,7 @@ class PythonLaws:
             return np.zeros((len(runs), self.forces))
 
     def _failed(self, error: InputError, runs: Array) -> None:
-        """Takes down that the law of these runs has failed; raises it where nobody wants that."""
+        """Notes that the law of these runs has failed, or raises the error if failures are not collected."""
         if self._failures is None:
             raise error
         self._gone[runs] = True
@@ -168,15 +173,15 @@ class PythonLaws:
 
 @dataclass(frozen=True, eq=False)
 class _Group:
-    """Runs that one execution of a law drives.
+    """Runs that share one execution of a law.
 
     Attributes:
         law: the execution.
-        seen: which of the signals it measures.
+        seen: indices of the signals it measures.
         steps: timesteps between two of its samples.
-        ahead: heights of the road that it is told under each wheel.
-        runs: which of the runs; one of a law that is not vectorised.
-        parameters: of the vehicle or, of a vectorised law, of the vehicles, by name.
+        ahead: number of road heights that it previews under each wheel.
+        runs: indices of the runs; a single one unless the law is vectorised.
+        parameters: of the vehicle or, for a vectorised law, of the vehicles, by name.
     """
 
     law: "OwnLaw"
@@ -195,16 +200,16 @@ def _parameters(law: "OwnLaw", vehicles: Sequence[Vehicle]) -> Mapping[str, Arra
 
 @dataclass(frozen=True, eq=False)
 class Dampers:
-    """The adjustable dampers of N vehicles that have them at the same places.
+    """Adjustable dampers of N vehicles, at the same places in each.
 
-    A controller works with the velocity of its suspension as it is linear at rest. Where a body turns, what the damper itself
-    moves at differs from that as geometry does.
+    A controller works with the suspension velocity linearised at rest. When a body turns, the damper's own velocity differs by
+    geometry.
 
     Attributes:
-        vehicles: theirs.
-        of: what they can be.
-        closing: from (qpos, qvel) to how fast every suspension closes, shape (m, nq + nv); 0 of one whose actuator pushes.
-        lagging: of every actuator, where its activation lies among those of the model, -1 for none, shape (m,).
+        vehicles: N of them.
+        of: range of the dampers.
+        closing: from (qpos, qvel) to the closing velocity of every suspension, shape (m, nq + nv); 0 for force actuators.
+        lagging: index of each actuator's activation in the model, or -1 if it has none, shape (m,).
     """
 
     vehicles: Sequence[Vehicle]
@@ -214,25 +219,27 @@ class Dampers:
 
     @property
     def velocities(self) -> dict[str, str]:
-        """The signal of the velocity of every suspension, by its force."""
-        return {one.force: one.velocity.name for one in self.vehicles[0].kind.suspensions}
+        """Returns the name of every suspension's velocity signal, by its force."""
+        return {suspension.force: suspension.velocity.name for suspension in self.vehicles[0].kind.suspensions}
 
     @property
     def ramps(self) -> Array:
-        """Of every actuator that makes the ramps of curves, the last ones of the model, which input it goes with, shape (k,)."""
+        """Returns the input of every actuator that makes ramps of curves, shape (k,); these actuators are the last ones of the
+        model.
+        """
         vehicle = self.vehicles[0]
         counts = [0 if one.damper.pair is None else len(one.damper.pair.ramps) for one in vehicle.adjustable]
         return np.repeat([vehicle.linear_model.inputs.index(one.force) for one in vehicle.adjustable], counts)
 
     @property
     def lags(self) -> bool:
-        """Whether some coefficient is not at once the one that is asked for."""
+        """Returns True if some coefficient lags behind its command."""
         return bool(np.any(self.lagging[self.of.adjustable] >= 0))
 
     def beside(self, gain: Array, memory: Array, offset: Array) -> tuple[Array, Array, Array]:
-        """What makes forces of a reading, with how fast the suspensions close behind the forces; see `stepping.Reading`.
+        """Appends the suspensions' closing velocities to the forces' gain, memory and offset; see `sim.physics.stepping.Reading`.
 
-        Of laws that ship it is what they measure in place of the forces.
+        For semi-active laws the rows of the forces are those of the measurements.
         """
         m, count, asked = len(self.closing), len(gain), gain.shape[1] - memory.shape[2]
         closing = np.zeros((count, m, gain.shape[2]))
@@ -245,38 +252,38 @@ class Dampers:
         )
 
     def after(self, of_reading: Array, unseen: Array) -> tuple[Array, Array]:
-        """What makes signals of a reading, (S, r), and what that has not seen, (T, N, S), with how fast they close behind."""
+        """Appends the closing velocities to the signals of a reading, (S, r), and to the parts it lacks, (T, N, S)."""
         closing = np.zeros((len(self.closing), of_reading.shape[1]))
         closing[:, : self.closing.shape[1]] = self.closing
         still = np.broadcast_to(self.of.at_rest, (*unseen.shape[:2], len(closing)))
         return np.concatenate([of_reading, closing]), np.concatenate([unseen, still], axis=-1)
 
     def record(self, values: Array, commands: Array, acts: Array) -> None:
-        """Writes their signals among those of some samples, shape (B, S, N).
+        """Writes the dampers' signals among those of some samples, shape (B, S, N).
 
         Args:
             values: the signals.
             commands: see `Range.commands`, shape (B, N, 2 m).
-            acts: activations, shape (B, N, na), or (0, N, na) where none lags.
+            acts: activations, shape (B, N, na), or (0, N, na) if none lags.
         """
         vehicle, m = self.vehicles[0], len(self.closing)
         names = [signal.name for signal in vehicle.kind.signals]
-        for i, one in enumerate(vehicle.adjustable):
-            j = vehicle.linear_model.inputs.index(one.force)
+        for i, adjustable in enumerate(vehicle.adjustable):
+            j = vehicle.linear_model.inputs.index(adjustable.force)
             nominal = np.array([other.adjustable[i].nominal for other in self.vehicles])
             beyond = commands[..., j] if self.lagging[j] < 0 else acts[..., self.lagging[j]]
-            values[:, names.index(one.coefficient)] = nominal + beyond
-            values[:, names.index(one.missing)] = commands[..., m + j]
-            if one.damper.pair is not None:  # its force is that of several actuators
-                velocity = values[:, names.index(self.velocities[one.force])]
+            values[:, names.index(adjustable.coefficient)] = nominal + beyond
+            values[:, names.index(adjustable.missing)] = commands[..., m + j]
+            if adjustable.damper.pair is not None:  # its force is that of several actuators
+                velocity = values[:, names.index(self.velocities[adjustable.force])]
                 shaped = np.stack(
                     [other.adjustable[i].shape(v) for other, v in zip(self.vehicles, velocity.T, strict=True)], axis=-1
                 )
-                values[:, names.index(one.force)] = -beyond * shaped
+                values[:, names.index(adjustable.force)] = -beyond * shaped
 
 
 def dampers_of(vehicles: Sequence[Vehicle], readout: Readout) -> Dampers | None:
-    """The adjustable dampers of vehicles of one kind; None where there are none."""
+    """Returns the adjustable dampers of vehicles of one kind, or None if they have none."""
     if not vehicles[0].dampers:
         return None
     from models.suspension.damper_range import range_of
@@ -288,14 +295,14 @@ def dampers_of(vehicles: Sequence[Vehicle], readout: Readout) -> Dampers | None:
 
 
 class Damped:
-    """What laws ask for, as commands of adjustable dampers."""
+    """Laws whose forces become commands of adjustable dampers."""
 
     def __init__(self, laws: Laws, of: "Range") -> None:
-        """For laws on signals behind which, in what they are given, stands how fast every suspension closes.
+        """Wraps laws, whose signals are followed by the suspensions' closing velocities.
 
         Args:
             laws: N of them.
-            of: what their dampers can be.
+            of: range of their dampers.
         """
         self.laws, self.of, self.forces = laws, of, 2 * laws.forces
 
@@ -307,20 +314,20 @@ class Damped:
     def __call__(self, due: Array | slice, which: Array, k: int, seen: Array) -> Array:
         """See `Laws`."""
         m = self.laws.forces
-        asked = self.laws(due, which, k, seen[:, :-m])
-        return self.of.commands(np.concatenate([asked, seen[:, -m:]], axis=-1), due)
+        requested = self.laws(due, which, k, seen[:, :-m])
+        return self.of.commands(np.concatenate([requested, seen[:, -m:]], axis=-1), due)
 
 
 class Clipped:
     """Sets the adjustable dampers of N runs to the forces of linear laws; see `sim.physics.stepping.Setting`."""
 
     def __init__(self, of: "Range") -> None:
-        """For dampers that can be so much."""
+        """Prepares dampers of this range."""
         self.of, self.actuators = of, of.low.shape[1]
         self._turned = np.empty_like(of.low)
 
     def set(self, seen: Array, acting: Array) -> None:
-        """See `sim.physics.stepping.Setting`; as `Range.commands`, without the forces that are missing."""
+        """See `sim.physics.stepping.Setting`; as `Range.commands`, without the missing forces."""
         closing = seen[:, self.actuators :]
         np.divide(seen[:, : self.actuators], closing if self.of.bent is None else self.of.felt(closing), self._turned)
         np.maximum(self._turned, self.of.low, out=self._turned)
@@ -332,28 +339,28 @@ class Clipped:
 
 
 class SemiActiveLaws:
-    """N laws that ship, which set adjustable dampers: as `Laws`, and as `sim.physics.stepping.Setting`.
+    """N semi-active laws, which set adjustable dampers: as `Laws`, and as `sim.physics.stepping.Setting`.
 
-    A run alone is decided in plain numbers, which are the same to the last bit: between its steps calls of numpy would take as
-    long as the steps.
+    A single run is computed in plain numbers, which are the same to the last bit: calls of numpy would take as long as its
+    steps.
     """
 
     def __init__(self, controllers: Sequence[SemiActive], dampers: Dampers, names: Sequence[str] | None = None) -> None:
-        """For laws on signals of these names, behind which, in what they are given, stands how fast every suspension closes.
+        """Prepares laws on signals of these names, which are followed by the suspensions' closing velocities.
 
         Args:
             controllers: N of them.
             dampers: those of their N vehicles.
-            names: of the signals; None for those alone that each law measures, in its order, from the first on.
+            names: of the signals, or None for the measurements of each law alone, in its order.
         """
         from models.vehicle.semi_active_coefficients import numbers_of
 
         self.of, self.actuators, self.used = dampers.of, len(dampers.closing), np.zeros((len(controllers), 0))
         self.forces = 2 * self.actuators
-        self._nominal = np.array([[one.nominal for one in vehicle.adjustable] for vehicle in dampers.vehicles])
+        self._nominal = np.array([[adjustable.nominal for adjustable in vehicle.adjustable] for vehicle in dampers.vehicles])
         self._groups = []
-        for law in dict.fromkeys(one.law for one in controllers):
-            mine = np.array([one.law == law for one in controllers])
+        for law in dict.fromkeys(controller.law for controller in controllers):
+            mine = np.array([controller.law == law for controller in controllers])
             places = list(range(len(law.measured))) if names is None else [names.index(name) for name in law.measured]
             self._groups.append((law, mine, numbers_of(law, dampers.vehicles), places))
         self._alone: tuple[Callable[[Sequence[float]], list[float]], list[float], list[tuple[float, float]]] | None = None
@@ -365,8 +372,8 @@ class SemiActiveLaws:
     def set(self, seen: Array, acting: Array) -> None:
         """See `sim.physics.stepping.Setting`."""
         if self._alone is None:
-            asked = self.of.setting(self._asked(seen, slice(None)), seen[:, -self.actuators :])
-            np.minimum(np.maximum(asked, self.of.low), self.of.high, out=acting)
+            requested = self.of.setting(self._asked(seen, slice(None)), seen[:, -self.actuators :])
+            np.minimum(np.maximum(requested, self.of.low), self.of.high, out=acting)
         else:
             acting[0] = self._decided(seen[0].tolist())[1]
 
@@ -379,13 +386,13 @@ class SemiActiveLaws:
         if self._alone is None:
             return self.of.set_to(self._asked(seen, due), seen[:, -self.actuators :], due)
         numbers = seen[0].tolist()
-        asked, beyond = self._decided(numbers)
+        coefficients, beyond = self._decided(numbers)
         closing = numbers[-self.actuators :]
-        missing = ((one - given) * speed for one, given, speed in zip(asked, beyond, closing, strict=True))
+        missing = ((requested - actual) * speed for requested, actual, speed in zip(coefficients, beyond, closing, strict=True))
         return np.array([[*beyond, *missing]])
 
     def _asked(self, seen: Array, which: Array | slice) -> Array:
-        """Coefficients that are asked for beyond the nominal ones [N s/m], shape (..., d, m), from signals (..., d, S)."""
+        """Returns the requested coefficients beyond the nominal ones [N s/m], shape (..., d, m), from signals (..., d, S)."""
         from models.vehicle.semi_active_coefficients import numbers_at
 
         closing = seen[..., -self.actuators :]
@@ -393,16 +400,18 @@ class SemiActiveLaws:
             law, _, numbers, places = self._groups[0]
             some = numbers if isinstance(which, slice) else numbers.some(which)
             return law.coefficients(seen[..., places], numbers_at(some, self.of, closing, which)) - self._nominal[which]
-        asked, every = np.empty((*seen.shape[:-1], self.actuators)), np.arange(len(self._nominal))[which]
+        coefficients, every = np.empty((*seen.shape[:-1], self.actuators)), np.arange(len(self._nominal))[which]
         for law, mine, numbers, places in self._groups:
             some = np.flatnonzero(mine[which])
             of = numbers_at(numbers.some(every[some]), self.of, closing[..., some, :], every[some])
-            asked[..., some, :] = law.coefficients(seen[..., some, :][..., places], of)
-        return asked - self._nominal[which]
+            coefficients[..., some, :] = law.coefficients(seen[..., some, :][..., places], of)
+        return coefficients - self._nominal[which]
 
     def _decided(self, seen: Sequence[float]) -> tuple[list[float], list[float]]:
-        """What a run alone asks for, and gets, beyond the nominal coefficients [N s/m], m of them each."""
+        """Returns a single run's requested and actual coefficients beyond the nominal ones [N s/m], m of each."""
         assert self._alone is not None, "it is alone"
         law, nominal, ends = self._alone
-        asked = [c - own for c, own in zip(law(seen), nominal, strict=True)]
-        return asked, [low if c < low else high if c > high else c for c, (low, high) in zip(asked, ends, strict=True)]
+        coefficients = [c - own for c, own in zip(law(seen), nominal, strict=True)]
+        return coefficients, [
+            low if c < low else high if c > high else c for c, (low, high) in zip(coefficients, ends, strict=True)
+        ]

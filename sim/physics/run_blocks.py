@@ -1,4 +1,4 @@
-"""N runs in MuJoCo, some samples at a time: what is read, what is asked for, what is recorded."""
+"""N runs in MuJoCo, in blocks of samples: readings, commands, and recorded signals."""
 
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo's bindings carry no type stubs.
@@ -46,25 +46,24 @@ from sim.physics.sensor_readout import (
 from sim.physics.stepping import Alone, Push, Reading, step_batch
 from synth.controller.controller import Controller
 
-DIVERGED = 1e8  # a signal beyond this, in SI units, is no vehicle any more
+DIVERGED = 1e8  # of any signal, in SI units: beyond it the run has diverged
 
-# Of runs that are not kept whole:
-MOST_HEIGHTS = 5_200_000  # of roads, 16 bytes each: 256 quarter-cars for 20 s at 1 ms
+MOST_HEIGHTS = 5_200_000  # road heights of runs in blocks, 16 bytes each: 256 quarter-cars for 20 s at 1 ms
 
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Some consecutive samples of N runs.
+    """Consecutive samples of N runs.
 
     Attributes:
         start: index of the first.
         values: every signal but the road's velocity, which is left 0, shape (B, S, N): runs lie side by side.
         qpos: generalized positions, shape (B, N, nq).
         qvel: generalized velocities, shape (B, N, nv).
-        largest: largest magnitude of any signal, and of any force that was asked for, shape (B, N).
-        asked: the forces that were asked for [N], shape (B, N, m); of vehicles with adjustable dampers the commands, shape
+        largest: largest magnitude of any signal, and of any requested force, shape (B, N).
+        asked: requested forces [N], shape (B, N, m); for vehicles with adjustable dampers the commands, shape
             (B, N, 2 m), see `models.suspension.damper_range.Range.commands`.
-        kept: what the states of linear laws were at their last sample, shape (B, N, k), with the k of the one that has most.
+        kept: states of linear laws at their last sample, shape (B, N, k), with the largest k of any.
     """
 
     start: int
@@ -76,24 +75,26 @@ class Block:
     kept: Array
 
     def diverged(self, time: Array) -> Array:
-        """When each run first diverged in it [s], shape (N,), infinite where it did not; from all the samples' times."""
+        """Returns the time at which each run first diverged in the block [s], shape (N,), or infinity; from all the samples'
+        times.
+        """
         wild = ~(self.largest < DIVERGED)  # NaN compares as wild
         return np.where(wild.any(axis=0), time[self.start + wild.argmax(axis=0)], np.inf)
 
     def clip(self) -> None:
-        """Makes numbers of what a diverged run left, none beyond `DIVERGED`, in place."""
+        """Replaces non-finite values of diverged runs by 0, and clips all to `DIVERGED`, in place."""
         np.nan_to_num(self.values, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
         np.clip(self.values, -DIVERGED, DIVERGED, out=self.values)
 
 
 def runs_at_once(samples: int, wheels: int) -> int:
-    """How many runs of so many samples a batch that is taken in blocks has at most: as many as save time and fit into memory."""
+    """Returns the largest useful number of runs of so many samples in a batch of blocks, limited by memory."""
     return max(1, min(RUNS_AT_ONCE, MOST_HEIGHTS // (samples * wheels)))
 
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """N runs from rest that are to be stepped, each over its road.
+    """N runs from rest to be stepped, each over its road.
 
     Attributes:
         vehicles: N vehicles of the same kind that read out alike, see `reads_out`.
@@ -102,16 +103,15 @@ class Course:
         midway: the same half a step later, where MuJoCo holds them.
         timestep: [s].
         edges: block k has the samples from `edges[k]` up to `edges[k + 1]`; the first is 0, the last at most T.
-        undelayed: second controllers, whose forces come to those of the first and know no `[implementation]`; None for none.
-        going: whether each run is still wanted, shape (N,), for the caller to change between blocks: one that is not wanted stays
-            where it is, and what later blocks have of it means nothing. None where all are, to the end.
-        beyond: road heights at the samples after the last [m], shape (E, N, r), of which laws in Python may be told; None where
-            none is.
-        failures: by run, laws in Python that have failed, for the caller to read: such a run goes on without forces. None where
-            the first failure ends them all.
-        accelerations: whether they and forces are recorded as of their sample; else, where an accelerometer is measured, as of
-            the one before, which saves an evaluation of it.
-        loads: on the bodies half a step after the samples, where MuJoCo holds them [N, N m], shape (T, N, l); None for none.
+        undelayed: second controllers without `[implementation]`, whose forces are added to those of the first, or None.
+        going: True for each run that is still wanted, shape (N,), or None for all. The caller may change it between blocks. An
+            unwanted run is not stepped, and its part of later blocks is meaningless.
+        beyond: road heights at the samples after the last [m], shape (E, N, r), for the preview of laws in Python, or None.
+        failures: by run, failures of laws in Python, for the caller to read: such a run goes on without forces. None to raise
+            the first failure.
+        accelerations: True to record accelerations and forces of their sample. Otherwise, if an accelerometer is measured, they
+            are those of the sample before, which saves an evaluation.
+        loads: on the bodies half a step after the samples, where MuJoCo holds them [N, N m], shape (T, N, l), or None.
     """
 
     vehicles: Sequence[Vehicle]
@@ -129,20 +129,20 @@ class Course:
 
 
 def in_blocks(course: Course) -> Iterator[Block]:
-    """The runs of `simulate`, some samples at a time: nothing but the roads need be held whole."""
+    """Yields the runs of `simulate` in blocks of samples: only the roads need be held whole."""
     (blocks,) = in_shares(course, [slice(None)])
     yield from blocks(lambda: False)
 
 
 def in_shares(course: Course, shares: Sequence[slice]) -> list[Callable[[Callable[[], bool]], Iterator[Block]]]:
-    """The blocks of each of some shares of the runs, to be stepped on a thread of their own, until told to give up.
+    """Returns the blocks of each share of the runs, to be stepped on a thread of its own until told to stop.
 
     A run's numbers do not depend, to the last bit, on the runs of its controller beside it, on shares, or on blocks: sums over a
     run's few signals are taken one by one, never by a product of matrices whose order of summation depends on how many runs there
     are.
 
-    A batch to each share, and a thread: faster than one batch on all threads, which wait while Python has its turn, and on a busy
-    machine for each other.
+    Each share has its batch and thread. That is faster than one batch on all threads: those wait while Python has its turn, and
+    on a busy machine for each other.
     """
     vehicles, controllers, timestep, edges = course.vehicles, course.controllers, course.timestep, course.edges
     now, midway, undelayed, going = course.now, course.midway, course.undelayed, course.going
@@ -157,10 +157,10 @@ def in_shares(course: Course, shares: Sequence[slice]) -> list[Callable[[Callabl
     models = {}
     if len(one_of) > 1:
         models = {key: build_model(other, timestep, drawn=False) for key, other in one_of.items()}
-    before = np.concatenate([np.zeros_like(now[:1]), midway[:-1]])  # where the last step has left the road
+    before = np.concatenate([np.zeros_like(now[:1]), midway[:-1]])  # road heights at the end of the last step
 
-    # What a controller measures is read before a step: from the state where it is linear in it, else from its sensor. To it comes
-    # what that reading has not seen of the road.
+    # A measurement is read before a step: from the state if it is linear in it, else from its sensor. The part of the road that
+    # the reading lacks is added.
     linear = [one if isinstance(one, Controller) else None for one in controllers]
     others = [one for one in controllers if not isinstance(one, Controller)]
     semi_active = [one for one in others if isinstance(one, SemiActive)]
@@ -180,7 +180,7 @@ def in_shares(course: Course, shares: Sequence[slice]) -> list[Callable[[Callabl
     needed = np.any(K != 0, axis=(0, 1)) | np.any(beside != 0, axis=(0, 1)) | named
     stage = sensed_stage(readout, needed)
     sensors = _span(readout.of_sensors[needed & ~readout.linear]) if stage else slice(0, 0)
-    # An acceleration is read in an evaluation of its own: the road where it is now, and the force that has acted until now.
+    # An acceleration is read in an evaluation of its own: with the present road, and the force that has acted until now.
     fresh = stage > int(mujoco.mjtStage.mjSTAGE_VEL)
     unmoved = np.zeros_like(now) if fresh else now - before
     offset = force_from_road(of_state, now, readout) + force_from_road(of_sensors, unmoved, readout)
@@ -198,7 +198,7 @@ def in_shares(course: Course, shares: Sequence[slice]) -> list[Callable[[Callabl
         if not plain:
             of_reading, unseen = dampers.after(of_reading, unseen)
 
-    # What is recorded was sensed inside the step, where the road was midway, or before it, where the last step had left it.
+    # Recorded signals were sensed inside the step, with the road midway, or before it, with the road of the last step.
     signals = vehicle.kind.signals
     place = np.array([[signal.name == name for name in readout.names] for signal in signals], dtype=float)
     names = [signal.name for signal in signals]
@@ -206,7 +206,7 @@ def in_shares(course: Course, shares: Sequence[slice]) -> list[Callable[[Callabl
     inside, felt = readout.stage > stage, readout.felt or fresh
 
     def of(runs: slice, stopped: Callable[[], bool]) -> Iterator[Block]:
-        """The blocks of some of the runs."""
+        """Yields the blocks of some of the runs."""
         driving = [models.get(hardware[id(one)], model) for one in vehicles[runs]]
         if len(driving) == 1 and going is None:
             batch = Alone(driving[0])
@@ -252,7 +252,7 @@ def in_shares(course: Course, shares: Sequence[slice]) -> list[Callable[[Callabl
             recorded[:, heights] = np.moveaxis(level[some], 1, 2)
             if mine is not None:
                 mine.record(recorded, asked, acts)
-            # A force beyond 1e10 MuJoCo replaces by none at all, and runs on: what was asked for counts, not only what came.
+            # MuJoCo replaces a force beyond 1e10 by 0 and runs on: the requested force counts, not only the actual one.
             largest = np.maximum(recorded.max(axis=1), -recorded.min(axis=1))
             for force in np.moveaxis(asked, 2, 0):
                 largest = np.maximum(largest, np.abs(force))
@@ -272,20 +272,20 @@ def _span(of_sensors: Array) -> slice:
 
 
 def _of_reading(readout: Readout, sensors: slice) -> Array:
-    """Returns every signal that can be had from a reading with these sensors from it, shape (S, r)."""
+    """Returns the map from a reading with these sensors to every signal that it determines, shape (S, r)."""
     of_state = np.where(readout.linear[:, None], readout.of_state, 0.0)
     return np.concatenate([of_state, np.where(readout.linear[:, None], 0.0, readout.of_sensors[:, sensors])], axis=-1)
 
 
 def _laws_of(course: Course, runs: slice, names: Sequence[str], gain: Array, memory: Array, dampers: Dampers | None) -> Laws:
-    """What some of the runs make of what they measure, of signals of these names.
+    """Returns the laws of some of the runs, on signals of these names.
 
     Args:
         course: all runs.
-        runs: which.
+        runs: slice of them.
         names: of the signals.
         gain, memory: of all the linear laws, as for `LinearLaws`.
-        dampers: of those runs, if they have any, which then are told what to be.
+        dampers: of those runs, or None; the laws then return their commands.
     """
     semi_active = [one for one in course.controllers[runs] if isinstance(one, SemiActive)]
     if semi_active:
@@ -302,10 +302,10 @@ def _laws_of(course: Course, runs: slice, names: Sequence[str], gain: Array, mem
 
 
 class _Sampled:
-    """The forces of step k from the reading, the sum of all samplers', for controllers that are not ideal."""
+    """Law of controllers that are not ideal: the sum of all samplers' forces of step k, from the reading."""
 
     def __init__(self, samplers: Sequence[Sampler], of_reading: Array, unseen_of_road: Array) -> None:
-        """From every signal that samplers take by the reading, shape (S, r), and what that has not seen, shape (T, N, S)."""
+        """Takes the map from the reading to the samplers' signals, shape (S, r), and the parts it lacks, shape (T, N, S)."""
         self.samplers, self.unseen, self.of_reading = samplers, unseen_of_road, of_reading
 
     @property

@@ -1,4 +1,4 @@
-"""How a vehicle's signals come out of MuJoCo, and what a controller as it would be built has of them."""
+"""Signals read out of MuJoCo, and the measurements, delays and holds of an implemented controller."""
 
 import functools
 from collections.abc import Sequence
@@ -16,24 +16,24 @@ from synth.controller.controller import Controller
 
 
 class Laws(Protocol):
-    """What N controllers make of what they measure.
+    """N controllers, from measurements to forces.
 
     Attributes:
-        forces: m, or how many commands there are for them.
+        forces: m, or the number of commands.
     """
 
     forces: int
 
     @property
     def used(self) -> Array:
-        """What their states were at their last sample, shape (N, k)."""
+        """Returns the states at the last sample, shape (N, k)."""
         ...
 
     def __call__(self, due: Array | slice, which: Array, k: int, seen: Array) -> Array:
-        """The forces of step k of those that are due, shape (d, m), from the signals as they read them, shape (d, S).
+        """Returns the forces of the due controllers at step k, shape (d, m), from the signals as read, shape (d, S).
 
         Args:
-            due: which of the N they are; a slice for all.
+            due: indices of the due controllers; a slice for all.
             which: the same as indices, ascending, shape (d,).
             k: the step.
             seen: the signals.
@@ -45,7 +45,7 @@ class LinearLaws:
     """N linear laws."""
 
     def __init__(self, gain: Array, memory: Array) -> None:
-        """From the signals to [u; x_c], shape (N, m + k, S), and from x_c, shape (N, m + k, k)."""
+        """Takes the gains from the signals to [u; x_c], shape (N, m + k, S), and from x_c, shape (N, m + k, k)."""
         self.gain, self.memory = gain, memory if memory.shape[2] else None
         self.forces = gain.shape[1] - memory.shape[2]
         self.kept, self.used = (np.zeros((len(gain), memory.shape[2])) for _ in range(2))
@@ -62,15 +62,14 @@ class LinearLaws:
 
 
 class Sampler:
-    """N controllers that each sample, compute and hold as an `[implementation]` says.
+    """N controllers that sample, compute and hold as their `[implementation]` says.
 
     A measurement is read as quantisation * round((signal + noise) / quantisation), and the force computed from it acts `delay`
-    samples later, between two of them where that is a fraction. Before the first one arrives the force is zero. Its own states
-    are never late.
+    samples later, which may be a fraction. Before the first force arrives it is zero. The controller's own states are never late.
     """
 
     def __init__(self, how: Sequence[Implementation], laws: Laws, names: Sequence[str], timestep: float, samples: int) -> None:
-        """For laws on the signals of these names."""
+        """Prepares laws on the signals of these names."""
         self.laws = laws
         self.period = np.array([steps_per_sample(one, timestep) for one in how])
         self.late = np.array([round(one.delay * steps) for one, steps in zip(how, self.period, strict=True)])  # steps
@@ -85,10 +84,10 @@ class Sampler:
         self.force = np.zeros((len(how), laws.forces))
         self.all = np.arange(len(how))
         self.together = bool(np.all(self.period == 1))
-        self.between = (self.late % self.period).nonzero()[0]  # those whose forces change between their samples
+        self.between = (self.late % self.period).nonzero()[0]  # indices of controllers whose forces change between samples
 
     def __call__(self, k: int, signals: Array) -> Array:
-        """The forces of step k, shape (N, m), from the signals at its start, shape (N, S)."""
+        """Returns the forces of step k, shape (N, m), from the signals at its start, shape (N, S)."""
         # This runs between any two steps of the physics, where a call of numpy costs as much as stepping a run: no call in vain.
         due = self.all if self.together else (k % self.period == 0).nonzero()[0]
         if len(due) == len(self.all):
@@ -101,7 +100,7 @@ class Sampler:
         return self.force
 
     def _sample(self, due: Array | slice, which: Array, k: int, seen: Array) -> None:
-        """Those that are due measure, and take the force that is."""
+        """Measures for the due controllers, computes their forces and queues them."""
         if len(self.noise):
             seen = seen + self.noise[k, due]
         if self.coarse:
@@ -120,7 +119,7 @@ class Sampler:
             self._act(some, some, k)
 
     def _act(self, due: Array | slice, which: Array, k: int) -> None:
-        """The forces of those act whose time is come; before the first arrives it is a place in the ring that is still zero."""
+        """Applies the queued forces that are due; before the first arrives, their place in the ring is still zero."""
         self.force[due] = self.queue[(k - self.late[due]) // self.period[due] % len(self.queue), which]
 
 
@@ -129,9 +128,9 @@ class Sampler:
 
 
 def reads_out(vehicle: Vehicle, timestep: float) -> bytes:
-    """A key that is the same for vehicles that can be stepped side by side: of the same geometry, and of as many elements."""
+    """Returns a key that is equal for vehicles that can be stepped side by side: same geometry and number of elements."""
     model, readout = prepared(vehicle, timestep)
-    # One without a stop, a bar or a ramp has no place for that of another.
+    # A model without a stop, a bar or a ramp has no place for that of another vehicle.
     elements = np.array([model.ntendon, model.nwrap, model.nu, *model.actuator_gaintype, *model.actuator_trnid[:, 0]])
     used = np.where(readout.linear[:, None], readout.of_state, 0.0)
     return b"".join(
@@ -142,22 +141,23 @@ def reads_out(vehicle: Vehicle, timestep: float) -> bytes:
 
 @dataclass(frozen=True, eq=False)
 class Readout:
-    """How signals come out of MuJoCo. A signal is its sensor, read along its `user` direction, from its value at rest.
+    """Maps from MuJoCo's state and sensors to signals. A signal is its sensor, read along its `user` direction, from its value at
+    rest.
 
     Attributes:
         names: of the S signals.
-        stage: mjtStage that the sensor of each needs, shape (S,).
-        linear: whether it is linear in (qpos, qvel), shape (S,). Such a signal can be read from the state before a step, where
-            evaluating its sensor would cost a seventh of the step.
-        of_state: signals from (qpos, qvel) where they are linear, shape (S, nq + nv).
+        stage: mjtStage that each signal's sensor needs, shape (S,).
+        linear: True for signals linear in (qpos, qvel), shape (S,). These are read from the state before a step: evaluating
+            their sensors would cost a seventh of the step.
+        of_state: linear signals from (qpos, qvel), shape (S, nq + nv).
         of_sensors: signals from `sensordata`, shape (S, nsensordata).
-        of_road: their derivative in the road heights, shape (S, r). They are linear in those.
-        rest: what `of_sensors` gives at rest, shape (S,).
-        felt: whether an acceleration feels the road at once; then sensing it inside the step, road midway, is not enough.
+        of_road: derivative of the signals in the road heights, shape (S, r). They are linear in those.
+        rest: values of `of_sensors` at rest, shape (S,).
+        felt: True if an acceleration depends on the road directly; sensing it inside the step, road midway, is then not enough.
         mocap: mocap index of every wheel's road.
-        stretching: how fast the inputs' actuators move out, from qvel, shape (m, nv); as at rest.
-        lagging: of every input's actuator, where its activation lies among those of the model, -1 for none, shape (m,).
-        pushed: along which degree of freedom each load pushes the body.
+        stretching: from qvel to the stretching rate of the inputs' actuators, shape (m, nv); as at rest.
+        lagging: index of each input's activation in the model, or -1 if it has none, shape (m,).
+        pushed: degree of freedom along which each load pushes the body.
     """
 
     names: tuple[str, ...]
@@ -176,7 +176,7 @@ class Readout:
 
 @functools.lru_cache(maxsize=16)
 def prepared(vehicle: Vehicle, timestep: float) -> tuple[mujoco.MjModel, Readout]:
-    """Model and readout of a vehicle. A search runs one vehicle hundreds of times; `Batch` copies the model."""
+    """Returns model and readout of a vehicle, cached: a search runs one vehicle hundreds of times. `Batch` copies the model."""
     model = build_model(vehicle, timestep, drawn=False)
     return model, _readout(vehicle, model)
 
@@ -240,19 +240,19 @@ def _readout(vehicle: Vehicle, model: mujoco.MjModel) -> Readout:
 def laws_on(
     signals: Sequence[str], vehicles: Sequence[Vehicle], controllers: Sequence[Controller | None], timestep: float
 ) -> tuple[Array, Array]:
-    """N controllers as they are run, [u; next x_c] from these signals and x_c, each sampled as its vehicle says.
+    """Returns N controllers as they are run: [u; next x_c] from these signals and x_c, each sampled as its vehicle says.
 
     Args:
-        signals: names of S of them; a controller has no gain on what it does not measure.
+        signals: names of S signals; gains are 0 except on a controller's measurements.
         vehicles: N of them.
         controllers: N of them; None for no force.
-        timestep: at which one without a sample period of its own is sampled [s].
+        timestep: sample period of controllers without one of their own [s].
 
     Returns:
-        From the signals, shape (N, m + k, S), and from x_c, shape (N, m + k, k), with the k of the one that has most states.
+        From the signals, shape (N, m + k, S), and from x_c, shape (N, m + k, k), with the largest k of any.
     """
-    of_vehicle = {id(one): steps_per_sample(one.implementation, timestep) * timestep for one in vehicles}
-    pairs = [(id(one), of_vehicle[id(vehicle)]) for one, vehicle in zip(controllers, vehicles, strict=True)]
+    of_vehicle = {id(vehicle): steps_per_sample(vehicle.implementation, timestep) * timestep for vehicle in vehicles}
+    pairs = [(id(controller), of_vehicle[id(vehicle)]) for controller, vehicle in zip(controllers, vehicles, strict=True)]
     places = {pair: i for i, pair in enumerate(dict.fromkeys(pairs))}
     by_id = {id(one): one for one in controllers}
     once = [(by_id[one], period) for one, period in places]
@@ -269,9 +269,10 @@ def laws_on(
 
 
 def measured_by(signals: Sequence[str], measured: Sequence[Sequence[str]]) -> tuple[Array, Array]:
-    """What picks what N controllers measure out of these signals, shape (N, q, S), with the q of the one that measures most.
+    """Returns the matrices that pick the measurements of N controllers out of these signals, shape (N, q, S), with the largest q
+    of any.
 
-    Its rows are in the order of each; beside it the (N, q, 0) that `laws_on` gives of laws without states.
+    The rows are in each controller's order. Also returns the (N, q, 0) that `laws_on` gives for laws without states.
     """
     picked = np.zeros((len(measured), max(map(len, measured)), len(signals)))
     for rows, names in zip(picked, measured, strict=True):
@@ -280,21 +281,21 @@ def measured_by(signals: Sequence[str], measured: Sequence[Sequence[str]]) -> tu
 
 
 def stage_of(vehicle: Vehicle, controller: Controller, timestep: float) -> int:
-    """The mjtStage up to which sensors are evaluated before a step, for what the controller measures; 0 where none is needed."""
+    """Returns the mjtStage of sensors to evaluate before a step for the controller's measurements, or 0 if none is needed."""
     readout = prepared(vehicle, timestep)[1]
     of_signals, _ = laws_on(readout.names, [vehicle], [controller], timestep)
     return sensed_stage(readout, np.any(of_signals, axis=(0, 1)))
 
 
 def sensed_stage(readout: Readout, used: Array) -> int:
-    """The mjtStage up to which sensors are evaluated before a step, for the signals that are used, shape (S,)."""
+    """Returns the mjtStage of sensors to evaluate before a step for the signals that are used, shape (S,)."""
     return int(max(readout.stage[used & ~readout.linear], default=0))
 
 
 def force_from_road(gain: Array, road: Array, readout: Readout) -> Array:
-    """What is known beforehand of the forces, shape (T, N, m): a gain (N, m, S) on what a reading has not seen of the road.
+    """Returns the known part of the forces, shape (T, N, m): a gain (N, m, S) on the part of the road that a reading lacks.
 
-    A sensor's reading has its value at rest in it, too; what is read from the state has none.
+    A sensor's reading contains its value at rest, which is subtracted here; a reading from the state does not.
     """
     known = np.zeros((*road.shape[:2], gain.shape[1]))
     for m, s in np.argwhere(gain.any(axis=0)).tolist():
@@ -306,7 +307,9 @@ def force_from_road(gain: Array, road: Array, readout: Readout) -> Array:
 
 
 def signal_from_road(road: Array, readout: Readout, linear: bool) -> Array:
-    """The same for the signals themselves, shape (T, N, S): of those that are read from the state, or those from sensors."""
+    """Returns the same part of the signals themselves, shape (T, N, S): of those read from the state, or of those from
+    sensors.
+    """
     unseen = np.zeros((*road.shape[:2], len(readout.names)))
     for s in np.flatnonzero(readout.linear == linear):
         unseen[..., s] = 0.0 if linear else -readout.rest[s]

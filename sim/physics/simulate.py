@@ -1,6 +1,6 @@
-"""The MuJoCo response: of one run or ten thousand, held whole or looked at as it goes on.
+"""The MuJoCo response of one run or ten thousand, kept whole or in blocks.
 
-What makes it agree with the analysis to the integrator's own error (RK4's, to the fourth power of the step):
+It agrees with the analysis to the integrator's own error (RK4's, to the fourth power of the step), because
 
 - the road is a mocap body that MuJoCo holds over a step, so it is put at its height midway through the step;
 - but signals are read with the road where it is at the sample;
@@ -29,21 +29,21 @@ from sim.response.regime import BLOCK, EndDetector
 from sim.response.response import Response
 from synth.controller.controller import Controller
 
-FEWEST = 4  # runs to a thread: of fewer the numpy between their steps, which one thread at a time can do, takes as long
+FEWEST = 4  # runs per thread: with fewer, numpy between the steps, one thread at a time, takes as long as the steps
 
 
 @dataclass(frozen=True, eq=False)
 class PhysicsRuns:
-    """What MuJoCo made of N runs.
+    """N runs of MuJoCo.
 
     Attributes:
-        response: every signal, values of shape (N, T, S). From where a run diverged on, its values are NaN.
+        response: every signal, values of shape (N, T, S); NaN from a run's divergence on.
         qpos: generalized positions, shape (N, T, nq), to draw a run.
         qvel: generalized velocities, shape (N, T, nv).
-        diverged: when each run diverged [s], shape (N,); infinite where it did not.
-        asked: forces that were asked for at every sample [N], shape (N, T, m).
-        kept: what the states of each controller were at its last sample, shape (N, T, k), with the k of the one that has most.
-        states: the signals of those of each.
+        diverged: time at which each run diverged [s], shape (N,), or infinity.
+        asked: requested forces at every sample [N], shape (N, T, m).
+        kept: states of each controller at its last sample, shape (N, T, k), with the largest k of any.
+        states: the signals of each controller's states.
     """
 
     response: Response
@@ -55,7 +55,7 @@ class PhysicsRuns:
     states: Sequence[tuple[Signal, ...]]
 
     def run(self, index: int) -> Response:
-        """One run: the vehicle's signals, and after them the states of its controller."""
+        """Returns one run: the vehicle's signals, then the states of its controller."""
         states = self.states[index]
         return self.response.run(index).beside(states, self.kept[index, :, : len(states)])
 
@@ -68,22 +68,21 @@ def simulate(controllers: Sequence[RunDriver], met: Sequence[RoadInput], threads
 
     Args:
         controllers: N controllers.
-        met: what N vehicles of the same kind meet, all at the same sample times from 0 [s], shape (T,). Where vehicles differ in
-            the controller's implementation only, one model serves them.
-        threads: how many threads share the runs at most, `FEWEST` or more each; results do not depend on it. 0 is one for every
-            core.
+        met: vehicles of the same kind with their roads, all at the same sample times from 0 [s], shape (T,). Vehicles that
+            differ only in the controller's implementation share one model.
+        threads: largest number of threads, with `FEWEST` runs or more each; results do not depend on it. 0 means one per core.
     """
-    vehicles, time, timestep = [each.vehicle for each in met], met[0].time, met[0].timestep
-    kinds = [_kind(one, vehicle, timestep) for one, vehicle in zip(controllers, vehicles, strict=True)]
+    vehicles, time, timestep = [road.vehicle for road in met], met[0].time, met[0].timestep
+    kinds = [_kind(controller, vehicle, timestep) for controller, vehicle in zip(controllers, vehicles, strict=True)]
     if len(set(kinds)) > 1:
         return _by_kind(kinds, controllers, met, threads)
     signals, wheels = vehicles[0].kind.signals, vehicles[0].kind.wheels
     once = met_alike(met)
-    now, midway = (np.stack([getattr(each, what) for each in once], axis=1) for what in ("heights", "midway"))
+    now, midway = (np.stack([getattr(road, name) for road in once], axis=1) for name in ("heights", "midway"))
     beyond = None
     if ahead := steps_ahead(vehicles, controllers, timestep):
         after = time[-1] + timestep * np.arange(1, ahead + 1)
-        beyond = np.stack([under_wheels(each.road.displacement, each.road, each.vehicle, after) for each in once], axis=1)
+        beyond = np.stack([under_wheels(road.road.displacement, road.road, road.vehicle, after) for road in once], axis=1)
     shares = shared(
         len(vehicles), 1 if kinds[0][0] is Programmed else threads or cores()
     )  # Python is run by one thread at a time
@@ -93,13 +92,13 @@ def simulate(controllers: Sequence[RunDriver], met: Sequence[RoadInput], threads
     block = _whole(in_shares(course, shares))
 
     recorded, names = block.values, [signal.name for signal in signals]
-    velocity = np.stack([each.velocities for each in once], axis=1)
+    velocity = np.stack([road.velocities for road in once], axis=1)
     recorded[:, [names.index(wheel.road_velocity) for wheel in wheels]] = np.moveaxis(velocity, 1, 2)
     diverged = block.diverged(time)
     recorded[np.broadcast_to((time[:, None] >= diverged)[:, None], recorded.shape)] = np.nan
     qpos, qvel = block.qpos.swapaxes(0, 1), block.qvel.swapaxes(0, 1)
     response, asked = Response(time, signals, np.moveaxis(recorded, 2, 0)), block.asked.swapaxes(0, 1)
-    laws = [one.law if isinstance(one, Controller) else None for one in controllers]
+    laws = [controller.law if isinstance(controller, Controller) else None for controller in controllers]
     states = [kept_signals(range(1, law.states + 1)) if law else () for law in laws]
     scales = [1.0 if law is None else _of_state(law, vehicle, timestep) for law, vehicle in zip(laws, vehicles, strict=True)]
     kept = block.kept.swapaxes(0, 1) * np.array(scales)[:, None, None]
@@ -108,7 +107,7 @@ def simulate(controllers: Sequence[RunDriver], met: Sequence[RoadInput], threads
 
 
 def _of_state(law: LinearLaw, vehicle: Vehicle, timestep: float) -> float:
-    """What makes the law's own states of those that it is run with."""
+    """Returns the factor from the states that a law is run with to its own."""
     return law.of_state(steps_per_sample(vehicle.implementation, timestep) * timestep)
 
 
@@ -121,33 +120,33 @@ def _kind(controller: RunDriver, vehicle: Vehicle, timestep: float) -> tuple[typ
 def _by_kind(
     kinds: Sequence[tuple[type, int]], controllers: Sequence[RunDriver], met: Sequence[RoadInput], threads: int
 ) -> PhysicsRuns:
-    """Returns what `simulate` makes of each kind of runs, see `_kind`, in their order."""
-    which, made = [], []
+    """Returns the runs of `simulate`, computed for each kind of runs apart (see `_kind`), in the given order."""
+    which, parts = [], []
     for kind in dict.fromkeys(kinds):
         some = [i for i, one in enumerate(kinds) if one == kind]
         which += some
-        made.append(simulate([controllers[i] for i in some], [met[i] for i in some], threads))
+        parts.append(simulate([controllers[i] for i in some], [met[i] for i in some], threads))
     order = np.argsort(which)
-    values = np.concatenate([one.response.values for one in made])[order]
-    response = Response(met[0].time, made[0].response.signals, values)
+    values = np.concatenate([one.response.values for one in parts])[order]
+    response = Response(met[0].time, parts[0].response.signals, values)
     qpos, qvel, diverged, asked = (
-        np.concatenate([getattr(one, name) for one in made])[order] for name in ("qpos", "qvel", "diverged", "asked")
+        np.concatenate([getattr(one, name) for one in parts])[order] for name in ("qpos", "qvel", "diverged", "asked")
     )
-    most = max(one.kept.shape[2] for one in made)
-    kept = np.concatenate([np.pad(one.kept, ((0, 0), (0, 0), (0, most - one.kept.shape[2]))) for one in made])[order]
-    states = [signals for one in made for signals in one.states]
+    most = max(one.kept.shape[2] for one in parts)
+    kept = np.concatenate([np.pad(one.kept, ((0, 0), (0, 0), (0, most - one.kept.shape[2]))) for one in parts])[order]
+    states = [signals for one in parts for signals in one.states]
     return PhysicsRuns(response, qpos, qvel, diverged, asked, kept, [states[i] for i in order])
 
 
 def shared(count: int, threads: int) -> list[slice]:
-    """Runs shared out among threads, as many to each as to the others."""
+    """Splits runs evenly among threads."""
     shares = max(1, min(threads, count // FEWEST))
     edges = [count * i // shares for i in range(shares + 1)]
     return [slice(*pair) for pair in itertools.pairwise(edges)]
 
 
 def _whole(parts: Sequence[Callable[[Callable[[], bool]], Iterator[Block]]]) -> Block:
-    """The one block of every share, put together."""
+    """Joins the blocks of all shares to one."""
     if len(parts) == 1:
         return next(parts[0](lambda: False))
     pieces = [lambda stopped, part=part: next(part(stopped), None) for part in parts]
@@ -159,32 +158,36 @@ def _whole(parts: Sequence[Callable[[Callable[[], bool]], Iterator[Block]]]) -> 
 
 
 def met_alike(met: Sequence[RoadInput]) -> list[RoadInput]:
-    """Returns in place of each the first whose wheels meet the same road alike, so that heights are computed once."""
-    keys = [(*each.vehicle.parameters.values(), id(each.road)) for each in met]
+    """Returns, in place of each road input, the first one with equal heights under its wheels, so that these are computed
+    once.
+    """
+    keys = [(*road.vehicle.parameters.values(), id(road.road)) for road in met]
     first = dict(zip(reversed(keys), reversed(met), strict=True))
     return [first[key] for key in keys]
 
 
 def loads_on(met: Sequence[RoadInput]) -> Array | None:
     """Returns the loads that are held on the bodies of all runs [N, N m], shape (T, N, l); None if no run has any."""
-    return np.stack([each.held_loads for each in met], axis=1) if any(each.loaded for each in met) else None
+    return np.stack([road.held_loads for road in met], axis=1) if any(road.loaded for road in met) else None
 
 
 class Watched:
-    """N runs from rest, of vehicles of one kind that read out alike, over a road each.
+    """N runs from rest over a road each, whose divergence and end of the linear regime are detected block by block.
 
     Attributes:
         now: heights of the roads under the wheels at the samples [m], shape (T, N, r).
         midway: the same half a step later, where MuJoCo holds them.
-        ends: what ends their linear regime, and when, in the blocks so far.
-        loads: on their bodies [N, N m], midway through the steps, shape (T, N, l); None where there are none.
-        beyond: heights of the roads at the samples after the last, as far as laws in Python are told of them.
+        ends: detector of the ends of their linear regime in the blocks so far.
+        loads: on their bodies [N, N m], midway through the steps, shape (T, N, l), or None.
+        beyond: heights of the roads at the samples after the last, as far as laws in Python preview them.
         failures: by run, the laws in Python that have failed; such a run goes on without forces.
-        diverged: when each diverged in them [s], infinite where it did not, shape (N,).
+        diverged: time at which each diverged in the blocks so far [s], shape (N,), or infinity.
     """
 
     def __init__(self, vehicles: Sequence[Vehicle], controllers: Sequence[RunDriver], roads: Sequence[Road], time: Array) -> None:
-        """N vehicles of one kind with their controllers and roads, and equidistant sample times from 0 [s], shape (T,)."""
+        """Takes N vehicles that read out alike, their controllers and roads, and equidistant sample times from 0 [s], shape
+        (T,).
+        """
         self.vehicles, self.controllers, self.time = vehicles, controllers, time
         ahead = steps_ahead(vehicles, controllers, self.timestep)
         halves = np.arange(2 * (len(time) + ahead)) * (self.timestep / 2)
@@ -198,16 +201,16 @@ class Watched:
 
     @property
     def timestep(self) -> float:
-        """Of the runs [s]."""
+        """Returns the timestep of the runs [s]."""
         return float(self.time[1] - self.time[0])
 
     @property
     def until(self) -> Array:
-        """The time before which each is linear [s], infinite for always, shape (N,)."""
+        """Returns the time before which each run is linear [s], shape (N,), or infinity."""
         return np.minimum(self.ends.first, self.diverged)
 
     def blocks(self) -> Iterator[Block]:
-        """Every block in its turn; once a run has diverged, what is left of it is clipped."""
+        """Yields every block in its turn; after a run has diverged, its values are clipped."""
         edges = [*range(0, len(self.time), BLOCK), len(self.time)]
         course = Course(
             self.vehicles,

@@ -1,4 +1,6 @@
-"""The loop: read, control, move the road, step; in a batch of MuJoCo's, or in a run alone, which costs a fifth of a step less."""
+"""The simulation loop: read, control, move the road, step; in a batch of MuJoCo's, or for a single run, at a fifth less per
+step.
+"""
 
 import functools
 import itertools
@@ -27,10 +29,10 @@ _STAGES = {
 
 
 class Alone:
-    """A run that is always stepped, whatever `ids`; its numbers are those of a batch to the last bit."""
+    """Single run with the interface of a batch; its numbers are those of a batch to the last bit."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
-        """At rest."""
+        """Starts at rest."""
         self.model, self.nsim, self._data = model, 1, mujoco.MjData(model)
 
     def bind(self, name: str) -> Array:
@@ -54,41 +56,42 @@ class Alone:
 
 
 class Setting(Protocol):
-    """What sets the adjustable dampers of N runs.
+    """Interface that sets the adjustable dampers of N runs.
 
     Attributes:
-        actuators: m of each, those that push among them.
+        actuators: number m of each run's actuators, force actuators included.
     """
 
     actuators: int
 
     def set(self, seen: Array, acting: Array) -> None:
-        """Writes what every actuator is to be, shape (N, m), from what that is decided on, shape (N, d)."""
+        """Writes the commands of every actuator, shape (N, m), from the signals that decide them, shape (N, d)."""
         ...
 
     def commands(self, seen: Array) -> Array:
-        """The same of some samples, with what is missing, see `Range.commands`: shape (B, N, 2 m) from (B, N, d)."""
+        """Returns the commands of some samples with the missing forces, see `Range.commands`: shape (B, N, 2 m) from (B, N,
+        d).
+        """
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """What N controllers of m forces and k states read, and what they make of it.
+    """Readings of N controllers of m forces and k states, and the controllers' gains on them.
 
     Attributes:
         gain: from the reading to [forces; next states], shape (N, m + k, r). The reading is (qpos, qvel) and some of
             `sensordata`.
         memory: from their states, shape (N, m + k, k).
-        offset: what else comes to them, shape (T, N, m + k).
-        sensors: which of `sensordata` it has; none where there is no stage.
+        offset: further contribution to [forces; next states], shape (T, N, m + k).
+        sensors: part of `sensordata` in the reading; empty without a stage.
         stage: mjtStage up to which sensors are evaluated before a step.
-        fresh: whether they are evaluated there by themselves, with the road at the samples, so that accelerations count.
-        once: whether what is recorded is read there, too, so that accelerations and forces are those until then.
-        damped: what sets adjustable dampers, which the gain then gives rows for that it is decided on; None where all actuators
-            push.
-        lagging: whether the activations are recorded.
-        held: for how many steps they hold what they ask for, if there is no law beside them.
-        ramps: of every actuator that makes ramps of dampers' curves, the last ones, with which input it goes, shape (k,).
+        fresh: True to evaluate sensors apart, with the road at the samples, so that accelerations are right.
+        once: True to record from that evaluation, too: accelerations and forces are then those until the sample.
+        damped: setting of adjustable dampers, or None if all actuators push; the gain then has rows for its inputs.
+        lagging: True to record the activations.
+        held: number of steps for which commands are held, if there is no law beside the gains.
+        ramps: input of every actuator that makes ramps of dampers' curves, shape (k,); these actuators are the last ones.
     """
 
     gain: Array
@@ -106,10 +109,10 @@ class Reading:
 
 @dataclass(frozen=True, eq=False)
 class Push:
-    """What pushes the bodies of N runs from outside, held over every step.
+    """Loads on the bodies of N runs, held over every step.
 
     Attributes:
-        dofs: along which joints, l of them.
+        dofs: the l degrees of freedom along which they push.
         midway: forces [N] and moments [N m] during the steps, shape (T, N, l).
     """
 
@@ -118,15 +121,15 @@ class Push:
 
 
 class Law(Protocol):
-    """What N controllers that are not ideal ask for, and what known forces are."""
+    """N controllers that are not ideal, or known forces."""
 
     @property
     def used(self) -> Array:
-        """What their k states were at their last sample, shape (N, k)."""
+        """Returns the k states at the last sample, shape (N, k)."""
         ...
 
     def __call__(self, k: int, reading: Array) -> Array:
-        """The commands of step k, from the reading, shape (N, r): forces, shape (N, m), or as `step_batch` yields them."""
+        """Returns the commands of step k from the reading, shape (N, r): forces, shape (N, m), or as `step_batch` yields them."""
         ...
 
 
@@ -142,34 +145,33 @@ def step_batch(
     stopped: Callable[[], bool],
     push: Push | None = None,
 ) -> Iterator[tuple[int, Array, Array, Array, Array, Array, Array]]:
-    """All samples of a batch.
+    """Steps a batch through all samples.
 
     Args:
         batch: N runs.
         mocap: mocap index of every wheel's road.
-        reading: what is read before a step, and what ideal controllers make of it.
+        reading: of the signals before a step, with the gains of ideal controllers.
         midway: road heights during the steps, shape (T, N, r).
         at_samples: road heights at the samples, shape (T, N, r), if sensors are to be evaluated there on top; else None.
-        law: of controllers that are not ideal; None for those that are.
+        law: of controllers that are not ideal, or None for ideal ones.
         edges: of the blocks, see `in_blocks`.
-        going: whether each run is still stepped, shape (N,), asked at the beginning of every block; None where all are.
-        stopped: says whether to give up.
-        push: what loads do; None where there are none.
+        going: True for each run that is still stepped, shape (N,), read at the beginning of every block, or None for all.
+        stopped: returns True to stop.
+        push: the loads, or None.
 
     Yields:
-        Of every block its first sample, and `sensordata`, shape (B, nsensordata, N): that of the samples; else up to the stage
-        from before the step, the rest from inside it. Then qpos, shape (B, N, nq), qvel, shape (B, N, nv), the forces asked for,
-        shape (B, N, m), the states of the controllers at their last sample, shape (B, N, k), and the activations, shape
-        (B, N, na), or (0, N, na) where none lags. Of adjustable dampers, of which there is a range, the forces asked for are
-        commands, shape (B, N, 2 m): coefficients beyond the nominal ones, or forces of what pushes, and then the forces that
-        were asked for beyond what those give.
+        For every block its first sample, and `sensordata`, shape (B, nsensordata, N): with `at_samples` that of the samples;
+        otherwise up to the stage from before the step, the rest from inside it. Then qpos, shape (B, N, nq), qvel, shape
+        (B, N, nv), the requested forces, shape (B, N, m), the states of the controllers at their last sample, shape (B, N, k),
+        and the activations, shape (B, N, na), or (0, N, na) if none lags. With adjustable dampers the requested forces are
+        commands, shape (B, N, 2 m): coefficients beyond the nominal ones, or forces of force actuators, then missing forces.
     """
     gain, offset, stage, fresh = reading.gain, reading.offset, reading.stage, reading.fresh
     (count, known), kept = offset.shape[1:], reading.memory.shape[2]
     commands, damped = known - kept, reading.damped
     m = commands if damped is None else damped.actuators
-    # The motors come first in ctrl, in the order of the linear model's inputs; what is fitted beside them is not asked.
-    # Ramps of dampers' curves come last, and are asked for what their dampers are.
+    # The motors come first in ctrl, in the order of the linear model's inputs; fitted elements have no command.
+    # Ramps of dampers' curves come last, with the commands of their dampers.
     ramps = None if reading.ramps is None else batch.bind("ctrl")[:, -len(reading.ramps) :]
     acting, heights, sensors = batch.bind("ctrl")[:, :m], batch.bind("mocap_pos")[:, :, 2], batch.bind("sensordata")
     pushed = batch.bind("qfrc_applied") if push is not None else None
@@ -178,8 +180,8 @@ def step_batch(
     early = np.repeat(batch.model.sensor_needstage, batch.model.sensor_dim) <= stage
     batch.forward(stage=stage)
 
-    # A numpy call costs a tenth of a step, so there are few: what is known of the forces lies beside the reading, with unit gain.
-    # Of controllers with states more is known, and they lie there instead: in a batch the gains have to come from memory.
+    # A numpy call costs a tenth of a step, so there are few: known parts of the forces lie beside the reading, with unit gain.
+    # For controllers with states, the states lie there instead: in a batch the gains have to come from memory.
     beside = kept or commands
     known_beside = reading.memory if kept else np.broadcast_to(np.eye(commands), (count, commands, commands))
     gain = np.concatenate([gain, known_beside], axis=-1)
@@ -198,18 +200,18 @@ def step_batch(
             seen[..., width:] = offset[block]
         roads = np.zeros((length, *heights.shape))
         roads[..., mocap] = midway[block]
-        sensed, asked = np.empty((length + 1, *sensed_now.shape)), np.empty((length, count, commands))
+        sensed, requested = np.empty((length + 1, *sensed_now.shape)), np.empty((length, count, commands))
         sensed[0] = sensed_now
         if reading.lagging:
             acts = np.empty((length, *activations.shape))
         parts = (seen[..., :positions], seen[..., positions:moved], seen[..., moved:width])
-        whole = (seen[:, 0], asked[:, 0]) if alone else (seen, asked)
+        whole = (seen[:, 0], requested[:, 0]) if alone else (seen, requested)
         rows: Any = zip(*whole, *parts, roads, sensed[1:], strict=True)
-        for k, (all_seen, forces, standing, moving, sensing, road, result) in enumerate(rows, start):
+        for k, (all_seen, forces, positions_now, velocities_now, sensing, road, result) in enumerate(rows, start):
             if stopped():
                 return
-            standing[...] = qpos
-            moving[...] = qvel
+            positions_now[...] = qpos
+            velocities_now[...] = qvel
             if fresh and at_samples is not None:
                 heights[:, mocap] = at_samples[k]
                 batch.forward(some)
@@ -252,8 +254,16 @@ def step_batch(
             if at_samples is None:
                 result[...] = sensed_now
         if stage and at_samples is None:
-            # The evaluation after a step has overwritten what the step itself had sensed by what comes before the next.
+            # The evaluation after a step has overwritten the step's own readings by those before the next step.
             sensed[1:, early] = sensed[:-1, early]
         if damped is not None and law is None:
-            asked = damped.commands(asked)
-        yield start, sensed[1:], seen[..., :positions], seen[..., positions:moved], asked, seen[..., width : width + kept], acts
+            requested = damped.commands(requested)
+        yield (
+            start,
+            sensed[1:],
+            seen[..., :positions],
+            seen[..., positions:moved],
+            requested,
+            seen[..., width : width + kept],
+            acts,
+        )

@@ -1,4 +1,4 @@
-"""What ends the linear regime, and when: a tyre off the road, a suspension, actuator, damper or curve at its end."""
+"""Ends of the linear regime, and their times: a tyre off the road, a suspension, actuator, damper or curve at its limit."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -15,22 +15,22 @@ from sim.response.response import Response
 if TYPE_CHECKING:
     from models.suspension.fitted_curves import Fitted
 
-AT = 1 - 1e-12  # of a threshold: a force at its limit is equal to it, to rounding
-# m; the stiffest tyre, squeezed nearly flat, flings a hub 1 mm off its way within 1 ms. A reading that is through a hub, and yet
-# not that of a flat tyre, has jumped by 0.1 m and more, as hubs are 0.3 m and more over their roads.
+AT = 1 - 1e-12  # share of a threshold that counts as reached: a force at its limit is equal to it, to rounding
+# m; the stiffest tyre, squeezed nearly flat, flings a hub 1 mm off its way within 1 ms. A reading from beyond the hub jumps by
+# 0.1 m and more, as hubs are 0.3 m and more over their roads.
 JUMP = 0.02
-MISSED = 1e-3  # N of an adjustable damper; less is rounding
-BLOCK = 200  # samples of many runs at once that stay in the cache
+MISSED = 1e-3  # N of an adjustable damper: a smaller missing force is rounding
+BLOCK = 200  # samples per block of many runs, so that it stays in the cache
 
 
 @dataclass(frozen=True)
 class Threshold:
-    """Where a signal ends the linear regime.
+    """Limit of a signal that ends the linear regime.
 
     Attributes:
         signal: its name.
-        sign: of the side on which it does; 0 for either.
-        value: sign * signal, or its magnitude, that is too much [the signal's unit].
+        sign: of the side with the limit; 0 for both.
+        value: limit of sign * signal, or of its magnitude [the signal's unit].
     """
 
     signal: str
@@ -38,23 +38,23 @@ class Threshold:
     value: float
 
     def towards(self, values: Array) -> Array:
-        """Values of the signal as they are held against the threshold."""
+        """Returns the values of the signal in the threshold's direction."""
         return self.sign * values if self.sign else np.abs(values)
 
 
 @dataclass(frozen=True)
 class End:
-    """One thing that ends the linear regime.
+    """End of the linear regime.
 
     Attributes:
-        name: as tables, maps and JSON have it.
-        happens: in words, what happens.
-        event: what its first time is called among a log's events; empty where it is none of them.
-        verdict: the line of a verdict that says so, of `when` [s]; empty where that is said otherwise.
+        name: in tables, maps and JSON.
+        happens: the event in words.
+        event: name of its first time among a log's events; empty if it is not logged.
+        verdict: line of a verdict about it, with `when` [s]; empty if that is said elsewhere.
         color: in a map, on light ground.
         marker: on curves, on dark ground: its shape, as Rerun names it, and a colour that no curve has.
-        thresholds: of a vehicle; none where it has no such limit.
-        exact: whether the exact response as built goes on beyond it, and only what is linear ends.
+        thresholds: of a vehicle; empty if it has no such limit.
+        exact: True if the exact response goes on beyond it, and only linearity ends.
     """
 
     name: str
@@ -68,7 +68,7 @@ class End:
 
 
 def _on_every_tyre(sign: float, limit: Callable[[float], float]) -> Callable[[Vehicle], list[Threshold]]:
-    """Thresholds on every tyre's deflection, each from its static one."""
+    """Returns thresholds on every tyre's deflection, each from its static one."""
 
     def thresholds(vehicle: Vehicle) -> list[Threshold]:
         static = vehicle.kind.static_tyre_deflection(vehicle.parameters)
@@ -80,7 +80,7 @@ def _on_every_tyre(sign: float, limit: Callable[[float], float]) -> Callable[[Ve
 def _either_way(
     names: Callable[[Vehicle], Sequence[str]], limit: Callable[[Vehicle], float | None]
 ) -> Callable[[Vehicle], list[Threshold]]:
-    """Thresholds on some signals of a vehicle, if it has the limit."""
+    """Returns thresholds on some signals of a vehicle, if it has the limit."""
 
     def thresholds(vehicle: Vehicle) -> list[Threshold]:
         value = limit(vehicle)
@@ -90,34 +90,36 @@ def _either_way(
 
 
 def _at_the_stops(vehicle: Vehicle) -> list[Threshold]:
-    """Thresholds on every suspension's deflection, one to each side, if it has stops."""
-    found = vehicle.limits.stops(vehicle.kind.suspensions).items()
-    return [Threshold(name, sign, one.stroke) for name, both in found for sign, one in ((-1.0, both.bump), (1.0, both.rebound))]
+    """Returns thresholds on every suspension's deflection, one to each side, if it has stops."""
+    stops = vehicle.limits.stops(vehicle.kind.suspensions).items()
+    return [Threshold(name, sign, stop.stroke) for name, both in stops for sign, stop in ((-1.0, both.bump), (1.0, both.rebound))]
 
 
-def over(vehicle: Vehicle, one: "Fitted") -> str:
-    """The signal that a curve's force is over."""
-    if not one.damps:
-        return one.deflection
-    return next(suspension.velocity.name for suspension in vehicle.kind.suspensions if suspension.deflection == one.deflection)
+def over(vehicle: Vehicle, fitted: "Fitted") -> str:
+    """Returns the name of the signal on which a curve's force depends."""
+    if not fitted.damps:
+        return fitted.deflection
+    return next(suspension.velocity.name for suspension in vehicle.kind.suspensions if suspension.deflection == fitted.deflection)
 
 
 def _off_the_line(vehicle: Vehicle) -> list[Threshold]:
-    """Thresholds where curves have left their lines at rest, one to each side."""
-    found = []
-    for one in vehicle.fitted:
-        low, high = one.curve.left_at
-        found += [Threshold(over(vehicle, one), sign, far) for sign, far in ((-1.0, -low), (1.0, high)) if far < np.inf]
-    return found
+    """Returns thresholds at which curves leave their lines at rest, one to each side."""
+    thresholds = []
+    for fitted in vehicle.fitted:
+        low, high = fitted.curve.left_at
+        thresholds += [Threshold(over(vehicle, fitted), sign, far) for sign, far in ((-1.0, -low), (1.0, high)) if far < np.inf]
+    return thresholds
 
 
 def departures(vehicle: Vehicle, response: Response) -> dict[str, float]:
-    """How far curves were from their lines at most, over their largest forces, by parameter: of wheels that with most."""
-    found: dict[str, float] = {}
-    for one in vehicle.fitted:
-        apart = np.abs(one.curve.pieces.force(response[over(vehicle, one)])).max(initial=0.0) / one.curve.range
-        found[one.parameter] = max(found.get(one.parameter, 0.0), float(apart))
-    return found
+    """Returns the largest deviation of curves from their lines, over their largest forces, by parameter; the largest of all
+    wheels.
+    """
+    shares: dict[str, float] = {}
+    for fitted in vehicle.fitted:
+        apart = np.abs(fitted.curve.pieces.force(response[over(vehicle, fitted)])).max(initial=0.0) / fitted.curve.range
+        shares[fitted.parameter] = max(shares.get(fitted.parameter, 0.0), float(apart))
+    return shares
 
 
 LIFT_OFF = End(
@@ -181,7 +183,7 @@ END_NAMES = tuple(end.name for end in REGIME_ENDS)
 
 
 def utilisation(vehicle: Vehicle, response: Response) -> Array:
-    """How much of the way to each of `REGIME_ENDS` a response goes, shape (..., E): 1 reaches it, 0 where there is none."""
+    """Returns the share of each of `REGIME_ENDS` that a response reaches, shape (..., E): 1 at the limit, 0 without a limit."""
     columns = []
     for end in REGIME_ENDS:
         share = np.zeros(response.values.shape[:-2])
@@ -192,18 +194,18 @@ def utilisation(vehicle: Vehicle, response: Response) -> Array:
 
 
 class EndDetector:
-    """When each of N runs first reaches each of `REGIME_ENDS`, from their signals, whole or block by block.
+    """Detector of the time at which each of N runs first reaches each of `REGIME_ENDS`, from whole signals or block by block.
 
-    What is read of a tyre in MuJoCo is a length, never below zero: where a road rises through a hub within a step, the reading
-    is that of a tyre that is long again, of a hub that has jumped. Therefore a tyre is flat, too, where its hub has jumped and
-    the road has risen that far over where the hub would be, had it gone on as before.
+    MuJoCo reads a tyre as a length, never below zero: if a road rises through a hub within a step, the reading is that of a long
+    tyre on a hub that has jumped. Therefore a tyre also counts as flat if its hub has jumped and the road is above the hub's
+    extrapolated position.
 
     Attributes:
-        times: when each is first reached [s], infinite where it is not, shape (N, E).
+        times: first time of each end [s], shape (N, E), or infinity.
     """
 
     def __init__(self, vehicles: Sequence[Vehicle], time: Array, predicted: bool = False) -> None:
-        """For runs over these sample times [s], as MuJoCo reads them, or as they are predicted: then tyres go on through hubs."""
+        """Prepares runs over these sample times [s], read by MuJoCo, or predicted: predicted tyres pass through hubs."""
         self.samples, self.times = time, np.full((len(vehicles), len(REGIME_ENDS)), np.inf)
         names = [signal.name for signal in vehicles[0].kind.signals]
         roads = {wheel.tyre_deflection: wheel.road_displacement for wheel in vehicles[0].kind.wheels if not predicted}
@@ -220,17 +222,17 @@ class EndDetector:
 
     @property
     def first(self) -> Array:
-        """When the first of them is reached [s], shape (N,)."""
+        """Returns the time of the first end [s], shape (N,)."""
         return self.times.min(axis=1)
 
     @property
     def which(self) -> Array:
-        """Which that is, as an index into `REGIME_ENDS`, -1 for none, shape (N,)."""
+        """Returns the first end as an index into `REGIME_ENDS`, -1 for no end, shape (N,)."""
         return first_end(self.times)
 
     @property
     def flat(self) -> Array:
-        """When a tyre is first flat, whatever came before [s], shape (N,)."""
+        """Returns the time at which a tyre is first flat, whatever came before [s], shape (N,)."""
         return self.times[:, REGIME_ENDS.index(FLAT)]
 
     def update(self, start: int, values: Array) -> None:
@@ -245,7 +247,7 @@ class EndDetector:
             self.times[hit, end] = np.minimum(self.times[hit, end], when)
 
     def _risen(self, tyre: int, values: Array) -> Array:
-        """How far a road is over where its hub would be, had it not jumped but gone on as before [m], shape (B, N)."""
+        """Returns the height of a road over the extrapolated hub, if the hub has jumped [m], shape (B, N); -inf otherwise."""
         road = values[:, self.road[tyre]]
         hub = values[:, tyre] + road
         hubs = np.concatenate([self.hubs[tyre] if tyre in self.hubs else hub[[0, 0]], hub])
@@ -255,7 +257,9 @@ class EndDetector:
 
 
 def reached(vehicle: Vehicle, response: Response) -> Array:
-    """When physics first reaches each of `REGIME_ENDS` [s], infinite where it does not, shape (..., E); leading axes are runs."""
+    """Returns the time at which physics first reaches each of `REGIME_ENDS` [s], shape (..., E), or infinity; leading axes are
+    runs.
+    """
     leading, whole = response.values.shape[:-2], response.values.shape[-2:]
     runs = response.values.reshape(-1, *whole)
     detector = EndDetector([vehicle] * len(runs), response.time)
@@ -264,12 +268,12 @@ def reached(vehicle: Vehicle, response: Response) -> Array:
 
 
 def scaled_reached(vehicle: Vehicle, response: Response, factors: Array) -> Array:
-    """When a linear response, which no limit stops, would reach each of `REGIME_ENDS` [s], times N factors, shape (N, E).
+    """Returns the time at which a linear response, times N factors, would reach each of `REGIME_ENDS` [s], shape (N, E).
 
     Args:
         vehicle: the vehicle.
         response: of one run.
-        factors: below zero too, as over a hole; shape (N,).
+        factors: also negative, as over a hole; shape (N,).
     """
     detector = EndDetector([vehicle] * len(factors), response.time, predicted=True)
     for start in range(0, len(response.time), BLOCK):
@@ -278,14 +282,14 @@ def scaled_reached(vehicle: Vehicle, response: Response, factors: Array) -> Arra
 
 
 def first_end(times: Array) -> Array:
-    """Which of `REGIME_ENDS` comes first, as its index, and -1 where none does; from `reached`, shape (..., E) to (...,).
+    """Returns the index of the first of `REGIME_ENDS`, -1 if none occurs; from `reached`, shape (..., E) to (...,).
 
-    Of two at one sample, the one that is named first.
+    For two at one sample it is the first in order.
     """
     return np.where(np.isfinite(times).any(axis=-1), times.argmin(axis=-1), -1)
 
 
 def ended_by(vehicle: Vehicle, response: Response) -> tuple[str, ...]:
-    """What of `REGIME_ENDS`, or "divergence", happens in the physics of one run."""
+    """Returns the names of `REGIME_ENDS`, and "divergence", that occur in the physics of one run."""
     ended = [name for name, when in zip(END_NAMES, reached(vehicle, response), strict=True) if np.isfinite(when)]
     return (*ended, *(() if np.all(np.isfinite(response.values)) else ("divergence",)))

@@ -1,4 +1,4 @@
-"""A response: named signals over time, for one run or many; the linear analysis and the physics both make it, and they differ."""
+"""Responses: named signals over time, for one run or many, by the linear analysis or by physics."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-SILENT = 1e-3
+SILENT = 1e-3  # smallest scale of a signal, relative to the loudest of its unit
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +26,7 @@ class Response:
 
     Attributes:
         time: sample times [s], shape (T,).
-        signals: what the last axis of `values` holds, S of them, each with its unit.
+        signals: S signals of the last axis of `values`, each with its unit.
         values: shape (..., T, S); leading axes are runs.
 
     Raises:
@@ -44,11 +44,11 @@ class Response:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Names of the signals."""
+        """Returns the names of the signals."""
         return tuple(signal.name for signal in self.signals)
 
     def __getitem__(self, signal: str) -> Array:
-        """One signal over time, shape (..., T).
+        """Returns one signal over time, shape (..., T).
 
         Raises:
             KeyError: there is no such signal; the message lists those there are.
@@ -58,44 +58,44 @@ class Response:
         return self.values[..., self.names.index(signal)]
 
     def run(self, index: int) -> "Response":
-        """One run of many."""
+        """Returns one run of many."""
         return Response(self.time, self.signals, self.values[index])
 
     def beside(self, signals: tuple[Signal, ...], values: Array) -> "Response":
-        """With more signals after its own, values of shape (..., T, k); it itself where there are none."""
+        """Returns the response with more signals after its own, values of shape (..., T, k), or itself if there are none."""
         if not signals:
             return self
         return Response(self.time, (*self.signals, *signals), np.concatenate([self.values, values], axis=-1))
 
     def only(self, names: Sequence[str]) -> "Response":
-        """Some of its signals."""
+        """Returns the response with some of its signals."""
         columns = [self.names.index(name) for name in names]
         return Response(self.time, tuple(self.signals[i] for i in columns), self.values[..., columns])
 
     def until(self, time: float) -> "Response":
-        """The samples before a time [s]."""
+        """Returns the samples before a time [s]."""
         count = int(np.searchsorted(self.time, time))
         return Response(self.time[:count], self.signals, self.values[..., :count, :])
 
     @property
     def diverged(self) -> float:
-        """When a single run diverged [s], the first sample with a value that is no number; infinite where it did not."""
+        """Returns the time of a single run's first sample with a value that is not finite [s], or infinity."""
         broken = ~np.all(np.isfinite(self.values), axis=-1)
         return float(self.time[broken.argmax()]) if broken.any() else np.inf
 
     def peak(self, signal: str) -> Array:
-        """Largest magnitude of a signal, shape (...,), NaN where a run broke off (see `sim.physics.simulate`)."""
+        """Returns the largest magnitude of a signal, shape (...,), NaN if a run broke off (see `sim.physics.simulate`)."""
         return self._peaks[..., self.names.index(signal)]
 
     @cached_property
     def _peaks(self) -> Array:
-        """The same of every signal, shape (..., S): each is asked for as often as there are signals of its unit."""
+        """Returns the peaks of all signals, shape (..., S), cached: `scale` needs them often."""
         return np.maximum(np.abs(self.values.max(axis=-2)), np.abs(self.values.min(axis=-2)))
 
     def scale(self, signal: str) -> float:
-        """What a single run's differences in a signal are measured against: its peak.
+        """Returns the scale of a single run's differences in a signal: its peak.
 
-        A signal that symmetry keeps silent, such as roll over a bump under both tracks, has no peak of its own: it counts a
+        A signal that symmetry keeps silent, such as roll over a bump under both tracks, has no peak of its own: its scale is a
         thousandth of the loudest signal of its unit.
         """
         unit = self.signals[self.names.index(signal)].unit
@@ -103,11 +103,11 @@ class Response:
         return max(float(self.peak(signal)), SILENT * loudest)
 
     def rms(self, signal: str) -> Array:
-        """Root mean square of a signal over the whole response, shape (...,)."""
+        """Returns the root mean square of a signal over the whole response, shape (...,)."""
         return np.sqrt(np.mean(self[signal] ** 2, axis=-1))
 
     def to_pandas(self) -> "pd.DataFrame":
-        """One run as a DataFrame: a column per signal, the time [s] as index, units in `attrs["units"]`.
+        """Returns one run as a DataFrame: a column per signal, the time [s] as index, units in `attrs["units"]`.
 
         Raises:
             ValueError: the response holds several runs; take one with `run`.
@@ -120,7 +120,7 @@ class Response:
         return frame
 
     def to_control(self, vehicle: Vehicle) -> "control.TimeResponseData":
-        """One run as python-control's responses are: the outputs of its vehicle over its road, by name.
+        """Returns one run as python-control's response: the outputs of its vehicle over its road, by name.
 
         Raises:
             ValueError: the response holds several runs; take one with `run`.
@@ -146,21 +146,21 @@ class Response:
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # an unstable loop overflows
 def difference(physics: Response, sampled: Response) -> Response:
-    """The difference of two responses over the sampled one's peak, without a unit: what the verdict takes the largest of.
+    """Returns the difference of two responses over the sampled one's peak, dimensionless; the verdict takes the largest.
 
     Args:
         physics: a run in MuJoCo.
         sampled: its exact sampled response, at the same times.
 
     Returns:
-        The signals that the vehicle makes, by their own names. Those of the road, which both are given, are left out.
+        The vehicle's signals by their names, without those of the road, which are inputs of both.
     """
-    made = tuple(signal for signal in sampled.signals if not signal.name.startswith("road_"))
+    outputs = tuple(signal for signal in sampled.signals if not signal.name.startswith("road_"))
     columns: list[Array] = []
-    for signal in made:
+    for signal in outputs:
         scale = sampled.scale(signal.name) or 1.0  # a vehicle that nothing moves
         apart = (physics[signal.name] - sampled[signal.name]) / scale
-        columns.append(np.where(np.isnan(apart), np.nan, apart))  # of NaNs machines know several, and logs are compared by bytes
-    about = "MuJoCo minus linear, over the peak"  # a log has these words, and logs that there are have them
-    signals = tuple(replace(s, symbol=f"({s.symbol}) / peak", unit="1", meaning=f"{about}: {s.meaning}") for s in made)
+        columns.append(np.where(np.isnan(apart), np.nan, apart))  # one bit pattern of NaN: logs are compared by bytes
+    about = "MuJoCo minus linear, over the peak"  # existing logs contain this text
+    signals = tuple(replace(s, symbol=f"({s.symbol}) / peak", unit="1", meaning=f"{about}: {s.meaning}") for s in outputs)
     return Response(sampled.time, signals, np.stack(columns, axis=-1) if columns else np.zeros((len(sampled.time), 0)))
